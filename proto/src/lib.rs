@@ -1,0 +1,10 @@
+//! The `wayfold.v1` protocol: messages, gRPC stubs, and conversions to and from the types of `wayfold-index`.
+
+/// Messages, clients and servers of package `wayfold.v1`; every field is documented in `wayfold/v1/*.proto`.
+pub mod v1 {
+    tonic::include_proto!("wayfold.v1");
+
+    /// The encoded `google.protobuf.FileDescriptorSet` of the package and its imports, for gRPC reflection.
+    pub const FILE_DESCRIPTOR_SET: &[u8] =
+        include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
+}

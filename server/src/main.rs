@@ -1,0 +1,2 @@
+//! The Wayfold server.
+fn main() {}
