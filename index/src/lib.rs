@@ -1,1 +1,42 @@
-//! Exact dynamic nearest-neighbour search.
+//! Exact, dynamic nearest-neighbour search in the configuration spaces of motion planning: Cartesian products of Rⁿ,
+//! S¹ and RP³ with a weighted metric, after Yershova and LaValle.
+//!
+//! A [`Space`] is the metric: it checks states, brings them into canonical form and measures distances. Three
+//! structures answer the same [`Search`] with the same neighbours, in ids and in the bits of the distances:
+//!
+//! - [`Linear`], brute force, the oracle of the others;
+//! - [`KdTree`], static, built once;
+//! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
+//!
+//! Reading order: `space` (the metric), `points`, `neighbor` and `search` (what is stored, found and asked), `kdtree`,
+//! `forest`. Nothing here does I/O, waits, or starts a thread.
+//!
+//! ```
+//! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
+//!
+//! let space: Space = "R3*SO3:0.15".parse()?;
+//! let mut state = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0];
+//! space.canonicalize(&mut state)?;
+//! let mut points = Points::new(space.coordinates());
+//! points.push(42, 0, 1, &state);
+//! let mut forest = Forest::new(space, ForestOptions::default());
+//! forest.apply(1, &points, &[]);
+//! assert_eq!(forest.search(&state, &Search::nearest_k(10)).neighbors[0].id, 42);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod forest;
+mod kdtree;
+mod linear;
+mod neighbor;
+mod points;
+mod search;
+mod space;
+
+pub use forest::{Forest, ForestOptions, Merge, Merged, Snapshot};
+pub use kdtree::KdTree;
+pub use linear::Linear;
+pub use neighbor::Neighbor;
+pub use points::{PointRef, Points};
+pub use search::{Answer, Filter, Search};
+pub use space::{Factor, Group, Space, SpaceError, StateError, StateProblem, Term};

@@ -1,0 +1,124 @@
+//! One level of a forest: an immutable tree, the way from an id to its slot, and the marks of what has died in it.
+
+use std::sync::Arc;
+
+use super::tombstones::Tombstones;
+use crate::{KdTree, PointRef, Points, Space, search::Walk};
+
+/// Shared by count between the forest, its snapshots and the merges under way. Each id stands in it at most once.
+#[derive(Debug)]
+pub(super) struct Level {
+    tree: KdTree,
+    /// The slots in the order of their ids.
+    by_id: Vec<u32>,
+    tombstones: Tombstones,
+    /// Whether a merge has built its tree. (That the tree has more than one leaf would not tell: points may coincide.)
+    built: bool,
+}
+
+impl Level {
+    /// A level that is searched from end to end until a merge builds its tree.
+    pub(super) fn unbuilt(space: Arc<Space>, points: Points) -> Self {
+        Self::over(KdTree::one_leaf(space, points), false)
+    }
+
+    /// A level with its tree.
+    pub(super) fn built(space: Arc<Space>, points: Points, leaf_rows: usize) -> Self {
+        Self::over(KdTree::build(space, points, leaf_rows), true)
+    }
+
+    fn over(tree: KdTree, built: bool) -> Self {
+        let ids = tree.points().ids();
+        let mut by_id: Vec<u32> = (0..ids.len() as u32).collect();
+        by_id.sort_unstable_by_key(|&slot| ids[slot as usize]);
+        Self {
+            tree,
+            by_id,
+            tombstones: Tombstones::default(),
+            built,
+        }
+    }
+
+    /// How many points it stores, dead ones included.
+    pub(super) fn rows(&self) -> usize {
+        self.tree.len()
+    }
+
+    /// How many of them are dead at the head.
+    pub(super) fn dead(&self) -> usize {
+        self.tombstones.dead()
+    }
+
+    pub(super) fn is_built(&self) -> bool {
+        self.built
+    }
+
+    pub(super) fn get(&self, slot: usize) -> PointRef<'_> {
+        self.tree.get(slot)
+    }
+
+    pub(super) fn sees(&self, slot: usize, revision: u64) -> bool {
+        self.tombstones.sees(slot, revision)
+    }
+
+    /// The slot of the point with this id, if a reader at `revision` sees it.
+    pub(super) fn find(&self, id: u64, revision: u64) -> Option<usize> {
+        let ids = self.tree.points().ids();
+        let (&first, &last) = (self.by_id.first()?, self.by_id.last()?);
+        if id < ids[first as usize] || id > ids[last as usize] {
+            return None;
+        }
+        let at = self
+            .by_id
+            .binary_search_by_key(&id, |&slot| ids[slot as usize])
+            .ok()?;
+        let slot = self.by_id[at] as usize;
+        self.sees(slot, revision).then_some(slot)
+    }
+
+    /// The slots in the order of their ids, from the first id above `after`.
+    pub(super) fn slots_after(&self, after: Option<u64>) -> &[u32] {
+        let ids = self.tree.points().ids();
+        let start = after.map_or(0, |after| {
+            self.by_id.partition_point(|&slot| ids[slot as usize] <= after)
+        });
+        &self.by_id[start..]
+    }
+
+    /// Removes the point in `slot` as of `revision`.
+    pub(super) fn bury(&self, slot: usize, revision: u64) {
+        self.tombstones.bury(slot, self.rows(), revision);
+    }
+
+    /// Shows `walk` what a reader at `revision` sees.
+    pub(super) fn visit(&self, walk: &mut Walk<'_>, revision: u64) {
+        if self.tombstones.dead() == 0 {
+            // No mark at or before the reader's revision can be missed: those were published with it.
+            self.tree.visit(walk, |_| true);
+        } else {
+            self.tree.visit(walk, |slot| self.sees(slot, revision));
+        }
+    }
+
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.tree.memory_bytes() + 4 * self.by_id.capacity() + self.tombstones.memory_bytes()
+    }
+
+    pub(super) fn validate(&self) -> Result<(), String> {
+        self.tree.validate()?;
+        let ids = self.tree.points().ids();
+        if self.by_id.len() != ids.len() {
+            return Err("the ids of a level are not all in order".into());
+        }
+        for pair in self.by_id.windows(2) {
+            if ids[pair[0] as usize] >= ids[pair[1] as usize] {
+                return Err(format!("id {} stands twice in a level", ids[pair[1] as usize]));
+            }
+        }
+        let dead = (0..self.rows()).filter(|&slot| !self.sees(slot, u64::MAX - 1)).count();
+        if dead != self.dead() {
+            return Err(format!("{dead} points of a level are dead, not {}", self.dead()));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,147 @@
+//! Which levels to merge next: a pure function of their sizes.
+//!
+//! The logarithmic method (Bentley and Saxe): levels double in size, and two of a size carry into the next like binary
+//! digits. A level falls in the tier ⌊log₂(live rows / buffer rows)⌋; at rest each tier holds at most one level, so
+//! that n points lie in at most log₂(n / buffer rows) + 1 of them and each is rebuilt that often.
+
+/// What the policy needs to know of a level.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shape {
+    /// Points stored, dead ones included.
+    pub(super) rows: usize,
+    /// Points dead at the head.
+    pub(super) dead: usize,
+    /// Whether it has its tree yet.
+    pub(super) built: bool,
+    /// Whether a merge has it already.
+    pub(super) busy: bool,
+}
+
+impl Shape {
+    fn live(&self) -> usize {
+        self.rows - self.dead
+    }
+
+    fn tier(&self, buffer_rows: usize) -> u32 {
+        (self.live() / buffer_rows.max(1)).checked_ilog2().unwrap_or(0)
+    }
+}
+
+/// The levels to merge into one, by their places in `shapes`, or None if nothing is due. In this order: the lowest
+/// tier that holds two levels, with the carry it sets off; a level without its tree; a level more than half dead.
+/// No merge makes a level of more than `max_rows`.
+pub(super) fn next_merge(
+    shapes: &[Shape],
+    buffer_rows: usize,
+    max_rows: usize,
+) -> Option<Vec<usize>> {
+    let mut idle: Vec<usize> = (0..shapes.len()).filter(|&i| !shapes[i].busy).collect();
+    idle.sort_by_key(|&i| shapes[i].live());
+    carry(shapes, &idle, buffer_rows, max_rows).or_else(|| {
+        let alone = |wanted: fn(&Shape) -> bool| idle.iter().copied().find(|&i| wanted(&shapes[i]));
+        alone(|shape| !shape.built)
+            .or_else(|| alone(|shape| shape.dead * 2 > shape.rows))
+            .map(|i| vec![i])
+    })
+}
+
+/// `idle` by ascending size: the least that share a tier, and every next one no greater than what they amount to.
+fn carry(
+    shapes: &[Shape],
+    idle: &[usize],
+    buffer_rows: usize,
+    max_rows: usize,
+) -> Option<Vec<usize>> {
+    let tier = |at: usize| shapes[idle[at]].tier(buffer_rows);
+    let start = (1..idle.len()).find(|&at| tier(at - 1) == tier(at))? - 1;
+    let mut total = 0;
+    let mut taken = Vec::new();
+    for &i in &idle[start..] {
+        let live = shapes[i].live();
+        let joins = taken.len() < 2
+            || shapes[i].tier(buffer_rows) == tier(start)
+            || live <= total;
+        if !joins || total + live > max_rows {
+            break;
+        }
+        total += live;
+        taken.push(i);
+    }
+    (taken.len() >= 2).then_some(taken)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn level(rows: usize) -> Shape {
+        Shape { rows, dead: 0, built: true, busy: false }
+    }
+
+    fn pick(shapes: &[Shape]) -> Option<Vec<usize>> {
+        next_merge(shapes, 100, usize::MAX)
+    }
+
+    #[test]
+    fn levels_of_different_tiers_rest() {
+        assert_eq!(pick(&[level(800), level(200), level(100)]), None);
+        assert_eq!(pick(&[]), None);
+    }
+
+    #[test]
+    fn a_carry_goes_on_like_binary_digits() {
+        let shapes = [level(1600), level(400), level(200), level(100), level(100)];
+        assert_eq!(pick(&shapes), Some(vec![3, 4, 2, 1]));
+    }
+
+    #[test]
+    fn busy_levels_are_left_alone() {
+        let busy = Shape { busy: true, ..level(100) };
+        assert_eq!(pick(&[level(100), busy]), None);
+        assert_eq!(pick(&[level(100), busy, level(100)]), Some(vec![0, 2]));
+    }
+
+    #[test]
+    fn a_level_without_its_tree_is_built_once_nothing_carries() {
+        let unbuilt = Shape { built: false, ..level(10_000) };
+        assert_eq!(pick(&[unbuilt, level(100)]), Some(vec![0]));
+        assert_eq!(pick(&[unbuilt, level(100), level(100)]), Some(vec![1, 2]));
+    }
+
+    #[test]
+    fn a_level_more_than_half_dead_is_rewritten() {
+        let half = Shape { dead: 500, ..level(1000) };
+        assert_eq!(pick(&[half]), None);
+        assert_eq!(pick(&[Shape { dead: 501, ..half }]), Some(vec![0]));
+    }
+
+    #[test]
+    fn no_level_outgrows_its_slots() {
+        assert_eq!(next_merge(&[level(600), level(600)], 100, 1000), None);
+        let shapes = [level(600), level(300), level(300)];
+        assert_eq!(next_merge(&shapes, 100, 1000), Some(vec![1, 2]));
+    }
+
+    /// At rest after any sequence of sealed buffers, no tier holds two levels, and every row has been rebuilt at most
+    /// once a tier.
+    #[test]
+    fn single_inserts_cost_a_logarithm_of_rebuilds() {
+        let mut shapes: Vec<Shape> = Vec::new();
+        let mut rebuilt = 0;
+        for sealed in 1..=1024usize {
+            shapes.push(level(100));
+            while let Some(merge) = pick(&shapes) {
+                let rows = merge.iter().map(|&i| shapes[i].rows).sum();
+                rebuilt += rows;
+                let mut at = 0;
+                shapes.retain(|_| {
+                    at += 1;
+                    !merge.contains(&(at - 1))
+                });
+                shapes.push(level(rows));
+            }
+            assert_eq!(shapes.len() as u32, sealed.count_ones());
+        }
+        assert!(rebuilt <= 100 * 1024 * 11, "{rebuilt}");
+    }
+}

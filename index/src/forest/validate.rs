@@ -1,0 +1,47 @@
+//! The invariants of a forest, for the tests that call this after every step.
+
+use std::{collections::HashSet, sync::Arc};
+
+use super::Forest;
+
+impl Forest {
+    /// Checks every level and tree, that each id is alive at most once, that the counts agree, and that merges under
+    /// way hold levels of the forest.
+    ///
+    /// # Errors
+    /// The first invariant found broken.
+    pub fn validate(&self) -> Result<(), String> {
+        let head = &self.head;
+        if head.buffer.len() >= self.options.buffer_rows {
+            return Err(format!("{} rows lie in the buffer", head.buffer.len()));
+        }
+        let mut alive: HashSet<u64> = HashSet::with_capacity(head.live);
+        for &id in head.buffer.ids() {
+            if !alive.insert(id) {
+                return Err(format!("id {id} stands twice in the buffer"));
+            }
+        }
+        for level in head.levels.iter() {
+            level.validate()?;
+            for slot in (0..level.rows()).filter(|&slot| level.sees(slot, head.revision)) {
+                let id = level.get(slot).id;
+                if !alive.insert(id) {
+                    return Err(format!("id {id} is alive twice"));
+                }
+            }
+        }
+        if alive.len() != head.live {
+            return Err(format!("{} points are alive, not {}", alive.len(), head.live));
+        }
+        if !head.levels.is_sorted_by_key(|level| std::cmp::Reverse(level.rows())) {
+            return Err("the levels are not in the order of their sizes".into());
+        }
+        for source in self.running.iter().flat_map(|running| &running.sources) {
+            let holders = self.running.iter().filter(|running| running.has(source)).count();
+            if holders != 1 || !head.levels.iter().any(|level| Arc::ptr_eq(level, source)) {
+                return Err("a merge holds a level that is not its own".into());
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,107 @@
+//! Neighbours, their total order, and the collector that keeps the nearest.
+
+use std::{cmp::Ordering, collections::BinaryHeap};
+
+/// A stored point at a distance from the state that was asked about.
+///
+/// Ordered by (distance, id): a total order, so that an answer is the same whatever structure found it.
+#[derive(Clone, Copy, Debug)]
+pub struct Neighbor {
+    /// The distance in the space's metric, never squared.
+    pub distance: f64,
+    /// The point's id.
+    pub id: u64,
+}
+
+impl Ord for Neighbor {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.distance
+            .total_cmp(&other.distance)
+            .then(self.id.cmp(&other.id))
+    }
+}
+
+impl PartialOrd for Neighbor {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Neighbor {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Neighbor {}
+
+/// Keeps the `k` least neighbours, in their total order, of those within a closed radius.
+pub(crate) struct Collector {
+    k: usize,
+    worst: f64,
+    held: BinaryHeap<Neighbor>,
+}
+
+impl Collector {
+    pub(crate) fn new(k: usize, radius: f64) -> Self {
+        Self {
+            k,
+            worst: if k == 0 { f64::NEG_INFINITY } else { radius },
+            held: BinaryHeap::new(),
+        }
+    }
+
+    /// A point farther than this cannot enter; one *at* this distance may, by its id.
+    pub(crate) fn worst(&self) -> f64 {
+        self.worst
+    }
+
+    pub(crate) fn offer(&mut self, neighbor: Neighbor) {
+        if self.k == 0 || neighbor.distance > self.worst {
+            return;
+        }
+        if self.held.len() < self.k {
+            self.held.push(neighbor);
+            if self.held.len() < self.k {
+                return;
+            }
+        } else if let Some(mut last) = self.held.peek_mut()
+            && neighbor < *last
+        {
+            *last = neighbor;
+        }
+        if let Some(last) = self.held.peek() {
+            self.worst = last.distance;
+        }
+    }
+
+    pub(crate) fn into_sorted(self) -> Vec<Neighbor> {
+        self.held.into_sorted_vec()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ties_go_to_the_lesser_id_whatever_the_order_of_arrival() {
+        for ids in [[3, 1, 2], [1, 2, 3], [2, 3, 1]] {
+            let mut collector = Collector::new(2, f64::INFINITY);
+            for id in ids {
+                collector.offer(Neighbor { distance: 1.0, id });
+            }
+            let held: Vec<u64> = collector.into_sorted().iter().map(|n| n.id).collect();
+            assert_eq!(held, [1, 2]);
+        }
+    }
+
+    #[test]
+    fn the_radius_is_closed() {
+        let mut collector = Collector::new(usize::MAX, 1.0);
+        for (id, distance) in [(0, 1.0), (1, f64::from_bits(1.0f64.to_bits() + 1))] {
+            collector.offer(Neighbor { distance, id });
+        }
+        assert_eq!(collector.into_sorted().len(), 1);
+    }
+}

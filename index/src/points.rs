@@ -1,0 +1,153 @@
+//! Points in columns: the one table that every structure stores its rows in.
+
+/// One stored point, borrowed from the structure that holds it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointRef<'a> {
+    /// Its id, unique in an index.
+    pub id: u64,
+    /// Its tag; what the bits mean is the planner's business.
+    pub tag: u64,
+    /// The revision that stored its state.
+    pub revision: u64,
+    /// Its state: a canonical row of the space's width.
+    pub row: &'a [f64],
+}
+
+/// A table of points: ids, tags, revisions, and the rows one after the other.
+///
+/// ```
+/// use wayfold_index::Points;
+///
+/// let mut points = Points::new(2);
+/// points.push(7, 0, 1, &[0.5, 0.25]);
+/// assert_eq!(points.get(0).row, [0.5, 0.25]);
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Points {
+    coordinates: usize,
+    ids: Vec<u64>,
+    tags: Vec<u64>,
+    revisions: Vec<u64>,
+    rows: Vec<f64>,
+}
+
+impl Points {
+    /// An empty table for rows of `coordinates` numbers.
+    pub fn new(coordinates: usize) -> Self {
+        Self::with_capacity(coordinates, 0)
+    }
+
+    /// An empty table with room for `rows` rows of `coordinates` numbers.
+    pub fn with_capacity(coordinates: usize, rows: usize) -> Self {
+        Self {
+            coordinates,
+            ids: Vec::with_capacity(rows),
+            tags: Vec::with_capacity(rows),
+            revisions: Vec::with_capacity(rows),
+            rows: Vec::with_capacity(rows * coordinates),
+        }
+    }
+
+    /// Appends a point.
+    ///
+    /// # Panics
+    /// If `row` has not the table's width: the caller mixed up two spaces.
+    pub fn push(&mut self, id: u64, tag: u64, revision: u64, row: &[f64]) {
+        assert_eq!(row.len(), self.coordinates, "a row of another space");
+        self.ids.push(id);
+        self.tags.push(tag);
+        self.revisions.push(revision);
+        self.rows.extend_from_slice(row);
+    }
+
+    /// Appends a copy of a point.
+    ///
+    /// # Panics
+    /// As [`Points::push`].
+    pub fn push_point(&mut self, point: PointRef<'_>) {
+        self.push(point.id, point.tag, point.revision, point.row);
+    }
+
+    /// How many points there are.
+    pub fn len(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.ids.is_empty()
+    }
+
+    /// How many numbers a row has.
+    pub fn coordinates(&self) -> usize {
+        self.coordinates
+    }
+
+    /// The id of the point in `slot`.
+    pub fn id(&self, slot: usize) -> u64 {
+        self.ids[slot]
+    }
+
+    /// All ids, by slot.
+    pub fn ids(&self) -> &[u64] {
+        &self.ids
+    }
+
+    /// The tag of the point in `slot`.
+    pub fn tag(&self, slot: usize) -> u64 {
+        self.tags[slot]
+    }
+
+    /// The revision that stored the state in `slot`.
+    pub fn revision(&self, slot: usize) -> u64 {
+        self.revisions[slot]
+    }
+
+    /// The row in `slot`.
+    pub fn row(&self, slot: usize) -> &[f64] {
+        &self.rows[slot * self.coordinates..][..self.coordinates]
+    }
+
+    /// The point in `slot`.
+    pub fn get(&self, slot: usize) -> PointRef<'_> {
+        PointRef {
+            id: self.ids[slot],
+            tag: self.tags[slot],
+            revision: self.revisions[slot],
+            row: self.row(slot),
+        }
+    }
+
+    /// All points, by slot.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = PointRef<'_>> {
+        (0..self.len()).map(|slot| self.get(slot))
+    }
+
+    /// Removes the point in `slot`; the last one takes its place.
+    pub(crate) fn swap_remove(&mut self, slot: usize) {
+        self.ids.swap_remove(slot);
+        self.tags.swap_remove(slot);
+        self.revisions.swap_remove(slot);
+        let last = self.rows.len() - self.coordinates;
+        self.rows
+            .copy_within(last.., slot * self.coordinates);
+        self.rows.truncate(last);
+    }
+
+    /// The same points in the order of `slots`.
+    pub(crate) fn in_order(&self, slots: &[u32]) -> Self {
+        let mut ordered = Self::with_capacity(self.coordinates, slots.len());
+        for &slot in slots {
+            ordered.push_point(self.get(slot as usize));
+        }
+        ordered
+    }
+
+    /// The bytes the columns hold.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        8 * (self.ids.capacity()
+            + self.tags.capacity()
+            + self.revisions.capacity()
+            + self.rows.capacity())
+    }
+}

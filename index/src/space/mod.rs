@@ -1,0 +1,373 @@
+//! Configuration spaces: sums of weighted groups of factors, and *the* distance of each.
+//!
+//! A space is a sum of groups of factors, and the distance between two states a and b is
+//!
+//! > d(a, b) = Σ_g w_g · √(Σ_i μ_i · d_i(a, b)²)
+//!
+//! where g runs over the groups, i over the factors of group g, and d_i is the factor's own distance: Euclidean for
+//! `RealVector(n)`, the shorter arc for `SO2`, half the angle of the relative rotation for `SO3`. One group is the
+//! weighted product metric of Yershova and LaValle; every factor a group of its own is OMPL's `CompoundStateSpace`.
+//!
+//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and what
+//! is not correctly rounded by IEEE 754 comes from `libm`. Whatever is reported anywhere was computed by it.
+
+mod error;
+mod presets;
+pub(crate) mod real_vector;
+pub(crate) mod so2;
+pub(crate) mod so3;
+#[cfg(test)]
+mod tests;
+mod text;
+
+pub use error::{SpaceError, StateError, StateProblem};
+
+use std::f64::consts::TAU;
+use std::fmt;
+use std::str::FromStr;
+
+/// One factor of a space.
+///
+/// A state holds the coordinates of its factors one after the other, in the order of the space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Factor {
+    /// R^n for the given n ≥ 1: n coordinates, Euclidean distance.
+    RealVector(usize),
+    /// The circle S¹: one angle, of which any two that differ by the period are the same; the distance is the length
+    /// of the shorter arc.
+    SO2 {
+        /// The circumference, within [1e-150, 1e150]; 2π where angles are radians.
+        period: f64,
+    },
+    /// The rotations of three-space, RP³: a unit quaternion x, y, z, w (w last), where q and −q are the same; the
+    /// distance is acos |q₁·q₂| ∈ [0, π/2], half the angle of the rotation between the two.
+    SO3,
+}
+
+impl Factor {
+    /// The circle in radians, `SO2` of period 2π.
+    pub const fn so2() -> Factor {
+        Factor::SO2 { period: TAU }
+    }
+
+    /// How many numbers of a row belong to it: n, 1, 4.
+    pub const fn coordinates(&self) -> usize {
+        match *self {
+            Factor::RealVector(n) => n,
+            Factor::SO2 { .. } => 1,
+            Factor::SO3 => 4,
+        }
+    }
+
+    /// Its dimension as a manifold: n, 1, 3.
+    pub const fn dimension(&self) -> usize {
+        match *self {
+            Factor::RealVector(n) => n,
+            Factor::SO2 { .. } => 1,
+            Factor::SO3 => 3,
+        }
+    }
+
+    /// The squared distance of the factor's canonical coordinates `a` and `b`.
+    #[inline]
+    pub(crate) fn distance_2(&self, a: &[f64], b: &[f64]) -> f64 {
+        match *self {
+            Factor::RealVector(_) => real_vector::distance_2(a, b),
+            Factor::SO2 { period } => so2::distance_2(a[0], b[0], period),
+            Factor::SO3 => so3::distance_2(a, b),
+        }
+    }
+
+    fn canonicalize(&self, coordinates: &mut [f64]) -> Result<(), StateError> {
+        match *self {
+            Factor::RealVector(_) => real_vector::canonicalize(coordinates),
+            Factor::SO2 { period } => so2::canonicalize(coordinates, period),
+            Factor::SO3 => so3::canonicalize(coordinates),
+        }
+    }
+
+    fn validate(&self) -> Result<(), SpaceError> {
+        match *self {
+            Factor::RealVector(0) => Err(SpaceError::NoDimensions),
+            Factor::SO2 { period } if !so2::is_period(period) => Err(SpaceError::Period(period)),
+            Factor::RealVector(_) | Factor::SO2 { .. } | Factor::SO3 => Ok(()),
+        }
+    }
+}
+
+/// A factor within a group.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Term {
+    /// The factor.
+    pub factor: Factor,
+    /// μ, finite and ≥ 0: multiplies the factor's *squared* distance.
+    pub weight: f64,
+}
+
+impl From<Factor> for Term {
+    /// The factor with weight 1.
+    fn from(factor: Factor) -> Term {
+        Term {
+            factor,
+            weight: 1.0,
+        }
+    }
+}
+
+/// A group of factors, whose squared distances are added under one root.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// w, finite and ≥ 0: multiplies the group's distance.
+    pub weight: f64,
+    /// The group's factors, at least one.
+    pub terms: Vec<Term>,
+}
+
+/// One factor of a space, where it stands in a row and what it counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Part {
+    pub(crate) factor: Factor,
+    /// The factor's first coordinate in a row.
+    pub(crate) offset: usize,
+    /// μ; 0 also in a group of weight 0, so that an overflowing μ·d² cannot meet that 0 and make a NaN.
+    pub(crate) weight: f64,
+    /// The index of its group.
+    pub(crate) group: usize,
+}
+
+impl Part {
+    /// The squared distance in this factor of two canonical rows of the space.
+    #[inline]
+    pub(crate) fn distance_2(&self, a: &[f64], b: &[f64]) -> f64 {
+        let coordinates = self.offset..self.offset + self.factor.coordinates();
+        self.factor
+            .distance_2(&a[coordinates.clone()], &b[coordinates])
+    }
+}
+
+/// A configuration space: what a row of numbers means, and how far two rows are apart.
+///
+/// A space is made from groups, from the terms of one group, or from text, and is valid from then on. It prints its
+/// canonical text, and parsing that gives an equal space. Spaces are equal when they are equal after expansion:
+/// `R3` equals `sum(R3)`, but `R3*R3` is not `R6`.
+///
+/// A factor or group of weight 0 makes a pseudo-metric: different states can be at distance 0.
+///
+/// ```
+/// use wayfold_index::Space;
+///
+/// let space: Space = "R3 * SO3:0.15".parse()?;
+/// assert_eq!(space, "mpnn-se3".parse()?);
+/// assert_eq!((space.coordinates(), space.dimension()), (7, 6));
+///
+/// let mut a = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+/// let mut b = [3.0, 4.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+/// space.canonicalize(&mut a)?;
+/// space.canonicalize(&mut b)?;
+/// assert_eq!(space.distance(&a, &b), 5.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Space {
+    groups: Vec<Group>,
+    /// The factors of all groups, in row order.
+    parts: Vec<Part>,
+    coordinates: usize,
+}
+
+impl Space {
+    /// The most coordinates that a space can have.
+    pub const MAX_COORDINATES: usize = 256;
+
+    /// The space of these groups.
+    ///
+    /// # Errors
+    /// There is no group or an empty one, a dimension is 0, a period or a weight is out of its range, no factor has
+    /// a weight above 0, or there are more than [`Space::MAX_COORDINATES`] coordinates.
+    pub fn new(groups: Vec<Group>) -> Result<Space, SpaceError> {
+        if groups.is_empty() {
+            return Err(SpaceError::Empty);
+        }
+        let (mut coordinates, mut weighted) = (0_usize, false);
+        for (g, group) in groups.iter().enumerate() {
+            if group.terms.is_empty() {
+                return Err(SpaceError::EmptyGroup(g));
+            }
+            check_weight(group.weight, g, None)?;
+            for (t, term) in group.terms.iter().enumerate() {
+                check_weight(term.weight, g, Some(t))?;
+                term.factor.validate()?;
+                coordinates = coordinates.saturating_add(term.factor.coordinates());
+                weighted |= group.weight > 0.0 && term.weight > 0.0;
+            }
+        }
+        if coordinates > Self::MAX_COORDINATES {
+            return Err(SpaceError::TooManyCoordinates);
+        }
+        if !weighted {
+            return Err(SpaceError::NoWeight);
+        }
+        Ok(Self::from_valid(groups))
+    }
+
+    /// The space of one group of weight 1, d = √(Σ_i μ_i · d_i²).
+    ///
+    /// # Errors
+    /// As [`Space::new`].
+    pub fn product(terms: Vec<Term>) -> Result<Space, SpaceError> {
+        Self::new(vec![Group { weight: 1.0, terms }])
+    }
+
+    /// `R2*SO2`: poses in the plane, rows x, y, angle.
+    pub fn se2() -> Space {
+        let terms = vec![Factor::RealVector(2).into(), Factor::so2().into()];
+        Self::from_valid(vec![Group { weight: 1.0, terms }])
+    }
+
+    /// `R3*SO3:0.15`: poses in space with the paper's weights, rows x, y, z and the quaternion x, y, z, w.
+    pub fn se3() -> Space {
+        let rotation = Term {
+            factor: Factor::SO3,
+            weight: 0.15,
+        };
+        let terms = vec![Factor::RealVector(3).into(), rotation];
+        Self::from_valid(vec![Group { weight: 1.0, terms }])
+    }
+
+    fn from_valid(mut groups: Vec<Group>) -> Space {
+        let (mut parts, mut offset) = (Vec::new(), 0);
+        for (g, group) in groups.iter_mut().enumerate() {
+            // Adding 0.0 makes −0.0, a valid weight, 0.0, which is what it prints as.
+            group.weight += 0.0;
+            for term in &mut group.terms {
+                term.weight += 0.0;
+                parts.push(Part {
+                    factor: term.factor,
+                    offset,
+                    weight: if group.weight > 0.0 { term.weight } else { 0.0 },
+                    group: g,
+                });
+                offset += term.factor.coordinates();
+            }
+        }
+        Space {
+            groups,
+            parts,
+            coordinates: offset,
+        }
+    }
+
+    /// Its groups, in row order.
+    pub fn groups(&self) -> &[Group] {
+        &self.groups
+    }
+
+    /// How many numbers a row has (SE(3): 7).
+    pub fn coordinates(&self) -> usize {
+        self.coordinates
+    }
+
+    /// Its dimension as a manifold (SE(3): 6).
+    pub fn dimension(&self) -> usize {
+        self.parts.iter().map(|part| part.factor.dimension()).sum()
+    }
+
+    /// Checks one row and brings it into canonical form, in place.
+    ///
+    /// In canonical form there is no −0.0, an `SO2` angle lies in [−P/2, P/2) for its period P, and an `SO3`
+    /// quaternion is normalised, with w > 0 or with w = 0 and the first non-zero of x, y, z positive. A row in
+    /// canonical form is left as it is, to the bit. After an error the row may be partly canonical.
+    ///
+    /// # Errors
+    /// The row has another width than the space, or a coordinate that is NaN, infinite or (in `RealVector`) above
+    /// 1e150 in magnitude, or a quaternion whose norm is off by more than 1 %. The first such coordinate is named.
+    pub fn canonicalize(&self, row: &mut [f64]) -> Result<(), StateError> {
+        if row.len() != self.coordinates {
+            return Err(StateError::width(self.coordinates, row.len()));
+        }
+        for part in &self.parts {
+            let coordinates = part.offset..part.offset + part.factor.coordinates();
+            part.factor
+                .canonicalize(&mut row[coordinates])
+                .map_err(|error| error.shifted(part.offset))?;
+        }
+        Ok(())
+    }
+
+    /// The distance of two canonical rows of this space; symmetric to the bit, and never NaN.
+    ///
+    /// It is infinite only where a weighted sum exceeds the range of `f64`, and differences below 1e-154 have no square
+    /// in that range and count as 0.
+    ///
+    /// # Panics
+    /// If a row is shorter than [`Space::coordinates`].
+    pub fn distance(&self, a: &[f64], b: &[f64]) -> f64 {
+        let (mut total, mut parts) = (0.0, self.parts.as_slice());
+        for group in &self.groups {
+            let (own, others) = parts.split_at(group.terms.len());
+            let mut sum_2 = 0.0;
+            for part in own {
+                sum_2 += part.weight * part.distance_2(a, b);
+            }
+            total += group.weight * sum_2.sqrt();
+            parts = others;
+        }
+        total
+    }
+
+    /// The factors of all groups, in row order.
+    pub(crate) fn parts(&self) -> &[Part] {
+        &self.parts
+    }
+
+    /// The distance that the groups' weighted sums of squares make: `distance`, but for the factors.
+    ///
+    /// It does not decrease when a sum grows, so lower bounds of the sums make a lower bound of the distance.
+    #[inline]
+    pub(crate) fn compose(&self, sums_2: &[f64]) -> f64 {
+        let mut total = 0.0;
+        for (group, sum_2) in self.groups.iter().zip(sums_2) {
+            total += group.weight * sum_2.sqrt();
+        }
+        total
+    }
+}
+
+/// Equality after expansion; a space is held expanded.
+impl PartialEq for Space {
+    fn eq(&self, other: &Space) -> bool {
+        self.groups == other.groups
+    }
+}
+
+impl fmt::Display for Space {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        text::print(self, f)
+    }
+}
+
+impl FromStr for Space {
+    type Err = SpaceError;
+
+    /// Reads the text form, as `R3*SO3:0.15`, `sum(R3, SO3:0.5)`, `(R3*RP3:0.15)^8`, `SO2[1]`, or the name of a
+    /// preset: `mpnn-se3`, `ompl-se2`, `ompl-se3`, `ompl-torus`, `moveit-joints-N`.
+    fn from_str(text: &str) -> Result<Space, SpaceError> {
+        text::parse(text)
+    }
+}
+
+fn check_weight(weight: f64, group: usize, term: Option<usize>) -> Result<(), SpaceError> {
+    if is_weight(weight) {
+        Ok(())
+    } else {
+        Err(SpaceError::Weight {
+            group,
+            term,
+            weight,
+        })
+    }
+}
+
+fn is_weight(weight: f64) -> bool {
+    weight.is_finite() && weight >= 0.0
+}

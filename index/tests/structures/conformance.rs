@@ -1,0 +1,229 @@
+//! Every structure against brute force, in every space, on data that reaches the corners.
+
+use std::collections::HashSet;
+
+use crate::common::{
+    SHAPES, SPACES, Shape, assert_same, brute_force, rng, searches, states, table,
+};
+use wayfold_index::{Answer, Forest, ForestOptions, KdTree, Linear, Points, Search, Space};
+
+const ROWS: usize = 150;
+const QUERIES: usize = 12;
+
+/// A structure under test, by name.
+type Structure = (String, Box<dyn Fn(&[f64], &Search<'_>) -> Answer>);
+
+fn structures(space: &Space, points: &Points) -> Vec<Structure> {
+    let mut all: Vec<Structure> = Vec::new();
+
+    let mut linear = Linear::new(space.clone());
+    points.iter().for_each(|point| linear.insert(point));
+    all.push(("linear".into(), Box::new(move |q, s| linear.search(q, s))));
+
+    for leaf_rows in [1, 2, 5, 1000] {
+        let tree = KdTree::new(space.clone(), points.clone(), leaf_rows);
+        tree.validate().unwrap();
+        all.push((
+            format!("kdtree/{leaf_rows}"),
+            Box::new(move |q, s| tree.search(q, s)),
+        ));
+    }
+
+    for (buffer_rows, leaf_rows) in [(1, 1), (4, 2), (7, 3), (1000, 4)] {
+        let options = ForestOptions {
+            buffer_rows,
+            leaf_rows,
+        };
+        for settled in [true, false] {
+            let forest = grown(space, options, points, settled);
+            let name = format!("forest/{buffer_rows}/{leaf_rows}/{settled}");
+            all.push((name, Box::new(move |q, s| forest.search(q, s))));
+        }
+        let mut bulk = Forest::new(space.clone(), options);
+        bulk.apply(1, points, &[]);
+        let unbuilt = bulk.snapshot();
+        bulk.settle();
+        bulk.validate().unwrap();
+        all.push((
+            format!("bulk/{buffer_rows}"),
+            Box::new(move |q, s| unbuilt.search(q, s)),
+        ));
+        let name = format!("bulk, settled/{buffer_rows}");
+        all.push((name, Box::new(move |q, s| bulk.search(q, s))));
+    }
+    all
+}
+
+/// One insert a revision, each twice where that replaces something, and a stray point that is removed again.
+fn grown(space: &Space, options: ForestOptions, points: &Points, settled: bool) -> Forest {
+    let mut forest = Forest::new(space.clone(), options);
+    for (at, point) in points.iter().enumerate() {
+        let revision = 3 * at as u64 + 1;
+        let mut row = Points::new(space.coordinates());
+        row.push(
+            point.id,
+            point.tag ^ 1,
+            point.revision + 1,
+            points.row(points.len() - 1),
+        );
+        row.push(u64::MAX / 2, point.tag, point.revision, point.row);
+        forest.apply(revision, &row, &[]);
+        let mut row = Points::new(space.coordinates());
+        row.push_point(point);
+        forest.apply(revision + 1, &row, &[]);
+        assert_eq!(
+            forest.apply(
+                revision + 2,
+                &Points::new(space.coordinates()),
+                &[u64::MAX / 2]
+            ),
+            1
+        );
+        if settled {
+            forest.settle();
+        }
+    }
+    forest.validate().unwrap();
+    assert_eq!(forest.len(), points.len());
+    forest
+}
+
+fn conforms(space_text: &str, shape: Shape) {
+    let space: Space = space_text.parse().unwrap();
+    let mut rng = rng(0x5EED ^ space_text.len() as u64 ^ ((shape as u64) << 8));
+    let stored = states(&space, shape, ROWS, &mut rng);
+    let points = table(&space, &stored);
+    let structures = structures(&space, &points);
+
+    // Stored states (distance 0, ties with duplicates), others like them, and ones unlike them.
+    let mut queries = stored[..QUERIES / 3].to_vec();
+    queries.extend(states(&space, shape, QUERIES / 3, &mut rng));
+    queries.extend(states(&space, Shape::Uniform, QUERIES / 3, &mut rng));
+    for query in &queries {
+        let near = brute_force(&space, points.iter(), query, &Search::nearest_k(usize::MAX));
+        let excluded: HashSet<u64> = near.iter().step_by(2).map(|neighbor| neighbor.id).collect();
+        for (asked, search) in searches(&near, points.len(), &excluded) {
+            let expected = brute_force(&space, points.iter(), query, &search);
+            for (name, structure) in &structures {
+                let what = format!("{space_text} {shape:?} {name} {asked} {query:?}");
+                let answer = structure(query, &search);
+                assert!(answer.exact, "{what}");
+                assert_same(&answer.neighbors, &expected, &what);
+            }
+            for (name, structure) in &structures {
+                approximate(query, &search, &expected, name, structure);
+            }
+        }
+    }
+}
+
+/// What (1+ε) and a cap on leaves promise: nothing that is not stored, nothing farther than ε allows, and `exact`
+/// only where brute force agrees.
+fn approximate(
+    query: &[f64],
+    exact: &Search<'_>,
+    expected: &[wayfold_index::Neighbor],
+    name: &str,
+    structure: &dyn Fn(&[f64], &Search<'_>) -> Answer,
+) {
+    let relaxed = Search {
+        epsilon: 0.5,
+        ..*exact
+    };
+    let answer = structure(query, &relaxed);
+    if answer.exact {
+        assert_same(&answer.neighbors, expected, name);
+    }
+    for (at, truth) in expected.iter().enumerate() {
+        match answer.neighbors.get(at) {
+            Some(found) => assert!(
+                found.distance <= truth.distance * 1.5,
+                "{name} {found:?} {truth:?}"
+            ),
+            // Only what lies near the rim of the ball may be missing.
+            None => assert!(truth.distance * 1.5 > exact.radius, "{name} {truth:?}"),
+        }
+    }
+    let capped = Search {
+        max_leaves: 2,
+        ..*exact
+    };
+    let answer = structure(query, &capped);
+    if answer.exact {
+        assert_same(&answer.neighbors, expected, name);
+    }
+    assert!(answer.neighbors.is_sorted() && answer.neighbors.len() <= expected.len());
+}
+
+/// One test a space, so that a failure names it and they run side by side.
+macro_rules! conformance {
+    ($($name:ident: $index:literal,)*) => {$(
+        #[test]
+        fn $name() {
+            for shape in SHAPES {
+                conforms(SPACES[$index], shape);
+            }
+        }
+    )*
+        #[test]
+        fn every_space_has_its_test() {
+            assert_eq!([$($index),*].len(), SPACES.len());
+        }
+    };
+}
+
+conformance! {
+    r1: 0,
+    r3: 1,
+    r6: 2,
+    circle: 3,
+    euler_angles: 4,
+    six_circles: 5,
+    rotations: 6,
+    se2: 7,
+    se3: 8,
+    se3_heavy_rotation: 9,
+    se3_as_a_sum: 10,
+    torus_beside_r3: 11,
+    seven_joints: 12,
+    two_bodies: 13,
+    eight_bodies: 14,
+    zero_weight: 15,
+    period_of_one: 16,
+}
+
+#[test]
+fn an_empty_structure_answers_nothing() {
+    for text in SPACES {
+        let space: Space = text.parse().unwrap();
+        let query = &states(&space, Shape::Uniform, 1, &mut rng(1))[0];
+        for (name, structure) in structures(&space, &Points::new(space.coordinates())) {
+            for search in [Search::nearest_k(3), Search::nearest_r(f64::INFINITY)] {
+                let answer = structure(query, &search);
+                assert!(answer.exact && answer.neighbors.is_empty(), "{text} {name}");
+            }
+        }
+    }
+}
+
+/// The design's warning: without the weight in the incremental bound, μ = 0.15 prunes true neighbours. Large enough
+/// that a wrong bound would show.
+#[test]
+fn weights_below_and_above_one_prune_nothing_true() {
+    for text in [
+        "R3*SO3:0.15",
+        "R3*SO3:15",
+        "R1:0.15*R1:15*SO2:0.15",
+        "sum(R3:0.15, SO3:15)",
+    ] {
+        let space: Space = text.parse().unwrap();
+        let mut rng = rng(15);
+        let points = table(&space, &states(&space, Shape::Uniform, 4000, &mut rng));
+        let tree = KdTree::new(space.clone(), points.clone(), 4);
+        for query in states(&space, Shape::Uniform, 50, &mut rng) {
+            let search = Search::nearest_k(10);
+            let expected = brute_force(&space, points.iter(), &query, &search);
+            assert_same(&tree.search(&query, &search).neighbors, &expected, text);
+        }
+    }
+}

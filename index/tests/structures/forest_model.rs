@@ -1,0 +1,241 @@
+//! Sequences of operations on a forest against a model: a map of points, searched by brute force.
+
+use std::collections::BTreeMap;
+
+use crate::common::{SPACES, Shape, assert_same, brute_force, rng, states};
+use proptest::prelude::*;
+use wayfold_index::{Forest, ForestOptions, Merged, PointRef, Points, Search, Snapshot, Space};
+
+/// A stored point of the model: tag, revision, row.
+type Model = BTreeMap<u64, (u64, u64, Vec<f64>)>;
+
+fn points_of(model: &Model) -> impl Iterator<Item = PointRef<'_>> {
+    model.iter().map(|(&id, (tag, revision, row))| PointRef {
+        id,
+        tag: *tag,
+        revision: *revision,
+        row,
+    })
+}
+
+#[derive(Clone, Debug)]
+enum Op {
+    /// Stores this many points under ids from a small range, so that many replace others.
+    Store {
+        rows: usize,
+        first_id: u64,
+    },
+    /// Removes ids that may or may not be there, some twice.
+    Remove {
+        ids: Vec<u64>,
+    },
+    /// Stores and removes in one mutation.
+    Both {
+        ids: Vec<u64>,
+        first_id: u64,
+    },
+    BeginMerge,
+    RunMerge,
+    FinishMerge,
+    Settle,
+    Hold,
+    Release,
+}
+
+fn op() -> impl Strategy<Value = Op> {
+    let ids = || prop::collection::vec(0..60u64, 0..25);
+    prop_oneof![
+        6 => (1..30usize, 0..50u64).prop_map(|(rows, first_id)| Op::Store { rows, first_id }),
+        3 => ids().prop_map(|ids| Op::Remove { ids }),
+        1 => (ids(), 0..50u64).prop_map(|(ids, first_id)| Op::Both { ids, first_id }),
+        3 => Just(Op::BeginMerge),
+        3 => Just(Op::RunMerge),
+        3 => Just(Op::FinishMerge),
+        1 => Just(Op::Settle),
+        2 => Just(Op::Hold),
+        1 => Just(Op::Release),
+    ]
+}
+
+#[track_caller]
+fn same_as_model(snapshot: &Snapshot, model: &Model, query: &[f64]) {
+    assert_eq!(snapshot.len(), model.len());
+    let stored: Vec<PointRef<'_>> = points_of(model).collect();
+    assert_eq!(snapshot.points_after(None).collect::<Vec<_>>(), stored);
+    let after: Vec<PointRef<'_>> = snapshot.points_after(Some(20)).collect();
+    assert_eq!(
+        after,
+        stored
+            .iter()
+            .copied()
+            .filter(|p| p.id > 20)
+            .collect::<Vec<_>>()
+    );
+    for id in 0..80 {
+        assert_eq!(
+            snapshot.get(id),
+            stored.iter().copied().find(|p| p.id == id)
+        );
+    }
+    let mut recent = Search::nearest_k(4);
+    recent.filter.since_revision = snapshot.revision().saturating_sub(2);
+    for search in [Search::nearest_k(5), Search::nearest_r(0.3), recent] {
+        let expected = brute_force(snapshot.space(), stored.iter().copied(), query, &search);
+        assert_same(
+            &snapshot.search(query, &search).neighbors,
+            &expected,
+            "snapshot",
+        );
+    }
+}
+
+fn run(space: &Space, options: ForestOptions, ops: Vec<Op>, seed: u64) {
+    let mut rng = rng(seed);
+    let mut forest = Forest::new(space.clone(), options);
+    let mut model = Model::new();
+    let mut begun = Vec::new();
+    let mut ran: Vec<Merged> = Vec::new();
+    let mut held: Vec<(Snapshot, Model)> = Vec::new();
+    for op in ops {
+        let revision = forest.revision() + 1;
+        let mut store = |model: &mut Model, rows: usize, first_id: u64| {
+            let mut points = Points::new(space.coordinates());
+            let shape = if rows % 2 == 0 {
+                Shape::Uniform
+            } else {
+                Shape::Grid
+            };
+            for (id, row) in (first_id..).zip(states(space, shape, rows, &mut rng)) {
+                points.push(id, id % 4, revision, &row);
+                model.insert(id, (id % 4, revision, row));
+            }
+            points
+        };
+        let remove = |model: &mut Model, ids: &[u64]| {
+            ids.iter().filter(|&id| model.remove(id).is_some()).count()
+        };
+        match op {
+            Op::Store { rows, first_id } => {
+                let points = store(&mut model, rows, first_id);
+                forest.apply(revision, &points, &[]);
+            }
+            Op::Remove { ids } => {
+                let removed = remove(&mut model, &ids);
+                let none = Points::new(space.coordinates());
+                assert_eq!(forest.apply(revision, &none, &ids), removed);
+            }
+            Op::Both { ids, first_id } => {
+                let removed = remove(&mut model, &ids);
+                let points = store(&mut model, 5, first_id);
+                assert_eq!(forest.apply(revision, &points, &ids), removed);
+            }
+            Op::BeginMerge => begun.extend(forest.begin_merge()),
+            Op::RunMerge => ran.extend(begun.pop().map(|merge| merge.run())),
+            Op::FinishMerge => {
+                if !ran.is_empty() {
+                    forest.finish_merge(ran.remove(0));
+                }
+            }
+            Op::Settle => forest.settle(),
+            Op::Hold => held.push((forest.snapshot(), model.clone())),
+            Op::Release => {
+                held.pop();
+            }
+        }
+        forest.validate().unwrap();
+        let query = &states(space, Shape::Uniform, 1, &mut rng)[0];
+        same_as_model(&forest.snapshot(), &model, query);
+        for (snapshot, then) in &held {
+            same_as_model(snapshot, then, query);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
+
+    /// Every revision that was ever held stays as it was, whatever comes after it.
+    #[test]
+    fn a_forest_is_its_model(
+        space in 0..SPACES.len(),
+        buffer_rows in 1..20usize,
+        leaf_rows in 1..6usize,
+        ops in prop::collection::vec(op(), 1..40),
+        seed: u64,
+    ) {
+        let space = SPACES[space].parse().unwrap();
+        run(&space, ForestOptions { buffer_rows, leaf_rows }, ops, seed);
+    }
+}
+
+/// What is removed is gone from memory once merges have run.
+#[test]
+fn memory_of_removed_points_comes_back() {
+    let space = Space::se3();
+    let mut forest = Forest::new(space.clone(), ForestOptions::default());
+    let empty = forest.memory_bytes();
+    let mut points = Points::new(space.coordinates());
+    for (id, row) in states(&space, Shape::Uniform, 20_000, &mut rng(3))
+        .iter()
+        .enumerate()
+    {
+        points.push(id as u64, 0, 1, row);
+    }
+    forest.apply(1, &points, &[]);
+    forest.settle();
+    let full = forest.memory_bytes();
+    let none = Points::new(space.coordinates());
+    forest.apply(2, &none, &(0..19_000).collect::<Vec<_>>());
+    forest.settle();
+    assert!(
+        forest.memory_bytes() < full / 15,
+        "{} of {full}",
+        forest.memory_bytes()
+    );
+    forest.apply(3, &none, &(19_000..20_000).collect::<Vec<_>>());
+    forest.settle();
+    assert!(forest.is_empty() && forest.memory_bytes() <= empty + 64 * 1024);
+    forest.validate().unwrap();
+}
+
+/// Readers on other threads see whole revisions while the owner writes and merges.
+#[test]
+fn snapshots_are_never_torn() {
+    let space: Space = "R2".parse().unwrap();
+    let options = ForestOptions {
+        buffer_rows: 8,
+        leaf_rows: 2,
+    };
+    let mut forest = Forest::new(space.clone(), options);
+    let (sender, receiver) = std::sync::mpsc::sync_channel::<Snapshot>(4);
+    let reader = std::thread::spawn(move || {
+        let mut seen = 0;
+        for snapshot in receiver {
+            // Revision r stores point r and moves point 0 to r: they are at one place, and no point is beyond it.
+            let revision = snapshot.revision();
+            let at = [revision as f64, 0.0];
+            for _ in 0..20 {
+                let answer = snapshot.search(&at, &Search::nearest_r(0.5));
+                let ids: Vec<u64> = answer.neighbors.iter().map(|n| n.id).collect();
+                assert_eq!(ids, [0, revision]);
+                assert_eq!(snapshot.len() as u64, revision + 1);
+            }
+            seen += 1;
+        }
+        seen
+    });
+    for revision in 1..=2000u64 {
+        let row = [revision as f64, 0.0];
+        let mut points = Points::new(2);
+        points.push(0, 0, revision, &row);
+        points.push(revision, 0, revision, &row);
+        forest.apply(revision, &points, &[]);
+        sender.send(forest.snapshot()).unwrap();
+        if revision % 3 == 0 {
+            forest.settle();
+        }
+    }
+    drop(sender);
+    assert_eq!(reader.join().unwrap(), 2000);
+    forest.validate().unwrap();
+}
