@@ -168,12 +168,10 @@ impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
 
     /// A lower bound on the reported distance of every point of the current cell.
     fn bound(&self) -> f64 {
-        let groups = self.tree.space.groups();
-        let mut bound = 0.0;
-        for (group, &sum) in groups.iter().zip(&self.sums) {
-            let sum = (sum * self.margin - f64::MIN_POSITIVE).max(0.0);
-            bound += group.weight * sum.sqrt();
-        }
-        bound
+        let lowered = self
+            .sums
+            .iter()
+            .map(|sum| (sum * self.margin - f64::MIN_POSITIVE).max(0.0));
+        self.tree.space.compose(lowered)
     }
 }

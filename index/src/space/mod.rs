@@ -324,7 +324,7 @@ impl Space {
     ///
     /// It does not decrease when a sum grows, so lower bounds of the sums make a lower bound of the distance.
     #[inline]
-    pub(crate) fn compose(&self, sums_2: &[f64]) -> f64 {
+    pub(crate) fn compose(&self, sums_2: impl Iterator<Item = f64>) -> f64 {
         let mut total = 0.0;
         for (group, sum_2) in self.groups.iter().zip(sums_2) {
             total += group.weight * sum_2.sqrt();
