@@ -129,8 +129,7 @@ impl Points {
         self.tags.swap_remove(slot);
         self.revisions.swap_remove(slot);
         let last = self.rows.len() - self.coordinates;
-        self.rows
-            .copy_within(last.., slot * self.coordinates);
+        self.rows.copy_within(last.., slot * self.coordinates);
         self.rows.truncate(last);
     }
 

@@ -2,10 +2,7 @@
 
 use std::collections::HashSet;
 
-use crate::{
-    Neighbor, PointRef, Space,
-    neighbor::Collector,
-};
+use crate::{Neighbor, PointRef, Space, neighbor::Collector};
 
 /// Limits a search to some of the points. The default admits every point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -111,7 +108,11 @@ impl<'a> Walk<'a> {
         if distance > self.nearest.worst() {
             return;
         }
-        if self.search.excluded.is_some_and(|ids| ids.contains(&point.id)) {
+        if self
+            .search
+            .excluded
+            .is_some_and(|ids| ids.contains(&point.id))
+        {
             return;
         }
         self.nearest.offer(Neighbor {

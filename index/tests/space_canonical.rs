@@ -1,5 +1,7 @@
 //! The canonical form of states, and what is refused.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
+
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::f64::consts::{PI, TAU};

@@ -1,6 +1,8 @@
 //! The axioms of a metric, factor by factor and composed: non-negativity, identity, symmetry to the bit, the triangle
 //! inequality, and that what is identified is the same.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
+
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::f64::consts::FRAC_PI_2;

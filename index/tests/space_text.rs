@@ -1,5 +1,7 @@
 //! The text form: what it means, what is refused and where, and that what is printed is read as the same space.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
+
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use wayfold_index::{Factor, Group, Space, SpaceError, Term};

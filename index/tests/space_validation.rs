@@ -1,5 +1,7 @@
 //! Which spaces there are, which not, and which are equal.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
+
 use wayfold_index::{Factor, Group, Space, SpaceError, Term};
 
 const R1: Factor = Factor::RealVector(1);

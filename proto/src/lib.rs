@@ -1,6 +1,9 @@
 //! The `wayfold.v1` protocol: messages, gRPC stubs, and conversions to and from the types of `wayfold-index`.
 
+pub mod space;
+
 /// Messages, clients and servers of package `wayfold.v1`; every field is documented in `wayfold/v1/*.proto`.
+#[expect(clippy::allow_attributes_without_reason, reason = "generated code")]
 pub mod v1 {
     tonic::include_proto!("wayfold.v1");
 

@@ -80,7 +80,8 @@ impl Level {
     pub(super) fn slots_after(&self, after: Option<u64>) -> &[u32] {
         let ids = self.tree.points().ids();
         let start = after.map_or(0, |after| {
-            self.by_id.partition_point(|&slot| ids[slot as usize] <= after)
+            self.by_id
+                .partition_point(|&slot| ids[slot as usize] <= after)
         });
         &self.by_id[start..]
     }
@@ -112,12 +113,20 @@ impl Level {
         }
         for pair in self.by_id.windows(2) {
             if ids[pair[0] as usize] >= ids[pair[1] as usize] {
-                return Err(format!("id {} stands twice in a level", ids[pair[1] as usize]));
+                return Err(format!(
+                    "id {} stands twice in a level",
+                    ids[pair[1] as usize]
+                ));
             }
         }
-        let dead = (0..self.rows()).filter(|&slot| !self.sees(slot, u64::MAX - 1)).count();
+        let dead = (0..self.rows())
+            .filter(|&slot| !self.sees(slot, u64::MAX - 1))
+            .count();
         if dead != self.dead() {
-            return Err(format!("{dead} points of a level are dead, not {}", self.dead()));
+            return Err(format!(
+                "{dead} points of a level are dead, not {}",
+                self.dead()
+            ));
         }
         Ok(())
     }

@@ -145,7 +145,10 @@ impl Forest {
         assert_eq!(stored.coordinates(), self.head.space.coordinates());
         // First, so that what this mutation has removed already is dead to its own look-ups.
         self.head.revision = revision;
-        let found = removed.iter().filter(|&&id| self.remove(id, revision)).count();
+        let found = removed
+            .iter()
+            .filter(|&&id| self.remove(id, revision))
+            .count();
         for &id in stored.ids() {
             self.remove(id, revision);
         }
@@ -230,7 +233,11 @@ impl Forest {
     /// Swaps a merged level in for its sources, in time proportional to what was removed from them meanwhile.
     /// `merged` must stem from a merge that this forest began.
     pub fn finish_merge(&mut self, merged: Merged) {
-        let Some(at) = self.running.iter().position(|running| running.token == merged.token) else {
+        let Some(at) = self
+            .running
+            .iter()
+            .position(|running| running.token == merged.token)
+        else {
             return;
         };
         let running = self.running.swap_remove(at);

@@ -23,7 +23,9 @@ impl Shape {
     }
 
     fn tier(&self, buffer_rows: usize) -> u32 {
-        (self.live() / buffer_rows.max(1)).checked_ilog2().unwrap_or(0)
+        (self.live() / buffer_rows.max(1))
+            .checked_ilog2()
+            .unwrap_or(0)
     }
 }
 
@@ -58,9 +60,7 @@ fn carry(
     let mut taken = Vec::new();
     for &i in &idle[start..] {
         let live = shapes[i].live();
-        let joins = taken.len() < 2
-            || shapes[i].tier(buffer_rows) == tier(start)
-            || live <= total;
+        let joins = taken.len() < 2 || shapes[i].tier(buffer_rows) == tier(start) || live <= total;
         if !joins || total + live > max_rows {
             break;
         }
@@ -75,7 +75,12 @@ mod tests {
     use super::*;
 
     fn level(rows: usize) -> Shape {
-        Shape { rows, dead: 0, built: true, busy: false }
+        Shape {
+            rows,
+            dead: 0,
+            built: true,
+            busy: false,
+        }
     }
 
     fn pick(shapes: &[Shape]) -> Option<Vec<usize>> {
@@ -96,21 +101,30 @@ mod tests {
 
     #[test]
     fn busy_levels_are_left_alone() {
-        let busy = Shape { busy: true, ..level(100) };
+        let busy = Shape {
+            busy: true,
+            ..level(100)
+        };
         assert_eq!(pick(&[level(100), busy]), None);
         assert_eq!(pick(&[level(100), busy, level(100)]), Some(vec![0, 2]));
     }
 
     #[test]
     fn a_level_without_its_tree_is_built_once_nothing_carries() {
-        let unbuilt = Shape { built: false, ..level(10_000) };
+        let unbuilt = Shape {
+            built: false,
+            ..level(10_000)
+        };
         assert_eq!(pick(&[unbuilt, level(100)]), Some(vec![0]));
         assert_eq!(pick(&[unbuilt, level(100), level(100)]), Some(vec![1, 2]));
     }
 
     #[test]
     fn a_level_more_than_half_dead_is_rewritten() {
-        let half = Shape { dead: 500, ..level(1000) };
+        let half = Shape {
+            dead: 500,
+            ..level(1000)
+        };
         assert_eq!(pick(&[half]), None);
         assert_eq!(pick(&[Shape { dead: 501, ..half }]), Some(vec![0]));
     }

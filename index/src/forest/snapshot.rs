@@ -86,7 +86,9 @@ impl Snapshot {
         };
         for level in self.levels.iter() {
             let slots = level.slots_after(after);
-            ascending.cursors.extend(Cursor::new(level, slots, self.revision));
+            ascending
+                .cursors
+                .extend(Cursor::new(level, slots, self.revision));
         }
         ascending
     }
@@ -94,7 +96,11 @@ impl Snapshot {
     /// An estimate of the bytes it keeps alive.
     pub fn memory_bytes(&self) -> usize {
         self.buffer.memory_bytes()
-            + self.levels.iter().map(|level| level.memory_bytes()).sum::<usize>()
+            + self
+                .levels
+                .iter()
+                .map(|level| level.memory_bytes())
+                .sum::<usize>()
     }
 }
 
@@ -107,7 +113,9 @@ struct Cursor<'a> {
 
 impl<'a> Cursor<'a> {
     fn new(level: &'a Level, slots: &'a [u32], revision: u64) -> Option<Self> {
-        let at = slots.iter().position(|&slot| level.sees(slot as usize, revision))?;
+        let at = slots
+            .iter()
+            .position(|&slot| level.sees(slot as usize, revision))?;
         Some(Self {
             level,
             next: level.get(slots[at] as usize),
@@ -133,7 +141,11 @@ impl<'a> Iterator for Ascending<'a> {
             return self.recent.pop();
         };
         let cursor = &self.cursors[at];
-        if self.recent.last().is_some_and(|point| point.id < cursor.next.id) {
+        if self
+            .recent
+            .last()
+            .is_some_and(|point| point.id < cursor.next.id)
+        {
             return self.recent.pop();
         }
         let point = cursor.next;

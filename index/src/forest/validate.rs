@@ -31,13 +31,24 @@ impl Forest {
             }
         }
         if alive.len() != head.live {
-            return Err(format!("{} points are alive, not {}", alive.len(), head.live));
+            return Err(format!(
+                "{} points are alive, not {}",
+                alive.len(),
+                head.live
+            ));
         }
-        if !head.levels.is_sorted_by_key(|level| std::cmp::Reverse(level.rows())) {
+        if !head
+            .levels
+            .is_sorted_by_key(|level| std::cmp::Reverse(level.rows()))
+        {
             return Err("the levels are not in the order of their sizes".into());
         }
         for source in self.running.iter().flat_map(|running| &running.sources) {
-            let holders = self.running.iter().filter(|running| running.has(source)).count();
+            let holders = self
+                .running
+                .iter()
+                .filter(|running| running.has(source))
+                .count();
             if holders != 1 || !head.levels.iter().any(|level| Arc::ptr_eq(level, source)) {
                 return Err("a merge holds a level that is not its own".into());
             }

@@ -24,7 +24,10 @@ impl KdTree {
         };
         build.subtree(0, points.len(), 0);
         let Build {
-            slots, nodes, depth, ..
+            slots,
+            nodes,
+            depth,
+            ..
         } = build;
         let points = points.in_order(&slots);
         Self::assemble(space, points, nodes, (lo, hi), depth)
@@ -47,7 +50,11 @@ impl KdTree {
         (lo, hi): (Vec<f64>, Vec<f64>),
         depth: usize,
     ) -> Self {
-        assert_eq!(points.coordinates(), space.coordinates(), "rows of another space");
+        assert_eq!(
+            points.coordinates(),
+            space.coordinates(),
+            "rows of another space"
+        );
         nodes.shrink_to_fit();
         let max_revision = points.iter().map(|point| point.revision).max().unwrap_or(0);
         Self {
@@ -154,8 +161,7 @@ impl Build<'_> {
     fn cut_axis(&mut self, start: usize, end: usize) -> Option<usize> {
         let axes = self.scale.len();
         self.spread.clear();
-        self.spread
-            .resize(axes, (f64::INFINITY, f64::NEG_INFINITY));
+        self.spread.resize(axes, (f64::INFINITY, f64::NEG_INFINITY));
         for &slot in &self.slots[start..end] {
             for ((lo, hi), &x) in self.spread.iter_mut().zip(self.points.row(slot as usize)) {
                 *lo = lo.min(x);

@@ -155,11 +155,8 @@ impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
             }
             Factor::SO3 => {
                 let axes = part.offset..part.offset + 4;
-                let d_2 = so3::bound_2(
-                    &state[axes.clone()],
-                    &self.lo[axes.clone()],
-                    &self.hi[axes],
-                );
+                let d_2 =
+                    so3::bound_2(&state[axes.clone()], &self.lo[axes.clone()], &self.hi[axes]);
                 (part.offset, d_2)
             }
         };

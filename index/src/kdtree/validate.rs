@@ -18,10 +18,16 @@ impl KdTree {
         };
         check.subtree(0, 0)?;
         if check.next_node != self.nodes.len() {
-            return Err(format!("{} nodes are out of reach", self.nodes.len() - check.next_node));
+            return Err(format!(
+                "{} nodes are out of reach",
+                self.nodes.len() - check.next_node
+            ));
         }
         if check.next_slot != self.len() {
-            return Err(format!("{} points are in no leaf", self.len() - check.next_slot));
+            return Err(format!(
+                "{} points are in no leaf",
+                self.len() - check.next_slot
+            ));
         }
         if let Some(newer) = self.points.iter().find(|p| p.revision > self.max_revision) {
             return Err(format!("point {} is newer than its tree", newer.id));
@@ -45,7 +51,10 @@ impl Check<'_> {
             return Err(format!("node {index} is deeper than the tree"));
         }
         if index != self.next_node {
-            return Err(format!("node {index} stands where {} belongs", self.next_node));
+            return Err(format!(
+                "node {index} stands where {} belongs",
+                self.next_node
+            ));
         }
         self.next_node += 1;
         match self.tree.nodes[index] {
@@ -73,14 +82,20 @@ impl Check<'_> {
 
     fn leaf(&mut self, start: usize, end: usize) -> Result<(), String> {
         if start != self.next_slot || end < start {
-            return Err(format!("leaf {start}..{end} should start at {}", self.next_slot));
+            return Err(format!(
+                "leaf {start}..{end} should start at {}",
+                self.next_slot
+            ));
         }
         self.next_slot = end;
         for slot in start..end {
             let point = self.tree.points.get(slot);
             for (axis, &x) in point.row.iter().enumerate() {
                 if !(self.lo[axis]..=self.hi[axis]).contains(&x) {
-                    return Err(format!("point {} is outside its cell in axis {axis}", point.id));
+                    return Err(format!(
+                        "point {} is outside its cell in axis {axis}",
+                        point.id
+                    ));
                 }
             }
         }

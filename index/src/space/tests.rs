@@ -78,6 +78,6 @@ proptest! {
         for part in space.parts() {
             sums_2[part.group] += part.weight * part.distance_2(&a, &b);
         }
-        prop_assert_eq!(space.compose(&sums_2).to_bits(), space.distance(&a, &b).to_bits());
+        prop_assert_eq!(space.compose(sums_2.into_iter()).to_bits(), space.distance(&a, &b).to_bits());
     }
 }

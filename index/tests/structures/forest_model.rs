@@ -100,7 +100,7 @@ fn run(space: &Space, options: ForestOptions, ops: Vec<Op>, seed: u64) {
         let revision = forest.revision() + 1;
         let mut store = |model: &mut Model, rows: usize, first_id: u64| {
             let mut points = Points::new(space.coordinates());
-            let shape = if rows % 2 == 0 {
+            let shape = if rows.is_multiple_of(2) {
                 Shape::Uniform
             } else {
                 Shape::Grid
@@ -231,7 +231,7 @@ fn snapshots_are_never_torn() {
         points.push(revision, 0, revision, &row);
         forest.apply(revision, &points, &[]);
         sender.send(forest.snapshot()).unwrap();
-        if revision % 3 == 0 {
+        if revision.is_multiple_of(3) {
             forest.settle();
         }
     }

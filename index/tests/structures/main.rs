@@ -1,5 +1,7 @@
 //! The structures, static and dynamic, against brute force.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 mod common;
 mod conformance;
 mod forest_model;
