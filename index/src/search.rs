@@ -72,6 +72,17 @@ pub struct Answer {
     pub exact: bool,
 }
 
+/// The cell that a descent stands in, and its bound.
+#[derive(Default)]
+pub(crate) struct Cell {
+    pub(crate) lo: Vec<f64>,
+    pub(crate) hi: Vec<f64>,
+    /// Each axis' weighted squared distance from the state; a rotation's stands at its first axis.
+    pub(crate) terms: Vec<f64>,
+    /// The sum of the terms of each group.
+    pub(crate) sums: Vec<f64>,
+}
+
 /// One search under way, carried through every tree and table that takes part in it.
 pub(crate) struct Walk<'a> {
     pub(crate) space: &'a Space,
@@ -80,6 +91,8 @@ pub(crate) struct Walk<'a> {
     nearest: Collector,
     leaves_left: usize,
     exact: bool,
+    /// Handed from tree to tree, so that only the first descent allocates.
+    pub(crate) cell: Cell,
 }
 
 impl<'a> Walk<'a> {
@@ -91,6 +104,7 @@ impl<'a> Walk<'a> {
             nearest: Collector::new(search.k, search.radius),
             leaves_left: search.max_leaves,
             exact: true,
+            cell: Cell::default(),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{KdTree, Node};
+use super::{KdTree, Node, Split};
 use crate::{Points, Space};
 
 impl KdTree {
@@ -14,7 +14,7 @@ impl KdTree {
             leaf_rows: leaf_rows.max(1),
             // The sliding midpoint may be as deep as the data are skewed; past this, medians bound the depth.
             sliding_depth: 32 + 2 * points.len().checked_ilog2().unwrap_or(0) as usize,
-            scale: axis_scales(&space),
+            axes: axes(&space),
             slots: (0..slot_count(&points)).collect(),
             nodes: Vec::new(),
             cell_lo: lo.clone(),
@@ -86,21 +86,30 @@ fn bounding_box(points: &Points) -> (Vec<f64>, Vec<f64>) {
     (lo, hi)
 }
 
-/// What a unit of each coordinate is worth in the metric: w_g · √μ_i.
-fn axis_scales(space: &Space) -> Vec<f64> {
-    let mut scales = Vec::with_capacity(space.coordinates());
-    for part in space.parts() {
-        let scale = space.groups()[part.group].weight * part.weight.sqrt();
-        scales.extend(std::iter::repeat_n(scale, part.factor.coordinates()));
+/// A coordinate as the build sees it.
+struct Axis {
+    /// The factor it belongs to.
+    part: u16,
+    /// What a unit of it is worth in the metric: w_g · √μ_i.
+    scale: f64,
+}
+
+fn axes(space: &Space) -> Vec<Axis> {
+    let mut axes = Vec::with_capacity(space.coordinates());
+    for (index, part) in space.parts().iter().enumerate() {
+        axes.extend((0..part.factor.coordinates()).map(|_| Axis {
+            part: index as u16,
+            scale: space.groups()[part.group].weight * part.weight.sqrt(),
+        }));
     }
-    scales
+    axes
 }
 
 struct Build<'a> {
     points: &'a Points,
     leaf_rows: usize,
     sliding_depth: usize,
-    scale: Vec<f64>,
+    axes: Vec<Axis>,
     /// The points' slots, reordered as the tree grows.
     slots: Vec<u32>,
     nodes: Vec<Node>,
@@ -147,19 +156,20 @@ impl Build<'_> {
         self.subtree(middle, end, depth + 1);
         self.cell_lo[axis] = cell_lo;
 
-        self.nodes[node] = Node::Split {
+        self.nodes[node] = Node::Split(Split {
             axis: axis as u16,
+            part: self.axes[axis].part,
             right,
             left_max,
             right_min,
-        };
+        });
     }
 
     /// The axis of the cell's longest side, as the metric weighs it; ties go to the largest spread of the points. None
     /// if the metric cannot tell the points apart. An axis on which the points do not spread is no choice: a plane
     /// across it would leave one side empty wherever it slides.
     fn cut_axis(&mut self, start: usize, end: usize) -> Option<usize> {
-        let axes = self.scale.len();
+        let axes = self.axes.len();
         self.spread.clear();
         self.spread.resize(axes, (f64::INFINITY, f64::NEG_INFINITY));
         for &slot in &self.slots[start..end] {
@@ -170,7 +180,7 @@ impl Build<'_> {
         }
         let key = |axis: usize| {
             let (min, max) = self.spread[axis];
-            let scale = self.scale[axis];
+            let scale = self.axes[axis].scale;
             (
                 scale * (self.cell_hi[axis] - self.cell_lo[axis]),
                 scale * (max - min),

@@ -16,19 +16,25 @@ use crate::{Answer, PointRef, Points, Search, Space, search::Walk};
 /// A node. Nodes lie in preorder: the left child of node `i` is node `i + 1`.
 #[derive(Clone, Copy, Debug)]
 enum Node {
-    /// Cuts a cell in two across one coordinate.
-    Split {
-        /// The coordinate.
-        axis: u16,
-        /// The right child.
-        right: u32,
-        /// The greatest coordinate on the left ...
-        left_max: f64,
-        /// ... and the least on the right: the cells end where their points do, not at the plane between.
-        right_min: f64,
-    },
+    /// Cuts a cell in two.
+    Split(Split),
     /// The points in these slots.
     Leaf { start: u32, end: u32 },
+}
+
+/// A cut of a cell across one coordinate.
+#[derive(Clone, Copy, Debug)]
+struct Split {
+    /// The coordinate ...
+    axis: u16,
+    /// ... and the factor of the space that it belongs to.
+    part: u16,
+    /// The right child.
+    right: u32,
+    /// The greatest coordinate on the left ...
+    left_max: f64,
+    /// ... and the least on the right: the cells end where their points do, not at the plane between.
+    right_min: f64,
 }
 
 /// A static kd-tree over a table of points of one space.

@@ -12,9 +12,9 @@
 //! The sums are lowered by more than that before they are composed, and by the least normal number besides, below
 //! which errors are not relative.
 
-use super::{KdTree, Node};
+use super::{KdTree, Node, Split};
 use crate::{
-    search::Walk,
+    search::{Cell, Walk},
     space::{Factor, Part, real_vector, so2, so3},
 };
 
@@ -24,15 +24,7 @@ struct Descent<'t, 'w, 'a, V> {
     walk: &'w mut Walk<'a>,
     /// Whether the point in a slot takes part.
     visible: V,
-    /// The part that each axis belongs to.
-    part_of: Vec<u16>,
-    /// The current cell.
-    lo: Vec<f64>,
-    hi: Vec<f64>,
-    /// Each axis' weighted squared term; a rotation's stands at its first axis.
-    terms: Vec<f64>,
-    /// The sum of the terms of each group.
-    sums: Vec<f64>,
+    cell: Cell,
     /// Lowers a sum of terms to what is surely a bound.
     margin: f64,
 }
@@ -45,39 +37,38 @@ impl KdTree {
         {
             return;
         }
-        let space = &*self.space;
-        let coordinates = space.coordinates();
-        let mut part_of = Vec::with_capacity(coordinates);
-        for (index, part) in space.parts().iter().enumerate() {
-            part_of.extend(std::iter::repeat_n(index as u16, part.factor.coordinates()));
-        }
+        let mut cell = std::mem::take(&mut walk.cell);
+        cell.lo.clone_from(&self.lo);
+        cell.hi.clone_from(&self.hi);
+        cell.terms.clear();
+        cell.terms.resize(self.lo.len(), 0.0);
+        cell.sums.clear();
+        cell.sums.resize(self.space.groups().len(), 0.0);
+        let roundings = 4 * (cell.terms.len() + self.depth) + 64;
         let mut descent = Descent {
             tree: self,
             walk,
             visible,
-            part_of,
-            lo: self.lo.clone(),
-            hi: self.hi.clone(),
-            terms: vec![0.0; coordinates],
-            sums: vec![0.0; space.groups().len()],
-            margin: 1.0 - f64::EPSILON * (4 * (coordinates + self.depth) + 64) as f64,
+            cell,
+            margin: 1.0 - f64::EPSILON * roundings as f64,
         };
         descent.enter_root();
+        descent.walk.cell = descent.cell;
     }
 }
 
 impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
     fn enter_root(&mut self) {
-        let mut axis = 0;
-        while axis < self.terms.len() {
-            let part = &self.tree.space.parts()[self.part_of[axis] as usize];
-            let (first, term) = self.term(part, axis);
-            self.terms[first] = term;
-            self.sums[part.group] += term;
-            axis += match part.factor {
-                Factor::SO3 => 4,
-                Factor::RealVector(_) | Factor::SO2 { .. } => 1,
+        for part in self.tree.space.parts() {
+            let axes = match part.factor {
+                Factor::RealVector(n) => n,
+                Factor::SO2 { .. } | Factor::SO3 => 1,
             };
+            for axis in part.offset..part.offset + axes {
+                let (first, term) = self.term(part, axis);
+                self.cell.terms[first] = term;
+                self.cell.sums[part.group] += term;
+            }
         }
         if !self.walk.skips(self.bound()) {
             self.node(0);
@@ -87,12 +78,7 @@ impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
     fn node(&mut self, index: usize) {
         match self.tree.nodes[index] {
             Node::Leaf { start, end } => self.leaf(start as usize, end as usize),
-            Node::Split {
-                axis,
-                right,
-                left_max,
-                right_min,
-            } => self.split(index, axis as usize, right as usize, left_max, right_min),
+            Node::Split(split) => self.split(index, split),
         }
     }
 
@@ -107,37 +93,43 @@ impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
         }
     }
 
-    fn split(&mut self, index: usize, axis: usize, right: usize, left_max: f64, right_min: f64) {
+    fn split(&mut self, index: usize, split: Split) {
+        let Split {
+            left_max,
+            right_min,
+            ..
+        } = split;
+        let axis = split.axis as usize;
         let tree = self.tree;
-        let part = &tree.space.parts()[self.part_of[axis] as usize];
-        let (lo, hi) = (self.lo[axis], self.hi[axis]);
+        let part = &tree.space.parts()[split.part as usize];
+        let (lo, hi) = (self.cell.lo[axis], self.cell.hi[axis]);
 
-        self.hi[axis] = left_max;
+        self.cell.hi[axis] = left_max;
         let (first, left_term) = self.term(part, axis);
-        self.hi[axis] = hi;
-        self.lo[axis] = right_min;
+        self.cell.hi[axis] = hi;
+        self.cell.lo[axis] = right_min;
         let (_, right_term) = self.term(part, axis);
-        self.lo[axis] = lo;
+        self.cell.lo[axis] = lo;
 
-        let (term, sum) = (self.terms[first], self.sums[part.group]);
+        let (term, sum) = (self.cell.terms[first], self.cell.sums[part.group]);
         let left = (index + 1, left_term, (lo, left_max));
-        let right = (right, right_term, (right_min, hi));
+        let right = (split.right as usize, right_term, (right_min, hi));
         let children = if left_term <= right_term {
             [left, right]
         } else {
             [right, left]
         };
         for (child, child_term, cell) in children {
-            self.terms[first] = child_term;
-            self.sums[part.group] = sum + (child_term - term);
+            self.cell.terms[first] = child_term;
+            self.cell.sums[part.group] = sum + (child_term - term);
             if !self.walk.skips(self.bound()) {
-                (self.lo[axis], self.hi[axis]) = cell;
+                (self.cell.lo[axis], self.cell.hi[axis]) = cell;
                 self.node(child);
-                (self.lo[axis], self.hi[axis]) = (lo, hi);
+                (self.cell.lo[axis], self.cell.hi[axis]) = (lo, hi);
             }
         }
-        self.terms[first] = term;
-        self.sums[part.group] = sum;
+        self.cell.terms[first] = term;
+        self.cell.sums[part.group] = sum;
     }
 
     /// The weighted squared distance from the state to the current cell in the part that `axis` belongs to (for a
@@ -146,17 +138,20 @@ impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
         let state = self.walk.state;
         let (first, distance_2) = match part.factor {
             Factor::RealVector(_) => {
-                let d = real_vector::bound(state[axis], self.lo[axis], self.hi[axis]);
+                let d = real_vector::bound(state[axis], self.cell.lo[axis], self.cell.hi[axis]);
                 (axis, d * d)
             }
             Factor::SO2 { period } => {
-                let d = so2::bound(state[axis], self.lo[axis], self.hi[axis], period);
+                let d = so2::bound(state[axis], self.cell.lo[axis], self.cell.hi[axis], period);
                 (axis, d * d)
             }
             Factor::SO3 => {
                 let axes = part.offset..part.offset + 4;
-                let d_2 =
-                    so3::bound_2(&state[axes.clone()], &self.lo[axes.clone()], &self.hi[axes]);
+                let d_2 = so3::bound_2(
+                    &state[axes.clone()],
+                    &self.cell.lo[axes.clone()],
+                    &self.cell.hi[axes],
+                );
                 (part.offset, d_2)
             }
         };
@@ -166,6 +161,7 @@ impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
     /// A lower bound on the reported distance of every point of the current cell.
     fn bound(&self) -> f64 {
         let lowered = self
+            .cell
             .sums
             .iter()
             .map(|sum| (sum * self.margin - f64::MIN_POSITIVE).max(0.0));

@@ -1,6 +1,6 @@
 //! The invariants of a tree, for the tests that call this after every step.
 
-use super::{KdTree, Node};
+use super::{KdTree, Node, Split};
 
 impl KdTree {
     /// Checks that the leaves partition the slots in order, that every point lies in its cell, and that the nodes lie
@@ -59,13 +59,17 @@ impl Check<'_> {
         self.next_node += 1;
         match self.tree.nodes[index] {
             Node::Leaf { start, end } => self.leaf(start as usize, end as usize),
-            Node::Split {
-                axis,
-                right,
-                left_max,
-                right_min,
-            } => {
-                let axis = axis as usize;
+            Node::Split(split) => {
+                let Split {
+                    left_max,
+                    right_min,
+                    ..
+                } = split;
+                let axis = split.axis as usize;
+                let part = &self.tree.space.parts()[split.part as usize];
+                if !(part.offset..part.offset + part.factor.coordinates()).contains(&axis) {
+                    return Err(format!("node {index} cuts an axis of another factor"));
+                }
                 if left_max > right_min {
                     return Err(format!("the children of node {index} overlap"));
                 }
@@ -73,7 +77,7 @@ impl Check<'_> {
                 self.subtree(index + 1, depth + 1)?;
                 self.hi[axis] = hi;
                 let lo = std::mem::replace(&mut self.lo[axis], right_min);
-                self.subtree(right as usize, depth + 1)?;
+                self.subtree(split.right as usize, depth + 1)?;
                 self.lo[axis] = lo;
                 Ok(())
             }

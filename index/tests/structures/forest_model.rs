@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::common::{SPACES, Shape, assert_same, brute_force, rng, states};
-use proptest::prelude::*;
+use proptest::{prelude::*, test_runner::RngSeed};
 use wayfold_index::{Forest, ForestOptions, Merged, PointRef, Points, Search, Snapshot, Space};
 
 /// A stored point of the model: tag, revision, row.
@@ -152,7 +152,12 @@ fn run(space: &Space, options: ForestOptions, ops: Vec<Op>, seed: u64) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 300,
+        rng_seed: RngSeed::Fixed(48),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
 
     /// Every revision that was ever held stays as it was, whatever comes after it.
     #[test]
