@@ -1,2 +1,7 @@
-//! The command line.
-fn main() {}
+//! The command line `wayfold`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    wayfold_client::cli::main()
+}

@@ -1,0 +1,77 @@
+//! Why a command failed, in words for whoever typed it.
+
+use std::{io, path::PathBuf, time::Duration};
+
+use thiserror::Error;
+
+use super::input::InputError;
+use crate::{Code, Error};
+
+#[derive(Debug, Error)]
+pub(super) enum Failure {
+    #[error(transparent)]
+    Client(#[from] Error),
+    #[error(transparent)]
+    Input(#[from] InputError),
+    #[error("cannot write to standard output: {0}")]
+    Output(#[from] io::Error),
+    #[error("cannot write to {}: {source}", path.display())]
+    File { path: PathBuf, source: io::Error },
+    #[error("the process cannot start its threads: {0}")]
+    Runtime(io::Error),
+    /// `done` says how far the command came before `source`.
+    #[error("{done}; then: {source}")]
+    Stopped { done: String, source: Box<Failure> },
+    #[error(
+        "no server answers at {uri} ({problem}), waited {waited:?}: start one with `wayfold-server`, or say where it \
+         is with --server or WAYFOLD_SERVER"
+    )]
+    Unreachable {
+        uri: String,
+        problem: String,
+        waited: Duration,
+    },
+    #[error("{source}; --replace does that here")]
+    Replaceable { source: Error },
+    #[error("{source}; waited {waited:?}, --timeout waits longer")]
+    Late { waited: Duration, source: Error },
+}
+
+impl Failure {
+    /// The failure to connect.
+    pub(super) fn unreachable(error: Error, waited: Duration) -> Failure {
+        Failure::from(error).explained(waited)
+    }
+
+    /// Says of a server that could not be reached what to do about it.
+    pub(super) fn explained(self, waited: Duration) -> Failure {
+        match self {
+            Failure::Client(Error::Connection { uri, source, .. }) => Failure::Unreachable {
+                uri,
+                problem: crate::error::root_cause(source.as_ref()),
+                waited,
+            },
+            Failure::Client(source)
+                if matches!(source.code(), Code::Unavailable | Code::DeadlineExceeded) =>
+            {
+                Failure::Late { waited, source }
+            }
+            Failure::Client(source) if source.reason() == Some("POINTS_EXIST") => {
+                Failure::Replaceable { source }
+            }
+            Failure::Stopped { done, source } => Failure::Stopped {
+                done,
+                source: Box::new(source.explained(waited)),
+            },
+            other => other,
+        }
+    }
+
+    pub(super) fn is_broken_pipe(&self) -> bool {
+        match self {
+            Failure::Output(error) => error.kind() == io::ErrorKind::BrokenPipe,
+            Failure::Stopped { source, .. } => source.is_broken_pipe(),
+            _ => false,
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! `wayfold info` and `wayfold list`
+
+use indicatif::HumanBytes;
+use serde::Serialize;
+
+use crate::{
+    IndexInfo,
+    cli::{Session, failure::Failure, output::Format},
+    coordinate_names,
+};
+
+/// Describes an index
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct InfoArgs {
+    /// The index
+    name: String,
+}
+
+/// An index as a line of JSON.
+#[derive(Serialize)]
+pub(super) struct InfoLine<'a> {
+    name: &'a str,
+    space: String,
+    points: u64,
+    revision: u64,
+    uid: &'a str,
+    coordinates: usize,
+    dimension: usize,
+    memory_bytes: u64,
+}
+
+impl InfoLine<'_> {
+    pub(super) fn of(index: &IndexInfo) -> InfoLine<'_> {
+        InfoLine {
+            name: &index.name,
+            space: index.space.to_string(),
+            points: index.points,
+            revision: index.revision,
+            uid: &index.uid,
+            coordinates: index.coordinates,
+            dimension: index.dimension,
+            memory_bytes: index.memory_bytes,
+        }
+    }
+}
+
+pub(in crate::cli) async fn info(args: InfoArgs, session: &mut Session) -> Result<(), Failure> {
+    let index = session.client.index_info(&args.name).await?;
+    let output = &mut session.output;
+    if output.format == Format::Json {
+        return Ok(output.json(&InfoLine::of(&index))?);
+    }
+    output.text(format_args!("name         {}", index.name))?;
+    output.text(format_args!("space        {}", index.space))?;
+    output.text(format_args!("points       {}", index.points))?;
+    output.text(format_args!("revision     {}", index.revision))?;
+    output.text(format_args!("uid          {}", index.uid))?;
+    let row = coordinate_names(&index.space).join(", ");
+    output.text(format_args!("coordinates  {} ({row})", index.coordinates))?;
+    output.text(format_args!("dimension    {}", index.dimension))?;
+    output.text(format_args!(
+        "memory       {}",
+        HumanBytes(index.memory_bytes)
+    ))?;
+    Ok(())
+}
+
+pub(in crate::cli) async fn list(session: &mut Session) -> Result<(), Failure> {
+    let indexes = session.client.list_indexes().await?;
+    let output = &mut session.output;
+    if output.format == Format::Json {
+        for index in &indexes {
+            output.json(&InfoLine::of(index))?;
+        }
+        return Ok(());
+    }
+    if indexes.is_empty() {
+        output.text("no indices; `wayfold create NAME --space SPACE` makes one")?;
+        return Ok(());
+    }
+    let longest = |text: fn(&IndexInfo) -> usize, least: usize| {
+        indexes.iter().map(text).fold(least, usize::max)
+    };
+    let name = longest(|index| index.name.len(), "NAME".len());
+    let points = longest(|index| index.points.to_string().len(), "POINTS".len());
+    let revision = longest(|index| index.revision.to_string().len(), "REVISION".len());
+    output.text(format_args!(
+        "{:name$}  {:>points$}  {:>revision$}  SPACE",
+        "NAME", "POINTS", "REVISION"
+    ))?;
+    for index in &indexes {
+        let IndexInfo {
+            name: called,
+            space,
+            ..
+        } = index;
+        output.text(format_args!(
+            "{called:name$}  {:>points$}  {:>revision$}  {space}",
+            index.points, index.revision
+        ))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,19 @@
+//! What each verb does.
+
+mod create;
+mod delete;
+mod get;
+mod index_info;
+mod insert;
+mod remove;
+mod scan;
+mod search;
+
+pub(super) use create::{CreateArgs, create};
+pub(super) use delete::{DeleteArgs, delete};
+pub(super) use get::{GetArgs, get};
+pub(super) use index_info::{InfoArgs, info, list};
+pub(super) use insert::{InsertArgs, insert};
+pub(super) use remove::{RemoveArgs, remove};
+pub(super) use scan::{ScanArgs, scan};
+pub(super) use search::{KnnArgs, QueryArgs, knn, query};

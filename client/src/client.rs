@@ -1,0 +1,309 @@
+//! The connection to a server, and the calls about whole indices.
+
+use std::{fmt, sync::Arc, time::Duration};
+
+use tokio::time::{Instant, timeout_at};
+use tonic::{
+    Code,
+    transport::{Channel, Endpoint},
+};
+use wayfold_index::Space;
+use wayfold_proto::{
+    space,
+    v1::{
+        self, index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
+    },
+};
+
+use crate::{Error, IndexHandle, IndexInfo, RetryPolicy};
+
+/// A connection to a Wayfold server. Clones share it; any number of calls can be under way on it at once.
+///
+/// A connection that breaks is made anew when the next call needs it.
+#[derive(Clone)]
+pub struct Client {
+    channel: Channel,
+    uri: Arc<str>,
+    settings: ClientBuilder,
+}
+
+/// What a [`Client`] is connected with.
+#[derive(Clone, Copy, Debug)]
+pub struct ClientBuilder {
+    timeout: Duration,
+    max_message_bytes: usize,
+    retry: RetryPolicy,
+}
+
+impl Default for ClientBuilder {
+    fn default() -> ClientBuilder {
+        ClientBuilder {
+            timeout: Duration::from_secs(30),
+            max_message_bytes: 4 * 1024 * 1024,
+            retry: RetryPolicy::default(),
+        }
+    }
+}
+
+impl ClientBuilder {
+    /// How long a call may take, tries and pauses included: 30 s unless set. The server is told, and gives up too.
+    pub fn timeout(mut self, timeout: Duration) -> ClientBuilder {
+        self.timeout = timeout;
+        self
+    }
+
+    /// The most bytes that the client takes in one answer, and divides reads by: 4 MiB unless set. More than the
+    /// server's own limit has no effect.
+    pub fn max_message_bytes(mut self, bytes: usize) -> ClientBuilder {
+        self.max_message_bytes = bytes;
+        self
+    }
+
+    /// When a call that found no server is tried again.
+    pub fn retry(mut self, policy: RetryPolicy) -> ClientBuilder {
+        self.retry = policy;
+        self
+    }
+
+    /// Connects to the server at `uri`, `http://HOST:PORT` or just `HOST:PORT`.
+    ///
+    /// # Errors
+    /// [`Error::Address`], or [`Error::Connection`] if no server is reached within the timeout and the tries.
+    pub async fn connect(self, uri: &str) -> Result<Client, Error> {
+        let endpoint = endpoint(uri)?
+            .tcp_nodelay(true)
+            .connect_timeout(self.timeout);
+        let uri: Arc<str> = endpoint.uri().to_string().trim_end_matches('/').into();
+        let deadline = Instant::now() + self.timeout;
+        let connect = || async {
+            let connected = timeout_at(deadline, endpoint.connect()).await;
+            let connected = connected.map_err(|_| Error::Timeout {
+                call: "connect",
+                timeout: self.timeout,
+            })?;
+            connected.map_err(|error| Error::Connection {
+                call: "connect",
+                uri: uri.to_string(),
+                source: Box::new(error),
+            })
+        };
+        let channel = self.retry.run(deadline, connect).await?;
+        Ok(Client {
+            channel,
+            uri,
+            settings: self,
+        })
+    }
+}
+
+/// The endpoint at `uri`, whose scheme may be left out.
+fn endpoint(uri: &str) -> Result<Endpoint, Error> {
+    let refused = |problem: &str| Error::Address {
+        uri: uri.to_owned(),
+        problem: problem.to_owned(),
+    };
+    let full = match uri.split_once("://") {
+        None => format!("http://{uri}"),
+        Some(("http", _)) => uri.to_owned(),
+        Some((scheme, _)) => {
+            return Err(refused(&format!(
+                "it speaks {scheme}, and this client only http"
+            )));
+        }
+    };
+    let endpoint = Endpoint::from_shared(full).map_err(|error| refused(&error.to_string()))?;
+    match endpoint.uri().host() {
+        None | Some("") => Err(refused("it names no host")),
+        Some(_) => Ok(endpoint),
+    }
+}
+
+impl Client {
+    /// Connects with the default settings: [`ClientBuilder::connect`].
+    ///
+    /// # Errors
+    /// As [`ClientBuilder::connect`].
+    pub async fn connect(uri: &str) -> Result<Client, Error> {
+        Client::builder().connect(uri).await
+    }
+
+    /// Settings to connect with.
+    pub fn builder() -> ClientBuilder {
+        ClientBuilder::default()
+    }
+
+    /// The server's address.
+    pub fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    /// Creates an index, or opens the one that exists with an equal space.
+    ///
+    /// # Errors
+    /// `ALREADY_EXISTS`: the index has another space. `INVALID_ARGUMENT`: the name. `RESOURCE_EXHAUSTED`: the server
+    /// holds as many indices as it may.
+    pub async fn create_index(&self, name: &str, space: &Space) -> Result<IndexHandle, Error> {
+        let (info, _created) = self.ensure_index(name, space).await?;
+        Ok(IndexHandle::new(self.clone(), info))
+    }
+
+    /// As [`Client::create_index`], but tells what there is now, and whether this call made it.
+    ///
+    /// # Errors
+    /// As [`Client::create_index`].
+    pub async fn ensure_index(
+        &self,
+        name: &str,
+        space: &Space,
+    ) -> Result<(IndexInfo, bool), Error> {
+        const CALL: &str = "create_index";
+        let message = v1::CreateIndexRequest {
+            name: name.to_owned(),
+            space: Some(space::to_message(space)),
+            space_text: String::new(),
+        };
+        let call = |stub: IndexStub, request| async move { { stub }.create_index(request).await };
+        let answer = self.index_call(CALL, message, call).await?;
+        Ok((IndexInfo::from_message(CALL, answer.index)?, answer.created))
+    }
+
+    /// Opens an index that exists.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`: there is no index of this name.
+    pub async fn index(&self, name: &str) -> Result<IndexHandle, Error> {
+        Ok(IndexHandle::new(self.clone(), self.index_info(name).await?))
+    }
+
+    /// Describes an index.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`: there is no index of this name.
+    pub async fn index_info(&self, name: &str) -> Result<IndexInfo, Error> {
+        const CALL: &str = "get_index";
+        let message = v1::GetIndexRequest {
+            name: name.to_owned(),
+        };
+        let call = |stub: IndexStub, request| async move { { stub }.get_index(request).await };
+        let answer = self.index_call(CALL, message, call).await?;
+        IndexInfo::from_message(CALL, answer.index)
+    }
+
+    /// All indices of the server, by name.
+    ///
+    /// # Errors
+    /// Those of every call.
+    pub async fn list_indexes(&self) -> Result<Vec<IndexInfo>, Error> {
+        const CALL: &str = "list_indexes";
+        let (mut indexes, mut page_token) = (Vec::new(), String::new());
+        loop {
+            let message = v1::ListIndexesRequest {
+                page_size: 0,
+                page_token,
+            };
+            let call =
+                |stub: IndexStub, request| async move { { stub }.list_indexes(request).await };
+            let page = self.index_call(CALL, message, call).await?;
+            for index in page.indexes {
+                indexes.push(IndexInfo::from_message(CALL, Some(index))?);
+            }
+            page_token = page.next_page_token;
+            if page_token.is_empty() {
+                return Ok(indexes);
+            }
+        }
+    }
+
+    /// Deletes the index that has this name now, with all its points, and tells the uid it had.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`: there is no index of this name. `FAILED_PRECONDITION`: it was made anew during the call.
+    pub async fn delete_index(&self, name: &str) -> Result<String, Error> {
+        // With its uid, a delete that is tried again cannot hit an index that was created in between.
+        let uid = self.index_info(name).await?.uid;
+        let message = v1::DeleteIndexRequest {
+            name: name.to_owned(),
+            uid: uid.clone(),
+        };
+        let call = |stub: IndexStub, request| async move { { stub }.delete_index(request).await };
+        match self.index_call("delete_index", message, call).await {
+            // It was there a moment ago: an earlier try, or somebody else, was as good.
+            Err(error) if error.code() == Code::NotFound => Ok(uid),
+            deleted => deleted.map(|_| uid),
+        }
+    }
+
+    async fn index_call<Q, A, F, Fut>(
+        &self,
+        call: &'static str,
+        message: Q,
+        mut send: F,
+    ) -> Result<A, Error>
+    where
+        Q: Clone,
+        F: FnMut(IndexStub, tonic::Request<Q>) -> Fut,
+        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
+    {
+        let stub = IndexServiceClient::new(self.channel.clone())
+            .max_decoding_message_size(self.settings.max_message_bytes);
+        let attempt = |remaining| send(stub.clone(), within(remaining, message.clone()));
+        self.call(call, self.settings.timeout, attempt).await
+    }
+
+    /// Makes a call, again if need be, and tells each try how much time it has.
+    pub(crate) async fn call<A, F, Fut>(
+        &self,
+        call: &'static str,
+        timeout: Duration,
+        mut attempt: F,
+    ) -> Result<A, Error>
+    where
+        F: FnMut(Duration) -> Fut,
+        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
+    {
+        let deadline = Instant::now() + timeout;
+        let attempt = || {
+            let sent = attempt(deadline.saturating_duration_since(Instant::now()));
+            async move {
+                match timeout_at(deadline, sent).await {
+                    Ok(Ok(response)) => Ok(response.into_inner()),
+                    Ok(Err(status)) => Err(Error::from_status(call, &self.uri, timeout, status)),
+                    Err(_) => Err(Error::Timeout { call, timeout }),
+                }
+            }
+        };
+        self.settings.retry.run(deadline, attempt).await
+    }
+
+    /// The stub of the calls about points.
+    pub(crate) fn points(&self) -> PointServiceClient<Channel> {
+        PointServiceClient::new(self.channel.clone())
+            .max_decoding_message_size(self.settings.max_message_bytes)
+    }
+
+    pub(crate) fn timeout(&self) -> Duration {
+        self.settings.timeout
+    }
+
+    pub(crate) fn max_message_bytes(&self) -> usize {
+        self.settings.max_message_bytes
+    }
+}
+
+type IndexStub = IndexServiceClient<Channel>;
+
+/// A request that the server gives up after `remaining`.
+pub(crate) fn within<Q>(remaining: Duration, message: Q) -> tonic::Request<Q> {
+    let mut request = tonic::Request::new(message);
+    request.set_timeout(remaining);
+    request
+}
+
+impl fmt::Debug for Client {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Client")
+            .field("uri", &self.uri)
+            .field("settings", &self.settings)
+            .finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,167 @@
+//! What can go wrong with a call.
+
+use std::time::Duration;
+
+use thiserror::Error;
+use tonic::Code;
+
+use crate::Refusal;
+
+/// Why a call has no answer.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The address given is not one of a server.
+    #[error(
+        "{uri:?} is not the address of a server ({problem}); one looks like http://127.0.0.1:50051"
+    )]
+    Address {
+        /// What was given.
+        uri: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The server could not be reached, or the connection broke. Of a mutation without an operation id the effect is
+    /// unknown.
+    #[error("{call}: no connection to {uri}: {}", root_cause(source.as_ref()))]
+    Connection {
+        /// Which call.
+        call: &'static str,
+        /// The server's address.
+        uri: String,
+        /// What the transport reported.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// There was no answer in time. Of a mutation the effect is unknown; the same call again, with the same operation
+    /// id, takes effect once.
+    #[error("{call}: no answer within {timeout:?}")]
+    Timeout {
+        /// Which call.
+        call: &'static str,
+        /// How long it was waited for.
+        timeout: Duration,
+    },
+    /// The server refused the call, and changed nothing; only after a mutation's `DEADLINE_EXCEEDED` or `DATA_LOSS` is the
+    /// effect unknown.
+    #[error(transparent)]
+    Refused(Box<Refusal>),
+    /// A state does not have as many numbers as the space has coordinates.
+    #[error("states[{row}]: {found} numbers, where a state of this space has {expected}")]
+    Width {
+        /// The index of the state among those given.
+        row: usize,
+        /// The space's coordinates.
+        expected: usize,
+        /// The state's numbers.
+        found: usize,
+    },
+    /// A typed state does not mean what a row of the space means: an `Isometry3` where the quaternion comes first.
+    #[error("{state} is laid out as {given}, but a state of {space} as {expected}")]
+    Layout {
+        /// The type of the state.
+        state: &'static str,
+        /// The names of its coordinates.
+        given: String,
+        /// The space.
+        space: String,
+        /// The names of the space's coordinates.
+        expected: String,
+    },
+    /// An argument that cannot be sent.
+    #[error("{field}: {problem}")]
+    Argument {
+        /// Which argument.
+        field: &'static str,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A mutation that was sent in several calls failed after some of them had taken effect.
+    #[error("rows 0 to {} of {rows} took effect; then: {source}", done - 1)]
+    Partial {
+        /// How many rows took effect, in order from the first. What `source` says of a row counts from this one.
+        done: usize,
+        /// How many were to be sent.
+        rows: usize,
+        /// Why the next call failed.
+        source: Box<Error>,
+    },
+    /// The server answered with what the protocol does not allow.
+    #[error(
+        "{call}: the answer breaks the protocol: {problem}; client and server may be of different versions"
+    )]
+    Protocol {
+        /// Which call.
+        call: &'static str,
+        /// What is wrong with the answer.
+        problem: String,
+    },
+}
+
+impl Error {
+    /// The gRPC status that the error is or amounts to.
+    pub fn code(&self) -> Code {
+        match self {
+            Error::Address { .. }
+            | Error::Width { .. }
+            | Error::Layout { .. }
+            | Error::Argument { .. } => Code::InvalidArgument,
+            Error::Connection { .. } => Code::Unavailable,
+            Error::Timeout { .. } => Code::DeadlineExceeded,
+            Error::Refused(refusal) => refusal.code,
+            Error::Partial { source, .. } => source.code(),
+            Error::Protocol { .. } => Code::Internal,
+        }
+    }
+
+    /// The server's reason in UPPER_SNAKE_CASE, if the server refused the call.
+    pub fn reason(&self) -> Option<&str> {
+        match self {
+            Error::Refused(refusal) => Some(&refusal.reason),
+            Error::Partial { source, .. } => source.reason(),
+            _ => None,
+        }
+    }
+
+    /// The error of a call that ended with `status`.
+    pub(crate) fn from_status(
+        call: &'static str,
+        uri: &str,
+        timeout: Duration,
+        status: tonic::Status,
+    ) -> Error {
+        // A status that the server sent has no source; one that the transport made up for a failure does.
+        let made_here = std::error::Error::source(&status).is_some();
+        match status.code() {
+            // The transport gives up a little before or after the call does, and calls that a cancellation.
+            Code::Cancelled if status.message() == TIMEOUT_EXPIRED => {
+                Error::Timeout { call, timeout }
+            }
+            Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled if made_here => {
+                Error::Connection {
+                    call,
+                    uri: uri.to_owned(),
+                    source: Box::new(status),
+                }
+            }
+            _ => Error::Refused(Box::new(Refusal::from_status(&status))),
+        }
+    }
+
+    /// Whether the same call may succeed a little later.
+    pub(crate) fn is_transient(&self) -> bool {
+        matches!(self, Error::Connection { .. } | Error::Refused(_))
+            && self.code() == Code::Unavailable
+    }
+}
+
+/// The text of `tonic::TimeoutExpired`, of which a status keeps nothing else.
+const TIMEOUT_EXPIRED: &str = "Timeout expired";
+
+/// The innermost error: "Connection refused" says more than the "transport error" around it.
+pub(crate) fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut cause = error;
+    while let Some(source) = cause.source() {
+        cause = source;
+    }
+    cause.to_string()
+}

@@ -1,0 +1,50 @@
+//! The description of an index.
+
+use wayfold_index::Space;
+use wayfold_proto::{space, v1};
+
+use crate::Error;
+
+/// An index as it stood at one revision.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct IndexInfo {
+    /// Its name.
+    pub name: String,
+    /// The space of its states.
+    pub space: Space,
+    /// Names its past: a revision means something only with its uid.
+    pub uid: String,
+    /// How many mutations it has applied.
+    pub revision: u64,
+    /// How many points it holds.
+    pub points: u64,
+    /// How many numbers a state has (SE(3): 7).
+    pub coordinates: usize,
+    /// The dimension of the manifold (SE(3): 6).
+    pub dimension: usize,
+    /// An estimate of the memory its search structure holds, in bytes.
+    pub memory_bytes: u64,
+}
+
+impl IndexInfo {
+    pub(crate) fn from_message(
+        call: &'static str,
+        index: Option<v1::Index>,
+    ) -> Result<IndexInfo, Error> {
+        let protocol = |problem| Error::Protocol { call, problem };
+        let index = index.ok_or_else(|| protocol("it describes no index".to_owned()))?;
+        let message = index.space.unwrap_or_default();
+        let space = space::from_message(&message).map_err(|error| protocol(error.to_string()))?;
+        Ok(IndexInfo {
+            name: index.name,
+            uid: index.uid,
+            revision: index.revision,
+            points: index.points,
+            coordinates: space.coordinates(),
+            dimension: space.dimension(),
+            memory_bytes: index.memory_bytes,
+            space,
+        })
+    }
+}

@@ -1,0 +1,314 @@
+//! Inserting states.
+
+use bytes::Bytes;
+use wayfold_index::Filter;
+use wayfold_proto::v1;
+
+use super::{awaitable, fresh_operation_id, partial};
+use crate::{
+    Error, Include, IndexHandle, Neighbors, States,
+    limits::{self, MUTATION_ROWS, REQUEST_BYTES},
+    neighbors::Told,
+    read::filter_message,
+};
+
+/// Inserts states; await it to send it.
+///
+/// Up to [`MUTATION_ROWS`](crate::MUTATION_ROWS) rows and [`REQUEST_BYTES`](crate::REQUEST_BYTES) are one call, which
+/// is atomic: all of it takes effect, or nothing does. More rows, or more `neighbors` than an answer holds, are divided
+/// among several calls, in order, each atomic of its own; if one fails, [`Error::Partial`] tells how many rows took
+/// effect before it.
+#[derive(Debug)]
+#[must_use = "a request does nothing until it is awaited"]
+pub struct Insert {
+    index: IndexHandle,
+    states: Result<States, Error>,
+    ids: Vec<u64>,
+    tags: Vec<u64>,
+    payloads: Vec<Bytes>,
+    replace: bool,
+    min_separation: f64,
+    neighbors: Option<NeighborQuery>,
+    operation_id: String,
+}
+
+/// Which neighbours an insert is to tell of each row: those it had at the moment it was applied, stored by an earlier
+/// mutation or an earlier row. At least one of `k` and `radius` is set.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NeighborQuery {
+    /// At most so many, at least 1.
+    pub k: Option<u32>,
+    /// Only those at this distance or nearer.
+    pub radius: Option<f64>,
+    /// Only some of the points. The rows of the same call count as stored by the revision that the call makes.
+    pub filter: Filter,
+    /// What to tell of each.
+    pub include: Include,
+}
+
+/// What became of one row of an insert.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Stored as a new point.
+    Inserted {
+        /// The point's id, given or assigned.
+        id: u64,
+    },
+    /// The same point was stored already.
+    Unchanged {
+        /// The point's id.
+        id: u64,
+    },
+    /// Stored in the place of another point under the same id.
+    Replaced {
+        /// The point's id.
+        id: u64,
+    },
+    /// Left out, as a stored point is nearer than `min_separation`.
+    TooClose {
+        /// The id of the nearest point in its way.
+        blocker: u64,
+    },
+}
+
+impl Outcome {
+    /// The id under which the row is stored; `None` if it was left out.
+    pub fn id(self) -> Option<u64> {
+        match self {
+            Outcome::Inserted { id } | Outcome::Unchanged { id } | Outcome::Replaced { id } => {
+                Some(id)
+            }
+            Outcome::TooClose { .. } => None,
+        }
+    }
+
+    fn from_message(outcome: v1::Outcome, id: u64) -> Option<Outcome> {
+        match outcome {
+            v1::Outcome::Unspecified => None,
+            v1::Outcome::Inserted => Some(Outcome::Inserted { id }),
+            v1::Outcome::Unchanged => Some(Outcome::Unchanged { id }),
+            v1::Outcome::Replaced => Some(Outcome::Replaced { id }),
+            v1::Outcome::TooClose => Some(Outcome::TooClose { blocker: id }),
+        }
+    }
+}
+
+/// What an insert did.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Inserted {
+    /// What became of each row, in order.
+    pub outcomes: Vec<Outcome>,
+    /// The neighbours of each row, also of those left out, if they were asked for.
+    pub neighbors: Option<Neighbors>,
+    /// The revision that the insert, or the last of its parts, made or found.
+    pub revision: u64,
+}
+
+awaitable!(Insert => Inserted);
+
+impl Insert {
+    pub(crate) fn new(index: IndexHandle, states: Result<States, Error>) -> Insert {
+        Insert {
+            index,
+            states,
+            ids: Vec::new(),
+            tags: Vec::new(),
+            payloads: Vec::new(),
+            replace: false,
+            min_separation: 0.0,
+            neighbors: None,
+            operation_id: fresh_operation_id(),
+        }
+    }
+
+    /// The ids, one a row, below 2⁶³. Without them the server assigns ids, upwards in row order.
+    pub fn ids(mut self, ids: impl Into<Vec<u64>>) -> Insert {
+        self.ids = ids.into();
+        self
+    }
+
+    /// The tags, one a row; 0 without them.
+    pub fn tags(mut self, tags: impl Into<Vec<u64>>) -> Insert {
+        self.tags = tags.into();
+        self
+    }
+
+    /// The payloads, one a row, of at most 64 KiB; empty for none.
+    pub fn payloads<P: Into<Bytes>>(mut self, payloads: impl IntoIterator<Item = P>) -> Insert {
+        self.payloads = payloads.into_iter().map(Into::into).collect();
+        self
+    }
+
+    /// Replaces points that are stored under one of the ids. Without it another point there is `ALREADY_EXISTS`.
+    pub fn replace(mut self) -> Insert {
+        self.replace = true;
+        self
+    }
+
+    /// Leaves out a row that has a point, stored before or by a row before it, at a distance below this.
+    pub fn min_separation(mut self, distance: f64) -> Insert {
+        self.min_separation = distance;
+        self
+    }
+
+    /// Asks for the neighbours that each row had when it was applied. Of any two inserts the later sees the earlier.
+    pub fn neighbors(mut self, query: NeighborQuery) -> Insert {
+        self.neighbors = Some(query);
+        self
+    }
+
+    /// At most 64 bytes: the insert takes effect once, however often it is sent under this id. Without it the client
+    /// makes one up for its own tries. The parts of a divided insert have `ID/0`, `ID/1` and so on.
+    pub fn operation_id(mut self, id: impl Into<String>) -> Insert {
+        self.operation_id = id.into();
+        self
+    }
+
+    async fn send(mut self) -> Result<Inserted, Error> {
+        let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
+        let rows = states.len();
+        check_column("ids", self.ids.len(), rows)?;
+        check_column("tags", self.tags.len(), rows)?;
+        check_column("payloads", self.payloads.len(), rows)?;
+        let parts = limits::divide(rows, self.rows_of_answer(), REQUEST_BYTES, |row| {
+            self.row_bytes(&states, row)
+        });
+        if parts.len() > 1 {
+            limits::check_unique(&self.ids)?;
+        }
+        let mut inserted = Inserted {
+            outcomes: Vec::with_capacity(rows),
+            neighbors: None,
+            revision: 0,
+        };
+        for (number, part) in parts.iter().enumerate() {
+            let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
+            let message = || self.message(&states, part, &operation_id);
+            let answer = self
+                .index
+                .call(CALL, message, |mut stub, request| async move {
+                    stub.insert(request).await
+                })
+                .await
+                .map_err(|error| partial(part, rows, error))?;
+            self.index.told(&answer.uid, answer.revision);
+            self.take(answer, part.len(), &mut inserted)?;
+        }
+        Ok(inserted)
+    }
+
+    /// How many rows' outcomes and neighbours one answer holds.
+    fn rows_of_answer(&self) -> usize {
+        const OUTCOME_ID_AND_COUNT: usize = 16;
+        let Some(NeighborQuery {
+            k: Some(k),
+            include,
+            ..
+        }) = self.neighbors
+        else {
+            return MUTATION_ROWS;
+        };
+        let neighbor = include.neighbor_bytes(self.index.coordinates());
+        let row = neighbor
+            .saturating_mul(k as usize)
+            .saturating_add(OUTCOME_ID_AND_COUNT);
+        limits::rows_of_answer(self.index.client().max_message_bytes(), row, MUTATION_ROWS)
+    }
+
+    fn row_bytes(&self, states: &States, row: usize) -> usize {
+        const ID_AND_TAG: usize = 16;
+        const PAYLOAD_HEAD: usize = 4;
+        let payload = self
+            .payloads
+            .get(row)
+            .map_or(0, |payload| payload.len() + PAYLOAD_HEAD);
+        8 * states.width() + ID_AND_TAG + payload
+    }
+
+    fn message(
+        &self,
+        states: &States,
+        part: &std::ops::Range<usize>,
+        operation_id: &str,
+    ) -> v1::InsertRequest {
+        let on_conflict = match self.replace {
+            true => v1::OnConflict::Replace,
+            false => v1::OnConflict::Unspecified,
+        };
+        v1::InsertRequest {
+            index: self.index.name().to_owned(),
+            states: Some(states.to_message(part.clone())),
+            ids: column(&self.ids, part),
+            tags: column(&self.tags, part),
+            payloads: column(&self.payloads, part),
+            on_conflict: on_conflict.into(),
+            min_separation: self.min_separation,
+            neighbors: self.neighbors.map(|query| v1::NeighborQuery {
+                k: query.k,
+                radius: query.radius,
+                filter: filter_message(query.filter),
+                include: query.include.to_message(),
+            }),
+            operation_id: operation_id.to_owned(),
+            uid: self.index.uid().to_owned(),
+        }
+    }
+
+    /// Puts the answer to a part of `rows` rows behind what the parts before it did.
+    fn take(
+        &self,
+        answer: v1::InsertResponse,
+        rows: usize,
+        inserted: &mut Inserted,
+    ) -> Result<(), Error> {
+        let wrong = |problem: &str| Error::Protocol {
+            call: CALL,
+            problem: problem.to_owned(),
+        };
+        if answer.outcomes.len() != rows || answer.ids.len() != rows {
+            return Err(wrong("not an outcome and an id for each row"));
+        }
+        for (outcome, id) in answer.outcomes().zip(&answer.ids) {
+            let outcome =
+                Outcome::from_message(outcome, *id).ok_or_else(|| wrong("an unknown outcome"))?;
+            inserted.outcomes.push(outcome);
+        }
+        inserted.revision = answer.revision;
+        let Some(query) = self.neighbors else {
+            return Ok(());
+        };
+        let told = Told {
+            call: CALL,
+            rows,
+            include: query.include,
+            exact: true,
+            revision: answer.revision,
+            uid: &answer.uid,
+        };
+        let neighbors = Neighbors::from_message(answer.neighbors, told, self.index.coordinates())?;
+        match &mut inserted.neighbors {
+            Some(before) => before.append(neighbors),
+            none => *none = Some(neighbors),
+        }
+        Ok(())
+    }
+}
+
+const CALL: &str = "insert";
+
+/// The part of an optional column that belongs to these rows.
+fn column<T: Clone>(values: &[T], part: &std::ops::Range<usize>) -> Vec<T> {
+    values.get(part.clone()).unwrap_or_default().to_vec()
+}
+
+fn check_column(field: &'static str, values: usize, rows: usize) -> Result<(), Error> {
+    match values {
+        0 => Ok(()),
+        _ if values == rows => Ok(()),
+        _ => Err(Error::Argument {
+            field,
+            problem: format!("{values} given for {rows} states"),
+        }),
+    }
+}

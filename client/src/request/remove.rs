@@ -1,0 +1,81 @@
+//! Removing points.
+
+use wayfold_proto::v1;
+
+use super::{awaitable, fresh_operation_id, partial};
+use crate::{
+    Error, IndexHandle,
+    limits::{self, MUTATION_ROWS, REQUEST_BYTES},
+};
+
+/// Removes points by id; await it to send it.
+///
+/// Divided among several calls like an [`Insert`](crate::Insert).
+#[derive(Clone, Debug)]
+#[must_use = "a request does nothing until it is awaited"]
+pub struct Remove {
+    index: IndexHandle,
+    ids: Vec<u64>,
+    operation_id: String,
+}
+
+/// What a removal did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Removed {
+    /// How many points were removed.
+    pub removed: u64,
+    /// How many were not stored.
+    pub missing: u64,
+    /// The revision that the removal, or the last of its parts, made or found.
+    pub revision: u64,
+}
+
+awaitable!(Remove => Removed);
+
+impl Remove {
+    pub(crate) fn new(index: IndexHandle, ids: Vec<u64>) -> Remove {
+        Remove {
+            index,
+            ids,
+            operation_id: fresh_operation_id(),
+        }
+    }
+
+    /// As [`Insert::operation_id`](crate::Insert::operation_id).
+    pub fn operation_id(mut self, id: impl Into<String>) -> Remove {
+        self.operation_id = id.into();
+        self
+    }
+
+    async fn send(self) -> Result<Removed, Error> {
+        const ID_BYTES: usize = 8;
+        let rows = self.ids.len();
+        let parts = limits::divide(rows, MUTATION_ROWS, REQUEST_BYTES, |_| ID_BYTES);
+        if parts.len() > 1 {
+            limits::check_unique(&self.ids)?;
+        }
+        let mut removed = Removed::default();
+        for (number, part) in parts.iter().enumerate() {
+            let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
+            let message = || v1::RemoveRequest {
+                index: self.index.name().to_owned(),
+                ids: self.ids[part.clone()].to_vec(),
+                operation_id: operation_id.clone(),
+                uid: self.index.uid().to_owned(),
+            };
+            let answer = self
+                .index
+                .call("remove", message, |mut stub, request| async move {
+                    stub.remove(request).await
+                })
+                .await
+                .map_err(|error| partial(part, rows, error))?;
+            self.index.told(&answer.uid, answer.revision);
+            removed.removed += answer.removed;
+            removed.missing += answer.missing;
+            removed.revision = answer.revision;
+        }
+        Ok(removed)
+    }
+}

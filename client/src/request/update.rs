@@ -1,0 +1,153 @@
+//! Setting tags and payloads of stored points.
+
+use std::ops::Range;
+
+use bytes::Bytes;
+use wayfold_proto::v1;
+
+use super::{awaitable, fresh_operation_id, partial};
+use crate::{
+    Error, IndexHandle,
+    limits::{self, MUTATION_ROWS, REQUEST_BYTES},
+};
+
+/// Sets tags or payloads of stored points, whose states stay; await it to send it.
+///
+/// Divided among several calls like an [`Insert`](crate::Insert).
+#[derive(Clone, Debug)]
+#[must_use = "a request does nothing until it is awaited"]
+pub struct Update {
+    index: IndexHandle,
+    ids: Vec<u64>,
+    tags: Vec<u64>,
+    tag_mask: u64,
+    payloads: Vec<Bytes>,
+    if_revision: Option<u64>,
+    operation_id: String,
+}
+
+/// What an update did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Updated {
+    /// How many points changed.
+    pub updated: u64,
+    /// How many were as asked already.
+    pub unchanged: u64,
+    /// The revision that the update, or the last of its parts, made or found.
+    pub revision: u64,
+}
+
+awaitable!(Update => Updated);
+
+impl Update {
+    pub(crate) fn new(index: IndexHandle, ids: Vec<u64>) -> Update {
+        Update {
+            index,
+            ids,
+            tags: Vec::new(),
+            tag_mask: 0,
+            payloads: Vec::new(),
+            if_revision: None,
+            operation_id: fresh_operation_id(),
+        }
+    }
+
+    /// The new tags: one an id, or one for all.
+    pub fn tags(mut self, tags: impl Into<Vec<u64>>) -> Update {
+        self.tags = tags.into();
+        self
+    }
+
+    /// Sets only these bits of the tags; all of them without it.
+    pub fn tag_mask(mut self, mask: u64) -> Update {
+        self.tag_mask = mask;
+        self
+    }
+
+    /// The new payloads, one an id, of at most 64 KiB.
+    pub fn payloads<P: Into<Bytes>>(mut self, payloads: impl IntoIterator<Item = P>) -> Update {
+        self.payloads = payloads.into_iter().map(Into::into).collect();
+        self
+    }
+
+    /// Compare and set: fails with `FAILED_PRECONDITION`, naming the ids, if one of the points changed after this
+    /// revision.
+    pub fn if_revision(mut self, revision: u64) -> Update {
+        self.if_revision = Some(revision);
+        self
+    }
+
+    /// As [`Insert::operation_id`](crate::Insert::operation_id).
+    pub fn operation_id(mut self, id: impl Into<String>) -> Update {
+        self.operation_id = id.into();
+        self
+    }
+
+    async fn send(self) -> Result<Updated, Error> {
+        let rows = self.ids.len();
+        check_column("tags", self.tags.len(), &[0, 1, rows])?;
+        check_column("payloads", self.payloads.len(), &[0, rows])?;
+        let parts = limits::divide(rows, MUTATION_ROWS, REQUEST_BYTES, |row| {
+            self.row_bytes(row)
+        });
+        if parts.len() > 1 {
+            limits::check_unique(&self.ids)?;
+        }
+        let mut updated = Updated::default();
+        for (number, part) in parts.iter().enumerate() {
+            let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
+            let message = || self.message(part, &operation_id);
+            let answer = self
+                .index
+                .call("update", message, |mut stub, request| async move {
+                    stub.update(request).await
+                })
+                .await
+                .map_err(|error| partial(part, rows, error))?;
+            self.index.told(&answer.uid, answer.revision);
+            updated.updated += answer.updated;
+            updated.unchanged += answer.unchanged;
+            updated.revision = answer.revision;
+        }
+        Ok(updated)
+    }
+
+    fn row_bytes(&self, row: usize) -> usize {
+        const ID_AND_TAG: usize = 16;
+        const PAYLOAD_HEAD: usize = 4;
+        ID_AND_TAG
+            + self
+                .payloads
+                .get(row)
+                .map_or(0, |payload| payload.len() + PAYLOAD_HEAD)
+    }
+
+    fn message(&self, part: &Range<usize>, operation_id: &str) -> v1::UpdateRequest {
+        let tags = match self.tags.len() {
+            0 | 1 => &self.tags,
+            _ => &self.tags[part.clone()],
+        };
+        v1::UpdateRequest {
+            index: self.index.name().to_owned(),
+            ids: self.ids[part.clone()].to_vec(),
+            tags: tags.to_vec(),
+            tag_mask: self.tag_mask,
+            payloads: self.payloads.get(part.clone()).unwrap_or_default().to_vec(),
+            if_revision: self.if_revision,
+            operation_id: operation_id.to_owned(),
+            uid: self.index.uid().to_owned(),
+        }
+    }
+}
+
+fn check_column(field: &'static str, values: usize, allowed: &[usize]) -> Result<(), Error> {
+    if allowed.contains(&values) {
+        return Ok(());
+    }
+    let ids = allowed.last().copied().unwrap_or_default();
+    Err(Error::Argument {
+        field,
+        problem: format!("{values} given for {ids} ids"),
+    })
+}

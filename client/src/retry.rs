@@ -1,0 +1,126 @@
+//! When a call is tried again, and after how long.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+use uuid::Uuid;
+
+use crate::Error;
+
+/// How often, and after which pauses, a call is tried again that failed with `UNAVAILABLE` or lost its connection.
+///
+/// Only calls are tried again that take effect once: reads, and mutations, which carry an operation id. The n-th pause
+/// is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. No try begins after the call's deadline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RetryPolicy {
+    /// At most so many tries, the first included.
+    pub attempts: u32,
+    /// The bound of the first pause.
+    pub first: Duration,
+    /// The bound that no pause exceeds.
+    pub longest: Duration,
+}
+
+impl Default for RetryPolicy {
+    /// Five tries, within two seconds or so.
+    fn default() -> RetryPolicy {
+        RetryPolicy {
+            attempts: 5,
+            first: Duration::from_millis(50),
+            longest: Duration::from_secs(1),
+        }
+    }
+}
+
+impl RetryPolicy {
+    /// No call is tried again.
+    pub fn never() -> RetryPolicy {
+        RetryPolicy {
+            attempts: 1,
+            ..RetryPolicy::default()
+        }
+    }
+
+    /// Calls are tried again until their deadline: for programs that start together with their server.
+    pub fn until_deadline() -> RetryPolicy {
+        RetryPolicy {
+            attempts: u32::MAX,
+            ..RetryPolicy::default()
+        }
+    }
+
+    /// The pause before try number `attempt` + 1, at a point within its range that `chance` in [0, 1] chooses; `None`
+    /// if there is no such try.
+    fn pause(&self, attempt: u32, chance: f64) -> Option<Duration> {
+        if attempt >= self.attempts {
+            return None;
+        }
+        let doublings = attempt.saturating_sub(1).min(31);
+        let bound = self.first.saturating_mul(1 << doublings).min(self.longest);
+        Some(bound.mul_f64(0.5 + 0.5 * chance))
+    }
+
+    /// Makes tries until one succeeds, fails for good, or the next would begin after `deadline`.
+    pub(crate) async fn run<T, F, Fut>(&self, deadline: Instant, mut attempt: F) -> Result<T, Error>
+    where
+        F: FnMut() -> Fut,
+        Fut: Future<Output = Result<T, Error>>,
+    {
+        let mut attempts = 0;
+        loop {
+            let error = match attempt().await {
+                Err(error) if error.is_transient() => error,
+                done => return done,
+            };
+            attempts += 1;
+            let next = self
+                .pause(attempts, chance())
+                .map(|pause| Instant::now() + pause);
+            let Some(next) = next.filter(|next| *next < deadline) else {
+                return Err(error);
+            };
+            tokio::time::sleep_until(next).await;
+        }
+    }
+}
+
+/// A number in [0, 1], of which only matters that two clients draw different ones.
+fn chance() -> f64 {
+    let (high, _) = Uuid::new_v4().as_u64_pair();
+    high as f64 / u64::MAX as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const POLICY: RetryPolicy = RetryPolicy {
+        attempts: 6,
+        first: Duration::from_millis(100),
+        longest: Duration::from_millis(500),
+    };
+
+    #[test]
+    fn pauses_double_up_to_the_longest() {
+        let longest = |attempt| POLICY.pause(attempt, 1.0).map(|pause| pause.as_millis());
+        let bounds: Vec<_> = (1..=6).map(longest).collect();
+        assert_eq!(
+            bounds,
+            [Some(100), Some(200), Some(400), Some(500), Some(500), None]
+        );
+    }
+
+    #[test]
+    fn chance_shortens_a_pause_by_half_at_most() {
+        assert_eq!(POLICY.pause(1, 0.0), Some(Duration::from_millis(50)));
+        assert_eq!(POLICY.pause(1, 0.5), Some(Duration::from_millis(75)));
+        assert!((0..1000).all(|_| (0.0..=1.0).contains(&chance())));
+    }
+
+    #[test]
+    fn endless_tries_do_not_overflow() {
+        let policy = RetryPolicy::until_deadline();
+        assert_eq!(policy.pause(u32::MAX - 1, 1.0), Some(policy.longest));
+        assert_eq!(RetryPolicy::never().pause(1, 1.0), None);
+    }
+}

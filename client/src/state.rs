@@ -1,0 +1,89 @@
+//! Typed states: what can be sent as one row of numbers, and read back from one.
+
+mod geometry;
+
+use wayfold_index::Space;
+
+use crate::layout::{self, Coordinate};
+
+/// One state, as a row of numbers in the order of its space.
+///
+/// Implemented for arrays, vectors and slices of `f64`, and for the types of `nalgebra` that are states: `Isometry2`
+/// (x, y, θ), `Isometry3` (x, y, z, qx, qy, qz, qw), `UnitComplex` (θ), `UnitQuaternion` (qx, qy, qz, qw), `Point` and
+/// vectors.
+///
+/// ```
+/// use wayfold_client::State;
+///
+/// /// A car and its trailer, in R2*SO2*SO2.
+/// struct Rig { position: [f64; 2], heading: f64, hitch: f64 }
+///
+/// impl State for Rig {
+///     fn write(&self, row: &mut Vec<f64>) {
+///         row.extend(self.position);
+///         row.extend([self.heading, self.hitch]);
+///     }
+/// }
+/// ```
+pub trait State {
+    /// Appends the state's numbers.
+    fn write(&self, row: &mut Vec<f64>);
+
+    /// What the numbers are, for a type that knows; compared with the space before anything is sent. `None` for plain
+    /// numbers, of which only the count is checked.
+    fn layout() -> Option<Vec<Coordinate>> {
+        None
+    }
+}
+
+/// A state that can be read back from a row of its space.
+pub trait FromState: Sized {
+    /// The state with these numbers, or `None` if there are not as many as it has.
+    fn from_state(row: &[f64]) -> Option<Self>;
+}
+
+/// The space's coordinates, where those of `S` are known and others.
+pub(crate) fn mismatch<S: State>(space: &Space) -> Option<(Vec<Coordinate>, Vec<Coordinate>)> {
+    let (given, expected) = (S::layout()?, layout::coordinates(space));
+    (given != expected).then_some((given, expected))
+}
+
+impl<S: State + ?Sized> State for &S {
+    fn write(&self, row: &mut Vec<f64>) {
+        (**self).write(row);
+    }
+
+    fn layout() -> Option<Vec<Coordinate>> {
+        S::layout()
+    }
+}
+
+impl State for [f64] {
+    fn write(&self, row: &mut Vec<f64>) {
+        row.extend_from_slice(self);
+    }
+}
+
+impl State for Vec<f64> {
+    fn write(&self, row: &mut Vec<f64>) {
+        row.extend_from_slice(self);
+    }
+}
+
+impl FromState for Vec<f64> {
+    fn from_state(row: &[f64]) -> Option<Self> {
+        Some(row.to_vec())
+    }
+}
+
+impl<const N: usize> State for [f64; N] {
+    fn write(&self, row: &mut Vec<f64>) {
+        row.extend_from_slice(self);
+    }
+}
+
+impl<const N: usize> FromState for [f64; N] {
+    fn from_state(row: &[f64]) -> Option<Self> {
+        row.try_into().ok()
+    }
+}

@@ -1,0 +1,326 @@
+//! What exceeds the bounds of one call is divided, in order, and joined.
+
+use tonic::Status;
+use wayfold_client::{
+    Client, Code, Error, Include, MUTATION_ROWS, NeighborQuery, Outcome, READ_ROWS, Space, States,
+};
+use wayfold_index::{Linear, Points, Search};
+
+use crate::{
+    fake::{Fake, too_large},
+    server::Server,
+};
+
+/// Different numbers without a pattern that an error could hide in.
+fn scattered(rows: usize, width: usize) -> States {
+    let mut states = States::new(width);
+    for row in 0..rows {
+        let number =
+            |column: usize| ((row * width + column) as f64 * 0.754_877_666_246_693).fract();
+        states
+            .push((0..width).map(number).collect::<Vec<_>>())
+            .unwrap();
+    }
+    states
+}
+
+fn rows_of(requests: &[wayfold_proto::v1::KnnRequest]) -> Vec<u32> {
+    requests
+        .iter()
+        .map(|request| request.states.as_ref().unwrap().rows)
+        .collect()
+}
+
+#[tokio::test]
+async fn reads_are_divided_by_rows_and_by_the_bytes_of_their_answers() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    let states = scattered(2 * READ_ROWS + 500, 1);
+    let neighbors = index.knn(&states).await.unwrap();
+    assert_eq!(neighbors.len(), states.len());
+    assert_eq!(rows_of(&fake.knn_requests()), [1000, 1000, 500]);
+    let sent = fake
+        .knn_requests()
+        .into_iter()
+        .flat_map(|request| request.states.unwrap().coordinates);
+    assert_eq!(sent.collect::<Vec<_>>(), states.coordinates());
+    // The fake numbers the rows of each call from 0.
+    assert_eq!(neighbors.row(1000).ids, [0]);
+    assert_eq!(neighbors.row(2499).ids, [499]);
+
+    // 10,000 neighbours of 16 bytes each: 26 states fill 4 MiB.
+    index.knn(&scattered(60, 1)).k(10_000).await.unwrap();
+    assert_eq!(rows_of(&fake.knn_requests()[3..]), [26, 26, 8]);
+    // With a tag and a revision of up to 10 bytes, 34 bytes each: 12.
+    let include = Include {
+        tags: true,
+        revisions: true,
+        ..Include::default()
+    };
+    let broken = index
+        .knn(&scattered(13, 1))
+        .k(10_000)
+        .include(include)
+        .await
+        .unwrap_err();
+    assert!(
+        matches!(broken, Error::Protocol { .. }),
+        "the fake sends no tags"
+    );
+    assert_eq!(rows_of(&fake.knn_requests()[6..]), [12]);
+}
+
+#[tokio::test]
+async fn an_answer_that_is_too_large_is_asked_for_by_halves() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    fake.fail(|_, rows| (rows > 300).then(|| too_large("answer_bytes")));
+    assert_eq!(index.knn(&scattered(1000, 1)).await.unwrap().len(), 1000);
+    assert_eq!(
+        rows_of(&fake.knn_requests()),
+        [1000, 500, 250, 250, 250, 250]
+    );
+
+    // A limit that fewer rows do not keep is told at once, and so is one that a single row exceeds.
+    fake.fail(|_, _| Some(too_large("k")));
+    assert_eq!(
+        index.knn(&scattered(1000, 1)).await.unwrap_err().code(),
+        Code::ResourceExhausted
+    );
+    assert_eq!(fake.calls(), 1);
+    fake.fail(|_, _| Some(too_large("answer_bytes")));
+    assert_eq!(
+        index.knn(&scattered(1000, 1)).await.unwrap_err().code(),
+        Code::ResourceExhausted
+    );
+    assert_eq!(
+        fake.calls(),
+        11,
+        "1000, 500, 250, 125, 63, 32, 16, 8, 4, 2, 1"
+    );
+}
+
+#[tokio::test]
+async fn the_revision_of_each_row_is_kept() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    fake.tell([20, 10, 30]);
+    let neighbors = index.knn(&scattered(2500, 1)).await.unwrap();
+    let seen = [0, 999, 1000, 1999, 2000, 2499].map(|row| neighbors.revision_of(row));
+    assert_eq!(seen, [20, 20, 10, 10, 30, 30]);
+    assert_eq!(
+        neighbors.revision(),
+        10,
+        "the oldest: what was stored up to it is in every row"
+    );
+}
+
+#[tokio::test]
+async fn a_divided_insert_is_atomic_by_part() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    let rows = 2 * MUTATION_ROWS + 5000;
+    let ids: Vec<u64> = (0..rows as u64).rev().collect();
+    let states = scattered(rows, 1);
+    let inserted = index
+        .insert(&states)
+        .ids(ids.clone())
+        .operation_id("big")
+        .await
+        .unwrap();
+    assert_eq!(inserted.outcomes.len(), rows);
+    let requests = fake.insert_requests();
+    let operations: Vec<&str> = requests
+        .iter()
+        .map(|request| request.operation_id.as_str())
+        .collect();
+    assert_eq!(operations, ["big/0", "big/1", "big/2"]);
+    let sent: Vec<u64> = requests
+        .iter()
+        .flat_map(|request| request.ids.clone())
+        .collect();
+    assert_eq!(sent, ids);
+
+    fake.fail(|number, _| {
+        (number == 2).then(|| Status::invalid_argument("states[3].coords[0]: NaN"))
+    });
+    let error = index.insert(&states).await.unwrap_err();
+    assert_eq!(error.code(), Code::InvalidArgument);
+    let told =
+        "rows 0 to 19999 of 25000 took effect; then: states[3].coords[0]: NaN (INVALID_ARGUMENT)";
+    assert_eq!(error.to_string(), told);
+    assert!(matches!(
+        error,
+        Error::Partial {
+            done: 20_000,
+            rows: 25_000,
+            ..
+        }
+    ));
+
+    // What one call would refuse is refused before the first part.
+    let mut twice = ids;
+    twice[rows - 1] = twice[0];
+    let error = index.insert(&states).ids(twice).await.unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        format!("ids: {} is given twice", rows - 1)
+    );
+    assert_eq!(fake.calls(), 3);
+    let long = index
+        .insert(&states)
+        .operation_id("x".repeat(63))
+        .await
+        .unwrap_err();
+    assert!(
+        matches!(
+            long,
+            Error::Argument {
+                field: "operation_id",
+                ..
+            }
+        ),
+        "{long}"
+    );
+}
+
+#[tokio::test]
+async fn payloads_divide_an_insert_too() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    let payloads = vec![vec![0_u8; 64 * 1024]; 100];
+    index
+        .insert(&scattered(100, 1))
+        .payloads(payloads)
+        .await
+        .unwrap();
+    let rows: Vec<usize> = fake
+        .insert_requests()
+        .iter()
+        .map(|request| request.payloads.len())
+        .collect();
+    // 62 of 64 KiB are as many as 4 MiB less 64 KiB hold.
+    assert_eq!(rows, [62, 38]);
+
+    let query = NeighborQuery {
+        k: Some(1000),
+        ..NeighborQuery::default()
+    };
+    index
+        .insert(&scattered(300, 1))
+        .neighbors(query)
+        .await
+        .unwrap();
+    let rows: Vec<u32> = fake.insert_requests()[2..]
+        .iter()
+        .map(|one| one.states.as_ref().unwrap().rows)
+        .collect();
+    // 261 rows of 1000 neighbours of 16 bytes.
+    assert_eq!(rows, [261, 39]);
+}
+
+#[tokio::test]
+async fn columns_have_a_value_for_each_row() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    let error = index.insert([[0.0], [1.0]]).tags([1]).await.unwrap_err();
+    assert_eq!(error.to_string(), "tags: 1 given for 2 states");
+    let error = index.update([1, 2, 3]).tags([1, 2]).await.unwrap_err();
+    assert_eq!(error.to_string(), "tags: 2 given for 3 ids");
+    index
+        .remove((0..25_000).collect::<Vec<u64>>())
+        .await
+        .unwrap();
+    let removed: Vec<usize> = fake
+        .remove_requests()
+        .iter()
+        .map(|request| request.ids.len())
+        .collect();
+    assert_eq!(removed, [10_000, 10_000, 5_000]);
+}
+
+/// Against the real server, with limits that a few rows exceed, the answers are those of brute force.
+#[tokio::test]
+async fn what_was_divided_and_joined_equals_brute_force() {
+    let server = Server::with(|config| {
+        config.limits.rows_per_call = 2_000;
+        config.limits.ids_per_call = 300;
+        config.limits.answer_bytes = 40_000;
+    });
+    let index = server.index("se2", "R2*SO2").await;
+    let space: Space = "R2*SO2".parse().unwrap();
+    let stored = scattered(2000, 3);
+    let include = Include {
+        states: true,
+        tags: true,
+        ..Include::default()
+    };
+    let tags: Vec<u64> = (0..2000).map(|id| id * 3).collect();
+    index.insert(&stored).tags(tags).await.unwrap();
+
+    let mut oracle = Linear::new(space.clone());
+    let mut points = Points::new(3);
+    for (id, row) in stored.iter().enumerate() {
+        let mut row = row.to_vec();
+        space.canonicalize(&mut row).unwrap();
+        points.push(id as u64, id as u64 * 3, 1, &row);
+    }
+    for point in points.iter() {
+        oracle.insert(point);
+    }
+
+    let asked = scattered(1500, 3);
+    let nearest = index.knn(&asked).k(20).include(include).await.unwrap();
+    let around = index.query(&asked, 0.05).include(include).await.unwrap();
+    assert_eq!((nearest.len(), around.len()), (1500, 1500));
+    for (i, state) in asked.iter().enumerate() {
+        let mut state = state.to_vec();
+        space.canonicalize(&mut state).unwrap();
+        for (row, search) in [
+            (nearest.row(i), Search::nearest_k(20)),
+            (around.row(i), Search::nearest_r(0.05)),
+        ] {
+            let expected = oracle.search(&state, &search).neighbors;
+            let expected: Vec<_> = expected
+                .iter()
+                .map(|near| (near.id, near.distance))
+                .collect();
+            assert_eq!(row.iter().collect::<Vec<_>>(), expected);
+            for (place, id) in row.ids.iter().enumerate() {
+                assert_eq!(row.state(place).unwrap(), points.row(*id as usize));
+                assert_eq!(row.tags.unwrap()[place], id * 3);
+            }
+        }
+    }
+    assert!(nearest.exact());
+
+    let ids: Vec<u64> = (0..2000).rev().collect();
+    let read = index.get(ids.clone()).await.unwrap();
+    assert_eq!(read.ids(), ids);
+    assert!(
+        read.iter()
+            .all(|point| point.state == points.row(point.id as usize))
+    );
+}
+
+/// A client that takes less in one answer than the server sends asks for less.
+#[tokio::test]
+async fn a_client_that_takes_little_asks_for_little() {
+    let server = Server::start();
+    let index = server.index("line", "R1").await;
+    let inserted = index.insert(&scattered(3000, 1)).await.unwrap();
+    assert_eq!(inserted.outcomes[2999], Outcome::Inserted { id: 2999 });
+    let client = Client::builder()
+        .max_message_bytes(20_000)
+        .connect(&server.uri)
+        .await
+        .unwrap();
+    let small = client.index("line").await.unwrap();
+    let asked = scattered(50, 1);
+    // All points of a radius: how many there are cannot be known before.
+    let all = small.query(&asked, 0.1).await.unwrap();
+    assert!(all == index.query(&asked, 0.1).await.unwrap());
+    assert!(all.rows().all(|row| row.len() > 200));
+    let error = small.query(&asked, f64::INFINITY).await.unwrap_err();
+    assert_eq!(error.code(), Code::OutOfRange, "{error}");
+}

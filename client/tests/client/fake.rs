@@ -1,0 +1,325 @@
+//! A server that answers every call alike, remembers what it was asked, and fails as it is told.
+
+use std::{
+    collections::VecDeque,
+    pin::Pin,
+    sync::{Arc, Mutex},
+};
+
+use futures_util::{Stream, stream};
+use tokio::net::TcpListener;
+use tokio_stream::wrappers::TcpListenerStream;
+use tonic::{Request, Response, Status, Streaming, async_trait};
+use tonic_types::{ErrorDetails, StatusExt};
+use wayfold_client::{Client, Space};
+use wayfold_proto::{
+    space,
+    v1::{
+        self,
+        index_service_server::{IndexService, IndexServiceServer},
+        point_service_server::{PointService, PointServiceServer},
+    },
+};
+
+pub(crate) const UID: &str = "the-uid";
+
+/// Decides by its number, from 0, and its rows whether a call fails.
+type Script = Box<dyn Fn(usize, usize) -> Option<Status> + Send>;
+
+#[derive(Default)]
+struct Inner {
+    script: Option<Script>,
+    calls: usize,
+    knn: Vec<v1::KnnRequest>,
+    insert: Vec<v1::InsertRequest>,
+    remove: Vec<v1::RemoveRequest>,
+    timeouts: Vec<Option<String>>,
+    /// The revisions that the next answers tell of; the last of them also those after.
+    revisions: VecDeque<u64>,
+    /// Whether calls wait for ever.
+    silent: bool,
+}
+
+#[derive(Clone)]
+pub(crate) struct Fake {
+    pub(crate) uri: String,
+    inner: Arc<Mutex<Inner>>,
+}
+
+impl Fake {
+    pub(crate) async fn start() -> Fake {
+        Fake::serve(TcpListener::bind("127.0.0.1:0").await.unwrap())
+    }
+
+    pub(crate) fn serve(listener: TcpListener) -> Fake {
+        let fake = Fake {
+            uri: format!("http://{}", listener.local_addr().unwrap()),
+            inner: Arc::default(),
+        };
+        let points = PointServiceServer::new(fake.clone()).max_decoding_message_size(usize::MAX);
+        let serving = tonic::transport::Server::builder()
+            .add_service(IndexServiceServer::new(fake.clone()))
+            .add_service(points)
+            .serve_with_incoming(TcpListenerStream::new(listener));
+        tokio::spawn(serving);
+        fake
+    }
+
+    pub(crate) async fn client(&self) -> Client {
+        Client::connect(&self.uri).await.unwrap()
+    }
+
+    /// Lets the next `calls` calls, counted from now, find the server starting.
+    pub(crate) fn unavailable(&self, calls: usize) {
+        self.fail(move |number, _| {
+            (number < calls).then(|| Status::unavailable("the server is starting"))
+        });
+    }
+
+    /// Lets calls, counted from now, fail as `script` says.
+    pub(crate) fn fail(&self, script: impl Fn(usize, usize) -> Option<Status> + Send + 'static) {
+        let mut inner = self.inner.lock().unwrap();
+        inner.script = Some(Box::new(script));
+        inner.calls = 0;
+    }
+
+    /// Lets the next answers tell of these revisions, and all later ones of the last.
+    pub(crate) fn tell<const N: usize>(&self, revisions: [u64; N]) {
+        self.inner.lock().unwrap().revisions = revisions.into();
+    }
+
+    pub(crate) fn fall_silent(&self) {
+        self.inner.lock().unwrap().silent = true;
+    }
+
+    /// How many calls came since failures were last set.
+    pub(crate) fn calls(&self) -> usize {
+        self.inner.lock().unwrap().calls
+    }
+
+    pub(crate) fn knn_requests(&self) -> Vec<v1::KnnRequest> {
+        self.inner.lock().unwrap().knn.clone()
+    }
+
+    pub(crate) fn insert_requests(&self) -> Vec<v1::InsertRequest> {
+        self.inner.lock().unwrap().insert.clone()
+    }
+
+    pub(crate) fn remove_requests(&self) -> Vec<v1::RemoveRequest> {
+        self.inner.lock().unwrap().remove.clone()
+    }
+
+    /// The `grpc-timeout` of each call.
+    pub(crate) fn timeouts(&self) -> Vec<Option<String>> {
+        self.inner.lock().unwrap().timeouts.clone()
+    }
+
+    /// Counts a call, and lets it fail if it should.
+    async fn enter<Q>(&self, request: &Request<Q>, rows: usize) -> Result<u64, Status> {
+        let silent = {
+            let mut inner = self.inner.lock().unwrap();
+            let timeout = request.metadata().get("grpc-timeout");
+            inner
+                .timeouts
+                .push(timeout.map(|value| value.to_str().unwrap().to_owned()));
+            inner.calls += 1;
+            if let Some(failure) = inner
+                .script
+                .as_ref()
+                .and_then(|script| script(inner.calls - 1, rows))
+            {
+                return Err(failure);
+            }
+            inner.silent
+        };
+        if silent {
+            std::future::pending::<()>().await;
+        }
+        let revisions = &mut self.inner.lock().unwrap().revisions;
+        let next = revisions.front().copied().unwrap_or_default();
+        if revisions.len() > 1 {
+            revisions.pop_front();
+        }
+        Ok(next)
+    }
+}
+
+/// The refusal of an answer that is too large, with the details of a real one.
+pub(crate) fn too_large(limit: &str) -> Status {
+    let metadata = [("limit".to_owned(), limit.to_owned())];
+    let details = ErrorDetails::with_error_info("LIMIT_EXCEEDED", "wayfold", metadata);
+    Status::with_error_details(tonic::Code::ResourceExhausted, "too large", details)
+}
+
+fn rows(states: &Option<v1::States>) -> usize {
+    states.as_ref().map_or(0, |states| states.rows as usize)
+}
+
+/// Its own index as the one neighbour of each state.
+fn numbered(rows: usize) -> Option<v1::Neighbors> {
+    Some(v1::Neighbors {
+        counts: vec![1; rows],
+        ids: (0..rows as u64).collect(),
+        distances: vec![0.5; rows],
+        ..Default::default()
+    })
+}
+
+#[async_trait]
+impl IndexService for Fake {
+    async fn create_index(
+        &self,
+        request: Request<v1::CreateIndexRequest>,
+    ) -> Result<Response<v1::CreateIndexResponse>, Status> {
+        self.enter(&request, 0).await?;
+        Err(Status::unimplemented("create_index"))
+    }
+
+    async fn get_index(
+        &self,
+        request: Request<v1::GetIndexRequest>,
+    ) -> Result<Response<v1::GetIndexResponse>, Status> {
+        let revision = self.enter(&request, 0).await?;
+        let index = v1::Index {
+            name: request.into_inner().name,
+            space: Some(space::to_message(&"R1".parse::<Space>().unwrap())),
+            uid: UID.to_owned(),
+            revision,
+            ..Default::default()
+        };
+        Ok(Response::new(v1::GetIndexResponse { index: Some(index) }))
+    }
+
+    async fn list_indexes(
+        &self,
+        request: Request<v1::ListIndexesRequest>,
+    ) -> Result<Response<v1::ListIndexesResponse>, Status> {
+        self.enter(&request, 0).await?;
+        Ok(Response::new(v1::ListIndexesResponse::default()))
+    }
+
+    async fn delete_index(
+        &self,
+        request: Request<v1::DeleteIndexRequest>,
+    ) -> Result<Response<v1::DeleteIndexResponse>, Status> {
+        self.enter(&request, 0).await?;
+        Err(Status::unimplemented("delete_index"))
+    }
+}
+
+#[async_trait]
+impl PointService for Fake {
+    async fn insert(
+        &self,
+        request: Request<v1::InsertRequest>,
+    ) -> Result<Response<v1::InsertResponse>, Status> {
+        let rows = rows(&request.get_ref().states);
+        self.inner
+            .lock()
+            .unwrap()
+            .insert
+            .push(request.get_ref().clone());
+        let revision = self.enter(&request, rows).await?;
+        Ok(Response::new(v1::InsertResponse {
+            outcomes: vec![v1::Outcome::Inserted.into(); rows],
+            ids: (0..rows as u64).collect(),
+            neighbors: request.into_inner().neighbors.and_then(|_| numbered(rows)),
+            revision,
+            uid: UID.to_owned(),
+        }))
+    }
+
+    async fn update(
+        &self,
+        request: Request<v1::UpdateRequest>,
+    ) -> Result<Response<v1::UpdateResponse>, Status> {
+        let revision = self.enter(&request, request.get_ref().ids.len()).await?;
+        Ok(Response::new(v1::UpdateResponse {
+            updated: request.into_inner().ids.len() as u64,
+            revision,
+            uid: UID.to_owned(),
+            ..Default::default()
+        }))
+    }
+
+    async fn remove(
+        &self,
+        request: Request<v1::RemoveRequest>,
+    ) -> Result<Response<v1::RemoveResponse>, Status> {
+        self.inner
+            .lock()
+            .unwrap()
+            .remove
+            .push(request.get_ref().clone());
+        let revision = self.enter(&request, request.get_ref().ids.len()).await?;
+        Ok(Response::new(v1::RemoveResponse {
+            removed: request.into_inner().ids.len() as u64,
+            revision,
+            uid: UID.to_owned(),
+            ..Default::default()
+        }))
+    }
+
+    async fn get(
+        &self,
+        request: Request<v1::GetRequest>,
+    ) -> Result<Response<v1::GetResponse>, Status> {
+        self.enter(&request, request.get_ref().ids.len()).await?;
+        Err(Status::unimplemented("get"))
+    }
+
+    async fn knn(
+        &self,
+        request: Request<v1::KnnRequest>,
+    ) -> Result<Response<v1::KnnResponse>, Status> {
+        let rows = rows(&request.get_ref().states);
+        self.inner
+            .lock()
+            .unwrap()
+            .knn
+            .push(request.get_ref().clone());
+        let revision = self.enter(&request, rows).await?;
+        Ok(Response::new(v1::KnnResponse {
+            neighbors: numbered(rows),
+            exact: true,
+            revision,
+            uid: UID.to_owned(),
+        }))
+    }
+
+    async fn query(
+        &self,
+        request: Request<v1::QueryRequest>,
+    ) -> Result<Response<v1::QueryResponse>, Status> {
+        let rows = rows(&request.get_ref().states);
+        let revision = self.enter(&request, rows).await?;
+        Ok(Response::new(v1::QueryResponse {
+            // Not as many counts as states: against the protocol.
+            neighbors: numbered(rows + 1),
+            exact: true,
+            revision,
+            uid: UID.to_owned(),
+        }))
+    }
+
+    type StreamKnnStream =
+        Pin<Box<dyn Stream<Item = Result<v1::StreamKnnResponse, Status>> + Send>>;
+
+    async fn stream_knn(
+        &self,
+        request: Request<Streaming<v1::StreamKnnRequest>>,
+    ) -> Result<Response<Self::StreamKnnStream>, Status> {
+        self.enter(&request, 0).await?;
+        Ok(Response::new(Box::pin(stream::empty())))
+    }
+
+    type ScanStream = Pin<Box<dyn Stream<Item = Result<v1::ScanResponse, Status>> + Send>>;
+
+    async fn scan(
+        &self,
+        request: Request<v1::ScanRequest>,
+    ) -> Result<Response<Self::ScanStream>, Status> {
+        self.enter(&request, 0).await?;
+        Ok(Response::new(Box::pin(stream::empty())))
+    }
+}

@@ -1,0 +1,16 @@
+//! The client against a real server in this process, and against a fake one that fails as it is told.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod cli_errors;
+mod cli_files;
+mod cli_verbs;
+mod dividing;
+mod fake;
+mod process;
+mod requests;
+mod retrying;
+mod revisions;
+mod server;
+mod streaming;
+mod typed_states;

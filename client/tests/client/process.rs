@@ -1,0 +1,97 @@
+//! The command line as a process.
+
+use std::{
+    io::Write,
+    process::{Child, Command, Stdio},
+};
+
+use serde_json::Value;
+
+use crate::server::Server;
+
+/// A run that ended.
+#[derive(Debug)]
+pub(crate) struct Run {
+    pub(crate) status: Option<i32>,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+impl Run {
+    /// What was printed, a value a line.
+    pub(crate) fn lines(&self) -> Vec<Value> {
+        assert_eq!(self.status, Some(0), "{}", self.stderr);
+        let lines = self.stdout.lines();
+        lines
+            .map(|line| serde_json::from_str(line).expect(line))
+            .collect()
+    }
+
+    /// The one value that was printed.
+    pub(crate) fn line(&self) -> Value {
+        let mut lines = self.lines();
+        assert_eq!(lines.len(), 1, "{}", self.stdout);
+        lines.remove(0)
+    }
+
+    /// The error that was told, where nothing was printed.
+    pub(crate) fn error(&self, status: i32) -> &str {
+        assert_eq!(self.status, Some(status), "{}{}", self.stdout, self.stderr);
+        assert_eq!(self.stdout, "");
+        &self.stderr
+    }
+}
+
+pub(crate) fn command(server: &str, args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wayfold"));
+    command.args(args).env("WAYFOLD_SERVER", server);
+    command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+fn ended(mut child: Child, input: &str) -> Run {
+    let mut stdin = child.stdin.take().unwrap();
+    let input = input.to_owned();
+    // On a thread of its own, as the process may print before it has read all.
+    let writer = std::thread::spawn(move || {
+        // A process that fails early reads no further.
+        let _ = stdin.write_all(input.as_bytes());
+    });
+    let output = child.wait_with_output().unwrap();
+    writer.join().unwrap();
+    Run {
+        status: output.status.code(),
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+impl Server {
+    /// `wayfold ARGS`.
+    pub(crate) fn run(&self, args: &[&str]) -> Run {
+        self.run_with(args, "")
+    }
+
+    /// `wayfold ARGS --output json`.
+    pub(crate) fn json(&self, args: &[&str]) -> Run {
+        self.json_with(args, "")
+    }
+
+    /// `wayfold ARGS` with something on standard input.
+    pub(crate) fn run_with(&self, args: &[&str], input: &str) -> Run {
+        ended(command(&self.uri, args).spawn().unwrap(), input)
+    }
+
+    /// `wayfold ARGS --output json` with something on standard input.
+    pub(crate) fn json_with(&self, args: &[&str], input: &str) -> Run {
+        self.run_with(&[args, &["--output", "json"]].concat(), input)
+    }
+}
+
+/// `wayfold ARGS` where no server is.
+pub(crate) fn run_alone(args: &[&str]) -> Run {
+    ended(command("http://127.0.0.1:0", args).spawn().unwrap(), "")
+}

@@ -1,0 +1,212 @@
+//! What is tried again, and what is not.
+
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tonic::Status;
+use wayfold_client::{Client, Code, Error, RetryPolicy};
+
+use crate::fake::Fake;
+
+/// As many tries as the default, but quick.
+fn quick(attempts: u32) -> RetryPolicy {
+    RetryPolicy {
+        attempts,
+        first: Duration::from_micros(10),
+        longest: Duration::from_micros(10),
+    }
+}
+
+async fn connect(fake: &Fake, policy: RetryPolicy) -> Client {
+    Client::builder()
+        .retry(policy)
+        .connect(&fake.uri)
+        .await
+        .unwrap()
+}
+
+#[tokio::test]
+async fn a_server_that_is_starting_is_asked_again() {
+    let fake = Fake::start().await;
+    let index = connect(&fake, quick(5)).await.index("line").await.unwrap();
+    fake.unavailable(2);
+    let neighbors = index.knn([[0.0]]).await.unwrap();
+    assert_eq!(neighbors.row(0).ids, [0]);
+    assert_eq!(fake.calls(), 3);
+}
+
+#[tokio::test]
+async fn tries_are_counted() {
+    let fake = Fake::start().await;
+    let index = connect(&fake, quick(4)).await.index("line").await.unwrap();
+    fake.unavailable(usize::MAX);
+    let error = index.knn([[0.0]]).await.unwrap_err();
+    assert!(
+        matches!(&error, Error::Refused(refusal) if refusal.code == Code::Unavailable),
+        "{error}"
+    );
+    assert_eq!(fake.calls(), 4);
+}
+
+#[tokio::test]
+async fn no_try_begins_after_the_deadline() {
+    let fake = Fake::start().await;
+    let never_in_time = RetryPolicy {
+        attempts: 5,
+        first: Duration::from_secs(3600),
+        longest: Duration::from_secs(3600),
+    };
+    let index = connect(&fake, never_in_time)
+        .await
+        .index("line")
+        .await
+        .unwrap();
+    fake.unavailable(usize::MAX);
+    assert_eq!(
+        index.knn([[0.0]]).await.unwrap_err().code(),
+        Code::Unavailable
+    );
+    assert_eq!(fake.calls(), 1);
+}
+
+#[tokio::test]
+async fn other_refusals_are_not_asked_again() {
+    let fake = Fake::start().await;
+    let index = connect(&fake, quick(5)).await.index("line").await.unwrap();
+    for code in [
+        Code::InvalidArgument,
+        Code::ResourceExhausted,
+        Code::Internal,
+        Code::Unknown,
+        Code::DeadlineExceeded,
+    ] {
+        fake.fail(move |_, _| Some(Status::new(code, "no")));
+        assert_eq!(index.knn([[0.0]]).await.unwrap_err().code(), code);
+        assert_eq!(fake.calls(), 1, "{code:?}");
+    }
+}
+
+#[tokio::test]
+async fn every_try_of_a_mutation_has_the_same_operation_id_and_every_mutation_its_own() {
+    let fake = Fake::start().await;
+    let index = connect(&fake, quick(5)).await.index("line").await.unwrap();
+    fake.unavailable(1);
+    index.insert([[0.0]]).await.unwrap();
+    index.insert([[0.0]]).await.unwrap();
+    let ids: Vec<String> = fake
+        .insert_requests()
+        .into_iter()
+        .map(|request| request.operation_id)
+        .collect();
+    assert_eq!(ids.len(), 3);
+    assert_eq!(ids[0], ids[1]);
+    assert_ne!(ids[1], ids[2]);
+    assert!(ids.iter().all(|id| !id.is_empty() && id.len() <= 64));
+
+    index.insert([[0.0]]).operation_id("mine").await.unwrap();
+    assert_eq!(fake.insert_requests()[3].operation_id, "mine");
+}
+
+#[tokio::test]
+async fn each_call_tells_the_server_its_deadline() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    index
+        .with_timeout(Duration::from_secs(2))
+        .knn([[0.0]])
+        .await
+        .unwrap();
+    for timeout in fake.timeouts() {
+        let timeout = timeout.expect("a grpc-timeout");
+        assert!(
+            timeout.ends_with(|unit: char| "numSMH".contains(unit)),
+            "{timeout}"
+        );
+    }
+    // A stream has none, as that would bound the whole of it.
+    let failed = index.scan().await.unwrap_err();
+    assert!(
+        matches!(failed, Error::Protocol { call: "scan", .. }),
+        "{failed}"
+    );
+    assert_eq!(fake.timeouts().last().unwrap(), &None);
+}
+
+#[tokio::test]
+async fn silence_is_a_timeout() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    fake.fall_silent();
+    let error = index
+        .with_timeout(Duration::from_millis(20))
+        .knn([[0.0]])
+        .await
+        .unwrap_err();
+    assert_eq!(error.code(), Code::DeadlineExceeded);
+    assert_eq!(error.to_string(), "knn: no answer within 20ms");
+    let error = index
+        .with_timeout(Duration::from_millis(20))
+        .scan()
+        .await
+        .unwrap_err();
+    assert!(
+        matches!(error, Error::Timeout { call: "scan", .. }),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn a_connection_that_breaks_is_made_anew() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let uri = format!("http://{}", listener.local_addr().unwrap());
+    let broken = tokio::spawn(async move {
+        // The first connection is taken, and dropped when something was asked.
+        let (socket, _) = listener.accept().await.unwrap();
+        socket.readable().await.unwrap();
+        drop(socket);
+        Fake::serve(listener)
+    });
+    let client = Client::builder()
+        .retry(quick(100))
+        .connect(&uri)
+        .await
+        .unwrap();
+    let index = client.index("line").await.unwrap();
+    assert_eq!(index.name(), "line");
+    let fake = broken.await.unwrap();
+    assert_eq!(fake.calls(), 1);
+}
+
+#[tokio::test]
+async fn where_no_server_is_the_address_is_named() {
+    let error = Client::builder()
+        .retry(quick(3))
+        .connect("127.0.0.1:0")
+        .await
+        .unwrap_err();
+    assert_eq!(error.code(), Code::Unavailable);
+    let told = error.to_string();
+    assert!(
+        told.starts_with("connect: no connection to http://127.0.0.1:0: Connection refused"),
+        "{told}"
+    );
+    for wrong in ["", "http://", "ftp://127.0.0.1:0", "http://a b"] {
+        let error = Client::connect(wrong).await.unwrap_err();
+        assert!(
+            matches!(&error, Error::Address { uri, .. } if uri == wrong),
+            "{error}"
+        );
+    }
+}
+
+#[tokio::test]
+async fn an_answer_against_the_protocol_is_an_error() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    let error = index.query([[0.0]], 1.0).await.unwrap_err();
+    assert!(
+        matches!(error, Error::Protocol { call: "query", .. }),
+        "{error}"
+    );
+    assert_eq!(error.code(), Code::Internal);
+}

@@ -1,0 +1,86 @@
+//! Read-your-writes: what a handle was told, its reads ask for.
+
+use std::time::Duration;
+
+use wayfold_client::{Client, Code};
+
+use crate::{
+    fake::{Fake, UID},
+    server::Server,
+};
+
+#[tokio::test]
+async fn reads_ask_for_the_last_revision_that_was_told() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    let clone = index.clone();
+    index.knn([[0.0]]).await.unwrap();
+    fake.tell([7]);
+    index.insert([[0.0]]).await.unwrap();
+    // An answer of an older revision is not forgotten the newer one for.
+    fake.tell([5]);
+    clone.knn([[0.0]]).await.unwrap();
+    clone.remove([1]).await.unwrap();
+    clone.knn([[0.0]]).await.unwrap();
+    index.see_revision(9);
+    clone.knn([[0.0]]).await.unwrap();
+    let asked = fake
+        .knn_requests()
+        .into_iter()
+        .map(|request| request.at.unwrap());
+    let asked: Vec<(String, u64)> = asked.map(|at| (at.uid, at.min_revision)).collect();
+    assert_eq!(
+        asked,
+        [0, 7, 7, 9].map(|revision| (UID.to_owned(), revision))
+    );
+    assert_eq!(index.revision(), 9);
+}
+
+#[tokio::test]
+async fn a_read_of_a_revision_that_does_not_come_runs_into_its_deadline() {
+    let server = Server::start();
+    let index = server.index("line", "R1").await;
+    let inserted = index.insert([[0.0]]).await.unwrap();
+    assert_eq!(index.revision(), inserted.revision);
+    index.see_revision(inserted.revision + 1);
+    let error = index
+        .with_timeout(Duration::from_millis(50))
+        .knn([[0.0]])
+        .await
+        .unwrap_err();
+    assert_eq!(error.code(), Code::DeadlineExceeded, "{error}");
+
+    // Another worker writes the revision: a read that waits for it has it.
+    let other = Client::connect(&server.uri)
+        .await
+        .unwrap()
+        .index("line")
+        .await
+        .unwrap();
+    let (neighbors, inserted) = tokio::join!(
+        index.knn([[5.0]]).into_future(),
+        other.insert([[5.0]]).into_future()
+    );
+    assert_eq!(neighbors.unwrap().row(0).ids, [1]);
+    assert_eq!(inserted.unwrap().revision, 2);
+}
+
+#[tokio::test]
+async fn a_handle_is_of_one_uid() {
+    let server = Server::start();
+    let client = server.client().await;
+    let space = "R1".parse().unwrap();
+    let old = client.create_index("line", &space).await.unwrap();
+    old.insert([[0.0]]).await.unwrap();
+    assert_eq!(client.delete_index("line").await.unwrap(), old.uid());
+    let new = client.create_index("line", &space).await.unwrap();
+    assert_ne!(old.uid(), new.uid());
+    let insert = old.insert([[1.0]]).await.unwrap_err();
+    let read = old.knn([[1.0]]).await.unwrap_err();
+    assert_eq!(
+        (insert.code(), insert.reason()),
+        (Code::FailedPrecondition, Some("UID_MISMATCH"))
+    );
+    assert_eq!(read.code(), Code::FailedPrecondition);
+    assert_eq!(new.info().await.unwrap().revision, 0);
+}
