@@ -1,1 +1,20 @@
-//! The Wayfold server.
+//! The Wayfold server: shared nearest-neighbour indices for motion planners.
+//!
+//! Direction of dependencies: `log ← registry ← service ← grpc ← run ← cli`. The [`service`] knows no transport; the
+//! gRPC face translates and holds no policy; the mutation [`log`] is the only truth about an index's past.
+
+pub mod config;
+pub mod log;
+pub mod registry;
+pub mod service;
+
+mod cli;
+mod grpc;
+mod lifecycle;
+mod observe;
+mod run;
+
+pub use cli::main;
+pub use grpc::GrpcError;
+pub use observe::{LogFormat, LoggingError};
+pub use run::{ServerError, run};

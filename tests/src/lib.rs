@@ -1,1 +1,23 @@
-//! The end-to-end harness.
+//! The harness of the end-to-end suites (`tests/e2e`, one behaviour a file).
+//!
+//! Everything here speaks to a real server process over the generated stubs, and knows what to expect from brute force.
+
+mod content;
+pub mod ledger;
+mod model;
+mod process;
+mod refusal;
+mod states;
+mod stubs;
+
+pub use content::{Content, StoredPoint};
+pub use model::Model;
+pub use process::{Finished, Process, ServerProcess, Signal};
+pub use refusal::Refusal;
+pub use states::States;
+pub use stubs::{Stubs, bits, neighbor_rows, row_states};
+
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+struct Readme;

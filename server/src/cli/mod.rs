@@ -1,0 +1,103 @@
+//! The command line of `wayfold-server`: settings, logging, runtime, serve, drain, exit status.
+
+mod flags;
+mod signals;
+mod welcome;
+
+use std::{
+    error::Error,
+    io::{self, Write},
+    process::ExitCode,
+};
+
+use clap::Parser;
+use tokio::{net::TcpListener, runtime};
+use tracing::warn;
+
+use crate::{
+    config::{Config, DEFAULTS},
+    observe,
+    run::{self, ServerError},
+};
+use flags::Flags;
+
+/// The command line or the settings are wrong.
+const USAGE: u8 = 2;
+/// The server could not start, or calls were cut when it stopped.
+const FAILURE: u8 = 1;
+
+/// Runs the server as its command line says, until it has stopped.
+pub fn main() -> ExitCode {
+    let flags = Flags::parse();
+    if flags.print_config {
+        // Whoever closed standard output has read enough.
+        let _ = io::stdout().write_all(DEFAULTS.as_bytes());
+        return ExitCode::SUCCESS;
+    }
+    let settings = flags.settings().map_err(Box::<dyn Error>::from);
+    let config = match settings.and_then(|config| {
+        observe::start(&config.log.filter, config.log.format)?;
+        Ok(config)
+    }) {
+        Ok(config) => config,
+        Err(error) => return fail(&*error, USAGE),
+    };
+    match serve(config) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => fail(&*error, FAILURE),
+    }
+}
+
+fn fail(error: &dyn Error, status: u8) -> ExitCode {
+    // With standard error gone there is nobody left to tell.
+    let _ = writeln!(io::stderr(), "wayfold-server: {error}");
+    ExitCode::from(status)
+}
+
+fn serve(config: Config) -> Result<(), Box<dyn Error>> {
+    let mut threads = runtime::Builder::new_multi_thread();
+    if config.runtime.workers > 0 {
+        threads.worker_threads(config.runtime.workers);
+    }
+    let runtime = threads.enable_all().build()?;
+    let ended = runtime.block_on(listen_and_serve(config));
+    // What still runs belongs to calls that were cut.
+    runtime.shutdown_background();
+    ended
+}
+
+async fn listen_and_serve(config: Config) -> Result<(), Box<dyn Error>> {
+    if !config.data.dir.is_empty() {
+        warn!(
+            dir = config.data.dir,
+            "data.dir is not used yet: nothing is stored, every index lives in memory and is gone when the server stops"
+        );
+    }
+    // Before the listener, so that a signal that comes early finds somebody.
+    let shutdown = signals::first()?;
+    let listen = config.grpc.listen.clone();
+    let listener = TcpListener::bind(&listen)
+        .await
+        .map_err(|error| cannot_listen(&listen, &error))?;
+    run::serve(config, listener, shutdown, welcome::print)
+        .await
+        .map_err(|error: ServerError| error.into())
+}
+
+fn cannot_listen(listen: &str, error: &io::Error) -> String {
+    let advice = match error.kind() {
+        io::ErrorKind::AddrInUse => {
+            "another program listens there, perhaps another wayfold-server: stop it, or choose another port; \
+             --grpc 127.0.0.1:0 takes any free one"
+        }
+        io::ErrorKind::PermissionDenied => {
+            "ports below 1024 are usually reserved: choose a higher one with --grpc"
+        }
+        io::ErrorKind::AddrNotAvailable => {
+            "this machine does not have that address: 127.0.0.1 is for this machine only, 0.0.0.0 for every network \
+             it is on"
+        }
+        _ => "an address is HOST:PORT, such as 127.0.0.1:50051: give one with --grpc",
+    };
+    format!("cannot listen on {listen}: {error}\n  {advice}")
+}

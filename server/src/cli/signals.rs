@@ -1,0 +1,70 @@
+//! SIGINT and SIGTERM: the first asks the server to stop, the second ends it.
+
+use std::{io, process};
+
+use tokio::sync::oneshot;
+use tracing::warn;
+
+/// What a shell reports for a program that a signal ended is this, plus the signal's number.
+const ENDED_BY_SIGNAL: i32 = 128;
+
+/// Watches for signals from now on; the future ends at the first one.
+pub(super) fn first() -> io::Result<impl Future<Output = ()>> {
+    let mut signals = Signals::listen()?;
+    let (tell, told) = oneshot::channel();
+    tokio::spawn(async move {
+        signals.next().await;
+        // Nobody listens any more if the server has failed meanwhile.
+        let _ = tell.send(());
+        let number = signals.next().await;
+        warn!("second signal: ending at once");
+        process::exit(ENDED_BY_SIGNAL + number);
+    });
+    Ok(async move {
+        let _ = told.await;
+    })
+}
+
+#[cfg(unix)]
+struct Signals {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Signals {
+    fn listen() -> io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt())?,
+            terminate: signal(SignalKind::terminate())?,
+        })
+    }
+
+    async fn next(&mut self) -> i32 {
+        use tokio::signal::unix::SignalKind;
+        tokio::select! {
+            _ = self.interrupt.recv() => SignalKind::interrupt().as_raw_value(),
+            _ = self.terminate.recv() => SignalKind::terminate().as_raw_value(),
+        }
+    }
+}
+
+#[cfg(not(unix))]
+struct Signals;
+
+#[cfg(not(unix))]
+impl Signals {
+    fn listen() -> io::Result<Self> {
+        Ok(Self)
+    }
+
+    async fn next(&mut self) -> i32 {
+        const SIGINT: i32 = 2;
+        if tokio::signal::ctrl_c().await.is_err() {
+            // Without Ctrl-C the server is stopped from outside.
+            std::future::pending::<()>().await;
+        }
+        SIGINT
+    }
+}

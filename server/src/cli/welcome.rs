@@ -1,0 +1,74 @@
+//! What the server prints when it is ready: its address, for programs, and what to type next, for people.
+
+use std::{
+    env,
+    io::{self, Write},
+    net::SocketAddr,
+};
+
+/// Where the client looks for a server unless it is told otherwise.
+const DEFAULT_PORT: u16 = 50051;
+
+/// Prints the welcome to standard output.
+pub(super) fn print(address: SocketAddr) {
+    // Cargo tells what it runs where it is; somebody who built it just now has no `wayfold` on the path.
+    let client = match env::var_os("CARGO_MANIFEST_DIR") {
+        Some(_) => "cargo run --release -p wayfold-client --",
+        None => "wayfold",
+    };
+    let mut out = io::stdout().lock();
+    // A server whose output nobody reads goes on all the same.
+    let _ = out.write_all(text(address, client).as_bytes());
+    let _ = out.flush();
+}
+
+fn text(address: SocketAddr, client: &str) -> String {
+    let client = if address.port() == DEFAULT_PORT {
+        client.to_owned()
+    } else {
+        format!("{client} --server http://{}", reachable(address))
+    };
+    format!(
+        "listening on http://{address}\n\
+         \n\
+         Indices live in memory and are gone when the server stops (Ctrl-C). Next, in another terminal:\n\
+         \x20 {client} create arm --space 'R3*SO3:0.15'\n\
+         \x20 echo '0.1,0.2,0.3,0,0,0,1' | {client} insert arm -\n\
+         \x20 {client} knn arm --state 0,0,0,0,0,0,1 -k 1\n\
+         \x20 {client} --help\n\
+         A state of R3*SO3 is a row of x, y, z and a unit quaternion x, y, z, w. Settings: wayfold-server --help\n"
+    )
+}
+
+/// The address for a client on this machine.
+fn reachable(mut address: SocketAddr) -> SocketAddr {
+    if address.ip().is_unspecified() {
+        address.set_ip(match address {
+            SocketAddr::V4(_) => std::net::Ipv4Addr::LOCALHOST.into(),
+            SocketAddr::V6(_) => std::net::Ipv6Addr::LOCALHOST.into(),
+        });
+    }
+    address
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_line_is_the_address_alone() {
+        let text = text("127.0.0.1:50051".parse().unwrap(), "wayfold");
+        assert_eq!(
+            text.lines().next(),
+            Some("listening on http://127.0.0.1:50051")
+        );
+        assert!(text.contains("\n  wayfold create arm "));
+    }
+
+    #[test]
+    fn commands_reach_a_server_that_is_not_at_the_default_port() {
+        let text = text("0.0.0.0:4000".parse().unwrap(), "wayfold");
+        assert!(text.starts_with("listening on http://0.0.0.0:4000\n"));
+        assert!(text.contains("  wayfold --server http://127.0.0.1:4000 create arm "));
+    }
+}

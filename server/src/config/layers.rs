@@ -1,0 +1,235 @@
+//! Puts the layers one over the other. Each value is checked against its default before, so that an error can name
+//! the layer it came from: every setting has a default, which says what exists and of which type it is.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use config::{File, FileFormat, Source, Value, ValueKind};
+
+use super::{Config, ConfigError, DEFAULTS, nearest::nearest};
+
+const PREFIX: &str = "WAYFOLD_";
+const SEPARATOR: &str = "__";
+
+/// Settings for which 0 means something, as `default.toml` explains.
+const MAY_BE_ZERO: [&str; 5] = [
+    "grpc.keepalive_interval_ms",
+    "limits.operations_remembered",
+    "limits.operation_bytes",
+    "runtime.workers",
+    "shutdown.grace_ms",
+];
+
+/// Settings by dotted key.
+type Settings = BTreeMap<String, Value>;
+
+/// See [`Config::load`].
+pub(super) fn load(
+    file: Option<&Path>,
+    environment: &BTreeMap<String, String>,
+    flags: &[(&str, String)],
+) -> Result<Config, ConfigError> {
+    let defaults = toml("default.toml", DEFAULTS)?;
+    let mut settings = defaults.clone();
+    if let Some(path) = file {
+        let origin = path.display().to_string();
+        let text = fs::read_to_string(path).map_err(|source| ConfigError::Read {
+            file: PathBuf::from(path),
+            source,
+        })?;
+        overlay(&mut settings, &defaults, &origin, toml(&origin, &text)?)?;
+    }
+    for (name, value) in environment {
+        let Some(key) = key_of_variable(name, &defaults)? else {
+            continue;
+        };
+        let origin = format!("environment variable {name}");
+        let layer = typed_text(&origin, key, value, &defaults)?;
+        overlay(&mut settings, &defaults, &origin, layer)?;
+    }
+    for (key, value) in flags {
+        let layer = typed_text("command line", (*key).to_owned(), value, &defaults)?;
+        overlay(&mut settings, &defaults, "command line", layer)?;
+    }
+    build(settings)
+}
+
+/// The settings in TOML text.
+fn toml(origin: &str, text: &str) -> Result<Settings, ConfigError> {
+    let table = File::from_str(text, FileFormat::Toml)
+        .collect()
+        .map_err(|problem| ConfigError::Syntax {
+            origin: origin.to_owned(),
+            problem: problem.to_string(),
+        })?;
+    let mut settings = Settings::new();
+    for (key, value) in table {
+        flatten(key, value, &mut settings);
+    }
+    Ok(settings)
+}
+
+fn flatten(key: String, value: Value, settings: &mut Settings) {
+    match value.kind {
+        ValueKind::Table(table) if !table.is_empty() => {
+            for (inner, value) in table {
+                flatten(format!("{key}.{inner}"), value, settings);
+            }
+        }
+        // An empty section sets nothing, but a wrong name is wrong also there.
+        _ => {
+            settings.insert(key, value);
+        }
+    }
+}
+
+/// The key that an environment variable sets, or None for a variable that is none of ours.
+fn key_of_variable(name: &str, defaults: &Settings) -> Result<Option<String>, ConfigError> {
+    let Some(written) = name.strip_prefix(PREFIX) else {
+        return Ok(None);
+    };
+    if !written.contains(SEPARATOR) {
+        // Other programs of the family have variables too, so only what is almost one of ours is an error.
+        let collapsed = |key: &&String| key.replace('.', "_").eq_ignore_ascii_case(written);
+        return match defaults.keys().find(collapsed) {
+            Some(key) => Err(ConfigError::Unknown {
+                origin: "environment".to_owned(),
+                key: name.to_owned(),
+                nearest: variable_of_key(key),
+            }),
+            None => Ok(None),
+        };
+    }
+    let key = written.to_ascii_lowercase().replace(SEPARATOR, ".");
+    if !defaults.contains_key(&key) {
+        return Err(ConfigError::Unknown {
+            origin: "environment".to_owned(),
+            key: name.to_owned(),
+            nearest: nearest(&key, defaults.keys().map(String::as_str))
+                .map_or_else(String::new, variable_of_key),
+        });
+    }
+    Ok(Some(key))
+}
+
+fn variable_of_key(key: &str) -> String {
+    format!("{PREFIX}{}", key.replace('.', SEPARATOR).to_uppercase())
+}
+
+/// A layer of one value that was written as text, read as the type of its default.
+fn typed_text(
+    origin: &str,
+    key: String,
+    text: &str,
+    defaults: &Settings,
+) -> Result<Settings, ConfigError> {
+    let kind = match defaults.get(&key).map(|value| &value.kind) {
+        Some(ValueKind::I64(_)) => match text.parse() {
+            Ok(number) => ValueKind::I64(number),
+            Err(_) => {
+                return Err(ConfigError::Type {
+                    origin: origin.to_owned(),
+                    key,
+                    expected: "an integer",
+                    found: format!("\"{text}\""),
+                });
+            }
+        },
+        _ => ValueKind::String(text.to_owned()),
+    };
+    Ok(Settings::from([(key, Value::new(None, kind))]))
+}
+
+/// Puts `layer` over `settings`, after a check of each value against its default.
+fn overlay(
+    settings: &mut Settings,
+    defaults: &Settings,
+    origin: &str,
+    layer: Settings,
+) -> Result<(), ConfigError> {
+    for (key, value) in layer {
+        let is_section = |known: &String| known.starts_with(&format!("{key}."));
+        if matches!(value.kind, ValueKind::Table(_)) && defaults.keys().any(is_section) {
+            continue;
+        }
+        let Some(default) = defaults.get(&key) else {
+            return Err(ConfigError::Unknown {
+                origin: origin.to_owned(),
+                nearest: nearest(&key, defaults.keys().map(String::as_str))
+                    .unwrap_or_default()
+                    .to_owned(),
+                key,
+            });
+        };
+        check(origin, &key, default, &value)?;
+        let value = Value::new(Some(&origin.to_owned()), value.kind);
+        settings.insert(key, value);
+    }
+    Ok(())
+}
+
+fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), ConfigError> {
+    let expected = match (&default.kind, &value.kind) {
+        (ValueKind::I64(_), ValueKind::I64(number)) => {
+            let least = i64::from(!MAY_BE_ZERO.contains(&key));
+            if *number >= least {
+                return Ok(());
+            }
+            return Err(ConfigError::Value {
+                origin: origin.to_owned(),
+                key: key.to_owned(),
+                problem: format!("{number} is too small; at least {least}"),
+            });
+        }
+        (ValueKind::String(_), ValueKind::String(_)) => return Ok(()),
+        (ValueKind::I64(_), _) => "an integer",
+        _ => "a string",
+    };
+    Err(ConfigError::Type {
+        origin: origin.to_owned(),
+        key: key.to_owned(),
+        expected,
+        found: match &value.kind {
+            ValueKind::String(text) => format!("\"{text}\""),
+            other => other.to_string(),
+        },
+    })
+}
+
+/// The typed settings. What can still be wrong is a value outside of the range of its type.
+fn build(settings: Settings) -> Result<Config, ConfigError> {
+    let mut builder = config::Config::builder();
+    for (key, value) in &settings {
+        builder = builder
+            .set_override(key, value.clone())
+            .map_err(|problem| value_error(&settings, problem))?;
+    }
+    builder
+        .build()
+        .and_then(config::Config::try_deserialize)
+        .map_err(|problem| value_error(&settings, problem))
+}
+
+fn value_error(settings: &Settings, problem: config::ConfigError) -> ConfigError {
+    use config::ConfigError as Problem;
+    let (key, problem) = match problem {
+        Problem::At { error, key, .. } => (key, error.to_string()),
+        Problem::Type {
+            unexpected,
+            expected,
+            key,
+            ..
+        } => (key, format!("{unexpected} is not {expected}")),
+        other => (None, other.to_string()),
+    };
+    let key = key.unwrap_or_default();
+    let origin = settings.get(&key).and_then(Value::origin);
+    ConfigError::Value {
+        origin: origin.unwrap_or("settings").to_owned(),
+        key,
+        problem,
+    }
+}

@@ -1,0 +1,65 @@
+//! Finds what somebody meant who misspelt a name.
+
+/// The one of `known` that is most like `written`; the first of several. Also its last part is compared, for the key
+/// that was written outside of its section.
+pub(super) fn nearest<'a>(written: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    known.min_by_key(|candidate| {
+        let whole = distance(written, candidate);
+        whole.min(1 + distance(last(written), last(candidate)))
+    })
+}
+
+fn last(key: &str) -> &str {
+    key.rsplit('.').next().unwrap_or(key)
+}
+
+/// How many characters must be inserted, removed or exchanged to make `a` of `b` (Levenshtein).
+fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, from) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, to) in b.iter().enumerate() {
+            let exchanged = diagonal + usize::from(from != *to);
+            diagonal = row[j + 1];
+            row[j + 1] = exchanged.min(row[j] + 1).min(row[j + 1] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn distances_known_from_textbooks() {
+        for (a, b, expected) in [
+            ("kitten", "sitting", 3),
+            ("saturday", "sunday", 3),
+            ("", "abc", 3),
+            ("same", "same", 0),
+        ] {
+            assert_eq!(distance(a, b), expected);
+            assert_eq!(distance(b, a), expected);
+        }
+    }
+
+    #[test]
+    fn the_nearest_is_what_was_meant() {
+        let known = ["grpc.listen", "grpc.max_calls", "limits.k", "log.filter"];
+        for (written, meant) in [
+            ("grpc.listne", "grpc.listen"),
+            ("max_calls", "grpc.max_calls"),
+            ("server.listen", "grpc.listen"),
+            ("limits.K", "limits.k"),
+        ] {
+            assert_eq!(
+                nearest(written, known.into_iter()),
+                Some(meant),
+                "{written}"
+            );
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! The body of a response, watched until its end: where a stream's deadline is kept and its outcome is learnt.
+
+use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
+    pin::Pin,
+    task::{Context, Poll},
+    time::Instant,
+};
+
+use bytes::Bytes;
+use http::{HeaderMap, Response};
+use http_body::{Body as HttpBody, Frame, SizeHint};
+use tokio::{sync::OwnedSemaphorePermit, time::Sleep};
+use tonic::{Code, Status, body::Body};
+
+use super::refusals;
+use crate::observe::CallRecord;
+
+/// A call's response body. It holds the call's place in the server's capacity until its end: a client that has heard
+/// of the end finds the place free.
+pub(crate) struct CallBody {
+    inner: Body,
+    record: CallRecord,
+    deadline: Option<Instant>,
+    /// Set once the body had to wait, which the answer of a unary call never does.
+    timer: Option<Pin<Box<Sleep>>>,
+    place: Option<OwnedSemaphorePermit>,
+}
+
+impl CallBody {
+    /// `response`, with a body that goes on with `record`.
+    pub(crate) fn wrap(
+        response: Response<Body>,
+        mut record: CallRecord,
+        place: OwnedSemaphorePermit,
+        deadline: Option<Instant>,
+    ) -> Response<Body> {
+        if let Some(code) = code_in(response.headers()) {
+            record.end(code);
+        }
+        if response.body().is_end_stream() {
+            return response;
+        }
+        response.map(|inner| {
+            Body::new(Self {
+                inner,
+                record,
+                deadline,
+                timer: None,
+                place: Some(place),
+            })
+        })
+    }
+
+    /// Ends the body with `status`. What produced it is dropped, so that its work stops.
+    fn end(&mut self, status: Status) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+        self.inner = Body::empty();
+        self.ended(status.code());
+        let mut trailers = HeaderMap::new();
+        Poll::Ready(Some(match status.add_header(&mut trailers) {
+            Ok(()) => Ok(Frame::trailers(trailers)),
+            Err(status) => Err(status),
+        }))
+    }
+
+    fn ended(&mut self, code: Code) {
+        self.record.end(code);
+        self.place = None;
+    }
+
+    fn deadline_passed(&mut self, context: &mut Context<'_>) -> bool {
+        let Some(deadline) = self.deadline else {
+            return false;
+        };
+        let timer = self
+            .timer
+            .get_or_insert_with(|| Box::pin(tokio::time::sleep_until(deadline.into())));
+        timer.as_mut().poll(context).is_ready()
+    }
+}
+
+impl HttpBody for CallBody {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+        let this = &mut *self;
+        let span = this.record.span().clone();
+        let _entered = span.enter();
+        let inner = Pin::new(&mut this.inner);
+        let Ok(polled) = catch_unwind(AssertUnwindSafe(|| inner.poll_frame(context))) else {
+            let status = refusals::panicked(this.record.rpc());
+            return this.end(status);
+        };
+        match &polled {
+            Poll::Pending if this.deadline_passed(context) => {
+                let status = refusals::deadline_exceeded();
+                return this.end(status);
+            }
+            Poll::Ready(Some(Ok(frame))) => {
+                if let Some(code) = frame.trailers_ref().and_then(code_in) {
+                    this.ended(code);
+                }
+            }
+            Poll::Ready(Some(Err(status))) => this.ended(status.code()),
+            Poll::Pending | Poll::Ready(None) => {}
+        }
+        polled
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.inner.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.inner.size_hint()
+    }
+}
+
+fn code_in(headers: &HeaderMap) -> Option<Code> {
+    let status = headers.get(Status::GRPC_STATUS)?;
+    Some(Code::from_bytes(status.as_bytes()))
+}

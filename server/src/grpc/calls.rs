@@ -1,0 +1,143 @@
+//! The layer around every call: its span, deadline, share of the server's capacity, and the record of its end.
+//!
+//! Health and reflection pass through: they must answer just when the server is busy.
+
+use std::{
+    convert::Infallible,
+    panic::AssertUnwindSafe,
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll},
+    time::Instant,
+};
+
+use futures_util::FutureExt;
+use http::{Request, Response};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tonic::{Status, body::Body};
+use tower::{Layer, Service};
+use tracing::Instrument;
+
+use super::{body::CallBody, deadline, refusals};
+use crate::observe::CallRecord;
+
+/// The calls that this layer is for.
+const OURS: &str = "/wayfold.v1.";
+
+/// How many calls may be under way, and how many are.
+#[derive(Clone, Debug)]
+pub(crate) struct Capacity {
+    limit: usize,
+    free: Arc<Semaphore>,
+}
+
+impl Capacity {
+    /// Room for `limit` calls.
+    pub(crate) fn new(limit: usize) -> Self {
+        let limit = limit.min(Semaphore::MAX_PERMITS);
+        Self {
+            limit,
+            free: Arc::new(Semaphore::new(limit)),
+        }
+    }
+
+    /// How many calls are under way.
+    pub(crate) fn in_use(&self) -> usize {
+        self.limit - self.free.available_permits()
+    }
+
+    fn take(&self) -> Result<OwnedSemaphorePermit, Box<Status>> {
+        let place = self.free.clone().try_acquire_owned();
+        place.map_err(|_| Box::new(refusals::busy(self.limit)))
+    }
+}
+
+/// The deadline of a call, which the layer leaves in the request's extensions for the handler.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Deadline(pub(crate) Option<Instant>);
+
+/// Wraps services in [`Calls`].
+#[derive(Clone, Debug)]
+pub(crate) struct CallsLayer {
+    pub(crate) capacity: Capacity,
+    pub(crate) max_message_bytes: usize,
+}
+
+impl<S> Layer<S> for CallsLayer {
+    type Service = Calls<S>;
+
+    fn layer(&self, inner: S) -> Calls<S> {
+        Calls {
+            inner,
+            settings: self.clone(),
+        }
+    }
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub(crate) struct Calls<S> {
+    inner: S,
+    settings: CallsLayer,
+}
+
+type ResponseFuture = Pin<Box<dyn Future<Output = Result<Response<Body>, Infallible>> + Send>>;
+
+impl<S> Service<Request<Body>> for Calls<S>
+where
+    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
+    S::Future: Send + 'static,
+{
+    type Response = Response<Body>;
+    type Error = Infallible;
+    type Future = ResponseFuture;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        self.inner.poll_ready(context)
+    }
+
+    fn call(&mut self, mut request: Request<Body>) -> ResponseFuture {
+        let Some(rpc) = our_rpc(request.uri().path()) else {
+            return Box::pin(self.inner.call(request));
+        };
+        // The clock starts here and not inside the future: tonic starts a timer of its own for the same header, after
+        // this function returns, and answers CANCELLED when it runs out. Ours must never be the later one.
+        let started = Instant::now();
+        let mut record = CallRecord::begin(rpc, started);
+        let admitted = deadline::read(request.headers(), started)
+            .map_err(|problem| Box::new(refusals::malformed_timeout(&problem)))
+            .and_then(|deadline| Ok((deadline, self.settings.capacity.take()?)));
+        let (deadline, place) = match admitted {
+            Ok(admitted) => admitted,
+            Err(status) => {
+                record.end(status.code());
+                return Box::pin(std::future::ready(Ok(status.into_http())));
+            }
+        };
+        request.extensions_mut().insert(Deadline(deadline));
+        let max_message_bytes = self.settings.max_message_bytes;
+        let handler = AssertUnwindSafe(self.inner.call(request)).catch_unwind();
+        let span = record.span().clone();
+        let answer = async move {
+            let outcome = match deadline {
+                Some(at) => match tokio::time::timeout_at(at.into(), handler).await {
+                    Ok(outcome) => outcome,
+                    Err(_) => Ok(Ok(refusals::deadline_exceeded().into_http())),
+                },
+                None => handler.await,
+            };
+            let response = match outcome {
+                Ok(Ok(response)) => refusals::rewrite(response, max_message_bytes),
+                Ok(Err(never)) => match never {},
+                Err(_panic) => refusals::panicked(record.rpc()).into_http(),
+            };
+            Ok(CallBody::wrap(response, record, place, deadline))
+        };
+        Box::pin(answer.instrument(span))
+    }
+}
+
+/// `PointService/Knn` of `/wayfold.v1.PointService/Knn`; nothing of the paths of other packages.
+fn our_rpc(path: &str) -> Option<&str> {
+    path.strip_prefix(OURS)
+}

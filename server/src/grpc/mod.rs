@@ -1,0 +1,99 @@
+//! The gRPC face: translates `wayfold.v1` to calls of the service and holds no policy of its own.
+
+mod body;
+mod calls;
+mod connection;
+mod deadline;
+mod health;
+mod index_service;
+mod point_service;
+mod refusals;
+mod status;
+mod stream_knn;
+
+use std::{io, time::Duration};
+
+use thiserror::Error;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tonic::transport::Server;
+use tonic_health::pb::health_server::HealthServer;
+use wayfold_proto::v1::{self, index_service_server::IndexServiceServer};
+
+use calls::CallsLayer;
+pub(crate) use calls::Capacity;
+use health::HealthFace;
+use index_service::IndexFace;
+use point_service::PointFace;
+use stream_knn::TolerantPointServer;
+
+use crate::{config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
+
+/// Why the gRPC face could not be served.
+#[derive(Debug, Error)]
+pub enum GrpcError {
+    /// A bug: the descriptors that reflection serves do not fit together.
+    #[error("the descriptors for gRPC reflection are broken: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+    /// The transport failed.
+    #[error("gRPC transport: {0}")]
+    Transport(#[from] tonic::transport::Error),
+    /// The listener failed.
+    #[error("gRPC listener: {0}")]
+    Listener(#[from] io::Error),
+}
+
+/// Serves `service` on `listener` until the server begins to stop and every call that was accepted is done.
+///
+/// `capacity` counts the calls under way. `cut` fails the connections that are still open, so that this returns soon.
+pub(crate) async fn serve(
+    config: &GrpcConfig,
+    service: Service,
+    phases: PhaseWatch,
+    listener: TcpListener,
+    capacity: Capacity,
+    cut: CancellationToken,
+) -> Result<(), GrpcError> {
+    let points = TolerantPointServer::new(PointFace {
+        service: service.clone(),
+        phases: phases.clone(),
+        stream_window: config.stream_window,
+        max_message_bytes: config.max_message_bytes,
+    });
+    // No limit on what is sent: the service refuses a large answer before a mutation takes effect, and a second limit
+    // here could only fail a call that did.
+    let indices = IndexServiceServer::new(IndexFace(service))
+        .max_decoding_message_size(config.max_message_bytes);
+    let health = HealthServer::new(HealthFace::new(phases.clone()));
+    let (reflection, reflection_alpha) =
+        (descriptors().build_v1()?, descriptors().build_v1alpha()?);
+    let keepalive = (config.keepalive_interval_ms > 0)
+        .then(|| Duration::from_millis(config.keepalive_interval_ms));
+    Server::builder()
+        .max_concurrent_streams(config.max_calls_per_connection)
+        .http2_keepalive_interval(keepalive)
+        .http2_keepalive_timeout(Some(Duration::from_millis(config.keepalive_timeout_ms)))
+        .layer(CallsLayer {
+            capacity,
+            max_message_bytes: config.max_message_bytes,
+        })
+        .add_service(indices)
+        .add_service(points)
+        .add_service(health)
+        .add_service(reflection)
+        .add_service(reflection_alpha)
+        .serve_with_incoming_shutdown(
+            connection::incoming(listener, config.max_connections, cut),
+            phases.stopping(),
+        )
+        .await?;
+    Ok(())
+}
+
+/// What reflection tells of; with google.rpc, so that generic clients can print error details.
+fn descriptors() -> tonic_reflection::server::Builder<'static> {
+    tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(v1::FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)
+}

@@ -1,0 +1,156 @@
+//! What this face refuses before the service hears of it, and the rewriting of what tonic refuses.
+//!
+//! Tonic answers a message above the size limit with OUT_OF_RANGE and one that does not parse with INTERNAL, both
+//! without details. The contract says RESOURCE_EXHAUSTED with the limit, and INVALID_ARGUMENT; INTERNAL is a bug.
+
+use std::fmt::Display;
+
+use http::{HeaderMap, Response};
+use tonic::{Code, Status, body::Body};
+
+use super::{
+    deadline::{self, MalformedTimeout},
+    status,
+};
+use crate::service::{Error, Unavailability, Violation};
+
+const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
+const MAX_CALLS: &str = "grpc.max_calls";
+
+/// Every status of this server has details, so one without them is tonic's own.
+const DETAILS_HEADER: &str = "grpc-status-details-bin";
+
+/// The response as it goes out: `response`, unless it is a refusal of tonic's, which is put into other words.
+pub(crate) fn rewrite(response: Response<Body>, max_message_bytes: usize) -> Response<Body> {
+    match tonics_own(response.headers()) {
+        Some(status) => restate(status, max_message_bytes).into_http(),
+        None => response,
+    }
+}
+
+/// A refusal by tonic comes before any message of the answer, so its status is in the headers.
+fn tonics_own(headers: &HeaderMap) -> Option<Status> {
+    headers.get(Status::GRPC_STATUS)?;
+    if headers.contains_key(DETAILS_HEADER) {
+        return None;
+    }
+    Status::from_header_map(headers)
+}
+
+/// The contract's words for a status that tonic made while it read a request.
+pub(crate) fn restate(status: Status, max_message_bytes: usize) -> Status {
+    match status.code() {
+        Code::OutOfRange => status::limit(
+            "LIMIT_EXCEEDED",
+            format!(
+                "the request message exceeds the limit {MAX_MESSAGE_BYTES} = {max_message_bytes}: \
+                 split it into several calls"
+            ),
+            MAX_MESSAGE_BYTES,
+            max_message_bytes,
+        ),
+        Code::Internal => malformed(status.message()),
+        _ => status,
+    }
+}
+
+/// The refusal of a request message that is not the encoding of what the call takes.
+pub(crate) fn malformed(problem: impl Display) -> Status {
+    invalid(
+        "request",
+        "MALFORMED_MESSAGE",
+        format!("the message cannot be read: {problem}"),
+    )
+}
+
+/// The refusal of a `grpc-timeout` header.
+pub(crate) fn malformed_timeout(problem: &MalformedTimeout) -> Status {
+    invalid(deadline::HEADER, "MALFORMED_TIMEOUT", problem.to_string())
+}
+
+/// The refusal of a request in which one field is wrong.
+pub(crate) fn invalid(field: &str, reason: &'static str, description: String) -> Status {
+    status::from_error(&Error::InvalidArgument {
+        violations: vec![Violation {
+            field: field.to_owned(),
+            reason,
+            description,
+        }],
+    })
+}
+
+/// The refusal of a call while `limit` others are under way.
+pub(crate) fn busy(limit: usize) -> Status {
+    status::limit(
+        "TOO_MANY_CALLS",
+        format!("as many calls are under way as {MAX_CALLS} = {limit} allows: try again later"),
+        MAX_CALLS,
+        limit,
+    )
+}
+
+/// The answer to a call that made the server panic.
+pub(crate) fn panicked(rpc: &str) -> Status {
+    status::from_error(&Error::Internal {
+        what: format!("{rpc} panicked"),
+    })
+}
+
+/// The answer to a call whose deadline passed.
+pub(crate) fn deadline_exceeded() -> Status {
+    status::from_error(&Error::DeadlineExceeded {
+        doing: "before the call was done",
+    })
+}
+
+/// How a stream ends that the server leaves because it stops.
+pub(crate) fn stopping() -> Status {
+    status::from_error(&Error::Unavailable {
+        why: Unavailability::Stopping,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use tonic_types::StatusExt;
+
+    use super::*;
+
+    fn rewritten(status: Status) -> Status {
+        let response = rewrite(status.into_http(), 1000);
+        Status::from_header_map(response.headers()).unwrap()
+    }
+
+    #[test]
+    fn tonics_refusals_are_restated() {
+        let large = rewritten(Status::out_of_range("decoded message length too large"));
+        assert_eq!(large.code(), Code::ResourceExhausted);
+        assert!(
+            large.message().contains("grpc.max_message_bytes = 1000"),
+            "{large}"
+        );
+        let violations = large.get_details_quota_failure().unwrap().violations;
+        assert_eq!(violations[0].quota_value, 1000);
+
+        let malformed = rewritten(Status::internal("invalid wire type"));
+        assert_eq!(malformed.code(), Code::InvalidArgument);
+        assert!(malformed.message().ends_with("invalid wire type"));
+        let info = malformed.get_details_error_info().unwrap();
+        assert_eq!(info.reason, "MALFORMED_MESSAGE");
+    }
+
+    #[test]
+    fn our_own_statuses_and_successes_pass_unchanged() {
+        let bug = rewritten(panicked("PointService/Knn"));
+        assert_eq!(bug.code(), Code::Internal);
+        assert_eq!(bug.get_details_error_info().unwrap().reason, "INTERNAL");
+
+        let unimplemented = rewritten(Status::unimplemented("no such method"));
+        assert_eq!(unimplemented.code(), Code::Unimplemented);
+
+        let mut success = Response::new(Body::empty());
+        let kept = http::HeaderValue::from_static("yes");
+        success.headers_mut().insert("x-kept", kept);
+        assert!(rewrite(success, 1000).headers().contains_key("x-kept"));
+    }
+}

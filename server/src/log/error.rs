@@ -1,0 +1,54 @@
+//! What can go wrong with a log.
+
+use thiserror::Error;
+
+use super::Uid;
+
+/// Why the log refused, or failed.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum LogError {
+    /// No index has this uid, or not any more.
+    #[error("the log holds no index with the uid {uid}")]
+    UnknownIndex {
+        /// The uid.
+        uid: Uid,
+    },
+    /// An index of this uid exists: uids are never used twice.
+    #[error("the log holds an index with the uid {uid} already")]
+    UidTaken {
+        /// The uid.
+        uid: Uid,
+    },
+    /// Somebody else appended first.
+    #[error(
+        "index {uid}: the head is revision {head}, not {expected}: another writer has appended"
+    )]
+    Fenced {
+        /// The index.
+        uid: Uid,
+        /// What the writer took for the head.
+        expected: u64,
+        /// The head.
+        head: u64,
+    },
+    /// Records that were asked for have been trimmed.
+    #[error("index {uid}: the records after revision {after} are held only from {oldest} on")]
+    Trimmed {
+        /// The index.
+        uid: Uid,
+        /// The revision whose successors were asked for.
+        after: u64,
+        /// The oldest revision whose successors are held.
+        oldest: u64,
+    },
+    /// A record is not the one that was written.
+    #[error("index {uid}: the record of revision {revision} is damaged: {what}")]
+    Damaged {
+        /// The index.
+        uid: Uid,
+        /// The revision it should hold.
+        revision: u64,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+}

@@ -1,0 +1,211 @@
+//! One index in memory: its window of records, and the points that all its records amount to.
+
+use std::{collections::VecDeque, sync::Arc};
+
+use parking_lot::{Mutex, RwLock};
+
+use super::versions::Versions;
+use crate::log::{Digest, Effects, LogError, Record, StoredPoint, Uid, View};
+
+/// How many rows are stored under one hold of the lock, so that a large record does not keep readers from payloads.
+const ROWS_PER_HOLD: usize = 512;
+
+/// Locks are taken in the order journal, versions. Only the holder of the journal adds versions.
+pub(super) struct Store {
+    uid: Uid,
+    journal: Mutex<Journal>,
+    versions: RwLock<Versions>,
+}
+
+struct Journal {
+    head: u64,
+    digest: Digest,
+    next_id: u64,
+    /// The newest records, without a gap up to the head.
+    window: VecDeque<Arc<Record>>,
+    window_bytes: usize,
+}
+
+impl Store {
+    pub(super) fn new(uid: Uid) -> Self {
+        Self {
+            uid,
+            journal: Mutex::new(Journal {
+                head: 0,
+                digest: Record::NO_PREVIOUS,
+                next_id: 0,
+                window: VecDeque::new(),
+                window_bytes: 0,
+            }),
+            versions: RwLock::default(),
+        }
+    }
+
+    pub(super) fn append(&self, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
+        let mut journal = self.journal.lock();
+        if journal.head != expected {
+            return Err(LogError::Fenced {
+                uid: self.uid,
+                expected,
+                head: journal.head,
+            });
+        }
+        let record = Arc::new(Record::new(expected + 1, journal.digest, effects));
+        self.store(&record, &mut journal.next_id);
+        journal.head = record.revision();
+        journal.digest = *record.digest();
+        journal.window_bytes += record.effects().bytes();
+        journal.window.push_back(Arc::clone(&record));
+        Ok(record)
+    }
+
+    /// Adds the versions that `record` makes. No view sees one before the head has moved.
+    fn store(&self, record: &Record, next_id: &mut u64) {
+        let effects = record.effects();
+        for ids in effects.removed().chunks(ROWS_PER_HOLD) {
+            let mut versions = self.versions.write();
+            for &id in ids {
+                versions.remove(id, record.revision());
+            }
+        }
+        let stored = effects.stored();
+        for start in (0..stored.len()).step_by(ROWS_PER_HOLD) {
+            let mut versions = self.versions.write();
+            for slot in start..stored.len().min(start + ROWS_PER_HOLD) {
+                let point = stored.get(slot);
+                let version = StoredPoint {
+                    revision: point.revision,
+                    modified: record.revision(),
+                    tag: point.tag,
+                    state: point.row.into(),
+                    payload: effects.payload(slot),
+                };
+                if point.id >= *next_id {
+                    *next_id = point.id + 1;
+                    versions.insert_new(point.id, version);
+                } else {
+                    versions.insert(point.id, version);
+                }
+            }
+        }
+        self.versions.write().advance(record.revision());
+        self.collect();
+    }
+
+    /// Drops what no view can see any more.
+    fn collect(&self) {
+        while self.versions.write().collect(ROWS_PER_HOLD) {}
+    }
+
+    pub(super) fn tail(&self, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
+        let journal = self.journal.lock();
+        let oldest = journal.head - journal.window.len() as u64;
+        let after = after.unwrap_or(oldest);
+        if after < oldest {
+            return Err(LogError::Trimmed {
+                uid: self.uid,
+                after,
+                oldest,
+            });
+        }
+        let skipped = (after - oldest) as usize;
+        Ok(journal.window.iter().skip(skipped).cloned().collect())
+    }
+
+    pub(super) fn trim(&self, keep_bytes: usize) {
+        let mut journal = self.journal.lock();
+        while journal.window_bytes > keep_bytes
+            && let Some(record) = journal.window.pop_front()
+        {
+            journal.window_bytes -= record.effects().bytes();
+        }
+    }
+
+    pub(super) fn pin(self: Arc<Self>) -> Arc<dyn View> {
+        let journal = self.journal.lock();
+        let (revision, next_id) = (journal.head, journal.next_id);
+        self.versions.write().pin(revision);
+        drop(journal);
+        Arc::new(Pinned {
+            store: self,
+            revision,
+            next_id,
+        })
+    }
+}
+
+/// A view; while it is held, the versions it sees stay.
+struct Pinned {
+    store: Arc<Store>,
+    revision: u64,
+    next_id: u64,
+}
+
+impl View for Pinned {
+    fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    fn next_id(&self) -> u64 {
+        self.next_id
+    }
+
+    fn get(&self, id: u64) -> Result<Option<StoredPoint>, LogError> {
+        Ok(self.store.versions.read().get(id, self.revision).cloned())
+    }
+
+    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<(u64, StoredPoint)>, LogError> {
+        let versions = self.store.versions.read();
+        Ok(versions.page(after, limit, self.revision))
+    }
+}
+
+impl Drop for Pinned {
+    fn drop(&mut self) {
+        self.store.versions.write().unpin(self.revision);
+        self.store.collect();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytes::Bytes;
+    use wayfold_index::PointRef;
+
+    use super::*;
+    use crate::log::Outcome;
+
+    fn storing(ids: std::ops::Range<u64>, revision: u64) -> Effects {
+        let mut effects = Effects::new(1);
+        for id in ids {
+            let point = PointRef {
+                id,
+                tag: 0,
+                revision,
+                row: &[0.0],
+            };
+            effects.store(point, Outcome::Inserted, Bytes::new());
+        }
+        effects
+    }
+
+    #[test]
+    fn only_what_a_view_sees_is_kept_beside_the_points() {
+        let store = Arc::new(Store::new(Uid::unique()));
+        let versions = || store.versions.read().len();
+        for revision in 1..=3 {
+            store
+                .append(revision - 1, storing(0..2000, revision))
+                .unwrap();
+            assert_eq!(versions(), 2000);
+        }
+        let view = Arc::clone(&store).pin();
+        store.append(3, storing(0..2000, 4)).unwrap();
+        assert_eq!(versions(), 4000);
+        let mut effects = Effects::new(1);
+        (0..1500).for_each(|id| effects.remove(id));
+        store.append(4, effects).unwrap();
+        drop(view);
+        assert_eq!(versions(), 500);
+    }
+}

@@ -1,0 +1,317 @@
+//! One mutation as the log holds it.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use sha2::{Digest as _, Sha256};
+use wayfold_index::{PointRef, Points};
+
+/// A SHA-256.
+pub type Digest = [u8; 32];
+
+/// What became of a row that a mutation stored. Rows that changed nothing leave no effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// A new point.
+    Inserted,
+    /// A new state, tag or payload under an id that held another point.
+    Replaced,
+    /// A new tag or payload; the state is the one it was.
+    Updated,
+}
+
+/// A call that takes effect once: what recognises its retry, and what to answer it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Operation {
+    /// The id that the caller gave it.
+    pub id: String,
+    /// The digest of the request.
+    pub fingerprint: Digest,
+    /// The response, encoded.
+    pub response: Bytes,
+}
+
+impl Operation {
+    /// About how many bytes remembering it takes.
+    pub fn bytes(&self) -> usize {
+        self.id.len() + self.response.len() + 128
+    }
+}
+
+/// What one mutation did, whole: applying it needs no decision.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Effects {
+    stored: Points,
+    outcomes: Vec<Outcome>,
+    /// One for each of `stored`, or none at all if all are empty.
+    payloads: Vec<Bytes>,
+    removed: Vec<u64>,
+    operation: Option<Arc<Operation>>,
+}
+
+impl Effects {
+    /// Nothing yet, for rows of `coordinates` numbers.
+    pub fn new(coordinates: usize) -> Self {
+        Self {
+            stored: Points::new(coordinates),
+            outcomes: Vec::new(),
+            payloads: Vec::new(),
+            removed: Vec::new(),
+            operation: None,
+        }
+    }
+
+    /// Stores a point, in the place of one with the same id. `payload` is kept as it is: it must not be a slice of
+    /// a larger buffer, or that buffer stays too.
+    pub fn store(&mut self, point: PointRef<'_>, outcome: Outcome, payload: Bytes) {
+        if self.payloads.is_empty() && !payload.is_empty() {
+            self.payloads.resize(self.stored.len(), Bytes::new());
+        }
+        if !self.payloads.is_empty() || !payload.is_empty() {
+            self.payloads.push(payload);
+        }
+        self.stored.push_point(point);
+        self.outcomes.push(outcome);
+    }
+
+    /// Removes a stored point.
+    pub fn remove(&mut self, id: u64) {
+        self.removed.push(id);
+    }
+
+    /// Names the operation that the mutation stems from.
+    pub fn set_operation(&mut self, operation: Option<Arc<Operation>>) {
+        self.operation = operation;
+    }
+
+    /// Whether nothing changed; the operation does not count.
+    pub fn is_empty(&self) -> bool {
+        self.stored.is_empty() && self.removed.is_empty()
+    }
+
+    /// How many points it stores or removes.
+    pub fn len(&self) -> usize {
+        self.stored.len() + self.removed.len()
+    }
+
+    /// The points it stores, whole, also those of which only the tag or the payload is new; each id once.
+    pub fn stored(&self) -> &Points {
+        &self.stored
+    }
+
+    /// What became of the points it stores, in their order.
+    pub fn outcomes(&self) -> &[Outcome] {
+        &self.outcomes
+    }
+
+    /// The payload of the stored point in `slot`.
+    pub fn payload(&self, slot: usize) -> Bytes {
+        self.payloads.get(slot).cloned().unwrap_or_default()
+    }
+
+    /// The ids of the points it removes, all of them stored before, none of them in `stored`.
+    pub fn removed(&self) -> &[u64] {
+        &self.removed
+    }
+
+    /// The operation it stems from.
+    pub fn operation(&self) -> Option<&Arc<Operation>> {
+        self.operation.as_ref()
+    }
+
+    /// About how many bytes it takes.
+    pub fn bytes(&self) -> usize {
+        let row = 8 * self.stored.coordinates() + 3 * 8 + 1;
+        let payloads: usize = self.payloads.iter().map(|payload| payload.len() + 32).sum();
+        let operation = self
+            .operation
+            .as_ref()
+            .map_or(0, |operation| operation.bytes());
+        self.stored.len() * row + payloads + 8 * self.removed.len() + operation + 256
+    }
+}
+
+/// One mutation in its place in the log: its revision, its effects, and a digest over both and the record before.
+///
+/// The digest is the record's checksum and its link in the chain: it covers, each number little-endian and each
+/// sequence after its length as u64, the text `wayfold record 1`, the digest of the record before, the revision, the
+/// rows' width; the stored points, each as id, tag, revision, outcome (a byte: 0 inserted, 1 replaced, 2 updated), the
+/// bits of the state, the payload; the removed ids; and how many operations there are, with id, fingerprint and
+/// response.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Record {
+    revision: u64,
+    previous: Digest,
+    effects: Effects,
+    digest: Digest,
+}
+
+impl Record {
+    /// What the first record of an index carries for the digest of the record before.
+    pub const NO_PREVIOUS: Digest = [0; 32];
+
+    /// The record of `revision`, after one whose digest is `previous`.
+    pub fn new(revision: u64, previous: Digest, effects: Effects) -> Self {
+        let digest = digest(revision, &previous, &effects);
+        Self {
+            revision,
+            previous,
+            effects,
+            digest,
+        }
+    }
+
+    /// The revision that this mutation made.
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// The digest of the record before.
+    pub fn previous(&self) -> &Digest {
+        &self.previous
+    }
+
+    /// What it did.
+    pub fn effects(&self) -> &Effects {
+        &self.effects
+    }
+
+    /// The checksum of this record.
+    pub fn digest(&self) -> &Digest {
+        &self.digest
+    }
+
+    /// Whether it is what was written.
+    pub fn is_intact(&self) -> bool {
+        self.digest == digest(self.revision, &self.previous, &self.effects)
+    }
+}
+
+fn digest(revision: u64, previous: &Digest, effects: &Effects) -> Digest {
+    let mut hash = Sha256::new();
+    let mut part = Vec::new();
+    part.extend_from_slice(b"wayfold record 1");
+    part.extend_from_slice(previous);
+    for number in [
+        revision,
+        effects.stored.coordinates() as u64,
+        effects.stored.len() as u64,
+    ] {
+        part.extend_from_slice(&number.to_le_bytes());
+    }
+    for (slot, point) in effects.stored.iter().enumerate() {
+        for number in [point.id, point.tag, point.revision] {
+            part.extend_from_slice(&number.to_le_bytes());
+        }
+        part.push(match effects.outcomes[slot] {
+            Outcome::Inserted => 0,
+            Outcome::Replaced => 1,
+            Outcome::Updated => 2,
+        });
+        for coordinate in point.row {
+            part.extend_from_slice(&coordinate.to_bits().to_le_bytes());
+        }
+        let payload = effects
+            .payloads
+            .get(slot)
+            .map_or(&[][..], |payload| payload);
+        push_sequence(&mut part, payload);
+        hash.update(&part);
+        part.clear();
+    }
+    part.extend_from_slice(&(effects.removed.len() as u64).to_le_bytes());
+    for id in &effects.removed {
+        part.extend_from_slice(&id.to_le_bytes());
+    }
+    part.extend_from_slice(&u64::from(effects.operation.is_some()).to_le_bytes());
+    if let Some(operation) = &effects.operation {
+        push_sequence(&mut part, operation.id.as_bytes());
+        part.extend_from_slice(&operation.fingerprint);
+        push_sequence(&mut part, &operation.response);
+    }
+    hash.update(&part);
+    hash.finalize().into()
+}
+
+fn push_sequence(part: &mut Vec<u8>, bytes: &[u8]) {
+    part.extend_from_slice(&(bytes.len() as u64).to_le_bytes());
+    part.extend_from_slice(bytes);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(id: u64) -> PointRef<'static> {
+        PointRef {
+            id,
+            tag: 3,
+            revision: 1,
+            row: &[0.5, -0.25],
+        }
+    }
+
+    fn effects() -> Effects {
+        let mut effects = Effects::new(2);
+        effects.store(point(7), Outcome::Inserted, Bytes::new());
+        effects.store(point(8), Outcome::Replaced, Bytes::from_static(b"grasp"));
+        effects.remove(9);
+        effects.set_operation(Some(Arc::new(Operation {
+            id: "op".into(),
+            fingerprint: [1; 32],
+            response: Bytes::from_static(b"done"),
+        })));
+        effects
+    }
+
+    #[test]
+    fn payloads_stay_with_their_rows() {
+        let effects = effects();
+        assert_eq!(effects.payload(0), Bytes::new());
+        assert_eq!(effects.payload(1), Bytes::from_static(b"grasp"));
+    }
+
+    /// The layout as documented, written out by hand.
+    #[test]
+    fn the_digest_covers_the_documented_bytes() {
+        let mut bytes = b"wayfold record 1".to_vec();
+        bytes.extend_from_slice(&[9; 32]);
+        for number in [5u64, 2, 2] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        for (id, outcome, payload) in [(7u64, 0u8, &b""[..]), (8, 1, b"grasp")] {
+            for number in [id, 3, 1] {
+                bytes.extend_from_slice(&number.to_le_bytes());
+            }
+            bytes.push(outcome);
+            bytes.extend_from_slice(&0.5f64.to_le_bytes());
+            bytes.extend_from_slice(&(-0.25f64).to_le_bytes());
+            bytes.extend_from_slice(&(payload.len() as u64).to_le_bytes());
+            bytes.extend_from_slice(payload);
+        }
+        for number in [1u64, 9, 1, 2] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(b"op");
+        bytes.extend_from_slice(&[1; 32]);
+        bytes.extend_from_slice(&4u64.to_le_bytes());
+        bytes.extend_from_slice(b"done");
+        let expected: Digest = Sha256::digest(&bytes).into();
+        assert_eq!(*Record::new(5, [9; 32], effects()).digest(), expected);
+    }
+
+    #[test]
+    fn a_record_that_was_tampered_with_is_not_intact() {
+        let record = Record::new(5, [9; 32], effects());
+        assert!(record.is_intact());
+        let mut moved = record.clone();
+        moved.revision = 6;
+        assert!(!moved.is_intact());
+        let mut relinked = record.clone();
+        relinked.previous = [8; 32];
+        assert!(!relinked.is_intact());
+        let mut changed = record;
+        changed.effects.remove(10);
+        assert!(!changed.is_intact());
+    }
+}

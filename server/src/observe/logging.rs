@@ -1,0 +1,69 @@
+//! Log lines: to standard error, as text or as JSON, through a filter.
+
+use std::io::{self, IsTerminal};
+
+use serde::Deserialize;
+use thiserror::Error;
+use tracing_subscriber::{
+    EnvFilter,
+    filter::ParseError,
+    fmt,
+    util::{SubscriberInitExt, TryInitError},
+};
+
+/// The form of a log line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(try_from = "String")]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+impl TryFrom<String> for LogFormat {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        match name.as_str() {
+            "text" => Ok(Self::Text),
+            "json" => Ok(Self::Json),
+            _ => Err(format!("\"{name}\" is neither \"text\" nor \"json\"")),
+        }
+    }
+}
+
+/// Why logging could not be started.
+#[derive(Debug, Error)]
+pub enum LoggingError {
+    /// The filter does not parse.
+    #[error(
+        "log.filter: `{filter}` is not a filter ({source}); examples: `info`, `debug`, `warn,wayfold_server=debug`"
+    )]
+    Filter {
+        /// The filter.
+        filter: String,
+        /// What is wrong with it.
+        source: ParseError,
+    },
+    /// Something in this process logs already.
+    #[error("logging was started already: {0}")]
+    Started(#[from] TryInitError),
+}
+
+/// Sends the log lines of this process that pass `filter` to standard error.
+pub(crate) fn start(filter: &str, format: LogFormat) -> Result<(), LoggingError> {
+    let filter = EnvFilter::try_new(filter).map_err(|source| LoggingError::Filter {
+        filter: filter.to_owned(),
+        source,
+    })?;
+    let lines = fmt()
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
+        .with_ansi(io::stderr().is_terminal());
+    match format {
+        LogFormat::Text => lines.finish().try_init()?,
+        LogFormat::Json => lines.json().finish().try_init()?,
+    }
+    Ok(())
+}

@@ -1,0 +1,212 @@
+//! One index of the registry: what its readers see, and the way to its writer.
+
+use std::sync::Arc;
+
+use futures_util::FutureExt;
+use tokio::sync::{Mutex, watch};
+use tracing::{error, warn};
+use wayfold_index::{Snapshot, Space};
+
+use super::{Host, OperationWindow, RegistryError, WriteGuard, Writer};
+use crate::log::{Effects, Entry, Uid, View};
+
+/// A mutation of more points than this is committed on a thread of its own: it would hold up the calls that share
+/// the caller's.
+const COMMITTED_IN_PLACE: usize = 1024;
+
+/// One frozen revision of an index, for as long as it is held.
+pub struct Published {
+    /// The points, for search.
+    pub snapshot: Snapshot,
+    /// The same points as the log stores them, with payloads.
+    pub view: Arc<dyn View>,
+    /// The revision of both.
+    pub revision: u64,
+}
+
+/// One index.
+pub struct Hosted {
+    name: String,
+    uid: Uid,
+    uid_text: String,
+    space: Space,
+    pub(super) host: Arc<Host>,
+    state: watch::Sender<State>,
+    writer: Arc<Mutex<Writer>>,
+}
+
+struct State {
+    /// The writer's head, in its newest form.
+    head: Arc<Published>,
+    /// The newest revision that is as durable as configured.
+    published: Arc<Published>,
+    /// Why there will be no other.
+    closed: Option<RegistryError>,
+}
+
+impl Hosted {
+    pub(super) fn new(host: &Arc<Host>, entry: &Entry, writer: Writer) -> Arc<Self> {
+        let state = State {
+            head: Arc::clone(writer.head()),
+            published: Arc::clone(writer.head()),
+            closed: None,
+        };
+        Arc::new(Self {
+            name: entry.name.clone(),
+            uid: entry.uid,
+            uid_text: entry.uid.to_string(),
+            space: entry.space.clone(),
+            host: Arc::clone(host),
+            state: watch::Sender::new(state),
+            writer: Arc::new(Mutex::new(writer)),
+        })
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its uid.
+    pub fn uid(&self) -> Uid {
+        self.uid
+    }
+
+    /// Its uid as text.
+    pub fn uid_text(&self) -> &str {
+        &self.uid_text
+    }
+
+    /// Its space.
+    pub fn space(&self) -> &Space {
+        &self.space
+    }
+
+    /// What readers see now.
+    pub fn published(&self) -> Arc<Published> {
+        Arc::clone(&self.state.borrow().published)
+    }
+
+    /// Waits until readers see `revision`, or a later one.
+    pub async fn reached(&self, revision: u64) -> Result<Arc<Published>, RegistryError> {
+        let published = self.published();
+        if published.revision >= revision {
+            return Ok(published);
+        }
+        let mut state = self.state.subscribe();
+        let seen = state
+            .wait_for(|state| state.published.revision >= revision || state.closed.is_some())
+            .await
+            .map_err(|_| RegistryError::Deleted)?;
+        match &seen.closed {
+            Some(why) if seen.published.revision < revision => Err(why.clone()),
+            _ => Ok(Arc::clone(&seen.published)),
+        }
+    }
+
+    /// Waits for the writer; those who wait get it in the order in which they came.
+    pub async fn write(&self) -> Result<WriteGuard, RegistryError> {
+        let writer = Arc::clone(&self.writer).lock_owned().await;
+        match &self.state.borrow().closed {
+            Some(why) => Err(why.clone()),
+            None => Ok(writer),
+        }
+    }
+
+    /// Commits a mutation that was evaluated under `writer`: appends `effects`, which are not empty, applies them and
+    /// publishes. Returns the revision made once it is as durable as configured. From the first poll on it takes
+    /// place, whether or not the caller waits.
+    pub async fn commit(
+        self: &Arc<Self>,
+        writer: WriteGuard,
+        effects: Effects,
+        window: OperationWindow,
+    ) -> Result<u64, RegistryError> {
+        let revision = if effects.len() <= COMMITTED_IN_PLACE {
+            self.commit_here(writer, effects, window)?
+        } else {
+            let hosted = Arc::clone(self);
+            tokio::task::spawn_blocking(move || hosted.commit_here(writer, effects, window))
+                .await
+                .map_err(|_| RegistryError::Stopped)??
+        };
+        self.reached(revision).await?;
+        Ok(revision)
+    }
+
+    fn commit_here(
+        self: &Arc<Self>,
+        mut writer: WriteGuard,
+        effects: Effects,
+        window: OperationWindow,
+    ) -> Result<u64, RegistryError> {
+        let log = &self.host.log;
+        let record = log.append(self.uid, writer.head().revision, effects)?;
+        writer.apply(&record, window);
+        match log.points(self.uid) {
+            Ok(view) => writer.advance(view),
+            Err(error) => {
+                // The log has the mutation, and readers can never be shown it.
+                self.close(error.clone().into());
+                return Err(error.into());
+            }
+        }
+        self.show(writer.head());
+        self.start_merging(&mut writer);
+        if let Err(error) = log.trim(self.uid, self.host.options.window_bytes) {
+            warn!(index = self.name, %error, "could not trim the log");
+        }
+        let head = Arc::clone(writer.head());
+        let revision = head.revision;
+        let hosted = Arc::clone(self);
+        let published = log
+            .synced(self.uid, revision)
+            .map(move |synced| match synced {
+                Ok(()) => hosted.publish(head),
+                Err(error) => {
+                    error!(index = hosted.name, %error, "the log could not be synced");
+                    hosted.close(error.into());
+                }
+            });
+        // A log that is synced already is published here; any other without the caller, who may go away.
+        let mut published = Box::pin(published);
+        if (&mut published).now_or_never().is_none() {
+            tokio::spawn(published);
+        }
+        Ok(revision)
+    }
+
+    /// Lets readers see what was the writer's head at `head.revision`, in its newest form, unless they see a later
+    /// revision.
+    fn publish(&self, head: Arc<Published>) {
+        self.state.send_if_modified(|state| {
+            let newer = head.revision > state.published.revision;
+            if newer {
+                let same = state.head.revision == head.revision;
+                state.published = if same { Arc::clone(&state.head) } else { head };
+            }
+            newer
+        });
+    }
+
+    /// Takes note of a new head of the writer, or of a new form of the same; readers who see that revision get it.
+    pub(super) fn show(&self, head: &Arc<Published>) {
+        self.state.send_if_modified(|state| {
+            state.head = Arc::clone(head);
+            if state.published.revision == head.revision {
+                state.published = Arc::clone(head);
+            }
+            false
+        });
+    }
+
+    /// Ends the index: nothing is written any more.
+    pub(super) fn close(&self, why: RegistryError) {
+        self.state.send_modify(|state| state.closed = Some(why));
+    }
+
+    /// Waits for the writer even of an index that is closed.
+    pub(super) async fn write_closed(&self) -> WriteGuard {
+        Arc::clone(&self.writer).lock_owned().await
+    }
+}

@@ -1,0 +1,102 @@
+//! The operations that an index remembers, so that a retry takes no second effect.
+
+use std::{
+    collections::{HashMap, VecDeque},
+    sync::Arc,
+};
+
+use crate::log::Operation;
+
+/// How much is remembered. The newest operation always is.
+#[derive(Clone, Copy, Debug)]
+pub struct OperationWindow {
+    /// Most operations.
+    pub count: usize,
+    /// Most bytes of them (see [`Operation::bytes`]).
+    pub bytes: usize,
+}
+
+/// The newest operations, by id.
+#[derive(Default)]
+pub(super) struct Operations {
+    by_id: HashMap<String, Arc<Operation>>,
+    oldest_first: VecDeque<Arc<Operation>>,
+    bytes: usize,
+}
+
+impl Operations {
+    pub(super) fn recall(&self, id: &str) -> Option<&Arc<Operation>> {
+        self.by_id.get(id)
+    }
+
+    /// `operation`'s id is none that is remembered.
+    pub(super) fn remember(&mut self, operation: Arc<Operation>, window: OperationWindow) {
+        self.bytes += operation.bytes();
+        self.by_id
+            .insert(operation.id.clone(), Arc::clone(&operation));
+        self.oldest_first.push_back(operation);
+        while self.oldest_first.len() > 1
+            && (self.oldest_first.len() > window.count || self.bytes > window.bytes)
+        {
+            let Some(forgotten) = self.oldest_first.pop_front() else {
+                break;
+            };
+            self.bytes -= forgotten.bytes();
+            self.by_id.remove(&forgotten.id);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytes::Bytes;
+
+    use super::*;
+
+    fn operation(id: &str, bytes: usize) -> Arc<Operation> {
+        Arc::new(Operation {
+            id: id.into(),
+            fingerprint: [0; 32],
+            response: vec![0; bytes].into(),
+        })
+    }
+
+    fn remembered(sizes: &[usize], window: OperationWindow) -> Vec<bool> {
+        let mut operations = Operations::default();
+        for (at, &bytes) in sizes.iter().enumerate() {
+            operations.remember(operation(&at.to_string(), bytes), window);
+        }
+        (0..sizes.len())
+            .map(|at| operations.recall(&at.to_string()).is_some())
+            .collect()
+    }
+
+    #[test]
+    fn the_oldest_are_forgotten_by_count_and_by_bytes() {
+        let count = OperationWindow {
+            count: 2,
+            bytes: usize::MAX,
+        };
+        assert_eq!(remembered(&[0, 0, 0], count), [false, true, true]);
+        let bytes = OperationWindow {
+            count: usize::MAX,
+            bytes: 1000,
+        };
+        assert_eq!(remembered(&[400, 400, 400], bytes), [false, false, true]);
+        assert_eq!(remembered(&[10, 5000], bytes), [false, true]);
+    }
+
+    #[test]
+    fn the_response_is_remembered_as_it_was() {
+        let mut operations = Operations::default();
+        let done = Arc::new(Operation {
+            id: "op".into(),
+            fingerprint: [7; 32],
+            response: Bytes::from_static(b"response"),
+        });
+        let window = OperationWindow { count: 1, bytes: 0 };
+        operations.remember(Arc::clone(&done), window);
+        assert_eq!(operations.recall("op"), Some(&done));
+        assert_eq!(operations.recall("other"), None);
+    }
+}

@@ -1,0 +1,81 @@
+//! From the log to a hosted index: what a restart does.
+
+use std::sync::Arc;
+
+use tracing::info;
+use wayfold_index::{Forest, PointRef, Points};
+
+use super::{Host, Hosted, OperationWindow, RegistryError, Writer};
+use crate::log::{Entry, LogError, View};
+
+/// How many points are read at a time.
+const PAGE: usize = 4096;
+
+/// The records bound this by themselves, and the next mutation by what is configured.
+const EVERY_OPERATION: OperationWindow = OperationWindow {
+    count: usize::MAX,
+    bytes: usize::MAX,
+};
+
+/// Builds an index from its points, and what it remembers from the records that are held. A call that changed nothing
+/// left no record: it is not remembered, and its retry is evaluated anew, which it cannot tell from a first try.
+pub(super) fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
+    let view = host.log.points(entry.uid)?;
+    let records = host.log.tail(entry.uid, None)?;
+    let mut forest = Forest::new(entry.space.clone(), host.options.forest);
+    if view.revision() > 0 {
+        forest.apply(view.revision(), &load(&*view, entry)?, &[]);
+        forest.settle();
+    }
+    let mut writer = Writer::new(forest, Arc::clone(&view));
+    let mut previous = None;
+    for record in &records {
+        let revision = record.revision();
+        if !record.is_intact() || previous.is_some_and(|digest| digest != *record.previous()) {
+            return Err(RegistryError::Log(LogError::Damaged {
+                uid: entry.uid,
+                revision,
+                what: "it does not match its checksum, or not the record before it",
+            }));
+        }
+        previous = Some(*record.digest());
+        if let Some(operation) = record.effects().operation() {
+            writer.remember(Arc::clone(operation), EVERY_OPERATION);
+        }
+    }
+    info!(
+        index = entry.name,
+        uid = %entry.uid,
+        revision = view.revision(),
+        points = writer.head().snapshot.len(),
+        "replayed an index"
+    );
+    Ok(Hosted::new(host, entry, writer))
+}
+
+fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
+    let mut points = Points::new(entry.space.coordinates());
+    let mut after = None;
+    loop {
+        let page = view.page(after, PAGE)?;
+        let Some((last, _)) = page.last() else {
+            return Ok(points);
+        };
+        after = Some(*last);
+        for (id, point) in &page {
+            if point.state.len() != entry.space.coordinates() {
+                return Err(LogError::Damaged {
+                    uid: entry.uid,
+                    revision: point.modified,
+                    what: "a state has not the width of the space",
+                });
+            }
+            points.push_point(PointRef {
+                id: *id,
+                tag: point.tag,
+                revision: point.revision,
+                row: &point.state,
+            });
+        }
+    }
+}

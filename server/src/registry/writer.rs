@@ -1,0 +1,77 @@
+//! The one writer of an index: its forest at the head, and what evaluation needs to know of the past.
+
+use std::sync::Arc;
+
+use tokio::sync::OwnedMutexGuard;
+use wayfold_index::Forest;
+
+use super::{OperationWindow, Published, operations::Operations};
+use crate::log::{Operation, Record, View};
+
+/// Exclusive hold of an index's writer.
+pub type WriteGuard = OwnedMutexGuard<Writer>;
+
+/// The state that records are applied to. Its head may be ahead of what readers see, where the log is not yet synced.
+pub struct Writer {
+    pub(super) forest: Forest,
+    /// How many tasks merge this forest's levels.
+    pub(super) mergers: usize,
+    head: Arc<Published>,
+    operations: Operations,
+}
+
+impl Writer {
+    /// A writer whose head is `view`, with a forest of the same points.
+    pub(super) fn new(forest: Forest, view: Arc<dyn View>) -> Self {
+        let head = Published {
+            snapshot: forest.snapshot(),
+            revision: view.revision(),
+            view,
+        };
+        Self {
+            forest,
+            mergers: 0,
+            head: Arc::new(head),
+            operations: Operations::default(),
+        }
+    }
+
+    /// The state that the next mutation is evaluated against.
+    pub fn head(&self) -> &Arc<Published> {
+        &self.head
+    }
+
+    /// The operation of this id, if it took effect and is remembered.
+    pub fn recall(&self, id: &str) -> Option<&Arc<Operation>> {
+        self.operations.recall(id)
+    }
+
+    /// Remembers an operation.
+    pub fn remember(&mut self, operation: Arc<Operation>, window: OperationWindow) {
+        self.operations.remember(operation, window);
+    }
+
+    /// Applies a record: the only way in which the forest's points change.
+    pub(super) fn apply(&mut self, record: &Record, window: OperationWindow) {
+        let effects = record.effects();
+        self.forest
+            .apply(record.revision(), effects.stored(), effects.removed());
+        if let Some(operation) = effects.operation() {
+            self.remember(Arc::clone(operation), window);
+        }
+    }
+
+    /// Takes the forest and `view`, its points as the log has them, for the new head.
+    pub(super) fn advance(&mut self, view: Arc<dyn View>) {
+        self.head = Arc::new(Published {
+            snapshot: self.forest.snapshot(),
+            revision: view.revision(),
+            view,
+        });
+    }
+
+    /// Takes the forest as it is now for the head, at the same revision.
+    pub(super) fn refresh(&mut self) {
+        self.advance(Arc::clone(&self.head.view));
+    }
+}

@@ -1,0 +1,127 @@
+//! The life of a server: from a bound listener to the last accepted call.
+
+use std::{io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
+
+use thiserror::Error;
+use tokio::{net::TcpListener, time::timeout};
+use tokio_util::sync::CancellationToken;
+use tracing::{info, warn};
+
+use crate::{
+    config::Config,
+    grpc::{self, Capacity, GrpcError},
+    lifecycle::{Lifecycle, Phase},
+    log::MemoryLog,
+    registry::{Registry, RegistryError, RegistryOptions},
+    service::Service,
+};
+
+/// How long connections that were cut may take to notice.
+const CUT_WAIT: Duration = Duration::from_secs(1);
+
+/// Why a server ended otherwise than well.
+#[derive(Debug, Error)]
+pub enum ServerError {
+    /// The listener is not usable.
+    #[error("the listener is not usable: {0}")]
+    Listener(#[from] io::Error),
+    /// gRPC could not be served.
+    #[error(transparent)]
+    Grpc(#[from] GrpcError),
+    /// The log holds something that cannot be replayed.
+    #[error("cannot replay the log: {0}")]
+    Replay(#[from] RegistryError),
+    /// Serving ended although nobody asked for it.
+    #[error("serving ended by itself; this is a bug")]
+    Ended,
+    /// The server stopped, but not all calls were done when its time was up.
+    #[error(
+        "{calls} calls were cut: they were not done {grace_ms} ms after the server began to stop (shutdown.grace_ms)"
+    )]
+    Cut {
+        /// How many.
+        calls: usize,
+        /// How long they had.
+        grace_ms: u64,
+    },
+}
+
+/// Serves on `listener` until `shutdown` ends, finishes what was accepted, and returns.
+pub async fn run(
+    config: Config,
+    listener: TcpListener,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ServerError> {
+    serve(config, listener, shutdown, |_| ()).await
+}
+
+/// As [`run`], and calls `ready` with the address once calls are answered.
+pub(crate) async fn serve(
+    config: Config,
+    listener: TcpListener,
+    shutdown: impl Future<Output = ()>,
+    ready: impl FnOnce(SocketAddr),
+) -> Result<(), ServerError> {
+    let address = listener.local_addr()?;
+    if !address.ip().is_loopback() {
+        warn!(
+            %address,
+            "listening beyond this machine: there is no authentication and no encryption yet, \
+             whoever reaches this address can read and change every index"
+        );
+    }
+    let registry = replayed(config.index.options()).await?;
+    let service = Service::new(registry, config.limits.clone());
+    let lifecycle = Lifecycle::starting();
+    let capacity = Capacity::new(config.grpc.max_calls);
+    let cut = CancellationToken::new();
+    let mut serving = pin!(grpc::serve(
+        &config.grpc,
+        service.clone(),
+        lifecycle.watch(),
+        listener,
+        capacity.clone(),
+        cut.clone(),
+    ));
+
+    service.set_ready();
+    lifecycle.advance(Phase::Serving);
+    info!(%address, "serving");
+    ready(address);
+
+    tokio::select! {
+        ended = &mut serving => return ended.map_err(ServerError::from).and(Err(ServerError::Ended)),
+        () = shutdown => {}
+    }
+
+    // In this order, so that whoever has been told that the server stops can count on it.
+    service.begin_shutdown();
+    lifecycle.advance(Phase::Stopping);
+    let grace_ms = config.shutdown.grace_ms;
+    info!(
+        calls = capacity.in_use(),
+        grace_ms, "stopping: finishing what was accepted"
+    );
+    let Ok(drained) = timeout(Duration::from_millis(grace_ms), &mut serving).await else {
+        let calls = capacity.in_use();
+        warn!(calls, grace_ms, "cutting what is not done");
+        cut.cancel();
+        // It ends or it does not; either way this server has said what there is to say.
+        let _ = timeout(CUT_WAIT, serving).await;
+        return Err(ServerError::Cut { calls, grace_ms });
+    };
+    info!("stopped");
+    drained.map_err(ServerError::from)
+}
+
+/// A registry of what the log holds. Read on a thread that may block, as reading a log does.
+async fn replayed(options: RegistryOptions) -> Result<Registry, ServerError> {
+    let replay = move || {
+        let registry = Registry::new(Arc::new(MemoryLog::default()), options);
+        registry.replay()?;
+        Ok(registry)
+    };
+    // It fails to come back only if it panicked.
+    let replayed = tokio::task::spawn_blocking(replay).await;
+    replayed.unwrap_or(Err(ServerError::Ended))
+}

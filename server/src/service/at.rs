@@ -1,0 +1,86 @@
+//! Which index a call means, and which revision of it a read sees.
+
+use std::sync::Arc;
+
+use wayfold_proto::v1;
+
+use super::{Call, Error, Service, check::Violations};
+use crate::{
+    log::LogError,
+    registry::{Hosted, Published, RegistryError},
+};
+
+impl Service {
+    /// The index of this name, which must have `uid` unless that is empty.
+    pub(super) fn index(&self, name: &str, uid: &str) -> Result<Arc<Hosted>, Error> {
+        let hosted = self
+            .inner
+            .registry
+            .get(name)
+            .ok_or_else(|| Error::IndexNotFound { name: name.into() })?;
+        if !uid.is_empty() && uid != hosted.uid_text() {
+            return Err(Error::UidMismatch {
+                index: name.into(),
+                asked: uid.into(),
+                found: hosted.uid_text().into(),
+            });
+        }
+        Ok(hosted)
+    }
+
+    /// What a read sees: the newest revision, once that is at least `at.min_revision`.
+    pub(super) async fn published(
+        &self,
+        call: &Call,
+        hosted: &Hosted,
+        at: &v1::ReadAt,
+    ) -> Result<Arc<Published>, Error> {
+        let published = hosted.published();
+        if published.revision >= at.min_revision {
+            return Ok(published);
+        }
+        const WAITING: &str = "while waiting for min_revision";
+        let reached = hosted.reached(at.min_revision);
+        let reached = match call.deadline {
+            Some(_) => call.bound(WAITING, reached).await?,
+            None => tokio::time::timeout(self.limits().min_revision_wait, reached)
+                .await
+                .map_err(|_| Error::DeadlineExceeded { doing: WAITING })?,
+        };
+        reached.map_err(|error| failed(hosted.name(), error))
+    }
+}
+
+/// A revision above 0 means something only with its uid.
+pub(super) fn check_read_at(at: &v1::ReadAt, violations: &mut Violations) {
+    if at.min_revision > 0 && at.uid.is_empty() {
+        violations.add(
+            "at.uid",
+            "REQUIRED",
+            "min_revision needs the uid of the index it belongs to",
+        );
+    }
+}
+
+/// What a failure of the registry means to a caller.
+pub(super) fn failed(index: &str, error: RegistryError) -> Error {
+    let what = format!("index \"{index}\": {error}");
+    match error {
+        RegistryError::Deleted => Error::IndexNotFound { name: index.into() },
+        RegistryError::Log(error) => log_failed(index, error),
+        RegistryError::Exists { .. }
+        | RegistryError::OtherUid { .. }
+        | RegistryError::Full { .. }
+        | RegistryError::Stopped => Error::Internal { what },
+    }
+}
+
+/// What a failure of the log means to a caller.
+pub(super) fn log_failed(index: &str, error: LogError) -> Error {
+    let what = format!("index \"{index}\": {error}");
+    match error {
+        LogError::UnknownIndex { .. } => Error::IndexNotFound { name: index.into() },
+        LogError::Damaged { .. } | LogError::Trimmed { .. } => Error::DataLoss { what },
+        LogError::UidTaken { .. } | LogError::Fenced { .. } => Error::Internal { what },
+    }
+}

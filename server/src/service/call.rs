@@ -1,0 +1,71 @@
+//! What is known of a call beside its request, and how a long one shares its thread.
+
+use std::{
+    future::Future,
+    time::{Duration, Instant},
+};
+
+use super::Error;
+
+/// How long a call may compute before it lets others on.
+const SLICE: Duration = Duration::from_micros(500);
+
+/// The context of one call.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Call {
+    /// When the caller stops waiting; None for never. Kept also inside a long batch.
+    pub deadline: Option<Instant>,
+}
+
+impl Call {
+    /// Waits for `future` until the deadline.
+    pub(super) async fn bound<F: Future>(
+        &self,
+        doing: &'static str,
+        future: F,
+    ) -> Result<F::Output, Error> {
+        let Some(deadline) = self.deadline else {
+            return Ok(future.await);
+        };
+        tokio::time::timeout_at(deadline.into(), future)
+            .await
+            .map_err(|_| Error::DeadlineExceeded { doing })
+    }
+
+    /// Fails if the deadline has passed.
+    pub(super) fn check(&self, doing: &'static str) -> Result<(), Error> {
+        match self.deadline {
+            Some(deadline) if Instant::now() >= deadline => Err(Error::DeadlineExceeded { doing }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Begins a piece of work that may be long.
+    pub(super) fn pace(&self, doing: &'static str) -> Pace {
+        Pace {
+            call: *self,
+            doing,
+            began: Instant::now(),
+        }
+    }
+}
+
+/// Cuts long work into slices: between two, other tasks run and the deadline is checked.
+pub(super) struct Pace {
+    call: Call,
+    doing: &'static str,
+    began: Instant,
+}
+
+impl Pace {
+    /// To be called after every bit of work, from a microsecond to a slice of it.
+    pub(super) async fn step(&mut self) -> Result<(), Error> {
+        if self.began.elapsed() < SLICE {
+            return Ok(());
+        }
+        self.call.check(self.doing)?;
+        tokio::task::yield_now().await;
+        self.began = Instant::now();
+        Ok(())
+    }
+}

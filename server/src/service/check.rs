@@ -1,0 +1,298 @@
+//! From a request to rows and searches that need no further question, or to the list of what is wrong with it.
+
+use std::collections::{HashMap, hash_map};
+
+use bytes::Bytes;
+use wayfold_index::{Filter, Search, Space, StateError, StateProblem};
+use wayfold_proto::v1;
+
+use super::{Error, Limits, Violation, call::Pace};
+
+/// The first id that is too large.
+pub(super) const END_OF_IDS: u64 = 1 << 63;
+
+/// What is wrong with a request: the first few violations.
+#[derive(Default)]
+pub(super) struct Violations(Vec<Violation>);
+
+impl Violations {
+    const MOST: usize = 10;
+
+    pub(super) fn add(
+        &mut self,
+        field: impl Into<String>,
+        reason: &'static str,
+        description: impl Into<String>,
+    ) {
+        if !self.are_enough() {
+            self.0.push(Violation {
+                field: field.into(),
+                reason,
+                description: description.into(),
+            });
+        }
+    }
+
+    /// Whether looking for more is of no use.
+    pub(super) fn are_enough(&self) -> bool {
+        self.0.len() >= Self::MOST
+    }
+
+    pub(super) fn finish(self) -> Result<(), Error> {
+        if self.0.is_empty() {
+            Ok(())
+        } else {
+            Err(Error::InvalidArgument { violations: self.0 })
+        }
+    }
+}
+
+/// States of a space: canonical rows.
+pub(super) struct Rows {
+    width: usize,
+    coordinates: Vec<f64>,
+}
+
+impl Rows {
+    pub(super) fn iter(&self) -> impl ExactSizeIterator<Item = &[f64]> {
+        self.coordinates.chunks_exact(self.width)
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.coordinates.len() / self.width
+    }
+}
+
+/// Checks states, and brings them into canonical form.
+pub(super) async fn states(
+    space: &Space,
+    states: Option<v1::States>,
+    limits: &Limits,
+    pace: &mut Pace,
+    violations: &mut Violations,
+) -> Result<Rows, Error> {
+    let width = space.coordinates();
+    let mut checked = Rows {
+        width,
+        coordinates: Vec::new(),
+    };
+    let Some(states) = states else {
+        violations.add("states", "REQUIRED", "the states are missing");
+        return Ok(checked);
+    };
+    let rows = states.rows as usize;
+    if rows > limits.rows_per_call {
+        return Err(Error::LimitExceeded {
+            limit: "rows_per_call",
+            value: limits.rows_per_call as u64,
+            asked: rows as u64,
+            advice: "split the states over several calls",
+        });
+    }
+    let found = states.coordinates.len();
+    if found != rows * width {
+        violations.add(
+            "states.coordinates",
+            "WIDTH",
+            format!(
+                "{found} numbers; {rows} rows of {width} coordinates, as {space} has, are {}",
+                rows * width
+            ),
+        );
+        return Ok(checked);
+    }
+    checked.coordinates = states.coordinates;
+    for (at, row) in checked.coordinates.chunks_exact_mut(width).enumerate() {
+        if let Err(error) = space.canonicalize(row) {
+            violations.add(
+                format!("states[{at}].coords[{}]", error.coordinate),
+                state_reason(&error),
+                error.reason.to_string(),
+            );
+            if violations.are_enough() {
+                break;
+            }
+        }
+        if at % 64 == 63 {
+            pace.step().await?;
+        }
+    }
+    Ok(checked)
+}
+
+fn state_reason(error: &StateError) -> &'static str {
+    match error.reason {
+        StateProblem::NaN => "NAN",
+        StateProblem::Infinite => "INFINITE",
+        StateProblem::TooLarge => "TOO_LARGE",
+        StateProblem::Norm(_) => "NORM",
+        StateProblem::Width { .. } => "WIDTH",
+    }
+}
+
+/// Ids are below 2^63, each once.
+pub(super) async fn ids(
+    ids: &[u64],
+    pace: &mut Pace,
+    violations: &mut Violations,
+) -> Result<(), Error> {
+    let mut first = HashMap::with_capacity(ids.len());
+    for (at, &id) in ids.iter().enumerate() {
+        if id >= END_OF_IDS {
+            let text = format!("{id}: ids are below 2^63");
+            violations.add(format!("ids[{at}]"), "ID_TOO_LARGE", text);
+        }
+        match first.entry(id) {
+            hash_map::Entry::Vacant(entry) => {
+                entry.insert(at);
+            }
+            hash_map::Entry::Occupied(entry) => {
+                let text = format!(
+                    "{id} is ids[{}] already: a call names an id once",
+                    entry.get()
+                );
+                violations.add(format!("ids[{at}]"), "DUPLICATE_ID", text);
+            }
+        }
+        if violations.are_enough() {
+            break;
+        }
+        if at % 1024 == 1023 {
+            pace.step().await?;
+        }
+    }
+    Ok(())
+}
+
+/// Most ids of a call that names points by id.
+pub(super) fn id_count(ids: &[u64], limits: &Limits) -> Result<(), Error> {
+    if ids.len() <= limits.ids_per_call {
+        return Ok(());
+    }
+    Err(Error::LimitExceeded {
+        limit: "ids_per_call",
+        value: limits.ids_per_call as u64,
+        asked: ids.len() as u64,
+        advice: "split the ids over several calls",
+    })
+}
+
+/// A column has an entry for each row, or none at all.
+pub(super) fn column<T>(field: &str, column: &[T], rows: usize, violations: &mut Violations) {
+    if !column.is_empty() && column.len() != rows {
+        let text = format!(
+            "{} entries for {rows} rows: one a row, or none",
+            column.len()
+        );
+        violations.add(field, "COUNT", text);
+    }
+}
+
+pub(super) fn payloads(payloads: &[Bytes], limits: &Limits, violations: &mut Violations) {
+    for (at, payload) in payloads.iter().enumerate() {
+        if payload.len() > limits.payload_bytes {
+            violations.add(
+                format!("payloads[{at}]"),
+                "PAYLOAD_TOO_LARGE",
+                format!(
+                    "{} bytes; a payload has at most {}",
+                    payload.len(),
+                    limits.payload_bytes
+                ),
+            );
+        }
+    }
+}
+
+/// An operation id has at most 64 bytes.
+pub(super) fn operation_id(id: &str, violations: &mut Violations) {
+    if id.len() > 64 {
+        let text = format!("{} bytes; an operation id has at most 64", id.len());
+        violations.add("operation_id", "TOO_LONG", text);
+    }
+}
+
+/// A distance: at least 0, infinity allowed.
+pub(super) fn radius(field: &str, radius: f64, violations: &mut Violations) {
+    if radius.is_nan() {
+        violations.add(field, "NAN", "NaN");
+    } else if radius < 0.0 {
+        violations.add(field, "NEGATIVE", format!("{radius}; it is at least 0"));
+    }
+}
+
+/// A number that is finite and at least 0.
+pub(super) fn finite(field: &str, number: f64, violations: &mut Violations) {
+    radius(field, number, violations);
+    if number == f64::INFINITY {
+        violations.add(field, "INFINITE", "infinite; it is a finite number");
+    }
+}
+
+/// How many neighbours: at least 1, at most `limits.k`.
+pub(super) fn k(
+    field: &str,
+    k: u32,
+    limits: &Limits,
+    violations: &mut Violations,
+) -> Result<usize, Error> {
+    let k = k as usize;
+    if k == 0 {
+        violations.add(field, "ZERO", "k is at least 1");
+    }
+    if k > limits.k {
+        return Err(Error::LimitExceeded {
+            limit: "k",
+            value: limits.k as u64,
+            asked: k as u64,
+            advice: "ask for fewer neighbours, or for all within a radius",
+        });
+    }
+    Ok(k)
+}
+
+/// A filter; `field` is its path, `uid` the request's, which `uid_field` names.
+pub(super) fn filter(
+    field: &str,
+    filter: Option<v1::Filter>,
+    (uid_field, uid): (&str, &str),
+    violations: &mut Violations,
+) -> Filter {
+    let filter = filter.unwrap_or_default();
+    if filter.tag_value & !filter.tag_mask != 0 {
+        violations.add(
+            format!("{field}.tag_value"),
+            "OUTSIDE_MASK",
+            format!(
+                "{:#x} has bits outside tag_mask = {:#x}: no tag could match",
+                filter.tag_value, filter.tag_mask
+            ),
+        );
+    }
+    if filter.since_revision > 0 && uid.is_empty() {
+        violations.add(
+            uid_field,
+            "REQUIRED",
+            "since_revision needs the uid of the index it belongs to",
+        );
+    }
+    Filter {
+        tag_mask: filter.tag_mask,
+        tag_value: filter.tag_value,
+        since_revision: filter.since_revision,
+    }
+}
+
+/// What `Knn` and `Query` say of accuracy.
+pub(super) fn accuracy(
+    search: &mut Search<'_>,
+    epsilon: f64,
+    max_leaves: u32,
+    violations: &mut Violations,
+) {
+    finite("epsilon", epsilon, violations);
+    search.epsilon = epsilon;
+    if max_leaves > 0 {
+        search.max_leaves = max_leaves as usize;
+    }
+}

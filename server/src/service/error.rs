@@ -1,0 +1,297 @@
+//! Everything that can go wrong with a call, typed: what was wrong, where, and what to do.
+
+use std::fmt;
+
+use thiserror::Error;
+
+/// The kinds of failure a caller can tell apart: the eleven codes of the contract, named as gRPC names them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Code {
+    /// A field of the request is wrong, whatever the index holds.
+    InvalidArgument,
+    /// No such index, or no such points.
+    NotFound,
+    /// Another index or other points stand in the way.
+    AlreadyExists,
+    /// The index is not in the state the request counts on.
+    FailedPrecondition,
+    /// A limit of the server.
+    ResourceExhausted,
+    /// The server is starting or stopping: try again.
+    Unavailable,
+    /// The call ran out of time.
+    DeadlineExceeded,
+    /// Nobody knows who is calling.
+    Unauthenticated,
+    /// The caller may not do this.
+    PermissionDenied,
+    /// Stored data is damaged.
+    DataLoss,
+    /// A bug.
+    Internal,
+}
+
+/// One field that is wrong.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Violation {
+    /// The field's path in the request: `states[37].coords[3]`.
+    pub field: String,
+    /// The kind of violation, in UPPER_SNAKE_CASE: `NAN`.
+    pub reason: &'static str,
+    /// What is wrong and what would be right.
+    pub description: String,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.field, self.description)
+    }
+}
+
+/// Why the server answers no calls.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unavailability {
+    /// It has not replayed its log yet.
+    Starting,
+    /// It is shutting down.
+    Stopping,
+}
+
+/// Why a call failed. A call that fails changes nothing, except that [`Error::DeadlineExceeded`] and
+/// [`Error::DataLoss`] of a mutation mean "unknown".
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum Error {
+    /// Fields of the request are wrong. At least one is named; of many, the first few.
+    #[error("{}", list(violations, "; "))]
+    InvalidArgument {
+        /// The fields.
+        violations: Vec<Violation>,
+    },
+    /// No index has this name.
+    #[error("no index is named \"{name}\": create it, or list the indices")]
+    IndexNotFound {
+        /// The name.
+        name: String,
+    },
+    /// Points that the call names are not stored.
+    #[error("index \"{index}\" holds no point with {}", Ids(ids))]
+    PointsNotFound {
+        /// The index.
+        index: String,
+        /// The ids, all of them.
+        ids: Vec<u64>,
+    },
+    /// An index of this name exists, with another space.
+    #[error(
+        "index \"{name}\" exists with the space {existing}, not {asked}: take another name, or delete it first"
+    )]
+    IndexExists {
+        /// The name.
+        name: String,
+        /// Its space, as text.
+        existing: String,
+        /// The space asked for, as text.
+        asked: String,
+    },
+    /// Ids of an insert hold different points.
+    #[error(
+        "index \"{index}\" holds different points under {}: set on_conflict to REPLACE to replace them",
+        Ids(ids)
+    )]
+    PointsExist {
+        /// The index.
+        index: String,
+        /// The ids, all of them.
+        ids: Vec<u64>,
+    },
+    /// The index has another uid: it was deleted and created again, or restored.
+    #[error(
+        "index \"{index}\" has the uid {found}, not {asked}: its past is another one, so revisions and ids known of \
+         the old one mean nothing here"
+    )]
+    UidMismatch {
+        /// The index.
+        index: String,
+        /// The uid asked for.
+        asked: String,
+        /// The index's uid.
+        found: String,
+    },
+    /// Points changed after the revision that the call compares with.
+    #[error(
+        "index \"{index}\": the points with {} changed after revision {if_revision}: read them again",
+        Ids(ids)
+    )]
+    RevisionConflict {
+        /// The index.
+        index: String,
+        /// The revision compared with.
+        if_revision: u64,
+        /// The ids of the points that changed, all of them.
+        ids: Vec<u64>,
+    },
+    /// The call exceeds a limit of the server.
+    #[error("{asked} exceed the limit {limit} = {value}: {advice}")]
+    LimitExceeded {
+        /// The limit's name in the settings.
+        limit: &'static str,
+        /// Its value.
+        value: u64,
+        /// What the call asks for; for `answer_bytes` how far the answer had come when it was given up.
+        asked: u64,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// No ids are left to assign.
+    #[error(
+        "index \"{index}\" has no ids left to assign below 2^63, since one near it was given: give ids yourself, or \
+         start a new index"
+    )]
+    IdsExhausted {
+        /// The index.
+        index: String,
+    },
+    /// A scan held its snapshot for longer than it may.
+    #[error(
+        "the scan held its snapshot for longer than scan_seconds = {scan_seconds}: go on at a newer revision with \
+         {}",
+        match after_id {
+            Some(id) => format!("after_id = {id}"),
+            None => "a new scan".into(),
+        }
+    )]
+    ScanTooLong {
+        /// The limit.
+        scan_seconds: u64,
+        /// The last id that was sent.
+        after_id: Option<u64>,
+    },
+    /// The server answers no calls now.
+    #[error(
+        "the server is {}: try again in a moment",
+        match why {
+            Unavailability::Starting => "starting",
+            Unavailability::Stopping => "stopping",
+        }
+    )]
+    Unavailable {
+        /// Why.
+        why: Unavailability,
+    },
+    /// The deadline passed.
+    #[error("the deadline passed {doing}")]
+    DeadlineExceeded {
+        /// During what: "while searching".
+        doing: &'static str,
+    },
+    /// An operation id came back with another request.
+    #[error(
+        "operation_id: \"{operation_id}\" was used for another request: a retry repeats the request to the letter, \
+         and a new request needs a new id"
+    )]
+    OperationMismatch {
+        /// The operation id.
+        operation_id: String,
+    },
+    /// Stored data is damaged, or could not be made durable.
+    #[error("{what}")]
+    DataLoss {
+        /// What is lost, and where.
+        what: String,
+    },
+    /// A bug of the server.
+    #[error("a bug in the server: {what}")]
+    Internal {
+        /// What happened.
+        what: String,
+    },
+}
+
+impl Error {
+    /// The kind of failure.
+    pub fn code(&self) -> Code {
+        match self {
+            Error::InvalidArgument { .. } | Error::OperationMismatch { .. } => {
+                Code::InvalidArgument
+            }
+            Error::IndexNotFound { .. } | Error::PointsNotFound { .. } => Code::NotFound,
+            Error::IndexExists { .. } | Error::PointsExist { .. } => Code::AlreadyExists,
+            Error::UidMismatch { .. } | Error::RevisionConflict { .. } => Code::FailedPrecondition,
+            Error::LimitExceeded { .. }
+            | Error::IdsExhausted { .. }
+            | Error::ScanTooLong { .. } => Code::ResourceExhausted,
+            Error::Unavailable { .. } => Code::Unavailable,
+            Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
+            Error::DataLoss { .. } => Code::DataLoss,
+            Error::Internal { .. } => Code::Internal,
+        }
+    }
+
+    /// The reason in UPPER_SNAKE_CASE; of several violations, the first one's.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Error::InvalidArgument { violations } => violations
+                .first()
+                .map_or("INVALID_ARGUMENT", |violation| violation.reason),
+            Error::IndexNotFound { .. } => "INDEX_NOT_FOUND",
+            Error::PointsNotFound { .. } => "POINTS_NOT_FOUND",
+            Error::IndexExists { .. } => "INDEX_EXISTS",
+            Error::PointsExist { .. } => "POINTS_EXIST",
+            Error::UidMismatch { .. } => "UID_MISMATCH",
+            Error::RevisionConflict { .. } => "REVISION_CONFLICT",
+            Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",
+            Error::IdsExhausted { .. } => "IDS_EXHAUSTED",
+            Error::ScanTooLong { .. } => "SCAN_TOO_LONG",
+            Error::Unavailable { why } => match why {
+                Unavailability::Starting => "STARTING",
+                Unavailability::Stopping => "STOPPING",
+            },
+            Error::DeadlineExceeded { .. } => "DEADLINE_EXCEEDED",
+            Error::OperationMismatch { .. } => "OPERATION_MISMATCH",
+            Error::DataLoss { .. } => "DATA_LOSS",
+            Error::Internal { .. } => "INTERNAL",
+        }
+    }
+}
+
+fn list<T: ToString>(items: &[T], separator: &str) -> String {
+    let items: Vec<String> = items.iter().map(T::to_string).collect();
+    items.join(separator)
+}
+
+/// Ids in a message: the first few, and how many more there are.
+struct Ids<'a>(&'a [u64]);
+
+impl fmt::Display for Ids<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const SHOWN: usize = 10;
+        let plural = if self.0.len() == 1 { "id" } else { "ids" };
+        let shown = &self.0[..self.0.len().min(SHOWN)];
+        write!(f, "{plural} {}", list(shown, ", "))?;
+        match self.0.len() - shown.len() {
+            0 => Ok(()),
+            more => write!(f, " and {more} more"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_name_a_few_ids_and_count_the_rest() {
+        let error = |ids: Vec<u64>| Error::PointsNotFound {
+            index: "arm".into(),
+            ids,
+        };
+        assert_eq!(
+            error(vec![7]).to_string(),
+            "index \"arm\" holds no point with id 7"
+        );
+        assert_eq!(
+            error((0..12).collect()).to_string(),
+            "index \"arm\" holds no point with ids 0, 1, 2, 3, 4, 5, 6, 7, 8, 9 and 2 more"
+        );
+    }
+}

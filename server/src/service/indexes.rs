@@ -1,0 +1,248 @@
+//! `CreateIndex`, `GetIndex`, `ListIndexes`, `DeleteIndex`.
+
+use prost::Message;
+use wayfold_index::Space;
+use wayfold_proto::{space, v1};
+
+use super::{Call, Error, Service, at::failed, check::Violations};
+use crate::registry::{Hosted, RegistryError};
+
+impl Service {
+    /// Creates an index, or finds the one of this name with an equal space.
+    pub async fn create_index(
+        &self,
+        call: &Call,
+        request: v1::CreateIndexRequest,
+    ) -> Result<v1::CreateIndexResponse, Error> {
+        self.accept(call)?;
+        let mut violations = Violations::default();
+        check_name(&request.name, &mut violations);
+        let space = read_space(request.space.as_ref(), &request.space_text, &mut violations);
+        violations.finish()?;
+        let Some(space) = space else {
+            return Err(Error::Internal {
+                what: "a space that was refused without a reason".into(),
+            });
+        };
+        let asked = space.to_string();
+        let created = self
+            .inner
+            .registry
+            .create(&request.name, space, self.limits().indexes);
+        let (hosted, created) = created.map_err(|error| match error {
+            RegistryError::Exists { space } => Error::IndexExists {
+                name: request.name.clone(),
+                existing: space.to_string(),
+                asked,
+            },
+            RegistryError::Full { limit } => Error::LimitExceeded {
+                limit: "indexes",
+                value: limit as u64,
+                asked: limit as u64 + 1,
+                advice: "delete an index first",
+            },
+            error => failed(&request.name, error),
+        })?;
+        Ok(v1::CreateIndexResponse {
+            index: Some(describe(&hosted)),
+            created,
+        })
+    }
+
+    /// Describes one index.
+    pub async fn get_index(
+        &self,
+        call: &Call,
+        request: v1::GetIndexRequest,
+    ) -> Result<v1::GetIndexResponse, Error> {
+        self.accept(call)?;
+        let hosted = self.index(&request.name, "")?;
+        Ok(v1::GetIndexResponse {
+            index: Some(describe(&hosted)),
+        })
+    }
+
+    /// Lists the indices in the order of their names, a page a call. A page ends early where the answer would grow
+    /// beyond its limit.
+    pub async fn list_indexes(
+        &self,
+        call: &Call,
+        request: v1::ListIndexesRequest,
+    ) -> Result<v1::ListIndexesResponse, Error> {
+        self.accept(call)?;
+        let size = match request.page_size {
+            0 => 100,
+            size => size.min(1000) as usize,
+        };
+        let mut violations = Violations::default();
+        let after = read_token(&request.page_token, &mut violations);
+        violations.finish()?;
+
+        let mut pace = call.pace("while listing the indices");
+        let hosted = self.inner.registry.page(after.as_deref(), size + 1);
+        let mut page = v1::ListIndexesResponse::default();
+        let mut bytes = 0;
+        for hosted in &hosted {
+            let index = describe(hosted);
+            bytes += index.encoded_len() + 8;
+            let full = page.indexes.len() == size || bytes > self.limits().answer_bytes;
+            if let Some(last) = page.indexes.last().filter(|_| full) {
+                page.next_page_token = write_token(&last.name);
+                break;
+            }
+            page.indexes.push(index);
+            pace.step().await?;
+        }
+        Ok(page)
+    }
+
+    /// Deletes an index and all its points.
+    pub async fn delete_index(
+        &self,
+        call: &Call,
+        request: v1::DeleteIndexRequest,
+    ) -> Result<v1::DeleteIndexResponse, Error> {
+        self.accept(call)?;
+        let uid = Some(&*request.uid).filter(|uid| !uid.is_empty());
+        let deleted = self.inner.registry.delete(&request.name, uid);
+        let uid = deleted.map_err(|error| match error {
+            RegistryError::OtherUid { found } => Error::UidMismatch {
+                index: request.name.clone(),
+                asked: request.uid.clone(),
+                found: found.to_string(),
+            },
+            error => failed(&request.name, error),
+        })?;
+        Ok(v1::DeleteIndexResponse {
+            uid: uid.to_string(),
+        })
+    }
+}
+
+/// An index as of one published revision.
+fn describe(hosted: &Hosted) -> v1::Index {
+    let published = hosted.published();
+    let space = hosted.space();
+    v1::Index {
+        name: hosted.name().into(),
+        space: Some(space::to_message(space)),
+        space_text: space.to_string(),
+        uid: hosted.uid_text().into(),
+        revision: published.revision,
+        points: published.snapshot.len() as u64,
+        coordinates: space.coordinates() as u32,
+        dimension: space.dimension() as u32,
+        memory_bytes: published.snapshot.memory_bytes() as u64,
+    }
+}
+
+/// Names are `[a-z0-9][a-z0-9_-]{0,62}`.
+fn is_name(name: &str) -> bool {
+    let word = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit();
+    let rest = |byte: u8| word(byte) || byte == b'_' || byte == b'-';
+    name.len() <= 63 && name.bytes().next().is_some_and(word) && name.bytes().all(rest)
+}
+
+fn check_name(name: &str, violations: &mut Violations) {
+    if !is_name(name) {
+        let text = format!("{name:?} is not of the form [a-z0-9][a-z0-9_-]{{0,62}}");
+        violations.add("name", "NAME", text);
+    }
+}
+
+/// The space in whichever form it was given; None after a violation.
+fn read_space(
+    message: Option<&v1::Space>,
+    text: &str,
+    violations: &mut Violations,
+) -> Option<Space> {
+    match (message, text) {
+        (None, "") => {
+            violations.add("space", "REQUIRED", "set space or space_text");
+            None
+        }
+        (Some(_), text) if !text.is_empty() => {
+            violations.add(
+                "space_text",
+                "AMBIGUOUS",
+                "set space or space_text, not both",
+            );
+            None
+        }
+        (Some(message), _) => space::from_message(message)
+            .map_err(|error| {
+                let field = format!("space.{}", error.path);
+                violations.add(field, "SPACE", error.problem.to_string());
+            })
+            .ok(),
+        (None, text) => text
+            .parse()
+            .map_err(|error: wayfold_index::SpaceError| {
+                violations.add("space_text", "SPACE", error.to_string());
+            })
+            .ok(),
+    }
+}
+
+/// A page token is the last name of the page before, in hexadecimal: opaque, and good even if that index is gone.
+fn write_token(name: &str) -> String {
+    name.bytes().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn read_token(token: &str, violations: &mut Violations) -> Option<String> {
+    if token.is_empty() {
+        return None;
+    }
+    let digits: Option<Vec<u8>> = token
+        .chars()
+        .map(|digit| digit.to_digit(16).map(|digit| digit as u8))
+        .collect();
+    let name = digits
+        .filter(|digits| digits.len().is_multiple_of(2))
+        .map(|digits| {
+            digits
+                .chunks_exact(2)
+                .map(|pair| pair[0] * 16 + pair[1])
+                .collect()
+        })
+        .and_then(|bytes| String::from_utf8(bytes).ok())
+        .filter(|name| is_name(name));
+    if name.is_none() {
+        violations.add(
+            "page_token",
+            "PAGE_TOKEN",
+            "not a token of this server: send next_page_token of the page before, or nothing",
+        );
+    }
+    name
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names() {
+        let longest = "a".repeat(63);
+        for name in ["a", "0", "arm-7_left", &longest] {
+            assert!(is_name(name), "{name}");
+        }
+        let too_long = "a".repeat(64);
+        for name in ["", "-a", "_a", "A", "a b", "a/b", "ä", &too_long] {
+            assert!(!is_name(name), "{name}");
+        }
+    }
+
+    #[test]
+    fn tokens_round_trip_and_others_are_refused() {
+        let mut violations = Violations::default();
+        let read = read_token(&write_token("arm-7"), &mut violations);
+        assert_eq!(read.as_deref(), Some("arm-7"));
+        assert!(violations.finish().is_ok());
+        for token in ["a", "zz", "00", "ff", "é"] {
+            let mut violations = Violations::default();
+            assert_eq!(read_token(token, &mut violations), None);
+            assert!(violations.finish().is_err(), "{token}");
+        }
+    }
+}

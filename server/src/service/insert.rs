@@ -1,0 +1,287 @@
+//! `Insert`: states become points.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use wayfold_index::{PointRef, Search, Space};
+use wayfold_proto::v1;
+
+use super::{
+    Call, Error, Limits, Service,
+    answer::{Found, Room},
+    call::Pace,
+    check::{self, END_OF_IDS, Rows, Violations},
+    mutation::Claim,
+    staging::Staging,
+};
+use crate::{
+    log::{Effects, Outcome},
+    registry::{Hosted, Published},
+};
+
+/// A checked request.
+struct Insertion {
+    rows: Rows,
+    /// One a row, or none: then they are assigned.
+    ids: Vec<u64>,
+    /// One a row, or none.
+    tags: Vec<u64>,
+    /// One a row, or none.
+    payloads: Vec<Bytes>,
+    replace: bool,
+    min_separation: f64,
+    neighbors: Option<(Search<'static>, Option<v1::Include>)>,
+}
+
+impl Service {
+    /// Inserts states; rows apply in order, and a row sees the rows before it.
+    pub async fn insert(
+        &self,
+        call: &Call,
+        request: v1::InsertRequest,
+    ) -> Result<v1::InsertResponse, Error> {
+        self.accept(call)?;
+        let hosted = self.index(&request.index, &request.uid)?;
+        let mut pace = call.pace("while evaluating the rows; nothing was changed");
+        let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
+        let insertion = Insertion::check(request, hosted.space(), self.limits(), &mut pace).await?;
+
+        let writer = self.writer(call, &hosted).await?;
+        if let Some(response) = self.recall(call, &hosted, &writer, claim.as_ref()).await? {
+            return Ok(response);
+        }
+        let head = writer.head().clone();
+        let revision = head.revision;
+        let mut evaluation = Evaluation::new(&insertion, &hosted, head, self.limits())?;
+        for (at, row) in insertion.rows.iter().enumerate() {
+            evaluation.row(at, row)?;
+            if insertion.is_searched() || at % 32 == 31 {
+                pace.step().await?;
+            }
+        }
+        let (effects, told) = evaluation.finish()?;
+        let response = v1::InsertResponse {
+            revision: revision + u64::from(!effects.is_empty()),
+            uid: hosted.uid_text().into(),
+            ..told
+        };
+        self.commit(call, &hosted, writer, effects, claim, &response)
+            .await?;
+        Ok(response)
+    }
+}
+
+/// An insertion against the head of an index, row by row. Nobody sees anything of it.
+struct Evaluation<'a> {
+    insertion: &'a Insertion,
+    index: &'a str,
+    staging: Staging<'a>,
+    /// The next id to assign.
+    next_id: u64,
+    found: Option<Found>,
+    told: v1::InsertResponse,
+    /// Ids that hold another point. From the first on nothing but further ones is of interest.
+    conflicts: Vec<u64>,
+}
+
+impl<'a> Evaluation<'a> {
+    fn new(
+        insertion: &'a Insertion,
+        hosted: &'a Hosted,
+        head: Arc<Published>,
+        limits: &Limits,
+    ) -> Result<Self, Error> {
+        let space = hosted.space();
+        let mut room = Room::new(limits);
+        room.take(insertion.rows.len() * (1 + 8))?;
+        Ok(Self {
+            insertion,
+            index: hosted.name(),
+            next_id: head.view.next_id(),
+            staging: Staging::new(hosted.name(), head, space, insertion.is_searched()),
+            found: insertion
+                .neighbors
+                .map(|(_, include)| Found::new(include, space.coordinates(), room)),
+            told: v1::InsertResponse::default(),
+            conflicts: Vec::new(),
+        })
+    }
+
+    fn row(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
+        let insertion = self.insertion;
+        let given = insertion.ids.get(at).copied();
+        let id = given.unwrap_or(self.next_id);
+        let tag = insertion.tags.get(at).copied().unwrap_or_default();
+        let payload = insertion.payloads.get(at);
+        let payload = payload.map_or(&[][..], |payload| payload);
+
+        let held = given.and_then(|id| self.staging.held(id));
+        let is_held = held.is_some();
+        let is_unchanged = match held {
+            Some(held) if is_same(held, tag, row) => self.staging.held_payload(id)? == payload,
+            _ => false,
+        };
+        if is_held && !is_unchanged && !insertion.replace {
+            self.conflicts.push(id);
+        }
+        if !self.conflicts.is_empty() {
+            return Ok(());
+        }
+        if is_held {
+            self.staging.hide(id);
+        }
+        self.tell_neighbors(row)?;
+        let (outcome, told_id) = if is_unchanged {
+            (v1::Outcome::Unchanged, id)
+        } else if let Some(blocker) = self.blocker(row) {
+            (v1::Outcome::TooClose, blocker)
+        } else if is_held {
+            (v1::Outcome::Replaced, id)
+        } else {
+            (v1::Outcome::Inserted, id)
+        };
+        self.told.outcomes.push(outcome.into());
+        self.told.ids.push(told_id);
+        let outcome = match outcome {
+            v1::Outcome::Inserted => Outcome::Inserted,
+            v1::Outcome::Replaced => Outcome::Replaced,
+            v1::Outcome::Unchanged | v1::Outcome::TooClose | v1::Outcome::Unspecified => {
+                self.staging.unhide(id);
+                return Ok(());
+            }
+        };
+        if id >= END_OF_IDS {
+            return Err(Error::IdsExhausted {
+                index: self.index.into(),
+            });
+        }
+        // Of use only where ids are assigned.
+        self.next_id += 1;
+        // The request's payloads are slices of the message: kept as they are, they would keep all of it.
+        let payload = Bytes::copy_from_slice(payload);
+        self.staging.accept(id, tag, row, payload, outcome);
+        Ok(())
+    }
+
+    fn tell_neighbors(&mut self, row: &[f64]) -> Result<(), Error> {
+        let (Some(found), Some((search, _))) = (&mut self.found, &self.insertion.neighbors) else {
+            return Ok(());
+        };
+        let search = Search {
+            k: search.k.min(found.too_many()),
+            ..*search
+        };
+        found.push(&self.staging, &self.staging.search(row, &search))
+    }
+
+    /// The nearest point that is nearer than the separation asked for.
+    fn blocker(&self, row: &[f64]) -> Option<u64> {
+        let min_separation = self.insertion.min_separation;
+        if min_separation == 0.0 {
+            return None;
+        }
+        let nearest = Search {
+            radius: min_separation,
+            ..Search::nearest_k(1)
+        };
+        let neighbors = self.staging.search(row, &nearest);
+        let nearest = neighbors.first()?;
+        (nearest.distance < min_separation).then_some(nearest.id)
+    }
+
+    /// What to log, and what to tell but for revision and uid.
+    fn finish(self) -> Result<(Effects, v1::InsertResponse), Error> {
+        if !self.conflicts.is_empty() {
+            return Err(Error::PointsExist {
+                index: self.index.into(),
+                ids: self.conflicts,
+            });
+        }
+        let told = v1::InsertResponse {
+            neighbors: self.found.map(Found::finish),
+            ..self.told
+        };
+        Ok((self.staging.into_effects(), told))
+    }
+}
+
+impl Insertion {
+    /// Whether rows must find the rows before them.
+    fn is_searched(&self) -> bool {
+        self.min_separation > 0.0 || self.neighbors.is_some()
+    }
+
+    async fn check(
+        request: v1::InsertRequest,
+        space: &Space,
+        limits: &Limits,
+        pace: &mut Pace,
+    ) -> Result<Self, Error> {
+        let mut violations = Violations::default();
+        let replace = match v1::OnConflict::try_from(request.on_conflict) {
+            Ok(v1::OnConflict::Unspecified) => false,
+            Ok(v1::OnConflict::Replace) => true,
+            Err(_) => {
+                let text = format!("{} is no value of OnConflict", request.on_conflict);
+                violations.add("on_conflict", "UNKNOWN_VALUE", text);
+                false
+            }
+        };
+        check::finite("min_separation", request.min_separation, &mut violations);
+        check::operation_id(&request.operation_id, &mut violations);
+        let neighbors = match request.neighbors {
+            Some(query) => {
+                let search = neighbor_search(query, &request.uid, limits, &mut violations)?;
+                Some((search, query.include))
+            }
+            None => None,
+        };
+        let count = request
+            .states
+            .as_ref()
+            .map_or(0, |states| states.rows as usize);
+        let rows = check::states(space, request.states, limits, pace, &mut violations).await?;
+        check::column("ids", &request.ids, count, &mut violations);
+        check::column("tags", &request.tags, count, &mut violations);
+        check::column("payloads", &request.payloads, count, &mut violations);
+        check::ids(&request.ids, pace, &mut violations).await?;
+        check::payloads(&request.payloads, limits, &mut violations);
+        violations.finish()?;
+        Ok(Self {
+            rows,
+            ids: request.ids,
+            tags: request.tags,
+            payloads: request.payloads,
+            replace,
+            min_separation: request.min_separation,
+            neighbors,
+        })
+    }
+}
+
+fn neighbor_search(
+    query: v1::NeighborQuery,
+    uid: &str,
+    limits: &Limits,
+    violations: &mut Violations,
+) -> Result<Search<'static>, Error> {
+    let mut search = Search::nearest_k(usize::MAX);
+    if query.k.is_none() && query.radius.is_none() {
+        violations.add("neighbors", "REQUIRED", "set k, radius or both");
+    }
+    if let Some(k) = query.k {
+        search.k = check::k("neighbors.k", k, limits, violations)?;
+    }
+    if let Some(radius) = query.radius {
+        check::radius("neighbors.radius", radius, violations);
+        search.radius = radius;
+    }
+    search.filter = check::filter("neighbors.filter", query.filter, ("uid", uid), violations);
+    Ok(search)
+}
+
+/// Whether a stored point has this tag and, bit for bit, this state.
+fn is_same(held: PointRef<'_>, tag: u64, row: &[f64]) -> bool {
+    let mut coordinates = held.row.iter().zip(row);
+    held.tag == tag && coordinates.all(|(held, new)| held.to_bits() == new.to_bits())
+}

@@ -1,0 +1,101 @@
+//! The use cases of the contract, and the limits that protect the server. Knows no transport.
+//!
+//! Requests and responses are the messages of `wayfold.v1`: they are the contract, whatever carries them. Every face
+//! translates its calls into these and holds no policy of its own.
+//!
+//! One verb a file; what they share: `check` (requests become canonical rows and searches, or violations), `at`
+//! (which index and which revision), `mutation` (from an evaluated mutation to its acknowledgement), `staging` (rows
+//! that see the rows before them), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting
+//! others on in between), `error`, `limits`.
+
+mod answer;
+mod at;
+mod call;
+mod check;
+mod error;
+mod get;
+mod indexes;
+mod insert;
+mod knn;
+mod limits;
+mod mutation;
+mod query;
+mod remove;
+mod scan;
+mod staging;
+mod update;
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+
+use crate::registry::Registry;
+pub use call::Call;
+pub use error::{Code, Error, Unavailability, Violation};
+pub use limits::Limits;
+pub use scan::Scan;
+
+/// The service: cheap to clone, used from any number of tasks.
+#[derive(Clone)]
+pub struct Service {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    registry: Registry,
+    limits: Limits,
+    ready: AtomicBool,
+    stopping: AtomicBool,
+}
+
+impl Service {
+    /// A service over `registry`. It answers every call with [`Error::Unavailable`] until [`Service::set_ready`].
+    pub fn new(registry: Registry, limits: Limits) -> Self {
+        Self {
+            inner: Arc::new(Inner {
+                registry,
+                limits,
+                ready: AtomicBool::new(false),
+                stopping: AtomicBool::new(false),
+            }),
+        }
+    }
+
+    /// Begins to answer calls; to be called once the registry has replayed its log.
+    pub fn set_ready(&self) {
+        self.inner.ready.store(true, Ordering::Release);
+    }
+
+    /// Answers new calls with [`Error::Unavailable`] from now on. Those accepted before go on to their end.
+    pub fn begin_shutdown(&self) {
+        self.inner.stopping.store(true, Ordering::Release);
+    }
+
+    /// Whether new calls are answered.
+    pub fn is_serving(&self) -> bool {
+        self.unavailability().is_none()
+    }
+
+    fn unavailability(&self) -> Option<Unavailability> {
+        if self.inner.stopping.load(Ordering::Acquire) {
+            Some(Unavailability::Stopping)
+        } else if !self.inner.ready.load(Ordering::Acquire) {
+            Some(Unavailability::Starting)
+        } else {
+            None
+        }
+    }
+
+    /// Accepts a call, or refuses it; the first thing that every verb does.
+    fn accept(&self, call: &Call) -> Result<(), Error> {
+        if let Some(why) = self.unavailability() {
+            return Err(Error::Unavailable { why });
+        }
+        call.check("before the call began")
+    }
+
+    fn limits(&self) -> &Limits {
+        &self.inner.limits
+    }
+}

@@ -1,0 +1,135 @@
+//! What every mutation goes through: recognising a retry, waiting for the writer, and from the evaluated effects to
+//! the acknowledgement.
+
+use std::sync::Arc;
+
+use prost::Message;
+use sha2::{Digest as _, Sha256};
+
+use super::{Call, Error, Service, at::failed, call::Pace};
+use crate::{
+    log::{Digest, Effects, Operation},
+    registry::{Hosted, OperationWindow, WriteGuard, Writer},
+};
+
+/// How many bytes of a request are digested at a stretch.
+const STRETCH: usize = 64 * 1024;
+
+/// The claim of a call to take effect once.
+pub(super) struct Claim {
+    id: String,
+    fingerprint: Digest,
+}
+
+impl Claim {
+    /// The claim of a request with this operation id; none if that is empty. The fingerprint covers the whole
+    /// request, its operation id included.
+    pub(super) async fn of(
+        verb: &str,
+        operation_id: &str,
+        request: &impl Message,
+        pace: &mut Pace,
+    ) -> Result<Option<Self>, Error> {
+        if operation_id.is_empty() {
+            return Ok(None);
+        }
+        let mut hash = Sha256::new();
+        hash.update(verb.as_bytes());
+        for stretch in request.encode_to_vec().chunks(STRETCH) {
+            hash.update(stretch);
+            pace.step().await?;
+        }
+        Ok(Some(Self {
+            id: operation_id.into(),
+            fingerprint: hash.finalize().into(),
+        }))
+    }
+}
+
+impl Service {
+    /// Waits for the writer of an index.
+    pub(super) async fn writer(&self, call: &Call, hosted: &Hosted) -> Result<WriteGuard, Error> {
+        call.bound(
+            "while waiting for other mutations of the index",
+            hosted.write(),
+        )
+        .await?
+        .map_err(|error| failed(hosted.name(), error))
+    }
+
+    /// The response that the claimed operation was given, if it took effect already.
+    pub(super) async fn recall<R: Message + Default>(
+        &self,
+        call: &Call,
+        hosted: &Hosted,
+        writer: &Writer,
+        claim: Option<&Claim>,
+    ) -> Result<Option<R>, Error> {
+        let Some(claim) = claim else {
+            return Ok(None);
+        };
+        let Some(operation) = writer.recall(&claim.id) else {
+            return Ok(None);
+        };
+        if operation.fingerprint != claim.fingerprint {
+            return Err(Error::OperationMismatch {
+                operation_id: claim.id.clone(),
+            });
+        }
+        let response = R::decode(operation.response.clone()).map_err(|error| Error::Internal {
+            what: format!(
+                "operation \"{}\": its response does not decode: {error}",
+                claim.id
+            ),
+        })?;
+        acknowledge(call, hosted, writer.head().revision).await?;
+        Ok(Some(response))
+    }
+
+    /// Commits a mutation that was evaluated under `writer`, and returns once it may be acknowledged with `response`.
+    /// Until the first poll nothing has happened, and after it everything has.
+    pub(super) async fn commit(
+        &self,
+        call: &Call,
+        hosted: &Arc<Hosted>,
+        mut writer: WriteGuard,
+        mut effects: Effects,
+        claim: Option<Claim>,
+        response: &impl Message,
+    ) -> Result<(), Error> {
+        call.check("before anything was changed")?;
+        let window = OperationWindow {
+            count: self.limits().operations_remembered,
+            bytes: self.limits().operation_bytes,
+        };
+        let operation = claim.map(|claim| {
+            Arc::new(Operation {
+                id: claim.id,
+                fingerprint: claim.fingerprint,
+                response: response.encode_to_vec().into(),
+            })
+        });
+        if effects.is_empty() {
+            if let Some(operation) = operation {
+                writer.remember(operation, window);
+            }
+            return acknowledge(call, hosted, writer.head().revision).await;
+        }
+        effects.set_operation(operation);
+        call.bound(
+            "after the mutation was logged; it takes place",
+            hosted.commit(writer, effects, window),
+        )
+        .await?
+        .map_err(|error| failed(hosted.name(), error))?;
+        Ok(())
+    }
+}
+
+/// Waits until `revision`, which the caller will be told, is as durable as configured.
+async fn acknowledge(call: &Call, hosted: &Hosted, revision: u64) -> Result<(), Error> {
+    call.bound("while the log was being synced", hosted.reached(revision))
+        .await?
+        .map_err(|error| failed(hosted.name(), error))?;
+    Ok(())
+}

@@ -1,0 +1,52 @@
+//! `Remove`: points by id.
+
+use wayfold_proto::v1;
+
+use super::{
+    Call, Error, Service,
+    check::{self, Violations},
+    mutation::Claim,
+};
+use crate::log::Effects;
+
+impl Service {
+    /// Removes points by id, and counts those that were not stored.
+    pub async fn remove(
+        &self,
+        call: &Call,
+        request: v1::RemoveRequest,
+    ) -> Result<v1::RemoveResponse, Error> {
+        self.accept(call)?;
+        let hosted = self.index(&request.index, &request.uid)?;
+        let mut pace = call.pace("while looking up the points; nothing was changed");
+        let claim = Claim::of("Remove", &request.operation_id, &request, &mut pace).await?;
+        check::id_count(&request.ids, self.limits())?;
+        let mut violations = Violations::default();
+        check::ids(&request.ids, &mut pace, &mut violations).await?;
+        check::operation_id(&request.operation_id, &mut violations);
+        violations.finish()?;
+
+        let writer = self.writer(call, &hosted).await?;
+        if let Some(response) = self.recall(call, &hosted, &writer, claim.as_ref()).await? {
+            return Ok(response);
+        }
+        let head = writer.head().clone();
+        let mut effects = Effects::new(hosted.space().coordinates());
+        for &id in &request.ids {
+            if head.snapshot.get(id).is_some() {
+                effects.remove(id);
+            }
+            pace.step().await?;
+        }
+        let removed = effects.len() as u64;
+        let response = v1::RemoveResponse {
+            removed,
+            missing: request.ids.len() as u64 - removed,
+            revision: head.revision + u64::from(removed > 0),
+            uid: hosted.uid_text().into(),
+        };
+        self.commit(call, &hosted, writer, effects, claim, &response)
+            .await?;
+        Ok(response)
+    }
+}

@@ -1,0 +1,143 @@
+//! `Scan`: all points at one pinned revision, part by part.
+
+use std::{sync::Arc, time::Duration};
+
+use parking_lot::Mutex;
+use tokio::sync::oneshot;
+use wayfold_index::Filter;
+use wayfold_proto::v1;
+
+use super::{
+    Call, Error, Service,
+    answer::{PointColumns, Seen},
+    at::check_read_at,
+    check::{self, Violations},
+};
+use crate::registry::{Hosted, Published};
+
+/// Most rows of a part.
+const PART_ROWS: usize = 4096;
+
+/// About how many bytes a part has; less if answers may have less.
+const PART_BYTES: usize = 1024 * 1024;
+
+/// A scan under way. It pins its revision until it ends, is dropped, or has held it for as long as it may.
+pub struct Scan {
+    call: Call,
+    hosted: Arc<Hosted>,
+    /// Emptied when the time is up, also while nobody asks for the next part.
+    held: Arc<Mutex<Option<Arc<Published>>>>,
+    /// Ends the watch over that time together with the scan.
+    _watch: oneshot::Sender<()>,
+    scan_seconds: u64,
+    part_bytes: usize,
+    filter: Filter,
+    payloads: bool,
+    after: Option<u64>,
+    done: bool,
+}
+
+impl Service {
+    /// Begins to read all points at one pinned revision, in the order of their ids.
+    pub async fn scan(&self, call: &Call, request: v1::ScanRequest) -> Result<Scan, Error> {
+        self.accept(call)?;
+        let at = request.at.unwrap_or_default();
+        let hosted = self.index(&request.index, &at.uid)?;
+        let mut violations = Violations::default();
+        let filter = check::filter(
+            "filter",
+            request.filter,
+            ("at.uid", &at.uid),
+            &mut violations,
+        );
+        check_read_at(&at, &mut violations);
+        violations.finish()?;
+
+        let limits = self.limits();
+        let published = self.published(call, &hosted, &at).await?;
+        let held = Arc::new(Mutex::new(Some(published)));
+        let watch = release_after(Duration::from_secs(limits.scan_seconds), &held);
+        Ok(Scan {
+            call: *call,
+            hosted,
+            held,
+            _watch: watch,
+            scan_seconds: limits.scan_seconds,
+            part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
+            filter,
+            payloads: request.payloads,
+            after: request.after_id,
+            done: false,
+        })
+    }
+}
+
+/// Empties `held` after `time`, unless what is returned is dropped before.
+fn release_after(time: Duration, held: &Arc<Mutex<Option<Arc<Published>>>>) -> oneshot::Sender<()> {
+    let (watch, ended) = oneshot::channel();
+    let held = Arc::clone(held);
+    tokio::spawn(async move {
+        if tokio::time::timeout(time, ended).await.is_err() {
+            held.lock().take();
+        }
+    });
+    watch
+}
+
+impl Scan {
+    /// The next part; None after the last. There is at least one, and none follows an error. A part that is not
+    /// waited for to its end is not lost: the next one begins where it began.
+    pub async fn next(&mut self) -> Option<Result<v1::ScanResponse, Error>> {
+        if self.done {
+            return None;
+        }
+        let part = self.part().await;
+        self.done |= part.is_err();
+        if self.done {
+            self.held.lock().take();
+        }
+        Some(part)
+    }
+
+    async fn part(&mut self) -> Result<v1::ScanResponse, Error> {
+        let published = self.still_held()?;
+        let seen = Seen {
+            index: self.hosted.name(),
+            published: &published,
+        };
+        let mut pace = self.call.pace("while scanning");
+        let mut points = PointColumns::new(self.payloads);
+        let mut after = self.after;
+        let mut done = true;
+        for (passed, point) in published.snapshot.points_after(after).enumerate() {
+            if points.len() >= PART_ROWS || points.bytes() >= self.part_bytes {
+                done = false;
+                break;
+            }
+            if self.filter.admits(point.tag, point.revision) {
+                points.push(&seen, point)?;
+            }
+            after = Some(point.id);
+            if passed % 32 == 31 {
+                pace.step().await?;
+                self.still_held()?;
+            }
+        }
+        self.after = after;
+        self.done = done;
+        Ok(v1::ScanResponse {
+            points: Some(points.finish()),
+            revision: published.revision,
+            uid: self.hosted.uid_text().into(),
+            total_points: published.snapshot.len() as u64,
+        })
+    }
+
+    fn still_held(&self) -> Result<Arc<Published>, Error> {
+        let held = self.held.lock();
+        held.clone().ok_or(Error::ScanTooLong {
+            scan_seconds: self.scan_seconds,
+            after_id: self.after,
+        })
+    }
+}

@@ -1,0 +1,163 @@
+//! Rows on their way into an index: a row sees the head and the rows before it, and nobody sees a row before all are
+//! committed.
+
+use std::{
+    collections::{HashMap, HashSet},
+    sync::Arc,
+};
+
+use bytes::Bytes;
+use wayfold_index::{Forest, ForestOptions, Neighbor, PointRef, Points, Search, Space};
+
+use super::{
+    Error,
+    answer::{Seen, Source},
+};
+use crate::{
+    log::{Effects, Outcome},
+    registry::Published,
+};
+
+/// The head of an index and the rows that the next mutation has accepted so far.
+pub(super) struct Staging<'a> {
+    index: &'a str,
+    head: Arc<Published>,
+    effects: Effects,
+    searched: Option<Searched>,
+}
+
+/// What only searches need.
+struct Searched {
+    /// The accepted rows once more. Its revisions count the rows; those of the points are the mutation's.
+    forest: Forest,
+    /// Where an accepted row is in the effects, by id.
+    slots: HashMap<u64, usize>,
+    /// Ids whose point at the head is not to be found: replaced by an accepted row, or the row's own.
+    hidden: HashSet<u64>,
+}
+
+impl<'a> Staging<'a> {
+    /// Nothing accepted yet. Only if it is `searched` rows are found by later ones.
+    pub(super) fn new(index: &'a str, head: Arc<Published>, space: &Space, searched: bool) -> Self {
+        Self {
+            index,
+            head,
+            effects: Effects::new(space.coordinates()),
+            searched: searched.then(|| Searched {
+                forest: Forest::new(space.clone(), ForestOptions::default()),
+                slots: HashMap::new(),
+                hidden: HashSet::new(),
+            }),
+        }
+    }
+
+    /// The revision that the mutation will make.
+    pub(super) fn revision(&self) -> u64 {
+        self.head.revision + 1
+    }
+
+    /// The point that the head holds under an id.
+    pub(super) fn held(&self, id: u64) -> Option<PointRef<'_>> {
+        self.head.snapshot.get(id)
+    }
+
+    /// The payload that the head holds under an id.
+    pub(super) fn held_payload(&self, id: u64) -> Result<Bytes, Error> {
+        let seen = Seen {
+            index: self.index,
+            published: &self.head,
+        };
+        seen.payload(id)
+    }
+
+    /// Keeps the head's point of this id out of searches: a row is neither in its own way nor its own neighbour.
+    pub(super) fn hide(&mut self, id: u64) {
+        if let Some(searched) = &mut self.searched {
+            searched.hidden.insert(id);
+        }
+    }
+
+    /// Undoes [`Staging::hide`].
+    pub(super) fn unhide(&mut self, id: u64) {
+        if let Some(searched) = &mut self.searched {
+            searched.hidden.remove(&id);
+        }
+    }
+
+    /// What a row finds in the head and in the rows before it.
+    pub(super) fn search(&self, row: &[f64], search: &Search<'_>) -> Vec<Neighbor> {
+        let Some(searched) = &self.searched else {
+            return Vec::new();
+        };
+        let hidden = (!searched.hidden.is_empty()).then_some(&searched.hidden);
+        let at_head = Search {
+            excluded: hidden,
+            ..*search
+        };
+        let mut neighbors = self.head.snapshot.search(row, &at_head).neighbors;
+        let staged = searched.forest.search(row, search).neighbors;
+        if !staged.is_empty() {
+            neighbors.extend(staged);
+            neighbors.sort_unstable();
+            neighbors.truncate(search.k);
+        }
+        neighbors
+    }
+
+    /// Accepts a row.
+    pub(super) fn accept(
+        &mut self,
+        id: u64,
+        tag: u64,
+        row: &[f64],
+        payload: Bytes,
+        outcome: Outcome,
+    ) {
+        let point = PointRef {
+            id,
+            tag,
+            revision: self.revision(),
+            row,
+        };
+        self.effects.store(point, outcome, payload);
+        let accepted = self.effects.stored().len();
+        if let Some(searched) = &mut self.searched {
+            searched.slots.insert(id, accepted - 1);
+            let mut points = Points::with_capacity(row.len(), 1);
+            points.push_point(point);
+            searched.forest.apply(accepted as u64, &points, &[]);
+            if accepted.is_multiple_of(ForestOptions::default().buffer_rows) {
+                searched.forest.settle();
+            }
+        }
+    }
+
+    /// The accepted rows.
+    pub(super) fn into_effects(self) -> Effects {
+        self.effects
+    }
+}
+
+impl Source for Staging<'_> {
+    fn point(&self, id: u64) -> Option<PointRef<'_>> {
+        let slot = self
+            .searched
+            .as_ref()
+            .and_then(|searched| searched.slots.get(&id));
+        match slot {
+            Some(&slot) => Some(self.effects.stored().get(slot)),
+            None => self.held(id),
+        }
+    }
+
+    fn payload(&self, id: u64) -> Result<Bytes, Error> {
+        let slot = self
+            .searched
+            .as_ref()
+            .and_then(|searched| searched.slots.get(&id));
+        match slot {
+            Some(&slot) => Ok(self.effects.payload(slot)),
+            None => self.held_payload(id),
+        }
+    }
+}

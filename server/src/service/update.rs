@@ -1,0 +1,147 @@
+//! `Update`: new tags and payloads for stored points.
+
+use bytes::Bytes;
+use wayfold_index::PointRef;
+use wayfold_proto::v1;
+
+use super::{
+    Call, Error, Limits, Service,
+    at::log_failed,
+    call::Pace,
+    check::{self, Violations},
+    mutation::Claim,
+};
+use crate::log::{Effects, Outcome};
+
+impl Service {
+    /// Sets tags or payloads of stored points; their states, and the revisions of their states, stay.
+    pub async fn update(
+        &self,
+        call: &Call,
+        request: v1::UpdateRequest,
+    ) -> Result<v1::UpdateResponse, Error> {
+        self.accept(call)?;
+        let hosted = self.index(&request.index, &request.uid)?;
+        let mut pace = call.pace("while evaluating the update; nothing was changed");
+        let claim = Claim::of("Update", &request.operation_id, &request, &mut pace).await?;
+        check_update(&request, self.limits(), &mut pace).await?;
+
+        let writer = self.writer(call, &hosted).await?;
+        if let Some(response) = self.recall(call, &hosted, &writer, claim.as_ref()).await? {
+            return Ok(response);
+        }
+        let head = writer.head().clone();
+        let mut effects = Effects::new(hosted.space().coordinates());
+        let (mut missing, mut changed) = (Vec::new(), Vec::new());
+        for (at, &id) in request.ids.iter().enumerate() {
+            pace.step().await?;
+            let held = head
+                .view
+                .get(id)
+                .map_err(|error| log_failed(hosted.name(), error))?;
+            let Some(held) = held else {
+                missing.push(id);
+                continue;
+            };
+            if request
+                .if_revision
+                .is_some_and(|revision| held.modified > revision)
+            {
+                changed.push(id);
+                continue;
+            }
+            let tag = match request.tags.get(at).or(request.tags.first()) {
+                Some(tag) => set_bits(held.tag, *tag, request.tag_mask),
+                None => held.tag,
+            };
+            // A copy: the request's payloads are slices of the message, and would keep all of it.
+            let payload = match request.payloads.get(at) {
+                Some(payload) if *payload != held.payload => Bytes::copy_from_slice(payload),
+                _ => held.payload.clone(),
+            };
+            if tag != held.tag || payload != held.payload {
+                let point = PointRef {
+                    id,
+                    tag,
+                    revision: held.revision,
+                    row: &held.state,
+                };
+                effects.store(point, Outcome::Updated, payload);
+            }
+        }
+        if !missing.is_empty() {
+            return Err(Error::PointsNotFound {
+                index: request.index,
+                ids: missing,
+            });
+        }
+        if let Some(if_revision) = request.if_revision.filter(|_| !changed.is_empty()) {
+            return Err(Error::RevisionConflict {
+                index: request.index,
+                if_revision,
+                ids: changed,
+            });
+        }
+
+        let updated = effects.len() as u64;
+        let response = v1::UpdateResponse {
+            updated,
+            unchanged: request.ids.len() as u64 - updated,
+            revision: head.revision + u64::from(updated > 0),
+            uid: hosted.uid_text().into(),
+        };
+        self.commit(call, &hosted, writer, effects, claim, &response)
+            .await?;
+        Ok(response)
+    }
+}
+
+async fn check_update(
+    request: &v1::UpdateRequest,
+    limits: &Limits,
+    pace: &mut Pace,
+) -> Result<(), Error> {
+    check::id_count(&request.ids, limits)?;
+    let mut violations = Violations::default();
+    check::ids(&request.ids, pace, &mut violations).await?;
+    if request.tags.len() != 1 {
+        check::column("tags", &request.tags, request.ids.len(), &mut violations);
+    }
+    check::column(
+        "payloads",
+        &request.payloads,
+        request.ids.len(),
+        &mut violations,
+    );
+    check::payloads(&request.payloads, limits, &mut violations);
+    check::operation_id(&request.operation_id, &mut violations);
+    if request.if_revision.is_some() && request.uid.is_empty() {
+        violations.add(
+            "uid",
+            "REQUIRED",
+            "if_revision needs the uid of the index it belongs to",
+        );
+    }
+    violations.finish()
+}
+
+/// `old` with the bits of `mask` taken from `new`; of mask 0 all bits are.
+fn set_bits(old: u64, new: u64, mask: u64) -> u64 {
+    if mask == 0 {
+        new
+    } else {
+        (old & !mask) | (new & mask)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::set_bits;
+
+    #[test]
+    fn a_mask_limits_what_is_set() {
+        assert_eq!(set_bits(0b1010, 0b0101, 0), 0b0101);
+        assert_eq!(set_bits(0b1010, 0b0101, 0b0011), 0b1001);
+        assert_eq!(set_bits(0b1010, 0b0101, u64::MAX), 0b0101);
+    }
+}

@@ -1,0 +1,89 @@
+//! What the command line answers by itself: help, version, the default settings, and mistakes.
+
+use std::process::{Command, Output};
+
+use wayfold_server::config::DEFAULTS;
+
+fn run(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
+        .args(arguments)
+        .envs(environment.iter().copied())
+        .output()
+        .unwrap()
+}
+
+fn stdout(arguments: &[&str]) -> String {
+    let output = run(arguments, &[]);
+    assert!(output.status.success());
+    assert!(output.stderr.is_empty());
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn help_is_a_page_that_answers() {
+    let help = stdout(&["--help"]);
+    for part in [
+        "nearest-neighbour indices",
+        "--config <FILE>",
+        "--grpc <ADDR>",
+        "[default: 127.0.0.1:50051]",
+        "--data <DIR>",
+        "--log <FILTER>",
+        "--log-format <FORMAT>",
+        "--print-config",
+        "WAYFOLD_LIMITS__K=500",
+        "Examples:",
+        "wayfold create arm --space 'R3*SO3:0.15'",
+        "Exit status:",
+        "Next:",
+    ] {
+        assert!(help.contains(part), "{part} is missing in\n{help}");
+    }
+    assert!(
+        help.lines().all(|line| line.chars().count() <= 120),
+        "{help}"
+    );
+}
+
+#[test]
+fn version_names_the_program() {
+    let expected = format!("wayfold-server {}\n", env!("CARGO_PKG_VERSION"));
+    assert_eq!(stdout(&["--version"]), expected);
+}
+
+#[test]
+fn the_default_settings_are_printed_as_they_are_and_can_be_read_back() {
+    let printed = stdout(&["--print-config"]);
+    assert_eq!(printed, DEFAULTS);
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("wayfold.toml");
+    std::fs::write(&file, printed).unwrap();
+    let config = wayfold_server::config::Config::load(Some(&file), &Default::default(), &[]);
+    assert_eq!(config.unwrap(), wayfold_server::config::Config::default());
+}
+
+#[test]
+fn mistakes_exit_with_2_and_say_where() {
+    for (arguments, environment, part) in [
+        (&["--prot", "1"][..], &[][..], "--prot"),
+        (&["--log-format", "xml"], &[], "xml"),
+        (&["--log", "info,=x=y"], &[], "log.filter"),
+        (&["--config", "no/such/file.toml"], &[], "no/such/file.toml"),
+        (
+            &[],
+            &[("WAYFOLD_CONFIG", "no/such/file.toml")],
+            "no/such/file.toml",
+        ),
+        (
+            &[],
+            &[("WAYFOLD_GRPC__LISTNE", "x")],
+            "WAYFOLD_GRPC__LISTEN",
+        ),
+    ] {
+        let output = run(arguments, environment);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains(part), "{stderr}");
+        assert!(output.stdout.is_empty());
+    }
+}

@@ -1,0 +1,164 @@
+//! Where settings come from, which layer wins, and what is said of settings that are wrong.
+
+use std::{collections::BTreeMap, fs, path::PathBuf};
+
+use tempfile::TempDir;
+use wayfold_server::config::{Config, ConfigError};
+
+struct File {
+    _directory: TempDir,
+    path: PathBuf,
+}
+
+fn file(text: &str) -> File {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("wayfold.toml");
+    fs::write(&path, text).unwrap();
+    File {
+        _directory: directory,
+        path,
+    }
+}
+
+fn environment(variables: &[(&str, &str)]) -> BTreeMap<String, String> {
+    let owned = |(name, value): &(&str, &str)| ((*name).to_owned(), (*value).to_owned());
+    variables.iter().map(owned).collect()
+}
+
+fn load_file(text: &str) -> Result<Config, ConfigError> {
+    Config::load(Some(&file(text).path), &BTreeMap::new(), &[])
+}
+
+fn load_variable(name: &str, value: &str) -> Result<Config, ConfigError> {
+    Config::load(None, &environment(&[(name, value)]), &[])
+}
+
+#[test]
+fn the_defaults_protect() {
+    let config = Config::default();
+    assert_eq!(config.grpc.listen, "127.0.0.1:50051");
+    assert_eq!(config.grpc.max_message_bytes, 16 << 20);
+    assert_eq!(config.data.dir, "");
+    // What stock gRPC clients take.
+    assert!(config.limits.answer_bytes < 4 << 20);
+    assert_eq!(config.limits, wayfold_server::service::Limits::default());
+}
+
+#[test]
+fn each_layer_wins_over_the_one_before() {
+    let file =
+        file("[grpc]\nlisten = 'file'\nmax_calls = 7\nstream_window = 7\n[log]\nfilter = 'warn'\n");
+    let environment = environment(&[
+        ("WAYFOLD_GRPC__LISTEN", "environment"),
+        ("WAYFOLD_GRPC__MAX_CALLS", "8"),
+        ("HOME", "/home/somebody"),
+    ]);
+    let flags = [("grpc.listen", "flag".to_owned())];
+    let config = Config::load(Some(&file.path), &environment, &flags).unwrap();
+    assert_eq!(config.grpc.listen, "flag");
+    assert_eq!(config.grpc.max_calls, 8);
+    assert_eq!(config.grpc.stream_window, 7);
+    assert_eq!(config.log.filter, "warn");
+    let mut expected = Config::default();
+    expected.grpc.listen = "flag".into();
+    expected.grpc.max_calls = 8;
+    expected.grpc.stream_window = 7;
+    expected.log.filter = "warn".into();
+    assert_eq!(config, expected);
+}
+
+#[test]
+fn an_empty_file_and_empty_sections_change_nothing() {
+    for text in ["", "# nothing\n", "[grpc]\n[limits]\n"] {
+        assert_eq!(load_file(text).unwrap(), Config::default());
+    }
+}
+
+#[test]
+fn an_unknown_key_is_named_with_its_place_and_the_nearest_one() {
+    for (text, key, nearest) in [
+        ("[grpc]\nlisten_on = 'x'", "grpc.listen_on", "grpc.listen"),
+        ("[limits]\nks = 3", "limits.ks", "limits.k"),
+        ("max_calls = 3", "max_calls", "grpc.max_calls"),
+        ("[gprc]\nmax_calls = 3", "gprc.max_calls", "grpc.max_calls"),
+        ("[shutdwon]", "shutdwon", "shutdown.grace_ms"),
+    ] {
+        let file = file(text);
+        let error = Config::load(Some(&file.path), &BTreeMap::new(), &[]).unwrap_err();
+        let message = error.to_string();
+        assert!(message.contains(&*file.path.to_string_lossy()), "{message}");
+        assert!(message.contains(&format!("`{key}`")), "{message}");
+        if !text.contains("shutdwon") {
+            assert!(message.contains(&format!("`{nearest}`")), "{message}");
+        }
+    }
+}
+
+#[test]
+fn an_unknown_variable_is_named_with_the_nearest_one() {
+    for (name, nearest) in [
+        ("WAYFOLD_GRPC__LISTNE", "WAYFOLD_GRPC__LISTEN"),
+        ("WAYFOLD_GRPC_LISTEN", "WAYFOLD_GRPC__LISTEN"),
+        (
+            "WAYFOLD_LIMIT__ROWS_PER_CALL",
+            "WAYFOLD_LIMITS__ROWS_PER_CALL",
+        ),
+    ] {
+        let message = load_variable(name, "1").unwrap_err().to_string();
+        assert!(message.contains(&format!("`{name}`")), "{message}");
+        assert!(message.contains(&format!("`{nearest}`")), "{message}");
+    }
+    // The client's own.
+    load_variable("WAYFOLD_SERVER", "http://127.0.0.1:1").unwrap();
+}
+
+#[test]
+fn a_wrong_type_is_named() {
+    for (text, key) in [
+        ("[grpc]\nmax_calls = 'many'", "grpc.max_calls"),
+        ("[grpc]\nmax_calls = true", "grpc.max_calls"),
+        ("[grpc]\nmax_calls = 1.5", "grpc.max_calls"),
+        ("[grpc]\nmax_calls = [1]", "grpc.max_calls"),
+        ("[grpc]\nlisten = 50051", "grpc.listen"),
+        ("grpc = 3", "grpc"),
+    ] {
+        let message = load_file(text).unwrap_err().to_string();
+        assert!(message.contains(&format!("`{key}`")), "{message}");
+        assert!(message.contains("wayfold.toml"), "{message}");
+    }
+    let error = load_variable("WAYFOLD_GRPC__MAX_CALLS", "many").unwrap_err();
+    let message = error.to_string();
+    assert!(message.contains("WAYFOLD_GRPC__MAX_CALLS"), "{message}");
+    assert!(message.contains("an integer, not \"many\""), "{message}");
+}
+
+#[test]
+fn a_value_out_of_range_is_named() {
+    for (text, key) in [
+        ("[grpc]\nmax_calls = 0", "grpc.max_calls"),
+        ("[grpc]\nmax_calls = -1", "grpc.max_calls"),
+        ("[shutdown]\ngrace_ms = -1", "shutdown.grace_ms"),
+        (
+            "[grpc]\nmax_calls_per_connection = 5_000_000_000",
+            "grpc.max_calls_per_connection",
+        ),
+        ("[log]\nformat = 'xml'", "log.format"),
+    ] {
+        let message = load_file(text).unwrap_err().to_string();
+        assert!(message.contains(&format!("`{key}`")), "{message}");
+        assert!(message.contains("wayfold.toml"), "{message}");
+    }
+    load_file("[shutdown]\ngrace_ms = 0\n[runtime]\nworkers = 0").unwrap();
+}
+
+#[test]
+fn a_file_that_cannot_be_read_is_named() {
+    let message = load_file("[grpc").unwrap_err().to_string();
+    assert!(message.contains("wayfold.toml"), "{message}");
+    let missing = PathBuf::from("no/such/wayfold.toml");
+    let error = Config::load(Some(&missing), &BTreeMap::new(), &[]).unwrap_err();
+    assert!(
+        error.to_string().contains("no/such/wayfold.toml"),
+        "{error}"
+    );
+}

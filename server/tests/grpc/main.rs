@@ -1,0 +1,15 @@
+//! The gRPC face, seen from outside: a server on a port of its own, and clients over the network.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod harness;
+mod raw;
+
+mod deadlines;
+mod errors;
+mod health;
+mod process;
+mod reflection;
+mod refusals;
+mod shutdown;
+mod stream_knn;

@@ -1,0 +1,156 @@
+//! The binary: its first line, what signals do to it, and how it exits.
+#![cfg(unix)]
+
+use std::{
+    io::{BufRead, BufReader, Read},
+    net::{SocketAddr, TcpListener},
+    process::{Child, ChildStdout, Command, Stdio},
+};
+
+use crate::harness::connect;
+use tokio_stream::pending;
+use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+
+/// A server in a process of its own, which ends with the test.
+struct Server {
+    child: Child,
+    stdout: BufReader<ChildStdout>,
+    address: SocketAddr,
+}
+
+impl Server {
+    fn start(arguments: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
+            .args(arguments)
+            .env("WAYFOLD_GRPC__LISTEN", "127.0.0.1:0")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut stdout = BufReader::new(child.stdout.take().unwrap());
+        let mut first = String::new();
+        stdout.read_line(&mut first).unwrap();
+        let address = first.trim_end().strip_prefix("listening on http://");
+        let address = address.unwrap_or_else(|| panic!("{first:?}")).parse();
+        Self {
+            child,
+            stdout,
+            address: address.unwrap(),
+        }
+    }
+
+    fn signal(&self, name: &str) {
+        // The shell's own kill, which every Unix has.
+        let kill = format!("kill -{name} {}", self.child.id());
+        let status = Command::new("sh").args(["-c", &kill]).status().unwrap();
+        assert!(status.success());
+    }
+
+    /// The exit status and what was written to standard output and standard error meanwhile.
+    fn finish(mut self) -> (Option<i32>, String, String) {
+        let (mut stdout, mut stderr) = (String::new(), String::new());
+        self.stdout.read_to_string(&mut stdout).unwrap();
+        let mut pipe = self.child.stderr.take().unwrap();
+        pipe.read_to_string(&mut stderr).unwrap();
+        (self.child.wait().unwrap().code(), stdout, stderr)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        // It has ended already unless the test failed.
+        let _ = self.child.kill();
+    }
+}
+
+#[test]
+fn it_says_what_to_type_next_and_stops_on_either_signal() {
+    for name in ["TERM", "INT"] {
+        let server = Server::start(&[]);
+        let hint = format!("--server http://{} create", server.address);
+        server.signal(name);
+        let (status, stdout, stderr) = server.finish();
+        assert_eq!(status, Some(0), "{stderr}");
+        assert!(stdout.contains(&hint), "{stdout}");
+        assert!(stderr.contains("stopped"), "{stderr}");
+    }
+}
+
+#[tokio::test]
+async fn a_second_signal_ends_it_at_once() {
+    for (name, expected) in [("INT", 130), ("TERM", 143)] {
+        let mut server = Server::start(&["--log", "info"]);
+        // A conversation that this side does not end keeps the server from stopping.
+        let mut client = ServerReflectionClient::new(connect(server.address).await);
+        let conversation = client.server_reflection_info(pending()).await.unwrap();
+        server.signal(name);
+        let mut stderr = BufReader::new(server.child.stderr.take().unwrap());
+        let mut line = String::new();
+        while !line.contains("stopping") {
+            line.clear();
+            assert_ne!(stderr.read_line(&mut line).unwrap(), 0);
+        }
+        server.signal(name);
+        assert_eq!(server.child.wait().unwrap().code(), Some(expected));
+        drop(conversation);
+    }
+}
+
+#[tokio::test]
+async fn what_is_cut_shows_in_the_exit_status() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), "[shutdown]\ngrace_ms = 1\n").unwrap();
+    let server = Server::start(&["--config", file.path().to_str().unwrap()]);
+    let mut client = ServerReflectionClient::new(connect(server.address).await);
+    let conversation = client.server_reflection_info(pending()).await.unwrap();
+    server.signal("TERM");
+    let (status, _, stderr) = server.finish();
+    assert_eq!(status, Some(1), "{stderr}");
+    assert!(stderr.contains("shutdown.grace_ms"), "{stderr}");
+    drop(conversation);
+}
+
+fn refused(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
+        .args(arguments)
+        .output()
+        .unwrap();
+    assert!(output.stdout.is_empty());
+    (
+        output.status.code(),
+        String::from_utf8(output.stderr).unwrap(),
+    )
+}
+
+#[test]
+fn an_address_it_cannot_have_is_named_with_what_to_do() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let (status, stderr) = refused(&["--grpc", &address]);
+    assert_eq!(status, Some(1));
+    assert!(
+        stderr.contains(&address) && stderr.contains("--grpc 127.0.0.1:0"),
+        "{stderr}"
+    );
+
+    let (status, stderr) = refused(&["--grpc", "127.0.0.1"]);
+    assert_eq!(status, Some(1));
+    assert!(stderr.contains("HOST:PORT"), "{stderr}");
+}
+
+#[test]
+fn a_data_directory_is_accepted_with_a_warning() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_str().unwrap();
+    let server = Server::start(&["--data", path, "--log-format", "json"]);
+    server.signal("TERM");
+    let (status, _, stderr) = server.finish();
+    assert_eq!(status, Some(0));
+    let warning = stderr.lines().find(|line| line.contains("\"WARN\""));
+    let warning = warning.unwrap_or_else(|| panic!("{stderr}"));
+    assert!(
+        warning.contains("nothing is stored") && warning.contains(path),
+        "{warning}"
+    );
+    assert_eq!(directory.path().read_dir().unwrap().count(), 0);
+}

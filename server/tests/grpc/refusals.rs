@@ -1,0 +1,92 @@
+//! What does not reach the service: messages too large or malformed, and calls beyond the server's capacity.
+
+use crate::{
+    harness::{TestServer, insert, knn, reason},
+    raw::Raw,
+};
+use futures_util::{StreamExt, stream};
+use http::uri::PathAndQuery;
+use tokio::sync::oneshot;
+use tonic::{Code, Request, Status};
+use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus};
+use tonic_types::StatusExt;
+use wayfold_proto::v1;
+
+async fn send(server: &TestServer, rpc: &str, bytes: &[u8]) -> Result<Vec<u8>, Status> {
+    let mut client = tonic::client::Grpc::new(server.channel.clone());
+    client.ready().await.unwrap();
+    let path: PathAndQuery = format!("/wayfold.v1.{rpc}").parse().unwrap();
+    let request = Request::new(bytes.to_vec());
+    let answer = client.unary(request, path, Raw).await?;
+    Ok(answer.into_inner())
+}
+
+/// Field 1 as a varint, where every request has a string; a length that runs out of the message; a tag of no type.
+const MALFORMED: [&[u8]; 3] = [&[0x08, 0x01], &[0x0a, 0x7f, b'x'], &[0x0f]];
+
+#[tokio::test]
+async fn a_message_that_does_not_parse_is_an_invalid_argument() {
+    let server = TestServer::start(|_| ()).await;
+    for rpc in [
+        "IndexService/CreateIndex",
+        "PointService/Insert",
+        "PointService/Knn",
+        "PointService/Scan",
+    ] {
+        for bytes in MALFORMED {
+            let status = send(&server, rpc, bytes).await.unwrap_err();
+            let reason = reason(&status, Code::InvalidArgument);
+            assert_eq!(reason, "MALFORMED_MESSAGE", "{rpc} {bytes:?}");
+            let fields = status.get_details_bad_request().unwrap().field_violations;
+            assert_eq!(fields[0].field, "request");
+        }
+    }
+    // The connection is as good as before.
+    server.create_line("line").await;
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_message_that_is_too_large_is_told_the_limit() {
+    let server = TestServer::start(|config| config.grpc.max_message_bytes = 100_000).await;
+    let index = server.create_line("line").await;
+    let mut points = server.points();
+    let status = points.insert(insert("line", &vec![0.5; 20_000])).await;
+    let status = status.unwrap_err();
+    assert_eq!(reason(&status, Code::ResourceExhausted), "LIMIT_EXCEEDED");
+    let text = "grpc.max_message_bytes = 100000";
+    assert!(status.message().contains(text), "{status}");
+    let quota = status.get_details_quota_failure().unwrap();
+    assert_eq!(quota.violations[0].subject, "grpc.max_message_bytes");
+    assert_eq!(quota.violations[0].quota_value, 100_000);
+
+    let answer = points.insert(insert("line", &vec![0.5; 10_000])).await;
+    let answer = answer.unwrap().into_inner();
+    assert_eq!((answer.revision, answer.uid), (1, index.uid));
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn calls_beyond_the_capacity_are_refused_and_health_is_not() {
+    let server = TestServer::start(|config| config.grpc.max_calls = 1).await;
+    server.create_ruler("line", 3).await;
+    let (hang_up, hung_up) = oneshot::channel::<v1::StreamKnnRequest>();
+    // Opened and silent: a stream that ends without a request when its sender is dropped.
+    let requests = stream::once(hung_up).filter_map(async |request| request.ok());
+    let answers = server.points().stream_knn(requests).await.unwrap();
+
+    let status = server.points().knn(knn("line", &[0.0], 1)).await;
+    let status = status.unwrap_err();
+    assert_eq!(reason(&status, Code::ResourceExhausted), "TOO_MANY_CALLS");
+    assert!(status.message().contains("grpc.max_calls = 1"), "{status}");
+    let check = server.health().check(HealthCheckRequest::default()).await;
+    assert_eq!(check.unwrap().into_inner().status(), ServingStatus::Serving);
+
+    // A call has left its place by the time that its client hears of its end.
+    drop(hang_up);
+    assert_eq!(answers.into_inner().count().await, 0);
+    for _ in 0..10 {
+        server.points().knn(knn("line", &[0.0], 1)).await.unwrap();
+    }
+    server.stop().await.unwrap().unwrap();
+}

@@ -1,0 +1,145 @@
+//! A server that is asked to stop finishes what it accepted, takes nothing new, and does not wait for ever.
+
+use crate::harness::{TestServer, connect, knn, reason};
+use futures_util::{StreamExt, stream};
+use tokio::sync::mpsc;
+use tonic::{Code, transport::Endpoint};
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
+use wayfold_proto::v1::{
+    self, point_service_client::PointServiceClient, stream_knn_response::Result as Answer,
+};
+use wayfold_server::ServerError;
+
+/// So many points that a scan of them does not fit into the buffers on its way.
+const MANY: u64 = 300_000;
+
+fn scan(index: &str) -> v1::ScanRequest {
+    v1::ScanRequest {
+        index: index.into(),
+        ..Default::default()
+    }
+}
+
+fn nearest_to(at: f64) -> v1::StreamKnnRequest {
+    v1::StreamKnnRequest {
+        knn: Some(knn("line", &[at], 1)),
+    }
+}
+
+fn nearest(answer: v1::StreamKnnResponse) -> u64 {
+    match answer.result.unwrap() {
+        Answer::Knn(answer) => answer.neighbors.unwrap().ids[0],
+        Answer::Error(status) => panic!("{status:?}"),
+    }
+}
+
+#[tokio::test]
+async fn a_scan_under_way_is_finished_while_new_calls_are_refused() {
+    let server = TestServer::start(|_| ()).await;
+    server.create_ruler("line", MANY).await;
+    let scanned = server.points().scan(scan("line")).await;
+    let mut parts = scanned.unwrap().into_inner();
+    let first = parts.message().await.unwrap().unwrap();
+    let mut ids = first.points.unwrap().ids;
+
+    let address = server.address;
+    let other = connect(address).await;
+    let mut health = HealthClient::new(other.clone())
+        .watch(HealthCheckRequest::default())
+        .await
+        .unwrap()
+        .into_inner();
+    let serving = health.message().await.unwrap().unwrap();
+    assert_eq!(serving.status(), ServingStatus::Serving);
+    let ended = server.stop();
+    let stopping = health.message().await.unwrap().unwrap();
+    assert_eq!(stopping.status(), ServingStatus::NotServing);
+    let refused = PointServiceClient::new(other)
+        .knn(knn("line", &[0.0], 1))
+        .await;
+    assert_eq!(refused.unwrap_err().code(), Code::Unavailable);
+    assert!(!ended.is_finished());
+
+    while let Some(part) = parts.message().await.unwrap() {
+        ids.extend(part.points.unwrap().ids);
+    }
+    assert_eq!(ids, (0..MANY).collect::<Vec<_>>());
+    ended.await.unwrap().unwrap();
+    let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
+    assert!(endpoint.connect().await.is_err());
+}
+
+#[tokio::test]
+async fn an_open_stream_is_told_and_does_not_hold_the_server_up() {
+    let server = TestServer::start(|_| ()).await;
+    server.create_ruler("line", 10).await;
+    let (send, mut receive) = mpsc::channel(1);
+    let requests = stream::poll_fn(move |context| receive.poll_recv(context));
+    let answers = server.points().stream_knn(requests).await.unwrap();
+    let mut answers = answers.into_inner();
+    for at in [3, 1, 2] {
+        send.send(nearest_to(at as f64)).await.unwrap();
+        assert_eq!(nearest(answers.message().await.unwrap().unwrap()), at);
+    }
+    let ended = server.stop();
+    let status = answers.message().await.unwrap_err();
+    assert_eq!(reason(&status, Code::Unavailable), "STOPPING");
+    ended.await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn requests_that_a_stream_accepted_are_answered_before_it_ends() {
+    let server = TestServer::start(|_| ()).await;
+    server.create_ruler("line", 10).await;
+    let (send, mut receive) = mpsc::channel(1);
+    let requests = stream::poll_fn(move |context| receive.poll_recv(context));
+    let answers = server.points().stream_knn(requests).await.unwrap();
+    let mut answers = answers.into_inner();
+    let sending = tokio::spawn(async move {
+        let mut sent = 0_u64;
+        while send.send(nearest_to((sent % 10) as f64)).await.is_ok() {
+            sent += 1;
+        }
+        sent
+    });
+    let first = answers.message().await.unwrap().unwrap();
+    assert_eq!(nearest(first), 0);
+    let ended = server.stop();
+    let mut answered = 1;
+    let status = loop {
+        match answers.message().await {
+            Ok(answer) => match answer.unwrap().result.unwrap() {
+                Answer::Knn(answer) => {
+                    assert_eq!(answer.neighbors.unwrap().ids, [answered % 10]);
+                    answered += 1;
+                }
+                // Read before the server stopped and not begun before: refused like any new call.
+                Answer::Error(status) => assert_eq!(status.code, Code::Unavailable as i32),
+            },
+            Err(status) => break status,
+        }
+    };
+    assert_eq!(reason(&status, Code::Unavailable), "STOPPING");
+    ended.await.unwrap().unwrap();
+    assert!(sending.await.unwrap() >= answered);
+}
+
+#[tokio::test]
+async fn what_is_not_done_in_time_is_cut() {
+    let server = TestServer::start(|config| config.shutdown.grace_ms = 1).await;
+    server.create_ruler("line", MANY).await;
+    let scanned = server.points().scan(scan("line")).await;
+    let mut parts = scanned.unwrap().into_inner();
+    parts.message().await.unwrap().unwrap();
+
+    // Nobody reads on, so the scan cannot end.
+    let error = server.stop().await.unwrap().unwrap_err();
+    let ServerError::Cut { calls, grace_ms } = error else {
+        panic!("{error}");
+    };
+    assert_eq!((calls, grace_ms), (1, 1));
+    let rest: Vec<_> = parts.collect().await;
+    assert!(rest.last().unwrap().is_err());
+}

@@ -1,0 +1,149 @@
+//! Calls that are given up, and calls that take long.
+
+use std::{
+    pin::Pin,
+    task::Poll,
+    time::{Duration, Instant},
+};
+
+use futures_util::poll;
+use wayfold_proto::v1;
+use wayfold_server::service::{Call, Code, Error, Service};
+
+use crate::support::*;
+
+/// An insert that takes many slices to evaluate.
+fn long_insertion() -> v1::InsertRequest {
+    v1::InsertRequest {
+        min_separation: 1e-9,
+        ..insertion(&cube(2, 60_000), &[])
+    }
+}
+
+/// Polls `long` until it holds the writer: until a short insert has to wait. Returns how many points that stored, and
+/// the one that waits.
+async fn poll_into_evaluation<'a, T>(
+    service: &'a Service,
+    long: &mut Pin<Box<impl Future<Output = T>>>,
+) -> (
+    u64,
+    Pin<Box<dyn Future<Output = Result<v1::InsertResponse, Error>> + 'a>>,
+) {
+    let mut stored = 0;
+    loop {
+        assert!(
+            poll!(&mut *long).is_pending(),
+            "the long call is not long enough"
+        );
+        let mut short = Box::pin(service.insert(&CALL, insertion(&[[9.0; 3]], &[])));
+        if poll!(&mut short).is_pending() {
+            return (stored, short);
+        }
+        stored += 1;
+    }
+}
+
+#[tokio::test]
+async fn a_call_dropped_while_it_is_evaluated_changes_nothing() {
+    let (service, _) = arm("R3").await;
+    let mut long = Box::pin(service.insert(&CALL, long_insertion()));
+    let (stored, short) = poll_into_evaluation(&service, &mut long).await;
+    drop(long);
+    // The writer is free again, and knows nothing of the rows that were evaluated.
+    let response = short.await.unwrap();
+    assert_eq!(
+        (response.revision, response.ids),
+        (stored + 1, vec![stored])
+    );
+    assert_eq!(everything(&service).await.total_points, stored + 1);
+}
+
+/// Polls until the deadline, and says what came of the call.
+async fn past<T>(deadline: Instant, long: impl Future<Output = T>) -> T {
+    let mut long = Box::pin(long);
+    while Instant::now() < deadline {
+        if let Poll::Ready(answer) = poll!(&mut long) {
+            return answer;
+        }
+    }
+    long.await
+}
+
+#[tokio::test]
+async fn a_deadline_is_kept_inside_a_long_batch() {
+    let (service, _) = arm("R3").await;
+    let request = long_insertion();
+    let (call, deadline) = in_20_ms();
+    let answer = past(deadline, service.insert(&call, request)).await;
+    assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
+    assert_eq!(info(&service, "arm").await.revision, 0);
+
+    service
+        .insert(&CALL, insertion(&cube(3, 20_000), &[]))
+        .await
+        .unwrap();
+    let request = knn(&cube(4, 60_000), 1);
+    let (call, deadline) = in_20_ms();
+    let answer = past(deadline, service.knn(&call, request)).await;
+    assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
+}
+
+fn in_20_ms() -> (Call, Instant) {
+    let deadline = Instant::now() + Duration::from_millis(20);
+    let call = Call {
+        deadline: Some(deadline),
+    };
+    (call, deadline)
+}
+
+/// On a clock that jumps ahead whenever nothing else is left to do.
+#[tokio::test(start_paused = true)]
+async fn a_deadline_ends_the_wait_for_the_writer() {
+    let (service, _) = arm("R3").await;
+    let mut long = Box::pin(service.insert(&CALL, long_insertion()));
+    let (_, short) = poll_into_evaluation(&service, &mut long).await;
+    drop(short);
+    let call = Call {
+        deadline: Some(Instant::now() + Duration::from_secs(3600)),
+    };
+    let answer = service.insert(&call, insertion(&[[1.0; 3]], &[])).await;
+    assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
+}
+
+#[tokio::test]
+async fn a_call_whose_deadline_has_passed_does_nothing() {
+    let (service, _) = arm("R3").await;
+    let call = Call {
+        deadline: Some(Instant::now()),
+    };
+    let answer = service.insert(&call, insertion(&[[1.0; 3]], &[])).await;
+    assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
+    assert_eq!(info(&service, "arm").await.revision, 0);
+}
+
+/// On one thread, where a call that does not yield would be the only one to run.
+#[tokio::test(flavor = "current_thread")]
+async fn long_batches_let_short_calls_pass() {
+    let (service, _) = arm("R3").await;
+    service
+        .insert(&CALL, insertion(&cube(3, 1000), &[]))
+        .await
+        .unwrap();
+    let inserting = tokio::spawn({
+        let service = service.clone();
+        async move { service.insert(&CALL, long_insertion()).await }
+    });
+    let searching = tokio::spawn({
+        let service = service.clone();
+        async move { service.knn(&CALL, knn(&cube(4, 60_000), 1)).await }
+    });
+    let mut short = 0;
+    while !inserting.is_finished() && !searching.is_finished() {
+        service.knn(&CALL, knn(&[[0.5; 3]], 1)).await.unwrap();
+        short += 1;
+        tokio::task::yield_now().await;
+    }
+    assert!(short >= 10, "{short}");
+    inserting.await.unwrap().unwrap();
+    searching.await.unwrap().unwrap();
+}

@@ -1,0 +1,175 @@
+//! A revision is seen, and a mutation acknowledged, only once the log is synced; a log that fails stops its index.
+
+use std::{
+    pin::pin,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use futures_util::{FutureExt, future::BoxFuture, poll};
+use tokio::sync::watch;
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{Effects, Entry, Log, LogError, MemoryLog, Record, Uid, View},
+    service::{Code, Limits},
+};
+
+use crate::support::*;
+
+/// A log in memory that is synced up to the revision that the test says, and fails when it says so.
+struct Held {
+    memory: MemoryLog,
+    synced: watch::Sender<u64>,
+    fails: AtomicBool,
+}
+
+impl Held {
+    fn new() -> Arc<Self> {
+        Arc::new(Self {
+            memory: MemoryLog::new(),
+            synced: watch::Sender::new(0),
+            fails: AtomicBool::new(false),
+        })
+    }
+}
+
+impl Log for Held {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        self.memory.indexes()
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.memory.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.memory.delete(uid)
+    }
+
+    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
+        self.memory.append(uid, expected, effects)
+    }
+
+    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<(), LogError>> {
+        if self.fails.load(Ordering::Relaxed) {
+            let what = "the disk is full";
+            return std::future::ready(Err(LogError::Damaged {
+                uid,
+                revision,
+                what,
+            }))
+            .boxed();
+        }
+        let mut synced = self.synced.subscribe();
+        async move {
+            synced.wait_for(|&synced| synced >= revision).await.unwrap();
+            Ok(())
+        }
+        .boxed()
+    }
+
+    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
+        self.memory.tail(uid, after)
+    }
+
+    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        self.memory.points(uid)
+    }
+
+    fn trim(&self, uid: Uid, keep_bytes: usize) -> Result<(), LogError> {
+        self.memory.trim(uid, keep_bytes)
+    }
+}
+
+#[tokio::test]
+async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
+    let log = Held::new();
+    let service = service_with(log.clone(), Limits::default());
+    create(&service, "arm", "R1").await;
+    let mut first = pin!(service.insert(&CALL, insertion(&[[1.0]], &[])));
+    assert!(poll!(&mut first).is_pending());
+    let request = v1::InsertRequest {
+        neighbors: Some(v1::NeighborQuery {
+            k: Some(9),
+            ..Default::default()
+        }),
+        ..insertion(&[[2.0]], &[])
+    };
+    let mut second = pin!(service.insert(&CALL, request));
+    assert!(poll!(&mut second).is_pending());
+    assert_eq!(everything(&service).await.total_points, 0);
+
+    log.synced.send_replace(1);
+    assert_eq!(first.await.unwrap().revision, 1);
+    assert!(poll!(&mut second).is_pending());
+    assert_eq!(everything(&service).await.points.unwrap().ids, [0]);
+
+    log.synced.send_replace(2);
+    let response = second.await.unwrap();
+    // It was evaluated against the writer's own head, before anybody could see that.
+    assert_eq!(
+        (response.revision, response.neighbors.unwrap().ids),
+        (2, vec![0])
+    );
+    assert_eq!(everything(&service).await.points.unwrap().ids, [0, 1]);
+}
+
+#[tokio::test]
+async fn a_call_dropped_after_it_was_logged_takes_place() {
+    let log = Held::new();
+    let service = service_with(log.clone(), Limits::default());
+    let uid = create(&service, "arm", "R1").await;
+    {
+        let mut dropped = pin!(service.insert(&CALL, insertion(&[[1.0]], &[])));
+        assert!(poll!(&mut dropped).is_pending());
+    }
+    log.synced.send_replace(1);
+    let request = v1::GetRequest {
+        at: Some(v1::ReadAt {
+            uid,
+            min_revision: 1,
+        }),
+        ..getting(&[0])
+    };
+    assert_eq!(service.get(&CALL, request).await.unwrap().revision, 1);
+}
+
+#[tokio::test]
+async fn a_retry_is_not_acknowledged_before_the_original_is_durable() {
+    let log = Held::new();
+    let service = service_with(log.clone(), Limits::default());
+    create(&service, "arm", "R1").await;
+    let request = v1::InsertRequest {
+        operation_id: "op".into(),
+        ..insertion(&[[1.0]], &[])
+    };
+    let mut original = pin!(service.insert(&CALL, request.clone()));
+    let mut retry = pin!(service.insert(&CALL, request));
+    assert!(poll!(&mut original).is_pending());
+    assert!(poll!(&mut retry).is_pending());
+    log.synced.send_replace(1);
+    assert_eq!(retry.await.unwrap(), original.await.unwrap());
+}
+
+#[tokio::test]
+async fn an_index_whose_log_fails_takes_no_more_and_still_answers() {
+    let log = Held::new();
+    let service = service_with(log.clone(), Limits::default());
+    create(&service, "arm", "R1").await;
+    log.synced.send_replace(1);
+    service
+        .insert(&CALL, insertion(&[[1.0]], &[]))
+        .await
+        .unwrap();
+    log.fails.store(true, Ordering::Relaxed);
+    for _ in 0..2 {
+        let answer = service.insert(&CALL, insertion(&[[2.0]], &[])).await;
+        assert_eq!(refusal(answer).0, Code::DataLoss);
+        // What failed once is not trusted again.
+        log.fails.store(false, Ordering::Relaxed);
+        log.synced.send_replace(9);
+    }
+    assert_eq!(everything(&service).await.points.unwrap().ids, [0]);
+}

@@ -1,0 +1,193 @@
+//! Answers stay below their limit, and what exceeds one is refused by name.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use prost::Message;
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::MemoryLog,
+    service::{Code, Error, Limits, Service},
+};
+
+use crate::support::*;
+
+const ANSWER_BYTES: usize = 4000;
+
+async fn small() -> Service {
+    let limits = Limits {
+        rows_per_call: 50,
+        ids_per_call: 60,
+        k: 40,
+        answer_bytes: ANSWER_BYTES,
+        indexes: 2,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    create(&service, "arm", "R3").await;
+    service
+}
+
+fn exceeded<T: std::fmt::Debug>(answer: Result<T, Error>) -> (&'static str, u64) {
+    match answer.unwrap_err() {
+        Error::LimitExceeded { limit, value, .. } => (limit, value),
+        other => panic!("{other}"),
+    }
+}
+
+#[tokio::test]
+async fn what_exceeds_a_limit_is_refused_with_its_name_and_value() {
+    let service = small().await;
+    let rows = cube(1, 51);
+    assert_eq!(
+        exceeded(service.insert(&CALL, insertion(&rows, &[])).await),
+        ("rows_per_call", 50)
+    );
+    assert_eq!(
+        exceeded(service.knn(&CALL, knn(&rows, 1)).await),
+        ("rows_per_call", 50)
+    );
+    assert_eq!(
+        exceeded(service.knn(&CALL, knn(&rows[..1], 41)).await),
+        ("k", 40)
+    );
+    let ids: Vec<u64> = (0..61).collect();
+    assert_eq!(
+        exceeded(service.get(&CALL, getting(&ids)).await),
+        ("ids_per_call", 60)
+    );
+    assert_eq!(
+        exceeded(service.remove(&CALL, removal(&ids)).await),
+        ("ids_per_call", 60)
+    );
+    create(&service, "second", "R1").await;
+    let third = service.create_index(&CALL, creation("third", "R1")).await;
+    assert_eq!(exceeded(third), ("indexes", 2));
+    // One that exists is still found.
+    create(&service, "arm", "R3").await;
+}
+
+/// Fifty points with payloads, stored at a revision that takes two bytes.
+async fn fill(service: &Service, rows: &[[f64; 3]]) {
+    for _ in 0..100 {
+        service
+            .insert(&CALL, insertion(&[[0.0; 3]], &[77]))
+            .await
+            .unwrap();
+        service.remove(&CALL, removal(&[77])).await.unwrap();
+    }
+    let request = v1::InsertRequest {
+        payloads: (0..50).map(|at| vec![at; at as usize].into()).collect(),
+        ..insertion(rows, &[])
+    };
+    service.insert(&CALL, request).await.unwrap();
+}
+
+/// Whatever is accepted fits, and whatever is refused would hardly have fitted.
+#[tokio::test]
+async fn answers_of_every_size_up_to_the_limit() {
+    let service = small().await;
+    let generous = service_with(Arc::new(MemoryLog::new()), Limits::default());
+    create(&generous, "arm", "R3").await;
+    let rows = cube(1, 50);
+    fill(&service, &rows).await;
+    fill(&generous, &rows).await;
+
+    let (mut accepted, mut refused) = (0, 0);
+    for included in 0..16 {
+        for k in 1..=40 {
+            let request = v1::KnnRequest {
+                include: Some(v1::Include {
+                    states: included & 1 > 0,
+                    tags: included & 2 > 0,
+                    revisions: included & 4 > 0,
+                    payloads: included & 8 > 0,
+                }),
+                ..knn(&rows[..12], k)
+            };
+            let whole = generous.knn(&CALL, request.clone()).await.unwrap();
+            let size = whole.encoded_len();
+            match service.knn(&CALL, request).await {
+                Ok(answer) => {
+                    assert_eq!(answer.neighbors, whole.neighbors);
+                    assert!(size <= ANSWER_BYTES);
+                    accepted += 1;
+                }
+                Err(error) => {
+                    assert_eq!(error.code(), Code::ResourceExhausted);
+                    assert!(size > ANSWER_BYTES - 400, "{size}");
+                    refused += 1;
+                }
+            }
+        }
+    }
+    assert!(accepted > 0 && refused > 0);
+}
+
+#[tokio::test]
+async fn oversize_answers_of_every_verb_are_refused() {
+    let service = small().await;
+    for start in [0, 50, 100, 150, 200, 250] {
+        let ids: Vec<u64> = (start..start + 50).collect();
+        service
+            .insert(&CALL, insertion(&cube(start, 50), &ids))
+            .await
+            .unwrap();
+    }
+    let before = info(&service, "arm").await;
+    let whole = v1::QueryRequest {
+        index: "arm".into(),
+        states: states(&[[0.5; 3]]),
+        radius: f64::INFINITY,
+        ..Default::default()
+    };
+    let refused = ("answer_bytes", ANSWER_BYTES as u64);
+    assert_eq!(exceeded(service.query(&CALL, whole).await), refused);
+    let update = v1::UpdateRequest {
+        index: "arm".into(),
+        ids: (0..3).collect(),
+        payloads: vec![Bytes::from(vec![1; 2000]); 3],
+        ..Default::default()
+    };
+    service.update(&CALL, update).await.unwrap();
+    assert_eq!(
+        exceeded(service.get(&CALL, getting(&[0, 1, 2])).await),
+        refused
+    );
+    assert_eq!(
+        service.get(&CALL, getting(&[0])).await.unwrap().revision,
+        before.revision + 1
+    );
+
+    // An insert is refused before anything is stored.
+    let request = v1::InsertRequest {
+        neighbors: Some(v1::NeighborQuery {
+            k: Some(30),
+            ..Default::default()
+        }),
+        ..insertion(&cube(9, 20), &[])
+    };
+    assert_eq!(exceeded(service.insert(&CALL, request).await), refused);
+    let after = info(&service, "arm").await;
+    assert_eq!(
+        (after.revision, after.points),
+        (before.revision + 1, before.points)
+    );
+}
+
+#[tokio::test]
+async fn an_insert_whose_outcomes_alone_are_too_many_is_refused() {
+    let limits = Limits {
+        answer_bytes: 600,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    create(&service, "arm", "R3").await;
+    service
+        .insert(&CALL, insertion(&cube(1, 30), &[]))
+        .await
+        .unwrap();
+    let many = service.insert(&CALL, insertion(&cube(2, 60), &[])).await;
+    assert_eq!(exceeded(many), ("answer_bytes", 600));
+    assert_eq!(info(&service, "arm").await.points, 30);
+}

@@ -1,0 +1,22 @@
+//! The service on its own, without a transport: what every call promises.
+
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test that cannot go on has failed; clippy spares only what is marked as a test itself"
+)]
+
+mod cancellation;
+mod durability;
+mod indexes;
+mod insert;
+mod limits;
+mod merging;
+mod model;
+mod operations;
+mod random;
+mod reads;
+mod refusals;
+mod replay;
+mod scan;
+mod support;
+mod update;

@@ -1,0 +1,334 @@
+//! Random mutations and reads, each answer compared in bits with the model's.
+
+use bytes::Bytes;
+use prost::Message;
+use rand::{RngExt, SeedableRng, seq::IndexedRandom};
+use rand_chacha::ChaCha8Rng;
+use wayfold_index::{Factor, Space};
+use wayfold_proto::v1;
+use wayfold_server::service::{Error, Scan, Service};
+
+use crate::{
+    model::{Model, Refused},
+    support::*,
+};
+
+/// Requests from few values, so that duplicates, ties and conflicts are common.
+pub(crate) struct Requests {
+    random: ChaCha8Rng,
+    space: Space,
+    uid: String,
+}
+
+impl Requests {
+    pub(crate) fn new(seed: u64, space: &Space, uid: &str) -> Self {
+        Self {
+            random: ChaCha8Rng::seed_from_u64(seed),
+            space: space.clone(),
+            uid: uid.into(),
+        }
+    }
+
+    fn pick<T: Copy>(&mut self, of: &[T]) -> T {
+        *of.choose(&mut self.random).unwrap()
+    }
+
+    fn row(&mut self) -> Vec<f64> {
+        let space = self.space.clone();
+        let mut row = Vec::new();
+        for term in space.groups().iter().flat_map(|group| &group.terms) {
+            match term.factor {
+                Factor::RealVector(n) => {
+                    row.extend((0..n).map(|_| self.pick(&[0.0, 0.25, 0.5, 0.75, 1.0])));
+                }
+                Factor::SO2 { period } => {
+                    row.push(period / 8.0 * f64::from(self.random.random_range(-6..10)));
+                }
+                Factor::SO3 => row.extend(self.pick(&[
+                    [0.0, 0.0, 0.0, 1.0],
+                    [0.0, 0.0, 0.0, -1.0],
+                    [1.0, 0.0, 0.0, 0.0],
+                    [-0.6, 0.0, 0.8, 0.0],
+                    [0.5, 0.5, -0.5, 0.5],
+                    [0.1, 0.7, 0.1, 0.7],
+                ])),
+            }
+        }
+        row
+    }
+
+    fn states(&mut self, rows: u32) -> Option<v1::States> {
+        let coordinates = (0..rows).flat_map(|_| self.row()).collect();
+        Some(v1::States { rows, coordinates })
+    }
+
+    fn ids(&mut self, most: usize) -> Vec<u64> {
+        let wanted = self.random.random_range(0..=most);
+        let mut ids: Vec<u64> = (0..wanted)
+            .map(|_| self.random.random_range(0..60))
+            .collect();
+        let mut seen = std::collections::HashSet::new();
+        ids.retain(|id| seen.insert(*id));
+        ids
+    }
+
+    fn tags(&mut self, count: usize) -> Vec<u64> {
+        (0..count).map(|_| self.random.random_range(0..4)).collect()
+    }
+
+    fn payloads(&mut self, count: usize) -> Vec<Bytes> {
+        let payloads = [&b""[..], b"a", b"bb"];
+        (0..count)
+            .map(|_| Bytes::from_static(self.pick(&payloads)))
+            .collect()
+    }
+
+    fn filter(&mut self, revision: u64) -> Option<v1::Filter> {
+        let tag_mask = self.pick(&[0, 0b01, 0b11]);
+        self.random.random_bool(0.5).then(|| v1::Filter {
+            tag_mask,
+            tag_value: self.random.random_range(0..4) & tag_mask,
+            since_revision: self.random.random_range(0..=revision),
+        })
+    }
+
+    fn include(&mut self) -> Option<v1::Include> {
+        Some(v1::Include {
+            states: self.random.random(),
+            tags: self.random.random(),
+            revisions: self.random.random(),
+            payloads: self.random.random(),
+        })
+    }
+
+    pub(crate) fn insert(&mut self, revision: u64) -> v1::InsertRequest {
+        let mut ids = Vec::new();
+        if self.random.random_bool(0.7) {
+            ids = self.ids(8);
+        }
+        let rows = match ids.len() {
+            0 => self.random.random_range(0..6),
+            given => given,
+        };
+        let tags = if self.random.random() {
+            self.tags(rows)
+        } else {
+            vec![]
+        };
+        let payloads = if self.random.random() {
+            self.payloads(rows)
+        } else {
+            vec![]
+        };
+        let neighbors = self.random.random_bool(0.5).then(|| {
+            let k = self
+                .random
+                .random_bool(0.6)
+                .then(|| self.random.random_range(1..6));
+            let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
+            v1::NeighborQuery {
+                k,
+                radius: (k.is_none() || self.random.random()).then_some(radius),
+                filter: self.filter(revision + 1),
+                include: self.include(),
+            }
+        });
+        v1::InsertRequest {
+            index: "arm".into(),
+            states: self.states(rows as u32),
+            ids,
+            tags,
+            payloads,
+            on_conflict: self.pick(&[0, 1, 1]),
+            min_separation: self.pick(&[0.0, 0.0, 0.25, 0.5, 0.7]),
+            neighbors,
+            operation_id: String::new(),
+            uid: self.uid.clone(),
+        }
+    }
+
+    pub(crate) fn update(&mut self, revision: u64) -> v1::UpdateRequest {
+        let ids = self.ids(3);
+        let tag_count = self.pick(&[0, 1, ids.len()]);
+        let payload_count = self.pick(&[0, ids.len()]);
+        let compares = self.random.random_bool(0.3);
+        v1::UpdateRequest {
+            index: "arm".into(),
+            tags: self.tags(tag_count),
+            tag_mask: self.pick(&[0, 0b01, 0b10]),
+            payloads: self.payloads(payload_count),
+            if_revision: compares.then(|| self.random.random_range(0..=revision)),
+            operation_id: String::new(),
+            uid: self.uid.clone(),
+            ids,
+        }
+    }
+
+    pub(crate) fn remove(&mut self) -> v1::RemoveRequest {
+        removal(&self.ids(5))
+    }
+
+    fn knn(&mut self, revision: u64) -> v1::KnnRequest {
+        let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
+        v1::KnnRequest {
+            index: "arm".into(),
+            states: self.states(2),
+            k: self.random.random_range(1..80),
+            radius: self.random.random_bool(0.5).then_some(radius),
+            filter: self.filter(revision),
+            include: self.include(),
+            at: self.at(revision),
+            ..Default::default()
+        }
+    }
+
+    fn scan(&mut self, revision: u64) -> v1::ScanRequest {
+        v1::ScanRequest {
+            index: "arm".into(),
+            filter: self.filter(revision),
+            payloads: self.random.random(),
+            after_id: self
+                .random
+                .random_bool(0.3)
+                .then(|| self.random.random_range(0..60)),
+            at: self.at(revision),
+        }
+    }
+
+    fn at(&mut self, revision: u64) -> Option<v1::ReadAt> {
+        Some(v1::ReadAt {
+            uid: self.uid.clone(),
+            min_revision: self.random.random_range(0..=revision),
+        })
+    }
+}
+
+/// `Query` is `Knn` without k.
+fn as_query(knn: &v1::KnnRequest) -> v1::QueryRequest {
+    v1::QueryRequest {
+        index: knn.index.clone(),
+        states: knn.states.clone(),
+        radius: knn.radius.unwrap_or(0.5),
+        filter: knn.filter,
+        include: knn.include,
+        at: knn.at.clone(),
+        ..Default::default()
+    }
+}
+
+fn refused<T>(answer: Result<T, Error>) -> Result<T, Refused> {
+    answer.map_err(|error| match error {
+        Error::PointsExist { ids, .. } => Refused::Exist(ids),
+        Error::PointsNotFound { ids, .. } => Refused::Missing(ids),
+        Error::RevisionConflict { ids, .. } => Refused::Changed(ids),
+        other => panic!("{other}"),
+    })
+}
+
+/// Equal to the last bit, of zeros too.
+fn assert_same<M: Message + PartialEq + std::fmt::Debug>(
+    answer: Result<M, Error>,
+    expected: Result<M, Refused>,
+    what: &str,
+) {
+    let answer = refused(answer);
+    let bits = |answer: &Result<M, Refused>| answer.as_ref().ok().map(Message::encode_to_vec);
+    assert_eq!(answer, expected, "{what}");
+    assert_eq!(bits(&answer), bits(&expected), "{what}");
+}
+
+async fn compare(service: &Service, model: &Model, requests: &mut Requests) {
+    let knn = requests.knn(model.revision);
+    assert_same(
+        service.knn(&CALL, knn.clone()).await,
+        Ok(model.knn(&knn)),
+        &format!("{knn:?}"),
+    );
+
+    let query = as_query(&knn);
+    let unlimited = v1::KnnRequest {
+        k: u32::MAX,
+        radius: Some(query.radius),
+        ..knn
+    };
+    let expected = model.knn(&unlimited);
+    let answer = service.query(&CALL, query.clone()).await.unwrap();
+    assert_eq!(answer.neighbors, expected.neighbors, "{query:?}");
+    assert_eq!((answer.exact, answer.revision), (true, model.revision));
+
+    let get = v1::GetRequest {
+        payloads: requests.random.random(),
+        ..getting(&requests.ids(4))
+    };
+    assert_same(
+        service.get(&CALL, get.clone()).await,
+        model.get(&get),
+        &format!("{get:?}"),
+    );
+}
+
+/// Finishes a scan that was begun when the index was as in `expected`.
+async fn finish(mut scan: Scan, expected: v1::ScanResponse) {
+    assert_same(scan.next().await.unwrap(), Ok(expected), "a scan");
+    assert!(scan.next().await.is_none());
+}
+
+async fn run(space: &str, seed: u64) {
+    let (service, uid) = arm(space).await;
+    let space: Space = space.parse().unwrap();
+    let mut model = Model::new(space.clone(), uid.clone());
+    let mut requests = Requests::new(seed, &space, &uid);
+    let mut scans = Vec::new();
+    for _ in 0..60 {
+        let revision = model.revision;
+        match requests.random.random_range(0..10) {
+            0..=4 => {
+                let request = requests.insert(revision);
+                let answer = service.insert(&CALL, request.clone()).await;
+                assert_same(answer, model.insert(&request), &format!("{request:?}"));
+            }
+            5..=6 => {
+                let request = requests.update(revision);
+                let answer = service.update(&CALL, request.clone()).await;
+                assert_same(answer, model.update(&request), &format!("{request:?}"));
+            }
+            7 => {
+                let request = requests.remove();
+                let answer = service.remove(&CALL, request.clone()).await;
+                assert_same(answer, Ok(model.remove(&request)), &format!("{request:?}"));
+            }
+            8 => {
+                let request = requests.scan(revision);
+                let scan = service.scan(&CALL, request.clone()).await.unwrap();
+                scans.push((scan, model.scan(&request)));
+            }
+            _ => {
+                if !scans.is_empty() {
+                    let at = requests.random.random_range(0..scans.len());
+                    let (scan, expected) = scans.swap_remove(at);
+                    finish(scan, expected).await;
+                }
+            }
+        }
+        compare(&service, &model, &mut requests).await;
+    }
+    for (scan, expected) in scans {
+        finish(scan, expected).await;
+    }
+    let index = info(&service, "arm").await;
+    assert_eq!(
+        (index.revision, index.points),
+        (model.revision, model.points.len() as u64)
+    );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_answer_is_the_models() {
+    for space in ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"] {
+        for seed in 0..40 {
+            // Shown if the test fails.
+            println!("space {space}, seed {seed}");
+            run(space, seed).await;
+        }
+    }
+}

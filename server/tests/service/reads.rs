@@ -1,0 +1,211 @@
+//! What a read sees: columns, filters, and the revision it waits for.
+
+use std::{
+    pin::pin,
+    time::{Duration, Instant},
+};
+
+use bytes::Bytes;
+use tokio::time::timeout;
+use wayfold_proto::v1;
+use wayfold_server::service::{Call, Code};
+
+use crate::support::*;
+
+const ALL: v1::Include = v1::Include {
+    states: true,
+    tags: true,
+    revisions: true,
+    payloads: true,
+};
+
+#[tokio::test]
+async fn neighbours_come_with_what_was_asked_for() {
+    let (service, uid) = arm("SO2").await;
+    let request = v1::InsertRequest {
+        tags: vec![1, 2, 3],
+        payloads: vec![Bytes::new(), Bytes::from_static(b"two"), Bytes::new()],
+        // Wrapped into [-pi, pi).
+        ..insertion(&[[0.0], [1.0 + 8.0 * std::f64::consts::PI], [2.0]], &[])
+    };
+    service.insert(&CALL, request).await.unwrap();
+    let request = v1::KnnRequest {
+        include: Some(ALL),
+        ..knn(&[[1.25], [-1.0]], 2)
+    };
+    let response = service.knn(&CALL, request).await.unwrap();
+    assert!(response.exact);
+    assert_eq!((response.revision, response.uid), (1, uid));
+    let found = response.neighbors.unwrap();
+    assert_eq!(found.counts, [2, 2]);
+    assert_eq!(found.ids, [1, 2, 0, 1]);
+    assert_eq!(found.tags, [2, 3, 1, 2]);
+    assert_eq!(found.revisions, [1; 4]);
+    assert_eq!(found.payloads[0], Bytes::from_static(b"two"));
+    assert_eq!(found.payloads[1], Bytes::new());
+    let states = found.states.unwrap();
+    assert_eq!(states.rows, 4);
+    let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
+    assert!(near(states.coordinates[0], 1.0) && states.coordinates[1] == 2.0);
+    assert!(near(found.distances[0], 0.25) && found.distances[2] == 1.0);
+
+    let bare = service
+        .knn(&CALL, knn(&[[1.25]], 2))
+        .await
+        .unwrap()
+        .neighbors
+        .unwrap();
+    assert_eq!(
+        (bare.states, bare.tags, bare.payloads),
+        (None, vec![], vec![])
+    );
+}
+
+#[tokio::test]
+async fn filters_by_tag_and_by_revision() {
+    let (service, uid) = arm("R1").await;
+    for (at, tag) in [0b01, 0b10, 0b11, 0b01].into_iter().enumerate() {
+        let request = v1::InsertRequest {
+            tags: vec![tag],
+            ..insertion(&[[at as f64]], &[])
+        };
+        service.insert(&CALL, request).await.unwrap();
+    }
+    let ask = |tag_mask, tag_value, since_revision| v1::QueryRequest {
+        index: "arm".into(),
+        states: states(&[[0.0]]),
+        radius: f64::INFINITY,
+        filter: Some(v1::Filter {
+            tag_mask,
+            tag_value,
+            since_revision,
+        }),
+        at: Some(v1::ReadAt {
+            uid: uid.clone(),
+            min_revision: 0,
+        }),
+        ..Default::default()
+    };
+    for (mask, value, since, expected) in [
+        (0, 0, 0, vec![0, 1, 2, 3]),
+        (0b01, 0b01, 0, vec![0, 2, 3]),
+        (0b11, 0b01, 0, vec![0, 3]),
+        (0b11, 0b01, 1, vec![3]),
+        (0, 0, 2, vec![2, 3]),
+        (0, 0, 9, vec![]),
+    ] {
+        let answer = service.query(&CALL, ask(mask, value, since)).await.unwrap();
+        assert_eq!(
+            answer.neighbors.unwrap().ids,
+            expected,
+            "{mask} {value} {since}"
+        );
+    }
+}
+
+#[tokio::test]
+async fn the_ball_is_closed_and_both_limits_hold() {
+    let (service, _) = arm("R1").await;
+    service
+        .insert(&CALL, insertion(&[[0.0], [1.0], [2.0]], &[]))
+        .await
+        .unwrap();
+    let query = |radius| v1::QueryRequest {
+        index: "arm".into(),
+        states: states(&[[0.0]]),
+        radius,
+        ..Default::default()
+    };
+    let ids = |response: v1::QueryResponse| response.neighbors.unwrap().ids;
+    assert_eq!(ids(service.query(&CALL, query(0.0)).await.unwrap()), [0]);
+    assert_eq!(ids(service.query(&CALL, query(1.0)).await.unwrap()), [0, 1]);
+    let both = |k, radius| v1::KnnRequest {
+        radius: Some(radius),
+        ..knn(&[[0.0]], k)
+    };
+    let ids = |response: v1::KnnResponse| response.neighbors.unwrap().ids;
+    assert_eq!(ids(service.knn(&CALL, both(1, 1.0)).await.unwrap()), [0]);
+    assert_eq!(ids(service.knn(&CALL, both(9, 1.0)).await.unwrap()), [0, 1]);
+    assert_eq!(
+        ids(service.knn(&CALL, both(9, f64::INFINITY)).await.unwrap()),
+        [0, 1, 2]
+    );
+}
+
+#[tokio::test]
+async fn less_than_exact_only_where_it_was_asked_for() {
+    let (service, _) = arm("R3").await;
+    service
+        .insert(&CALL, insertion(&cube(3, 3000), &[]))
+        .await
+        .unwrap();
+    let capped = v1::KnnRequest {
+        max_leaves: 1,
+        ..knn(&cube(4, 20), 50)
+    };
+    // Once the trees are built, one leaf of two points does not do.
+    let built = async {
+        loop {
+            let response = service.knn(&CALL, capped.clone()).await.unwrap();
+            if !response.exact {
+                break response.neighbors.unwrap();
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    let capped = timeout(Duration::from_secs(60), built).await.unwrap();
+    let exact = service.knn(&CALL, knn(&cube(4, 20), 50)).await.unwrap();
+    assert!(exact.exact);
+    assert!(capped.ids.len() < exact.neighbors.unwrap().ids.len());
+}
+
+#[tokio::test]
+async fn a_read_waits_for_its_revision() {
+    let (service, uid) = arm("R1").await;
+    let request = v1::KnnRequest {
+        at: Some(v1::ReadAt {
+            uid,
+            min_revision: 2,
+        }),
+        ..knn(&[[0.0]], 9)
+    };
+    let reading = tokio::spawn({
+        let service = service.clone();
+        async move { service.knn(&CALL, request).await }
+    });
+    for row in [[1.0], [2.0]] {
+        assert!(!reading.is_finished());
+        service.insert(&CALL, insertion(&[row], &[])).await.unwrap();
+    }
+    let response = reading.await.unwrap().unwrap();
+    assert_eq!(
+        (response.revision, response.neighbors.unwrap().ids),
+        (2, vec![0, 1])
+    );
+}
+
+/// On a clock that jumps ahead whenever nothing else is left to do.
+#[tokio::test(start_paused = true)]
+async fn the_wait_for_a_revision_ends_after_five_seconds_or_at_the_deadline() {
+    let (service, uid) = arm("R1").await;
+    let request = v1::GetRequest {
+        at: Some(v1::ReadAt {
+            uid,
+            min_revision: 1,
+        }),
+        ..getting(&[])
+    };
+    let hour = Duration::from_secs(3600);
+    let with_deadline = Call {
+        deadline: Some(Instant::now() + hour),
+    };
+    for (call, not_yet, done) in [
+        (CALL, Duration::from_millis(4990), Duration::from_millis(20)),
+        (with_deadline, hour / 2, hour),
+    ] {
+        let mut waiting = pin!(service.get(&call, request.clone()));
+        assert!(timeout(not_yet, &mut waiting).await.is_err());
+        let answer = timeout(done, waiting).await.unwrap();
+        assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
+    }
+}

@@ -1,0 +1,148 @@
+//! The log is the only source of state: a second server over the same log is the first one.
+
+use std::sync::Arc;
+
+use futures_util::future::BoxFuture;
+use rand::{RngExt, SeedableRng};
+use wayfold_index::Space;
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{Effects, Entry, Log, LogError, MemoryLog, Record, Uid, View},
+    registry::{Registry, RegistryError},
+    service::{Limits, Service},
+};
+
+use crate::{random::Requests, support::*};
+
+fn restarted(log: Arc<dyn Log>) -> Service {
+    let registry = Registry::new(log, options());
+    registry.replay().unwrap();
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    service
+}
+
+#[tokio::test]
+async fn a_restart_changes_nothing() {
+    for seed in 0..20 {
+        println!("seed {seed}");
+        let log: Arc<dyn Log> = Arc::new(MemoryLog::new());
+        let before = service_with(Arc::clone(&log), Limits::default());
+        let uid = create(&before, "arm", "R2*SO2").await;
+        create(&before, "empty", "SO3").await;
+        let space: Space = "R2*SO2".parse().unwrap();
+        let mut requests = Requests::new(seed, &space, &uid);
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        for _ in 0..40 {
+            let revision = info(&before, "arm").await.revision;
+            // Refusals are as good as any.
+            match random.random_range(0..4) {
+                0..=1 => drop(before.insert(&CALL, requests.insert(revision)).await),
+                2 => drop(before.update(&CALL, requests.update(revision)).await),
+                _ => drop(before.remove(&CALL, requests.remove()).await),
+            }
+        }
+        // An id that was used and is free again, and an operation.
+        before
+            .insert(&CALL, insertion(&[[0.0; 3]], &[500]))
+            .await
+            .unwrap();
+        before.remove(&CALL, removal(&[500])).await.unwrap();
+        let operation = v1::InsertRequest {
+            operation_id: "op".into(),
+            ..insertion(&[[0.1; 3]], &[])
+        };
+        let response = before.insert(&CALL, operation.clone()).await.unwrap();
+        assert_eq!(response.ids, [501]);
+
+        let after = restarted(log);
+        let same = |index: v1::Index| v1::Index {
+            memory_bytes: 0,
+            ..index
+        };
+        for name in ["arm", "empty"] {
+            assert_eq!(
+                same(info(&after, name).await),
+                same(info(&before, name).await)
+            );
+        }
+        assert_eq!(everything(&after).await, everything(&before).await);
+        let ask = knn(&[[0.5, 0.5, 1.0], [0.0, 0.75, -3.0]], 100);
+        let answer = after.knn(&CALL, ask.clone()).await.unwrap();
+        assert_eq!(answer, before.knn(&CALL, ask).await.unwrap());
+        assert_eq!(after.insert(&CALL, operation).await.unwrap(), response);
+        let next = after
+            .insert(&CALL, insertion(&[[0.2; 3]], &[]))
+            .await
+            .unwrap();
+        assert_eq!(next.ids, [502]);
+        // The first server's writer has been fenced off.
+        let late = before
+            .insert(&CALL, insertion(&[[0.3; 3]], &[]))
+            .await
+            .unwrap_err();
+        assert!(late.to_string().contains("another writer"), "{late}");
+    }
+}
+
+/// A log whose records are not chained.
+struct Unchained(MemoryLog);
+
+impl Log for Unchained {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        self.0.indexes()
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.0.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.0.delete(uid)
+    }
+
+    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
+        self.0.append(uid, expected, effects)
+    }
+
+    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<(), LogError>> {
+        self.0.synced(uid, revision)
+    }
+
+    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
+        let record = |record: Arc<Record>| {
+            Arc::new(Record::new(
+                record.revision(),
+                [7; 32],
+                record.effects().clone(),
+            ))
+        };
+        Ok(self.0.tail(uid, after)?.into_iter().map(record).collect())
+    }
+
+    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        self.0.points(uid)
+    }
+
+    fn trim(&self, uid: Uid, keep_bytes: usize) -> Result<(), LogError> {
+        self.0.trim(uid, keep_bytes)
+    }
+}
+
+#[tokio::test]
+async fn a_broken_chain_is_not_replayed() {
+    let log: Arc<dyn Log> = Arc::new(Unchained(MemoryLog::new()));
+    let service = service_with(Arc::clone(&log), Limits::default());
+    create(&service, "arm", "R1").await;
+    for row in [[1.0], [2.0]] {
+        service.insert(&CALL, insertion(&[row], &[])).await.unwrap();
+    }
+    let error = Registry::new(log, options()).replay().unwrap_err();
+    assert!(
+        matches!(
+            error,
+            RegistryError::Log(LogError::Damaged { revision: 2, .. })
+        ),
+        "{error}"
+    );
+}

@@ -1,0 +1,119 @@
+//! Scans: parts, the pinned revision, and how long it may be held.
+
+use std::{sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::MemoryLog,
+    service::{Error, Limits},
+};
+
+use crate::support::*;
+
+#[tokio::test]
+async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
+    let (service, _) = arm("R3").await;
+    let rows = cube(7, 10_000);
+    let ids: Vec<u64> = (0..10_000).map(|at| at * 3).collect();
+    let payload = |at: u64| Bytes::from(format!("point {at}"));
+    let request = v1::InsertRequest {
+        payloads: ids.iter().map(|&id| payload(id)).collect(),
+        ..insertion(&rows, &ids)
+    };
+    service.insert(&CALL, request).await.unwrap();
+
+    let mut scan = service.scan(&CALL, scanning()).await.unwrap();
+    let mut seen = v1::Points::default();
+    let mut parts = 0;
+    while let Some(part) = scan.next().await {
+        let part = part.unwrap();
+        assert_eq!((part.revision, part.total_points), (1, 10_000));
+        let points = part.points.unwrap();
+        assert_eq!(points.states.unwrap().rows as usize, points.ids.len());
+        seen.ids.extend(points.ids);
+        seen.payloads.extend(points.payloads);
+        // Between the parts most of it goes, and the rest gets other payloads.
+        let (gone, left) = ids[parts * 3000..][..3000].split_at(2900);
+        service.remove(&CALL, removal(gone)).await.unwrap();
+        let update = v1::UpdateRequest {
+            index: "arm".into(),
+            ids: left.into(),
+            payloads: vec![Bytes::from_static(b"other"); left.len()],
+            ..Default::default()
+        };
+        service.update(&CALL, update).await.unwrap();
+        parts += 1;
+    }
+    assert_eq!(parts, 3);
+    assert_eq!(seen.ids, ids);
+    assert_eq!(
+        seen.payloads,
+        ids.iter().map(|&id| payload(id)).collect::<Vec<_>>()
+    );
+}
+
+#[tokio::test]
+async fn parts_are_bounded_by_bytes_too() {
+    let (service, _) = arm("R1").await;
+    let rows: Vec<[f64; 1]> = (0..64).map(|at| [f64::from(at)]).collect();
+    let request = v1::InsertRequest {
+        payloads: vec![vec![7; 60_000].into(); 64],
+        ..insertion(&rows, &[])
+    };
+    service.insert(&CALL, request).await.unwrap();
+    let mut scan = service.scan(&CALL, scanning()).await.unwrap();
+    let mut seen = Vec::new();
+    while let Some(part) = scan.next().await {
+        let part = part.unwrap();
+        assert!(prost::Message::encoded_len(&part) < 1_200_000);
+        seen.extend(part.points.unwrap().ids);
+    }
+    assert_eq!(seen, (0..64).collect::<Vec<_>>());
+}
+
+#[tokio::test]
+async fn an_empty_index_has_one_part() {
+    let (service, uid) = arm("R1").await;
+    let part = everything(&service).await;
+    assert_eq!((part.revision, part.total_points, part.uid), (0, 0, uid));
+    assert!(part.points.unwrap().ids.is_empty());
+}
+
+/// On a clock that is moved by hand.
+#[tokio::test(start_paused = true)]
+async fn a_scan_that_holds_its_snapshot_too_long_ends_and_another_goes_on() {
+    let limits = Limits {
+        scan_seconds: 10,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    create(&service, "arm", "R3").await;
+    service
+        .insert(&CALL, insertion(&cube(1, 9000), &[]))
+        .await
+        .unwrap();
+
+    let mut scan = service.scan(&CALL, scanning()).await.unwrap();
+    let first = scan.next().await.unwrap().unwrap().points.unwrap();
+    tokio::time::advance(Duration::from_secs(11)).await;
+    let last = first.ids.last().copied();
+    let error = scan.next().await.unwrap().unwrap_err();
+    let too_long = Error::ScanTooLong {
+        scan_seconds: 10,
+        after_id: last,
+    };
+    assert_eq!(error, too_long);
+    assert!(scan.next().await.is_none());
+
+    let rest = v1::ScanRequest {
+        after_id: last,
+        ..scanning()
+    };
+    let mut scan = service.scan(&CALL, rest).await.unwrap();
+    let mut ids = first.ids;
+    while let Some(part) = scan.next().await {
+        ids.extend(part.unwrap().points.unwrap().ids);
+    }
+    assert_eq!(ids, (0..9000).collect::<Vec<_>>());
+}

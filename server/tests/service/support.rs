@@ -1,0 +1,151 @@
+//! Services to test, and requests in few words.
+
+use std::sync::Arc;
+
+use wayfold_index::{ForestOptions, Space};
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{Log, MemoryLog},
+    registry::{Registry, RegistryOptions},
+    service::{Call, Code, Error, Limits, Service},
+};
+
+/// No deadline.
+pub(crate) const CALL: Call = Call { deadline: None };
+
+/// Small buffers and leaves: a few dozen points reach every corner.
+pub(crate) fn options() -> RegistryOptions {
+    RegistryOptions {
+        forest: ForestOptions {
+            buffer_rows: 4,
+            leaf_rows: 2,
+        },
+        ..RegistryOptions::default()
+    }
+}
+
+pub(crate) fn service() -> Service {
+    service_with(Arc::new(MemoryLog::new()), Limits::default())
+}
+
+pub(crate) fn service_with(log: Arc<dyn Log>, limits: Limits) -> Service {
+    let service = Service::new(Registry::new(log, options()), limits);
+    service.set_ready();
+    service
+}
+
+/// A service with one index, `arm`, and that index's uid.
+pub(crate) async fn arm(space: &str) -> (Service, String) {
+    let service = service();
+    let uid = create(&service, "arm", space).await;
+    (service, uid)
+}
+
+pub(crate) async fn create(service: &Service, name: &str, space: &str) -> String {
+    let created = service.create_index(&CALL, creation(name, space)).await;
+    created.unwrap().index.unwrap().uid
+}
+
+pub(crate) fn creation(name: &str, space: &str) -> v1::CreateIndexRequest {
+    v1::CreateIndexRequest {
+        name: name.into(),
+        space_text: space.into(),
+        ..Default::default()
+    }
+}
+
+pub(crate) async fn info(service: &Service, name: &str) -> v1::Index {
+    let request = v1::GetIndexRequest { name: name.into() };
+    service
+        .get_index(&CALL, request)
+        .await
+        .unwrap()
+        .index
+        .unwrap()
+}
+
+pub(crate) fn states<const N: usize>(rows: &[[f64; N]]) -> Option<v1::States> {
+    Some(v1::States {
+        rows: rows.len() as u32,
+        coordinates: rows.concat(),
+    })
+}
+
+/// Rows into `arm`; an empty `ids` lets the server assign them.
+pub(crate) fn insertion<const N: usize>(rows: &[[f64; N]], ids: &[u64]) -> v1::InsertRequest {
+    v1::InsertRequest {
+        index: "arm".into(),
+        states: states(rows),
+        ids: ids.into(),
+        ..Default::default()
+    }
+}
+
+/// `rows` random states of R3 in [0, 1)^3, the same for the same seed.
+pub(crate) fn cube(seed: u64, rows: usize) -> Vec<[f64; 3]> {
+    use rand::{RngExt, SeedableRng};
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    (0..rows).map(|_| random.random()).collect()
+}
+
+pub(crate) fn removal(ids: &[u64]) -> v1::RemoveRequest {
+    v1::RemoveRequest {
+        index: "arm".into(),
+        ids: ids.into(),
+        ..Default::default()
+    }
+}
+
+pub(crate) fn knn<const N: usize>(rows: &[[f64; N]], k: u32) -> v1::KnnRequest {
+    v1::KnnRequest {
+        index: "arm".into(),
+        states: states(rows),
+        k,
+        ..Default::default()
+    }
+}
+
+pub(crate) fn getting(ids: &[u64]) -> v1::GetRequest {
+    v1::GetRequest {
+        index: "arm".into(),
+        ids: ids.into(),
+        payloads: true,
+        at: None,
+    }
+}
+
+pub(crate) fn scanning() -> v1::ScanRequest {
+    v1::ScanRequest {
+        index: "arm".into(),
+        payloads: true,
+        ..Default::default()
+    }
+}
+
+/// Everything in `arm`, as one part.
+pub(crate) async fn everything(service: &Service) -> v1::ScanResponse {
+    let mut scan = service.scan(&CALL, scanning()).await.unwrap();
+    let part = scan.next().await.unwrap().unwrap();
+    assert!(scan.next().await.is_none());
+    part
+}
+
+pub(crate) fn canonical(space: &Space, rows: &[f64]) -> Vec<f64> {
+    let mut rows = rows.to_vec();
+    for row in rows.chunks_exact_mut(space.coordinates()) {
+        space.canonicalize(row).unwrap();
+    }
+    rows
+}
+
+/// The code, the reason, and the first field of a failed call.
+pub(crate) fn refusal<T: std::fmt::Debug>(
+    result: Result<T, Error>,
+) -> (Code, &'static str, String) {
+    let error = result.unwrap_err();
+    let field = match &error {
+        Error::InvalidArgument { violations } => violations[0].field.clone(),
+        _ => String::new(),
+    };
+    (error.code(), error.reason(), field)
+}

@@ -1,0 +1,176 @@
+//! Four ways to ask for ten neighbours, and how many states a second each gets answered.
+
+use std::{
+    fmt,
+    time::{Duration, Instant},
+};
+
+use tokio::{sync::mpsc, task::JoinSet};
+use tokio_stream::wrappers::ReceiverStream;
+use wayfold_proto::v1::{
+    KnnRequest, StreamKnnRequest, stream_knn_response::Result as StreamedAnswer,
+};
+use wayfold_tests::{States, Stubs, row_states};
+
+use crate::{INDEX, K, SPACE};
+
+/// How long a measurement lasts.
+const DURATION: Duration = Duration::from_secs(2);
+/// And how many calls it makes at most.
+const CALLS: usize = 1_000_000;
+/// States drawn in advance; they are asked about over and over.
+const POOL: usize = 20_000;
+const WIDTH: usize = 7;
+const BATCH: usize = 1_000;
+const IN_FLIGHT: usize = 64;
+/// What a measurement counts for beside an inserted point in the progress bar.
+pub(crate) const STEPS: usize = 20_000;
+
+/// A way to ask.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Way {
+    /// One client, one call of one state in flight.
+    OneInFlight,
+    /// One connection, 64 calls of one state in flight.
+    ManyInFlight,
+    /// One call of 1,000 states in flight.
+    Batches,
+    /// One stream, 64 requests of one state under way.
+    Streamed,
+}
+
+impl Way {
+    pub(crate) const ALL: [Way; 4] = [
+        Way::OneInFlight,
+        Way::ManyInFlight,
+        Way::Batches,
+        Way::Streamed,
+    ];
+
+    /// Its name in JSON.
+    pub(crate) fn key(self) -> &'static str {
+        match self {
+            Way::OneInFlight => "one_in_flight",
+            Way::ManyInFlight => "many_in_flight",
+            Way::Batches => "batches",
+            Way::Streamed => "streamed",
+        }
+    }
+}
+
+impl fmt::Display for Way {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Way::OneInFlight => "Knn, 1 in flight",
+            Way::ManyInFlight => "Knn, 64 in flight",
+            Way::Batches => "Knn, batches of 1,000",
+            Way::Streamed => "StreamKnn, 64 under way",
+        })
+    }
+}
+
+/// Asks in one way, about states of its own.
+#[derive(Clone)]
+pub(crate) struct Asker {
+    way: Way,
+    states: Vec<f64>,
+    next: usize,
+}
+
+impl Asker {
+    pub(crate) fn new(way: Way, seed: u64) -> Self {
+        let space = SPACE.parse().expect("a space");
+        let states = States::new(space, seed).rows(POOL);
+        Self {
+            way,
+            states,
+            next: 0,
+        }
+    }
+
+    /// States answered a second.
+    pub(crate) async fn measure(&mut self, stubs: &Stubs) -> f64 {
+        let started = Instant::now();
+        let answered = match self.way {
+            Way::OneInFlight => self.ask(stubs.clone(), 1, started).await,
+            Way::Batches => self.ask(stubs.clone(), BATCH, started).await,
+            Way::ManyInFlight => {
+                let mut askers = JoinSet::new();
+                for i in 0..IN_FLIGHT {
+                    let (mut asker, stubs) = (self.clone(), stubs.clone());
+                    asker.next = i * (POOL / IN_FLIGHT);
+                    askers.spawn(async move { asker.ask(stubs, 1, started).await });
+                }
+                askers.join_all().await.into_iter().sum()
+            }
+            Way::Streamed => self.stream(stubs.clone(), started).await,
+        };
+        answered as f64 / started.elapsed().as_secs_f64()
+    }
+
+    /// Asks with one call in flight; returns how many states were answered.
+    async fn ask(&mut self, mut stubs: Stubs, rows: usize, started: Instant) -> usize {
+        let mut answered = 0;
+        for _ in 0..CALLS {
+            if started.elapsed() >= DURATION {
+                break;
+            }
+            let request = self.request(rows);
+            let response = stubs.points.knn(request).await.expect("an answer");
+            let neighbors = response.into_inner().neighbors.expect("neighbours");
+            assert_eq!(neighbors.ids.len(), rows * K as usize);
+            answered += rows;
+        }
+        answered
+    }
+
+    async fn stream(&mut self, mut stubs: Stubs, started: Instant) -> usize {
+        let (sender, requests) = mpsc::channel(IN_FLIGHT);
+        let requests = ReceiverStream::new(requests);
+        let answers = stubs.points.stream_knn(requests).await;
+        let mut answers = answers.expect("a stream").into_inner();
+        for _ in 0..IN_FLIGHT {
+            let request = self.streamed_request();
+            sender.send(request).await.expect("an open stream");
+        }
+        let mut sender = Some(sender);
+        let mut answered = 0;
+        while let Some(answer) = answers.message().await.expect("an answer") {
+            let Some(StreamedAnswer::Knn(answer)) = answer.result else {
+                panic!("a refusal: {answer:?}");
+            };
+            let neighbors = answer.neighbors.expect("neighbours");
+            assert_eq!(neighbors.ids.len(), K as usize);
+            answered += 1;
+            if started.elapsed() >= DURATION || answered >= CALLS {
+                sender = None;
+            }
+            if let Some(sender) = &sender {
+                let request = self.streamed_request();
+                sender.send(request).await.expect("an open stream");
+            }
+        }
+        answered
+    }
+
+    fn streamed_request(&mut self) -> StreamKnnRequest {
+        StreamKnnRequest {
+            knn: Some(self.request(1)),
+        }
+    }
+
+    /// A request about the next states of the pool.
+    pub(crate) fn request(&mut self, rows: usize) -> KnnRequest {
+        if (self.next + rows) > POOL {
+            self.next = 0;
+        }
+        let coordinates = &self.states[self.next * WIDTH..][..rows * WIDTH];
+        self.next += rows;
+        KnnRequest {
+            index: INDEX.into(),
+            states: Some(row_states(coordinates, WIDTH)),
+            k: K,
+            ..Default::default()
+        }
+    }
+}

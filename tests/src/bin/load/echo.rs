@@ -1,0 +1,159 @@
+//! A bare tonic server that takes the same messages and answers ones of the same size, made in advance.
+
+use std::{
+    collections::HashMap,
+    process::ExitCode,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use tokio::{net::TcpListener, sync::mpsc};
+use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
+use tonic::{Request, Response, Status, Streaming, transport::Server};
+use wayfold_proto::v1::{
+    GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse, Neighbors,
+    Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, ScanRequest, ScanResponse,
+    StreamKnnRequest, StreamKnnResponse, UpdateRequest, UpdateResponse,
+    point_service_server::{PointService, PointServiceServer},
+    stream_knn_response::Result as StreamedAnswer,
+};
+
+const UID: &str = "00000000-0000-4000-8000-000000000000";
+/// Answers that a stream may be ahead of its reader.
+const AHEAD: usize = 32;
+const MAX_MESSAGE_BYTES: usize = 16 << 20;
+
+/// Serves until it is killed.
+pub(crate) fn main() -> ExitCode {
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(async {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        println!(
+            "listening on http://{}",
+            listener.local_addr().expect("an address")
+        );
+        let service = PointServiceServer::new(Echo::default());
+        let service = service.max_decoding_message_size(MAX_MESSAGE_BYTES);
+        let incoming = TcpListenerStream::new(listener);
+        let incoming = tokio_stream::StreamExt::map(incoming, |socket| {
+            socket.inspect(|socket| socket.set_nodelay(true).expect("a TCP socket"))
+        });
+        let serving = Server::builder().add_service(service);
+        serving
+            .serve_with_incoming(incoming)
+            .await
+            .expect("a server");
+    });
+    ExitCode::SUCCESS
+}
+
+/// The answers by their number of rows.
+#[derive(Clone, Debug, Default)]
+struct Echo {
+    neighbors: Arc<Mutex<HashMap<usize, KnnResponse>>>,
+    outcomes: Arc<Mutex<HashMap<usize, InsertResponse>>>,
+}
+
+impl Echo {
+    fn neighbors(&self, request: &KnnRequest) -> KnnResponse {
+        let rows = request
+            .states
+            .as_ref()
+            .map_or(0, |states| states.rows as usize);
+        let k = request.k;
+        let mut made = self
+            .neighbors
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let answer = made.entry(rows).or_insert_with(|| {
+            let found = rows * k as usize;
+            KnnResponse {
+                neighbors: Some(Neighbors {
+                    counts: vec![k; rows],
+                    ids: (0..found as u64).collect(),
+                    distances: vec![0.5; found],
+                    ..Default::default()
+                }),
+                exact: true,
+                revision: 1_000,
+                uid: UID.into(),
+            }
+        });
+        answer.clone()
+    }
+
+    fn outcomes(&self, request: &InsertRequest) -> InsertResponse {
+        let rows = request
+            .states
+            .as_ref()
+            .map_or(0, |states| states.rows as usize);
+        let mut made = self.outcomes.lock().unwrap_or_else(PoisonError::into_inner);
+        let answer = made.entry(rows).or_insert_with(|| InsertResponse {
+            outcomes: vec![Outcome::Inserted.into(); rows],
+            ids: (0..rows as u64).collect(),
+            neighbors: None,
+            revision: 1_000,
+            uid: UID.into(),
+        });
+        answer.clone()
+    }
+}
+
+type Answer<T> = Result<Response<T>, Status>;
+
+#[tonic::async_trait]
+impl PointService for Echo {
+    type StreamKnnStream = ReceiverStream<Result<StreamKnnResponse, Status>>;
+    type ScanStream = ReceiverStream<Result<ScanResponse, Status>>;
+
+    async fn insert(&self, request: Request<InsertRequest>) -> Answer<InsertResponse> {
+        Ok(Response::new(self.outcomes(request.get_ref())))
+    }
+
+    async fn knn(&self, request: Request<KnnRequest>) -> Answer<KnnResponse> {
+        Ok(Response::new(self.neighbors(request.get_ref())))
+    }
+
+    async fn stream_knn(
+        &self,
+        request: Request<Streaming<StreamKnnRequest>>,
+    ) -> Answer<Self::StreamKnnStream> {
+        let mut requests = request.into_inner();
+        let (sender, answers) = mpsc::channel(AHEAD);
+        let echo = self.clone();
+        tokio::spawn(async move {
+            while let Ok(Some(StreamKnnRequest { knn: Some(request) })) = requests.message().await {
+                let answer = StreamKnnResponse {
+                    result: Some(StreamedAnswer::Knn(echo.neighbors(&request))),
+                };
+                if sender.send(Ok(answer)).await.is_err() {
+                    break;
+                }
+            }
+        });
+        Ok(Response::new(ReceiverStream::new(answers)))
+    }
+
+    async fn update(&self, _: Request<UpdateRequest>) -> Answer<UpdateResponse> {
+        Err(not_measured())
+    }
+
+    async fn remove(&self, _: Request<RemoveRequest>) -> Answer<RemoveResponse> {
+        Err(not_measured())
+    }
+
+    async fn get(&self, _: Request<GetRequest>) -> Answer<GetResponse> {
+        Err(not_measured())
+    }
+
+    async fn query(&self, _: Request<QueryRequest>) -> Answer<QueryResponse> {
+        Err(not_measured())
+    }
+
+    async fn scan(&self, _: Request<ScanRequest>) -> Answer<Self::ScanStream> {
+        Err(not_measured())
+    }
+}
+
+fn not_measured() -> Status {
+    Status::unimplemented("the echo answers what is measured")
+}

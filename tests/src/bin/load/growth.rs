@@ -1,0 +1,77 @@
+//! An index that grows by batches while a reader asks on.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use indicatif::ProgressBar;
+use wayfold_proto::v1::InsertRequest;
+use wayfold_tests::{States, Stubs, row_states};
+
+use crate::{INDEX, SPACE, asking::Asker, asking::Way};
+
+const BATCH: usize = 1_000;
+const WIDTH: usize = 7;
+
+/// What growing took.
+#[derive(Clone, Debug)]
+pub(crate) struct Growth {
+    /// Points a second, with the reader beside.
+    pub(crate) inserts_per_second: f64,
+    /// How long the calls took, in the order of their lengths.
+    pub(crate) inserts: Vec<Duration>,
+    /// How long the reader's calls took, in the order of their lengths.
+    pub(crate) queries: Vec<Duration>,
+}
+
+/// Inserts so many points, one call in flight, with one call of a reader in flight beside it.
+pub(crate) async fn grow(stubs: &Stubs, points: usize, progress: &ProgressBar) -> Growth {
+    let grown = Arc::new(AtomicBool::new(false));
+    let (reading, mut reader) = (stubs.clone(), Asker::new(Way::OneInFlight, 1));
+    let done = grown.clone();
+    let reader = tokio::spawn(async move {
+        let mut stubs = reading;
+        let mut taken = Vec::new();
+        while !done.load(Ordering::Relaxed) {
+            let request = reader.request(1);
+            let called = Instant::now();
+            stubs.points.knn(request).await.expect("an answer");
+            taken.push(called.elapsed());
+        }
+        taken
+    });
+
+    let mut stubs = stubs.clone();
+    let mut states = States::new(SPACE.parse().expect("a space"), 0);
+    let mut inserts = Vec::with_capacity(points / BATCH + 1);
+    let mut inserted = 0;
+    while inserted < points {
+        let rows = BATCH.min(points - inserted);
+        let request = InsertRequest {
+            index: INDEX.into(),
+            states: Some(row_states(&states.rows(rows), WIDTH)),
+            ..Default::default()
+        };
+        let called = Instant::now();
+        let response = stubs.insert(request).await;
+        inserts.push(called.elapsed());
+        assert_eq!(response.ids.len(), rows);
+        inserted += rows;
+        progress.inc(rows as u64);
+    }
+    grown.store(true, Ordering::Relaxed);
+    let mut queries = reader.await.expect("the reader");
+    // Drawing the states is not the server's work.
+    let in_calls: Duration = inserts.iter().sum();
+    inserts.sort();
+    queries.sort();
+    Growth {
+        inserts_per_second: inserted as f64 / in_calls.as_secs_f64(),
+        inserts,
+        queries,
+    }
+}

@@ -1,0 +1,113 @@
+//! Measures a server under load, beside a bare tonic echo of the same messages.
+//!
+//!     cargo run --release -p wayfold-tests --bin load -- [--points 1000000] [--rounds 5] [--json FILE]
+//!
+//! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`) in batches while a reader asks on,
+//! and then asks for ten neighbours in four ways: one call in flight, 64 in flight, batches of 1,000 states, and one
+//! pipelined stream. The echo takes the same requests and answers messages of the same size without looking at them:
+//! what it reaches is what the protocol leaves.
+
+mod asking;
+mod echo;
+mod growth;
+mod report;
+
+use std::{env, fs, path::PathBuf, process::Command, process::ExitCode};
+
+use clap::Parser;
+use indicatif::{ProgressBar, ProgressStyle};
+use wayfold_tests::{Process, ServerProcess, Stubs};
+
+use asking::{Asker, Way};
+use report::Report;
+
+/// Which of the processes this is; unset in the one that measures.
+const ROLE: &str = "LOAD_ROLE";
+const SPACE: &str = "R3*SO3:0.15";
+const INDEX: &str = "load";
+const K: u32 = 10;
+
+/// Measures a server under load, beside a bare tonic echo of the same messages.
+#[derive(Debug, Parser)]
+#[command(name = "load")]
+struct Arguments {
+    /// How many points to insert, in batches of 1,000.
+    #[arg(long, default_value_t = 1_000_000)]
+    points: usize,
+    /// How often each way of asking is measured; the medians are reported.
+    #[arg(long, default_value_t = 5)]
+    rounds: usize,
+    /// Writes the figures to a file, as JSON.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    match env::var(ROLE).as_deref() {
+        Ok("server") => return wayfold_server::main(),
+        Ok("echo") => return echo::main(),
+        _ => {}
+    }
+    let arguments = Arguments::parse();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let report = runtime.block_on(measure(&arguments));
+    print!("{report}");
+    if let Some(path) = &arguments.json {
+        let json = format!("{:#}\n", report.to_json());
+        if let Err(error) = fs::write(path, json) {
+            eprintln!("error: {}: {error}", path.display());
+            return ExitCode::FAILURE;
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+/// Starts this program in another role.
+fn start(role: &str) -> ServerProcess {
+    let program = env::current_exe().expect("this program");
+    let mut command = Command::new(program);
+    command.env(ROLE, role).args(["--grpc", "127.0.0.1:0"]);
+    ServerProcess::ready(Process::spawn(&mut command))
+}
+
+async fn measure(arguments: &Arguments) -> Report {
+    let (server, echo) = (start("server"), start("echo"));
+    let mut server_stubs = Stubs::connect(server.uri()).await;
+    let echo_stubs = Stubs::connect(echo.uri()).await;
+    server_stubs.create(INDEX, SPACE).await;
+
+    let rounds = arguments.rounds.max(1);
+    let steps = arguments.points + rounds * Way::ALL.len() * asking::STEPS;
+    // Drawn to standard error, and only if that is a terminal.
+    let style = ProgressStyle::with_template("{msg:24} {wide_bar} {percent:>3} %  {eta}");
+    let progress = ProgressBar::new(steps as u64).with_style(style.expect("a template"));
+
+    let resident_before = report::resident_bytes(server.process().id());
+    let echo_growth = growth::grow(&echo_stubs, arguments.points, &ProgressBar::hidden()).await;
+    progress.set_message("inserting");
+    let server_growth = growth::grow(&server_stubs, arguments.points, &progress).await;
+    let resident_after = report::resident_bytes(server.process().id());
+    let described = server_stubs.describe(INDEX).await;
+
+    let mut report = Report {
+        growth: (server_growth, echo_growth),
+        asking: Vec::new(),
+        points: described.points,
+        memory_bytes: described.memory_bytes,
+        resident_bytes: resident_before.zip(resident_after),
+    };
+    for way in Way::ALL {
+        progress.set_message(way.to_string());
+        let mut rates = (Vec::new(), Vec::new());
+        // In turns, so that what else the machine does meets both.
+        for round in 0..rounds {
+            let mut asker = Asker::new(way, round as u64);
+            rates.0.push(asker.measure(&server_stubs).await);
+            rates.1.push(asker.measure(&echo_stubs).await);
+            progress.inc(asking::STEPS as u64);
+        }
+        report.add(way, rates);
+    }
+    progress.finish_and_clear();
+    report
+}

@@ -1,0 +1,98 @@
+//! All that an index holds, as a scan tells it.
+
+use std::collections::BTreeMap;
+
+use tonic::Status;
+use wayfold_proto::v1::{ScanRequest, point_service_client::PointServiceClient};
+
+use crate::{Stubs, bits};
+
+/// An index at one revision; equal contents are equal in every bit.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Content {
+    /// The index's uid.
+    pub uid: String,
+    /// The revision that was read.
+    pub revision: u64,
+    /// The points by id.
+    pub points: BTreeMap<u64, StoredPoint>,
+}
+
+/// One point of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoredPoint {
+    /// The bits of its canonical coordinates.
+    pub state: Vec<u64>,
+    /// Its tag.
+    pub tag: u64,
+    /// The revision that stored its state.
+    pub revision: u64,
+    /// Its payload.
+    pub payload: Vec<u8>,
+}
+
+impl Content {
+    /// Reads an index from end to end.
+    ///
+    /// # Errors
+    /// The scan's status.
+    ///
+    /// # Panics
+    /// If the parts of the scan disagree with each other or are out of order.
+    pub async fn read(stubs: &Stubs, index: &str) -> Result<Self, Status> {
+        let request = ScanRequest {
+            index: index.to_owned(),
+            payloads: true,
+            ..Default::default()
+        };
+        let content = Self::scan(stubs.points.clone(), request).await?;
+        let (read, total) = content;
+        assert_eq!(read.points.len() as u64, total, "a scan without a filter");
+        Ok(read)
+    }
+
+    /// Reads what a scan with payloads answers, and the total it speaks of.
+    ///
+    /// # Errors
+    /// The scan's status.
+    ///
+    /// # Panics
+    /// If the parts of the scan disagree with each other or are out of order.
+    pub async fn scan(
+        mut stub: PointServiceClient<tonic::transport::Channel>,
+        request: ScanRequest,
+    ) -> Result<(Self, u64), Status> {
+        let mut parts = stub.scan(request).await?.into_inner();
+        let mut content: Option<(Self, u64)> = None;
+        let mut last_id = None;
+        while let Some(part) = parts.message().await? {
+            let (read, total) = content.get_or_insert_with(|| {
+                let read = Self {
+                    uid: part.uid.clone(),
+                    revision: part.revision,
+                    points: BTreeMap::new(),
+                };
+                (read, part.total_points)
+            });
+            assert_eq!((&part.uid, part.revision), (&read.uid, read.revision));
+            assert_eq!(part.total_points, *total);
+            let points = part.points.unwrap_or_default();
+            let rows = points.states.unwrap_or_default();
+            assert_eq!(rows.rows as usize, points.ids.len());
+            let coordinates = rows.coordinates.len().checked_div(points.ids.len());
+            for (i, &id) in points.ids.iter().enumerate() {
+                assert!(last_id < Some(id), "{id} after {last_id:?}");
+                last_id = Some(id);
+                let width = coordinates.expect("rows");
+                let point = StoredPoint {
+                    state: bits(&rows.coordinates[i * width..][..width]),
+                    tag: points.tags[i],
+                    revision: points.revisions[i],
+                    payload: points.payloads[i].to_vec(),
+                };
+                read.points.insert(id, point);
+            }
+        }
+        Ok(content.expect("a scan has at least one part"))
+    }
+}

@@ -1,0 +1,280 @@
+//! An index kept by brute force, which checks every answer that a server gave.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+
+use prost::bytes::Bytes;
+use wayfold_index::{Linear, PointRef, Search, Space};
+use wayfold_proto::v1::{
+    self, InsertRequest, InsertResponse, KnnRequest, KnnResponse, NeighborQuery, Neighbors,
+    OnConflict, Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse,
+};
+
+use crate::{Content, StoredPoint, bits, ledger::Entry, neighbor_rows};
+
+/// What an index must hold at one revision.
+///
+/// Mutations are told to it in the order of their revisions; it decides for itself what each must have answered.
+#[derive(Clone, Debug)]
+pub struct Model {
+    points: Linear,
+    payloads: HashMap<u64, Bytes>,
+    revision: u64,
+    highest_id: Option<u64>,
+}
+
+impl Model {
+    /// An index that was just created.
+    pub fn new(space: Space) -> Self {
+        Self {
+            points: Linear::new(space),
+            payloads: HashMap::new(),
+            revision: 0,
+            highest_id: None,
+        }
+    }
+
+    /// How many mutations it was told of.
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// Its points.
+    pub fn points(&self) -> &Linear {
+        &self.points
+    }
+
+    /// Checks an answer, and applies the call if it is a mutation.
+    ///
+    /// # Panics
+    /// If brute force answers otherwise, or the answer does not belong to this revision or, for a mutation that
+    /// changed something, the next.
+    pub fn check(&mut self, entry: &Entry) {
+        match entry {
+            Entry::Insert(request, response) => self.insert(request, response),
+            Entry::Remove(request, response) => self.remove(request, response),
+            Entry::Knn(request, response) => self.knn(request, response),
+            Entry::Query(request, response) => self.query(request, response),
+        }
+    }
+
+    /// Checks an insert's outcomes, ids and neighbours, and applies it.
+    ///
+    /// # Panics
+    /// As [`Model::check`].
+    pub fn insert(&mut self, request: &InsertRequest, response: &InsertResponse) {
+        let rows = self.canonical(request.states.as_ref());
+        assert_eq!(response.outcomes.len(), rows.len());
+        assert_eq!(response.ids.len(), rows.len());
+        let found = self.revision;
+        let mut neighbors = expected_rows(request.neighbors.is_some(), response.neighbors.as_ref());
+        for (i, row) in rows.iter().enumerate() {
+            let id = request.ids.get(i).copied();
+            if let Some(query) = &request.neighbors {
+                let expected = self.neighbors(query, row, id);
+                let told = neighbors.next().expect("an entry a row");
+                assert_eq!(told, expected, "neighbours of row {i} of {request:?}");
+            }
+            let tag = request.tags.get(i).copied().unwrap_or_default();
+            let payload = request.payloads.get(i).cloned().unwrap_or_default();
+            let (outcome, expected_id) = self.outcome(request, row, id, tag, &payload);
+            assert_eq!(response.outcomes[i], outcome as i32, "row {i}: {request:?}");
+            let told_id = response.ids[i];
+            match expected_id {
+                Some(expected) => assert_eq!(told_id, expected, "row {i} of {request:?}"),
+                None => assert!(Some(told_id) > self.highest_id, "{told_id} was used before"),
+            }
+            if matches!(outcome, Outcome::Inserted | Outcome::Replaced) {
+                self.revision = found + 1;
+                self.points.insert(PointRef {
+                    id: told_id,
+                    tag,
+                    revision: self.revision,
+                    row,
+                });
+                self.payloads.insert(told_id, payload);
+                self.highest_id = self.highest_id.max(Some(told_id));
+            }
+        }
+        assert_eq!(neighbors.next(), None);
+        assert_eq!(response.revision, self.revision);
+    }
+
+    /// Checks a removal and applies it.
+    ///
+    /// # Panics
+    /// As [`Model::check`].
+    pub fn remove(&mut self, request: &RemoveRequest, response: &RemoveResponse) {
+        let mut removed = 0;
+        for &id in &request.ids {
+            removed += u64::from(self.points.remove(id));
+            self.payloads.remove(&id);
+        }
+        self.revision += u64::from(removed > 0);
+        let missing = request.ids.len() as u64 - removed;
+        assert_eq!(
+            (response.removed, response.missing, response.revision),
+            (removed, missing, self.revision),
+            "{request:?}"
+        );
+    }
+
+    /// Checks the answer to a Knn.
+    ///
+    /// # Panics
+    /// As [`Model::check`].
+    pub fn knn(&self, request: &KnnRequest, response: &KnnResponse) {
+        assert_eq!(response.revision, self.revision);
+        assert!(response.exact);
+        let search = Search {
+            radius: request.radius.unwrap_or(f64::INFINITY),
+            filter: filter(request.filter.as_ref()),
+            ..Search::nearest_k(request.k as usize)
+        };
+        self.searched(
+            request.states.as_ref(),
+            &search,
+            response.neighbors.as_ref(),
+        );
+    }
+
+    /// Checks the answer to a Query.
+    ///
+    /// # Panics
+    /// As [`Model::check`].
+    pub fn query(&self, request: &QueryRequest, response: &QueryResponse) {
+        assert_eq!(response.revision, self.revision);
+        assert!(response.exact);
+        let search = Search {
+            filter: filter(request.filter.as_ref()),
+            ..Search::nearest_r(request.radius)
+        };
+        self.searched(
+            request.states.as_ref(),
+            &search,
+            response.neighbors.as_ref(),
+        );
+    }
+
+    /// Checks that an index holds exactly this.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn check_content(&self, content: &Content) {
+        assert_eq!(content.revision, self.revision);
+        let expected = self.points.iter().map(|point| {
+            let stored = StoredPoint {
+                state: bits(point.row),
+                tag: point.tag,
+                revision: point.revision,
+                payload: self.payloads[&point.id].to_vec(),
+            };
+            (point.id, stored)
+        });
+        assert_eq!(content.points, expected.collect::<BTreeMap<_, _>>());
+    }
+
+    fn searched(
+        &self,
+        states: Option<&v1::States>,
+        search: &Search<'_>,
+        neighbors: Option<&Neighbors>,
+    ) {
+        let rows = self.canonical(states);
+        let mut told = expected_rows(true, neighbors);
+        for (i, row) in rows.iter().enumerate() {
+            let told = told.next().expect("an entry a state");
+            let expected = self.search(row, search);
+            assert_eq!(told, expected, "state {i} at revision {}", self.revision);
+        }
+        assert_eq!(told.next(), None);
+    }
+
+    fn neighbors(&self, query: &NeighborQuery, row: &[f64], id: Option<u64>) -> Vec<(u64, u64)> {
+        let own = HashSet::from_iter(id);
+        let search = Search {
+            radius: query.radius.unwrap_or(f64::INFINITY),
+            filter: filter(query.filter.as_ref()),
+            excluded: Some(&own),
+            ..Search::nearest_k(query.k.map_or(usize::MAX, |k| k as usize))
+        };
+        self.search(row, &search)
+    }
+
+    /// What must become of a row, and under which id: none where the server assigns one.
+    fn outcome(
+        &self,
+        request: &InsertRequest,
+        row: &[f64],
+        id: Option<u64>,
+        tag: u64,
+        payload: &Bytes,
+    ) -> (Outcome, Option<u64>) {
+        let stored = id.and_then(|id| self.points.get(id));
+        if let Some(stored) = stored
+            && bits(stored.row) == bits(row)
+            && stored.tag == tag
+            && self.payloads[&stored.id] == *payload
+        {
+            return (Outcome::Unchanged, id);
+        }
+        let own = HashSet::from_iter(id);
+        let nearest = Search {
+            excluded: Some(&own),
+            ..Search::nearest_k(1)
+        };
+        if request.min_separation > 0.0
+            && let Some(nearest) = self.points.search(row, &nearest).neighbors.first()
+            && nearest.distance < request.min_separation
+        {
+            return (Outcome::TooClose, Some(nearest.id));
+        }
+        if stored.is_none() {
+            return (Outcome::Inserted, id);
+        }
+        assert_eq!(request.on_conflict(), OnConflict::Replace, "{request:?}");
+        (Outcome::Replaced, id)
+    }
+
+    fn search(&self, row: &[f64], search: &Search<'_>) -> Vec<(u64, u64)> {
+        let neighbors = self.points.search(row, search).neighbors;
+        let pairs = neighbors.iter().map(|n| (n.id, n.distance.to_bits()));
+        pairs.collect()
+    }
+
+    fn canonical(&self, states: Option<&v1::States>) -> Vec<Vec<f64>> {
+        let states = states.expect("states");
+        let space = self.points.space();
+        let rows = states.coordinates.chunks_exact(space.coordinates());
+        let rows: Vec<Vec<f64>> = rows
+            .map(|row| {
+                let mut row = row.to_vec();
+                space.canonicalize(&mut row).expect("a valid state");
+                row
+            })
+            .collect();
+        assert_eq!(rows.len(), states.rows as usize);
+        rows
+    }
+}
+
+/// The (id, bits of the distance) pairs of each row; no rows where neighbours were not asked for.
+fn expected_rows(
+    asked: bool,
+    neighbors: Option<&Neighbors>,
+) -> std::vec::IntoIter<Vec<(u64, u64)>> {
+    assert!(asked || neighbors.is_none_or(|neighbors| neighbors.counts.is_empty()));
+    let rows = neighbors.map(neighbor_rows).unwrap_or_default();
+    let rows = rows.into_iter().map(|row| {
+        let row = row.into_iter();
+        row.map(|(id, distance)| (id, distance.to_bits())).collect()
+    });
+    rows.collect::<Vec<_>>().into_iter()
+}
+
+fn filter(filter: Option<&v1::Filter>) -> wayfold_index::Filter {
+    filter.map_or_else(Default::default, |filter| wayfold_index::Filter {
+        tag_mask: filter.tag_mask,
+        tag_value: filter.tag_value,
+        since_revision: filter.since_revision,
+    })
+}

@@ -1,0 +1,235 @@
+//! Child processes: the server under test, and its clients.
+
+use std::{
+    fs::File,
+    io::{BufRead, BufReader, Read, Seek, Write},
+    path::Path,
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::mpsc::{self, Receiver},
+    thread,
+    time::Duration,
+};
+
+/// How long a process may take to say its next line or to end before a test gives up on it.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// What to send a process.
+#[derive(Clone, Copy, Debug)]
+pub enum Signal {
+    /// SIGTERM: what a supervisor sends.
+    Terminate,
+    /// SIGINT: what Ctrl-C sends.
+    Interrupt,
+}
+
+/// How a process ended.
+#[derive(Debug)]
+pub struct Finished {
+    /// Its exit status.
+    pub status: ExitStatus,
+    /// The lines it wrote to standard output that were not read before.
+    pub stdout: Vec<String>,
+    /// All that it wrote to standard error.
+    pub stderr: String,
+}
+
+/// A child process whose lines are read as they come. It is killed when dropped, and what it wrote to standard error is
+/// shown if the test failed.
+#[derive(Debug)]
+pub struct Process {
+    child: Child,
+    lines: Receiver<String>,
+    stderr: File,
+}
+
+impl Process {
+    /// Starts a program.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn start(program: impl AsRef<Path>, arguments: &[&str]) -> Self {
+        Self::spawn(Command::new(program.as_ref()).args(arguments))
+    }
+
+    /// Starts a command.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn spawn(command: &mut Command) -> Self {
+        let stderr = tempfile::tempfile().expect("a temporary file");
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(stderr.try_clone().expect("a second handle"))
+            .spawn()
+            .expect("the program starts");
+        let stdout = child.stdout.take().expect("a pipe");
+        let (sender, lines) = mpsc::channel();
+        // The sender is dropped at the end of the stream: that is how a process's end is noticed.
+        thread::spawn(move || {
+            for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    break;
+                }
+            }
+        });
+        Self {
+            child,
+            lines,
+            stderr,
+        }
+    }
+
+    /// The process's id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// The next line of its standard output; none when it has closed it.
+    ///
+    /// # Panics
+    /// If it says nothing for two minutes.
+    pub fn line(&mut self) -> Option<String> {
+        match self.lines.recv_timeout(PATIENCE) {
+            Ok(line) => Some(line),
+            Err(mpsc::RecvTimeoutError::Disconnected) => None,
+            Err(mpsc::RecvTimeoutError::Timeout) => panic!("a process says nothing and lives on"),
+        }
+    }
+
+    /// Writes a line to its standard input.
+    ///
+    /// # Panics
+    /// If it has closed it.
+    pub fn say(&mut self, line: &str) {
+        let stdin = self.child.stdin.as_mut().expect("a pipe");
+        writeln!(stdin, "{line}").expect("the process reads");
+    }
+
+    /// Sends a signal.
+    ///
+    /// # Panics
+    /// If it cannot be sent.
+    pub fn signal(&self, signal: Signal) {
+        let name = match signal {
+            Signal::Terminate => "TERM",
+            Signal::Interrupt => "INT",
+        };
+        // The shell's own `kill`: the program is missing on small systems.
+        let status = Command::new("sh")
+            .args(["-c", &format!("kill -{name} {}", self.id())])
+            .status();
+        assert!(
+            status.is_ok_and(|status| status.success()),
+            "cannot send SIG{name}"
+        );
+    }
+
+    /// Closes its standard input and waits for its end.
+    ///
+    /// # Panics
+    /// If it says nothing for two minutes and lives on.
+    pub fn finish(mut self) -> Finished {
+        drop(self.child.stdin.take());
+        let mut stdout = Vec::new();
+        while let Some(line) = self.line() {
+            stdout.push(line);
+        }
+        let status = self.child.wait().expect("a child of this process");
+        Finished {
+            status,
+            stdout,
+            stderr: self.log(),
+        }
+    }
+
+    /// What it has written to standard error.
+    ///
+    /// # Panics
+    /// If the file of it cannot be read.
+    pub fn log(&mut self) -> String {
+        let mut log = Vec::new();
+        self.stderr.rewind().expect("a seekable file");
+        self.stderr.read_to_end(&mut log).expect("a readable file");
+        String::from_utf8_lossy(&log).into_owned()
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Either may fail only because the process has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if thread::panicking() {
+            eprintln!("process {} wrote:\n{}", self.id(), self.log());
+        }
+    }
+}
+
+/// A server under test, on a port of its own of the loopback interface.
+#[derive(Debug)]
+pub struct ServerProcess {
+    process: Process,
+    uri: String,
+}
+
+impl ServerProcess {
+    /// Starts the server and waits until it says that it listens. [`server!`](crate::server) knows the program.
+    ///
+    /// # Panics
+    /// If it does not come up.
+    pub fn start(program: impl AsRef<Path>, arguments: &[&str]) -> Self {
+        let mut command = Command::new(program.as_ref());
+        command.args(["--grpc", "127.0.0.1:0"]).args(arguments);
+        Self::ready(Process::spawn(&mut command))
+    }
+
+    /// Waits until a server that was started says that it listens.
+    ///
+    /// # Panics
+    /// If it does not come up.
+    pub fn ready(mut process: Process) -> Self {
+        let first = process.line();
+        let uri = first
+            .as_deref()
+            .and_then(|line| line.strip_prefix("listening on "))
+            .unwrap_or_else(|| panic!("the server said {first:?} and not that it listens"))
+            .to_owned();
+        Self { process, uri }
+    }
+
+    /// Where it listens: `http://127.0.0.1:PORT`.
+    pub fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    /// Its process.
+    pub fn process(&self) -> &Process {
+        &self.process
+    }
+
+    /// Waits for its end.
+    ///
+    /// # Panics
+    /// As [`Process::finish`].
+    pub fn finish(self) -> Finished {
+        self.process.finish()
+    }
+
+    /// Sends it a signal and waits for its end.
+    ///
+    /// # Panics
+    /// As [`Process::signal`] and [`Process::finish`].
+    pub fn stop(self, signal: Signal) -> Finished {
+        self.process.signal(signal);
+        self.process.finish()
+    }
+}
+
+/// Starts the server under test; arguments are appended to its command line.
+#[macro_export]
+macro_rules! server {
+    ($($argument:expr),*) => {
+        $crate::ServerProcess::start(env!("CARGO_BIN_EXE_server-process"), &[$($argument),*])
+    };
+}

@@ -1,0 +1,112 @@
+//! The generated stubs, connected, and the columns they carry.
+
+use tonic::transport::Channel;
+use wayfold_proto::v1::{
+    self, CreateIndexRequest, DeleteIndexRequest, GetIndexRequest, InsertRequest, InsertResponse,
+    Neighbors, index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
+};
+
+/// Both services over one connection. Clones share it.
+#[derive(Clone, Debug)]
+pub struct Stubs {
+    /// `IndexService`.
+    pub indexes: IndexServiceClient<Channel>,
+    /// `PointService`.
+    pub points: PointServiceClient<Channel>,
+}
+
+impl Stubs {
+    /// Connects.
+    ///
+    /// # Panics
+    /// If nothing listens there.
+    pub async fn connect(uri: &str) -> Self {
+        let channel = Channel::from_shared(uri.to_owned())
+            .expect("a URI")
+            .tcp_nodelay(true)
+            .connect()
+            .await
+            .expect("a server");
+        Self {
+            indexes: IndexServiceClient::new(channel.clone()),
+            points: PointServiceClient::new(channel),
+        }
+    }
+
+    /// Creates an index of the space in text form.
+    ///
+    /// # Panics
+    /// If it is refused.
+    pub async fn create(&mut self, name: &str, space: &str) -> v1::Index {
+        let request = CreateIndexRequest {
+            name: name.to_owned(),
+            space_text: space.to_owned(),
+            ..Default::default()
+        };
+        let response = self.indexes.create_index(request).await;
+        let index = response.expect("an index").into_inner().index;
+        index.expect("a description")
+    }
+
+    /// Describes an index.
+    ///
+    /// # Panics
+    /// If it is refused.
+    pub async fn describe(&mut self, name: &str) -> v1::Index {
+        let name = name.to_owned();
+        let response = self.indexes.get_index(GetIndexRequest { name }).await;
+        let index = response.expect("an index").into_inner().index;
+        index.expect("a description")
+    }
+
+    /// Deletes an index.
+    ///
+    /// # Panics
+    /// If it is refused.
+    pub async fn delete(&mut self, name: &str) {
+        let request = DeleteIndexRequest {
+            name: name.to_owned(),
+            ..Default::default()
+        };
+        let response = self.indexes.delete_index(request).await;
+        response.expect("an index to delete");
+    }
+
+    /// Inserts.
+    ///
+    /// # Panics
+    /// If it is refused.
+    pub async fn insert(&mut self, request: InsertRequest) -> InsertResponse {
+        let response = self.points.insert(request).await;
+        response.expect("an accepted insert").into_inner()
+    }
+}
+
+/// Rows of coordinates as a message.
+pub fn row_states(rows: &[f64], coordinates: usize) -> v1::States {
+    v1::States {
+        rows: u32::try_from(rows.len() / coordinates).expect("a row count"),
+        coordinates: rows.to_vec(),
+    }
+}
+
+/// The (id, distance) pairs of each state.
+///
+/// # Panics
+/// If the columns disagree.
+pub fn neighbor_rows(neighbors: &Neighbors) -> Vec<Vec<(u64, f64)>> {
+    assert_eq!(neighbors.ids.len(), neighbors.distances.len());
+    let mut pairs = neighbors.ids.iter().zip(&neighbors.distances);
+    let rows = neighbors.counts.iter().map(|&count| {
+        let row = pairs.by_ref().take(count as usize);
+        row.map(|(&id, &distance)| (id, distance)).collect()
+    });
+    let rows: Vec<Vec<_>> = rows.collect();
+    assert_eq!(pairs.len(), 0, "more neighbours than counted");
+    rows
+}
+
+/// The bits of floats, for comparisons that know -0 from 0.
+pub fn bits(numbers: &[f64]) -> Vec<u64> {
+    numbers.iter().map(|number| number.to_bits()).collect()
+}

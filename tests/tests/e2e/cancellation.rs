@@ -1,0 +1,186 @@
+//! Deadlines, dropped calls, and long batches beside short calls.
+
+use std::time::Duration;
+
+use tokio_stream::iter;
+use tonic::{Code, Request};
+use wayfold_index::Space;
+use wayfold_proto::v1::{
+    InsertRequest, KnnRequest, NeighborQuery, StreamKnnRequest, stream_knn_response,
+};
+use wayfold_tests::{Content, ServerProcess, Signal, States, Stubs, row_states, server};
+
+/// High-dimensional enough that a search looks at most of the points.
+const WIDTH: usize = 16;
+const SPACE: &str = "R16";
+/// States of a long batch of searches: more than a second of work.
+const LONG: usize = 10_000;
+/// Rows of a long insert that asks for neighbours: the same.
+const LONG_INSERT: usize = 4_000;
+
+async fn filled(rows: usize) -> (ServerProcess, Stubs, States) {
+    let server = server!();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("roadmap", SPACE).await;
+    let space: Space = SPACE.parse().expect("a space");
+    let mut states = States::new(space, 13);
+    for _ in 0..rows / 2_000 {
+        stubs.insert(insert(&mut states, 2_000)).await;
+    }
+    (server, stubs, states)
+}
+
+fn insert(states: &mut States, rows: usize) -> InsertRequest {
+    InsertRequest {
+        index: "roadmap".into(),
+        states: Some(row_states(&states.rows(rows), WIDTH)),
+        ..Default::default()
+    }
+}
+
+fn knn(states: &mut States, rows: usize) -> KnnRequest {
+    KnnRequest {
+        index: "roadmap".into(),
+        states: Some(row_states(&states.rows(rows), WIDTH)),
+        k: 1,
+        ..Default::default()
+    }
+}
+
+fn within<T>(deadline_ms: u64, message: T) -> Request<T> {
+    let mut request = Request::new(message);
+    request.set_timeout(Duration::from_millis(deadline_ms));
+    request
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_mutation_past_its_deadline_is_whole_or_not_there() {
+    let (_server, mut stubs, mut states) = filled(4_000).await;
+    let mut cut = 0;
+    for deadline_ms in [1, 3, 10, 30, 100] {
+        let before = stubs.describe("roadmap").await;
+        let request = InsertRequest {
+            neighbors: Some(NeighborQuery {
+                k: Some(1),
+                ..Default::default()
+            }),
+            operation_id: format!("within {deadline_ms} ms"),
+            ..insert(&mut states, LONG_INSERT)
+        };
+        let timed = stubs
+            .points
+            .insert(within(deadline_ms, request.clone()))
+            .await;
+        if let Err(status) = timed {
+            // This client's own timer says CANCELLED, the server's DEADLINE_EXCEEDED.
+            assert!(
+                matches!(status.code(), Code::DeadlineExceeded | Code::Cancelled),
+                "{status:?}"
+            );
+            cut += 1;
+        }
+        // Whatever became of it: the same call again takes effect once.
+        let answer = stubs.insert(request).await;
+        assert_eq!(answer.revision, before.revision + 1);
+        let after = stubs.describe("roadmap").await;
+        assert_eq!(after.revision, before.revision + 1);
+        assert_eq!(after.points, before.points + LONG_INSERT as u64);
+    }
+    assert!(cut > 0, "no deadline was short enough");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dropped_mutation_is_whole_or_not_there() {
+    let (_server, mut stubs, mut states) = filled(4_000).await;
+    for round in 0..6 {
+        let before = stubs.describe("roadmap").await;
+        let request = InsertRequest {
+            neighbors: Some(NeighborQuery {
+                k: Some(1),
+                ..Default::default()
+            }),
+            ..insert(&mut states, LONG_INSERT)
+        };
+        let mut other = stubs.clone();
+        let call = tokio::spawn(async move { other.insert(request).await });
+        // So many answers later it is well under way.
+        for _ in 0..round {
+            stubs.points.knn(knn(&mut states, 1)).await.unwrap();
+        }
+        call.abort();
+        let dropped = call.await.is_err();
+        // A later mutation of the same index comes after it, or finds that it never happened.
+        stubs.insert(insert(&mut states, 1)).await;
+        let content = Content::read(&stubs, "roadmap").await.unwrap();
+        let stored = content.points.len() as u64 - before.points - 1;
+        let made = content.revision - before.revision - 1;
+        assert!(
+            (stored, made) == (LONG_INSERT as u64, 1) || dropped && (stored, made) == (0, 0),
+            "{stored} rows in {made} revisions of a dropped insert"
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn short_calls_are_answered_while_long_batches_run() {
+    let (_server, mut stubs, mut states) = filled(10_000).await;
+    // More of them than the machine has cores.
+    let batches = 2 * std::thread::available_parallelism().unwrap().get();
+    let mut long = tokio::task::JoinSet::new();
+    for _ in 0..batches {
+        let request = knn(&mut states, LONG);
+        let mut stubs = stubs.clone();
+        long.spawn(async move { stubs.points.knn(request).await.unwrap().into_inner() });
+    }
+    for _ in 0..10 {
+        stubs.points.knn(knn(&mut states, 1)).await.unwrap();
+        stubs.insert(insert(&mut states, 1)).await;
+        assert!(
+            long.try_join_next().is_none(),
+            "a short call waited for a long one"
+        );
+    }
+    for answer in long.join_all().await {
+        assert_eq!(answer.neighbors.unwrap().counts, vec![1; LONG]);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn work_that_nobody_waits_for_is_given_up() {
+    let (server, mut stubs, mut states) = filled(10_000).await;
+    // Hours of it, unless it ends with its deadline.
+    let requests = vec![
+        StreamKnnRequest {
+            knn: Some(knn(&mut states, LONG))
+        };
+        1_000
+    ];
+    let stream = within(500, iter(requests));
+    let mut answers = stubs.points.stream_knn(stream).await.unwrap().into_inner();
+    let status = loop {
+        match answers.message().await {
+            Ok(Some(answer)) => match answer.result.unwrap() {
+                stream_knn_response::Result::Knn(_) => {}
+                stream_knn_response::Result::Error(error) => {
+                    assert_eq!(Code::from_i32(error.code), Code::DeadlineExceeded);
+                }
+            },
+            Ok(None) => panic!("a thousand batches were answered within the deadline"),
+            Err(status) => break status,
+        }
+    };
+    assert_eq!(status.code(), Code::DeadlineExceeded, "{status:?}");
+
+    // Calls that are dropped are given up too: the server has nothing left to finish.
+    let request = knn(&mut states, LONG);
+    let mut dropped = tokio::task::JoinSet::new();
+    for _ in 0..100 {
+        let (mut stubs, request) = (stubs.clone(), request.clone());
+        dropped.spawn(async move { stubs.points.knn(request).await });
+    }
+    stubs.points.knn(knn(&mut states, 1)).await.unwrap();
+    dropped.shutdown().await;
+    drop((answers, stubs));
+    let finished = server.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+}

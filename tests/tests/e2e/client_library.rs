@@ -1,0 +1,125 @@
+//! The client library against a real server: what it divides, remembers and pipelines.
+
+use tokio::task::JoinSet;
+use wayfold_client::{Client, Knn, MUTATION_ROWS, NeighborQuery, Outcome, READ_ROWS};
+use wayfold_index::{Linear, PointRef, Search, Space};
+use wayfold_tests::{States, server};
+
+const WIDTH: usize = 7;
+
+fn brute_force(rows: &[f64]) -> Linear {
+    let space = Space::se3();
+    let mut points = Linear::new(space.clone());
+    for (row, id) in rows.chunks(WIDTH).zip(0..) {
+        let mut row = row.to_vec();
+        space.canonicalize(&mut row).unwrap();
+        let (tag, revision) = (0, 1);
+        points.insert(PointRef {
+            id,
+            tag,
+            revision,
+            row: &row,
+        });
+    }
+    points
+}
+
+fn nearest(points: &Linear, state: &[f64], k: usize) -> Vec<(u64, u64)> {
+    let mut state = state.to_vec();
+    points.space().canonicalize(&mut state).unwrap();
+    let found = points.search(&state, &Search::nearest_k(k)).neighbors;
+    found.iter().map(|n| (n.id, n.distance.to_bits())).collect()
+}
+
+#[tokio::test]
+async fn what_exceeds_one_call_is_divided_and_joined() {
+    let server = server!();
+    let client = Client::connect(server.uri()).await.unwrap();
+    let roadmap = client.create_index("arm", &Space::se3()).await.unwrap();
+    let mut states = States::new(Space::se3(), 23);
+    let rows = states.rows(2 * MUTATION_ROWS + 500);
+    let ids: Vec<u64> = (0..(rows.len() / WIDTH) as u64).collect();
+    let inserted = roadmap
+        .insert(rows.chunks(WIDTH))
+        .ids(ids.clone())
+        .await
+        .unwrap();
+    assert_eq!(inserted.outcomes.len(), ids.len());
+    assert_eq!(roadmap.info().await.unwrap().points, ids.len() as u64);
+
+    let points = brute_force(&rows);
+    let asked = states.rows(READ_ROWS + 200);
+    let answer = roadmap.knn(asked.chunks(WIDTH)).k(3).await.unwrap();
+    assert_eq!(answer.len(), READ_ROWS + 200);
+    for (row, state) in answer.rows().zip(asked.chunks(WIDTH)) {
+        let row: Vec<(u64, u64)> = row.iter().map(|(id, d)| (id, d.to_bits())).collect();
+        assert_eq!(row, nearest(&points, state, 3));
+    }
+}
+
+#[tokio::test]
+async fn a_stream_answers_in_order() {
+    let server = server!();
+    let client = Client::connect(server.uri()).await.unwrap();
+    let roadmap = client.create_index("arm", &Space::se3()).await.unwrap();
+    let mut states = States::new(Space::se3(), 29);
+    let rows = states.rows(1_000);
+    let ids: Vec<u64> = (0..1_000).collect();
+    roadmap.insert(rows.chunks(WIDTH)).ids(ids).await.unwrap();
+
+    let points = brute_force(&rows);
+    let asked = states.rows(300);
+    let requests: Vec<Knn> = asked
+        .chunks(WIDTH)
+        .map(|state| roadmap.knn([state]).k(5))
+        .collect();
+    let (mut requests_to, mut answers) = roadmap.stream_knn().await.unwrap();
+    let sending = tokio::spawn(async move {
+        for request in requests {
+            requests_to.send(request).await.unwrap();
+        }
+    });
+    for state in asked.chunks(WIDTH) {
+        let answer = answers.next().await.unwrap().unwrap();
+        let row: Vec<(u64, u64)> = answer
+            .row(0)
+            .iter()
+            .map(|(id, d)| (id, d.to_bits()))
+            .collect();
+        assert_eq!(row, nearest(&points, state, 5));
+    }
+    sending.await.unwrap();
+    assert!(answers.next().await.is_none());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn planners_read_what_they_wrote() {
+    let server = server!();
+    let mut planners = JoinSet::new();
+    for seed in 0..6 {
+        let uri = server.uri().to_owned();
+        planners.spawn(async move {
+            let client = Client::connect(&uri).await.unwrap();
+            let roadmap = client.create_index("arm", &Space::se3()).await.unwrap();
+            let mut states = States::new(Space::se3(), seed);
+            for _ in 0..50 {
+                let row = states.row();
+                let around = NeighborQuery {
+                    k: Some(4),
+                    ..Default::default()
+                };
+                let inserted = roadmap.insert([&row[..]]).neighbors(around).await.unwrap();
+                let Outcome::Inserted { id } = inserted.outcomes[0] else {
+                    panic!("{inserted:?}");
+                };
+                // On whichever revision the read sees, the point is there, and nothing is nearer to itself.
+                let found = roadmap.knn([&row[..]]).k(1).await.unwrap();
+                assert_eq!(found.row(0).iter().next(), Some((id, 0.0)));
+                assert!(found.revision() >= inserted.revision);
+                let around = inserted.neighbors.unwrap();
+                assert!(!around.row(0).ids.contains(&id), "its own neighbour");
+            }
+        });
+    }
+    planners.join_all().await;
+}

@@ -1,0 +1,19 @@
+//! The end-to-end suites: one program, one behaviour a file, a server process of its own for each test.
+
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test says what went wrong by where it panics"
+)]
+
+mod bad_input;
+mod cancellation;
+mod client_library;
+mod command_line;
+mod filters;
+mod no_missed_edge;
+mod operation_ids;
+mod planners;
+mod readme;
+mod reflection;
+mod scan;
+mod shutdown;

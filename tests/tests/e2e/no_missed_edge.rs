@@ -1,0 +1,160 @@
+//! `neighbors`: of any two inserts the later saw the earlier.
+
+use std::{
+    collections::BTreeSet,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use tokio::{sync::Barrier, task::JoinSet};
+use wayfold_index::Space;
+use wayfold_proto::v1::{Filter, InsertRequest, NeighborQuery, QueryRequest};
+use wayfold_tests::{States, Stubs, neighbor_rows, row_states, server};
+
+const WORKERS: u64 = 48;
+const PAIRS: usize = 10_000;
+/// More rounds than any scheduling needs to bring about so many concurrent pairs.
+const ROUNDS: u64 = 60;
+
+/// One insert, and what its worker knows of it.
+struct Told {
+    /// Ticks of one clock that all workers share: just before the call, just after its answer.
+    called: u64,
+    answered: u64,
+    revision: u64,
+    id: u64,
+    /// What a read told before the insert, with its revision.
+    before: Option<(u64, BTreeSet<u64>)>,
+    neighbors: BTreeSet<u64>,
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_inserts_the_later_saw_the_earlier() {
+    check(&inserts(false).await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_read_before_is_told_of_what_arrived_meanwhile() {
+    let told = inserts(true).await;
+    check(&told);
+    let meanwhile = told
+        .iter()
+        .map(|insert| insert.neighbors.len())
+        .sum::<usize>();
+    assert!(
+        meanwhile > 0,
+        "nothing arrived between a read and its insert"
+    );
+}
+
+/// Every point is a neighbour of every other, so an insert must have been told of exactly the ids that were stored by
+/// the revisions before its own.
+fn check(told: &[Told]) {
+    let mut by_revision: Vec<&Told> = told.iter().collect();
+    by_revision.sort_by_key(|insert| insert.revision);
+    let mut stored = BTreeSet::new();
+    for (i, insert) in by_revision.iter().enumerate() {
+        assert_eq!(insert.revision, i as u64 + 1, "a revision each");
+        let mut seen = insert.neighbors.clone();
+        if let Some((revision, before)) = &insert.before {
+            let earlier = by_revision[..*revision as usize].iter().map(|e| e.id);
+            assert_eq!(*before, earlier.collect(), "the read at {revision}");
+            assert!(seen.is_disjoint(before), "since_revision lets old ones by");
+            seen.extend(before);
+        }
+        assert_eq!(seen, stored, "the insert of revision {}", insert.revision);
+        stored.insert(insert.id);
+    }
+    let concurrent = concurrent_pairs(told);
+    assert!(
+        concurrent >= PAIRS,
+        "only {concurrent} pairs were concurrent"
+    );
+}
+
+/// How many pairs of calls were under way at the same time.
+fn concurrent_pairs(told: &[Told]) -> usize {
+    let overlap = |a: &Told, b: &Told| a.called < b.answered && b.called < a.answered;
+    let pairs = told.iter().enumerate();
+    let of_one = pairs.map(|(i, a)| told[..i].iter().filter(|b| overlap(a, b)).count());
+    of_one.sum()
+}
+
+/// Workers insert one point each a round, until enough of the calls were concurrent.
+async fn inserts(read_before: bool) -> Vec<Told> {
+    let server = server!();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("roadmap", "R3*SO3:0.15").await.uid;
+    let clock = Arc::new(AtomicU64::new(0));
+    let mut told = Vec::new();
+    for round in 0..ROUNDS {
+        let barrier = Arc::new(Barrier::new(WORKERS as usize));
+        let mut workers = JoinSet::new();
+        for worker in 0..WORKERS {
+            let (stubs, uid) = (stubs.clone(), uid.clone());
+            let (clock, barrier) = (clock.clone(), barrier.clone());
+            let seed = round * WORKERS + worker;
+            workers.spawn(async move {
+                barrier.wait().await;
+                insert(stubs, uid, seed, &clock, read_before).await
+            });
+        }
+        told.extend(workers.join_all().await);
+        if concurrent_pairs(&told) >= PAIRS {
+            break;
+        }
+    }
+    told
+}
+
+async fn insert(
+    mut stubs: Stubs,
+    uid: String,
+    seed: u64,
+    clock: &AtomicU64,
+    read_before: bool,
+) -> Told {
+    let states = Some(row_states(&States::new(Space::se3(), seed).row(), 7));
+    let mut before = None;
+    if read_before {
+        let request = QueryRequest {
+            index: "roadmap".into(),
+            states: states.clone(),
+            radius: f64::INFINITY,
+            ..Default::default()
+        };
+        let response = stubs.points.query(request).await;
+        let response = response.expect("neighbours").into_inner();
+        let ids = response.neighbors.expect("neighbours").ids;
+        before = Some((response.revision, BTreeSet::from_iter(ids)));
+    }
+    let filter = before.as_ref().map(|(revision, _)| Filter {
+        since_revision: *revision,
+        ..Default::default()
+    });
+    let request = InsertRequest {
+        index: "roadmap".into(),
+        states,
+        neighbors: Some(NeighborQuery {
+            radius: Some(f64::INFINITY),
+            filter,
+            ..Default::default()
+        }),
+        uid,
+        ..Default::default()
+    };
+    let called = clock.fetch_add(1, Ordering::SeqCst);
+    let response = stubs.insert(request).await;
+    let answered = clock.fetch_add(1, Ordering::SeqCst);
+    let rows = neighbor_rows(&response.neighbors.expect("neighbours"));
+    Told {
+        called,
+        answered,
+        revision: response.revision,
+        id: response.ids[0],
+        before,
+        neighbors: rows[0].iter().map(|(id, _)| *id).collect(),
+    }
+}

@@ -1,0 +1,64 @@
+//! The README's example does what it says: here it runs, to the letter, against a server on another port.
+
+use std::error::Error;
+
+use nalgebra::Isometry3;
+use wayfold_client::{Client, NeighborQuery};
+use wayfold_tests::{Stubs, server};
+
+const README: &str = include_str!("../../../README.md");
+const THIS_FILE: &str = include_str!("readme.rs");
+const ADDRESS: &str = "\"http://127.0.0.1:50051\"";
+
+async fn example(uri: &str) -> Result<(), Box<dyn Error>> {
+    let client = Client::connect(uri).await?;
+    let roadmap = client.create_index("arm", &"R3*SO3:0.15".parse()?).await?;
+    let poses = [
+        Isometry3::translation(0.1, 0.2, 0.3),
+        Isometry3::translation(0.4, 0.2, 0.3),
+    ];
+    let around = NeighborQuery {
+        k: Some(10),
+        ..Default::default()
+    };
+    let inserted = roadmap.insert(poses).neighbors(around).await?;
+    let nearest = roadmap.knn(poses).k(10).radius(0.5).await?;
+    println!(
+        "stored {:?}; near the first: {:?}",
+        inserted.outcomes,
+        nearest.row(0).ids
+    );
+    Ok(())
+}
+
+#[tokio::test]
+async fn the_example_runs() {
+    let server = server!();
+    example(server.uri()).await.unwrap();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    assert_eq!(stubs.describe("arm").await.points, 2);
+}
+
+#[test]
+fn the_example_is_the_readmes() {
+    let block = between(README, "```rust,no_run\n", "```");
+    let body = between(block, "async fn main()", "\n}");
+    let readme = body.split_once('{').unwrap().1.replace(ADDRESS, "uri");
+    let here = between(THIS_FILE, "async fn example(", "\n}");
+    let here = here.split_once('{').unwrap().1;
+    assert_eq!(letters(here), letters(&readme));
+}
+
+fn between<'a>(text: &'a str, start: &str, end: &str) -> &'a str {
+    let (_, rest) = text.split_once(start).unwrap();
+    rest.split_once(end).unwrap().0
+}
+
+/// Code without its comments and its layout.
+fn letters(code: &str) -> String {
+    let lines = code.lines().map(|line| line.split(" //").next().unwrap());
+    let code: String = lines.flat_map(str::split_whitespace).collect();
+    [",]", ",)", ",}"]
+        .iter()
+        .fold(code, |code, end| code.replace(end, &end[1..]))
+}

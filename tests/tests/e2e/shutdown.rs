@@ -1,0 +1,137 @@
+//! Starting and stopping: a server that is told to stop finishes what it accepted, and takes nothing more.
+
+use std::net::TcpStream;
+
+use tonic::{Code, Streaming, transport::Channel};
+use tonic_health::pb::{
+    HealthCheckRequest, HealthCheckResponse, health_check_response::ServingStatus,
+    health_client::HealthClient,
+};
+use wayfold_index::Space;
+use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest};
+use wayfold_tests::{Process, ServerProcess, Signal, States, Stubs, row_states, server};
+
+const ROWS: usize = 1_000;
+const BATCHES: usize = 20;
+
+async fn filled(stubs: &mut Stubs) -> States {
+    stubs.create("roadmap", "R3*SO3:0.15").await;
+    let mut states = States::new(Space::se3(), 11);
+    for _ in 0..BATCHES {
+        let request = InsertRequest {
+            index: "roadmap".into(),
+            states: Some(row_states(&states.rows(ROWS), 7)),
+            ..Default::default()
+        };
+        stubs.insert(request).await;
+    }
+    states
+}
+
+fn knn(states: &mut States, rows: usize) -> KnnRequest {
+    KnnRequest {
+        index: "roadmap".into(),
+        states: Some(row_states(&states.rows(rows), 7)),
+        k: 100,
+        ..Default::default()
+    }
+}
+
+/// A watch on the server's health, which has said that it serves.
+async fn serving(uri: &str) -> Streaming<HealthCheckResponse> {
+    let channel = Channel::from_shared(uri.to_owned()).unwrap();
+    let mut health = HealthClient::new(channel.connect().await.unwrap());
+    let request = HealthCheckRequest::default();
+    let mut watch = health.watch(request).await.unwrap().into_inner();
+    let first = watch.message().await.unwrap().unwrap();
+    assert_eq!(first.status(), ServingStatus::Serving);
+    watch
+}
+
+#[tokio::test]
+async fn accepted_calls_finish_after_sigterm() {
+    stops_gracefully(Signal::Terminate).await;
+}
+
+#[tokio::test]
+async fn accepted_calls_finish_after_ctrl_c() {
+    stops_gracefully(Signal::Interrupt).await;
+}
+
+async fn stops_gracefully(signal: Signal) {
+    let server = server!();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let mut states = filled(&mut stubs).await;
+    let mut health = serving(server.uri()).await;
+
+    // A scan larger than the connection lets the server send ahead, of which one part was read.
+    let scan = ScanRequest {
+        index: "roadmap".into(),
+        ..Default::default()
+    };
+    let mut parts = stubs.points.scan(scan).await.unwrap().into_inner();
+    let part = parts.message().await.unwrap().unwrap();
+    let mut scanned = part.points.unwrap().ids.len();
+    assert!(scanned < BATCHES * ROWS);
+    // A batch, and after it on the same connection a call that was answered.
+    let batch = knn(&mut states, ROWS);
+    let mut other = stubs.clone();
+    let batch = tokio::spawn(async move { other.points.knn(batch).await });
+    tokio::task::yield_now().await;
+    stubs.points.knn(knn(&mut states, 1)).await.unwrap();
+
+    server.process().signal(signal);
+    // Health says so before anything is refused.
+    while let Ok(Some(status)) = health.message().await {
+        if status.status() != ServingStatus::Serving {
+            break;
+        }
+    }
+    let refused = stubs.points.knn(knn(&mut states, 1)).await.unwrap_err();
+    // The server's word is UNAVAILABLE; CANCELLED is this client's, when its connection takes no more calls.
+    assert!(
+        matches!(refused.code(), Code::Unavailable | Code::Cancelled),
+        "{refused:?}"
+    );
+
+    let answered = batch.await.unwrap().unwrap().into_inner();
+    let neighbors = answered.neighbors.unwrap();
+    assert_eq!(neighbors.counts, vec![100; ROWS]);
+    while let Some(part) = parts.message().await.unwrap() {
+        scanned += part.points.unwrap().ids.len();
+    }
+    assert_eq!(scanned, BATCHES * ROWS);
+    drop((parts, health, stubs));
+    let address = server.uri().strip_prefix("http://").unwrap().to_owned();
+    let finished = server.finish();
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+    assert!(TcpStream::connect(address).is_err());
+}
+
+#[tokio::test]
+async fn an_idle_connection_does_not_keep_the_server() {
+    let server = server!();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("roadmap", "R2").await;
+    // Elsewhere, so that the connection of this one is not deaf to the server's farewell.
+    let stopped = tokio::task::spawn_blocking(|| server.stop(Signal::Terminate));
+    let finished = stopped.await.unwrap();
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+}
+
+#[test]
+fn a_busy_port_is_named() {
+    let server = server!();
+    let address = server.uri().strip_prefix("http://").unwrap();
+    let second = Process::start(env!("CARGO_BIN_EXE_server-process"), &["--grpc", address]);
+    let finished = second.finish();
+    assert!(!finished.status.success());
+    assert_eq!(finished.stdout, Vec::<String>::new());
+    assert!(finished.stderr.contains(address), "{}", finished.stderr);
+}
+
+#[test]
+fn two_servers_share_nothing() {
+    let servers: [ServerProcess; 2] = [server!(), server!()];
+    assert_ne!(servers[0].uri(), servers[1].uri());
+}
