@@ -118,6 +118,12 @@ impl<'a> Walk<'a> {
         if !self.search.filter.admits(point.tag, point.revision) {
             return;
         }
+        if self
+            .space
+            .is_beyond(self.state, point.row, self.nearest.worst())
+        {
+            return;
+        }
         let distance = self.space.distance(self.state, point.row);
         if distance > self.nearest.worst() {
             return;

@@ -199,15 +199,21 @@ impl Forest {
         levels.insert(at, Arc::new(level));
     }
 
-    /// Whether [`Forest::begin_merge`] would find a merge to begin.
-    pub fn is_merge_due(&self) -> bool {
-        self.due().is_some()
-    }
-
     /// The next merge that is due, or None. The forest works on as before until it is finished; further merges may
     /// begin meanwhile, of other levels.
     pub fn begin_merge(&mut self) -> Option<Merge> {
-        let due = self.due()?;
+        let shapes: Vec<policy::Shape> = self
+            .head
+            .levels
+            .iter()
+            .map(|level| policy::Shape {
+                rows: level.rows(),
+                dead: level.dead(),
+                built: level.is_built(),
+                busy: self.running.iter().any(|running| running.has(level)),
+            })
+            .collect();
+        let due = policy::next_merge(&shapes, self.options.buffer_rows, KdTree::MAX_POINTS)?;
         let sources: Vec<Arc<Level>> = due.iter().map(|&at| self.head.levels[at].clone()).collect();
         self.next_token += 1;
         self.running.push(Running {
@@ -222,22 +228,6 @@ impl Forest {
             revision: self.head.revision,
             sources,
         })
-    }
-
-    /// The levels to merge next, by their places.
-    fn due(&self) -> Option<Vec<usize>> {
-        let shapes: Vec<policy::Shape> = self
-            .head
-            .levels
-            .iter()
-            .map(|level| policy::Shape {
-                rows: level.rows(),
-                dead: level.dead(),
-                built: level.is_built(),
-                busy: self.running.iter().any(|running| running.has(level)),
-            })
-            .collect();
-        policy::next_merge(&shapes, self.options.buffer_rows, KdTree::MAX_POINTS)
     }
 
     /// Swaps a merged level in for its sources, in time proportional to what was removed from them meanwhile.

@@ -23,14 +23,19 @@ pub(super) fn distance_2(a: &[f64], b: &[f64]) -> f64 {
 /// sign, to the bit.
 #[inline]
 fn angle(a: &[f64], b: &[f64]) -> f64 {
+    (2.0 * libm::asin(chord_2(a, b).sqrt() / 2.0)).min(FRAC_PI_2)
+}
+
+/// The squared chord: the smaller of |a − b|² and |a + b|².
+#[inline]
+pub(super) fn chord_2(a: &[f64], b: &[f64]) -> f64 {
     let (mut minus_2, mut plus_2) = (0.0, 0.0);
     for (x, y) in a.iter().zip(b) {
         let (minus, plus) = (x - y, x + y);
         minus_2 += minus * minus;
         plus_2 += plus * plus;
     }
-    let chord = f64::min(minus_2, plus_2).sqrt();
-    (2.0 * libm::asin(chord / 2.0)).min(FRAC_PI_2)
+    f64::min(minus_2, plus_2)
 }
 
 /// A lower bound of the squared angle from the canonical quaternion `q` to the canonical quaternions in the box of
