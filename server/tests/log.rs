@@ -41,17 +41,18 @@ fn effects(revision: u64, stored: &[u64], removed: &[u64]) -> Effects {
     effects
 }
 
-fn all_points(view: &dyn View) -> BTreeMap<u64, StoredPoint> {
+fn all_points(view: &dyn View) -> BTreeMap<u64, Arc<StoredPoint>> {
     let mut all = BTreeMap::new();
     let mut after = None;
     loop {
         let page = view.page(after, 3).unwrap();
         assert!(page.len() <= 3);
-        let Some((last, _)) = page.last() else {
+        let Some(last) = page.last() else {
             return all;
         };
-        after = Some(*last);
-        all.extend(page);
+        after = Some(last.id);
+        assert!(page.is_sorted_by_key(|point| point.id));
+        all.extend(page.into_iter().map(|point| (point.id, point)));
     }
 }
 
@@ -81,7 +82,7 @@ fn step() -> impl Strategy<Value = Step> {
 /// The sum of the records in a sorted map, and whole copies of it for the views.
 #[derive(Default)]
 struct Model {
-    points: BTreeMap<u64, StoredPoint>,
+    points: BTreeMap<u64, Arc<StoredPoint>>,
     records: Vec<Arc<Record>>,
     trimmed: usize,
     next_id: u64,
@@ -97,13 +98,14 @@ impl Model {
             .collect();
         for &id in store {
             let point = StoredPoint {
+                id,
                 revision,
                 modified: revision,
                 tag: revision,
-                state: Arc::new([revision as f64]),
+                state: Box::new([revision as f64]),
                 payload: Bytes::from(format!("{id} at {revision}")),
             };
-            self.points.insert(id, point);
+            self.points.insert(id, Arc::new(point));
             self.next_id = self.next_id.max(id + 1);
         }
         effects(revision, store, &remove)

@@ -141,3 +141,79 @@ where
 fn our_rpc(path: &str) -> Option<&str> {
     path.strip_prefix(OURS)
 }
+
+#[cfg(test)]
+mod tests {
+    use futures_util::stream;
+    use http_body::Body as HttpBody;
+    use tonic::Code;
+    use tonic_types::StatusExt;
+
+    use super::*;
+
+    /// Answers with what a function makes, or fails as it does.
+    #[derive(Clone)]
+    struct Answering(fn() -> Response<Body>);
+
+    impl Service<Request<Body>> for Answering {
+        type Response = Response<Body>;
+        type Error = Infallible;
+        type Future = ResponseFuture;
+
+        fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+            Poll::Ready(Ok(()))
+        }
+
+        fn call(&mut self, _: Request<Body>) -> ResponseFuture {
+            let answer = self.0;
+            Box::pin(async move { Ok(answer()) })
+        }
+    }
+
+    async fn call(capacity: &Capacity, answer: fn() -> Response<Body>) -> Response<Body> {
+        let layer = CallsLayer {
+            capacity: capacity.clone(),
+            max_message_bytes: 1000,
+        };
+        let request = Request::post("/wayfold.v1.PointService/Knn").body(Body::empty());
+        let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;
+        answer.unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_call_that_panics_is_a_bug_and_frees_its_place() {
+        let capacity = Capacity::new(1);
+        for _ in 0..2 {
+            let answer = call(&capacity, || panic!("a bug")).await;
+            let status = Status::from_header_map(answer.headers()).unwrap();
+            assert_eq!(status.code(), Code::Internal);
+            assert_eq!(status.get_details_error_info().unwrap().reason, "INTERNAL");
+            assert_eq!(capacity.in_use(), 0);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place() {
+        let capacity = Capacity::new(1);
+        let answer = call(&capacity, || {
+            let parts = stream::once(async { panic!("a bug") });
+            let encoder = tonic_prost::ProstEncoder::<()>::default();
+            let body = tonic::codec::EncodeBody::new_server(
+                encoder,
+                parts,
+                None,
+                Default::default(),
+                None,
+            );
+            Response::new(Body::new(body))
+        })
+        .await;
+        assert_eq!(capacity.in_use(), 1);
+        let mut body = answer.into_body();
+        let frame = std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await;
+        let trailers = frame.unwrap().unwrap().into_trailers().unwrap();
+        let status = Status::from_header_map(&trailers).unwrap();
+        assert_eq!(status.code(), Code::Internal);
+        assert_eq!(capacity.in_use(), 0);
+    }
+}

@@ -114,7 +114,6 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        // Reading is always under way on a connection, so a cut wakes it wherever else it is stuck.
         self.check(context)?;
         Pin::new(&mut self.socket).poll_read(context, buffer)
     }
@@ -126,6 +125,8 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
+        // A client that reads no more keeps a connection in here.
+        self.check(context)?;
         Pin::new(&mut self.socket).poll_write(context, bytes)
     }
 
@@ -134,6 +135,7 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
+        self.check(context)?;
         Pin::new(&mut self.socket).poll_write_vectored(context, slices)
     }
 

@@ -80,15 +80,17 @@ pub trait View: Send + Sync {
     fn next_id(&self) -> u64;
 
     /// The point with this id.
-    fn get(&self, id: u64) -> Result<Option<StoredPoint>, LogError>;
+    fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError>;
 
     /// Up to `limit` points with ids above `after` (from the first if None), by ascending id.
-    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<(u64, StoredPoint)>, LogError>;
+    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError>;
 }
 
 /// A point as the log stores it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredPoint {
+    /// Its id.
+    pub id: u64,
     /// The revision that stored its state.
     pub revision: u64,
     /// The revision that last changed its state, its tag or its payload.
@@ -96,7 +98,7 @@ pub struct StoredPoint {
     /// Its tag.
     pub tag: u64,
     /// Its state: a canonical row.
-    pub state: Arc<[f64]>,
+    pub state: Box<[f64]>,
     /// Its payload.
     pub payload: Bytes,
 }

@@ -43,7 +43,7 @@ impl Default for RegistryOptions {
     fn default() -> Self {
         Self {
             forest: ForestOptions::default(),
-            merge_threads: 1,
+            merge_threads: 2,
             window_bytes: 4 * 1024 * 1024,
         }
     }

@@ -58,11 +58,11 @@ fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
     let mut after = None;
     loop {
         let page = view.page(after, PAGE)?;
-        let Some((last, _)) = page.last() else {
+        let Some(last) = page.last() else {
             return Ok(points);
         };
-        after = Some(*last);
-        for (id, point) in &page {
+        after = Some(last.id);
+        for point in &page {
             if point.state.len() != entry.space.coordinates() {
                 return Err(LogError::Damaged {
                     uid: entry.uid,
@@ -71,7 +71,7 @@ fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
                 });
             }
             points.push_point(PointRef {
-                id: *id,
+                id: point.id,
                 tag: point.tag,
                 revision: point.revision,
                 row: &point.state,

@@ -62,7 +62,7 @@ impl Source for Seen<'_> {
 
     fn payload(&self, id: u64) -> Result<Bytes, Error> {
         match self.published.view.get(id) {
-            Ok(Some(point)) => Ok(point.payload),
+            Ok(Some(point)) => Ok(point.payload.clone()),
             Ok(None) => Err(missing(id)),
             Err(error) => Err(log_failed(self.index, error)),
         }

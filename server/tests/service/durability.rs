@@ -118,22 +118,30 @@ async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
 
 #[tokio::test]
 async fn a_call_dropped_after_it_was_logged_takes_place() {
-    let log = Held::new();
-    let service = service_with(log.clone(), Limits::default());
-    let uid = create(&service, "arm", "R1").await;
-    {
-        let mut dropped = pin!(service.insert(&CALL, insertion(&[[1.0]], &[])));
-        assert!(poll!(&mut dropped).is_pending());
+    // The larger is committed on a thread of its own.
+    for rows in [1, 5000] {
+        let log = Held::new();
+        let service = service_with(log.clone(), Limits::default());
+        let uid = create(&service, "arm", "R3").await;
+        let entry = log.indexes().unwrap().remove(0);
+        let request = insertion(&cube(1, rows), &[]);
+        {
+            let mut dropped = pin!(service.insert(&CALL, request));
+            while log.points(entry.uid).unwrap().revision() == 0 {
+                assert!(poll!(&mut dropped).is_pending());
+                tokio::task::yield_now().await;
+            }
+        }
+        log.synced.send_replace(1);
+        let request = v1::GetRequest {
+            at: Some(v1::ReadAt {
+                uid,
+                min_revision: 1,
+            }),
+            ..getting(&[rows as u64 - 1])
+        };
+        assert_eq!(service.get(&CALL, request).await.unwrap().revision, 1);
     }
-    log.synced.send_replace(1);
-    let request = v1::GetRequest {
-        at: Some(v1::ReadAt {
-            uid,
-            min_revision: 1,
-        }),
-        ..getting(&[0])
-    };
-    assert_eq!(service.get(&CALL, request).await.unwrap().revision, 1);
 }
 
 #[tokio::test]

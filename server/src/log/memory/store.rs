@@ -73,18 +73,19 @@ impl Store {
             let mut versions = self.versions.write();
             for slot in start..stored.len().min(start + ROWS_PER_HOLD) {
                 let point = stored.get(slot);
-                let version = StoredPoint {
+                let version = Arc::new(StoredPoint {
+                    id: point.id,
                     revision: point.revision,
                     modified: record.revision(),
                     tag: point.tag,
                     state: point.row.into(),
                     payload: effects.payload(slot),
-                };
+                });
                 if point.id >= *next_id {
                     *next_id = point.id + 1;
-                    versions.insert_new(point.id, version);
+                    versions.insert_new(version);
                 } else {
-                    versions.insert(point.id, version);
+                    versions.insert(version);
                 }
             }
         }
@@ -150,11 +151,11 @@ impl View for Pinned {
         self.next_id
     }
 
-    fn get(&self, id: u64) -> Result<Option<StoredPoint>, LogError> {
+    fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
         Ok(self.store.versions.read().get(id, self.revision).cloned())
     }
 
-    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<(u64, StoredPoint)>, LogError> {
+    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
         let versions = self.store.versions.read();
         Ok(versions.page(after, limit, self.revision))
     }

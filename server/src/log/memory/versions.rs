@@ -3,6 +3,7 @@
 use std::{
     collections::{BTreeMap, VecDeque},
     ops::Bound,
+    sync::Arc,
 };
 
 use crate::log::StoredPoint;
@@ -14,7 +15,7 @@ use crate::log::StoredPoint;
 #[derive(Default)]
 pub(super) struct Versions {
     /// By id and the revision that made the version; None marks that the point was removed.
-    versions: BTreeMap<(u64, u64), Option<StoredPoint>>,
+    versions: BTreeMap<(u64, u64), Option<Arc<StoredPoint>>>,
     /// What may go, by the revision that put something else in its place.
     superseded: VecDeque<Superseded>,
     /// How many views are pinned to a revision.
@@ -30,14 +31,15 @@ struct Superseded {
 
 impl Versions {
     /// Adds a version of a point whose id was never used before.
-    pub(super) fn insert_new(&mut self, id: u64, point: StoredPoint) {
-        self.versions.insert((id, point.modified), Some(point));
+    pub(super) fn insert_new(&mut self, point: Arc<StoredPoint>) {
+        self.versions
+            .insert((point.id, point.modified), Some(point));
     }
 
     /// Adds a version of a point.
-    pub(super) fn insert(&mut self, id: u64, point: StoredPoint) {
-        self.supersede(id, point.modified);
-        self.insert_new(id, point);
+    pub(super) fn insert(&mut self, point: Arc<StoredPoint>) {
+        self.supersede(point.id, point.modified);
+        self.insert_new(point);
     }
 
     /// Removes a point as of `revision`.
@@ -98,7 +100,7 @@ impl Versions {
         true
     }
 
-    pub(super) fn get(&self, id: u64, revision: u64) -> Option<&StoredPoint> {
+    pub(super) fn get(&self, id: u64, revision: u64) -> Option<&Arc<StoredPoint>> {
         let (_, newest) = self.versions.range((id, 0)..=(id, revision)).next_back()?;
         newest.as_ref()
     }
@@ -108,12 +110,12 @@ impl Versions {
         after: Option<u64>,
         limit: usize,
         revision: u64,
-    ) -> Vec<(u64, StoredPoint)> {
+    ) -> Vec<Arc<StoredPoint>> {
         let start = match after {
             Some(id) => Bound::Excluded((id, u64::MAX)),
             None => Bound::Unbounded,
         };
-        let mut page: Vec<(u64, StoredPoint)> = Vec::new();
+        let mut page = Vec::new();
         let mut versions = self.versions.range((start, Bound::Unbounded)).peekable();
         while page.len() < limit
             && let Some((&(id, made), point)) = versions.next()
@@ -125,7 +127,7 @@ impl Versions {
                 && !newer
                 && let Some(point) = point
             {
-                page.push((id, point.clone()));
+                page.push(Arc::clone(point));
             }
         }
         page
@@ -139,21 +141,20 @@ impl Versions {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use bytes::Bytes;
     use proptest::prelude::*;
 
     use super::*;
 
-    fn version(revision: u64, tag: u64) -> StoredPoint {
-        StoredPoint {
+    fn version(id: u64, revision: u64) -> Arc<StoredPoint> {
+        Arc::new(StoredPoint {
+            id,
             revision,
             modified: revision,
-            tag,
-            state: Arc::new([0.0]),
+            tag: 0,
+            state: Box::new([0.0]),
             payload: Bytes::new(),
-        }
+        })
     }
 
     #[derive(Clone, Debug)]
@@ -181,15 +182,15 @@ mod tests {
             steps in prop::collection::vec(step(), 1..80)
         ) {
             let mut versions = Versions::default();
-            let mut model: BTreeMap<u64, StoredPoint> = BTreeMap::new();
-            let mut views: Vec<(u64, BTreeMap<u64, StoredPoint>)> = Vec::new();
+            let mut model: BTreeMap<u64, Arc<StoredPoint>> = BTreeMap::new();
+            let mut views: Vec<(u64, BTreeMap<u64, Arc<StoredPoint>>)> = Vec::new();
             let mut revision = 0;
             for step in steps {
                 match step {
                     Step::Store(id) => {
                         revision += 1;
-                        let point = version(revision, id * 100 + revision);
-                        versions.insert(id, point.clone());
+                        let point = version(id, revision);
+                        versions.insert(Arc::clone(&point));
                         model.insert(id, point);
                         versions.advance(revision);
                     }
@@ -216,10 +217,10 @@ mod tests {
                         prop_assert_eq!(versions.get(id, *revision), seen.get(&id));
                     }
                     let paged = versions.page(None, 2, *revision);
-                    let next = paged.last().map(|(id, _)| *id);
+                    let next = paged.last().map(|point| point.id);
                     let mut all = paged.clone();
                     all.extend(next.into_iter().flat_map(|id| versions.page(Some(id), 9, *revision)));
-                    let expected: Vec<_> = seen.clone().into_iter().collect();
+                    let expected: Vec<_> = seen.values().cloned().collect();
                     prop_assert_eq!(all, expected);
                 }
             }
