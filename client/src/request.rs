@@ -21,7 +21,9 @@ pub use update::{Update, Updated};
 
 use std::ops::Range;
 
-use crate::Error;
+use wayfold_index::Filter;
+
+use crate::{Error, Include};
 
 /// Makes a request awaitable: `index.knn(states).k(10).await`.
 macro_rules! awaitable {
@@ -37,6 +39,47 @@ macro_rules! awaitable {
     };
 }
 use awaitable;
+
+/// How exact a search is to be, among which points, and what it tells of them: what [`Knn`] and [`Query`] both set.
+#[derive(Clone, Copy, Debug, Default)]
+struct SearchOptions {
+    epsilon: f64,
+    max_leaves: u32,
+    filter: Filter,
+    include: Include,
+}
+
+/// Gives a request the setters of its field `options`, a [`SearchOptions`].
+macro_rules! search_options {
+    ($request:ident, $epsilon:literal) => {
+        impl $request {
+            #[doc = $epsilon]
+            pub fn epsilon(mut self, epsilon: f64) -> $request {
+                self.options.epsilon = epsilon;
+                self
+            }
+
+            /// Visits at most so many leaves of the trees for each state; as many as exactness needs unless set.
+            pub fn max_leaves(mut self, leaves: u32) -> $request {
+                self.options.max_leaves = leaves;
+                self
+            }
+
+            /// Only some of the points.
+            pub fn filter(mut self, filter: Filter) -> $request {
+                self.options.filter = filter;
+                self
+            }
+
+            /// What to tell of each neighbour beside its id and distance.
+            pub fn include(mut self, include: Include) -> $request {
+                self.options.include = include;
+                self
+            }
+        }
+    };
+}
+use search_options;
 
 /// Says of the failure of a later part of a mutation how many rows had taken effect.
 fn partial(part: &Range<usize>, rows: usize, error: Error) -> Error {

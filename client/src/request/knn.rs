@@ -5,7 +5,7 @@ use std::ops::Range;
 use wayfold_index::Filter;
 use wayfold_proto::v1;
 
-use super::awaitable;
+use super::{SearchOptions, awaitable, search_options};
 use crate::{
     Error, Include, IndexHandle, Neighbors, States,
     limits::{self, READ_ROWS},
@@ -24,13 +24,14 @@ pub struct Knn {
     pub(super) states: Result<States, Error>,
     k: u32,
     radius: Option<f64>,
-    epsilon: f64,
-    max_leaves: u32,
-    filter: Filter,
-    pub(super) include: Include,
+    pub(super) options: SearchOptions,
 }
 
 awaitable!(Knn => Neighbors);
+search_options!(
+    Knn,
+    "Answers may be farther than the true ones by a factor of 1 + epsilon; 0, exact, unless set."
+);
 
 impl Knn {
     pub(crate) fn new(index: IndexHandle, states: Result<States, Error>) -> Knn {
@@ -39,10 +40,7 @@ impl Knn {
             states,
             k: 1,
             radius: None,
-            epsilon: 0.0,
-            max_leaves: 0,
-            filter: Filter::default(),
-            include: Include::default(),
+            options: SearchOptions::default(),
         }
     }
 
@@ -55,30 +53,6 @@ impl Knn {
     /// Only those at this distance or nearer.
     pub fn radius(mut self, radius: f64) -> Knn {
         self.radius = Some(radius);
-        self
-    }
-
-    /// Answers may be farther than the true ones by a factor of 1 + epsilon; 0, exact, unless set.
-    pub fn epsilon(mut self, epsilon: f64) -> Knn {
-        self.epsilon = epsilon;
-        self
-    }
-
-    /// Visits at most so many leaves of the trees for each state; as many as exactness needs unless set.
-    pub fn max_leaves(mut self, leaves: u32) -> Knn {
-        self.max_leaves = leaves;
-        self
-    }
-
-    /// Only some of the points.
-    pub fn filter(mut self, filter: Filter) -> Knn {
-        self.filter = filter;
-        self
-    }
-
-    /// What to tell of each neighbour beside its id and distance.
-    pub fn include(mut self, include: Include) -> Knn {
-        self.include = include;
         self
     }
 
@@ -99,7 +73,7 @@ impl Knn {
                 CALL,
                 answer,
                 part.len(),
-                this.include,
+                this.options.include,
                 this.index.coordinates(),
             )
         };
@@ -109,7 +83,10 @@ impl Knn {
     /// How many states' neighbours one answer holds.
     fn rows_of_answer(&self) -> usize {
         const COUNT: usize = 5;
-        let neighbor = self.include.neighbor_bytes(self.index.coordinates());
+        let neighbor = self
+            .options
+            .include
+            .neighbor_bytes(self.index.coordinates());
         let row = neighbor
             .saturating_mul(self.k as usize)
             .saturating_add(COUNT);
@@ -122,10 +99,10 @@ impl Knn {
             states: Some(states.to_message(part)),
             k: self.k,
             radius: self.radius,
-            epsilon: self.epsilon,
-            max_leaves: self.max_leaves,
-            filter: filter_message(self.filter),
-            include: self.include.to_message(),
+            epsilon: self.options.epsilon,
+            max_leaves: self.options.max_leaves,
+            filter: filter_message(self.options.filter),
+            include: self.options.include.to_message(),
             at: Some(self.index.read_at()),
         }
     }

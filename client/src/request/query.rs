@@ -5,7 +5,7 @@ use std::ops::Range;
 use wayfold_index::Filter;
 use wayfold_proto::v1;
 
-use super::awaitable;
+use super::{SearchOptions, awaitable, search_options};
 use crate::{
     Error, Include, IndexHandle, Neighbors, States,
     limits::{self, READ_ROWS},
@@ -24,13 +24,14 @@ pub struct Query {
     index: IndexHandle,
     states: Result<States, Error>,
     radius: f64,
-    epsilon: f64,
-    max_leaves: u32,
-    filter: Filter,
-    include: Include,
+    options: SearchOptions,
 }
 
 awaitable!(Query => Neighbors);
+search_options!(
+    Query,
+    "Points beyond radius / (1 + epsilon) may be missing; 0, exact, unless set."
+);
 
 impl Query {
     pub(crate) fn new(index: IndexHandle, states: Result<States, Error>, radius: f64) -> Query {
@@ -38,35 +39,8 @@ impl Query {
             index,
             states,
             radius,
-            epsilon: 0.0,
-            max_leaves: 0,
-            filter: Filter::default(),
-            include: Include::default(),
+            options: SearchOptions::default(),
         }
-    }
-
-    /// Points beyond radius / (1 + epsilon) may be missing; 0, exact, unless set.
-    pub fn epsilon(mut self, epsilon: f64) -> Query {
-        self.epsilon = epsilon;
-        self
-    }
-
-    /// Visits at most so many leaves of the trees for each state; as many as exactness needs unless set.
-    pub fn max_leaves(mut self, leaves: u32) -> Query {
-        self.max_leaves = leaves;
-        self
-    }
-
-    /// Only some of the points.
-    pub fn filter(mut self, filter: Filter) -> Query {
-        self.filter = filter;
-        self
-    }
-
-    /// What to tell of each neighbour beside its id and distance.
-    pub fn include(mut self, include: Include) -> Query {
-        self.include = include;
-        self
     }
 
     async fn send(mut self) -> Result<Neighbors, Error> {
@@ -85,7 +59,7 @@ impl Query {
             let told = Told {
                 call: CALL,
                 rows: part.len(),
-                include: this.include,
+                include: this.options.include,
                 exact: answer.exact,
                 revision: answer.revision,
                 uid: &answer.uid,
@@ -100,10 +74,10 @@ impl Query {
             index: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
             radius: self.radius,
-            epsilon: self.epsilon,
-            max_leaves: self.max_leaves,
-            filter: filter_message(self.filter),
-            include: self.include.to_message(),
+            epsilon: self.options.epsilon,
+            max_leaves: self.options.max_leaves,
+            filter: filter_message(self.options.filter),
+            include: self.options.include.to_message(),
             at: Some(self.index.read_at()),
         }
     }

@@ -110,7 +110,7 @@ impl KnnRequests {
         let message = self.messages.reserve().await.map_err(|_| over(&self.uri))?;
         let asked = Asked {
             rows: states.len(),
-            include: request.include,
+            include: request.options.include,
             index: request.index,
         };
         self.asked.send(asked).map_err(|_| over(&self.uri))?;

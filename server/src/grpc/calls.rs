@@ -19,7 +19,7 @@ use tower::{Layer, Service};
 use tracing::Instrument;
 
 use super::{body::CallBody, deadline, refusals};
-use crate::observe::CallRecord;
+use crate::{observe::CallRecord, service::Call};
 
 /// The calls that this layer is for.
 const OURS: &str = "/wayfold.v1.";
@@ -54,7 +54,17 @@ impl Capacity {
 
 /// The deadline of a call, which the layer leaves in the request's extensions for the handler.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Deadline(pub(crate) Option<Instant>);
+struct Deadline(Option<Instant>);
+
+/// What the service is to know of a call.
+pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
+    Call {
+        deadline: request
+            .extensions()
+            .get::<Deadline>()
+            .and_then(|deadline| deadline.0),
+    }
+}
 
 /// Wraps services in [`Calls`].
 #[derive(Clone, Debug)]

@@ -3,7 +3,7 @@
 use tonic::{Request, Response, Status};
 use wayfold_proto::v1::{self, index_service_server::IndexService};
 
-use super::{point_service::call_of, status};
+use super::{calls::call_of, status};
 use crate::{observe, service::Service};
 
 /// The gRPC face of the indices.

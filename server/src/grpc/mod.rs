@@ -24,8 +24,8 @@ use calls::CallsLayer;
 pub(crate) use calls::Capacity;
 use health::HealthFace;
 use index_service::IndexFace;
-use point_service::PointFace;
-use stream_knn::TolerantPointServer;
+use point_service::{PointFace, TolerantPointServer};
+use stream_knn::KnnStreams;
 
 use crate::{config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
 
@@ -56,9 +56,12 @@ pub(crate) async fn serve(
 ) -> Result<(), GrpcError> {
     let points = TolerantPointServer::new(PointFace {
         service: service.clone(),
-        phases: phases.clone(),
-        stream_window: config.stream_window,
-        max_message_bytes: config.max_message_bytes,
+        streams: KnnStreams {
+            service: service.clone(),
+            phases: phases.clone(),
+            window: config.stream_window,
+            max_message_bytes: config.max_message_bytes,
+        },
     });
     // No limit on what is sent: the service refuses a large answer before a mutation takes effect, and a second limit
     // here could only fail a call that did.

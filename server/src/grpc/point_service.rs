@@ -1,35 +1,30 @@
 //! `wayfold.v1.PointService`, translated to calls of the service and back.
 
-use futures_util::{StreamExt, stream, stream::BoxStream};
-use tonic::{Request, Response, Status, Streaming};
-use wayfold_proto::v1::{self, point_service_server::PointService};
-
-use super::{calls::Deadline, status, stream_knn::Answers};
-use crate::{
-    lifecycle::PhaseWatch,
-    observe,
-    service::{Call, Service},
+use std::{
+    convert::Infallible,
+    pin::Pin,
+    task::{Context, Poll},
 };
+
+use futures_util::{StreamExt, stream, stream::BoxStream};
+use tonic::{Request, Response, Status, Streaming, body::Body, server::NamedService};
+use wayfold_proto::v1::{
+    self,
+    point_service_server::{PointService, PointServiceServer},
+};
+
+use super::{
+    calls::call_of,
+    status,
+    stream_knn::{Answers, KnnStreams},
+};
+use crate::{observe, service::Service};
 
 /// The gRPC face of the points.
 #[derive(Clone)]
 pub(crate) struct PointFace {
     pub(crate) service: Service,
-    pub(crate) phases: PhaseWatch,
-    /// How many requests of one `StreamKnn` are evaluated at a time.
-    pub(crate) stream_window: usize,
-    /// The largest request message that is read.
-    pub(crate) max_message_bytes: usize,
-}
-
-/// What the service is to know of a call.
-pub(crate) fn call_of<T>(request: &Request<T>) -> Call {
-    Call {
-        deadline: request
-            .extensions()
-            .get::<Deadline>()
-            .and_then(|deadline| deadline.0),
-    }
+    pub(crate) streams: KnnStreams,
 }
 
 fn state_rows(states: Option<&v1::States>) -> usize {
@@ -100,14 +95,14 @@ impl PointService for PointFace {
 
     type StreamKnnStream = Answers;
 
-    /// Reached only where the generated server stands alone: see [`super::stream_knn`].
+    /// Reached only where the generated server stands alone: see [`TolerantPointServer`].
     async fn stream_knn(
         &self,
         request: Request<Streaming<v1::StreamKnnRequest>>,
     ) -> Result<Response<Answers>, Status> {
         let call = call_of(&request);
         let messages = request.into_inner().map(|message| message.map(Ok));
-        Ok(Response::new(self.answer(call, messages)))
+        Ok(Response::new(self.streams.answer(call, messages)))
     }
 
     type ScanStream = BoxStream<'static, Result<v1::ScanResponse, Status>>;
@@ -126,5 +121,46 @@ impl PointService for PointFace {
             Some((part.map_err(|error| status::from_error(&error)), scan))
         });
         Ok(Response::new(parts.boxed()))
+    }
+}
+
+const STREAM_KNN: &str = "/wayfold.v1.PointService/StreamKnn";
+
+/// The generated server, but for `StreamKnn`, which goes to [`KnnStreams`] with its messages unparsed.
+#[derive(Clone)]
+pub(crate) struct TolerantPointServer {
+    generated: PointServiceServer<PointFace>,
+    streams: KnnStreams,
+}
+
+impl TolerantPointServer {
+    /// Serves `face`.
+    pub(crate) fn new(face: PointFace) -> Self {
+        let streams = face.streams.clone();
+        let generated =
+            PointServiceServer::new(face).max_decoding_message_size(streams.max_message_bytes);
+        Self { generated, streams }
+    }
+}
+
+impl NamedService for TolerantPointServer {
+    const NAME: &'static str = <PointServiceServer<PointFace> as NamedService>::NAME;
+}
+
+impl tower::Service<http::Request<Body>> for TolerantPointServer {
+    type Response = http::Response<Body>;
+    type Error = Infallible;
+    type Future = Pin<Box<dyn Future<Output = Result<http::Response<Body>, Infallible>> + Send>>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        tower::Service::<http::Request<Body>>::poll_ready(&mut self.generated, context)
+    }
+
+    fn call(&mut self, request: http::Request<Body>) -> Self::Future {
+        if request.uri().path() != STREAM_KNN {
+            return tower::Service::call(&mut self.generated, request);
+        }
+        let streams = self.streams.clone();
+        Box::pin(async move { Ok(streams.serve(request).await) })
     }
 }

@@ -3,11 +3,7 @@
 //! The generated server would: it takes a message that does not parse for the end of the stream. So this one method
 //! is served here, with a codec that hands such messages on as what they are.
 
-use std::{
-    convert::Infallible,
-    pin::Pin,
-    task::{Context, Poll},
-};
+use std::pin::Pin;
 
 use bytes::Buf;
 use futures_util::{Stream, StreamExt, stream, stream::BoxStream};
@@ -18,20 +14,18 @@ use tonic::{
     Status,
     body::Body,
     codec::{Codec, DecodeBuf, Decoder},
-    server::{Grpc, NamedService, StreamingService},
+    server::{Grpc, StreamingService},
 };
 use tonic_prost::ProstEncoder;
 use tracing::Instrument;
 
-use wayfold_proto::v1::{self, point_service_server::PointServiceServer};
+use wayfold_proto::v1;
 
-use super::{
-    point_service::{PointFace, call_of},
-    refusals, status,
+use super::{calls::call_of, refusals, status};
+use crate::{
+    lifecycle::PhaseWatch,
+    service::{Call, Service},
 };
-use crate::service::{Call, Service};
-
-const PATH: &str = "/wayfold.v1.PointService/StreamKnn";
 
 /// Answers to the requests of one stream, in their order.
 pub(crate) type Answers = BoxStream<'static, Result<v1::StreamKnnResponse, Status>>;
@@ -39,9 +33,27 @@ pub(crate) type Answers = BoxStream<'static, Result<v1::StreamKnnResponse, Statu
 /// One message of a stream: a request, or the reason why it is none.
 pub(crate) type Incoming = Result<v1::StreamKnnRequest, DecodeError>;
 
-impl PointFace {
+/// Serves the streams.
+#[derive(Clone)]
+pub(crate) struct KnnStreams {
+    pub(crate) service: Service,
+    pub(crate) phases: PhaseWatch,
+    /// How many requests of one stream are evaluated at a time.
+    pub(crate) window: usize,
+    /// The largest request message that is read.
+    pub(crate) max_message_bytes: usize,
+}
+
+impl KnnStreams {
+    /// Answers a call whose messages have not been parsed yet.
+    pub(crate) async fn serve(self, request: Request<Body>) -> Response<Body> {
+        let limit = Some(self.max_message_bytes);
+        let mut grpc = Grpc::new(TolerantCodec).apply_max_message_size_config(limit, None);
+        grpc.streaming(Tolerant(self), request).await
+    }
+
     /// Reads `messages` until they end, the server stops or reading fails; answers what was read, then says why it
-    /// ended. At most `stream_window` requests are read ahead of the answers, so that a client who does not read them
+    /// ended. At most `window` requests are read ahead of the answers, so that a client who does not read them
     /// is slowed down instead of being buffered for.
     pub(crate) fn answer<M>(&self, call: Call, messages: M) -> Answers
     where
@@ -56,7 +68,7 @@ impl PointFace {
         let service = self.service.clone();
         stream::unfold(reader, Reader::next)
             .map(move |read| answer_one(service.clone(), call, read))
-            .buffered(self.stream_window)
+            .buffered(self.window)
             .boxed()
     }
 }
@@ -137,49 +149,7 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
     }
 }
 
-/// The generated server, but for `StreamKnn`.
-#[derive(Clone)]
-pub(crate) struct TolerantPointServer {
-    generated: PointServiceServer<PointFace>,
-    face: PointFace,
-}
-
-impl TolerantPointServer {
-    /// Serves `face`.
-    pub(crate) fn new(face: PointFace) -> Self {
-        let generated =
-            PointServiceServer::new(face.clone()).max_decoding_message_size(face.max_message_bytes);
-        Self { generated, face }
-    }
-}
-
-impl NamedService for TolerantPointServer {
-    const NAME: &'static str = <PointServiceServer<PointFace> as NamedService>::NAME;
-}
-
-impl tower::Service<Request<Body>> for TolerantPointServer {
-    type Response = Response<Body>;
-    type Error = Infallible;
-    type Future = Pin<Box<dyn Future<Output = Result<Response<Body>, Infallible>> + Send>>;
-
-    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
-        tower::Service::<Request<Body>>::poll_ready(&mut self.generated, context)
-    }
-
-    fn call(&mut self, request: Request<Body>) -> Self::Future {
-        if request.uri().path() != PATH {
-            return tower::Service::call(&mut self.generated, request);
-        }
-        let face = self.face.clone();
-        Box::pin(async move {
-            let limit = Some(face.max_message_bytes);
-            let mut grpc = Grpc::new(TolerantCodec).apply_max_message_size_config(limit, None);
-            Ok(grpc.streaming(Tolerant(face), request).await)
-        })
-    }
-}
-
-struct Tolerant(PointFace);
+struct Tolerant(KnnStreams);
 
 impl StreamingService<Incoming> for Tolerant {
     type Response = v1::StreamKnnResponse;

@@ -19,6 +19,7 @@ mod insert;
 mod knn;
 mod limits;
 mod mutation;
+mod neighbors;
 mod query;
 mod remove;
 mod scan;
