@@ -83,7 +83,7 @@ impl Linear {
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
         let mut walk = Walk::new(&self.space, state, search);
         for point in self.points.iter() {
-            walk.consider(point);
+            walk.measure(point);
         }
         walk.finish()
     }

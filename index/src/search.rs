@@ -1,6 +1,6 @@
 //! What can be asked of a structure, and the state of one search under way.
 
-use std::collections::HashSet;
+use std::{collections::HashSet, time::Instant};
 
 use crate::{Neighbor, PointRef, Space, neighbor::Collector};
 
@@ -32,8 +32,11 @@ pub struct Search<'a> {
     pub radius: f64,
     /// Answers may be farther than the true ones by a factor of `1 + epsilon`; 0 is exact.
     pub epsilon: f64,
-    /// Visits at most so many leaves; `usize::MAX` for as many as exactness needs.
+    /// Visits at most so many leaves; `usize::MAX` for as many as exactness needs. (New points of a forest, up to the
+    /// next merge, lie in leaves of their own, of any size.)
     pub max_leaves: usize,
+    /// Gives up at this time, within some dozens of leaves, with what it has found until then.
+    pub until: Option<Instant>,
     /// Only some of the points.
     pub filter: Filter,
     /// Leaves these ids out.
@@ -48,6 +51,7 @@ impl Search<'_> {
             radius: f64::INFINITY,
             epsilon: 0.0,
             max_leaves: usize::MAX,
+            until: None,
             filter: Filter::default(),
             excluded: None,
         }
@@ -67,8 +71,8 @@ impl Search<'_> {
 pub struct Answer {
     /// The neighbours, in the order (distance, id).
     pub neighbors: Vec<Neighbor>,
-    /// Whether they equal brute force: false only where `epsilon` or `max_leaves` made the search skip a cell that
-    /// might have held one of them.
+    /// Whether they equal brute force: false only where `epsilon`, `max_leaves` or `until` made the search skip a cell
+    /// that might have held one of them.
     pub exact: bool,
 }
 
@@ -83,6 +87,9 @@ pub(crate) struct Cell {
     pub(crate) sums: Vec<f64>,
 }
 
+/// How many leaves are visited between two looks at the clock, each of which takes about a tenth of a leaf's time.
+const LEAVES_A_LOOK: u32 = 32;
+
 /// One search under way, carried through every tree and table that takes part in it.
 pub(crate) struct Walk<'a> {
     pub(crate) space: &'a Space,
@@ -90,6 +97,7 @@ pub(crate) struct Walk<'a> {
     search: &'a Search<'a>,
     nearest: Collector,
     leaves_left: usize,
+    leaves_entered: u32,
     exact: bool,
     /// Handed from tree to tree, so that only the first descent allocates.
     pub(crate) cell: Cell,
@@ -103,6 +111,7 @@ impl<'a> Walk<'a> {
             search,
             nearest: Collector::new(search.k, search.radius),
             leaves_left: search.max_leaves,
+            leaves_entered: 0,
             exact: true,
             cell: Cell::default(),
         }
@@ -113,15 +122,19 @@ impl<'a> Walk<'a> {
         self.search.filter.since_revision
     }
 
-    /// Measures a point, and keeps it if it passes the filter and is near enough.
+    /// Measures a point, unless it is surely too far, and keeps it if it passes the filter and is near enough.
     pub(crate) fn consider(&mut self, point: PointRef<'_>) {
-        if !self.search.filter.admits(point.tag, point.revision) {
-            return;
-        }
-        if self
+        if !self
             .space
             .is_beyond(self.state, point.row, self.nearest.worst())
         {
+            self.measure(point);
+        }
+    }
+
+    /// Measures a point, and keeps it if it passes the filter and is near enough.
+    pub(crate) fn measure(&mut self, point: PointRef<'_>) {
+        if !self.search.filter.admits(point.tag, point.revision) {
             return;
         }
         let distance = self.space.distance(self.state, point.row);
@@ -147,6 +160,10 @@ impl<'a> Walk<'a> {
         if bound > self.nearest.worst() {
             return true;
         }
+        if self.leaves_left == 0 {
+            self.exact = false;
+            return true;
+        }
         if self.search.epsilon > 0.0 && bound * (1.0 + self.search.epsilon) > self.nearest.worst() {
             self.exact = false;
             return true;
@@ -161,6 +178,12 @@ impl<'a> Walk<'a> {
             return false;
         }
         self.leaves_left -= 1;
+        if let Some(until) = self.search.until {
+            self.leaves_entered += 1;
+            if self.leaves_entered.is_multiple_of(LEAVES_A_LOOK) && Instant::now() >= until {
+                self.leaves_left = 0;
+            }
+        }
         true
     }
 

@@ -334,7 +334,8 @@ impl Space {
     /// answer.
     ///
     /// The squared angle of each rotation is replaced by its lower bound, and the sums are lowered by more than that
-    /// bound's rounding; everything else is computed as in `distance`, and is monotone in what was lowered.
+    /// bound's rounding, and by the least normal number besides, below which errors are not relative; everything else
+    /// is computed as in `distance`, and is monotone in what was lowered.
     pub(crate) fn is_beyond(&self, a: &[f64], b: &[f64], limit: f64) -> bool {
         if !self.has_rotations {
             return false;
@@ -347,7 +348,8 @@ impl Space {
             for part in own {
                 sum_2 += part.weight * part.distance_2_bound(a, b);
             }
-            total += group.weight * (sum_2 * MARGIN).sqrt();
+            let lowered = (sum_2 * MARGIN - f64::MIN_POSITIVE).max(0.0);
+            total += group.weight * lowered.sqrt();
             parts = others;
         }
         total > limit

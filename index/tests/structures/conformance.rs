@@ -227,3 +227,65 @@ fn weights_below_and_above_one_prune_nothing_true() {
         }
     }
 }
+
+/// Where squares and weights leave the range in which errors are relative, a bound must give way. The ball around a
+/// state through a point is closed, so it holds that point.
+#[test]
+fn weights_at_the_ends_of_the_range_lose_no_point() {
+    let texts = [
+        "SO3:1.5386330166173383e-305",
+        "SO3:1e-295",
+        "SO3:5e-324",
+        "R3:1e-307*SO3:1e-309",
+        "sum(SO3:1e-308, R1:1e300)",
+        "SO3:1e300",
+        "SO2[1e-150]*SO3:1e-306",
+    ];
+    for text in texts {
+        let space: Space = text.parse().unwrap();
+        let mut rng = rng(305);
+        let points = table(&space, &states(&space, Shape::Tiny, 200, &mut rng));
+        let structures = structures(&space, &points);
+        for query in states(&space, Shape::Tiny, 10, &mut rng) {
+            for point in points.iter().step_by(7) {
+                let search = Search::nearest_r(space.distance(&query, point.row));
+                let expected = brute_force(&space, points.iter(), &query, &search);
+                assert!(expected.iter().any(|neighbor| neighbor.id == point.id));
+                for (name, structure) in &structures {
+                    let answer = structure(&query, &search);
+                    assert_same(&answer.neighbors, &expected, &format!("{text} {name}"));
+                }
+            }
+        }
+    }
+}
+
+/// A search that is out of time or of leaves stops, and says that it is not exact.
+#[test]
+fn a_search_that_gives_up_says_so() {
+    let space = Space::se3();
+    let mut rng = rng(7);
+    let points = table(&space, &states(&space, Shape::Uniform, 20_000, &mut rng));
+    let tree = KdTree::new(space.clone(), points, 8);
+    let query = &states(&space, Shape::Uniform, 1, &mut rng)[0];
+    let all = Search::nearest_r(f64::INFINITY);
+    assert!(tree.search(query, &all).exact);
+
+    let late = Search {
+        until: Some(std::time::Instant::now()),
+        ..all
+    };
+    let answer = tree.search(query, &late);
+    assert!(
+        !answer.exact && answer.neighbors.len() < 32 * 8 + 8,
+        "{}",
+        answer.neighbors.len()
+    );
+
+    let capped = Search {
+        max_leaves: 3,
+        ..all
+    };
+    let answer = tree.search(query, &capped);
+    assert!(!answer.exact && answer.neighbors.len() <= 3 * 8);
+}
