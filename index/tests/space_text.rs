@@ -211,6 +211,7 @@ fn presets_are_names_of_whole_spaces() {
         "sum(mpnn-se3)",
         "moveit-joints-",
         "moveit-joints-x",
+        "moveit-joints-+7",
         "ompl-se4",
     ] {
         let error = text.parse::<Space>().unwrap_err();
@@ -345,6 +346,8 @@ fn texts_cannot_ask_for_much() {
         "sum(R128, R128, R1)",
         "SO3^65",
         "R18446744073709551615*R18446744073709551615",
+        // Given up at the 257th factor, whatever follows.
+        &format!("{}?", "R1*".repeat(100_000)),
     ] {
         assert_eq!(
             text.parse::<Space>(),

@@ -140,6 +140,7 @@ pub fn from_message(message: &v1::Space) -> Result<Space, SpaceMessageError> {
 }
 
 fn sum_groups(product: &v1::Product) -> Result<Vec<Group>, SpaceMessageError> {
+    bounded(product.terms.len())?;
     let mut groups = Vec::with_capacity(product.terms.len());
     for (i, term) in product.terms.iter().enumerate() {
         let (space, weight) = term_parts(term, i)?;
@@ -152,6 +153,15 @@ fn group(message: &v1::Space, weight: f64) -> Result<Group, SpaceMessageError> {
     let mut terms = Vec::new();
     expand(message, 1.0, &mut terms)?;
     Ok(Group { weight, terms })
+}
+
+/// Every term has a coordinate at least, so that a message of too many is refused before it is expanded.
+fn bounded(terms: usize) -> Result<(), SpaceMessageError> {
+    if terms <= Space::MAX_COORDINATES {
+        return Ok(());
+    }
+    let problem = SpaceMessageProblem::Space(SpaceError::TooManyCoordinates);
+    Err(SpaceMessageError::new("product.terms", problem))
 }
 
 /// Adds the factors of a factor or an L2 product to `terms`, their weights times `weight`.
@@ -168,6 +178,7 @@ fn expand(
                     SpaceMessageProblem::TooDeep,
                 ));
             }
+            bounded(terms.len() + product.terms.len())?;
             for (i, term) in product.terms.iter().enumerate() {
                 let (space, own) = term_parts(term, i)?;
                 expand(space, weight * own, terms).map_err(|error| error.in_term(i))?;

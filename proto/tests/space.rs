@@ -218,6 +218,21 @@ fn refusals_name_the_field() {
     }
 }
 
+/// Refused before they are expanded, also where products within products multiply the terms.
+#[test]
+fn messages_of_too_many_terms_are_refused() {
+    let many = l2(&vec![(so3(), None); 257]);
+    let nested = l2(&vec![(l2(&vec![(so3(), None); 200]), None); 200]);
+    for (message, path) in [
+        (many, "product.terms"),
+        (nested, "product.terms[1].space.product.terms"),
+    ] {
+        let error = from_message(&message).unwrap_err();
+        let problem = SpaceMessageProblem::Space(SpaceError::TooManyCoordinates);
+        assert_eq!((error.path.as_str(), error.problem), (path, problem));
+    }
+}
+
 #[test]
 fn weights_that_multiply_out_of_range_are_refused() {
     let huge = l2(&[(l2(&[(so3(), Some(1e200))]), Some(1e200))]);

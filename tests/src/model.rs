@@ -146,7 +146,7 @@ impl Model {
         assert!(response.exact);
         let search = Search {
             filter: filter(request.filter.as_ref()),
-            ..Search::nearest_r(request.radius)
+            ..Search::nearest_r(request.radius.unwrap_or(f64::NAN))
         };
         self.searched(
             request.states.as_ref(),

@@ -73,7 +73,7 @@ impl Query {
         v1::QueryRequest {
             index: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
-            radius: self.radius,
+            radius: Some(self.radius),
             epsilon: self.options.epsilon,
             max_leaves: self.options.max_leaves,
             filter: filter_message(self.options.filter),

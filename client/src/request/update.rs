@@ -20,7 +20,7 @@ pub struct Update {
     index: IndexHandle,
     ids: Vec<u64>,
     tags: Vec<u64>,
-    tag_mask: u64,
+    tag_mask: Option<u64>,
     payloads: Vec<Bytes>,
     if_revision: Option<u64>,
     operation_id: String,
@@ -46,7 +46,7 @@ impl Update {
             index,
             ids,
             tags: Vec::new(),
-            tag_mask: 0,
+            tag_mask: None,
             payloads: Vec::new(),
             if_revision: None,
             operation_id: fresh_operation_id(),
@@ -61,7 +61,7 @@ impl Update {
 
     /// Sets only these bits of the tags; all of them without it.
     pub fn tag_mask(mut self, mask: u64) -> Update {
-        self.tag_mask = mask;
+        self.tag_mask = Some(mask);
         self
     }
 

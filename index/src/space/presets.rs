@@ -21,7 +21,11 @@ pub(super) fn named(name: &str) -> Option<Result<Space, SpaceError>> {
     if let Some((_, text)) = PRESETS.iter().find(|(preset, _)| *preset == name) {
         return Some(text.parse());
     }
-    let joints = name.strip_prefix(MOVEIT_JOINTS)?.parse().ok()?;
+    let joints = name.strip_prefix(MOVEIT_JOINTS)?;
+    if !joints.bytes().all(|byte| byte.is_ascii_digit()) {
+        return None;
+    }
+    let joints = joints.parse().ok()?;
     if joints > Space::MAX_COORDINATES {
         return Some(Err(SpaceError::TooManyCoordinates));
     }

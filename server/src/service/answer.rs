@@ -180,6 +180,10 @@ pub(super) async fn search(
             ..search
         };
         let answer = seen.published.snapshot.search(state, &search);
+        if !answer.exact {
+            // Perhaps only because it was out of time.
+            pace.check()?;
+        }
         exact &= answer.exact;
         found.push(seen, &answer.neighbors)?;
         pace.step().await?;

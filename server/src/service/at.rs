@@ -28,19 +28,22 @@ impl Service {
         Ok(hosted)
     }
 
-    /// What a read sees: the newest revision, once that is at least `at.min_revision`.
+    /// What a read sees: the newest revision, once that is at least `at.min_revision`, and `since_revision`: a server
+    /// that has not heard of it yet cannot say what came after it.
     pub(super) async fn published(
         &self,
         call: &Call,
         hosted: &Hosted,
         at: &v1::ReadAt,
+        since_revision: u64,
     ) -> Result<Arc<Published>, Error> {
+        let revision = at.min_revision.max(since_revision);
         let published = hosted.published();
-        if published.revision >= at.min_revision {
+        if published.revision >= revision {
             return Ok(published);
         }
         const WAITING: &str = "while waiting for min_revision";
-        let reached = hosted.reached(at.min_revision);
+        let reached = hosted.reached(revision);
         let reached = match call.deadline {
             Some(_) => call.bound(WAITING, reached).await?,
             None => tokio::time::timeout(self.limits().min_revision_wait, reached)

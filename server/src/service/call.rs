@@ -58,12 +58,17 @@ pub(super) struct Pace {
 }
 
 impl Pace {
+    /// Fails if the deadline has passed.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        self.call.check(self.doing)
+    }
+
     /// To be called after every bit of work, from a microsecond to a slice of it.
     pub(super) async fn step(&mut self) -> Result<(), Error> {
         if self.began.elapsed() < SLICE {
             return Ok(());
         }
-        self.call.check(self.doing)?;
+        self.check()?;
         tokio::task::yield_now().await;
         self.began = Instant::now();
         Ok(())

@@ -26,7 +26,7 @@ impl Service {
         check_read_at(&at, &mut violations);
         violations.finish()?;
 
-        let published = self.published(call, &hosted, &at).await?;
+        let published = self.published(call, &hosted, &at, 0).await?;
         let seen = Seen {
             index: hosted.name(),
             published: &published,

@@ -58,7 +58,9 @@ impl Service {
         let states = check::states(space, states, limits, &mut pace, &mut violations).await?;
         violations.finish()?;
 
-        let published = self.published(call, &hosted, &at).await?;
+        let since_revision = wanted.filter.since_revision;
+        let published = self.published(call, &hosted, &at, since_revision).await?;
+        wanted.until = call.deadline;
         let seen = Seen {
             index: hosted.name(),
             published: &published,

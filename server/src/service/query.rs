@@ -20,8 +20,20 @@ impl Service {
         let at = request.at.unwrap_or_default();
         let hosted = self.index(&request.index, &at.uid)?;
         let mut violations = Violations::default();
-        check::radius("radius", request.radius, &mut violations);
-        let wanted = Search::nearest_r(request.radius);
+        let wanted = match request.radius {
+            Some(radius) => {
+                check::radius("radius", radius, &mut violations);
+                Search::nearest_r(radius)
+            }
+            None => {
+                violations.add(
+                    "radius",
+                    "REQUIRED",
+                    "set the radius; infinity asks for all points",
+                );
+                Search::nearest_r(0.0)
+            }
+        };
         let asked = Asked {
             states: request.states,
             epsilon: request.epsilon,

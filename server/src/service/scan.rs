@@ -54,7 +54,9 @@ impl Service {
         violations.finish()?;
 
         let limits = self.limits();
-        let published = self.published(call, &hosted, &at).await?;
+        let published = self
+            .published(call, &hosted, &at, filter.since_revision)
+            .await?;
         let held = Arc::new(Mutex::new(Some(published)));
         let watch = release_after(Duration::from_secs(limits.scan_seconds), &held);
         Ok(Scan {

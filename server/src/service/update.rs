@@ -107,6 +107,17 @@ async fn check_update(
     if request.tags.len() != 1 {
         check::column("tags", &request.tags, request.ids.len(), &mut violations);
     }
+    if let Some(mask) = request.tag_mask {
+        if request.tags.is_empty() {
+            violations.add("tags", "REQUIRED", "tag_mask is set, and there is no tag");
+        }
+        for (at, tag) in request.tags.iter().enumerate() {
+            if tag & !mask != 0 {
+                let text = format!("{tag:#x} has bits outside tag_mask = {mask:#x}");
+                violations.add(format!("tags[{at}]"), "OUTSIDE_MASK", text);
+            }
+        }
+    }
     check::column(
         "payloads",
         &request.payloads,
@@ -125,13 +136,10 @@ async fn check_update(
     violations.finish()
 }
 
-/// `old` with the bits of `mask` taken from `new`; of mask 0 all bits are.
-fn set_bits(old: u64, new: u64, mask: u64) -> u64 {
-    if mask == 0 {
-        new
-    } else {
-        (old & !mask) | (new & mask)
-    }
+/// `old` with the bits of `mask` taken from `new`; without a mask all of them are.
+fn set_bits(old: u64, new: u64, mask: Option<u64>) -> u64 {
+    let mask = mask.unwrap_or(u64::MAX);
+    (old & !mask) | (new & mask)
 }
 
 #[cfg(test)]
@@ -140,8 +148,8 @@ mod tests {
 
     #[test]
     fn a_mask_limits_what_is_set() {
-        assert_eq!(set_bits(0b1010, 0b0101, 0), 0b0101);
-        assert_eq!(set_bits(0b1010, 0b0101, 0b0011), 0b1001);
-        assert_eq!(set_bits(0b1010, 0b0101, u64::MAX), 0b0101);
+        assert_eq!(set_bits(0b1010, 0b0101, None), 0b0101);
+        assert_eq!(set_bits(0b1010, 0b0101, Some(0b0011)), 0b1001);
+        assert_eq!(set_bits(0b1010, 0b0101, Some(0)), 0b1010);
     }
 }

@@ -3,9 +3,10 @@
 use std::{
     pin::pin,
     sync::{
-        Arc,
+        Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
+    thread::ThreadId,
 };
 
 use futures_util::{FutureExt, future::BoxFuture, poll};
@@ -23,6 +24,8 @@ struct Held {
     memory: MemoryLog,
     synced: watch::Sender<u64>,
     fails: AtomicBool,
+    /// The thread that last appended to it.
+    appended_by: Mutex<Option<ThreadId>>,
 }
 
 impl Held {
@@ -31,6 +34,7 @@ impl Held {
             memory: MemoryLog::new(),
             synced: watch::Sender::new(0),
             fails: AtomicBool::new(false),
+            appended_by: Mutex::new(None),
         })
     }
 }
@@ -49,6 +53,7 @@ impl Log for Held {
     }
 
     fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
+        *self.appended_by.lock().unwrap() = Some(std::thread::current().id());
         self.memory.append(uid, expected, effects)
     }
 
@@ -159,6 +164,66 @@ async fn a_retry_is_not_acknowledged_before_the_original_is_durable() {
     assert!(poll!(&mut retry).is_pending());
     log.synced.send_replace(1);
     assert_eq!(retry.await.unwrap(), original.await.unwrap());
+}
+
+#[tokio::test]
+async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
+    let log = Held::new();
+    let service = service_with(log.clone(), Limits::default());
+    create(&service, "arm", "R1").await;
+    let entry = log.indexes().unwrap().remove(0);
+    let original = v1::InsertRequest {
+        operation_id: "op".into(),
+        ..insertion(&[[1.0]], &[1])
+    };
+    let unchanged = v1::InsertRequest {
+        operation_id: "unchanged".into(),
+        ..insertion(&[[1.0]], &[1])
+    };
+    let requests = [
+        (original.clone(), 1),
+        (original, 1),
+        (unchanged.clone(), 1),
+        (unchanged, 1),
+        (insertion(&[[2.0]], &[2]), 2),
+    ];
+    let mut calls = Vec::new();
+    for (request, logged) in requests {
+        let mut call = Box::pin(service.insert(&CALL, request));
+        assert!(poll!(&mut call).is_pending());
+        assert_eq!(log.points(entry.uid).unwrap().revision(), logged);
+        calls.push(call);
+    }
+    log.synced.send_replace(1);
+    let mut responses = Vec::new();
+    for call in &mut calls[..4] {
+        responses.push(call.await.unwrap());
+    }
+    assert_eq!(responses[0], responses[1]);
+    assert_eq!(responses[2], responses[3]);
+    assert!(responses.iter().all(|response| response.revision == 1));
+}
+
+#[tokio::test]
+async fn what_takes_long_to_log_for_its_rows_or_its_bytes_is_logged_on_another_thread() {
+    let log = Held::new();
+    log.synced.send_replace(9);
+    let service = service_with(log.clone(), Limits::default());
+    create(&service, "arm", "R3").await;
+    let with_payload = |bytes: usize| v1::InsertRequest {
+        payloads: vec![vec![1; bytes].into(); 3],
+        ..insertion(&cube(1, 3), &[])
+    };
+    for (request, elsewhere) in [
+        (insertion(&cube(1, 1000), &[]), false),
+        (insertion(&cube(1, 5000), &[]), true),
+        (with_payload(1024), false),
+        (with_payload(64 * 1024), true),
+    ] {
+        service.insert(&CALL, request).await.unwrap();
+        let here = std::thread::current().id();
+        assert_eq!(*log.appended_by.lock().unwrap() != Some(here), elsewhere);
+    }
 }
 
 #[tokio::test]

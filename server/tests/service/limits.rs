@@ -138,7 +138,7 @@ async fn oversize_answers_of_every_verb_are_refused() {
     let whole = v1::QueryRequest {
         index: "arm".into(),
         states: states(&[[0.5; 3]]),
-        radius: f64::INFINITY,
+        radius: Some(f64::INFINITY),
         ..Default::default()
     };
     let refused = ("answer_bytes", ANSWER_BYTES as u64);

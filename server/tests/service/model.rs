@@ -143,7 +143,7 @@ impl Model {
                     1 => request.tags[0],
                     _ => request.tags[at],
                 };
-                if request.tag_mask == 0 || request.tag_mask >> bit & 1 == 1 {
+                if request.tag_mask.is_none_or(|mask| mask >> bit & 1 == 1) {
                     point.tag = point.tag & !(1 << bit) | tag & (1 << bit);
                 }
             }

@@ -152,10 +152,15 @@ impl Requests {
         let tag_count = self.pick(&[0, 1, ids.len()]);
         let payload_count = self.pick(&[0, ids.len()]);
         let compares = self.random.random_bool(0.3);
+        let mut tags = self.tags(tag_count);
+        let masks = [None, Some(0), Some(0b01), Some(0b10)];
+        let tag_mask = (tag_count > 0).then(|| self.pick(&masks)).flatten();
+        tags.iter_mut()
+            .for_each(|tag| *tag &= tag_mask.unwrap_or(u64::MAX));
         v1::UpdateRequest {
             index: "arm".into(),
-            tags: self.tags(tag_count),
-            tag_mask: self.pick(&[0, 0b01, 0b10]),
+            tags,
+            tag_mask,
             payloads: self.payloads(payload_count),
             if_revision: compares.then(|| self.random.random_range(0..=revision)),
             operation_id: String::new(),
@@ -208,7 +213,7 @@ fn as_query(knn: &v1::KnnRequest) -> v1::QueryRequest {
     v1::QueryRequest {
         index: knn.index.clone(),
         states: knn.states.clone(),
-        radius: knn.radius.unwrap_or(0.5),
+        radius: Some(knn.radius.unwrap_or(0.5)),
         filter: knn.filter,
         include: knn.include,
         at: knn.at.clone(),
@@ -248,7 +253,7 @@ async fn compare(service: &Service, model: &Model, requests: &mut Requests) {
     let query = as_query(&knn);
     let unlimited = v1::KnnRequest {
         k: u32::MAX,
-        radius: Some(query.radius),
+        radius: query.radius,
         ..knn
     };
     let expected = model.knn(&unlimited);

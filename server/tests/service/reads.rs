@@ -6,6 +6,7 @@ use std::{
 };
 
 use bytes::Bytes;
+use futures_util::FutureExt;
 use tokio::time::timeout;
 use wayfold_proto::v1;
 use wayfold_server::service::{Call, Code};
@@ -74,7 +75,7 @@ async fn filters_by_tag_and_by_revision() {
     let ask = |tag_mask, tag_value, since_revision| v1::QueryRequest {
         index: "arm".into(),
         states: states(&[[0.0]]),
-        radius: f64::INFINITY,
+        radius: Some(f64::INFINITY),
         filter: Some(v1::Filter {
             tag_mask,
             tag_value,
@@ -113,7 +114,7 @@ async fn the_ball_is_closed_and_both_limits_hold() {
     let query = |radius| v1::QueryRequest {
         index: "arm".into(),
         states: states(&[[0.0]]),
-        radius,
+        radius: Some(radius),
         ..Default::default()
     };
     let ids = |response: v1::QueryResponse| response.neighbors.unwrap().ids;
@@ -182,6 +183,39 @@ async fn a_read_waits_for_its_revision() {
         (response.revision, response.neighbors.unwrap().ids),
         (2, vec![0, 1])
     );
+}
+
+/// Who has been told of a revision asks what came after it: a server that has not got there yet cannot say "nothing".
+#[tokio::test]
+async fn a_read_waits_for_the_revision_it_asks_after() {
+    let (service, uid) = arm("R1").await;
+    let request = v1::KnnRequest {
+        filter: Some(v1::Filter {
+            since_revision: 2,
+            ..Default::default()
+        }),
+        at: Some(v1::ReadAt {
+            uid,
+            min_revision: 0,
+        }),
+        ..knn(&[[0.0]], 9)
+    };
+    let mut reading = pin!(service.knn(&CALL, request.clone()));
+    assert!((&mut reading).now_or_never().is_none());
+    for row in [[1.0], [2.0]] {
+        service.insert(&CALL, insertion(&[row], &[])).await.unwrap();
+    }
+    let response = reading.await.unwrap();
+    assert_eq!(
+        (response.revision, response.neighbors.unwrap().ids),
+        (2, vec![])
+    );
+    service
+        .insert(&CALL, insertion(&[[3.0]], &[]))
+        .await
+        .unwrap();
+    let response = service.knn(&CALL, request).await.unwrap();
+    assert_eq!(response.neighbors.unwrap().ids, [2]);
 }
 
 /// On a clock that jumps ahead whenever nothing else is left to do.

@@ -304,7 +304,7 @@ async fn bad_reads() {
     let query = |radius, epsilon| v1::QueryRequest {
         index: "arm".into(),
         states: states(&[[0.0; 3]]),
-        radius,
+        radius: Some(radius),
         epsilon,
         ..Default::default()
     };
@@ -315,6 +315,15 @@ async fn bad_reads() {
     assert_eq!(
         refusal(service.query(&CALL, query(1.0, f64::NAN)).await),
         invalid("NAN", "epsilon")
+    );
+    // A radius that was forgotten is not one of 0.
+    let forgotten = v1::QueryRequest {
+        radius: None,
+        ..query(1.0, 0.0)
+    };
+    assert_eq!(
+        refusal(service.query(&CALL, forgotten).await),
+        invalid("REQUIRED", "radius")
     );
     assert_eq!(
         refusal(service.get(&CALL, getting(&[1, 1])).await),
@@ -383,6 +392,23 @@ async fn bad_updates_and_removals() {
             },
             "REQUIRED",
             "uid",
+        ),
+        (
+            v1::UpdateRequest {
+                tag_mask: Some(1),
+                ..good()
+            },
+            "REQUIRED",
+            "tags",
+        ),
+        (
+            v1::UpdateRequest {
+                tags: vec![0b01, 0b01, 0b10],
+                tag_mask: Some(0b01),
+                ..good()
+            },
+            "OUTSIDE_MASK",
+            "tags[2]",
         ),
         (
             v1::UpdateRequest {

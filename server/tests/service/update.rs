@@ -25,7 +25,7 @@ async fn tags_and_payloads_change_and_the_state_keeps_its_revision() {
     service.insert(&CALL, request).await.unwrap();
     let masked = v1::UpdateRequest {
         tags: vec![0b0101],
-        tag_mask: 0b0111,
+        tag_mask: Some(0b0111),
         ..update(&[0, 1])
     };
     let response = service.update(&CALL, masked.clone()).await.unwrap();

@@ -172,7 +172,7 @@ impl Planner {
         let request = QueryRequest {
             index: self.index.clone(),
             states: Some(self.rows(rows)),
-            radius: self.states.rng().random_range(0.0..3.0),
+            radius: Some(self.states.rng().random_range(0.0..3.0)),
             filter: self.filter(),
             at: self.at(),
             ..Default::default()

@@ -40,7 +40,7 @@ async fn reads_see_the_tags_that_updates_set() {
         index: "roadmap".into(),
         ids: (0..ROWS).collect(),
         tags: (0..ROWS).map(|id| id % 3).collect(),
-        tag_mask: 0xff,
+        tag_mask: Some(0xff),
         ..Default::default()
     };
     let updated = stubs.points.update(components.clone()).await.unwrap();
@@ -80,7 +80,7 @@ async fn reads_see_the_tags_that_updates_set() {
         let query = QueryRequest {
             index: "roadmap".into(),
             states: Some(row_states(&states.row(), 7)),
-            radius: f64::INFINITY,
+            radius: Some(f64::INFINITY),
             filter,
             at: at.clone(),
             include: Some(Include {

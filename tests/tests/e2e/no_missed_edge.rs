@@ -122,7 +122,7 @@ async fn insert(
         let request = QueryRequest {
             index: "roadmap".into(),
             states: states.clone(),
-            radius: f64::INFINITY,
+            radius: Some(f64::INFINITY),
             ..Default::default()
         };
         let response = stubs.points.query(request).await;

@@ -72,6 +72,10 @@ impl<'a> Parser<'a> {
     fn product(&mut self, depth: usize) -> Result<Vec<Item>, SpaceError> {
         let mut items = vec![self.item(depth)?];
         while self.eat('*') {
+            // Each item has at least one coordinate.
+            if items.len() == Space::MAX_COORDINATES {
+                return Err(SpaceError::TooManyCoordinates);
+            }
             items.push(self.item(depth)?);
         }
         Ok(items)

@@ -116,7 +116,7 @@ async fn calls_beyond_a_limit_are_refused() {
     let query = QueryRequest {
         index: INDEX.into(),
         states: rows(200),
-        radius: 1.0,
+        radius: Some(1.0),
         ..Default::default()
     };
     let answer = stub.query(query).await;
@@ -170,7 +170,7 @@ async fn stock_limits_let_an_answer_through_that_a_stock_client_takes() {
     let query = |count| QueryRequest {
         index: INDEX.into(),
         states: rows(count),
-        radius: 1.0,
+        radius: Some(1.0),
         ..Default::default()
     };
     // Three neighbours of 16 bytes and a count: 80,000 states are answered in 3.9 MB, 90,000 would take 4.4 MB.

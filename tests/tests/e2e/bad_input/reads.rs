@@ -115,7 +115,7 @@ async fn bad_reads_are_refused() {
     let query = |radius| QueryRequest {
         index: INDEX.into(),
         states: good().states,
-        radius,
+        radius: Some(radius),
         ..Default::default()
     };
     let answer = stub.query(query(-1.0)).await;

@@ -89,7 +89,7 @@ async fn bad_states_are_refused_by_every_call_that_takes_states() {
         let query = QueryRequest {
             index: INDEX.into(),
             states,
-            radius: 1.0,
+            radius: Some(1.0),
             ..Default::default()
         };
         let answer = stub.query(query).await;
