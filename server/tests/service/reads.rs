@@ -93,7 +93,7 @@ async fn filters_by_tag_and_by_revision() {
         (0b11, 0b01, 0, vec![0, 3]),
         (0b11, 0b01, 1, vec![3]),
         (0, 0, 2, vec![2, 3]),
-        (0, 0, 9, vec![]),
+        (0, 0, 4, vec![]),
     ] {
         let answer = service.query(&CALL, ask(mask, value, since)).await.unwrap();
         assert_eq!(

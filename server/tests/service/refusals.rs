@@ -218,6 +218,10 @@ async fn the_first_few_of_many_violations_are_named() {
 #[tokio::test]
 async fn bad_reads() {
     let (service, uid) = arm("R3").await;
+    service
+        .insert(&CALL, insertion(&[[0.0; 3]], &[]))
+        .await
+        .unwrap();
     let good = || knn(&[[0.0; 3]], 1);
     let filter = |tag_mask, tag_value, since_revision| {
         Some(v1::Filter {
