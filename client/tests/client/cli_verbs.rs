@@ -243,6 +243,9 @@ fn a_scan_reads_back_as_the_same_points() {
     assert_eq!(printed.stdout.lines().count(), 4);
     let written = server.json(&["scan", "torus", file]).line();
     assert_eq!(written, json!({"points": 3, "revision": 1}));
+    // JSON concerns what is printed, not the file.
+    assert_eq!(std::fs::read_to_string(file).unwrap(), printed.stdout);
+    std::fs::remove_file(file).unwrap();
 
     let again = server.run(&["scan", "torus", file]);
     assert!(

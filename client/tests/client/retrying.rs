@@ -2,7 +2,10 @@
 
 use std::time::Duration;
 
-use tokio::net::TcpListener;
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpListener,
+};
 use tonic::Status;
 use wayfold_client::{Client, Code, Error, RetryPolicy};
 
@@ -174,6 +177,53 @@ async fn a_connection_that_breaks_is_made_anew() {
     let index = client.index("line").await.unwrap();
     assert_eq!(index.name(), "line");
     let fake = broken.await.unwrap();
+    assert_eq!(fake.calls(), 1);
+}
+
+/// A server that stops takes no more calls on a connection. One that the client sent all the same, before it was told
+/// or while the connection was closing, has not been taken and is made again on the next connection.
+#[tokio::test]
+async fn a_call_on_a_connection_that_is_going_away_is_made_again() {
+    // Frames of HTTP/2 (RFC 9113): length, type, flags, stream. SETTINGS, then GOAWAY: no stream was taken, no error.
+    const SETTINGS: &[u8] = b"\0\0\0\x04\0\0\0\0\0";
+    const GOAWAY: &[u8] = b"\0\0\x08\x07\0\0\0\0\0\0\0\0\0\0\0\0\0";
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let uri = format!("http://{}", listener.local_addr().unwrap());
+    let going = tokio::spawn(async move {
+        for waits_for_a_call in [true, false] {
+            let (mut socket, _) = listener.accept().await.unwrap();
+            socket.write_all(SETTINGS).await.unwrap();
+            if waits_for_a_call {
+                let mut asked = Vec::new();
+                // HEADERS of the first stream.
+                while !asked
+                    .windows(9)
+                    .any(|bytes| bytes[3] == 1 && bytes[5..] == [0, 0, 0, 1])
+                {
+                    assert_ne!(socket.read_buf(&mut asked).await.unwrap(), 0);
+                }
+            }
+            socket.write_all(GOAWAY).await.unwrap();
+        }
+        Fake::serve(listener)
+    });
+    let client = Client::builder()
+        .retry(quick(100))
+        .connect(&uri)
+        .await
+        .unwrap();
+    assert_eq!(client.index("line").await.unwrap().name(), "line");
+    let fake = going.await.unwrap();
+    assert_eq!(fake.calls(), 1);
+}
+
+#[tokio::test]
+async fn a_refusal_that_says_cancelled_is_not_asked_again() {
+    let fake = Fake::start().await;
+    let index = connect(&fake, quick(5)).await.index("line").await.unwrap();
+    fake.fail(|_, _| Some(Status::cancelled("operation was canceled")));
+    let error = index.knn([[0.0]]).await.unwrap_err();
+    assert!(matches!(error, Error::Refused(_)), "{error}");
     assert_eq!(fake.calls(), 1);
 }
 

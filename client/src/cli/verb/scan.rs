@@ -27,9 +27,9 @@ Examples:
   wayfold scan arm --output json
 
 As CSV there is a header, and then a row a point: its id and its state in canonical form, which
-`wayfold insert NAME FILE --ids id` reads back. As JSON a point is a line
-{\"id\":...,\"state\":[...],\"tag\":...,\"revision\":...}. All points are of one revision, in the
-order of their ids.";
+`wayfold insert NAME FILE --ids id` reads back. A file is always CSV. On standard output, with
+--output json, a point is a line {\"id\":...,\"state\":[...],\"tag\":...,\"revision\":...}. All
+points are of one revision, in the order of their ids.";
 
 /// Writes all points as CSV
 #[derive(Debug, clap::Args)]
@@ -62,7 +62,6 @@ pub(in crate::cli) async fn scan(args: ScanArgs, session: &mut Session) -> Resul
     let index = session.index(&args.name).await?;
     let scan = index.scan().await?;
     let revision = scan.revision();
-    let format = session.output.format;
     let mut header = vec!["id".to_owned()];
     header.extend(coordinate_names(index.space()));
     let header = header.join(",");
@@ -77,9 +76,9 @@ pub(in crate::cli) async fn scan(args: ScanArgs, session: &mut Session) -> Resul
         path: path.clone(),
         source,
     };
-    let mut output = Output::to(format, File::create(&path).map_err(failed)?);
+    let mut output = Output::to(Format::Text, File::create(&path).map_err(failed)?);
     let points = write(scan, &header, &mut output, false, failed).await?;
-    match format {
+    match session.output.format {
         Format::Json => session.output.json(&Written { points, revision })?,
         Format::Text => {
             let path = path.display();
