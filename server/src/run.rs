@@ -3,7 +3,10 @@
 use std::{io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
 
 use thiserror::Error;
-use tokio::{net::TcpListener, time::timeout};
+use tokio::{
+    net::TcpListener,
+    time::{Instant, interval, sleep_until, timeout},
+};
 use tokio_util::sync::CancellationToken;
 use tracing::{info, warn};
 
@@ -15,6 +18,10 @@ use crate::{
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
 };
+
+/// How long connections without calls are waited for once the server stops. A peer that lives says goodbye at once,
+/// and takes what is left of its last answer; one that is frozen, or never spoke, does neither.
+const QUIET_WAIT: Duration = Duration::from_secs(5);
 
 /// How long connections that were cut may take to notice.
 const CUT_WAIT: Duration = Duration::from_secs(1);
@@ -34,7 +41,8 @@ pub enum ServerError {
     /// Serving ended although nobody asked for it.
     #[error("serving ended by itself; this is a bug")]
     Ended,
-    /// The server stopped, but not all calls were done when its time was up.
+    /// The server stopped, but not all calls were done when its time was up. Connections that were cut without a call
+    /// do not count.
     #[error(
         "{calls} calls were cut: they were not done {grace_ms} ms after the server began to stop (shutdown.grace_ms)"
     )]
@@ -102,16 +110,42 @@ pub(crate) async fn serve(
         calls = capacity.in_use(),
         grace_ms, "stopping: finishing what was accepted"
     );
-    let Ok(drained) = timeout(Duration::from_millis(grace_ms), &mut serving).await else {
-        let calls = capacity.in_use();
-        warn!(calls, grace_ms, "cutting what is not done");
-        cut.cancel();
-        // It ends or it does not; either way this server has said what there is to say.
-        let _ = timeout(CUT_WAIT, serving).await;
-        return Err(ServerError::Cut { calls, grace_ms });
+    let grace_end = Instant::now() + Duration::from_millis(grace_ms);
+    let calls = tokio::select! {
+        drained = &mut serving => {
+            info!("stopped");
+            return drained.map_err(ServerError::from);
+        }
+        () = quiet(&capacity) => 0,
+        () = sleep_until(grace_end) => capacity.in_use(),
     };
+    if calls > 0 {
+        warn!(calls, grace_ms, "cutting what is not done");
+    } else {
+        info!("cutting connections that have no calls and do not end");
+    }
+    cut.cancel();
+    // It ends or it does not; either way this server has said what there is to say.
+    let _ = timeout(CUT_WAIT, serving).await;
+    if calls > 0 {
+        return Err(ServerError::Cut { calls, grace_ms });
+    }
     info!("stopped");
-    drained.map_err(ServerError::from)
+    Ok(())
+}
+
+/// Returns once no call has been under way for [`QUIET_WAIT`].
+async fn quiet(capacity: &Capacity) {
+    let mut ticks = interval(QUIET_WAIT / 10);
+    let mut since = Instant::now();
+    loop {
+        let now = ticks.tick().await;
+        if capacity.in_use() > 0 {
+            since = now;
+        } else if now.saturating_duration_since(since) >= QUIET_WAIT {
+            return;
+        }
+    }
 }
 
 /// A registry of what the log holds. Read on a thread that may block, as reading a log does.

@@ -115,7 +115,9 @@ impl Model {
         let bytes = |records: &[Arc<Record>]| -> usize {
             records.iter().map(|record| record.effects().bytes()).sum()
         };
-        while bytes(&self.records[self.trimmed..]) > keep_bytes {
+        while self.trimmed + 1 < self.records.len()
+            && bytes(&self.records[self.trimmed..]) > keep_bytes
+        {
             self.trimmed += 1;
         }
     }
@@ -224,6 +226,21 @@ fn unknown_and_taken_uids_are_refused() {
     assert!(log.points(uid).is_err());
     log.create(entry.clone()).unwrap();
     assert_eq!(log.create(entry), Err(LogError::UidTaken { uid }));
+}
+
+#[test]
+fn who_has_all_records_but_the_newest_gets_it_however_large_it_is() {
+    let log = MemoryLog::new();
+    let entry = entry("arm");
+    let uid = entry.uid;
+    log.create(entry).unwrap();
+    for revision in 1..=2 {
+        log.append(uid, revision - 1, effects(revision, &[1], &[]))
+            .unwrap();
+        log.trim(uid, 0).unwrap();
+        let tail = log.tail(uid, Some(revision - 1)).unwrap();
+        assert_eq!(tail[0].revision(), revision);
+    }
 }
 
 /// Readers hold views while a writer goes on: each sees one revision whole.

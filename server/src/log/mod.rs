@@ -67,7 +67,8 @@ pub trait Log: Send + Sync {
     /// The points as of the head, pinned.
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;
 
-    /// Forgets the oldest records until those left take at most `keep_bytes` (see [`Effects::bytes`]).
+    /// Forgets the oldest records until those left take at most `keep_bytes` (see [`Effects::bytes`]), but never the
+    /// newest: who follows record by record always gets the next.
     fn trim(&self, uid: Uid, keep_bytes: usize) -> Result<(), LogError>;
 }
 

@@ -10,9 +10,10 @@ use wayfold_index::{Snapshot, Space};
 use super::{Host, OperationWindow, RegistryError, WriteGuard, Writer};
 use crate::log::{Effects, Entry, Uid, View};
 
-/// A mutation of more points than this is committed on a thread of its own: it would hold up the calls that share
-/// the caller's.
-const COMMITTED_IN_PLACE: usize = 1024;
+/// A mutation of more points or more bytes than these is committed on a thread of its own: it would hold up the calls
+/// that share the caller's.
+const POINTS_IN_PLACE: usize = 1024;
+const BYTES_IN_PLACE: usize = 128 * 1024;
 
 /// One frozen revision of an index, for as long as it is held.
 pub struct Published {
@@ -122,7 +123,8 @@ impl Hosted {
         effects: Effects,
         window: OperationWindow,
     ) -> Result<u64, RegistryError> {
-        let revision = if effects.len() <= COMMITTED_IN_PLACE {
+        let is_small = effects.len() <= POINTS_IN_PLACE && effects.bytes() <= BYTES_IN_PLACE;
+        let revision = if is_small {
             self.commit_here(writer, effects, window)?
         } else {
             let hosted = Arc::clone(self);

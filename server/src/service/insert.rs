@@ -11,7 +11,7 @@ use super::{
     answer::{Found, Room},
     call::Pace,
     check::{self, END_OF_IDS, Rows, Violations},
-    mutation::Claim,
+    mutation::{Begun, Claim},
     staging::Staging,
 };
 use crate::{
@@ -46,16 +46,17 @@ impl Service {
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
         let insertion = Insertion::check(request, hosted.space(), self.limits(), &mut pace).await?;
 
-        let writer = self.writer(call, &hosted).await?;
-        if let Some(response) = self.recall(call, &hosted, &writer, claim.as_ref()).await? {
-            return Ok(response);
-        }
+        let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+            Begun::Answered(response) => return Ok(response),
+            Begun::Writing(writer) => writer,
+        };
         let head = writer.head().clone();
         let revision = head.revision;
         let mut evaluation = Evaluation::new(&insertion, &hosted, head, self.limits())?;
         for (at, row) in insertion.rows.iter().enumerate() {
             evaluation.row(at, row)?;
-            if insertion.is_searched() || at % 32 == 31 {
+            // A search takes long, and so does the copy of a large payload.
+            if insertion.is_searched() || !insertion.payloads.is_empty() || at % 32 == 31 {
                 pace.step().await?;
             }
         }

@@ -46,44 +46,37 @@ impl Claim {
     }
 }
 
-impl Service {
-    /// Waits for the writer of an index.
-    pub(super) async fn writer(&self, call: &Call, hosted: &Hosted) -> Result<WriteGuard, Error> {
-        call.bound(
-            "while waiting for other mutations of the index",
-            hosted.write(),
-        )
-        .await?
-        .map_err(|error| failed(hosted.name(), error))
-    }
+/// How a mutation begins.
+pub(super) enum Begun<R> {
+    /// It took effect before, and this is the response that it was given.
+    Answered(R),
+    /// It has the writer.
+    Writing(WriteGuard),
+}
 
-    /// The response that the claimed operation was given, if it took effect already.
-    pub(super) async fn recall<R: Message + Default>(
+impl Service {
+    /// Waits for the writer of an index, unless the claimed operation took effect already.
+    pub(super) async fn begin<R: Message + Default>(
         &self,
         call: &Call,
         hosted: &Hosted,
-        writer: &Writer,
         claim: Option<&Claim>,
-    ) -> Result<Option<R>, Error> {
-        let Some(claim) = claim else {
-            return Ok(None);
+    ) -> Result<Begun<R>, Error> {
+        let writer = call
+            .bound(
+                "while waiting for other mutations of the index",
+                hosted.write(),
+            )
+            .await?
+            .map_err(|error| failed(hosted.name(), error))?;
+        let Some(response) = recalled(&writer, claim)? else {
+            return Ok(Begun::Writing(writer));
         };
-        let Some(operation) = writer.recall(&claim.id) else {
-            return Ok(None);
-        };
-        if operation.fingerprint != claim.fingerprint {
-            return Err(Error::OperationMismatch {
-                operation_id: claim.id.clone(),
-            });
-        }
-        let response = R::decode(operation.response.clone()).map_err(|error| Error::Internal {
-            what: format!(
-                "operation \"{}\": its response does not decode: {error}",
-                claim.id
-            ),
-        })?;
-        acknowledge(call, hosted, writer.head().revision).await?;
-        Ok(Some(response))
+        let revision = writer.head().revision;
+        // Nothing is left to write, and others need not wait for the log as this call does.
+        drop(writer);
+        acknowledge(call, hosted, revision).await?;
+        Ok(Begun::Answered(response))
     }
 
     /// Commits a mutation that was evaluated under `writer`, and returns once it may be acknowledged with `response`.
@@ -113,7 +106,10 @@ impl Service {
             if let Some(operation) = operation {
                 writer.remember(operation, window);
             }
-            return acknowledge(call, hosted, writer.head().revision).await;
+            let revision = writer.head().revision;
+            // Others go on; a twin finds what is remembered.
+            drop(writer);
+            return acknowledge(call, hosted, revision).await;
         }
         effects.set_operation(operation);
         call.bound(
@@ -124,6 +120,31 @@ impl Service {
         .map_err(|error| failed(hosted.name(), error))?;
         Ok(())
     }
+}
+
+/// The response that the claimed operation was given, if it took effect already.
+fn recalled<R: Message + Default>(
+    writer: &Writer,
+    claim: Option<&Claim>,
+) -> Result<Option<R>, Error> {
+    let Some(claim) = claim else {
+        return Ok(None);
+    };
+    let Some(operation) = writer.recall(&claim.id) else {
+        return Ok(None);
+    };
+    if operation.fingerprint != claim.fingerprint {
+        return Err(Error::OperationMismatch {
+            operation_id: claim.id.clone(),
+        });
+    }
+    let response = R::decode(operation.response.clone()).map_err(|error| Error::Internal {
+        what: format!(
+            "operation \"{}\": its response does not decode: {error}",
+            claim.id
+        ),
+    })?;
+    Ok(Some(response))
 }
 
 /// Waits until `revision`, which the caller will be told, is as durable as configured.

@@ -5,7 +5,7 @@ use wayfold_proto::v1;
 use super::{
     Call, Error, Service,
     check::{self, Violations},
-    mutation::Claim,
+    mutation::{Begun, Claim},
 };
 use crate::log::Effects;
 
@@ -26,10 +26,10 @@ impl Service {
         check::operation_id(&request.operation_id, &mut violations);
         violations.finish()?;
 
-        let writer = self.writer(call, &hosted).await?;
-        if let Some(response) = self.recall(call, &hosted, &writer, claim.as_ref()).await? {
-            return Ok(response);
-        }
+        let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+            Begun::Answered(response) => return Ok(response),
+            Begun::Writing(writer) => writer,
+        };
         let head = writer.head().clone();
         let mut effects = Effects::new(hosted.space().coordinates());
         for &id in &request.ids {

@@ -89,13 +89,19 @@ impl<'a> Staging<'a> {
         let Some(searched) = &self.searched else {
             return Vec::new();
         };
+        let staged = searched.forest.search(row, search).neighbors;
+        // The ball is closed: a point of the head as far as the last of enough staged ones may precede it by its id.
+        let radius = match staged.last() {
+            Some(farthest) if staged.len() >= search.k => farthest.distance,
+            _ => search.radius,
+        };
         let hidden = (!searched.hidden.is_empty()).then_some(&searched.hidden);
         let at_head = Search {
+            radius,
             excluded: hidden,
             ..*search
         };
         let mut neighbors = self.head.snapshot.search(row, &at_head).neighbors;
-        let staged = searched.forest.search(row, search).neighbors;
         if !staged.is_empty() {
             neighbors.extend(staged);
             neighbors.sort_unstable();
@@ -158,6 +164,65 @@ impl Source for Staging<'_> {
         match slot {
             Some(&slot) => Ok(self.effects.payload(slot)),
             None => self.held_payload(id),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use wayfold_index::Linear;
+
+    use super::*;
+    use crate::{
+        log::MemoryLog,
+        registry::{Registry, RegistryOptions},
+    };
+
+    fn point(id: u64, row: &[f64]) -> PointRef<'_> {
+        PointRef {
+            id,
+            tag: 0,
+            revision: 1,
+            row,
+        }
+    }
+
+    proptest! {
+        /// On a grid, where most distances are ties: as if head and accepted rows were one set.
+        #[test]
+        fn a_row_finds_the_nearest_of_the_head_and_the_rows_before_it(
+            head in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),
+            rows in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),
+            asked in 0..8u8,
+            k in prop_oneof![1..6usize, Just(usize::MAX)],
+            radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
+        ) {
+            let space: Space = "R1".parse().unwrap();
+            let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+            let (hosted, _) = registry.create("line", space.clone(), 1).unwrap();
+            let mut forest = Forest::new(space.clone(), ForestOptions::default());
+            let mut union = Linear::new(space.clone());
+            for (&id, &at) in &head {
+                let mut points = Points::new(1);
+                points.push_point(point(id, &[f64::from(at)]));
+                forest.apply(forest.revision() + 1, &points, &[]);
+                union.insert(point(id, &[f64::from(at)]));
+            }
+            let head = Arc::new(Published {
+                snapshot: forest.snapshot(),
+                revision: forest.revision(),
+                view: Arc::clone(&hosted.published().view),
+            });
+            let mut staging = Staging::new("line", head, &space, true);
+            for (&id, &at) in &rows {
+                staging.hide(id);
+                staging.accept(id, 0, &[f64::from(at)], Bytes::new(), Outcome::Inserted);
+                union.insert(point(id, &[f64::from(at)]));
+            }
+            let search = Search { radius, ..Search::nearest_k(k) };
+            let asked = [f64::from(asked)];
+            prop_assert_eq!(staging.search(&asked, &search), union.search(&asked, &search).neighbors);
         }
     }
 }

@@ -9,7 +9,7 @@ use super::{
     at::log_failed,
     call::Pace,
     check::{self, Violations},
-    mutation::Claim,
+    mutation::{Begun, Claim},
 };
 use crate::log::{Effects, Outcome};
 
@@ -26,10 +26,10 @@ impl Service {
         let claim = Claim::of("Update", &request.operation_id, &request, &mut pace).await?;
         check_update(&request, self.limits(), &mut pace).await?;
 
-        let writer = self.writer(call, &hosted).await?;
-        if let Some(response) = self.recall(call, &hosted, &writer, claim.as_ref()).await? {
-            return Ok(response);
-        }
+        let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+            Begun::Answered(response) => return Ok(response),
+            Begun::Writing(writer) => writer,
+        };
         let head = writer.head().clone();
         let mut effects = Effects::new(hosted.space().coordinates());
         let (mut missing, mut changed) = (Vec::new(), Vec::new());

@@ -7,9 +7,12 @@ use std::{
     process::{Child, ChildStdout, Command, Stdio},
 };
 
-use crate::harness::connect;
+use crate::harness::{connect, insert};
 use tokio_stream::pending;
 use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+use wayfold_proto::v1::{
+    self, index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
+};
 
 /// A server in a process of its own, which ends with the test.
 struct Server {
@@ -101,12 +104,49 @@ async fn what_is_cut_shows_in_the_exit_status() {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), "[shutdown]\ngrace_ms = 1\n").unwrap();
     let server = Server::start(&["--config", file.path().to_str().unwrap()]);
-    let mut client = ServerReflectionClient::new(connect(server.address).await);
-    let conversation = client.server_reflection_info(pending()).await.unwrap();
+    let channel = connect(server.address).await;
+    let line = v1::CreateIndexRequest {
+        name: "line".into(),
+        space_text: "R1".into(),
+        ..Default::default()
+    };
+    let mut indices = IndexServiceClient::new(channel.clone());
+    indices.create_index(line).await.unwrap();
+    let mut points = PointServiceClient::new(channel);
+    // More than fits into the buffers on its way.
+    for _ in 0..8 {
+        let request = v1::InsertRequest {
+            payloads: vec![vec![0; 64 * 1024].into(); 32],
+            ..insert("line", &[0.0; 32])
+        };
+        points.insert(request).await.unwrap();
+    }
+    let request = v1::ScanRequest {
+        index: "line".into(),
+        payloads: true,
+        ..Default::default()
+    };
+    let mut parts = points.scan(request).await.unwrap().into_inner();
+    parts.message().await.unwrap().unwrap();
+
+    // Nobody reads on, so the scan cannot end.
     server.signal("TERM");
     let (status, _, stderr) = server.finish();
     assert_eq!(status, Some(1), "{stderr}");
     assert!(stderr.contains("shutdown.grace_ms"), "{stderr}");
+    drop(parts);
+}
+
+#[tokio::test]
+async fn a_conversation_that_is_no_call_is_cut_without_a_failure() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), "[shutdown]\ngrace_ms = 1\n").unwrap();
+    let server = Server::start(&["--config", file.path().to_str().unwrap()]);
+    let mut client = ServerReflectionClient::new(connect(server.address).await);
+    let conversation = client.server_reflection_info(pending()).await.unwrap();
+    server.signal("TERM");
+    let (status, _, stderr) = server.finish();
+    assert_eq!(status, Some(0), "{stderr}");
     drop(conversation);
 }
 

@@ -2,7 +2,11 @@
 
 use crate::harness::{TestServer, connect, knn, reason};
 use futures_util::{StreamExt, stream};
-use tokio::sync::mpsc;
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpStream,
+    sync::mpsc,
+};
 use tonic::{Code, transport::Endpoint};
 use tonic_health::pb::{
     HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
@@ -142,4 +146,25 @@ async fn what_is_not_done_in_time_is_cut() {
     assert_eq!((calls, grace_ms), (1, 1));
     let rest: Vec<_> = parts.collect().await;
     assert!(rest.last().unwrap().is_err());
+}
+
+/// Time stands still but for what the server waits for: a grace of weeks would be waited for, and told as a failure.
+#[tokio::test]
+async fn connections_without_calls_whose_peers_are_frozen_are_cut_and_that_is_no_failure() {
+    let server = TestServer::start(|config| config.shutdown.grace_ms = 2_000_000_000).await;
+    let _silent = TcpStream::connect(server.address).await.unwrap();
+    let mut frozen = TcpStream::connect(server.address).await.unwrap();
+    // The preface of HTTP/2 with empty settings (RFC 9113, 3.4): from here on it never reads nor writes.
+    let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+    frozen.write_all(preface).await.unwrap();
+    let mut settings = [0; 9];
+    frozen.read_exact(&mut settings).await.unwrap();
+    assert_eq!(settings[3], 4, "{settings:?}");
+
+    let began = tokio::time::Instant::now();
+    let ended = server.stop();
+    tokio::time::pause();
+    ended.await.unwrap().unwrap();
+    let waited = began.elapsed();
+    assert!(waited.as_millis() < 2_000_000_000, "{waited:?}");
 }

@@ -7,7 +7,10 @@ use parking_lot::{Mutex, RwLock};
 use super::versions::Versions;
 use crate::log::{Digest, Effects, LogError, Record, StoredPoint, Uid, View};
 
-/// How many rows are stored under one hold of the lock, so that a large record does not keep readers from payloads.
+/// How many rows are stored or dropped under one hold of the lock, so that a large record does not keep readers from
+/// payloads. Also the most that whoever lets go of a view drops of what nobody sees any more, a fraction of a
+/// millisecond: the rest waits for the next view that is let go of, and for the next record, which looks after one such
+/// hold and twice as many rows as it changes, so that less and less waits.
 const ROWS_PER_HOLD: usize = 512;
 
 /// Locks are taken in the order journal, versions. Only the holder of the journal adds versions.
@@ -90,12 +93,16 @@ impl Store {
             }
         }
         self.versions.write().advance(record.revision());
-        self.collect();
+        for _ in 0..=(2 * effects.len()).div_ceil(ROWS_PER_HOLD) {
+            if !self.collect() {
+                break;
+            }
+        }
     }
 
-    /// Drops what no view can see any more.
-    fn collect(&self) {
-        while self.versions.write().collect(ROWS_PER_HOLD) {}
+    /// Drops some of what nobody sees any more; false if nothing of it is left.
+    fn collect(&self) -> bool {
+        self.versions.write().collect(ROWS_PER_HOLD)
     }
 
     pub(super) fn tail(&self, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
@@ -115,7 +122,9 @@ impl Store {
 
     pub(super) fn trim(&self, keep_bytes: usize) {
         let mut journal = self.journal.lock();
-        while journal.window_bytes > keep_bytes
+        // The newest stays, however large: whoever has all the others must still get it.
+        while journal.window.len() > 1
+            && journal.window_bytes > keep_bytes
             && let Some(record) = journal.window.pop_front()
         {
             journal.window_bytes -= record.effects().bytes();
@@ -206,7 +215,53 @@ mod tests {
         let mut effects = Effects::new(1);
         (0..1500).for_each(|id| effects.remove(id));
         store.append(4, effects).unwrap();
+        // Each of the view's versions, and a version or a mark of each point in the place of it.
+        assert_eq!(versions(), 4000);
         drop(view);
+        while store.collect() {}
         assert_eq!(versions(), 500);
+    }
+
+    #[test]
+    fn an_old_view_keeps_no_version_that_it_does_not_see() {
+        let store = Arc::new(Store::new(Uid::unique()));
+        let versions = || store.versions.read().len();
+        store.append(0, storing(0..2000, 1)).unwrap();
+        let old = Arc::clone(&store).pin();
+        let mut newest = Arc::clone(&store).pin();
+        for revision in 2..30 {
+            store
+                .append(revision - 1, storing(0..2000, revision))
+                .unwrap();
+            newest = Arc::clone(&store).pin();
+            // The points, what the old view sees, and what was superseded just now.
+            assert!(versions() <= 3 * 2000, "{}", versions());
+        }
+        drop(newest);
+        while store.collect() {}
+        assert_eq!(versions(), 2 * 2000);
+        assert_eq!(old.page(None, 3000).unwrap().len(), 2000);
+    }
+
+    #[test]
+    fn letting_go_of_a_view_leaves_most_of_the_work_to_later_records() {
+        let store = Arc::new(Store::new(Uid::unique()));
+        let versions = || store.versions.read().len();
+        store.append(0, storing(0..20_000, 1)).unwrap();
+        let old = Arc::clone(&store).pin();
+        store.append(1, storing(0..20_000, 2)).unwrap();
+        drop(old);
+        let waiting = versions() - 20_000;
+        assert_eq!(waiting, 20_000 - ROWS_PER_HOLD);
+        for revision in 3.. {
+            if versions() == 20_000 {
+                break;
+            }
+            let before = versions();
+            store
+                .append(revision - 1, storing(0..10, revision))
+                .unwrap();
+            assert!(versions() < before);
+        }
     }
 }

@@ -8,25 +8,41 @@ use std::{
 
 use crate::log::StoredPoint;
 
-/// All versions of all points that a view may still ask for.
+/// All versions of all points that somebody may still ask for.
 ///
-/// Invariants: of the versions of an id a view sees the newest that is not newer than itself. A version goes once
-/// neither a view nor the head is older than the version in its place, and so does the mark of a removed point.
-#[derive(Default)]
+/// Somebody sees a revision: a view that is pinned to it, or the head, to which the next view will be. Invariants:
+/// - Of the versions of an id a revision sees the newest that is not newer than itself: those from which a version was
+///   made up to the one before that in which it was superseded.
+/// - A superseded version is in `seen` under the newest revision that sees it, or, once that is released, in
+///   `released` until [`Versions::collect`] finds another that sees it, or drops it. So what is kept beside the points
+///   of the head is at most what each pinned revision sees, and what waits in `released`.
+/// - Right before the mark of a removed point there is a version for it to hide.
 pub(super) struct Versions {
     /// By id and the revision that made the version; None marks that the point was removed.
     versions: BTreeMap<(u64, u64), Option<Arc<StoredPoint>>>,
-    /// What may go, by the revision that put something else in its place.
-    superseded: VecDeque<Superseded>,
-    /// How many views are pinned to a revision.
+    /// How many see a revision.
     pinned: BTreeMap<u64, usize>,
-    /// The revision that the next view is pinned to.
+    /// The revision that the next view is pinned to; it is pinned itself.
     head: u64,
+    seen: BTreeMap<u64, Vec<Superseded>>,
+    released: VecDeque<Vec<Superseded>>,
 }
 
 struct Superseded {
-    by: u64,
     version: (u64, u64),
+    by: u64,
+}
+
+impl Default for Versions {
+    fn default() -> Self {
+        Self {
+            versions: BTreeMap::new(),
+            pinned: BTreeMap::from([(0, 1)]),
+            head: 0,
+            seen: BTreeMap::new(),
+            released: VecDeque::new(),
+        }
+    }
 }
 
 impl Versions {
@@ -44,60 +60,83 @@ impl Versions {
 
     /// Removes a point as of `revision`.
     pub(super) fn remove(&mut self, id: u64, revision: u64) {
-        self.supersede(id, revision);
-        self.versions.insert((id, revision), None);
-        // The mark itself has nothing to hide once the version before it is gone.
-        self.superseded.push_back(Superseded {
-            by: revision,
-            version: (id, revision),
-        });
+        if self.supersede(id, revision) {
+            self.versions.insert((id, revision), None);
+        }
     }
 
-    fn supersede(&mut self, id: u64, revision: u64) {
-        let newest = self.versions.range((id, 0)..(id, revision)).next_back();
-        if let Some((&version, Some(_))) = newest {
-            self.superseded.push_back(Superseded {
-                by: revision,
-                version,
-            });
-        }
+    /// Whether there was a point to put something else in the place of.
+    fn supersede(&mut self, id: u64, by: u64) -> bool {
+        let newest = self.versions.range((id, 0)..(id, by)).next_back();
+        let Some((&version, Some(_))) = newest else {
+            return false;
+        };
+        // The head is not that far yet, and sees it still.
+        let seen = self.seen.entry(self.head).or_default();
+        seen.push(Superseded { version, by });
+        true
     }
 
     /// Lets new views see the versions up to `revision`.
     pub(super) fn advance(&mut self, revision: u64) {
-        self.head = revision;
+        self.pin(revision);
+        let before = std::mem::replace(&mut self.head, revision);
+        self.unpin(before);
     }
 
     pub(super) fn pin(&mut self, revision: u64) {
         *self.pinned.entry(revision).or_default() += 1;
     }
 
+    /// Takes the same time whatever the revision was the last to see.
     pub(super) fn unpin(&mut self, revision: u64) {
         if let Some(count) = self.pinned.get_mut(&revision) {
             *count -= 1;
             if *count == 0 {
                 self.pinned.remove(&revision);
+                self.released.extend(self.seen.remove(&revision));
             }
         }
     }
 
-    /// Drops up to `limit` versions that nobody can see any more; false if none are left.
+    /// Looks at up to `limit` versions that are not seen any more by all who saw them, and drops those that nobody
+    /// sees; false if none are left.
     pub(super) fn collect(&mut self, limit: usize) -> bool {
-        let oldest = self
-            .pinned
-            .keys()
-            .next()
-            .map_or(self.head, |&view| view.min(self.head));
         for _ in 0..limit {
-            match self.superseded.front() {
-                Some(superseded) if superseded.by <= oldest => {
-                    self.versions.remove(&superseded.version);
-                    self.superseded.pop_front();
+            let Some(oldest) = self.released.front_mut() else {
+                return false;
+            };
+            match oldest.pop() {
+                Some(superseded) => self.keep_or_drop(superseded),
+                None => {
+                    self.released.pop_front();
                 }
-                _ => return false,
             }
         }
-        true
+        !self.released.is_empty()
+    }
+
+    fn keep_or_drop(&mut self, superseded: Superseded) {
+        let (_, made) = superseded.version;
+        match self.pinned.range(made..superseded.by).next_back() {
+            Some((&revision, _)) => self.seen.entry(revision).or_default().push(superseded),
+            None => self.forget(superseded.version),
+        }
+    }
+
+    /// Drops a version, and the mark after it if that is left with nothing to hide.
+    fn forget(&mut self, version: (u64, u64)) {
+        let (id, made) = version;
+        self.versions.remove(&version);
+        let before = self.versions.range((id, 0)..version).next_back();
+        if let Some((_, Some(_))) = before {
+            return;
+        }
+        let after = self.versions.range(version..=(id, u64::MAX)).next();
+        if let Some((&mark, None)) = after {
+            debug_assert!(mark.1 > made, "a mark comes after what it hides");
+            self.versions.remove(&mark);
+        }
     }
 
     pub(super) fn get(&self, id: u64, revision: u64) -> Option<&Arc<StoredPoint>> {
@@ -141,6 +180,8 @@ impl Versions {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use bytes::Bytes;
     use proptest::prelude::*;
 
@@ -163,6 +204,7 @@ mod tests {
         Remove(u64),
         Pin,
         Unpin(usize),
+        Collect,
     }
 
     fn step() -> impl Strategy<Value = Step> {
@@ -171,12 +213,13 @@ mod tests {
             2 => (0..6u64).prop_map(Step::Remove),
             2 => Just(Step::Pin),
             2 => any::<prop::sample::Index>().prop_map(|at| Step::Unpin(at.index(1000))),
+            1 => Just(Step::Collect),
         ]
     }
 
     proptest! {
-        /// Against whole copies: every view sees its own revision however long it is held, and once no view is held
-        /// nothing but the points alive is left.
+        /// Against whole copies: every view sees its own revision however long it is held and however much waits to
+        /// be dropped; once nothing waits, what is left is what somebody sees.
         #[test]
         fn views_see_their_revision_and_the_rest_is_freed(
             steps in prop::collection::vec(step(), 1..80)
@@ -210,8 +253,18 @@ mod tests {
                         versions.unpin(revision);
                     }
                     Step::Unpin(_) => {}
+                    Step::Collect => {
+                        while versions.collect(1) {}
+                        let copies = views.iter().map(|(_, seen)| seen).chain([&model]);
+                        let seen: BTreeSet<_> = copies
+                            .flat_map(|copy| copy.values().map(|point| (point.id, point.modified)))
+                            .collect();
+                        let kept = versions.versions.iter().filter(|(_, point)| point.is_some());
+                        prop_assert!(kept.map(|(version, _)| version).eq(&seen));
+                        prop_assert!(versions.len() <= 2 * seen.len());
+                    }
                 }
-                while versions.collect(1) {}
+                versions.collect(1);
                 for (revision, seen) in &views {
                     for id in 0..6 {
                         prop_assert_eq!(versions.get(id, *revision), seen.get(&id));
