@@ -14,7 +14,9 @@
 //! - A view never changes, whatever is appended, trimmed or deleted while it is held.
 //! - A uid is never used again.
 
+mod cursor;
 mod error;
+mod fjall;
 mod memory;
 mod record;
 mod uid;
@@ -25,6 +27,7 @@ use bytes::Bytes;
 use futures_util::future::BoxFuture;
 use wayfold_index::Space;
 
+pub use self::fjall::{Durability, FjallLog, OpenError};
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Effects, Operation, Outcome, Record};

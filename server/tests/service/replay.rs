@@ -8,8 +8,8 @@ use wayfold_index::Space;
 use wayfold_proto::v1;
 use wayfold_server::{
     log::{Effects, Entry, Log, LogError, MemoryLog, Record, Uid, View},
-    registry::{Registry, RegistryError},
-    service::{Limits, Service},
+    registry::Registry,
+    service::{Code, Limits, Service},
 };
 
 use crate::{random::Requests, support::*};
@@ -137,12 +137,21 @@ async fn a_broken_chain_is_not_replayed() {
     for row in [[1.0], [2.0]] {
         service.insert(&CALL, insertion(&[row], &[])).await.unwrap();
     }
-    let error = Registry::new(log, options()).replay().unwrap_err();
-    assert!(
-        matches!(
-            error,
-            RegistryError::Log(LogError::Damaged { revision: 2, .. })
-        ),
-        "{error}"
-    );
+    create(&service, "other", "R1").await;
+    drop(service);
+    let service = restarted(log);
+    let refused = service.knn(&CALL, knn(&[[1.0]], 1)).await;
+    assert_eq!(refusal(refused.clone()).0, Code::DataLoss);
+    let error = refused.unwrap_err().to_string();
+    assert!(error.contains("record of revision 2"), "{error}");
+    let again = service.create_index(&CALL, creation("arm", "R1")).await;
+    assert_eq!(refusal(again).0, Code::DataLoss);
+    // The others are there, and it can make room for a new one.
+    assert_eq!(info(&service, "other").await.points, 0);
+    let deletion = v1::DeleteIndexRequest {
+        name: "arm".into(),
+        ..Default::default()
+    };
+    service.delete_index(&CALL, deletion).await.unwrap();
+    create(&service, "arm", "R1").await;
 }
