@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use wayfold_index::Space;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Effects, Entry, Log, LogError, MemoryLog, Record, Uid, View},
+    log::{Durability, Effects, Entry, FjallLog, Log, LogError, MemoryLog, Record, Uid, View},
     registry::Registry,
     service::{Code, Limits, Service},
 };
@@ -26,7 +26,13 @@ fn restarted(log: Arc<dyn Log>) -> Service {
 async fn a_restart_changes_nothing() {
     for seed in 0..20 {
         println!("seed {seed}");
-        let log: Arc<dyn Log> = Arc::new(MemoryLog::new());
+        let directory = tempfile::tempdir().unwrap();
+        let on_disk = seed % 2 == 1;
+        let log: Arc<dyn Log> = if on_disk {
+            Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap())
+        } else {
+            Arc::new(MemoryLog::new())
+        };
         let before = service_with(Arc::clone(&log), Limits::default());
         let uid = create(&before, "arm", "R2*SO2").await;
         create(&before, "empty", "SO3").await;
@@ -55,7 +61,19 @@ async fn a_restart_changes_nothing() {
         let response = before.insert(&CALL, operation.clone()).await.unwrap();
         assert_eq!(response.ids, [501]);
 
-        let after = restarted(log);
+        let crashed = tempfile::tempdir().unwrap();
+        let after = if on_disk {
+            // The files as a crash would leave them at this moment.
+            let mut copy = std::process::Command::new("cp");
+            copy.arg("-R")
+                .arg(directory.path().join("."))
+                .arg(crashed.path());
+            assert!(copy.status().unwrap().success());
+            let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
+            restarted(Arc::new(log))
+        } else {
+            restarted(log)
+        };
         let same = |index: v1::Index| v1::Index {
             memory_bytes: 0,
             ..index
@@ -76,6 +94,9 @@ async fn a_restart_changes_nothing() {
             .await
             .unwrap();
         assert_eq!(next.ids, [502]);
+        if on_disk {
+            continue;
+        }
         // The first server's writer has been fenced off.
         let late = before
             .insert(&CALL, insertion(&[[0.3; 3]], &[]))
