@@ -8,6 +8,8 @@
 //! Besides its records a log keeps their sum, the *points* of each index as of its head ([`View`]): the checkpoint
 //! from which replay starts, and the place where payloads live.
 //!
+//! The stores: `fjall` keeps the log in a directory, `memory` in the process. One suite runs over both.
+//!
 //! Invariants of every [`Log`]:
 //! - The revisions of an index start at 1 and have no gaps; record `n` carries the digest of record `n - 1`.
 //! - Of two writers that append after the same revision one wins, and the other is refused ([`LogError::Fenced`]).

@@ -19,7 +19,7 @@ use std::{collections::BTreeMap, ops::Bound, sync::Arc};
 
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::Semaphore;
-use tracing::{debug, error, info};
+use tracing::{error, info};
 use wayfold_index::{Forest, ForestOptions, Space};
 
 use crate::log::{Entry, Log, Uid};
@@ -110,7 +110,9 @@ impl Registry {
                 }
             };
             self.indexes.write().insert(entry.name.clone(), place);
-            debug!(done = done + 1, of = entries.len(), "replaying");
+            if (done + 1).is_multiple_of(1000) {
+                info!(done = done + 1, of = entries.len(), "replaying");
+            }
         }
         info!(indexes = entries.len(), "replayed the log");
         Ok(())

@@ -223,7 +223,10 @@ impl Log for FjallLog {
             entry: index.entry.clone(),
             deleted: true,
         };
-        self.put(number, &named, mark)?;
+        if let Err(why) = self.put(number, &named, mark) {
+            index.close(why.clone());
+            return Err(why);
+        }
         self.indexes.write().remove(&uid);
         self.sweeper.sweep(number);
         Ok(())

@@ -1,7 +1,8 @@
 //! Removes what is left of deleted indices, on a thread of its own: an index of millions of points takes a while.
 
 use std::{
-    ops::RangeInclusive,
+    fmt::Display,
+    ops::Bound,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -20,6 +21,9 @@ use super::{
 
 /// How many keys are removed in one batch, between which others write.
 const CHUNK: usize = 1024;
+
+/// Of keys of records or of points.
+type Range = (Bound<[u8; 13]>, Bound<[u8; 13]>);
 
 /// See the module.
 pub(super) struct Sweeper {
@@ -80,28 +84,37 @@ fn sweep(
     stop: &AtomicBool,
 ) -> Result<(), String> {
     for key in [point_key, record_key] {
-        let range = || key(number, 0)..=key(number, u64::MAX);
-        while remove_some(store, range()).map_err(|error| error.to_string())? {
+        let mut after = Bound::Included(key(number, 0));
+        let last = Bound::Included(key(number, u64::MAX));
+        while let Some(removed) = remove_some(store, (after, last)).map_err(text)? {
+            // Not from the start again: what was removed is passed over one by one.
+            after = Bound::Excluded(removed);
             if stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
         }
     }
     // Before the entry: a mark without an entry is an index that was lost.
-    marks.clear(number).map_err(|error| error.to_string())?;
+    marks.clear(number).map_err(text)?;
     let mut batch = store.database.batch();
     batch.remove(&store.keyspace, entry_key(number));
     batch.remove(&store.keyspace, head_key(number));
-    batch.commit().map_err(|error| error.to_string())
+    batch.commit().map_err(text)
 }
 
-/// Whether there was something to remove.
-fn remove_some(store: &Store, range: RangeInclusive<[u8; 13]>) -> fjall::Result<bool> {
+fn text(error: impl Display) -> String {
+    error.to_string()
+}
+
+/// Removes the first few keys of a range, and says which was the last of them; None if there were none.
+fn remove_some(store: &Store, range: Range) -> fjall::Result<Option<[u8; 13]>> {
     let mut batch = store.database.batch();
+    let mut last = None;
     for found in store.keyspace.range(range).take(CHUNK) {
-        batch.remove(&store.keyspace, found.key()?);
+        let key = found.key()?;
+        last = key.first_chunk().copied();
+        batch.remove(&store.keyspace, key);
     }
-    let some = !batch.is_empty();
     batch.commit()?;
-    Ok(some)
+    Ok(last)
 }
