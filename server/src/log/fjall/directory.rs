@@ -82,7 +82,7 @@ pub enum OpenError {
 /// A data directory that is ours for as long as this lives.
 pub(super) struct Directory {
     path: PathBuf,
-    _locked: File,
+    locked: File,
 }
 
 impl Directory {
@@ -118,7 +118,7 @@ impl Directory {
         check(&mut file, path)?;
         Ok(Self {
             path: path.into(),
-            _locked: file,
+            locked: file,
         })
     }
 
@@ -129,6 +129,14 @@ impl Directory {
 
     pub(super) fn path(&self) -> &Path {
         &self.path
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        // Closing the file is not enough while a child process is being started, which shares it until then. It fails
+        // only where there is no lock to give up.
+        let _ = self.locked.unlock();
     }
 }
 
