@@ -1,6 +1,6 @@
 //! The life of a server: from a bound listener to the last accepted call.
 
-use std::{io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
+use std::{convert::Infallible, io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
 
 use thiserror::Error;
 use tokio::{
@@ -11,10 +11,10 @@ use tokio_util::sync::CancellationToken;
 use tracing::{info, warn};
 
 use crate::{
-    config::Config,
+    config::{Config, DataConfig},
     grpc::{self, Capacity, GrpcError},
     lifecycle::{Lifecycle, Phase},
-    log::MemoryLog,
+    log::{FjallLog, Log, MemoryLog, OpenError},
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
 };
@@ -35,6 +35,9 @@ pub enum ServerError {
     /// gRPC could not be served.
     #[error(transparent)]
     Grpc(#[from] GrpcError),
+    /// The data directory could not be opened.
+    #[error(transparent)]
+    Data(#[from] OpenError),
     /// The log holds something that cannot be replayed.
     #[error("cannot replay the log: {0}")]
     Replay(#[from] RegistryError),
@@ -78,8 +81,7 @@ pub(crate) async fn serve(
              whoever reaches this address can read and change every index"
         );
     }
-    let registry = replayed(config.index.options()).await?;
-    let service = Service::new(registry, config.limits.clone());
+    let service = Service::starting(config.limits.clone());
     let lifecycle = Lifecycle::starting();
     let capacity = Capacity::new(config.grpc.max_calls);
     let cut = CancellationToken::new();
@@ -92,13 +94,19 @@ pub(crate) async fn serve(
         cut.clone(),
     ));
 
-    service.set_ready();
-    lifecycle.advance(Phase::Serving);
-    info!(%address, "serving");
-    ready(address);
-
+    // Connections are accepted meanwhile, and calls told to come again.
+    let replayed = replayed(config.index.options(), config.data);
+    let live = async {
+        service.set_registry(replayed.await?);
+        service.set_ready();
+        lifecycle.advance(Phase::Serving);
+        info!(%address, "serving");
+        ready(address);
+        std::future::pending::<Result<Infallible, ServerError>>().await
+    };
     tokio::select! {
         ended = &mut serving => return ended.map_err(ServerError::from).and(Err(ServerError::Ended)),
+        failed = live => match failed? {},
         () = shutdown => {}
     }
 
@@ -149,9 +157,13 @@ async fn quiet(capacity: &Capacity) {
 }
 
 /// A registry of what the log holds. Read on a thread that may block, as reading a log does.
-async fn replayed(options: RegistryOptions) -> Result<Registry, ServerError> {
+async fn replayed(options: RegistryOptions, data: DataConfig) -> Result<Registry, ServerError> {
     let replay = move || {
-        let registry = Registry::new(Arc::new(MemoryLog::default()), options);
+        let log: Arc<dyn Log> = match data.directory() {
+            Some(directory) => Arc::new(FjallLog::open(directory, data.durability)?),
+            None => Arc::new(MemoryLog::default()),
+        };
+        let registry = Registry::new(log, options);
         registry.replay()?;
         Ok(registry)
     };

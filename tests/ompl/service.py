@@ -39,7 +39,10 @@ class Server:
     def __enter__(self):
         self.stderr = tempfile.TemporaryFile(mode="w+")
         self.process = subprocess.Popen(
-            [self.binary, "--grpc", "127.0.0.1:0"], stdout=subprocess.PIPE, stderr=self.stderr, text=True
+            [self.binary, "--grpc", "127.0.0.1:0", "--data", "memory"],
+            stdout=subprocess.PIPE,
+            stderr=self.stderr,
+            text=True,
         )
         watchdog = threading.Timer(PATIENCE_S, self.process.kill)
         watchdog.start()

@@ -20,6 +20,8 @@ pub enum Signal {
     Terminate,
     /// SIGINT: what Ctrl-C sends.
     Interrupt,
+    /// SIGKILL: the end, there and then.
+    Kill,
 }
 
 /// How a process ended.
@@ -114,6 +116,7 @@ impl Process {
         let name = match signal {
             Signal::Terminate => "TERM",
             Signal::Interrupt => "INT",
+            Signal::Kill => "KILL",
         };
         // The shell's own `kill`: the program is missing on small systems.
         let status = Command::new("sh")
@@ -174,13 +177,17 @@ pub struct ServerProcess {
 }
 
 impl ServerProcess {
-    /// Starts the server and waits until it says that it listens. [`server!`](crate::server) knows the program.
+    /// Starts the server, in memory unless the arguments say otherwise, and waits until it says that it listens.
+    /// [`server!`](crate::server) knows the program.
     ///
     /// # Panics
     /// If it does not come up.
     pub fn start(program: impl AsRef<Path>, arguments: &[&str]) -> Self {
         let mut command = Command::new(program.as_ref());
-        command.args(["--grpc", "127.0.0.1:0"]).args(arguments);
+        command
+            .args(["--grpc", "127.0.0.1:0"])
+            .env("WAYFOLD_DATA__DIR", "memory")
+            .args(arguments);
         Self::ready(Process::spawn(&mut command))
     }
 

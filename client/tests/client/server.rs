@@ -4,7 +4,7 @@ use std::net::TcpListener;
 
 use tokio::sync::oneshot;
 use wayfold_client::{Client, IndexHandle};
-use wayfold_server::config::Config;
+use wayfold_server::config::{Config, DataConfig};
 
 /// Stops when it is dropped, which nobody waits for: the connections to close may belong to the thread that drops it.
 pub(crate) struct Server {
@@ -20,6 +20,7 @@ impl Server {
     /// A server with the settings that `adapt` makes of the defaults. Who connects before it serves waits.
     pub(crate) fn with(adapt: impl FnOnce(&mut Config)) -> Server {
         let mut config = Config::default();
+        config.data.dir = DataConfig::MEMORY.into();
         adapt(&mut config);
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         listener.set_nonblocking(true).unwrap();

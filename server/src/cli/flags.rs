@@ -29,6 +29,8 @@ Settings:
 Examples:
   wayfold-server                             this machine only, port 50051
   wayfold-server --grpc 127.0.0.1:0          any free port; the first line says it
+  wayfold-server --data /var/lib/wayfold     indices are kept there
+  wayfold-server --data memory               and here they are gone with the server
   wayfold-server --grpc 0.0.0.0:50051        every network; no authentication yet
   wayfold-server --print-config > my.toml    a file to edit, for --config my.toml
   wayfold-server --log wayfold_server=debug  a log line for every call
@@ -42,13 +44,19 @@ Output:
   Standard output gets one line `listening on http://ADDRESS` once calls are
   answered, and then what to type next. Log lines go to standard error.
 
+Data:
+  Indices are kept in ./wayfold-data, and every mutation that was acknowledged is
+  on disk; see data.durability in --print-config. A server that starts answers
+  UNAVAILABLE until it has read its indices.
+
 Stopping:
   On SIGINT (Ctrl-C) or SIGTERM the server takes no new calls, finishes those it
   accepted, and exits. A second signal ends it at once.
 
 Exit status:
   0          stopped, with every accepted call finished
-  1          could not start, or had to cut calls after shutdown.grace_ms
+  1          could not start, for example because another server uses the data
+             directory, or had to cut calls after shutdown.grace_ms
   2          the command line or the settings are wrong
   130, 143   ended by a second SIGINT or SIGTERM
 
@@ -78,7 +86,7 @@ pub(super) struct Flags {
     /// Address to listen on [default: 127.0.0.1:50051]
     #[arg(long, value_name = "ADDR")]
     grpc: Option<String>,
-    /// Directory for the indices. Not used yet: they live in memory only
+    /// Directory for the indices, or memory for none [default: ./wayfold-data]
     #[arg(long, value_name = "DIR")]
     data: Option<String>,
     /// Log lines to write: error, warn, info, debug, trace [default: info]
@@ -134,10 +142,9 @@ mod tests {
     fn the_defaults_that_help_names_are_the_defaults() {
         let help = Flags::command().render_help().to_string();
         let config = Config::default();
-        for default in [&config.grpc.listen, &config.log.filter] {
+        for default in [&config.grpc.listen, &config.log.filter, &config.data.dir] {
             assert!(help.contains(&format!("[default: {default}]")), "{default}");
         }
         assert_eq!(config.log.format, LogFormat::Text);
-        assert!(config.data.dir.is_empty());
     }
 }

@@ -7,12 +7,12 @@ mod welcome;
 use std::{
     error::Error,
     io::{self, Write},
+    path::Path,
     process::ExitCode,
 };
 
 use clap::Parser;
 use tokio::{net::TcpListener, runtime};
-use tracing::warn;
 
 use crate::{
     config::{Config, DEFAULTS},
@@ -67,19 +67,15 @@ fn serve(config: Config) -> Result<(), Box<dyn Error>> {
 }
 
 async fn listen_and_serve(config: Config) -> Result<(), Box<dyn Error>> {
-    if !config.data.dir.is_empty() {
-        warn!(
-            dir = config.data.dir,
-            "data.dir is not used yet: nothing is stored, every index lives in memory and is gone when the server stops"
-        );
-    }
     // Before the listener, so that a signal that comes early finds somebody.
     let shutdown = signals::first()?;
     let listen = config.grpc.listen.clone();
     let listener = TcpListener::bind(&listen)
         .await
         .map_err(|error| cannot_listen(&listen, &error))?;
-    run::serve(config, listener, shutdown, welcome::print)
+    let directory = config.data.directory().map(Path::to_owned);
+    let ready = move |address| welcome::print(address, directory.as_deref());
+    run::serve(config, listener, shutdown, ready)
         .await
         .map_err(|error: ServerError| error.into())
 }

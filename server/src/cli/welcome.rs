@@ -4,13 +4,14 @@ use std::{
     env,
     io::{self, Write},
     net::SocketAddr,
+    path::Path,
 };
 
 /// Where the client looks for a server unless it is told otherwise.
 const DEFAULT_PORT: u16 = 50051;
 
 /// Prints the welcome to standard output.
-pub(super) fn print(address: SocketAddr) {
+pub(super) fn print(address: SocketAddr, directory: Option<&Path>) {
     // Cargo tells what it runs where it is; somebody who built it just now has no `wayfold` on the path.
     let client = match env::var_os("CARGO_MANIFEST_DIR") {
         Some(_) => "cargo run --release -p wayfold-client --",
@@ -18,11 +19,15 @@ pub(super) fn print(address: SocketAddr) {
     };
     let mut out = io::stdout().lock();
     // A server whose output nobody reads goes on all the same.
-    let _ = out.write_all(text(address, client).as_bytes());
+    let _ = out.write_all(text(address, directory, client).as_bytes());
     let _ = out.flush();
 }
 
-fn text(address: SocketAddr, client: &str) -> String {
+fn text(address: SocketAddr, directory: Option<&Path>, client: &str) -> String {
+    let kept = match directory {
+        Some(directory) => format!("Indices are kept in {}.", directory.display()),
+        None => "Indices live in memory and are gone when the server stops (Ctrl-C).".to_owned(),
+    };
     let client = if address.port() == DEFAULT_PORT {
         client.to_owned()
     } else {
@@ -31,7 +36,7 @@ fn text(address: SocketAddr, client: &str) -> String {
     format!(
         "listening on http://{address}\n\
          \n\
-         Indices live in memory and are gone when the server stops (Ctrl-C). Next, in another terminal:\n\
+         {kept} Next, in another terminal:\n\
          \x20 {client} create arm --space 'R3*SO3:0.15'\n\
          \x20 echo '0.1,0.2,0.3,0,0,0,1' | {client} insert arm -\n\
          \x20 {client} knn arm --state 0,0,0,0,0,0,1 -k 1\n\
@@ -57,7 +62,7 @@ mod tests {
 
     #[test]
     fn the_first_line_is_the_address_alone() {
-        let text = text("127.0.0.1:50051".parse().unwrap(), "wayfold");
+        let text = text("127.0.0.1:50051".parse().unwrap(), None, "wayfold");
         assert_eq!(
             text.lines().next(),
             Some("listening on http://127.0.0.1:50051")
@@ -67,7 +72,9 @@ mod tests {
 
     #[test]
     fn commands_reach_a_server_that_is_not_at_the_default_port() {
-        let text = text("0.0.0.0:4000".parse().unwrap(), "wayfold");
+        let directory = Some(Path::new("data"));
+        let text = text("0.0.0.0:4000".parse().unwrap(), directory, "wayfold");
+        assert!(text.contains("\nIndices are kept in data. Next"));
         assert!(text.starts_with("listening on http://0.0.0.0:4000\n"));
         assert!(text.contains("  wayfold --server http://127.0.0.1:4000 create arm "));
     }

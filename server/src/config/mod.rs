@@ -11,7 +11,7 @@ use wayfold_index::ForestOptions;
 
 pub use error::ConfigError;
 
-use crate::{observe::LogFormat, registry::RegistryOptions, service::Limits};
+use crate::{log::Durability, observe::LogFormat, registry::RegistryOptions, service::Limits};
 
 /// The default settings, commented.
 pub const DEFAULTS: &str = include_str!("../default.toml");
@@ -108,8 +108,20 @@ pub struct LogConfig {
 /// `[data]`
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct DataConfig {
-    /// The directory to keep the indices in; empty for none.
+    /// The directory to keep the indices in, or [`DataConfig::MEMORY`].
     pub dir: String,
+    /// What an acknowledged mutation survives.
+    pub durability: Durability,
+}
+
+impl DataConfig {
+    /// In the place of a directory: the indices live in memory alone.
+    pub const MEMORY: &str = "memory";
+
+    /// The directory, if there is one.
+    pub(crate) fn directory(&self) -> Option<&Path> {
+        (self.dir != Self::MEMORY).then(|| Path::new(&self.dir))
+    }
 }
 
 impl Config {

@@ -51,4 +51,36 @@ pub enum LogError {
         /// What is wrong with it.
         what: &'static str,
     },
+    /// A point is not the one that was written.
+    #[error("index {uid}: the point with id {id} is damaged: {what}")]
+    DamagedPoint {
+        /// The index.
+        uid: Uid,
+        /// The point's id.
+        id: u64,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// Revisions that were synced, and so acknowledged, are not there any more.
+    #[error(
+        "index {uid}: the revisions {first} to {last} were stored and are gone: the files of the log were cut short or \
+         replaced; put them back from a copy, or delete the index and start anew"
+    )]
+    Lost {
+        /// The index.
+        uid: Uid,
+        /// The first revision that is missing.
+        first: u64,
+        /// The last revision that is known to have been synced.
+        last: u64,
+    },
+    /// The store failed: nothing more is written until it is opened anew.
+    #[error(
+        "the store failed ({what}): whether the last mutations are stored is unknown, and none is taken any more until \
+         the server is restarted"
+    )]
+    Storage {
+        /// What it said.
+        what: String,
+    },
 }

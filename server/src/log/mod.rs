@@ -8,13 +8,17 @@
 //! Besides its records a log keeps their sum, the *points* of each index as of its head ([`View`]): the checkpoint
 //! from which replay starts, and the place where payloads live.
 //!
+//! The stores: `fjall` keeps the log in a directory, `memory` in the process. One suite runs over both.
+//!
 //! Invariants of every [`Log`]:
 //! - The revisions of an index start at 1 and have no gaps; record `n` carries the digest of record `n - 1`.
 //! - Of two writers that append after the same revision one wins, and the other is refused ([`LogError::Fenced`]).
 //! - A view never changes, whatever is appended, trimmed or deleted while it is held.
 //! - A uid is never used again.
 
+mod cursor;
 mod error;
+mod fjall;
 mod memory;
 mod record;
 mod uid;
@@ -25,6 +29,7 @@ use bytes::Bytes;
 use futures_util::future::BoxFuture;
 use wayfold_index::Space;
 
+pub use self::fjall::{Durability, FjallLog, OpenError};
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Effects, Operation, Outcome, Record};

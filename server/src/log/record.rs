@@ -6,6 +6,8 @@ use bytes::Bytes;
 use sha2::{Digest as _, Sha256};
 use wayfold_index::{PointRef, Points};
 
+mod encoding;
+
 /// A SHA-256.
 pub type Digest = [u8; 32];
 
@@ -181,6 +183,35 @@ impl Record {
         &self.digest
     }
 
+    /// Its stored form: the bytes that the digest covers, then the digest.
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        encoding::write(self.revision, &self.previous, &self.effects, |part| {
+            bytes.extend_from_slice(part);
+        });
+        bytes.extend_from_slice(&self.digest);
+        bytes
+    }
+
+    /// The record of a stored form, or what is wrong with it.
+    pub(super) fn decode(bytes: &[u8]) -> Result<Self, &'static str> {
+        let Some((covered, digest)) = bytes.split_last_chunk() else {
+            return Err("it is cut short");
+        };
+        // Before its meaning: what does not match is not worth reading.
+        if Digest::from(Sha256::digest(covered)) != *digest {
+            return Err("it does not match its checksum");
+        }
+        let (revision, previous, effects) =
+            encoding::read(covered).ok_or("it is of no form that this version knows")?;
+        Ok(Self {
+            revision,
+            previous,
+            effects,
+            digest: *digest,
+        })
+    }
+
     /// Whether it is what was written.
     pub fn is_intact(&self) -> bool {
         self.digest == digest(self.revision, &self.previous, &self.effects)
@@ -189,53 +220,8 @@ impl Record {
 
 fn digest(revision: u64, previous: &Digest, effects: &Effects) -> Digest {
     let mut hash = Sha256::new();
-    let mut part = Vec::new();
-    part.extend_from_slice(b"wayfold record 1");
-    part.extend_from_slice(previous);
-    for number in [
-        revision,
-        effects.stored.coordinates() as u64,
-        effects.stored.len() as u64,
-    ] {
-        part.extend_from_slice(&number.to_le_bytes());
-    }
-    for (slot, point) in effects.stored.iter().enumerate() {
-        for number in [point.id, point.tag, point.revision] {
-            part.extend_from_slice(&number.to_le_bytes());
-        }
-        part.push(match effects.outcomes[slot] {
-            Outcome::Inserted => 0,
-            Outcome::Replaced => 1,
-            Outcome::Updated => 2,
-        });
-        for coordinate in point.row {
-            part.extend_from_slice(&coordinate.to_bits().to_le_bytes());
-        }
-        let payload = effects
-            .payloads
-            .get(slot)
-            .map_or(&[][..], |payload| payload);
-        push_sequence(&mut part, payload);
-        hash.update(&part);
-        part.clear();
-    }
-    part.extend_from_slice(&(effects.removed.len() as u64).to_le_bytes());
-    for id in &effects.removed {
-        part.extend_from_slice(&id.to_le_bytes());
-    }
-    part.extend_from_slice(&u64::from(effects.operation.is_some()).to_le_bytes());
-    if let Some(operation) = &effects.operation {
-        push_sequence(&mut part, operation.id.as_bytes());
-        part.extend_from_slice(&operation.fingerprint);
-        push_sequence(&mut part, &operation.response);
-    }
-    hash.update(&part);
+    encoding::write(revision, previous, effects, |part| hash.update(part));
     hash.finalize().into()
-}
-
-fn push_sequence(part: &mut Vec<u8>, bytes: &[u8]) {
-    part.extend_from_slice(&(bytes.len() as u64).to_le_bytes());
-    part.extend_from_slice(bytes);
 }
 
 #[cfg(test)]
@@ -251,7 +237,7 @@ mod tests {
         }
     }
 
-    fn effects() -> Effects {
+    pub(super) fn effects() -> Effects {
         let mut effects = Effects::new(2);
         effects.store(point(7), Outcome::Inserted, Bytes::new());
         effects.store(point(8), Outcome::Replaced, Bytes::from_static(b"grasp"));

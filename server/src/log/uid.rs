@@ -13,6 +13,16 @@ impl Uid {
     pub fn unique() -> Self {
         Self(Uuid::new_v4())
     }
+
+    /// The one of these bytes.
+    pub(super) fn from_bytes(bytes: [u8; 16]) -> Self {
+        Self(Uuid::from_bytes(bytes))
+    }
+
+    /// Its bytes.
+    pub(super) fn as_bytes(&self) -> &[u8; 16] {
+        self.0.as_bytes()
+    }
 }
 
 impl fmt::Display for Uid {

@@ -44,7 +44,10 @@ impl From<LogError> for RegistryError {
             error @ (LogError::UidTaken { .. }
             | LogError::Fenced { .. }
             | LogError::Trimmed { .. }
-            | LogError::Damaged { .. }) => Self::Log(error),
+            | LogError::Damaged { .. }
+            | LogError::DamagedPoint { .. }
+            | LogError::Lost { .. }
+            | LogError::Storage { .. }) => Self::Log(error),
         }
     }
 }

@@ -17,9 +17,9 @@ mod writer;
 
 use std::{collections::BTreeMap, ops::Bound, sync::Arc};
 
-use parking_lot::RwLock;
+use parking_lot::{Mutex, RwLock};
 use tokio::sync::Semaphore;
-use tracing::info;
+use tracing::{error, info};
 use wayfold_index::{Forest, ForestOptions, Space};
 
 use crate::log::{Entry, Log, Uid};
@@ -52,7 +52,26 @@ impl Default for RegistryOptions {
 /// The indices of the server.
 pub struct Registry {
     host: Arc<Host>,
-    indexes: RwLock<BTreeMap<String, Arc<Hosted>>>,
+    indexes: RwLock<BTreeMap<String, Place>>,
+    /// Held by who creates or deletes an index, so that readers need not wait for the log meanwhile.
+    changing: Mutex<()>,
+}
+
+/// What a name stands for.
+#[derive(Clone)]
+enum Place {
+    Hosted(Arc<Hosted>),
+    /// An index that could not be replayed, and why. It can be deleted.
+    Damaged(Uid, RegistryError),
+}
+
+impl Place {
+    fn hosted(&self) -> Result<&Arc<Hosted>, RegistryError> {
+        match self {
+            Place::Hosted(hosted) => Ok(hosted),
+            Place::Damaged(_, why) => Err(why.clone()),
+        }
+    }
 }
 
 /// What all indices share.
@@ -74,53 +93,70 @@ impl Registry {
                 merges,
             }),
             indexes: RwLock::default(),
+            changing: Mutex::new(()),
         }
     }
 
     /// Hosts every index that the log holds. To be called once, before the first call is answered; with an empty log
-    /// it does nothing.
+    /// it does nothing. An index that is damaged does not keep the others from being hosted: [`Registry::get`] tells.
     pub fn replay(&self) -> Result<(), RegistryError> {
-        for entry in self.host.log.indexes()? {
-            let hosted = replay::replay(&self.host, &entry)?;
-            self.indexes.write().insert(entry.name, hosted);
+        let entries = self.host.log.indexes()?;
+        for (done, entry) in entries.iter().enumerate() {
+            let place = match replay::replay(&self.host, entry) {
+                Ok(hosted) => Place::Hosted(hosted),
+                Err(error) => {
+                    error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");
+                    Place::Damaged(entry.uid, error)
+                }
+            };
+            self.indexes.write().insert(entry.name.clone(), place);
+            if (done + 1).is_multiple_of(1000) {
+                info!(done = done + 1, of = entries.len(), "replaying");
+            }
         }
+        info!(indexes = entries.len(), "replayed the log");
         Ok(())
     }
 
-    /// The index of this name.
-    pub fn get(&self, name: &str) -> Option<Arc<Hosted>> {
-        self.indexes.read().get(name).cloned()
+    /// The index of this name: [`RegistryError::Deleted`] if there is none, or why it could not be replayed.
+    pub fn get(&self, name: &str) -> Result<Arc<Hosted>, RegistryError> {
+        match self.indexes.read().get(name) {
+            Some(place) => place.hosted().cloned(),
+            None => Err(RegistryError::Deleted),
+        }
     }
 
-    /// Up to `limit` indices with names after `after` (from the first if None), by name.
+    /// Up to `limit` indices with names after `after` (from the first if None), by name; not those that are damaged.
     pub fn page(&self, after: Option<&str>, limit: usize) -> Vec<Arc<Hosted>> {
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
         let indexes = self.indexes.read();
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
-        page.take(limit)
-            .map(|(_, hosted)| Arc::clone(hosted))
+        page.filter_map(|(_, place)| place.hosted().ok().cloned())
+            .take(limit)
             .collect()
     }
 
     /// Creates an index, or finds the one of this name with an equal space; says whether it was created.
-    /// [`RegistryError::Exists`] if its space is another, [`RegistryError::Full`] if there are `limit` of them.
+    /// [`RegistryError::Exists`] if its space is another, [`RegistryError::Full`] if there are `limit` of them. It
+    /// blocks while the log works.
     pub fn create(
         &self,
         name: &str,
         space: Space,
         limit: usize,
     ) -> Result<(Arc<Hosted>, bool), RegistryError> {
-        let mut indexes = self.indexes.write();
-        if let Some(hosted) = indexes.get(name) {
-            return if *hosted.space() == space {
-                Ok((Arc::clone(hosted), false))
-            } else {
-                Err(RegistryError::Exists {
+        let _changing = self.changing.lock();
+        match self.get(name) {
+            Ok(hosted) if *hosted.space() == space => return Ok((hosted, false)),
+            Ok(hosted) => {
+                return Err(RegistryError::Exists {
                     space: hosted.space().clone(),
-                })
-            };
+                });
+            }
+            Err(RegistryError::Deleted) => {}
+            Err(damaged) => return Err(damaged),
         }
-        if indexes.len() >= limit {
+        if self.indexes.read().len() >= limit {
             return Err(RegistryError::Full { limit });
         }
         let entry = Entry {
@@ -132,28 +168,30 @@ impl Registry {
         let forest = Forest::new(entry.space.clone(), self.host.options.forest);
         let view = self.host.log.points(entry.uid)?;
         let hosted = Hosted::new(&self.host, &entry, Writer::new(forest, view));
-        indexes.insert(entry.name, Arc::clone(&hosted));
+        let place = Place::Hosted(Arc::clone(&hosted));
+        self.indexes.write().insert(entry.name, place);
         info!(index = name, uid = %entry.uid, space = %entry.space, "created an index");
         Ok((hosted, true))
     }
 
     /// Deletes the index of this name, if it has `uid` or `uid` is None. Whoever reads it goes on with what it has;
-    /// whoever waits for it, or comes to write it, is told [`RegistryError::Deleted`].
+    /// whoever waits for it, or comes to write it, is told [`RegistryError::Deleted`]. It blocks while the log works.
     pub fn delete(&self, name: &str, uid: Option<&str>) -> Result<Uid, RegistryError> {
-        let mut indexes = self.indexes.write();
-        let hosted = match indexes.get(name) {
-            Some(hosted) => Arc::clone(hosted),
-            None => return Err(RegistryError::Deleted),
+        let _changing = self.changing.lock();
+        let place = self.indexes.read().get(name).cloned();
+        let found = match place.as_ref().ok_or(RegistryError::Deleted)? {
+            Place::Hosted(hosted) => hosted.uid(),
+            Place::Damaged(uid, _) => *uid,
         };
-        if uid.is_some_and(|uid| uid != hosted.uid_text()) {
-            return Err(RegistryError::OtherUid {
-                found: hosted.uid(),
-            });
+        if uid.is_some_and(|uid| uid != found.to_string()) {
+            return Err(RegistryError::OtherUid { found });
         }
-        self.host.log.delete(hosted.uid())?;
-        indexes.remove(name);
-        hosted.close(RegistryError::Deleted);
-        info!(index = name, uid = %hosted.uid(), "deleted an index");
-        Ok(hosted.uid())
+        self.host.log.delete(found)?;
+        self.indexes.write().remove(name);
+        if let Some(Place::Hosted(hosted)) = place {
+            hosted.close(RegistryError::Deleted);
+        }
+        info!(index = name, uid = %found, "deleted an index");
+        Ok(found)
     }
 }

@@ -11,6 +11,9 @@ use crate::log::{Entry, LogError, View};
 /// How many points are read at a time.
 const PAGE: usize = 4096;
 
+/// After how many points a line of the log says how far it is.
+const PROGRESS: usize = 250 * PAGE;
+
 /// The records bound this by themselves, and the next mutation by what is configured.
 const EVERY_OPERATION: OperationWindow = OperationWindow {
     count: usize::MAX,
@@ -76,6 +79,9 @@ fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
                 revision: point.revision,
                 row: &point.state,
             });
+        }
+        if points.len() >= PROGRESS && points.len() % PROGRESS < page.len() {
+            info!(index = entry.name, points = points.len(), "reading points");
         }
     }
 }

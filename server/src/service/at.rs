@@ -13,11 +13,8 @@ use crate::{
 impl Service {
     /// The index of this name, which must have `uid` unless that is empty.
     pub(super) fn index(&self, name: &str, uid: &str) -> Result<Arc<Hosted>, Error> {
-        let hosted = self
-            .inner
-            .registry
-            .get(name)
-            .ok_or_else(|| Error::IndexNotFound { name: name.into() })?;
+        let hosted = self.registry()?.get(name);
+        let hosted = hosted.map_err(|error| failed(name, error))?;
         if !uid.is_empty() && uid != hosted.uid_text() {
             return Err(Error::UidMismatch {
                 index: name.into(),
@@ -83,7 +80,11 @@ pub(super) fn log_failed(index: &str, error: LogError) -> Error {
     let what = format!("index \"{index}\": {error}");
     match error {
         LogError::UnknownIndex { .. } => Error::IndexNotFound { name: index.into() },
-        LogError::Damaged { .. } | LogError::Trimmed { .. } => Error::DataLoss { what },
+        LogError::Damaged { .. }
+        | LogError::DamagedPoint { .. }
+        | LogError::Lost { .. }
+        | LogError::Storage { .. }
+        | LogError::Trimmed { .. } => Error::DataLoss { what },
         LogError::UidTaken { .. } | LogError::Fenced { .. } => Error::Internal { what },
     }
 }

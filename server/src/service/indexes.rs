@@ -5,7 +5,7 @@ use wayfold_index::Space;
 use wayfold_proto::{space, v1};
 
 use super::{Call, Error, Service, at::failed, check::Violations};
-use crate::registry::{Hosted, RegistryError};
+use crate::registry::{Hosted, Registry, RegistryError};
 
 impl Service {
     /// Creates an index, or finds the one of this name with an equal space.
@@ -25,11 +25,9 @@ impl Service {
             });
         };
         let asked = space.to_string();
-        let created = self
-            .inner
-            .registry
-            .create(&request.name, space, self.limits().indexes);
-        let (hosted, created) = created.map_err(|error| match error {
+        let (name, limit) = (request.name.clone(), self.limits().indexes);
+        let created = self.blocking(move |registry| registry.create(&name, space, limit));
+        let (hosted, created) = created.await?.map_err(|error| match error {
             RegistryError::Exists { space } => Error::IndexExists {
                 name: request.name.clone(),
                 existing: space.to_string(),
@@ -79,7 +77,7 @@ impl Service {
         violations.finish()?;
 
         let mut pace = call.pace("while listing the indices");
-        let hosted = self.inner.registry.page(after.as_deref(), size + 1);
+        let hosted = self.registry()?.page(after.as_deref(), size + 1);
         let mut page = v1::ListIndexesResponse::default();
         let mut bytes = 0;
         for hosted in &hosted {
@@ -103,9 +101,11 @@ impl Service {
         request: v1::DeleteIndexRequest,
     ) -> Result<v1::DeleteIndexResponse, Error> {
         self.accept(call)?;
-        let uid = Some(&*request.uid).filter(|uid| !uid.is_empty());
-        let deleted = self.inner.registry.delete(&request.name, uid);
-        let uid = deleted.map_err(|error| match error {
+        let (name, uid) = (request.name.clone(), request.uid.clone());
+        let deleted = self.blocking(move |registry| {
+            registry.delete(&name, Some(&*uid).filter(|uid| !uid.is_empty()))
+        });
+        let uid = deleted.await?.map_err(|error| match error {
             RegistryError::OtherUid { found } => Error::UidMismatch {
                 index: request.name.clone(),
                 asked: request.uid.clone(),
@@ -115,6 +115,25 @@ impl Service {
         })?;
         Ok(v1::DeleteIndexResponse {
             uid: uid.to_string(),
+        })
+    }
+}
+
+impl Service {
+    /// Runs what waits for the log on a thread that may block. From the first poll on it takes place, whether or not
+    /// the caller waits.
+    async fn blocking<T: Send + 'static>(
+        &self,
+        change: impl FnOnce(&Registry) -> Result<T, RegistryError> + Send + 'static,
+    ) -> Result<Result<T, RegistryError>, Error> {
+        let service = self.clone();
+        let changed =
+            tokio::task::spawn_blocking(move || Ok::<_, Error>(change(service.registry()?)));
+        // It fails to come back only if it panicked.
+        changed.await.unwrap_or_else(|_| {
+            Err(Error::Internal {
+                what: "creating or deleting an index did not come to its end".into(),
+            })
         })
     }
 }

@@ -27,7 +27,7 @@ mod staging;
 mod update;
 
 use std::sync::{
-    Arc,
+    Arc, OnceLock,
     atomic::{AtomicBool, Ordering},
 };
 
@@ -44,7 +44,8 @@ pub struct Service {
 }
 
 struct Inner {
-    registry: Registry,
+    /// Set once, as soon as there is one.
+    registry: OnceLock<Registry>,
     limits: Limits,
     ready: AtomicBool,
     stopping: AtomicBool,
@@ -53,14 +54,27 @@ struct Inner {
 impl Service {
     /// A service over `registry`. It answers every call with [`Error::Unavailable`] until [`Service::set_ready`].
     pub fn new(registry: Registry, limits: Limits) -> Self {
+        let service = Self::starting(limits);
+        service.set_registry(registry);
+        service
+    }
+
+    /// A service that has no registry yet, and answers every call with [`Error::Unavailable`].
+    pub fn starting(limits: Limits) -> Self {
         Self {
             inner: Arc::new(Inner {
-                registry,
+                registry: OnceLock::new(),
                 limits,
                 ready: AtomicBool::new(false),
                 stopping: AtomicBool::new(false),
             }),
         }
+    }
+
+    /// Gives it its registry; a second one is ignored.
+    pub fn set_registry(&self, registry: Registry) {
+        // The service keeps the first, and gives back any other to be dropped.
+        let _ = self.inner.registry.set(registry);
     }
 
     /// Begins to answer calls; to be called once the registry has replayed its log.
@@ -94,6 +108,13 @@ impl Service {
             return Err(Error::Unavailable { why });
         }
         call.check("before the call began")
+    }
+
+    /// Every call that was accepted has one.
+    fn registry(&self) -> Result<&Registry, Error> {
+        self.inner.registry.get().ok_or(Error::Unavailable {
+            why: Unavailability::Starting,
+        })
     }
 
     fn limits(&self) -> &Limits {

@@ -3,7 +3,10 @@
 use std::{collections::BTreeMap, fs, path::PathBuf};
 
 use tempfile::TempDir;
-use wayfold_server::config::{Config, ConfigError};
+use wayfold_server::{
+    config::{Config, ConfigError},
+    log::Durability,
+};
 
 struct File {
     _directory: TempDir,
@@ -38,7 +41,8 @@ fn the_defaults_protect() {
     let config = Config::default();
     assert_eq!(config.grpc.listen, "127.0.0.1:50051");
     assert_eq!(config.grpc.max_message_bytes, 16 << 20);
-    assert_eq!(config.data.dir, "");
+    assert_eq!(config.data.dir, "./wayfold-data");
+    assert_eq!(config.data.durability, Durability::Fsync);
     // What stock gRPC clients take.
     assert!(config.limits.answer_bytes < 4 << 20);
     assert_eq!(config.limits, wayfold_server::service::Limits::default());

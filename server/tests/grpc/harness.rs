@@ -14,7 +14,10 @@ use tonic_types::StatusExt;
 use wayfold_proto::v1::{
     self, index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
 };
-use wayfold_server::{ServerError, config::Config};
+use wayfold_server::{
+    ServerError,
+    config::{Config, DataConfig},
+};
 
 /// A running server.
 pub struct TestServer {
@@ -28,6 +31,7 @@ impl TestServer {
     /// Starts a server with the settings that `adapt` makes of the defaults, and waits until it serves.
     pub async fn start(adapt: impl FnOnce(&mut Config)) -> Self {
         let mut config = Config::default();
+        config.data.dir = DataConfig::MEMORY.into();
         adapt(&mut config);
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();

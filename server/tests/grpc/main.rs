@@ -12,4 +12,5 @@ mod process;
 mod reflection;
 mod refusals;
 mod shutdown;
+mod starting;
 mod stream_knn;

@@ -26,6 +26,7 @@ impl Server {
         let mut child = Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
             .args(arguments)
             .env("WAYFOLD_GRPC__LISTEN", "127.0.0.1:0")
+            .env("WAYFOLD_DATA__DIR", "memory")
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -153,6 +154,7 @@ async fn a_conversation_that_is_no_call_is_cut_without_a_failure() {
 fn refused(arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
         .args(arguments)
+        .env("WAYFOLD_DATA__DIR", "memory")
         .output()
         .unwrap();
     assert!(output.stdout.is_empty());
@@ -179,18 +181,25 @@ fn an_address_it_cannot_have_is_named_with_what_to_do() {
 }
 
 #[test]
-fn a_data_directory_is_accepted_with_a_warning() {
+fn a_data_directory_that_it_cannot_have_is_named_with_what_to_do() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().to_str().unwrap();
-    let server = Server::start(&["--data", path, "--log-format", "json"]);
-    server.signal("TERM");
-    let (status, _, stderr) = server.finish();
-    assert_eq!(status, Some(0));
-    let warning = stderr.lines().find(|line| line.contains("\"WARN\""));
-    let warning = warning.unwrap_or_else(|| panic!("{stderr}"));
+    let data = ["--data", path];
+    let server = Server::start(&data);
+    let again = [&data[..], &["--grpc", "127.0.0.1:0"]].concat();
+    let (status, stderr) = refused(&again);
+    assert_eq!(status, Some(1));
     assert!(
-        warning.contains("nothing is stored") && warning.contains(path),
-        "{warning}"
+        stderr.contains(path) && stderr.contains("in use by another wayfold-server"),
+        "{stderr}"
     );
-    assert_eq!(directory.path().read_dir().unwrap().count(), 0);
+    server.signal("TERM");
+    let (status, stdout, stderr) = server.finish();
+    assert_eq!(status, Some(0), "{stderr}");
+    assert!(stdout.contains(&format!("kept in {path}")), "{stdout}");
+
+    std::fs::write(directory.path().join("wayfold-data"), "another form").unwrap();
+    let (status, stderr) = refused(&again);
+    assert_eq!(status, Some(1));
+    assert!(stderr.contains("not a data directory"), "{stderr}");
 }

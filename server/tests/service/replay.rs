@@ -7,9 +7,9 @@ use rand::{RngExt, SeedableRng};
 use wayfold_index::Space;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Effects, Entry, Log, LogError, MemoryLog, Record, Uid, View},
-    registry::{Registry, RegistryError},
-    service::{Limits, Service},
+    log::{Durability, Effects, Entry, FjallLog, Log, LogError, MemoryLog, Record, Uid, View},
+    registry::Registry,
+    service::{Code, Limits, Service},
 };
 
 use crate::{random::Requests, support::*};
@@ -26,7 +26,13 @@ fn restarted(log: Arc<dyn Log>) -> Service {
 async fn a_restart_changes_nothing() {
     for seed in 0..20 {
         println!("seed {seed}");
-        let log: Arc<dyn Log> = Arc::new(MemoryLog::new());
+        let directory = tempfile::tempdir().unwrap();
+        let on_disk = seed % 2 == 1;
+        let log: Arc<dyn Log> = if on_disk {
+            Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap())
+        } else {
+            Arc::new(MemoryLog::new())
+        };
         let before = service_with(Arc::clone(&log), Limits::default());
         let uid = create(&before, "arm", "R2*SO2").await;
         create(&before, "empty", "SO3").await;
@@ -55,7 +61,19 @@ async fn a_restart_changes_nothing() {
         let response = before.insert(&CALL, operation.clone()).await.unwrap();
         assert_eq!(response.ids, [501]);
 
-        let after = restarted(log);
+        let crashed = tempfile::tempdir().unwrap();
+        let after = if on_disk {
+            // The files as a crash would leave them at this moment.
+            let mut copy = std::process::Command::new("cp");
+            copy.arg("-R")
+                .arg(directory.path().join("."))
+                .arg(crashed.path());
+            assert!(copy.status().unwrap().success());
+            let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
+            restarted(Arc::new(log))
+        } else {
+            restarted(log)
+        };
         let same = |index: v1::Index| v1::Index {
             memory_bytes: 0,
             ..index
@@ -76,6 +94,9 @@ async fn a_restart_changes_nothing() {
             .await
             .unwrap();
         assert_eq!(next.ids, [502]);
+        if on_disk {
+            continue;
+        }
         // The first server's writer has been fenced off.
         let late = before
             .insert(&CALL, insertion(&[[0.3; 3]], &[]))
@@ -137,12 +158,21 @@ async fn a_broken_chain_is_not_replayed() {
     for row in [[1.0], [2.0]] {
         service.insert(&CALL, insertion(&[row], &[])).await.unwrap();
     }
-    let error = Registry::new(log, options()).replay().unwrap_err();
-    assert!(
-        matches!(
-            error,
-            RegistryError::Log(LogError::Damaged { revision: 2, .. })
-        ),
-        "{error}"
-    );
+    create(&service, "other", "R1").await;
+    drop(service);
+    let service = restarted(log);
+    let refused = service.knn(&CALL, knn(&[[1.0]], 1)).await;
+    assert_eq!(refusal(refused.clone()).0, Code::DataLoss);
+    let error = refused.unwrap_err().to_string();
+    assert!(error.contains("record of revision 2"), "{error}");
+    let again = service.create_index(&CALL, creation("arm", "R1")).await;
+    assert_eq!(refusal(again).0, Code::DataLoss);
+    // The others are there, and it can make room for a new one.
+    assert_eq!(info(&service, "other").await.points, 0);
+    let deletion = v1::DeleteIndexRequest {
+        name: "arm".into(),
+        ..Default::default()
+    };
+    service.delete_index(&CALL, deletion).await.unwrap();
+    create(&service, "arm", "R1").await;
 }

@@ -9,6 +9,7 @@ mod bad_input;
 mod cancellation;
 mod client_library;
 mod command_line;
+mod crash;
 mod filters;
 mod no_missed_edge;
 mod operation_ids;

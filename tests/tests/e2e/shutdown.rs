@@ -119,7 +119,10 @@ async fn an_idle_connection_does_not_keep_the_server() {
 fn a_busy_port_is_named() {
     let server = server!();
     let address = server.uri().strip_prefix("http://").unwrap();
-    let second = Process::start(env!("CARGO_BIN_EXE_server-process"), &["--grpc", address]);
+    let second = Process::start(
+        env!("CARGO_BIN_EXE_server-process"),
+        &["--grpc", address, "--data", "memory"],
+    );
     let finished = second.finish();
     assert!(!finished.status.success());
     assert_eq!(finished.stdout, Vec::<String>::new());

@@ -66,7 +66,9 @@ fn main() -> ExitCode {
 fn start(role: &str) -> ServerProcess {
     let program = env::current_exe().expect("this program");
     let mut command = Command::new(program);
-    command.env(ROLE, role).args(["--grpc", "127.0.0.1:0"]);
+    command
+        .env(ROLE, role)
+        .args(["--grpc", "127.0.0.1:0", "--data", "memory"]);
     ServerProcess::ready(Process::spawn(&mut command))
 }
 

@@ -5,14 +5,54 @@
     reason = "a test that cannot go on has failed; clippy spares only what is marked as a test itself"
 )]
 
+mod fjall;
+
 use std::{collections::BTreeMap, sync::Arc};
 
 use bytes::Bytes;
 use proptest::prelude::*;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Effects, Entry, Log, LogError, MemoryLog, Outcome, Record, StoredPoint, Uid, View,
+    Durability, Effects, Entry, FjallLog, Log, LogError, MemoryLog, Outcome, Record, StoredPoint,
+    Uid, View,
 };
+
+/// A log under test, which is closed and opened again where it can be.
+struct Kept {
+    log: Option<Box<dyn Log>>,
+    directory: Option<tempfile::TempDir>,
+}
+
+impl Kept {
+    fn in_memory() -> Self {
+        Self {
+            log: Some(Box::new(MemoryLog::new())),
+            directory: None,
+        }
+    }
+
+    fn on_disk() -> Self {
+        let mut kept = Self {
+            log: None,
+            directory: Some(tempfile::tempdir().unwrap()),
+        };
+        kept.reopen();
+        kept
+    }
+
+    fn log(&self) -> &dyn Log {
+        &**self.log.as_ref().unwrap()
+    }
+
+    /// No view of it may be held.
+    fn reopen(&mut self) {
+        if let Some(directory) = &self.directory {
+            self.log = None;
+            let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+            self.log = Some(Box::new(log));
+        }
+    }
+}
 
 fn entry(name: &str) -> Entry {
     Entry {
@@ -63,6 +103,7 @@ enum Step {
     Hold,
     Release(usize),
     Trim(usize),
+    Reopen,
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -76,6 +117,7 @@ fn step() -> impl Strategy<Value = Step> {
         2 => Just(Step::Hold),
         1 => (0..100usize).prop_map(Step::Release),
         1 => (0..2000usize).prop_map(Step::Trim),
+        1 => Just(Step::Reopen),
     ]
 }
 
@@ -123,16 +165,26 @@ impl Model {
     }
 }
 
-fn check_log(log: &dyn Log, steps: Vec<Step>) {
+fn check_log(mut kept: Kept, steps: Vec<Step>) {
     let (ours, other) = (entry("ours"), entry("other"));
     for entry in [&ours, &other] {
-        log.create(entry.clone()).unwrap();
+        kept.log().create(entry.clone()).unwrap();
     }
     let uid = ours.uid;
     let mut model = Model::default();
     let mut views = Vec::new();
     for step in steps {
         let head = model.records.len() as u64;
+        if matches!(step, Step::Reopen) {
+            views.clear();
+            kept.reopen();
+            // What was trimmed may come back, if nothing was appended since.
+            let held = kept.log().tail(uid, None).unwrap().len();
+            let trimmed = model.records.len() - held;
+            assert!(trimmed <= model.trimmed);
+            model.trimmed = trimmed;
+        }
+        let log = kept.log();
         match step {
             Step::Append { store, remove } => {
                 let effects = model.append(&store, &remove);
@@ -170,7 +222,7 @@ fn check_log(log: &dyn Log, steps: Vec<Step>) {
                 views.push((view, model.points.clone()));
             }
             Step::Release(at) if !views.is_empty() => drop(views.swap_remove(at % views.len())),
-            Step::Release(_) => {}
+            Step::Release(_) | Step::Reopen => {}
             Step::Trim(keep_bytes) => {
                 log.trim(uid, keep_bytes).unwrap();
                 model.trim(keep_bytes);
@@ -195,6 +247,7 @@ fn check_log(log: &dyn Log, steps: Vec<Step>) {
         }
     }
     // The neighbour is as it was, and views outlive their index.
+    let log = kept.log();
     assert_eq!(log.points(other.uid).unwrap().revision(), 0);
     log.delete(uid).unwrap();
     assert_eq!(log.indexes().unwrap(), [other]);
@@ -206,13 +259,26 @@ fn check_log(log: &dyn Log, steps: Vec<Step>) {
 proptest! {
     #[test]
     fn the_log_in_memory_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
-        check_log(&MemoryLog::new(), steps);
+        check_log(Kept::in_memory(), steps);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+    #[test]
+    fn the_log_on_disk_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
+        check_log(Kept::on_disk(), steps);
     }
 }
 
 #[test]
 fn unknown_and_taken_uids_are_refused() {
-    let log = MemoryLog::new();
+    for kept in [Kept::in_memory(), Kept::on_disk()] {
+        check_uids(kept.log());
+    }
+}
+
+fn check_uids(log: &dyn Log) {
     let entry = entry("arm");
     let uid = entry.uid;
     let unknown = LogError::UnknownIndex { uid };
@@ -246,8 +312,13 @@ fn who_has_all_records_but_the_newest_gets_it_however_large_it_is() {
 /// Readers hold views while a writer goes on: each sees one revision whole.
 #[test]
 fn views_are_never_torn() {
+    for kept in [Kept::in_memory(), Kept::on_disk()] {
+        check_views(kept.log());
+    }
+}
+
+fn check_views(log: &dyn Log) {
     const IDS: u64 = 2000;
-    let log = MemoryLog::new();
     let entry = entry("arm");
     let uid = entry.uid;
     log.create(entry).unwrap();

@@ -1,0 +1,230 @@
+//! The data directory: whose it is, and that nobody else has it.
+//!
+//! | name | what |
+//! |---|---|
+//! | `wayfold-data` | one line that names the program and the version of the form; locked while a server runs |
+//! | `store/` | what fjall keeps: see [`layout`](super::layout) |
+//! | `marks` | how far each index was synced: see [`marks`](super::marks) |
+//! | `unsynced` | there while a server runs that does not sync: see [`loose`](super::loose) |
+
+use std::{
+    fs::{self, File, TryLockError},
+    io::{self, Read, Write},
+    path::{Path, PathBuf},
+};
+
+use thiserror::Error;
+
+const MARKER: &str = "wayfold-data";
+const FORM: &str = "wayfold-server data, version ";
+const VERSION: &str = "1";
+
+/// Why a data directory could not be opened.
+#[derive(Debug, Error)]
+pub enum OpenError {
+    /// It is somebody else's.
+    #[error(
+        "{} is not a data directory of wayfold-server: it holds other files; name another one, or an empty one, with \
+         --data",
+        directory.display()
+    )]
+    Foreign {
+        /// The directory.
+        directory: PathBuf,
+    },
+    /// Another version of this program wrote it.
+    #[error(
+        "{} is of version \"{found}\", and this server knows version {VERSION} only: start the server that wrote it, or \
+         name another directory with --data",
+        directory.display()
+    )]
+    Version {
+        /// The directory.
+        directory: PathBuf,
+        /// The version.
+        found: String,
+    },
+    /// A running server has it.
+    #[error(
+        "{} is in use by another wayfold-server: stop that one, or name another directory with --data",
+        directory.display()
+    )]
+    InUse {
+        /// The directory.
+        directory: PathBuf,
+    },
+    /// The operating system refused.
+    #[error(
+        "cannot use {}: {source}; see that this user may write there and that the disk has room, or name another \
+         directory with --data",
+        path.display()
+    )]
+    Io {
+        /// The file or directory.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The store does not open.
+    #[error(
+        "the store in {} cannot be opened ({problem}): if its disk is in order its files are damaged; put back a copy, \
+         or name another directory with --data",
+        directory.display()
+    )]
+    Store {
+        /// The data directory.
+        directory: PathBuf,
+        /// What it said.
+        problem: String,
+    },
+}
+
+/// A data directory that is ours for as long as this lives.
+pub(super) struct Directory {
+    path: PathBuf,
+    locked: File,
+}
+
+impl Directory {
+    /// Takes a data directory, which is made if there is none.
+    pub(super) fn take(path: &Path) -> Result<Self, OpenError> {
+        let failed = |source| OpenError::Io {
+            path: path.into(),
+            source,
+        };
+        fs::create_dir_all(path).map_err(failed)?;
+        let marker = path.join(MARKER);
+        if !marker.try_exists().map_err(failed)? && !is_empty(path).map_err(failed)? {
+            return Err(OpenError::Foreign {
+                directory: path.into(),
+            });
+        }
+        let mut file = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&marker)
+            .map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(OpenError::InUse {
+                    directory: path.into(),
+                });
+            }
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
+        }
+        check(&mut file, path)?;
+        Ok(Self {
+            path: path.into(),
+            locked: file,
+        })
+    }
+
+    /// The path of a file or directory in it.
+    pub(super) fn join(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        // Closing the file is not enough while a child process is being started, which shares it until then. It fails
+        // only where there is no lock to give up.
+        let _ = self.locked.unlock();
+    }
+}
+
+/// Checks what the marker says; one that was just made, or was not finished, says nothing and is written.
+fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
+    let failed = |source| OpenError::Io {
+        path: path.join(MARKER),
+        source,
+    };
+    let line = format!("{FORM}{VERSION}\n");
+    let mut found = String::new();
+    file.take(1000).read_to_string(&mut found).map_err(failed)?;
+    if found == line {
+        return Ok(());
+    }
+    if line.starts_with(&found) && only_the_marker(path).map_err(failed)? {
+        file.write_all(&line.as_bytes()[found.len()..])
+            .and_then(|()| file.sync_all())
+            .and_then(|()| sync_directory(path))
+            .map_err(failed)?;
+        return Ok(());
+    }
+    match found.strip_prefix(FORM) {
+        Some(version) => Err(OpenError::Version {
+            directory: path.into(),
+            found: version.trim_end().into(),
+        }),
+        None => Err(OpenError::Foreign {
+            directory: path.into(),
+        }),
+    }
+}
+
+fn is_empty(path: &Path) -> io::Result<bool> {
+    Ok(fs::read_dir(path)?.next().is_none())
+}
+
+fn only_the_marker(path: &Path) -> io::Result<bool> {
+    for file in fs::read_dir(path)? {
+        if file?.file_name() != MARKER {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// Makes names in a directory durable.
+pub(super) fn sync_directory(path: &Path) -> io::Result<()> {
+    // Elsewhere a directory cannot be opened as a file, and its names are durable with the files.
+    if cfg!(unix) {
+        File::open(path)?.sync_all()?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(path: &Path) -> String {
+        let refused = Directory::take(path).err().unwrap();
+        assert!(refused.to_string().contains(&*path.to_string_lossy()));
+        refused.to_string()
+    }
+
+    #[test]
+    fn only_a_directory_of_ours_or_an_empty_one_is_taken() {
+        let directory = tempfile::tempdir().unwrap();
+        let ours = directory.path().join("a/b");
+        drop(Directory::take(&ours).unwrap());
+        let held = Directory::take(&ours).unwrap();
+        assert!(refusal(&ours).contains("in use"));
+        drop(held);
+        fs::write(ours.join("more"), "").unwrap();
+        drop(Directory::take(&ours).unwrap());
+        fs::write(ours.join(MARKER), format!("{FORM}2\n")).unwrap();
+        assert!(refusal(&ours).contains("version \"2\""));
+        fs::write(ours.join(MARKER), "hello").unwrap();
+        assert!(refusal(&ours).contains("not a data directory"));
+        assert!(refusal(directory.path()).contains("not a data directory"));
+    }
+
+    #[test]
+    fn a_marker_that_was_not_finished_is() {
+        let directory = tempfile::tempdir().unwrap();
+        fs::write(directory.path().join(MARKER), &FORM[..9]).unwrap();
+        drop(Directory::take(directory.path()).unwrap());
+        let marker = fs::read_to_string(directory.path().join(MARKER)).unwrap();
+        assert_eq!(marker, format!("{FORM}{VERSION}\n"));
+    }
+}

@@ -1,0 +1,103 @@
+//! Syncing the journal of the store without holding up who writes to it.
+//!
+//! `Database::persist` holds the journal's lock while the disk works, so writers would queue behind each sync instead
+//! of sharing the next. So only what fjall still buffers is handed to the operating system under that lock, and the
+//! file is synced here, through a handle of our own.
+//!
+//! This relies on how fjall 3 keeps its journal: files `N.jnl`, of which the one with the largest N is written to, and
+//! the one before was synced before the next was made. Whatever was committed before [`Journal::sync`] is therefore in
+//! the largest file that it finds, or synced already.
+
+use std::{fs, fs::File, io, path::PathBuf};
+
+use fjall::{Database, PersistMode};
+
+/// The journal of a store.
+pub(super) struct Journal {
+    database: Database,
+    directory: PathBuf,
+    /// The newest file, by its number.
+    newest: Option<(u64, File)>,
+}
+
+impl Journal {
+    /// The journal of `database`, which lives in `directory`.
+    pub(super) fn new(database: Database, directory: PathBuf) -> Self {
+        Self {
+            database,
+            directory,
+            newest: None,
+        }
+    }
+
+    /// Returns when all that was committed before is on disk, or says why not.
+    pub(super) fn sync(&mut self) -> Result<(), String> {
+        self.database
+            .persist(PersistMode::Buffer)
+            .map_err(|error| error.to_string())?;
+        self.sync_newest()
+            .map_err(|error| format!("cannot sync the journal: {error}"))
+    }
+
+    fn sync_newest(&mut self) -> io::Result<()> {
+        let mut number = None;
+        for file in fs::read_dir(&self.directory)? {
+            let name = file?.file_name();
+            let name = name.to_str().and_then(|name| name.strip_suffix(".jnl"));
+            number = number.max(name.and_then(|name| name.parse::<u64>().ok()));
+        }
+        let number = number.ok_or_else(|| io::Error::other("it has no file"))?;
+        match &mut self.newest {
+            Some((known, file)) if *known == number => file.sync_data(),
+            newest => {
+                let path = self.directory.join(format!("{number}.jnl"));
+                let file = File::options().write(true).open(path)?;
+                file.sync_data()?;
+                *newest = Some((number, file));
+                Ok(())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use fjall::KeyspaceCreateOptions;
+
+    use super::*;
+
+    /// What the module says of fjall's files: a new version of fjall that does otherwise must not go unnoticed.
+    #[test]
+    fn what_was_committed_is_in_the_newest_file_once_it_is_synced() {
+        let directory = tempfile::tempdir().unwrap();
+        let database = Database::builder(directory.path())
+            .manual_journal_persist(true)
+            .open()
+            .unwrap();
+        let keyspace = database
+            .keyspace("points", KeyspaceCreateOptions::default)
+            .unwrap();
+        let mut journal = Journal::new(database.clone(), directory.path().into());
+        let mut numbers = Vec::new();
+        for round in 0..3u8 {
+            let value = [b'a' + round; 100];
+            let mut batch = database.batch();
+            batch.insert(&keyspace, [round], value);
+            batch.commit().unwrap();
+            journal.sync().unwrap();
+            let (number, _) = journal.newest.as_ref().unwrap();
+            let bytes = fs::read(directory.path().join(format!("{number}.jnl"))).unwrap();
+            let written = bytes.split(|&byte| byte == 0);
+            assert!(
+                written
+                    .flat_map(|part| part.windows(100))
+                    .any(|found| found == value)
+            );
+            numbers.push(*number);
+            // Zeros: enough for fjall to begin another file when it moves them out.
+            keyspace.insert("much", vec![0; 65_000_000]).unwrap();
+            keyspace.rotate_memtable_and_wait().unwrap();
+        }
+        assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
+    }
+}

@@ -1,0 +1,193 @@
+//! What the store holds, by key. Numbers in keys are big-endian, so that keys sort as the numbers do; numbers in values
+//! are little-endian. Every value ends with a checksum ([`seal`]), or is a record, which has its own.
+//!
+//! | key | value |
+//! |---|---|
+//! | `e`, index | [`Named`]: whether it was deleted, its uid, its name, its space as text |
+//! | `h`, index | [`Head`]: revision, next id, how many records were trimmed, the newest record's digest |
+//! | `p`, index, id | the point: see [`point`](super::point) |
+//! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
+//!
+//! *index* is a u32 that stands for an index in this directory, and is never used again.
+//!
+//! All of it is in one keyspace of fjall, on purpose. A keyspace moves from memory to its files by itself, whether or
+//! not the journal was synced that far; with several, a crash could leave one of them ahead of the others, and a
+//! mutation there by half.
+
+use xxhash_rust::xxh3::xxh3_64;
+
+use crate::log::{Digest, Entry, Uid, cursor::Cursor};
+
+/// Stands for an index in keys.
+pub(super) type Number = u32;
+
+/// The key of an index's entry.
+pub(super) fn entry_key(number: Number) -> [u8; 5] {
+    index_key(b'e', number)
+}
+
+/// The key of an index's head.
+pub(super) fn head_key(number: Number) -> [u8; 5] {
+    index_key(b'h', number)
+}
+
+fn index_key(kind: u8, number: Number) -> [u8; 5] {
+    let [a, b, c, d] = number.to_be_bytes();
+    [kind, a, b, c, d]
+}
+
+/// The index of an entry's key; None for any other key.
+pub(super) fn number_of_entry(key: &[u8]) -> Option<Number> {
+    match key {
+        &[b'e', a, b, c, d] => Some(Number::from_be_bytes([a, b, c, d])),
+        _ => None,
+    }
+}
+
+/// The key of a record.
+pub(super) fn record_key(number: Number, revision: u64) -> [u8; 13] {
+    key(b'r', number, revision)
+}
+
+/// The key of a point.
+pub(super) fn point_key(number: Number, id: u64) -> [u8; 13] {
+    key(b'p', number, id)
+}
+
+fn key(kind: u8, number: Number, of: u64) -> [u8; 13] {
+    let mut key = [kind; 13];
+    key[1..5].copy_from_slice(&number.to_be_bytes());
+    key[5..].copy_from_slice(&of.to_be_bytes());
+    key
+}
+
+/// The id of a point's key.
+pub(super) fn id_of(key: &[u8]) -> Option<u64> {
+    let (_, id) = key.split_last_chunk()?;
+    Some(u64::from_be_bytes(*id))
+}
+
+/// Ends a value with a checksum over its key and itself, so that it is not taken for the value of another key.
+pub(super) fn seal(key: &[u8], mut value: Vec<u8>) -> Vec<u8> {
+    let sum = checksum(key, &value);
+    value.extend_from_slice(&sum);
+    value
+}
+
+/// The value without its checksum; None if that does not match.
+pub(super) fn unseal<'a>(key: &[u8], sealed: &'a [u8]) -> Option<&'a [u8]> {
+    let (value, sum) = sealed.split_last_chunk()?;
+    (checksum(key, value) == *sum).then_some(value)
+}
+
+fn checksum(key: &[u8], value: &[u8]) -> [u8; 8] {
+    (xxh3_64(value) ^ xxh3_64(key).rotate_left(1)).to_le_bytes()
+}
+
+/// An index by its number.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Named {
+    pub(super) entry: Entry,
+    /// Deleted: what is left of it is being removed.
+    pub(super) deleted: bool,
+}
+
+impl Named {
+    pub(super) fn encode(&self, number: Number) -> Vec<u8> {
+        let mut value = vec![u8::from(self.deleted)];
+        value.extend_from_slice(self.entry.uid.as_bytes());
+        value.extend_from_slice(&(self.entry.name.len() as u64).to_le_bytes());
+        value.extend_from_slice(self.entry.name.as_bytes());
+        value.extend_from_slice(self.entry.space.to_string().as_bytes());
+        seal(&entry_key(number), value)
+    }
+
+    pub(super) fn decode(number: Number, value: &[u8]) -> Option<Self> {
+        let mut cursor = Cursor::new(unseal(&entry_key(number), value)?);
+        let deleted = match cursor.array()? {
+            [0] => false,
+            [1] => true,
+            _ => return None,
+        };
+        let uid = Uid::from_bytes(cursor.array()?);
+        let length = cursor.length()?;
+        let name = str::from_utf8(cursor.take(length)?).ok()?.into();
+        let space = str::from_utf8(cursor.take(cursor.left())?).ok()?;
+        let space = space.parse().ok()?;
+        let entry = Entry { uid, name, space };
+        Some(Self { entry, deleted })
+    }
+}
+
+/// How far the log of an index has come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Head {
+    pub(super) revision: u64,
+    pub(super) next_id: u64,
+    /// The records up to this revision were trimmed.
+    pub(super) trimmed: u64,
+    /// Of the record of `revision`.
+    pub(super) digest: Digest,
+}
+
+impl Head {
+    pub(super) fn encode(&self, number: Number) -> Vec<u8> {
+        let mut value = Vec::with_capacity(64);
+        for part in [self.revision, self.next_id, self.trimmed] {
+            value.extend_from_slice(&part.to_le_bytes());
+        }
+        value.extend_from_slice(&self.digest);
+        seal(&head_key(number), value)
+    }
+
+    pub(super) fn decode(number: Number, value: &[u8]) -> Option<Self> {
+        let mut cursor = Cursor::new(unseal(&head_key(number), value)?);
+        let head = Self {
+            revision: cursor.u64()?,
+            next_id: cursor.u64()?,
+            trimmed: cursor.u64()?,
+            digest: cursor.array()?,
+        };
+        cursor.is_empty().then_some(head)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn values_are_read_again_and_only_under_their_own_key() {
+        let named = Named {
+            entry: Entry {
+                uid: Uid::unique(),
+                name: "arm".into(),
+                space: "sum(R3:0.1, SO3:0.15)".parse().unwrap(),
+            },
+            deleted: false,
+        };
+        assert_eq!(Named::decode(7, &named.encode(7)), Some(named.clone()));
+        assert_eq!(Named::decode(8, &named.encode(7)), None);
+        let head = Head {
+            revision: 1,
+            next_id: 2,
+            trimmed: 3,
+            digest: [4; 32],
+        };
+        assert_eq!(Head::decode(7, &head.encode(7)), Some(head));
+        assert_eq!(Head::decode(8, &head.encode(7)), None);
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_are_too_odd_to_read(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
+            prop_assert_eq!(Named::decode(1, &bytes), None);
+            prop_assert_eq!(Head::decode(1, &bytes), None);
+            // Past the checksum.
+            let _ = Named::decode(1, &seal(&entry_key(1), bytes.clone()));
+            let _ = Head::decode(1, &seal(&head_key(1), bytes));
+        }
+    }
+}

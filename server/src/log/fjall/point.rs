@@ -1,0 +1,99 @@
+//! The stored form of a point: the revision of its state, the revision that last changed it, its tag, how many
+//! coordinates it has, these, and the payload up to the checksum. Its id is in the key.
+
+use bytes::Bytes;
+
+use super::layout::{Number, point_key, seal, unseal};
+use crate::log::{StoredPoint, cursor::Cursor};
+
+/// The stored form of a point, without its checksum.
+pub(super) struct PointForm<'a> {
+    pub(super) revision: u64,
+    pub(super) modified: u64,
+    pub(super) tag: u64,
+    pub(super) state: &'a [f64],
+    pub(super) payload: &'a [u8],
+}
+
+impl PointForm<'_> {
+    pub(super) fn encode(&self, number: Number, id: u64) -> Vec<u8> {
+        let mut value = Vec::with_capacity(40 + 8 * self.state.len() + self.payload.len());
+        for part in [self.revision, self.modified, self.tag] {
+            value.extend_from_slice(&part.to_le_bytes());
+        }
+        // A space has at most 256 coordinates.
+        value.extend_from_slice(&(self.state.len() as u16).to_le_bytes());
+        for coordinate in self.state {
+            value.extend_from_slice(&coordinate.to_bits().to_le_bytes());
+        }
+        value.extend_from_slice(self.payload);
+        seal(&point_key(number, id), value)
+    }
+}
+
+/// The point of a stored form; None if it is damaged.
+pub(super) fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoint> {
+    let mut cursor = Cursor::new(unseal(&point_key(number, id), value)?);
+    let (revision, modified, tag) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);
+    let coordinates = u16::from_le_bytes(cursor.array()?);
+    let state = (0..coordinates)
+        .map(|_| cursor.f64())
+        .collect::<Option<_>>()?;
+    let payload = Bytes::copy_from_slice(cursor.take(cursor.left())?);
+    Some(StoredPoint {
+        id,
+        revision,
+        modified,
+        tag,
+        state,
+        payload,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const FORM: PointForm<'static> = PointForm {
+        revision: 1,
+        modified: 2,
+        tag: 3,
+        state: &[0.5, -0.0],
+        payload: b"grasp",
+    };
+
+    #[test]
+    fn a_point_is_read_again_and_only_under_its_own_key() {
+        let value = FORM.encode(4, 5);
+        let point = decode(4, 5, &value).unwrap();
+        assert_eq!((point.id, point.revision, point.modified), (5, 1, 2));
+        assert_eq!((point.tag, &*point.payload), (3, &b"grasp"[..]));
+        let bits = point.state.iter().map(|x| x.to_bits());
+        assert!(bits.eq([0.5f64.to_bits(), (-0.0f64).to_bits()]));
+        assert_eq!(decode(4, 6, &value), None);
+        assert_eq!(decode(3, 5, &value), None);
+    }
+
+    #[test]
+    fn every_flipped_bit_and_every_cut_is_noticed() {
+        let value = FORM.encode(4, 5);
+        for bit in 0..8 * value.len() {
+            let mut flipped = value.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            assert_eq!(decode(4, 5, &flipped), None, "bit {bit}");
+        }
+        for length in 0..value.len() {
+            assert_eq!(decode(4, 5, &value[..length]), None, "{length} bytes");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_are_too_odd_to_read(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
+            prop_assert_eq!(decode(1, 1, &bytes), None);
+            let _ = decode(1, 1, &seal(&point_key(1, 1), bytes));
+        }
+    }
+}

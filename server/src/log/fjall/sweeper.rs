@@ -1,0 +1,120 @@
+//! Removes what is left of deleted indices, on a thread of its own: an index of millions of points takes a while.
+
+use std::{
+    fmt::Display,
+    ops::Bound,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
+    thread::JoinHandle,
+};
+
+use tracing::warn;
+
+use super::{
+    layout::{Number, entry_key, head_key, point_key, record_key},
+    marks::Marks,
+    store::Store,
+};
+
+/// How many keys are removed in one batch, between which others write.
+const CHUNK: usize = 1024;
+
+/// Of keys of records or of points.
+type Range = (Bound<[u8; 13]>, Bound<[u8; 13]>);
+
+/// See the module.
+pub(super) struct Sweeper {
+    deleted: Option<mpsc::Sender<Number>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Sweeper {
+    /// Starts the thread.
+    pub(super) fn start(store: Arc<Store>, mut marks: Marks) -> std::io::Result<Self> {
+        let (deleted, work) = mpsc::channel();
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let thread = std::thread::Builder::new()
+            .name("wayfold-sweep".into())
+            .spawn(move || {
+                for number in work {
+                    if let Err(error) = sweep(&store, number, &mut marks, &stopped) {
+                        warn!(
+                            number,
+                            error, "cannot remove what is left of a deleted index"
+                        );
+                    }
+                }
+            })?;
+        Ok(Self {
+            deleted: Some(deleted),
+            stop,
+            thread: Some(thread),
+        })
+    }
+
+    /// Removes what is left of an index, by and by. What is not done at the end of the server is done by the next.
+    pub(super) fn sweep(&self, number: Number) {
+        if let Some(deleted) = &self.deleted {
+            // It fails only if the thread has panicked.
+            let _ = deleted.send(number);
+        }
+    }
+}
+
+impl Drop for Sweeper {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.deleted = None;
+        if let Some(thread) = self.thread.take() {
+            // It panics only by a bug, of which the panic itself has told.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn sweep(
+    store: &Store,
+    number: Number,
+    marks: &mut Marks,
+    stop: &AtomicBool,
+) -> Result<(), String> {
+    for key in [point_key, record_key] {
+        let mut after = Bound::Included(key(number, 0));
+        let last = Bound::Included(key(number, u64::MAX));
+        while let Some(removed) = remove_some(store, (after, last)).map_err(text)? {
+            // Not from the start again: what was removed is passed over one by one.
+            after = Bound::Excluded(removed);
+            if stop.load(Ordering::Relaxed) {
+                return Ok(());
+            }
+        }
+    }
+    // Before the entry: a mark without an entry is an index that was lost.
+    marks.clear(number).map_err(text)?;
+    let mut batch = store.database.batch();
+    batch.remove(&store.keyspace, entry_key(number));
+    batch.remove(&store.keyspace, head_key(number));
+    batch.commit().map_err(text)
+}
+
+fn text(error: impl Display) -> String {
+    error.to_string()
+}
+
+/// Removes the first few keys of a range, and says which was the last of them; None if there were none.
+fn remove_some(store: &Store, range: Range) -> fjall::Result<Option<[u8; 13]>> {
+    let mut batch = store.database.batch();
+    let mut last = None;
+    for found in store.keyspace.range(range).take(CHUNK) {
+        let key = found.key()?;
+        last = key.first_chunk().copied();
+        batch.remove(&store.keyspace, key);
+    }
+    batch.commit()?;
+    Ok(last)
+}

@@ -1,0 +1,169 @@
+//! Group commit: one thread syncs the journal for all writers.
+//!
+//! A writer commits its batch, which only hands it to the journal, and announces it ([`Syncer::written`]). The thread
+//! syncs once for all that was announced meanwhile, then notes in the marks how far each index has come, and only then
+//! tells those who wait.
+
+use std::{sync::Arc, thread::JoinHandle};
+
+use futures_util::{FutureExt, future::BoxFuture};
+use parking_lot::{Condvar, Mutex};
+use tokio::sync::watch;
+use tracing::error;
+
+use super::{journal::Journal, layout::Number, marks::Mark, marks::Marks};
+use crate::log::LogError;
+
+/// See the module.
+pub(super) struct Syncer {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+struct Shared {
+    announced: Mutex<Announced>,
+    /// Something was announced, or the thread is to end.
+    wake: Condvar,
+    /// Something was synced, or nothing will be any more.
+    done: Condvar,
+    synced: watch::Sender<Synced>,
+}
+
+#[derive(Default)]
+struct Announced {
+    batches: u64,
+    /// Where the indices are by the last of these batches, unless a mark says so already.
+    marks: Vec<(Number, Mark)>,
+    stop: bool,
+}
+
+#[derive(Clone, Default)]
+struct Synced {
+    batches: u64,
+    failed: Option<LogError>,
+}
+
+impl Syncer {
+    /// Starts the thread.
+    pub(super) fn start(mut journal: Journal, mut marks: Marks) -> std::io::Result<Self> {
+        let shared = Arc::new(Shared {
+            announced: Mutex::default(),
+            wake: Condvar::new(),
+            done: Condvar::new(),
+            synced: watch::Sender::default(),
+        });
+        let work = Arc::clone(&shared);
+        let thread = std::thread::Builder::new()
+            .name("wayfold-sync".into())
+            .spawn(move || work.run(&mut journal, &mut marks))?;
+        Ok(Self {
+            shared,
+            thread: Some(thread),
+        })
+    }
+
+    /// Announces a committed batch, which brought an index to `mark`.
+    pub(super) fn written(&self, number: Number, mark: Mark) {
+        let mut announced = self.shared.announced.lock();
+        announced.batches += 1;
+        announced.marks.push((number, mark));
+        drop(announced);
+        self.shared.wake.notify_one();
+    }
+
+    /// Why nothing is synced any more.
+    pub(super) fn failure(&self) -> Option<LogError> {
+        self.shared.synced.borrow().failed.clone()
+    }
+
+    /// As [`Syncer::synced`], on a thread that may block.
+    pub(super) fn wait(&self) -> Result<(), LogError> {
+        let mut announced = self.shared.announced.lock();
+        let batches = announced.batches;
+        loop {
+            let synced = self.shared.synced.borrow().clone();
+            match synced.failed {
+                _ if synced.batches >= batches => return Ok(()),
+                Some(why) => return Err(why),
+                None => self.shared.done.wait(&mut announced),
+            }
+        }
+    }
+
+    /// Resolves once all that was announced before is synced.
+    pub(super) fn synced(&self) -> BoxFuture<'static, Result<(), LogError>> {
+        let batches = self.shared.announced.lock().batches;
+        let mut synced = self.shared.synced.subscribe();
+        async move {
+            let reached = synced
+                .wait_for(|synced| synced.batches >= batches || synced.failed.is_some())
+                .await;
+            match reached {
+                Ok(synced) if synced.batches >= batches => Ok(()),
+                Ok(synced) => Err(synced.failed.clone().unwrap_or_else(ended)),
+                Err(_) => Err(ended()),
+            }
+        }
+        .boxed()
+    }
+}
+
+impl Drop for Syncer {
+    /// Returns when all that was announced is synced.
+    fn drop(&mut self) {
+        self.shared.announced.lock().stop = true;
+        self.shared.wake.notify_one();
+        if let Some(thread) = self.thread.take() {
+            // It panics only by a bug, of which the panic itself has told.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Shared {
+    fn run(&self, journal: &mut Journal, marks: &mut Marks) {
+        loop {
+            let mut announced = self.announced.lock();
+            while announced.marks.is_empty() && !announced.stop {
+                self.wake.wait(&mut announced);
+            }
+            let batches = announced.batches;
+            let reached = std::mem::take(&mut announced.marks);
+            drop(announced);
+            if reached.is_empty() {
+                return;
+            }
+            let synced = journal
+                .sync()
+                .and_then(|()| marks.write(&reached).map_err(|error| error.to_string()));
+            match synced {
+                Ok(()) => {
+                    self.synced.send_modify(|synced| synced.batches = batches);
+                    self.tell_blocked();
+                }
+                Err(what) => {
+                    error!(%what, "the journal could not be synced: no mutation is taken any more");
+                    let failed = Some(LogError::Storage { what });
+                    self.synced.send_modify(|synced| synced.failed = failed);
+                    self.tell_blocked();
+                    return;
+                }
+            }
+        }
+    }
+}
+
+impl Shared {
+    /// Under the lock under which they looked, or one that is about to wait would miss it.
+    fn tell_blocked(&self) {
+        let _looked = self.announced.lock();
+        self.done.notify_all();
+    }
+}
+
+/// The thread has ended, with the log or by a bug.
+fn ended() -> LogError {
+    LogError::Storage {
+        what: "it was closed".into(),
+    }
+}

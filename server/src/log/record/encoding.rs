@@ -1,0 +1,177 @@
+//! The bytes of a record, as [`Record`](super::Record) documents them: what its digest covers, and what is stored.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use wayfold_index::PointRef;
+
+use super::{Digest, Effects, Operation, Outcome};
+use crate::log::cursor::Cursor;
+
+/// Names the form. Another form needs another text.
+const FORM: &[u8; 16] = b"wayfold record 1";
+
+/// Gives the bytes of a record to `take`, part by part.
+pub(super) fn write(
+    revision: u64,
+    previous: &Digest,
+    effects: &Effects,
+    mut take: impl FnMut(&[u8]),
+) {
+    let mut part = Vec::new();
+    part.extend_from_slice(FORM);
+    part.extend_from_slice(previous);
+    for number in [
+        revision,
+        effects.stored.coordinates() as u64,
+        effects.stored.len() as u64,
+    ] {
+        part.extend_from_slice(&number.to_le_bytes());
+    }
+    for (slot, point) in effects.stored.iter().enumerate() {
+        for number in [point.id, point.tag, point.revision] {
+            part.extend_from_slice(&number.to_le_bytes());
+        }
+        part.push(match effects.outcomes[slot] {
+            Outcome::Inserted => 0,
+            Outcome::Replaced => 1,
+            Outcome::Updated => 2,
+        });
+        for coordinate in point.row {
+            part.extend_from_slice(&coordinate.to_bits().to_le_bytes());
+        }
+        let payload = effects
+            .payloads
+            .get(slot)
+            .map_or(&[][..], |payload| payload);
+        push_sequence(&mut part, payload);
+        take(&part);
+        part.clear();
+    }
+    part.extend_from_slice(&(effects.removed.len() as u64).to_le_bytes());
+    for id in &effects.removed {
+        part.extend_from_slice(&id.to_le_bytes());
+    }
+    part.extend_from_slice(&u64::from(effects.operation.is_some()).to_le_bytes());
+    if let Some(operation) = &effects.operation {
+        push_sequence(&mut part, operation.id.as_bytes());
+        part.extend_from_slice(&operation.fingerprint);
+        push_sequence(&mut part, &operation.response);
+    }
+    take(&part);
+}
+
+fn push_sequence(part: &mut Vec<u8>, bytes: &[u8]) {
+    part.extend_from_slice(&(bytes.len() as u64).to_le_bytes());
+    part.extend_from_slice(bytes);
+}
+
+/// The revision, the digest of the record before and the effects; None if the bytes are of no such form.
+pub(super) fn read(bytes: &[u8]) -> Option<(u64, Digest, Effects)> {
+    let mut cursor = Cursor::new(bytes);
+    if cursor.array()? != *FORM {
+        return None;
+    }
+    let (previous, revision) = (cursor.array()?, cursor.u64()?);
+    let (coordinates, rows) = (cursor.length()?, cursor.length()?);
+    // Every row takes its bytes, so a count that is out of all proportion ends here, before room is made for it.
+    if coordinates > cursor.left() / 8 && rows > 0 {
+        return None;
+    }
+    let mut effects = Effects::new(coordinates);
+    let mut row = Vec::new();
+    for _ in 0..rows {
+        let (id, tag, stored) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);
+        let outcome = match cursor.array()? {
+            [0] => Outcome::Inserted,
+            [1] => Outcome::Replaced,
+            [2] => Outcome::Updated,
+            _ => return None,
+        };
+        row.clear();
+        for _ in 0..coordinates {
+            row.push(cursor.f64()?);
+        }
+        let point = PointRef {
+            id,
+            tag,
+            revision: stored,
+            row: &row,
+        };
+        effects.store(
+            point,
+            outcome,
+            Bytes::copy_from_slice(sequence(&mut cursor)?),
+        );
+    }
+    for _ in 0..cursor.length()? {
+        effects.remove(cursor.u64()?);
+    }
+    match cursor.u64()? {
+        0 => {}
+        1 => {
+            let id = str::from_utf8(sequence(&mut cursor)?).ok()?.to_owned();
+            let fingerprint = cursor.array()?;
+            let response = Bytes::copy_from_slice(sequence(&mut cursor)?);
+            effects.set_operation(Some(Arc::new(Operation {
+                id,
+                fingerprint,
+                response,
+            })));
+        }
+        _ => return None,
+    }
+    cursor.is_empty().then_some((revision, previous, effects))
+}
+
+fn sequence<'a>(cursor: &mut Cursor<'a>) -> Option<&'a [u8]> {
+    let length = cursor.length()?;
+    cursor.take(length)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::log::{Record, record::tests::effects};
+
+    #[test]
+    fn what_is_stored_is_read_again() {
+        for effects in [effects(), Effects::new(7)] {
+            let record = Record::new(5, [9; 32], effects);
+            assert_eq!(Record::decode(&record.encode()), Ok(record));
+        }
+    }
+
+    #[test]
+    fn every_flipped_bit_and_every_cut_is_noticed() {
+        let bytes = Record::new(5, [9; 32], effects()).encode();
+        for bit in 0..8 * bytes.len() {
+            let mut flipped = bytes.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            assert!(Record::decode(&flipped).is_err(), "bit {bit}");
+        }
+        for length in 0..bytes.len() {
+            assert!(Record::decode(&bytes[..length]).is_err(), "{length} bytes");
+        }
+    }
+
+    proptest! {
+        /// Past the checksum, as if whoever wrote it had gone mad.
+        #[test]
+        fn no_bytes_are_too_odd_to_read(
+            bytes in prop::collection::vec(any::<u8>(), 0..300),
+            at in 16..200usize,
+            value: u64,
+        ) {
+            let _ = Record::decode(&bytes);
+            let mut odd = FORM.to_vec();
+            odd.extend_from_slice(&bytes);
+            let _ = read(&odd);
+            let mut changed = Record::new(5, [9; 32], effects()).encode();
+            changed[at..at + 8].copy_from_slice(&value.to_le_bytes());
+            let _ = read(&changed[..changed.len() - 32]);
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! A server listens before it has read its indices, and says so to whoever calls.
+#![cfg(unix)]
+
+use std::{fs::File, io::Write, process::Command};
+
+use tokio::net::TcpListener;
+use tonic::Code;
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
+use wayfold_proto::v1::{
+    ListIndexesRequest, index_service_client::IndexServiceClient,
+    point_service_client::PointServiceClient,
+};
+use wayfold_server::{
+    ServerError,
+    config::Config,
+    log::{Durability, OpenError},
+};
+
+use crate::harness::{connect, knn, reason};
+
+#[tokio::test]
+async fn calls_are_told_to_come_again_until_the_indices_are_read() {
+    // A data directory that is read for as long as nobody writes into a pipe.
+    let directory = tempfile::tempdir().unwrap();
+    let marker = directory.path().join("wayfold-data");
+    assert!(
+        Command::new("mkfifo")
+            .arg(&marker)
+            .status()
+            .unwrap()
+            .success()
+    );
+    let mut config = Config::default();
+    config.data.dir = directory.path().to_str().unwrap().into();
+    assert_eq!(config.data.durability, Durability::Fsync);
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let run = wayfold_server::run(config, listener, std::future::pending());
+    let ended = tokio::spawn(run);
+
+    let channel = connect(address).await;
+    let mut indexes = IndexServiceClient::new(channel.clone());
+    let refused = indexes.list_indexes(ListIndexesRequest::default()).await;
+    assert_eq!(reason(&refused.unwrap_err(), Code::Unavailable), "STARTING");
+    let mut points = PointServiceClient::new(channel.clone());
+    let refused = points.knn(knn("arm", &[1.0], 1)).await;
+    assert_eq!(reason(&refused.unwrap_err(), Code::Unavailable), "STARTING");
+    let health = HealthClient::new(channel)
+        .check(HealthCheckRequest::default())
+        .await;
+    let status = health.unwrap().into_inner().status();
+    assert_eq!(status, ServingStatus::NotServing);
+
+    // What comes out of the pipe is no marker.
+    let mut pipe = File::options().write(true).open(marker).unwrap();
+    pipe.write_all(&[b'x'; 2000]).unwrap();
+    assert!(matches!(
+        ended.await.unwrap(),
+        Err(ServerError::Data(OpenError::Foreign { .. }))
+    ));
+}

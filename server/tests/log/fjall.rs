@@ -1,0 +1,213 @@
+//! What the log on disk promises beyond the others: what is left after a crash, and that damage is found and named.
+
+use std::{fs, path::Path, process::Command, slice};
+
+use futures_util::FutureExt;
+use wayfold_server::log::{Durability, FjallLog, Log, LogError, OpenError, Uid};
+
+use super::{all_points, effects, entry};
+
+fn open(directory: &Path, durability: Durability) -> FjallLog {
+    FjallLog::open(directory, durability).unwrap()
+}
+
+/// What a crash would leave of a directory: its files as they are now. The copy of a lock is not locked.
+fn copied(directory: &Path) -> tempfile::TempDir {
+    let copy = tempfile::tempdir().unwrap();
+    let from = directory.join(".");
+    let mut command = Command::new("cp");
+    command.arg("-R").arg(from).arg(copy.path());
+    assert!(command.status().unwrap().success());
+    copy
+}
+
+fn append(log: &FjallLog, uid: Uid, revision: u64) {
+    let appended = log.append(uid, revision - 1, effects(revision, &[revision], &[]));
+    assert_eq!(appended.unwrap().revision(), revision);
+}
+
+/// Waits on this thread.
+fn wait_synced(log: &FjallLog, uid: Uid, revision: u64) {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .build()
+        .unwrap();
+    runtime.block_on(log.synced(uid, revision)).unwrap();
+}
+
+#[test]
+fn what_was_synced_survives_a_crash_at_any_moment() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let arm = entry("arm");
+    let uid = arm.uid;
+    log.create(arm.clone()).unwrap();
+    for revision in 1..=20 {
+        append(&log, uid, revision);
+        wait_synced(&log, uid, revision);
+        if revision % 5 > 0 {
+            continue;
+        }
+        let copy = copied(directory.path());
+        let after = open(copy.path(), Durability::Fsync);
+        assert_eq!(after.indexes().unwrap()[..], *slice::from_ref(&arm));
+        let view = after.points(uid).unwrap();
+        assert_eq!((view.revision(), view.next_id()), (revision, revision + 1));
+        assert_eq!(all_points(&*view), all_points(&*log.points(uid).unwrap()));
+        assert_eq!(after.tail(uid, None), log.tail(uid, None));
+        append(&after, uid, revision + 1);
+    }
+}
+
+#[test]
+fn one_sync_is_shared_by_all_who_wrote_before_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let indexes = [entry("one"), entry("two")];
+    for entry in &indexes {
+        log.create(entry.clone()).unwrap();
+        for revision in 1..=50 {
+            append(&log, entry.uid, revision);
+        }
+    }
+    wait_synced(&log, indexes[0].uid, 50);
+    // It was written before, so it needs no other.
+    let other = log.synced(indexes[1].uid, 50);
+    assert_eq!(other.now_or_never(), Some(Ok(())));
+}
+
+/// The newest journal of fjall, and how much of it is written.
+fn journal(directory: &Path) -> (std::path::PathBuf, u64) {
+    let files = fs::read_dir(directory.join("store")).unwrap();
+    let journals = files
+        .map(|file| file.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|kind| kind == "jnl"));
+    let path = journals.max().unwrap();
+    let bytes = fs::read(&path).unwrap();
+    let used = bytes.iter().rposition(|&byte| byte != 0).unwrap() + 1;
+    (path, used as u64)
+}
+
+#[test]
+fn a_journal_cut_short_of_what_was_synced_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let (arm, idle) = (entry("arm"), entry("idle"));
+    for entry in [&arm, &idle] {
+        log.create(entry.clone()).unwrap();
+    }
+    for revision in 1..=3 {
+        append(&log, arm.uid, revision);
+    }
+    drop(log);
+    let (path, used) = journal(directory.path());
+    let file = fs::File::options().write(true).open(path).unwrap();
+    file.set_len(used - 1).unwrap();
+
+    let lost = LogError::Lost {
+        uid: arm.uid,
+        first: 3,
+        last: 3,
+    };
+    // It stays so, and the other index is not concerned.
+    for _ in 0..2 {
+        let log = open(directory.path(), Durability::Fsync);
+        assert_eq!(log.tail(arm.uid, None).unwrap_err(), lost);
+        assert_eq!(log.points(arm.uid).err(), Some(lost.clone()));
+        let refused = log.append(arm.uid, 2, effects(3, &[1], &[]));
+        assert_eq!(refused.unwrap_err(), lost);
+        assert_eq!(log.points(idle.uid).unwrap().revision(), 0);
+    }
+    let log = open(directory.path(), Durability::Fsync);
+    log.delete(arm.uid).unwrap();
+    assert_eq!(log.indexes().unwrap(), [idle]);
+}
+
+/// Whatever happens to one byte of the journal, a start tells of it, or nothing is missing.
+#[test]
+fn a_flipped_byte_of_the_journal_is_never_a_silent_gap() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    for revision in 1..=3 {
+        append(&log, arm.uid, revision);
+    }
+    let whole = all_points(&*log.points(arm.uid).unwrap());
+    drop(log);
+    let (path, used) = journal(directory.path());
+    let name = path.strip_prefix(directory.path()).unwrap();
+    let mut told = 0;
+    for at in (0..used).step_by(97) {
+        let copy = copied(directory.path());
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[at as usize] ^= 0x10;
+        fs::write(copy.path().join(name), bytes).unwrap();
+        let log = match FjallLog::open(copy.path(), Durability::Fsync) {
+            Ok(log) => log,
+            Err(OpenError::Store { .. }) => {
+                told += 1;
+                continue;
+            }
+            Err(other) => panic!("byte {at}: {other}"),
+        };
+        match log.points(arm.uid) {
+            Ok(view) => assert_eq!(all_points(&*view), whole, "byte {at}"),
+            // The index as a whole, where its creation was cut off: told in the log lines.
+            Err(LogError::Lost { .. } | LogError::UnknownIndex { .. }) => told += 1,
+            Err(other) => panic!("byte {at}: {other}"),
+        }
+    }
+    assert!(told > 0);
+}
+
+#[test]
+fn an_index_is_deleted_for_good() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let (first, second) = (entry("arm"), entry("arm"));
+    log.create(first.clone()).unwrap();
+    append(&log, first.uid, 1);
+    let view = log.points(first.uid).unwrap();
+    log.delete(first.uid).unwrap();
+    log.create(second.clone()).unwrap();
+    assert_eq!(view.get(1).unwrap().unwrap().id, 1);
+    let crashed = copied(directory.path());
+    drop((view, log));
+    for directory in [crashed.path(), directory.path()] {
+        let after = open(directory, Durability::Fsync);
+        assert_eq!(after.indexes().unwrap()[..], *slice::from_ref(&second));
+        assert_eq!(after.points(second.uid).unwrap().revision(), 0);
+    }
+}
+
+#[test]
+fn below_fsync_a_crash_that_may_have_lost_something_makes_new_uids() {
+    for (durability, another_boot, kept) in [
+        (Durability::Fsync, false, true),
+        (Durability::Os, false, cfg!(target_os = "linux")),
+        (Durability::Os, true, false),
+        (Durability::None, false, false),
+    ] {
+        let directory = tempfile::tempdir().unwrap();
+        let log = open(directory.path(), durability);
+        let arm = entry("arm");
+        log.create(arm.clone()).unwrap();
+        append(&log, arm.uid, 1);
+        wait_synced(&log, arm.uid, 1);
+        let crashed = copied(directory.path());
+        if another_boot {
+            fs::write(crashed.path().join("unsynced"), "os another").unwrap();
+        }
+        let after = open(crashed.path(), durability);
+        let uids: Vec<Uid> = after.indexes().unwrap().iter().map(|e| e.uid).collect();
+        assert_eq!(uids == [arm.uid], kept, "{durability:?}");
+        assert!(uids.len() == 1 || durability == Durability::None);
+        if durability != Durability::None {
+            assert_eq!(after.points(uids[0]).unwrap().revision(), 1);
+        }
+        // After an orderly stop everything is there.
+        drop(log);
+        let after = open(directory.path(), durability);
+        assert_eq!(after.points(arm.uid).unwrap().revision(), 1);
+    }
+}
