@@ -18,3 +18,18 @@ pub use cli::main;
 pub use grpc::GrpcError;
 pub use observe::{LogFormat, LoggingError};
 pub use run::{ServerError, run};
+
+#[cfg(test)]
+mod testing {
+    use proptest::{prelude::ProptestConfig, test_runner::RngSeed};
+
+    /// How the property tests run: `cases` cases, the same in every run.
+    pub(crate) fn cases(cases: u32) -> ProptestConfig {
+        ProptestConfig {
+            cases,
+            rng_seed: RngSeed::Fixed(cases.into()),
+            failure_persistence: None,
+            ..ProptestConfig::default()
+        }
+    }
+}

@@ -189,6 +189,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crate::testing::cases(256))]
+
         /// On a grid, where most distances are ties: as if head and accepted rows were one set.
         #[test]
         fn a_row_finds_the_nearest_of_the_head_and_the_rows_before_it(

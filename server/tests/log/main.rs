@@ -256,7 +256,18 @@ fn check_log(mut kept: Kept, steps: Vec<Step>) {
     }
 }
 
+/// So many cases, the same in every run.
+fn cases(cases: u32) -> ProptestConfig {
+    ProptestConfig {
+        cases,
+        rng_seed: proptest::test_runner::RngSeed::Fixed(cases.into()),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    }
+}
+
 proptest! {
+    #![proptest_config(cases(256))]
     #[test]
     fn the_log_in_memory_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
         check_log(Kept::in_memory(), steps);
@@ -264,7 +275,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+    #![proptest_config(cases(48))]
     #[test]
     fn the_log_on_disk_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
         check_log(Kept::on_disk(), steps);

@@ -226,7 +226,9 @@ impl Index {
     /// Forgets the oldest records. What is forgotten goes out of the store with the next record.
     pub(super) fn trim(&self, keep_bytes: usize) -> Result<(), LogError> {
         let mut state = self.open()?;
-        while state.window_bytes > keep_bytes
+        // The newest stays, however large: whoever has all the others must still get it.
+        while state.window.len() > 1
+            && state.window_bytes > keep_bytes
             && let Some(oldest) = state.window.pop_front()
         {
             state.window_bytes -= oldest;

@@ -218,6 +218,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crate::testing::cases(256))]
+
         /// Against whole copies: every view sees its own revision however long it is held and however much waits to
         /// be dropped; once nothing waits, what is left is what somebody sees.
         #[test]

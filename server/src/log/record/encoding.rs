@@ -158,6 +158,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crate::testing::cases(256))]
+
         /// Past the checksum, as if whoever wrote it had gone mad.
         #[test]
         fn no_bytes_are_too_odd_to_read(
