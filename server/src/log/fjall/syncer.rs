@@ -151,9 +151,7 @@ impl Shared {
             }
         }
     }
-}
 
-impl Shared {
     /// Under the lock under which they looked, or one that is about to wait would miss it.
     fn tell_blocked(&self) {
         let _looked = self.announced.lock();
