@@ -97,11 +97,18 @@ pub(crate) async fn serve(
     // Connections are accepted meanwhile, and calls told to come again.
     let replayed = replayed(config.index.options(), config.data);
     let live = async {
-        service.set_registry(replayed.await?);
+        let registry = Arc::new(replayed.await?);
+        service.set_registry(Arc::clone(&registry));
         service.set_ready();
-        lifecycle.advance(Phase::Serving);
-        info!(%address, "serving");
+        // With a store that cannot be opened no index is served; why, is told to every call.
+        if registry.failure().is_none() {
+            lifecycle.advance(Phase::Serving);
+            info!(%address, "serving");
+        }
         ready(address);
+        registry
+            .look_after(|| lifecycle.advance(Phase::Serving))
+            .await;
         std::future::pending::<Result<Infallible, ServerError>>().await
     };
     tokio::select! {

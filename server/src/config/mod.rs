@@ -4,7 +4,7 @@ mod error;
 mod layers;
 mod nearest;
 
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use serde::Deserialize;
 use wayfold_index::ForestOptions;
@@ -67,6 +67,8 @@ pub struct IndexConfig {
     pub merge_threads: usize,
     /// Bytes of recent mutations kept for each index.
     pub window_bytes: usize,
+    /// For how long it keeps them, in seconds.
+    pub window_seconds: u64,
 }
 
 impl IndexConfig {
@@ -78,6 +80,7 @@ impl IndexConfig {
             },
             merge_threads: self.merge_threads,
             window_bytes: self.window_bytes,
+            window: Duration::from_secs(self.window_seconds),
         }
     }
 }

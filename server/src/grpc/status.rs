@@ -162,6 +162,7 @@ fn describe(error: &Error, metadata: &mut Metadata, details: &mut ErrorDetails) 
         }
         Error::Unavailable { why: _ }
         | Error::DeadlineExceeded { doing: _ }
+        | Error::StorageFailed { what: _ }
         | Error::DataLoss { what: _ }
         | Error::Internal { what: _ } => {}
     }

@@ -61,6 +61,32 @@ pub enum LogError {
         /// What is wrong with it.
         what: &'static str,
     },
+    /// What the store read is not what was written.
+    #[error(
+        "index {uid}: a part of its stored records and points is damaged ({what}); restore it from a snapshot, or delete \
+         the index and start anew"
+    )]
+    Unreadable {
+        /// The index.
+        uid: Uid,
+        /// What the store said.
+        what: String,
+    },
+    /// The store as a whole cannot be read.
+    #[error(
+        "the store cannot be opened ({what}): what it holds cannot be read{}; put back a copy of the data directory, or \
+         name another one with --data",
+        match revision {
+            0 => String::new(),
+            revision => format!(", among it the revisions 1 to {revision} of this index"),
+        }
+    )]
+    Unopened {
+        /// The newest revision that is known to have been synced; 0 where no index is meant.
+        revision: u64,
+        /// What the store said.
+        what: String,
+    },
     /// Revisions that were synced, and so acknowledged, are not there any more.
     #[error(
         "index {uid}: the revisions {first} to {last} were stored and are gone: the files of the log were cut short or \
@@ -76,11 +102,14 @@ pub enum LogError {
     },
     /// The store failed: nothing more is written until it is opened anew.
     #[error(
-        "the store failed ({what}): whether the last mutations are stored is unknown, and none is taken any more until \
-         the server is restarted"
+        "the store failed ({what}): whether the mutations under way are stored is unknown, and none is taken until the \
+         disk can be written again, which is tried again and again; reads go on"
     )]
     Storage {
         /// What it said.
         what: String,
     },
+    /// The store was closed.
+    #[error("the store was closed, or opened anew, meanwhile: ask again")]
+    Closed,
 }

@@ -22,6 +22,7 @@ mod fjall;
 mod memory;
 mod record;
 mod uid;
+mod window;
 
 use std::sync::Arc;
 
@@ -34,6 +35,7 @@ pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Effects, Operation, Outcome, Record};
 pub use uid::Uid;
+pub use window::Keep;
 
 /// An index as the log knows it. That names are unique is the registry's care.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,13 +48,55 @@ pub struct Entry {
     pub space: Space,
 }
 
+/// An index of which the log knows that it was there, and not what it held.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gone {
+    /// Its name.
+    pub name: String,
+    /// Its uid.
+    pub uid: Uid,
+    /// What became of it.
+    pub why: LogError,
+}
+
+/// Where the log of an index begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Origin {
+    /// Its first revision: that of its first points.
+    pub revision: u64,
+    /// The least id above every id that was ever stored.
+    pub next_id: u64,
+    /// What its first record carries for the digest of the record before.
+    pub digest: Digest,
+}
+
+impl Origin {
+    /// Of an index that begins with nothing.
+    pub const START: Self = Self {
+        revision: 0,
+        next_id: 0,
+        digest: Record::NO_PREVIOUS,
+    };
+}
+
 /// A store of mutation logs, one for each index.
+///
+/// A [`LogError::Storage`] ends all writing, until [`Log::reopen`] succeeds; reading goes on.
 pub trait Log: Send + Sync {
-    /// All indices, in no particular order.
+    /// All indices, in no particular order; also those that cannot be read, of which [`Log::points`] says why.
     fn indexes(&self) -> Result<Vec<Entry>, LogError>;
+
+    /// The indices of which nothing is left but that they were there. They can be deleted.
+    fn gone(&self) -> Vec<Gone> {
+        Vec::new()
+    }
 
     /// Starts the log of a new index, at revision 0.
     fn create(&self, entry: Entry) -> Result<(), LogError>;
+
+    /// Starts the log of a new index that begins as a copy of another: at a revision, with points and without records.
+    /// It is there once the copy is finished, whole or not at all.
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
 
     /// Deletes an index's records and points. Views that are held stay as they are.
     fn delete(&self, uid: Uid) -> Result<(), LogError>;
@@ -72,9 +116,36 @@ pub trait Log: Send + Sync {
     /// The points as of the head, pinned.
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;
 
-    /// Forgets the oldest records until those left take at most `keep_bytes` (see [`Effects::bytes`]), but never the
-    /// newest: who follows record by record always gets the next.
-    fn trim(&self, uid: Uid, keep_bytes: usize) -> Result<(), LogError>;
+    /// The newest operations among those of all records, the oldest first; also of records that are held no longer.
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError>;
+
+    /// Forgets the oldest records and operations that need not be kept, but never the newest of each.
+    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError>;
+
+    /// Whether the next append may have to wait until the store has caught up: it is better made where one may block.
+    fn is_busy(&self) -> bool {
+        false
+    }
+
+    /// Why nothing is written any more.
+    fn failure(&self) -> Option<LogError> {
+        None
+    }
+
+    /// Opens a store that has failed anew, if what made it fail is over. Afterwards each index is as it is stored:
+    /// mutations that were not synced are there or not. Views from before are [`LogError::Closed`].
+    fn reopen(&self) -> Result<(), LogError> {
+        Ok(())
+    }
+}
+
+/// An index that is being restored. Dropped before it is finished, it leaves nothing.
+pub trait Restoring: Send {
+    /// Adds the next points, by ascending id.
+    fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError>;
+
+    /// Makes the index one of the log's, for certain.
+    fn finish(self: Box<Self>) -> Result<(), LogError>;
 }
 
 /// The points of one index as of one revision, for as long as it is held: the sum of the records up to there.

@@ -1,10 +1,12 @@
 //! One mutation as the log holds it.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::SystemTime};
 
 use bytes::Bytes;
 use sha2::{Digest as _, Sha256};
 use wayfold_index::{PointRef, Points};
+
+use super::cursor::Cursor;
 
 mod encoding;
 
@@ -37,6 +39,20 @@ impl Operation {
     /// About how many bytes remembering it takes.
     pub fn bytes(&self) -> usize {
         self.id.len() + self.response.len() + 128
+    }
+
+    /// Its stored form, without a checksum: the bytes that it has in a record.
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        encoding::push_operation(&mut bytes, self);
+        bytes
+    }
+
+    /// The operation of a stored form; None if it has another.
+    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
+        let mut cursor = Cursor::new(bytes);
+        let operation = encoding::read_operation(&mut cursor)?;
+        cursor.is_empty().then_some(operation)
     }
 }
 
@@ -133,17 +149,19 @@ impl Effects {
     }
 }
 
-/// One mutation in its place in the log: its revision, its effects, and a digest over both and the record before.
+/// One mutation in its place in the log: its revision, when it was appended, its effects, and a digest over these and
+/// the record before.
 ///
 /// The digest is the record's checksum and its link in the chain: it covers, each number little-endian and each
-/// sequence after its length as u64, the text `wayfold record 1`, the digest of the record before, the revision, the
-/// rows' width; the stored points, each as id, tag, revision, outcome (a byte: 0 inserted, 1 replaced, 2 updated), the
+/// sequence after its length as u64, the text `wayfold record 2`, the digest of the record before, the revision, the
+/// time, the rows' width; the stored points, each as id, tag, revision, outcome (a byte: 0 inserted, 1 replaced, 2 updated), the
 /// bits of the state, the payload; the removed ids; and how many operations there are, with id, fingerprint and
 /// response.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     revision: u64,
     previous: Digest,
+    time_ms: u64,
     effects: Effects,
     digest: Digest,
 }
@@ -152,15 +170,17 @@ impl Record {
     /// What the first record of an index carries for the digest of the record before.
     pub const NO_PREVIOUS: Digest = [0; 32];
 
-    /// The record of `revision`, after one whose digest is `previous`.
-    pub fn new(revision: u64, previous: Digest, effects: Effects) -> Self {
-        let digest = digest(revision, &previous, &effects);
-        Self {
+    /// The record of `revision`, after one whose digest is `previous`, appended at `time_ms`.
+    pub fn new(revision: u64, previous: Digest, time_ms: u64, effects: Effects) -> Self {
+        let mut record = Self {
             revision,
             previous,
+            time_ms,
             effects,
-            digest,
-        }
+            digest: Digest::default(),
+        };
+        record.digest = record.computed_digest();
+        record
     }
 
     /// The revision that this mutation made.
@@ -171,6 +191,12 @@ impl Record {
     /// The digest of the record before.
     pub fn previous(&self) -> &Digest {
         &self.previous
+    }
+
+    /// When it was appended, by the clock of the machine, in milliseconds since 1970. Clocks are set: it may run
+    /// backwards from record to record.
+    pub fn time_ms(&self) -> u64 {
+        self.time_ms
     }
 
     /// What it did.
@@ -186,9 +212,7 @@ impl Record {
     /// Its stored form: the bytes that the digest covers, then the digest.
     pub(super) fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
-        encoding::write(self.revision, &self.previous, &self.effects, |part| {
-            bytes.extend_from_slice(part);
-        });
+        encoding::write(self, |part| bytes.extend_from_slice(part));
         bytes.extend_from_slice(&self.digest);
         bytes
     }
@@ -202,26 +226,25 @@ impl Record {
         if Digest::from(Sha256::digest(covered)) != *digest {
             return Err("it does not match its checksum");
         }
-        let (revision, previous, effects) =
-            encoding::read(covered).ok_or("it is of no form that this version knows")?;
-        Ok(Self {
-            revision,
-            previous,
-            effects,
-            digest: *digest,
-        })
+        encoding::read(covered, *digest).ok_or("it is of no form that this version knows")
     }
 
     /// Whether it is what was written.
     pub fn is_intact(&self) -> bool {
-        self.digest == digest(self.revision, &self.previous, &self.effects)
+        self.digest == self.computed_digest()
+    }
+
+    fn computed_digest(&self) -> Digest {
+        let mut hash = Sha256::new();
+        encoding::write(self, |part| hash.update(part));
+        hash.finalize().into()
     }
 }
 
-fn digest(revision: u64, previous: &Digest, effects: &Effects) -> Digest {
-    let mut hash = Sha256::new();
-    encoding::write(revision, previous, effects, |part| hash.update(part));
-    hash.finalize().into()
+/// `time` as [`Record::time_ms`] counts it.
+pub(super) fn time_ms(time: SystemTime) -> u64 {
+    let since = time.duration_since(SystemTime::UNIX_EPOCH);
+    since.map_or(0, |since| since.as_millis() as u64)
 }
 
 #[cfg(test)]
@@ -260,9 +283,9 @@ mod tests {
     /// The layout as documented, written out by hand.
     #[test]
     fn the_digest_covers_the_documented_bytes() {
-        let mut bytes = b"wayfold record 1".to_vec();
+        let mut bytes = b"wayfold record 2".to_vec();
         bytes.extend_from_slice(&[9; 32]);
-        for number in [5u64, 2, 2] {
+        for number in [5u64, 77, 2, 2] {
             bytes.extend_from_slice(&number.to_le_bytes());
         }
         for (id, outcome, payload) in [(7u64, 0u8, &b""[..]), (8, 1, b"grasp")] {
@@ -283,12 +306,12 @@ mod tests {
         bytes.extend_from_slice(&4u64.to_le_bytes());
         bytes.extend_from_slice(b"done");
         let expected: Digest = Sha256::digest(&bytes).into();
-        assert_eq!(*Record::new(5, [9; 32], effects()).digest(), expected);
+        assert_eq!(*Record::new(5, [9; 32], 77, effects()).digest(), expected);
     }
 
     #[test]
     fn a_record_that_was_tampered_with_is_not_intact() {
-        let record = Record::new(5, [9; 32], effects());
+        let record = Record::new(5, [9; 32], 77, effects());
         assert!(record.is_intact());
         let mut moved = record.clone();
         moved.revision = 6;

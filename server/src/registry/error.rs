@@ -17,6 +17,9 @@ pub enum RegistryError {
         /// Its space.
         space: Space,
     },
+    /// An index of this name exists, and a restored one cannot be it.
+    #[error("an index of this name exists")]
+    Taken,
     /// The index has another uid.
     #[error("the index has the uid {found}")]
     OtherUid {
@@ -47,7 +50,10 @@ impl From<LogError> for RegistryError {
             | LogError::Damaged { .. }
             | LogError::DamagedPoint { .. }
             | LogError::Lost { .. }
-            | LogError::Storage { .. }) => Self::Log(error),
+            | LogError::Unreadable { .. }
+            | LogError::Unopened { .. }
+            | LogError::Storage { .. }
+            | LogError::Closed) => Self::Log(error),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! One index of the registry: what its readers see, and the way to its writer.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::SystemTime};
 
 use futures_util::FutureExt;
 use tokio::sync::{Mutex, watch};
@@ -8,7 +8,7 @@ use tracing::{error, warn};
 use wayfold_index::{Snapshot, Space};
 
 use super::{Host, OperationWindow, RegistryError, WriteGuard, Writer};
-use crate::log::{Effects, Entry, Uid, View};
+use crate::log::{Effects, Entry, Keep, LogError, Uid, View};
 
 /// A mutation of more points or more bytes than these is committed on a thread of its own: it would hold up the calls
 /// that share the caller's.
@@ -124,7 +124,7 @@ impl Hosted {
         window: OperationWindow,
     ) -> Result<u64, RegistryError> {
         let is_small = effects.len() <= POINTS_IN_PLACE && effects.bytes() <= BYTES_IN_PLACE;
-        let revision = if is_small {
+        let revision = if is_small && !self.host.log.is_busy() {
             self.commit_here(writer, effects, window)?
         } else {
             let hosted = Arc::clone(self);
@@ -155,7 +155,8 @@ impl Hosted {
         }
         self.show(writer.head());
         self.start_merging(&mut writer);
-        if let Err(error) = log.trim(self.uid, self.host.options.window_bytes) {
+        let keep = self.keep(writer.window(), SystemTime::now());
+        if let Err(error) = log.trim(self.uid, &keep) {
             warn!(index = self.name, %error, "could not trim the log");
         }
         let head = Arc::clone(writer.head());
@@ -200,6 +201,45 @@ impl Hosted {
             }
             false
         });
+    }
+
+    /// What the log is to keep of the past.
+    fn keep(&self, window: OperationWindow, now: SystemTime) -> Keep {
+        let since = now.checked_sub(self.host.options.window);
+        Keep {
+            record_bytes: self.host.options.window_bytes,
+            since: since.unwrap_or(SystemTime::UNIX_EPOCH),
+            operations: window.count,
+            operation_bytes: window.bytes,
+        }
+    }
+
+    /// Forgets records that are too old. What is being written is trimmed by who writes it.
+    pub(super) fn trim(&self, now: SystemTime) -> Result<(), LogError> {
+        match self.writer.try_lock() {
+            Ok(writer) => self
+                .host
+                .log
+                .trim(self.uid, &self.keep(writer.window(), now)),
+            Err(_) => Ok(()),
+        }
+    }
+
+    /// Goes on after the log was opened anew, if `view`, its points as they are stored, is what the writer's head is;
+    /// all of it is durable then. It blocks.
+    pub(super) fn resume(&self, view: Arc<dyn View>) -> bool {
+        let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
+        if !writer.is_at(view.revision()) {
+            return false;
+        }
+        writer.advance(view);
+        let head = Arc::clone(writer.head());
+        self.state.send_modify(|state| {
+            state.head = Arc::clone(&head);
+            state.published = head;
+            state.closed = None;
+        });
+        true
     }
 
     /// Ends the index: nothing is written any more.

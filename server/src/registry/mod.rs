@@ -13,19 +13,22 @@ mod hosted;
 mod merging;
 mod operations;
 mod replay;
+mod restore;
+mod upkeep;
 mod writer;
 
-use std::{collections::BTreeMap, ops::Bound, sync::Arc};
+use std::{collections::BTreeMap, ops::Bound, sync::Arc, time::Duration};
 
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::Semaphore;
-use tracing::{error, info};
+use tracing::info;
 use wayfold_index::{Forest, ForestOptions, Space};
 
 use crate::log::{Entry, Log, Uid};
 pub use error::RegistryError;
 pub use hosted::{Hosted, Published};
 pub use operations::OperationWindow;
+pub use restore::Restore;
 pub use writer::{WriteGuard, Writer};
 
 /// How the registry hosts its indices.
@@ -37,6 +40,8 @@ pub struct RegistryOptions {
     pub merge_threads: usize,
     /// About how many bytes of its newest records each index keeps, beside its points.
     pub window_bytes: usize,
+    /// For how long it keeps them.
+    pub window: Duration,
 }
 
 impl Default for RegistryOptions {
@@ -44,7 +49,8 @@ impl Default for RegistryOptions {
         Self {
             forest: ForestOptions::default(),
             merge_threads: 2,
-            window_bytes: 4 * 1024 * 1024,
+            window_bytes: 64 * 1024 * 1024,
+            window: Duration::from_secs(3600),
         }
     }
 }
@@ -102,20 +108,23 @@ impl Registry {
     pub fn replay(&self) -> Result<(), RegistryError> {
         let entries = self.host.log.indexes()?;
         for (done, entry) in entries.iter().enumerate() {
-            let place = match replay::replay(&self.host, entry) {
-                Ok(hosted) => Place::Hosted(hosted),
-                Err(error) => {
-                    error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");
-                    Place::Damaged(entry.uid, error)
-                }
-            };
+            let place = replay::replayed(&self.host, entry);
             self.indexes.write().insert(entry.name.clone(), place);
             if (done + 1).is_multiple_of(1000) {
                 info!(done = done + 1, of = entries.len(), "replaying");
             }
         }
+        self.take_gone();
         info!(indexes = entries.len(), "replayed the log");
         Ok(())
+    }
+
+    /// Takes note of the indices of which nothing is left, unless their names stand for others.
+    fn take_gone(&self) {
+        for gone in self.host.log.gone() {
+            let damaged = Place::Damaged(gone.uid, RegistryError::Log(gone.why));
+            self.indexes.write().entry(gone.name).or_insert(damaged);
+        }
     }
 
     /// The index of this name: [`RegistryError::Deleted`] if there is none, or why it could not be replayed.

@@ -16,6 +16,12 @@ pub struct OperationWindow {
     pub bytes: usize,
 }
 
+/// As many as there are: the log bounds this by itself, and the next mutation by what is configured.
+pub(super) const EVERY_OPERATION: OperationWindow = OperationWindow {
+    count: usize::MAX,
+    bytes: usize::MAX,
+};
+
 /// The newest operations, by id.
 #[derive(Default)]
 pub(super) struct Operations {

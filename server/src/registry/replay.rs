@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use tracing::info;
+use tracing::{error, info};
 use wayfold_index::{Forest, PointRef, Points};
 
-use super::{Host, Hosted, OperationWindow, RegistryError, Writer};
+use super::{Host, Hosted, Place, RegistryError, Writer, operations::EVERY_OPERATION};
 use crate::log::{Entry, LogError, View};
 
 /// How many points are read at a time.
@@ -14,15 +14,20 @@ const PAGE: usize = 4096;
 /// After how many points a line of the log says how far it is.
 const PROGRESS: usize = 250 * PAGE;
 
-/// The records bound this by themselves, and the next mutation by what is configured.
-const EVERY_OPERATION: OperationWindow = OperationWindow {
-    count: usize::MAX,
-    bytes: usize::MAX,
-};
+/// The index of an entry, or why it cannot be replayed.
+pub(super) fn replayed(host: &Arc<Host>, entry: &Entry) -> Place {
+    match replay(host, entry) {
+        Ok(hosted) => Place::Hosted(hosted),
+        Err(error) => {
+            error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");
+            Place::Damaged(entry.uid, error)
+        }
+    }
+}
 
-/// Builds an index from its points, and what it remembers from the records that are held. A call that changed nothing
-/// left no record: it is not remembered, and its retry is evaluated anew, which it cannot tell from a first try.
-pub(super) fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
+/// Builds an index from its points, with the operations that the log remembers. A call that changed nothing left
+/// none: its retry is evaluated anew, which it cannot tell from a first try.
+fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
     let view = host.log.points(entry.uid)?;
     let records = host.log.tail(entry.uid, None)?;
     let mut forest = Forest::new(entry.space.clone(), host.options.forest);
@@ -42,9 +47,9 @@ pub(super) fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, Reg
             }));
         }
         previous = Some(*record.digest());
-        if let Some(operation) = record.effects().operation() {
-            writer.remember(Arc::clone(operation), EVERY_OPERATION);
-        }
+    }
+    for operation in host.log.operations(entry.uid)? {
+        writer.remember(operation, EVERY_OPERATION);
     }
     info!(
         index = entry.name,

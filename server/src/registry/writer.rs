@@ -5,7 +5,10 @@ use std::sync::Arc;
 use tokio::sync::OwnedMutexGuard;
 use wayfold_index::Forest;
 
-use super::{OperationWindow, Published, operations::Operations};
+use super::{
+    OperationWindow, Published,
+    operations::{EVERY_OPERATION, Operations},
+};
 use crate::log::{Operation, Record, View};
 
 /// Exclusive hold of an index's writer.
@@ -18,6 +21,8 @@ pub struct Writer {
     pub(super) mergers: usize,
     head: Arc<Published>,
     operations: Operations,
+    /// What was asked to be remembered last.
+    window: OperationWindow,
 }
 
 impl Writer {
@@ -33,6 +38,7 @@ impl Writer {
             mergers: 0,
             head: Arc::new(head),
             operations: Operations::default(),
+            window: EVERY_OPERATION,
         }
     }
 
@@ -46,6 +52,16 @@ impl Writer {
         self.operations.recall(id)
     }
 
+    /// How many operations are remembered.
+    pub(super) fn window(&self) -> OperationWindow {
+        self.window
+    }
+
+    /// Whether the forest is at `revision`, and so is the head.
+    pub(super) fn is_at(&self, revision: u64) -> bool {
+        self.head.revision == revision && self.forest.revision() == revision
+    }
+
     /// Remembers an operation.
     pub fn remember(&mut self, operation: Arc<Operation>, window: OperationWindow) {
         self.operations.remember(operation, window);
@@ -54,6 +70,7 @@ impl Writer {
     /// Applies a record: the only way in which the forest's points change.
     pub(super) fn apply(&mut self, record: &Record, window: OperationWindow) {
         let effects = record.effects();
+        self.window = window;
         self.forest
             .apply(record.revision(), effects.stored(), effects.removed());
         if let Some(operation) = effects.operation() {

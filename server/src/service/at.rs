@@ -69,6 +69,7 @@ pub(super) fn failed(index: &str, error: RegistryError) -> Error {
         RegistryError::Deleted => Error::IndexNotFound { name: index.into() },
         RegistryError::Log(error) => log_failed(index, error),
         RegistryError::Exists { .. }
+        | RegistryError::Taken
         | RegistryError::OtherUid { .. }
         | RegistryError::Full { .. }
         | RegistryError::Stopped => Error::Internal { what },
@@ -83,8 +84,10 @@ pub(super) fn log_failed(index: &str, error: LogError) -> Error {
         LogError::Damaged { .. }
         | LogError::DamagedPoint { .. }
         | LogError::Lost { .. }
-        | LogError::Storage { .. }
+        | LogError::Unreadable { .. }
+        | LogError::Unopened { .. }
         | LogError::Trimmed { .. } => Error::DataLoss { what },
+        LogError::Storage { .. } | LogError::Closed => Error::StorageFailed { what },
         LogError::UidTaken { .. } | LogError::Fenced { .. } => Error::Internal { what },
     }
 }

@@ -17,7 +17,7 @@ pub enum Code {
     FailedPrecondition,
     /// A limit of the server.
     ResourceExhausted,
-    /// The server is starting or stopping: try again.
+    /// The server is starting or stopping, or its disk cannot be written: try again.
     Unavailable,
     /// The call ran out of time.
     DeadlineExceeded,
@@ -58,7 +58,7 @@ pub enum Unavailability {
 }
 
 /// Why a call failed. A call that fails changes nothing, except that [`Error::DeadlineExceeded`] and
-/// [`Error::DataLoss`] of a mutation mean "unknown".
+/// [`Error::StorageFailed`] of a mutation mean "unknown".
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Error {
     /// Fields of the request are wrong. At least one is named; of many, the first few.
@@ -193,7 +193,13 @@ pub enum Error {
         /// The operation id.
         operation_id: String,
     },
-    /// Stored data is damaged, or could not be made durable.
+    /// The store cannot be written, or is being opened anew.
+    #[error("{what}")]
+    StorageFailed {
+        /// What failed, and what becomes of it.
+        what: String,
+    },
+    /// Stored data is damaged.
     #[error("{what}")]
     DataLoss {
         /// What is lost, and where.
@@ -220,7 +226,7 @@ impl Error {
             Error::LimitExceeded { .. }
             | Error::IdsExhausted { .. }
             | Error::ScanTooLong { .. } => Code::ResourceExhausted,
-            Error::Unavailable { .. } => Code::Unavailable,
+            Error::Unavailable { .. } | Error::StorageFailed { .. } => Code::Unavailable,
             Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
             Error::DataLoss { .. } => Code::DataLoss,
             Error::Internal { .. } => Code::Internal,
@@ -248,6 +254,7 @@ impl Error {
             },
             Error::DeadlineExceeded { .. } => "DEADLINE_EXCEEDED",
             Error::OperationMismatch { .. } => "OPERATION_MISMATCH",
+            Error::StorageFailed { .. } => "STORAGE_FAILED",
             Error::DataLoss { .. } => "DATA_LOSS",
             Error::Internal { .. } => "INTERNAL",
         }

@@ -45,7 +45,7 @@ pub struct Service {
 
 struct Inner {
     /// Set once, as soon as there is one.
-    registry: OnceLock<Registry>,
+    registry: OnceLock<Arc<Registry>>,
     limits: Limits,
     ready: AtomicBool,
     stopping: AtomicBool,
@@ -55,7 +55,7 @@ impl Service {
     /// A service over `registry`. It answers every call with [`Error::Unavailable`] until [`Service::set_ready`].
     pub fn new(registry: Registry, limits: Limits) -> Self {
         let service = Self::starting(limits);
-        service.set_registry(registry);
+        service.set_registry(Arc::new(registry));
         service
     }
 
@@ -72,7 +72,7 @@ impl Service {
     }
 
     /// Gives it its registry; a second one is ignored.
-    pub fn set_registry(&self, registry: Registry) {
+    pub fn set_registry(&self, registry: Arc<Registry>) {
         // The service keeps the first, and gives back any other to be dropped.
         let _ = self.inner.registry.set(registry);
     }
@@ -111,7 +111,7 @@ impl Service {
     }
 
     /// Every call that was accepted has one.
-    fn registry(&self) -> Result<&Registry, Error> {
+    fn registry(&self) -> Result<&Arc<Registry>, Error> {
         self.inner.registry.get().ok_or(Error::Unavailable {
             why: Unavailability::Starting,
         })

@@ -7,14 +7,14 @@
 
 mod fjall;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc, time::SystemTime};
 
 use bytes::Bytes;
 use proptest::prelude::*;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Durability, Effects, Entry, FjallLog, Log, LogError, MemoryLog, Outcome, Record, StoredPoint,
-    Uid, View,
+    Durability, Effects, Entry, FjallLog, Keep, Log, LogError, MemoryLog, Outcome, Record,
+    StoredPoint, Uid, View,
 };
 
 /// A log under test, which is closed and opened again where it can be.
@@ -79,6 +79,16 @@ fn effects(revision: u64, stored: &[u64], removed: &[u64]) -> Effects {
         effects.remove(id);
     }
     effects
+}
+
+/// So many bytes of records, however old, and every operation.
+fn keep(record_bytes: usize) -> Keep {
+    Keep {
+        record_bytes,
+        since: SystemTime::UNIX_EPOCH,
+        operations: usize::MAX,
+        operation_bytes: usize::MAX,
+    }
 }
 
 fn all_points(view: &dyn View) -> BTreeMap<u64, Arc<StoredPoint>> {
@@ -224,7 +234,7 @@ fn check_log(mut kept: Kept, steps: Vec<Step>) {
             Step::Release(at) if !views.is_empty() => drop(views.swap_remove(at % views.len())),
             Step::Release(_) | Step::Reopen => {}
             Step::Trim(keep_bytes) => {
-                log.trim(uid, keep_bytes).unwrap();
+                log.trim(uid, &keep(keep_bytes)).unwrap();
                 model.trim(keep_bytes);
             }
         }
@@ -298,7 +308,7 @@ fn check_uids(log: &dyn Log) {
         unknown
     );
     assert_eq!(log.tail(uid, None).unwrap_err(), unknown);
-    assert_eq!(log.trim(uid, 0).unwrap_err(), unknown);
+    assert_eq!(log.trim(uid, &keep(0)).unwrap_err(), unknown);
     assert_eq!(log.delete(uid).unwrap_err(), unknown);
     assert!(log.points(uid).is_err());
     log.create(entry.clone()).unwrap();
@@ -314,7 +324,7 @@ fn who_has_all_records_but_the_newest_gets_it_however_large_it_is() {
     for revision in 1..=2 {
         log.append(uid, revision - 1, effects(revision, &[1], &[]))
             .unwrap();
-        log.trim(uid, 0).unwrap();
+        log.trim(uid, &keep(0)).unwrap();
         let tail = log.tail(uid, Some(revision - 1)).unwrap();
         assert_eq!(tail[0].revision(), revision);
     }

@@ -13,7 +13,10 @@ use futures_util::{FutureExt, future::BoxFuture, poll};
 use tokio::sync::watch;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Effects, Entry, Log, LogError, MemoryLog, Record, Uid, View},
+    log::{
+        Effects, Entry, Keep, Log, LogError, MemoryLog, Operation, Origin, Record, Restoring, Uid,
+        View,
+    },
     service::{Code, Limits},
 };
 
@@ -83,8 +86,16 @@ impl Log for Held {
         self.memory.points(uid)
     }
 
-    fn trim(&self, uid: Uid, keep_bytes: usize) -> Result<(), LogError> {
-        self.memory.trim(uid, keep_bytes)
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        self.memory.restore(entry, origin)
+    }
+
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
+        self.memory.operations(uid)
+    }
+
+    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
+        self.memory.trim(uid, keep)
     }
 }
 

@@ -7,7 +7,10 @@ use rand::{RngExt, SeedableRng};
 use wayfold_index::Space;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Durability, Effects, Entry, FjallLog, Log, LogError, MemoryLog, Record, Uid, View},
+    log::{
+        Durability, Effects, Entry, FjallLog, Keep, Log, LogError, MemoryLog, Operation, Origin,
+        Record, Restoring, Uid, View,
+    },
     registry::Registry,
     service::{Code, Limits, Service},
 };
@@ -135,6 +138,7 @@ impl Log for Unchained {
             Arc::new(Record::new(
                 record.revision(),
                 [7; 32],
+                record.time_ms(),
                 record.effects().clone(),
             ))
         };
@@ -145,8 +149,16 @@ impl Log for Unchained {
         self.0.points(uid)
     }
 
-    fn trim(&self, uid: Uid, keep_bytes: usize) -> Result<(), LogError> {
-        self.0.trim(uid, keep_bytes)
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        self.0.restore(entry, origin)
+    }
+
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
+        self.0.operations(uid)
+    }
+
+    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
+        self.0.trim(uid, keep)
     }
 }
 

@@ -6,6 +6,7 @@
 //! | `store/` | what fjall keeps: see [`layout`](super::layout) |
 //! | `marks` | how far each index was synced: see [`marks`](super::marks) |
 //! | `unsynced` | there while a server runs that does not sync: see [`loose`](super::loose) |
+//! | `probe` | there for a moment while it is tried whether the disk can be written |
 
 use std::{
     fs::{self, File, TryLockError},
@@ -17,7 +18,11 @@ use thiserror::Error;
 
 const MARKER: &str = "wayfold-data";
 const FORM: &str = "wayfold-server data, version ";
-const VERSION: &str = "1";
+const VERSION: &str = "2";
+
+const PROBE: &str = "probe";
+/// Enough for the store to begin anew with.
+const PROBE_BYTES: usize = 4 * 1024 * 1024;
 
 /// Why a data directory could not be opened.
 #[derive(Debug, Error)]
@@ -65,18 +70,6 @@ pub enum OpenError {
         /// Why.
         source: io::Error,
     },
-    /// The store does not open.
-    #[error(
-        "the store in {} cannot be opened ({problem}): if its disk is in order its files are damaged; put back a copy, \
-         or name another directory with --data",
-        directory.display()
-    )]
-    Store {
-        /// The data directory.
-        directory: PathBuf,
-        /// What it said.
-        problem: String,
-    },
 }
 
 /// A data directory that is ours for as long as this lives.
@@ -120,6 +113,17 @@ impl Directory {
             path: path.into(),
             locked: file,
         })
+    }
+
+    /// Fails if the disk cannot be written, or has no room to speak of.
+    pub(super) fn probe(&self) -> io::Result<()> {
+        let path = self.join(PROBE);
+        let written = File::create(&path).and_then(|mut file| {
+            file.write_all(&vec![0; PROBE_BYTES])?;
+            file.sync_all()
+        });
+        let removed = fs::remove_file(&path);
+        written.and(removed)
     }
 
     /// The path of a file or directory in it.
@@ -212,8 +216,8 @@ mod tests {
         drop(held);
         fs::write(ours.join("more"), "").unwrap();
         drop(Directory::take(&ours).unwrap());
-        fs::write(ours.join(MARKER), format!("{FORM}2\n")).unwrap();
-        assert!(refusal(&ours).contains("version \"2\""));
+        fs::write(ours.join(MARKER), format!("{FORM}9\n")).unwrap();
+        assert!(refusal(&ours).contains("version \"9\""));
         fs::write(ours.join(MARKER), "hello").unwrap();
         assert!(refusal(&ours).contains("not a data directory"));
         assert!(refusal(directory.path()).contains("not a data directory"));

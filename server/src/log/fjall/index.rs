@@ -1,66 +1,74 @@
 //! One index of the store: where its log is, and how a record gets there.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::{collections::VecDeque, sync::Arc, time::SystemTime};
 
 use fjall::{OwnedWriteBatch, Readable};
 use parking_lot::{Mutex, MutexGuard};
 
 use super::{
-    layout::{Head, Number, head_key, point_key, record_key},
+    layout::{Head, Number, head_key, last_of, operation_key, point_key, record_key, seal, unseal},
     marks::Mark,
     point::PointForm,
-    store::{Store, storage},
+    store::{Handles, Store, storage, unreadable},
     view::Pinned,
 };
-use crate::log::{Effects, Entry, LogError, Record, View};
+use crate::log::{
+    Effects, Entry, Keep, LogError, Operation, Origin, Record, View, record::time_ms,
+    window::Window,
+};
 
 /// See the module.
 pub(super) struct Index {
     pub(super) entry: Entry,
     pub(super) number: Number,
+    name: Arc<str>,
     /// Who holds it may write, and sees the store at this very head.
     state: Mutex<State>,
 }
 
 pub(super) struct State {
     pub(super) head: Head,
-    /// How many bytes the records after `head.trimmed` are counted with, the oldest first.
-    window: VecDeque<usize>,
-    window_bytes: usize,
+    /// The records after `head.trimmed`, and the operations of `operations`.
+    window: Window,
+    /// The revisions of the operations that are held, the oldest first.
+    operations: VecDeque<u64>,
+    /// Operations that are held no longer, and still in the store.
+    forgotten: Vec<u64>,
     /// The records up to this revision are not even in the store.
     pub(super) removed: u64,
     /// Why it is not to be read or written.
-    pub(super) closed: Option<LogError>,
+    closed: Option<LogError>,
 }
 
 impl State {
-    /// Takes note of a record that is in the store.
-    pub(super) fn held(&mut self, record: &Record) {
-        let bytes = record.effects().bytes();
-        self.window_bytes += bytes;
-        self.window.push_back(bytes);
-    }
-
-    /// Of an index without records.
-    pub(super) fn empty() -> Self {
+    /// Of an index that begins here.
+    pub(super) fn new(origin: Origin) -> Self {
         Self {
-            head: Head {
-                revision: 0,
-                next_id: 0,
-                trimmed: 0,
-                digest: Record::NO_PREVIOUS,
-            },
-            window: VecDeque::new(),
-            window_bytes: 0,
-            removed: 0,
+            head: Head::at(&origin),
+            window: Window::default(),
+            operations: VecDeque::new(),
+            forgotten: Vec::new(),
+            removed: origin.revision,
             closed: None,
         }
+    }
+
+    /// Takes note of a record that is in the store.
+    pub(super) fn held(&mut self, record: &Record) {
+        self.window.hold(record);
+    }
+
+    /// Takes note of an operation that is in the store.
+    pub(super) fn held_operation(&mut self, revision: u64, operation: &Operation) {
+        self.window.hold_operation(operation.bytes());
+        self.operations.push_back(revision);
     }
 }
 
 impl Index {
     pub(super) fn new(number: Number, entry: Entry, state: State) -> Arc<Self> {
         Arc::new(Self {
+            name: entry.name.as_str().into(),
             entry,
             number,
             state: Mutex::new(state),
@@ -81,24 +89,29 @@ impl Index {
         *self.state.lock() = state;
     }
 
+    /// Where it is.
+    pub(super) fn here(&self) -> Mark {
+        self.mark_of(&self.state.lock().head)
+    }
+
     /// Where it is, if it may be used.
     pub(super) fn mark(&self) -> Option<Mark> {
-        let state = self.open().ok()?;
-        Some(Mark {
-            uid: self.entry.uid,
-            revision: state.head.revision,
-            digest: state.head.digest,
-        })
+        Some(self.mark_of(&self.open().ok()?.head))
     }
 
     /// Ends it, and says where it is.
     pub(super) fn close(&self, why: LogError) -> Mark {
         let mut state = self.state.lock();
         state.closed = Some(why);
+        self.mark_of(&state.head)
+    }
+
+    fn mark_of(&self, head: &Head) -> Mark {
         Mark {
             uid: self.entry.uid,
-            revision: state.head.revision,
-            digest: state.head.digest,
+            name: Arc::clone(&self.name),
+            revision: head.revision,
+            digest: head.digest,
         }
     }
 
@@ -119,7 +132,8 @@ impl Index {
                 head: state.head.revision,
             });
         }
-        let record = Record::new(expected + 1, state.head.digest, effects);
+        let now = time_ms(SystemTime::now());
+        let record = Record::new(expected + 1, state.head.digest, now, effects);
         let highest = record.effects().stored().iter().map(|point| point.id).max();
         let head = Head {
             revision: record.revision(),
@@ -127,32 +141,35 @@ impl Index {
             trimmed: state.head.trimmed,
             digest: *record.digest(),
         };
-        let mut batch = store.database.batch();
-        self.put(store, &mut batch, &record);
+        let handles = store.handles()?;
+        handles.wait_for_room()?;
+        let Handles { database, keyspace } = &*handles;
+        let mut batch = database.batch();
+        self.put(&handles, &mut batch, &record);
         for trimmed in state.removed + 1..=head.trimmed {
-            batch.remove(&store.keyspace, record_key(self.number, trimmed));
+            batch.remove(keyspace, record_key(self.number, trimmed));
         }
-        batch.insert(
-            &store.keyspace,
-            head_key(self.number),
-            head.encode(self.number),
-        );
+        for &forgotten in &state.forgotten {
+            batch.remove(keyspace, operation_key(self.number, forgotten));
+        }
+        batch.insert(keyspace, head_key(self.number), head.encode(self.number));
         batch.commit().map_err(storage)?;
         state.removed = head.trimmed;
+        state.forgotten.clear();
         state.held(&record);
+        if let Some(operation) = record.effects().operation() {
+            state.held_operation(record.revision(), operation);
+        }
         state.head = head;
-        written(Mark {
-            uid,
-            revision: head.revision,
-            digest: head.digest,
-        });
+        written(self.mark_of(&head));
         Ok(Arc::new(record))
     }
 
-    fn put(&self, store: &Store, batch: &mut OwnedWriteBatch, record: &Record) {
+    fn put(&self, handles: &Handles, batch: &mut OwnedWriteBatch, record: &Record) {
         let effects = record.effects();
+        let keyspace = &handles.keyspace;
         for &id in effects.removed() {
-            batch.remove(&store.keyspace, point_key(self.number, id));
+            batch.remove(keyspace, point_key(self.number, id));
         }
         for (slot, point) in effects.stored().iter().enumerate() {
             let form = PointForm {
@@ -163,10 +180,14 @@ impl Index {
                 payload: &effects.payload(slot),
             };
             let value = form.encode(self.number, point.id);
-            batch.insert(&store.keyspace, point_key(self.number, point.id), value);
+            batch.insert(keyspace, point_key(self.number, point.id), value);
+        }
+        if let Some(operation) = effects.operation() {
+            let key = operation_key(self.number, record.revision());
+            batch.insert(keyspace, key, seal(&key, operation.encode()));
         }
         batch.insert(
-            &store.keyspace,
+            keyspace,
             record_key(self.number, record.revision()),
             record.encode(),
         );
@@ -179,7 +200,8 @@ impl Index {
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let state = self.open()?;
         let (oldest, head) = (state.head.trimmed, state.head.revision);
-        let snapshot = store.database.snapshot();
+        let handles = store.handles()?;
+        let snapshot = handles.database.snapshot();
         drop(state);
         let after = after.unwrap_or(oldest);
         if after < oldest {
@@ -189,9 +211,9 @@ impl Index {
         let revisions = after.saturating_add(1)..=head;
         revisions
             .map(|revision| {
-                let value = snapshot.get(&store.keyspace, record_key(self.number, revision));
-                self.record(revision, value.map_err(storage)?.as_deref())
-                    .map(Arc::new)
+                let value = snapshot.get(&handles.keyspace, record_key(self.number, revision));
+                let value = value.map_err(|error| unreadable(self.entry.uid, error))?;
+                self.record(revision, value.as_deref()).map(Arc::new)
             })
             .collect()
     }
@@ -211,11 +233,44 @@ impl Index {
         Ok(record)
     }
 
+    /// The operations that the store holds, by revision.
+    pub(super) fn stored_operations(
+        &self,
+        handles: &Handles,
+    ) -> Result<Vec<(u64, Arc<Operation>)>, LogError> {
+        let uid = self.entry.uid;
+        let range = operation_key(self.number, 0)..=operation_key(self.number, u64::MAX);
+        let operations = handles.keyspace.range(range).map(|operation| {
+            let (key, value) = operation
+                .into_inner()
+                .map_err(|error| unreadable(uid, error))?;
+            let revision = last_of(&key).unwrap_or_default();
+            let operation = unseal(&key, &value).and_then(Operation::decode);
+            let operation = operation.ok_or(LogError::Damaged {
+                uid,
+                revision,
+                what: "its operation does not match its checksum",
+            })?;
+            Ok((revision, Arc::new(operation)))
+        });
+        operations.collect()
+    }
+
+    pub(super) fn operations(&self, store: &Store) -> Result<Vec<Arc<Operation>>, LogError> {
+        // Nobody appends or trims meanwhile.
+        let state = self.open()?;
+        let stored = self.stored_operations(&*store.handles()?)?;
+        let held = stored
+            .into_iter()
+            .filter(|(revision, _)| !state.forgotten.contains(revision));
+        Ok(held.map(|(_, operation)| operation).collect())
+    }
+
     pub(super) fn pin(&self, store: &Arc<Store>) -> Result<Arc<dyn View>, LogError> {
         let state = self.open()?;
         Ok(Arc::new(Pinned {
             store: Arc::clone(store),
-            snapshot: store.database.snapshot(),
+            snapshot: store.handles()?.database.snapshot(),
             number: self.number,
             uid: self.entry.uid,
             revision: state.head.revision,
@@ -223,17 +278,13 @@ impl Index {
         }))
     }
 
-    /// Forgets the oldest records. What is forgotten goes out of the store with the next record.
-    pub(super) fn trim(&self, keep_bytes: usize) -> Result<(), LogError> {
+    /// Forgets the oldest records and operations. What is forgotten goes out of the store with the next record.
+    pub(super) fn trim(&self, keep: &Keep) -> Result<(), LogError> {
         let mut state = self.open()?;
-        // The newest stays, however large: whoever has all the others must still get it.
-        while state.window.len() > 1
-            && state.window_bytes > keep_bytes
-            && let Some(oldest) = state.window.pop_front()
-        {
-            state.window_bytes -= oldest;
-            state.head.trimmed += 1;
-        }
+        let trimmed = state.window.trim(keep);
+        state.head.trimmed += trimmed.records as u64;
+        let forgotten: Vec<u64> = state.operations.drain(..trimmed.operations).collect();
+        state.forgotten.extend(forgotten);
         Ok(())
     }
 }

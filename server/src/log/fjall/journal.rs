@@ -8,23 +8,25 @@
 //! the one before was synced before the next was made. Whatever was committed before [`Journal::sync`] is therefore in
 //! the largest file that it finds, or synced already.
 
-use std::{fs, fs::File, io, path::PathBuf};
+use std::{fs, fs::File, io, path::PathBuf, sync::Arc};
 
-use fjall::{Database, PersistMode};
+use fjall::PersistMode;
+
+use super::store::{Store, told};
 
 /// The journal of a store.
 pub(super) struct Journal {
-    database: Database,
+    store: Arc<Store>,
     directory: PathBuf,
     /// The newest file, by its number.
     newest: Option<(u64, File)>,
 }
 
 impl Journal {
-    /// The journal of `database`, which lives in `directory`.
-    pub(super) fn new(database: Database, directory: PathBuf) -> Self {
+    /// The journal of `store`, which lives in `directory`.
+    pub(super) fn new(store: Arc<Store>, directory: PathBuf) -> Self {
         Self {
-            database,
+            store,
             directory,
             newest: None,
         }
@@ -32,9 +34,10 @@ impl Journal {
 
     /// Returns when all that was committed before is on disk, or says why not.
     pub(super) fn sync(&mut self) -> Result<(), String> {
-        self.database
-            .persist(PersistMode::Buffer)
-            .map_err(|error| error.to_string())?;
+        let handles = self.store.handles().map_err(|error| error.to_string())?;
+        let handed_on = handles.database.persist(PersistMode::Buffer);
+        drop(handles);
+        handed_on.map_err(told)?;
         self.sync_newest()
             .map_err(|error| format!("cannot sync the journal: {error}"))
     }
@@ -62,27 +65,23 @@ impl Journal {
 
 #[cfg(test)]
 mod tests {
-    use fjall::KeyspaceCreateOptions;
-
-    use super::*;
+    use super::{
+        super::{Durability, store::Handles},
+        *,
+    };
 
     /// What the module says of fjall's files: a new version of fjall that does otherwise must not go unnoticed.
     #[test]
     fn what_was_committed_is_in_the_newest_file_once_it_is_synced() {
         let directory = tempfile::tempdir().unwrap();
-        let database = Database::builder(directory.path())
-            .manual_journal_persist(true)
-            .open()
-            .unwrap();
-        let keyspace = database
-            .keyspace("points", KeyspaceCreateOptions::default)
-            .unwrap();
-        let mut journal = Journal::new(database.clone(), directory.path().into());
+        let store = Arc::new(Store::open(directory.path(), Durability::Fsync).unwrap());
+        let mut journal = Journal::new(Arc::clone(&store), directory.path().into());
         let mut numbers = Vec::new();
         for round in 0..3u8 {
             let value = [b'a' + round; 100];
+            let Handles { database, keyspace } = &*store.handles().unwrap();
             let mut batch = database.batch();
-            batch.insert(&keyspace, [round], value);
+            batch.insert(keyspace, [round], value);
             batch.commit().unwrap();
             journal.sync().unwrap();
             let (number, _) = journal.newest.as_ref().unwrap();

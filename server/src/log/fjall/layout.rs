@@ -7,6 +7,7 @@
 //! | `h`, index | [`Head`]: revision, next id, how many records were trimmed, the newest record's digest |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
+//! | `o`, index, revision | the record's operation once more: it is kept for longer than the record, or less long |
 //!
 //! *index* is a u32 that stands for an index in this directory, and is never used again.
 //!
@@ -16,7 +17,7 @@
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::log::{Digest, Entry, Uid, cursor::Cursor};
+use crate::log::{Digest, Entry, Origin, Uid, cursor::Cursor};
 
 /// Stands for an index in keys.
 pub(super) type Number = u32;
@@ -49,6 +50,11 @@ pub(super) fn record_key(number: Number, revision: u64) -> [u8; 13] {
     key(b'r', number, revision)
 }
 
+/// The key of an operation.
+pub(super) fn operation_key(number: Number, revision: u64) -> [u8; 13] {
+    key(b'o', number, revision)
+}
+
 /// The key of a point.
 pub(super) fn point_key(number: Number, id: u64) -> [u8; 13] {
     key(b'p', number, id)
@@ -61,8 +67,8 @@ fn key(kind: u8, number: Number, of: u64) -> [u8; 13] {
     key
 }
 
-/// The id of a point's key.
-pub(super) fn id_of(key: &[u8]) -> Option<u64> {
+/// The id of a point's key, the revision of a record's or an operation's.
+pub(super) fn last_of(key: &[u8]) -> Option<u64> {
     let (_, id) = key.split_last_chunk()?;
     Some(u64::from_be_bytes(*id))
 }
@@ -131,6 +137,16 @@ pub(super) struct Head {
 }
 
 impl Head {
+    /// The head of an index that begins here.
+    pub(super) fn at(origin: &Origin) -> Self {
+        Self {
+            revision: origin.revision,
+            next_id: origin.next_id,
+            trimmed: origin.revision,
+            digest: origin.digest,
+        }
+    }
+
     pub(super) fn encode(&self, number: Number) -> Vec<u8> {
         let mut value = Vec::with_capacity(64);
         for part in [self.revision, self.next_id, self.trimmed] {

@@ -1,9 +1,10 @@
 //! How far each index was synced, beside the store: fjall cuts its journal at an entry that it cannot read, without a
 //! word, and this is how that is noticed.
 //!
-//! The file has 64 bytes for each index that there ever was, at 64 times its number: uid, revision, the digest of that
-//! revision's record, and a checksum over the number and these. A mark is written after what it speaks of was synced,
-//! so it may be behind and is never ahead. The file itself is not synced with every mark: after a loss of power it may
+//! The file has 128 bytes for each index that there ever was, at 128 times its number: uid, revision, the digest of that
+//! revision's record, the name after its length and before zeros, and a checksum over the number and these. So an index
+//! of which nothing else is left can be named. A mark is written after what it speaks of was synced, so it may be behind
+//! and is never ahead. The file itself is not synced with every mark: after a loss of power it may
 //! be a moment older, and a mark that was torn then says nothing.
 
 use std::{
@@ -11,17 +12,21 @@ use std::{
     fs::File,
     io::{self, Read, Seek, SeekFrom, Write},
     path::Path,
+    sync::Arc,
 };
 
 use super::layout::{Number, seal, unseal};
 use crate::log::{Digest, Uid, cursor::Cursor};
 
-const SIZE: usize = 64;
+const SIZE: usize = 128;
+/// Most bytes of a name: as many as the contract allows.
+const NAME: usize = 63;
 
 /// How far an index was synced.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Mark {
     pub(super) uid: Uid,
+    pub(super) name: Arc<str>,
     pub(super) revision: u64,
     /// Of the record of `revision`.
     pub(super) digest: Digest,
@@ -72,17 +77,24 @@ fn encode(number: Number, mark: &Mark) -> Vec<u8> {
     let mut bytes = mark.uid.as_bytes().to_vec();
     bytes.extend_from_slice(&mark.revision.to_le_bytes());
     bytes.extend_from_slice(&mark.digest);
+    let name = &mark.name.as_bytes()[..mark.name.len().min(NAME)];
+    bytes.push(name.len() as u8);
+    bytes.extend_from_slice(name);
+    bytes.resize(SIZE - 8, 0);
     seal(&number.to_be_bytes(), bytes)
 }
 
 fn decode(number: Number, bytes: &[u8]) -> Option<Mark> {
     let mut cursor = Cursor::new(unseal(&number.to_be_bytes(), bytes)?);
-    let mark = Mark {
-        uid: Uid::from_bytes(cursor.array()?),
-        revision: cursor.u64()?,
-        digest: cursor.array()?,
-    };
-    cursor.is_empty().then_some(mark)
+    let (uid, revision, digest) = (cursor.array()?, cursor.u64()?, cursor.array()?);
+    let [length] = cursor.array()?;
+    let name = str::from_utf8(cursor.take(length.into())?).ok()?;
+    Some(Mark {
+        uid: Uid::from_bytes(uid),
+        name: name.into(),
+        revision,
+        digest,
+    })
 }
 
 #[cfg(test)]
@@ -95,6 +107,7 @@ mod tests {
         let path = directory.path().join("marks");
         let mark = |revision| Mark {
             uid: Uid::from_bytes([1; 16]),
+            name: "arm".into(),
             revision,
             digest: [2; 32],
         };

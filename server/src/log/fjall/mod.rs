@@ -4,11 +4,16 @@
 //! and the head of its index. What is acknowledged depends on [`Durability`]; `fsync` shares one sync among all who
 //! write meanwhile (`syncer`).
 //!
-//! Modules: `directory` (whose the directory is), `layout` and `point` (what the store holds, byte for byte), `index`
-//! (one index's writer), `view` (its points, pinned), `journal`, `syncer` and `marks` (what is on disk for certain),
-//! `recovery`, `loose` (after a server that does not sync), `sweeper` (what deleted indices leave).
+//! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `layout` and `point`
+//! (what it holds, byte for byte), `index` (one index's writer), `view` (its points, pinned), `restoring` (an index made
+//! from a copy), `journal`, `syncer` and `marks` (what is on disk for certain), `recovery`, `loose` (after a server that
+//! does not sync), `sweeper` (what deleted indices leave).
+//!
+//! A store that has failed takes nothing any more and is read still. It is closed and opened anew as a whole
+//! ([`Log::reopen`]), by the same way as at the start: there is no other that leads from the files to the state.
 
 mod directory;
+mod engine;
 mod index;
 mod journal;
 mod layout;
@@ -16,6 +21,7 @@ mod loose;
 mod marks;
 mod point;
 mod recovery;
+mod restoring;
 mod store;
 mod sweeper;
 mod syncer;
@@ -26,19 +32,19 @@ use std::{collections::BTreeMap, fs, io, path::Path, sync::Arc};
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Mutex, RwLock};
 use serde::Deserialize;
-use tracing::{info, warn};
+use tracing::{error, info};
 
 pub use directory::OpenError;
 
-use super::{Effects, Entry, Log, LogError, Record, Uid, View};
+use super::{
+    Effects, Entry, Gone, Keep, Log, LogError, Operation, Origin, Record, Restoring, Uid, View,
+};
 use directory::{Directory, sync_directory};
-use index::{Index, State};
+use engine::Engine;
 use journal::Journal;
-use layout::{Named, Number, entry_key};
+use layout::Number;
 use marks::{Mark, Marks};
-use store::{Store, storage};
-use sweeper::Sweeper;
-use syncer::Syncer;
+use store::Store;
 
 const STORE: &str = "store";
 /// A store in the making: it takes its name once it is whole.
@@ -72,193 +78,184 @@ impl TryFrom<String> for Durability {
 
 /// A [`Log`] in a directory.
 ///
-/// Dropping it syncs what was appended; views that are held keep the directory.
+/// Dropping it syncs what was appended, and closes the views that are held.
 pub struct FjallLog {
-    // Fields are dropped in this order: the threads end before the directory is given up.
-    syncer: Option<Syncer>,
-    sweeper: Sweeper,
-    indexes: RwLock<BTreeMap<Uid, Arc<Index>>>,
-    /// The number of the next index; who holds it creates or deletes one.
-    next: Mutex<Number>,
-    store: Arc<Store>,
-    directory: Directory,
+    // Dropped before the directory is given up.
+    opened: RwLock<Opened>,
+    /// Held by who opens the store anew.
+    reopening: Mutex<()>,
+    durability: Durability,
+    directory: Arc<Directory>,
+}
+
+enum Opened {
+    Open(Arc<Engine>),
+    /// Not open, and why; with what the marks tell of what it holds.
+    Not(String, BTreeMap<Number, Mark>),
 }
 
 impl FjallLog {
     /// Opens the log in `directory`, which is made if there is none.
+    ///
+    /// A store that cannot be read is no error, or a server would be started again and again to no end: the log tells
+    /// with every call, and of each index in [`Log::gone`].
     pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
-        let directory = Directory::take(directory)?;
+        let directory = Arc::new(Directory::take(directory)?);
         let failed = |source| OpenError::Io {
             path: directory.path().into(),
             source,
         };
-        let unusable = |error: &dyn ToString| OpenError::Store {
-            directory: directory.path().into(),
-            problem: error.to_string(),
-        };
         make_store(&directory).map_err(failed)?;
-        let store = Store::open(&directory.join(STORE), durability);
-        let store = Arc::new(store.map_err(|error| unusable(&error))?);
         let (marks, marked) = Marks::open(&directory.join(MARKS)).map_err(failed)?;
-        let renamed = loose::may_have_lost(directory.path()).map_err(failed)?;
-        let found = recovery::recover(&store, &marked, renamed);
-        let found = found.map_err(|error| unusable(&error))?;
-        let mut journal = Journal::new(store.database.clone(), directory.join(STORE));
-        journal.sync().map_err(|error| unusable(&error))?;
-        loose::begin(directory.path(), durability).map_err(failed)?;
-
-        let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(failed)?;
-        let sweeper = Sweeper::start(Arc::clone(&store), sweeping).map_err(failed)?;
-        let syncer = match durability {
-            Durability::Fsync => Some(Syncer::start(journal, marks).map_err(failed)?),
-            Durability::Os | Durability::None => None,
+        let opened = match Engine::open(&directory, durability, (marks, &marked)) {
+            Ok(engine) => Opened::Open(Arc::new(engine)),
+            Err(what) => {
+                error!(directory = %directory.path().display(), what, "the store cannot be opened: every call will say so");
+                Opened::Not(what, marked)
+            }
         };
-        for &number in &found.deleted {
-            sweeper.sweep(number);
-        }
-        info!(
-            directory = %directory.path().display(),
-            indexes = found.indexes.len(),
-            "opened the log"
-        );
-        let indexes = found.indexes.into_iter();
+        info!(directory = %directory.path().display(), "opened the log");
         Ok(Self {
-            syncer,
-            sweeper,
-            indexes: RwLock::new(indexes.map(|index| (index.entry.uid, index)).collect()),
-            next: Mutex::new(found.next),
-            store,
+            opened: RwLock::new(opened),
+            reopening: Mutex::new(()),
+            durability,
             directory,
         })
     }
 
-    fn index(&self, uid: Uid) -> Result<Arc<Index>, LogError> {
-        match self.indexes.read().get(&uid) {
-            Some(index) => Ok(Arc::clone(index)),
-            None => Err(LogError::UnknownIndex { uid }),
+    fn engine(&self) -> Result<Arc<Engine>, LogError> {
+        match &*self.opened.read() {
+            Opened::Open(engine) => Ok(Arc::clone(engine)),
+            Opened::Not(what, _) => Err(unopened(what, 0)),
         }
     }
 
-    /// Announces a batch that was committed.
-    fn written(&self, number: Number, mark: Mark) {
-        if let Some(syncer) = &self.syncer {
-            syncer.written(number, mark);
-        }
+    fn try_reopen(&self) -> Result<Engine, String> {
+        let (marks, marked) =
+            Marks::open(&self.directory.join(MARKS)).map_err(|error| error.to_string())?;
+        Engine::open(&self.directory, self.durability, (marks, &marked))
     }
+}
 
-    /// Stores an index's entry, for certain.
-    fn put(&self, number: Number, named: &Named, mark: Mark) -> Result<(), LogError> {
-        let mut batch = self.store.database.batch();
-        batch.insert(
-            &self.store.keyspace,
-            entry_key(number),
-            named.encode(number),
-        );
-        batch.commit().map_err(storage)?;
-        self.written(number, mark);
-        match &self.syncer {
-            Some(syncer) => syncer.wait(),
-            None => Ok(()),
-        }
-    }
-
-    /// Notes that all there is was synced.
-    fn settle(&self) -> Result<(), String> {
-        Journal::new(self.store.database.clone(), self.directory.join(STORE)).sync()?;
-        let indexes = self.indexes.read();
-        let marks = indexes
-            .values()
-            .filter_map(|index| Some((index.number, index.mark()?)));
-        let settled = Marks::open(&self.directory.join(MARKS))
-            .and_then(|(mut file, _)| file.write(&marks.collect::<Vec<_>>()))
-            .and_then(|()| loose::end(self.directory.path()));
-        settled.map_err(|error| error.to_string())
-    }
+fn unopened(what: &str, revision: u64) -> LogError {
+    let what = what.into();
+    LogError::Unopened { what, revision }
 }
 
 impl Drop for FjallLog {
     fn drop(&mut self) {
-        if self.syncer.is_none()
-            && let Err(error) = self.settle()
-        {
-            warn!(
-                error,
-                "could not sync the log; the next start takes mutations for lost"
-            );
+        if let Ok(engine) = self.engine() {
+            engine.shut();
         }
     }
 }
 
 impl Log for FjallLog {
     fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        let indexes = self.indexes.read();
-        Ok(indexes.values().map(|index| index.entry.clone()).collect())
+        match self.engine() {
+            Ok(engine) => Ok(engine.entries()),
+            // None of which more is known than that it is gone.
+            Err(LogError::Unopened { .. }) => Ok(Vec::new()),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn gone(&self) -> Vec<Gone> {
+        match &*self.opened.read() {
+            Opened::Open(engine) => engine.gone(),
+            Opened::Not(what, marked) => {
+                let gone = marked.values().map(|mark| Gone {
+                    name: mark.name.to_string(),
+                    uid: mark.uid,
+                    why: unopened(what, mark.revision),
+                });
+                gone.collect()
+            }
+        }
     }
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
-        let mut next = self.next.lock();
-        if self.indexes.read().contains_key(&entry.uid) {
-            return Err(LogError::UidTaken { uid: entry.uid });
-        }
-        let number = *next;
-        let index = Index::new(number, entry.clone(), State::empty());
-        *next += 1;
-        let mark = Mark {
-            uid: entry.uid,
-            revision: 0,
-            digest: Record::NO_PREVIOUS,
-        };
-        let deleted = false;
-        self.put(number, &Named { entry, deleted }, mark)?;
-        self.indexes.write().insert(index.entry.uid, index);
-        Ok(())
+        self.engine()?.create(entry)
+    }
+
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        Ok(Box::new(self.engine()?.restore(entry, origin)?))
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        let _alone = self.next.lock();
-        let index = self.index(uid)?;
-        let number = index.number;
-        let mark = index.close(LogError::UnknownIndex { uid });
-        let named = Named {
-            entry: index.entry.clone(),
-            deleted: true,
-        };
-        if let Err(why) = self.put(number, &named, mark) {
-            index.close(why.clone());
-            return Err(why);
-        }
-        self.indexes.write().remove(&uid);
-        self.sweeper.sweep(number);
-        Ok(())
+        self.engine()?.delete(uid)
     }
 
     fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
-        if let Some(why) = self.syncer.as_ref().and_then(Syncer::failure) {
-            return Err(why);
-        }
-        let index = self.index(uid)?;
-        index.append(&self.store, expected, effects, |mark| {
-            self.written(index.number, mark);
-        })
+        self.engine()?.append(uid, expected, effects)
     }
 
     fn synced(&self, _uid: Uid, _revision: u64) -> BoxFuture<'static, Result<(), LogError>> {
-        match &self.syncer {
-            Some(syncer) => syncer.synced(),
-            None => std::future::ready(Ok(())).boxed(),
+        match self.engine() {
+            Ok(engine) => engine.synced(),
+            Err(error) => std::future::ready(Err(error)).boxed(),
         }
     }
 
     fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
-        self.index(uid)?.tail(&self.store, after)
+        let engine = self.engine()?;
+        engine.index(uid)?.tail(&engine.store, after)
     }
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
-        self.index(uid)?.pin(&self.store)
+        let engine = self.engine()?;
+        engine.index(uid)?.pin(&engine.store)
     }
 
-    fn trim(&self, uid: Uid, keep_bytes: usize) -> Result<(), LogError> {
-        self.index(uid)?.trim(keep_bytes)
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
+        let engine = self.engine()?;
+        engine.index(uid)?.operations(&engine.store)
+    }
+
+    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
+        self.engine()?.index(uid)?.trim(keep)
+    }
+
+    fn is_busy(&self) -> bool {
+        self.engine().is_ok_and(|engine| engine.is_busy())
+    }
+
+    fn failure(&self) -> Option<LogError> {
+        match self.engine() {
+            Ok(engine) => engine.failure(),
+            Err(error) => Some(error),
+        }
+    }
+
+    fn reopen(&self) -> Result<(), LogError> {
+        let _alone = self.reopening.lock();
+        if self.failure().is_none() {
+            return Ok(());
+        }
+        // While it cannot be written the failed store is better than none: it can be read.
+        let storage = |error: io::Error| LogError::Storage {
+            what: error.to_string(),
+        };
+        self.directory.probe().map_err(storage)?;
+        if let Ok(failed) = self.engine() {
+            let meanwhile = "it is being opened anew".into();
+            *self.opened.write() = Opened::Not(meanwhile, BTreeMap::new());
+            failed.shut();
+        }
+        let reopened = self.try_reopen();
+        let mut opened = self.opened.write();
+        match reopened {
+            Ok(engine) => {
+                *opened = Opened::Open(Arc::new(engine));
+                info!("opened the log anew");
+                Ok(())
+            }
+            Err(what) => {
+                let why = unopened(&what, 0);
+                *opened = Opened::Not(what, BTreeMap::new());
+                Err(why)
+            }
+        }
     }
 }
 
@@ -272,9 +269,10 @@ fn make_store(directory: &Directory) -> io::Result<()> {
         fs::remove_dir_all(&new)?;
     }
     let made = Store::open(&new, Durability::Fsync).map_err(io::Error::other)?;
-    let synced = Journal::new(made.database.clone(), new.clone()).sync();
+    let made = Arc::new(made);
+    let synced = Journal::new(Arc::clone(&made), new.clone()).sync();
     synced.map_err(io::Error::other)?;
-    drop(made);
+    made.close();
     fs::rename(&new, &store)?;
     sync_directory(directory.path())
 }

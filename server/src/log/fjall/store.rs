@@ -1,17 +1,29 @@
-//! The store of a directory.
+//! The store of a directory, which can be closed while others still know it.
 
-use std::{fmt::Display, path::Path};
+use std::{path::Path, time::Duration};
 
-use fjall::{Database, Keyspace, KeyspaceCreateOptions};
+use fjall::{Database, Keyspace, KeyspaceCreateOptions, LsmError, PersistMode};
+use parking_lot::{MappedRwLockReadGuard, RwLock, RwLockReadGuard};
 
 use super::Durability;
-use crate::log::LogError;
+use crate::log::{LogError, Uid};
 
 /// Most bytes of journal before the store moves points out of it: what a restart reads again at most.
 const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 
-/// The open store.
-pub(super) struct Store {
+/// From this many on fjall holds whoever writes until it has moved them to its files, however long that takes, even
+/// if it has failed to and never will.
+const MEMTABLES_THAT_HALT: usize = 4;
+const RUNS_THAT_STALL: usize = 20;
+
+/// How often to look whether the store has caught up, of which it gives no signal.
+const CATCHING_UP: Duration = Duration::from_millis(2);
+
+/// The store.
+pub(super) struct Store(RwLock<Option<Handles>>);
+
+/// The store, as long as it is open.
+pub(super) struct Handles {
     pub(super) database: Database,
     /// All there is, as [`layout`](super::layout) describes it.
     pub(super) keyspace: Keyspace,
@@ -26,13 +38,65 @@ impl Store {
             .manual_journal_persist(durability != Durability::Os)
             .open()?;
         let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
-        Ok(Self { database, keyspace })
+        Ok(Self(RwLock::new(Some(Handles { database, keyspace }))))
+    }
+
+    /// The open store, which is not closed before what is returned is dropped. Not to be asked for twice at a time by
+    /// one thread: one that closes it meanwhile would wait for the first, and the second for that one.
+    pub(super) fn handles(&self) -> Result<MappedRwLockReadGuard<'_, Handles>, LogError> {
+        RwLockReadGuard::try_map(self.0.read(), Option::as_ref).map_err(|_| LogError::Closed)
+    }
+
+    /// Closes it, once whoever uses it now is done, and gives up its files.
+    pub(super) fn close(&self) {
+        let handles = self.0.write().take();
+        drop(handles);
     }
 }
 
-/// A failure of the store.
-pub(super) fn storage(error: impl Display) -> LogError {
-    LogError::Storage {
-        what: error.to_string(),
+impl Handles {
+    /// Whether the next batch would have to wait until the store has caught up.
+    pub(super) fn is_busy(&self) -> bool {
+        self.keyspace.sealed_memtable_count() + 1 >= MEMTABLES_THAT_HALT
+            || self.keyspace.l0_table_count() >= RUNS_THAT_STALL
+    }
+
+    /// Waits until the store has caught up so far that a batch does not wait inside, or says that it has failed.
+    pub(super) fn wait_for_room(&self) -> Result<(), LogError> {
+        while self.keyspace.sealed_memtable_count() + 1 >= MEMTABLES_THAT_HALT {
+            // The only call that says whether it has failed without writing anything.
+            self.database
+                .persist(PersistMode::Buffer)
+                .map_err(storage)?;
+            std::thread::park_timeout(CATCHING_UP);
+        }
+        Ok(())
+    }
+}
+
+/// A failure to write, or of a disk.
+pub(super) fn storage(error: fjall::Error) -> LogError {
+    LogError::Storage { what: told(error) }
+}
+
+/// A failure to read what belongs to an index: a disk that does not answer, or what it answers is not what was stored.
+pub(super) fn unreadable(uid: Uid, error: fjall::Error) -> LogError {
+    match error {
+        fjall::Error::Io(_) | fjall::Error::Poisoned | fjall::Error::Storage(LsmError::Io(_)) => {
+            storage(error)
+        }
+        error => LogError::Unreadable {
+            uid,
+            what: told(error),
+        },
+    }
+}
+
+/// What the store says, in as few words as there are.
+pub(super) fn told(error: fjall::Error) -> String {
+    match error {
+        fjall::Error::Io(error) | fjall::Error::Storage(LsmError::Io(error)) => error.to_string(),
+        fjall::Error::Poisoned => "an earlier failure to write".into(),
+        error => error.to_string(),
     }
 }

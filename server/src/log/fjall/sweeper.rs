@@ -11,25 +11,27 @@ use std::{
     thread::JoinHandle,
 };
 
+use parking_lot::Mutex;
 use tracing::warn;
 
 use super::{
-    layout::{Number, entry_key, head_key, point_key, record_key},
+    layout::{Number, entry_key, head_key, operation_key, point_key, record_key},
     marks::Marks,
-    store::Store,
+    store::{Store, storage},
 };
+use crate::log::LogError;
 
 /// How many keys are removed in one batch, between which others write.
 const CHUNK: usize = 1024;
 
-/// Of keys of records or of points.
+/// Of keys of points, records or operations.
 type Range = (Bound<[u8; 13]>, Bound<[u8; 13]>);
 
 /// See the module.
 pub(super) struct Sweeper {
-    deleted: Option<mpsc::Sender<Number>>,
+    deleted: Mutex<Option<mpsc::Sender<Number>>>,
     stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Sweeper {
@@ -51,15 +53,25 @@ impl Sweeper {
                 }
             })?;
         Ok(Self {
-            deleted: Some(deleted),
+            deleted: Mutex::new(Some(deleted)),
             stop,
-            thread: Some(thread),
+            thread: Mutex::new(Some(thread)),
         })
+    }
+
+    /// Ends the thread.
+    pub(super) fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+        *self.deleted.lock() = None;
+        if let Some(thread) = self.thread.lock().take() {
+            // It panics only by a bug, of which the panic itself has told.
+            let _ = thread.join();
+        }
     }
 
     /// Removes what is left of an index, by and by. What is not done at the end of the server is done by the next.
     pub(super) fn sweep(&self, number: Number) {
-        if let Some(deleted) = &self.deleted {
+        if let Some(deleted) = &*self.deleted.lock() {
             // It fails only if the thread has panicked.
             let _ = deleted.send(number);
         }
@@ -68,12 +80,7 @@ impl Sweeper {
 
 impl Drop for Sweeper {
     fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        self.deleted = None;
-        if let Some(thread) = self.thread.take() {
-            // It panics only by a bug, of which the panic itself has told.
-            let _ = thread.join();
-        }
+        self.stop();
     }
 }
 
@@ -83,7 +90,7 @@ fn sweep(
     marks: &mut Marks,
     stop: &AtomicBool,
 ) -> Result<(), String> {
-    for key in [point_key, record_key] {
+    for key in [point_key, record_key, operation_key] {
         let mut after = Bound::Included(key(number, 0));
         let last = Bound::Included(key(number, u64::MAX));
         while let Some(removed) = remove_some(store, (after, last)).map_err(text)? {
@@ -96,9 +103,10 @@ fn sweep(
     }
     // Before the entry: a mark without an entry is an index that was lost.
     marks.clear(number).map_err(text)?;
-    let mut batch = store.database.batch();
-    batch.remove(&store.keyspace, entry_key(number));
-    batch.remove(&store.keyspace, head_key(number));
+    let handles = store.handles().map_err(text)?;
+    let mut batch = handles.database.batch();
+    batch.remove(&handles.keyspace, entry_key(number));
+    batch.remove(&handles.keyspace, head_key(number));
     batch.commit().map_err(text)
 }
 
@@ -107,14 +115,16 @@ fn text(error: impl Display) -> String {
 }
 
 /// Removes the first few keys of a range, and says which was the last of them; None if there were none.
-fn remove_some(store: &Store, range: Range) -> fjall::Result<Option<[u8; 13]>> {
-    let mut batch = store.database.batch();
+fn remove_some(store: &Store, range: Range) -> Result<Option<[u8; 13]>, LogError> {
+    let handles = store.handles()?;
+    handles.wait_for_room()?;
+    let mut batch = handles.database.batch();
     let mut last = None;
-    for found in store.keyspace.range(range).take(CHUNK) {
-        let key = found.key()?;
+    for found in handles.keyspace.range(range).take(CHUNK) {
+        let key = found.key().map_err(storage)?;
         last = key.first_chunk().copied();
-        batch.remove(&store.keyspace, key);
+        batch.remove(&handles.keyspace, key);
     }
-    batch.commit()?;
+    batch.commit().map_err(storage)?;
     Ok(last)
 }

@@ -17,7 +17,7 @@ use crate::log::LogError;
 /// See the module.
 pub(super) struct Syncer {
     shared: Arc<Shared>,
-    thread: Option<JoinHandle<()>>,
+    thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 struct Shared {
@@ -58,7 +58,7 @@ impl Syncer {
             .spawn(move || work.run(&mut journal, &mut marks))?;
         Ok(Self {
             shared,
-            thread: Some(thread),
+            thread: Mutex::new(Some(thread)),
         })
     }
 
@@ -69,6 +69,16 @@ impl Syncer {
         announced.marks.push((number, mark));
         drop(announced);
         self.shared.wake.notify_one();
+    }
+
+    /// Ends the thread, once all that was announced is synced.
+    pub(super) fn stop(&self) {
+        self.shared.announced.lock().stop = true;
+        self.shared.wake.notify_one();
+        if let Some(thread) = self.thread.lock().take() {
+            // It panics only by a bug, of which the panic itself has told.
+            let _ = thread.join();
+        }
     }
 
     /// Why nothing is synced any more.
@@ -109,14 +119,8 @@ impl Syncer {
 }
 
 impl Drop for Syncer {
-    /// Returns when all that was announced is synced.
     fn drop(&mut self) {
-        self.shared.announced.lock().stop = true;
-        self.shared.wake.notify_one();
-        if let Some(thread) = self.thread.take() {
-            // It panics only by a bug, of which the panic itself has told.
-            let _ = thread.join();
-        }
+        self.stop();
     }
 }
 

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use fjall::{Readable, Snapshot};
 
 use super::{
-    layout::{Number, id_of, point_key},
+    layout::{Number, last_of, point_key},
     point,
-    store::{Store, storage},
+    store::{Store, unreadable},
 };
 use crate::log::{LogError, StoredPoint, Uid, View};
 
-/// See the module. The snapshot keeps what it sees, whatever is written meanwhile.
+/// See the module. The snapshot keeps what it sees, whatever is written meanwhile, until the store is closed.
 pub(super) struct Pinned {
     pub(super) store: Arc<Store>,
     pub(super) snapshot: Snapshot,
@@ -43,11 +43,10 @@ impl View for Pinned {
     }
 
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
+        let handles = self.store.handles()?;
         let key = point_key(self.number, id);
-        let value = self
-            .snapshot
-            .get(&self.store.keyspace, key)
-            .map_err(storage)?;
+        let value = self.snapshot.get(&handles.keyspace, key);
+        let value = value.map_err(|error| unreadable(self.uid, error))?;
         value.map(|value| self.decode(id, &value)).transpose()
     }
 
@@ -58,10 +57,16 @@ impl View for Pinned {
             None => 0,
         };
         let range = point_key(self.number, first)..=point_key(self.number, u64::MAX);
-        let points = self.snapshot.range(&self.store.keyspace, range);
+        let handles = self.store.handles()?;
+        let points = self.snapshot.range(&handles.keyspace, range);
         let page = points.take(limit).map(|point| {
-            let (key, value) = point.into_inner().map_err(storage)?;
-            let id = id_of(&key).ok_or_else(|| storage("a key of no known form"))?;
+            let (key, value) = point
+                .into_inner()
+                .map_err(|error| unreadable(self.uid, error))?;
+            let id = last_of(&key).ok_or_else(|| LogError::Unreadable {
+                uid: self.uid,
+                what: "a key of no known form".into(),
+            })?;
             self.decode(id, &value)
         });
         page.collect()

@@ -3,19 +3,27 @@
 mod store;
 mod versions;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::{BTreeMap, btree_map},
+    sync::Arc,
+};
 
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::RwLock;
 
-use super::{Effects, Entry, Log, LogError, Record, Uid, View};
+use super::{
+    Effects, Entry, Keep, Log, LogError, Operation, Origin, Record, Restoring, StoredPoint, Uid,
+    View,
+};
 use store::Store;
 
 /// A [`Log`] in memory. It is synced as soon as it is appended to, as durable as this log makes anything.
 #[derive(Default)]
 pub struct MemoryLog {
-    indexes: RwLock<BTreeMap<Uid, Hosted>>,
+    indexes: Arc<Indexes>,
 }
+
+type Indexes = RwLock<BTreeMap<Uid, Hosted>>;
 
 struct Hosted {
     entry: Entry,
@@ -46,13 +54,16 @@ impl Log for MemoryLog {
     }
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
-        let mut indexes = self.indexes.write();
-        if indexes.contains_key(&entry.uid) {
-            return Err(LogError::UidTaken { uid: entry.uid });
-        }
-        let store = Arc::new(Store::new(entry.uid));
-        indexes.insert(entry.uid, Hosted { entry, store });
-        Ok(())
+        add(&self.indexes, entry, Origin::START, Vec::new())
+    }
+
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        Ok(Box::new(Copy {
+            indexes: Arc::clone(&self.indexes),
+            entry,
+            origin,
+            points: Vec::new(),
+        }))
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
@@ -78,8 +89,47 @@ impl Log for MemoryLog {
         Ok(self.store(uid)?.pin())
     }
 
-    fn trim(&self, uid: Uid, keep_bytes: usize) -> Result<(), LogError> {
-        self.store(uid)?.trim(keep_bytes);
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
+        Ok(self.store(uid)?.operations())
+    }
+
+    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
+        self.store(uid)?.trim(keep);
         Ok(())
+    }
+}
+
+fn add(
+    indexes: &Indexes,
+    entry: Entry,
+    origin: Origin,
+    points: Vec<Arc<StoredPoint>>,
+) -> Result<(), LogError> {
+    let store = Arc::new(Store::new(entry.uid, origin, points));
+    match indexes.write().entry(entry.uid) {
+        btree_map::Entry::Occupied(_) => Err(LogError::UidTaken { uid: entry.uid }),
+        btree_map::Entry::Vacant(place) => {
+            place.insert(Hosted { entry, store });
+            Ok(())
+        }
+    }
+}
+
+/// An index in the making.
+struct Copy {
+    indexes: Arc<Indexes>,
+    entry: Entry,
+    origin: Origin,
+    points: Vec<Arc<StoredPoint>>,
+}
+
+impl Restoring for Copy {
+    fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
+        self.points.extend(points.iter().cloned().map(Arc::new));
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> Result<(), LogError> {
+        add(&self.indexes, self.entry, self.origin, self.points)
     }
 }

@@ -1,11 +1,14 @@
 //! One index in memory: its window of records, and the points that all its records amount to.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::{collections::VecDeque, sync::Arc, time::SystemTime};
 
 use parking_lot::{Mutex, RwLock};
 
 use super::versions::Versions;
-use crate::log::{Digest, Effects, LogError, Record, StoredPoint, Uid, View};
+use crate::log::{
+    Digest, Effects, Keep, LogError, Operation, Origin, Record, StoredPoint, Uid, View,
+    record::time_ms, window::Window,
+};
 
 /// How many rows are stored or dropped under one hold of the lock, so that a large record does not keep readers from
 /// payloads. Also the most that whoever lets go of a view drops of what nobody sees any more, a fraction of a
@@ -25,22 +28,31 @@ struct Journal {
     digest: Digest,
     next_id: u64,
     /// The newest records, without a gap up to the head.
-    window: VecDeque<Arc<Record>>,
-    window_bytes: usize,
+    records: VecDeque<Arc<Record>>,
+    /// The newest operations.
+    operations: VecDeque<Arc<Operation>>,
+    window: Window,
 }
 
 impl Store {
-    pub(super) fn new(uid: Uid) -> Self {
+    /// A store that begins with these points.
+    pub(super) fn new(uid: Uid, origin: Origin, points: Vec<Arc<StoredPoint>>) -> Self {
+        let mut versions = Versions::default();
+        for point in points {
+            versions.insert_new(point);
+        }
+        versions.advance(origin.revision);
         Self {
             uid,
             journal: Mutex::new(Journal {
-                head: 0,
-                digest: Record::NO_PREVIOUS,
-                next_id: 0,
-                window: VecDeque::new(),
-                window_bytes: 0,
+                head: origin.revision,
+                digest: origin.digest,
+                next_id: origin.next_id,
+                records: VecDeque::new(),
+                operations: VecDeque::new(),
+                window: Window::default(),
             }),
-            versions: RwLock::default(),
+            versions: RwLock::new(versions),
         }
     }
 
@@ -53,12 +65,17 @@ impl Store {
                 head: journal.head,
             });
         }
-        let record = Arc::new(Record::new(expected + 1, journal.digest, effects));
+        let now = time_ms(SystemTime::now());
+        let record = Arc::new(Record::new(expected + 1, journal.digest, now, effects));
         self.store(&record, &mut journal.next_id);
         journal.head = record.revision();
         journal.digest = *record.digest();
-        journal.window_bytes += record.effects().bytes();
-        journal.window.push_back(Arc::clone(&record));
+        journal.window.hold(&record);
+        journal.records.push_back(Arc::clone(&record));
+        if let Some(operation) = record.effects().operation() {
+            journal.window.hold_operation(operation.bytes());
+            journal.operations.push_back(Arc::clone(operation));
+        }
         Ok(record)
     }
 
@@ -107,7 +124,7 @@ impl Store {
 
     pub(super) fn tail(&self, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
         let journal = self.journal.lock();
-        let oldest = journal.head - journal.window.len() as u64;
+        let oldest = journal.head - journal.records.len() as u64;
         let after = after.unwrap_or(oldest);
         if after < oldest {
             return Err(LogError::Trimmed {
@@ -117,18 +134,18 @@ impl Store {
             });
         }
         let skipped = (after - oldest) as usize;
-        Ok(journal.window.iter().skip(skipped).cloned().collect())
+        Ok(journal.records.iter().skip(skipped).cloned().collect())
     }
 
-    pub(super) fn trim(&self, keep_bytes: usize) {
+    pub(super) fn operations(&self) -> Vec<Arc<Operation>> {
+        self.journal.lock().operations.iter().cloned().collect()
+    }
+
+    pub(super) fn trim(&self, keep: &Keep) {
         let mut journal = self.journal.lock();
-        // The newest stays, however large: whoever has all the others must still get it.
-        while journal.window.len() > 1
-            && journal.window_bytes > keep_bytes
-            && let Some(record) = journal.window.pop_front()
-        {
-            journal.window_bytes -= record.effects().bytes();
-        }
+        let trimmed = journal.window.trim(keep);
+        journal.records.drain(..trimmed.records);
+        journal.operations.drain(..trimmed.operations);
     }
 
     pub(super) fn pin(self: Arc<Self>) -> Arc<dyn View> {
@@ -201,7 +218,7 @@ mod tests {
 
     #[test]
     fn only_what_a_view_sees_is_kept_beside_the_points() {
-        let store = Arc::new(Store::new(Uid::unique()));
+        let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
         let versions = || store.versions.read().len();
         for revision in 1..=3 {
             store
@@ -224,7 +241,7 @@ mod tests {
 
     #[test]
     fn an_old_view_keeps_no_version_that_it_does_not_see() {
-        let store = Arc::new(Store::new(Uid::unique()));
+        let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
         let versions = || store.versions.read().len();
         store.append(0, storing(0..2000, 1)).unwrap();
         let old = Arc::clone(&store).pin();
@@ -245,7 +262,7 @@ mod tests {
 
     #[test]
     fn letting_go_of_a_view_leaves_most_of_the_work_to_later_records() {
-        let store = Arc::new(Store::new(Uid::unique()));
+        let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
         let versions = || store.versions.read().len();
         store.append(0, storing(0..20_000, 1)).unwrap();
         let old = Arc::clone(&store).pin();

@@ -5,24 +5,21 @@ use std::sync::Arc;
 use bytes::Bytes;
 use wayfold_index::PointRef;
 
-use super::{Digest, Effects, Operation, Outcome};
+use super::{Digest, Effects, Operation, Outcome, Record};
 use crate::log::cursor::Cursor;
 
 /// Names the form. Another form needs another text.
-const FORM: &[u8; 16] = b"wayfold record 1";
+const FORM: &[u8; 16] = b"wayfold record 2";
 
 /// Gives the bytes of a record to `take`, part by part.
-pub(super) fn write(
-    revision: u64,
-    previous: &Digest,
-    effects: &Effects,
-    mut take: impl FnMut(&[u8]),
-) {
+pub(super) fn write(record: &Record, mut take: impl FnMut(&[u8])) {
+    let effects = &record.effects;
     let mut part = Vec::new();
     part.extend_from_slice(FORM);
-    part.extend_from_slice(previous);
+    part.extend_from_slice(&record.previous);
     for number in [
-        revision,
+        record.revision,
+        record.time_ms,
         effects.stored.coordinates() as u64,
         effects.stored.len() as u64,
     ] {
@@ -54,11 +51,16 @@ pub(super) fn write(
     }
     part.extend_from_slice(&u64::from(effects.operation.is_some()).to_le_bytes());
     if let Some(operation) = &effects.operation {
-        push_sequence(&mut part, operation.id.as_bytes());
-        part.extend_from_slice(&operation.fingerprint);
-        push_sequence(&mut part, &operation.response);
+        push_operation(&mut part, operation);
     }
     take(&part);
+}
+
+/// Appends the bytes of an operation.
+pub(super) fn push_operation(part: &mut Vec<u8>, operation: &Operation) {
+    push_sequence(part, operation.id.as_bytes());
+    part.extend_from_slice(&operation.fingerprint);
+    push_sequence(part, &operation.response);
 }
 
 fn push_sequence(part: &mut Vec<u8>, bytes: &[u8]) {
@@ -66,13 +68,13 @@ fn push_sequence(part: &mut Vec<u8>, bytes: &[u8]) {
     part.extend_from_slice(bytes);
 }
 
-/// The revision, the digest of the record before and the effects; None if the bytes are of no such form.
-pub(super) fn read(bytes: &[u8]) -> Option<(u64, Digest, Effects)> {
+/// The record of what its `digest` covers; None if the bytes are of no such form.
+pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
     let mut cursor = Cursor::new(bytes);
     if cursor.array()? != *FORM {
         return None;
     }
-    let (previous, revision) = (cursor.array()?, cursor.u64()?);
+    let (previous, revision, time_ms) = (cursor.array()?, cursor.u64()?, cursor.u64()?);
     let (coordinates, rows) = (cursor.length()?, cursor.length()?);
     // Every row takes its bytes, so a count that is out of all proportion ends here, before room is made for it.
     if coordinates > cursor.left() / 8 && rows > 0 {
@@ -109,19 +111,25 @@ pub(super) fn read(bytes: &[u8]) -> Option<(u64, Digest, Effects)> {
     }
     match cursor.u64()? {
         0 => {}
-        1 => {
-            let id = str::from_utf8(sequence(&mut cursor)?).ok()?.to_owned();
-            let fingerprint = cursor.array()?;
-            let response = Bytes::copy_from_slice(sequence(&mut cursor)?);
-            effects.set_operation(Some(Arc::new(Operation {
-                id,
-                fingerprint,
-                response,
-            })));
-        }
+        1 => effects.set_operation(Some(Arc::new(read_operation(&mut cursor)?))),
         _ => return None,
     }
-    cursor.is_empty().then_some((revision, previous, effects))
+    cursor.is_empty().then_some(Record {
+        revision,
+        previous,
+        time_ms,
+        effects,
+        digest,
+    })
+}
+
+/// The operation that begins here.
+pub(super) fn read_operation(cursor: &mut Cursor<'_>) -> Option<Operation> {
+    Some(Operation {
+        id: str::from_utf8(sequence(cursor)?).ok()?.to_owned(),
+        fingerprint: cursor.array()?,
+        response: Bytes::copy_from_slice(sequence(cursor)?),
+    })
 }
 
 fn sequence<'a>(cursor: &mut Cursor<'a>) -> Option<&'a [u8]> {
@@ -139,14 +147,14 @@ mod tests {
     #[test]
     fn what_is_stored_is_read_again() {
         for effects in [effects(), Effects::new(7)] {
-            let record = Record::new(5, [9; 32], effects);
+            let record = Record::new(5, [9; 32], 77, effects);
             assert_eq!(Record::decode(&record.encode()), Ok(record));
         }
     }
 
     #[test]
     fn every_flipped_bit_and_every_cut_is_noticed() {
-        let bytes = Record::new(5, [9; 32], effects()).encode();
+        let bytes = Record::new(5, [9; 32], 77, effects()).encode();
         for bit in 0..8 * bytes.len() {
             let mut flipped = bytes.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
@@ -170,10 +178,10 @@ mod tests {
             let _ = Record::decode(&bytes);
             let mut odd = FORM.to_vec();
             odd.extend_from_slice(&bytes);
-            let _ = read(&odd);
-            let mut changed = Record::new(5, [9; 32], effects()).encode();
+            let _ = read(&odd, [0; 32]);
+            let mut changed = Record::new(5, [9; 32], 77, effects()).encode();
             changed[at..at + 8].copy_from_slice(&value.to_le_bytes());
-            let _ = read(&changed[..changed.len() - 32]);
+            let _ = read(&changed[..changed.len() - 32], [0; 32]);
         }
     }
 }

@@ -1,0 +1,289 @@
+//! The store while it is open, with its threads and the state of its indices.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use futures_util::{FutureExt, future::BoxFuture};
+use parking_lot::{Mutex, RwLock};
+use tracing::{error, warn};
+
+use super::{
+    Durability, MARKS, STORE,
+    directory::Directory,
+    index::{Index, State},
+    journal::Journal,
+    layout::{Named, Number, entry_key},
+    loose,
+    marks::{Mark, Marks},
+    recovery,
+    restoring::Copy,
+    store::{Store, storage, told},
+    sweeper::Sweeper,
+    syncer::Syncer,
+};
+use crate::log::{Effects, Entry, Gone, LogError, Origin, Record, Uid};
+
+/// See the module.
+pub(super) struct Engine {
+    syncer: Option<Syncer>,
+    pub(super) sweeper: Sweeper,
+    indexes: RwLock<BTreeMap<Uid, Arc<Index>>>,
+    gone: Mutex<BTreeMap<Number, Gone>>,
+    /// The number of the next index; who holds it creates or deletes one.
+    next: Mutex<Number>,
+    /// Why nothing is written any more.
+    failed: Mutex<Option<LogError>>,
+    pub(super) store: Arc<Store>,
+    directory: Arc<Directory>,
+}
+
+impl Engine {
+    /// Opens the store of a directory, which is there, or says why it cannot be opened.
+    pub(super) fn open(
+        directory: &Arc<Directory>,
+        durability: Durability,
+        marks: (Marks, &BTreeMap<Number, Mark>),
+    ) -> Result<Self, String> {
+        let (mut marks, marked) = marks;
+        let text = |error: std::io::Error| error.to_string();
+        let store = Store::open(&directory.join(STORE), durability).map_err(told)?;
+        let store = Arc::new(store);
+        let renamed = loose::may_have_lost(directory.path()).map_err(text)?;
+        let handles = store.handles().map_err(|error| error.to_string())?;
+        let found = recovery::recover(&handles, marked, renamed)?;
+        drop(handles);
+        let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
+        journal.sync()?;
+        loose::begin(directory.path(), durability).map_err(text)?;
+
+        // What is there is on disk now, also what was never acknowledged: whoever is shown it may count on it.
+        let reached = found.indexes.iter();
+        let reached = reached.filter_map(|index| Some((index.number, index.mark()?)));
+        marks.write(&reached.collect::<Vec<_>>()).map_err(text)?;
+        let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(text)?;
+        let sweeper = Sweeper::start(Arc::clone(&store), sweeping).map_err(text)?;
+        let syncer = match durability {
+            Durability::Fsync => Some(Syncer::start(journal, marks).map_err(text)?),
+            Durability::Os | Durability::None => None,
+        };
+        for &number in &found.deleted {
+            sweeper.sweep(number);
+        }
+        let indexes = found.indexes.into_iter();
+        Ok(Self {
+            syncer,
+            sweeper,
+            indexes: RwLock::new(indexes.map(|index| (index.entry.uid, index)).collect()),
+            gone: Mutex::new(found.gone),
+            next: Mutex::new(found.next),
+            failed: Mutex::new(None),
+            store,
+            directory: Arc::clone(directory),
+        })
+    }
+
+    pub(super) fn index(&self, uid: Uid) -> Result<Arc<Index>, LogError> {
+        match self.indexes.read().get(&uid) {
+            Some(index) => Ok(Arc::clone(index)),
+            None => Err(LogError::UnknownIndex { uid }),
+        }
+    }
+
+    pub(super) fn entries(&self) -> Vec<Entry> {
+        let indexes = self.indexes.read();
+        indexes.values().map(|index| index.entry.clone()).collect()
+    }
+
+    pub(super) fn gone(&self) -> Vec<Gone> {
+        self.gone.lock().values().cloned().collect()
+    }
+
+    /// Why nothing is written any more.
+    pub(super) fn failure(&self) -> Option<LogError> {
+        let failed = self.failed.lock().clone();
+        failed.or_else(|| self.syncer.as_ref().and_then(Syncer::failure))
+    }
+
+    /// Takes note of an error, after which, if it is one of the store, nothing is written any more.
+    pub(super) fn note(&self, error: &LogError) {
+        if matches!(error, LogError::Storage { .. }) {
+            let mut failed = self.failed.lock();
+            if failed.is_none() {
+                error!(%error, "the log has failed");
+                *failed = Some(error.clone());
+            }
+        }
+    }
+
+    fn writable(&self) -> Result<(), LogError> {
+        match self.failure() {
+            Some(why) => Err(why),
+            None => Ok(()),
+        }
+    }
+
+    /// Announces a batch that was committed.
+    fn written(&self, number: Number, mark: Mark) {
+        if let Some(syncer) = &self.syncer {
+            syncer.written(number, mark);
+        }
+    }
+
+    /// Waits until all that was announced is synced.
+    fn wait(&self) -> Result<(), LogError> {
+        match &self.syncer {
+            Some(syncer) => syncer.wait(),
+            None => Ok(()),
+        }
+    }
+
+    /// Stores an index's entry, for certain.
+    fn put(&self, number: Number, named: &Named, mark: Mark) -> Result<(), LogError> {
+        self.writable()?;
+        let handles = self.store.handles()?;
+        let entry = named.encode(number);
+        let stored = handles.wait_for_room().and_then(|()| {
+            let stored = handles.keyspace.insert(entry_key(number), entry);
+            stored.map_err(storage)
+        });
+        drop(handles);
+        stored.inspect_err(|error| self.note(error))?;
+        self.written(number, mark);
+        self.wait()
+    }
+
+    pub(super) fn create(&self, entry: Entry) -> Result<(), LogError> {
+        let mut next = self.next.lock();
+        self.untaken(entry.uid)?;
+        let number = *next;
+        let index = Index::new(number, entry.clone(), State::new(Origin::START));
+        *next += 1;
+        let deleted = false;
+        self.put(number, &Named { entry, deleted }, index.here())?;
+        self.indexes.write().insert(index.entry.uid, index);
+        Ok(())
+    }
+
+    pub(super) fn restore(self: Arc<Self>, entry: Entry, origin: Origin) -> Result<Copy, LogError> {
+        self.writable()?;
+        let mut next = self.next.lock();
+        self.untaken(entry.uid)?;
+        let number = *next;
+        *next += 1;
+        drop(next);
+        Copy::begin(self, number, entry, origin)
+    }
+
+    /// Adds an index that is in the store, once that is certain.
+    pub(super) fn add(&self, index: Arc<Index>) -> Result<(), LogError> {
+        self.written(index.number, index.here());
+        self.wait()?;
+        self.indexes.write().insert(index.entry.uid, index);
+        Ok(())
+    }
+
+    fn untaken(&self, uid: Uid) -> Result<(), LogError> {
+        match self.indexes.read().contains_key(&uid) {
+            true => Err(LogError::UidTaken { uid }),
+            false => Ok(()),
+        }
+    }
+
+    pub(super) fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        let _alone = self.next.lock();
+        self.writable()?;
+        if self.forget(uid)? {
+            return Ok(());
+        }
+        let index = self.index(uid)?;
+        let number = index.number;
+        let mark = index.close(LogError::UnknownIndex { uid });
+        let named = Named {
+            entry: index.entry.clone(),
+            deleted: true,
+        };
+        if let Err(why) = self.put(number, &named, mark) {
+            index.close(why.clone());
+            return Err(why);
+        }
+        self.indexes.write().remove(&uid);
+        self.sweeper.sweep(number);
+        Ok(())
+    }
+
+    /// Removes the mark of an index of which nothing else is left; false if there is none.
+    fn forget(&self, uid: Uid) -> Result<bool, LogError> {
+        let mut gone = self.gone.lock();
+        let found = gone.iter().find(|(_, gone)| gone.uid == uid);
+        let Some((&number, _)) = found else {
+            return Ok(false);
+        };
+        let cleared =
+            Marks::open(&self.directory.join(MARKS)).and_then(|(mut marks, _)| marks.clear(number));
+        cleared.map_err(|error| LogError::Storage {
+            what: error.to_string(),
+        })?;
+        gone.remove(&number);
+        // Of an entry that could not be read, the rest may still be there.
+        self.sweeper.sweep(number);
+        Ok(true)
+    }
+
+    pub(super) fn append(
+        &self,
+        uid: Uid,
+        expected: u64,
+        effects: Effects,
+    ) -> Result<Arc<Record>, LogError> {
+        self.writable()?;
+        let index = self.index(uid)?;
+        let appended = index.append(&self.store, expected, effects, |mark| {
+            self.written(index.number, mark);
+        });
+        appended.inspect_err(|error| self.note(error))
+    }
+
+    pub(super) fn synced(&self) -> BoxFuture<'static, Result<(), LogError>> {
+        match &self.syncer {
+            Some(syncer) => syncer.synced(),
+            None => std::future::ready(Ok(())).boxed(),
+        }
+    }
+
+    /// Notes that all there is was synced.
+    fn settle(&self) -> Result<(), String> {
+        Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
+        let indexes = self.indexes.read();
+        let marks = indexes
+            .values()
+            .filter_map(|index| Some((index.number, index.mark()?)));
+        let settled = Marks::open(&self.directory.join(MARKS))
+            .and_then(|(mut file, _)| file.write(&marks.collect::<Vec<_>>()))
+            .and_then(|()| loose::end(self.directory.path()));
+        settled.map_err(|error| error.to_string())
+    }
+}
+
+impl Engine {
+    /// Syncs what was appended, ends the threads and closes the store, whoever still knows it.
+    pub(super) fn shut(&self) {
+        match &self.syncer {
+            Some(syncer) => syncer.stop(),
+            None => {
+                if let Err(error) = self.settle() {
+                    warn!(
+                        error,
+                        "could not sync the log; the next start takes mutations for lost"
+                    );
+                }
+            }
+        }
+        self.sweeper.stop();
+        self.store.close();
+    }
+
+    /// Whether the next append may have to wait.
+    pub(super) fn is_busy(&self) -> bool {
+        let handles = self.store.handles();
+        handles.is_ok_and(|handles| handles.is_busy())
+    }
+}

@@ -1,0 +1,101 @@
+//! An index on its way into the store, point by point.
+//!
+//! Until its last batch its entry says that it was deleted: whatever ends the copy before, what is left of it is removed
+//! like what is left of any deleted index.
+
+use std::sync::Arc;
+
+use super::{
+    engine::Engine,
+    index::{Index, State},
+    layout::{Head, Named, Number, entry_key, head_key, point_key},
+    point::PointForm,
+    store::storage,
+};
+use crate::log::{Entry, LogError, Origin, Restoring, StoredPoint};
+
+/// See the module.
+pub(super) struct Copy {
+    engine: Arc<Engine>,
+    number: Number,
+    entry: Entry,
+    origin: Origin,
+    finished: bool,
+}
+
+impl Copy {
+    /// Begins one under a number of its own.
+    pub(super) fn begin(
+        engine: Arc<Engine>,
+        number: Number,
+        entry: Entry,
+        origin: Origin,
+    ) -> Result<Self, LogError> {
+        let copy = Self {
+            engine,
+            number,
+            entry,
+            origin,
+            finished: false,
+        };
+        copy.write(&[], true, false)?;
+        Ok(copy)
+    }
+
+    fn write(&self, points: &[StoredPoint], deleted: bool, head: bool) -> Result<(), LogError> {
+        let result = self.try_write(points, deleted, head);
+        result.inspect_err(|error| self.engine.note(error))
+    }
+
+    /// Writes points and the entry in one batch, and with `head` where the index begins.
+    fn try_write(&self, points: &[StoredPoint], deleted: bool, head: bool) -> Result<(), LogError> {
+        let number = self.number;
+        let handles = self.engine.store.handles()?;
+        handles.wait_for_room()?;
+        let keyspace = &handles.keyspace;
+        let mut batch = handles.database.batch();
+        for point in points {
+            let form = PointForm {
+                revision: point.revision,
+                modified: point.modified,
+                tag: point.tag,
+                state: &point.state,
+                payload: &point.payload,
+            };
+            let value = form.encode(number, point.id);
+            batch.insert(keyspace, point_key(number, point.id), value);
+        }
+        if head {
+            let head = Head::at(&self.origin);
+            batch.insert(keyspace, head_key(number), head.encode(number));
+        }
+        let named = Named {
+            entry: self.entry.clone(),
+            deleted,
+        };
+        batch.insert(keyspace, entry_key(number), named.encode(number));
+        batch.commit().map_err(storage)
+    }
+}
+
+impl Restoring for Copy {
+    fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
+        self.write(points, true, false)
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<(), LogError> {
+        self.write(&[], false, true)?;
+        // From here on it is there, or not, as the next start finds it.
+        self.finished = true;
+        let index = Index::new(self.number, self.entry.clone(), State::new(self.origin));
+        self.engine.add(index)
+    }
+}
+
+impl Drop for Copy {
+    fn drop(&mut self) {
+        if !self.finished {
+            self.engine.sweeper.sweep(self.number);
+        }
+    }
+}

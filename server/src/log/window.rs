@@ -1,0 +1,80 @@
+//! How much of its past a log keeps: its newest records, for who follows it, and its newest operations, for retries.
+
+use std::{collections::VecDeque, time::SystemTime};
+
+use super::{Record, record::time_ms};
+
+/// What is kept of the past of an index beside its points.
+#[derive(Clone, Copy, Debug)]
+pub struct Keep {
+    /// Most bytes of records (see [`Effects::bytes`](super::Effects::bytes)).
+    pub record_bytes: usize,
+    /// Records that were appended before are forgotten.
+    pub since: SystemTime,
+    /// Most operations.
+    pub operations: usize,
+    /// Most bytes of operations (see [`Operation::bytes`](super::Operation::bytes)).
+    pub operation_bytes: usize,
+}
+
+/// What is held, by size. The newest record and the newest operation always stay, however large or old they are: who
+/// follows record by record always gets the next.
+#[derive(Default)]
+pub(super) struct Window {
+    records: VecDeque<Held>,
+    record_bytes: usize,
+    operations: VecDeque<usize>,
+    operation_bytes: usize,
+}
+
+struct Held {
+    bytes: usize,
+    time_ms: u64,
+}
+
+/// How many of the oldest are to be forgotten.
+#[derive(Default)]
+pub(super) struct Trimmed {
+    pub(super) records: usize,
+    pub(super) operations: usize,
+}
+
+impl Window {
+    /// Takes note of the next record.
+    pub(super) fn hold(&mut self, record: &Record) {
+        let bytes = record.effects().bytes();
+        self.record_bytes += bytes;
+        let time_ms = record.time_ms();
+        self.records.push_back(Held { bytes, time_ms });
+    }
+
+    /// Takes note of the next operation.
+    pub(super) fn hold_operation(&mut self, bytes: usize) {
+        self.operation_bytes += bytes;
+        self.operations.push_back(bytes);
+    }
+
+    /// Lets go of what need not be kept.
+    pub(super) fn trim(&mut self, keep: &Keep) -> Trimmed {
+        let mut trimmed = Trimmed::default();
+        let since = time_ms(keep.since);
+        while self.records.len() > 1
+            && let Some(oldest) = self.records.front()
+            && (self.record_bytes > keep.record_bytes || oldest.time_ms < since)
+        {
+            self.record_bytes -= oldest.bytes;
+            self.records.pop_front();
+            trimmed.records += 1;
+        }
+        while self.operations.len() > 1
+            && let Some(oldest) = self.operations.front()
+            && (self.operations.len() > keep.operations
+                || self.operation_bytes > keep.operation_bytes)
+        {
+            self.operation_bytes -= oldest;
+            self.operations.pop_front();
+            trimmed.operations += 1;
+        }
+        trimmed
+    }
+}

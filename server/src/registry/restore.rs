@@ -1,0 +1,101 @@
+//! An index made from the points of another.
+
+use std::sync::Arc;
+
+use tracing::info;
+use wayfold_index::{Forest, PointRef, Points, Space};
+
+use super::{Host, Hosted, Place, Registry, RegistryError, Writer};
+use crate::log::{Entry, Origin, Restoring, StoredPoint, Uid};
+
+/// An index in the making. Dropped before it is hosted, it leaves nothing.
+pub struct Restore {
+    host: Arc<Host>,
+    entry: Entry,
+    origin: Origin,
+    limit: usize,
+    stored: Box<dyn Restoring>,
+    points: Points,
+}
+
+impl Registry {
+    /// Begins an index that is a copy of another, with a uid of its own. [`RegistryError::Taken`] if the name is taken,
+    /// [`RegistryError::Full`] if there are `limit` indices; both are found again at the end. It blocks while the log
+    /// works.
+    pub fn restore(
+        &self,
+        name: &str,
+        space: Space,
+        limit: usize,
+        origin: Origin,
+    ) -> Result<Restore, RegistryError> {
+        self.room_for(name, limit)?;
+        let entry = Entry {
+            uid: Uid::unique(),
+            name: name.into(),
+            space,
+        };
+        Ok(Restore {
+            stored: self.host.log.restore(entry.clone(), origin)?,
+            points: Points::new(entry.space.coordinates()),
+            host: Arc::clone(&self.host),
+            entry,
+            origin,
+            limit,
+        })
+    }
+
+    /// Hosts the index that was restored, now that it is whole. It blocks while the log works and the forest grows.
+    pub fn host(&self, restore: Restore) -> Result<Arc<Hosted>, RegistryError> {
+        let Restore {
+            host,
+            entry,
+            origin,
+            limit,
+            stored,
+            points,
+        } = restore;
+        let mut forest = Forest::new(entry.space.clone(), host.options.forest);
+        if origin.revision > 0 {
+            forest.apply(origin.revision, &points, &[]);
+            forest.settle();
+        }
+        let _changing = self.changing.lock();
+        self.room_for(&entry.name, limit)?;
+        stored.finish()?;
+        let view = host.log.points(entry.uid)?;
+        let hosted = Hosted::new(&host, &entry, Writer::new(forest, view));
+        info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points = points.len(), "restored an index");
+        let place = Place::Hosted(Arc::clone(&hosted));
+        self.indexes.write().insert(entry.name, place);
+        Ok(hosted)
+    }
+
+    fn room_for(&self, name: &str, limit: usize) -> Result<(), RegistryError> {
+        let indexes = self.indexes.read();
+        if indexes.contains_key(name) {
+            return Err(RegistryError::Taken);
+        }
+        if indexes.len() >= limit {
+            return Err(RegistryError::Full { limit });
+        }
+        Ok(())
+    }
+}
+
+impl Restore {
+    /// Adds the next points, by ascending id: canonical rows of the space, below the origin's next id. It blocks while
+    /// the log works.
+    pub fn add(&mut self, points: &[StoredPoint]) -> Result<(), RegistryError> {
+        self.stored.add(points)?;
+        for point in points {
+            self.points.push_point(PointRef {
+                id: point.id,
+                tag: point.tag,
+                revision: point.revision,
+                row: &point.state,
+            });
+        }
+        Ok(())
+    }
+}

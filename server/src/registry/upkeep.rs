@@ -1,0 +1,115 @@
+//! What the registry sees to by itself: that a store that has failed is opened anew, and that old records go.
+
+use std::{
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use tokio::time::{Instant, MissedTickBehavior, interval};
+use tracing::{error, info, warn};
+
+use super::{Hosted, Place, Registry, RegistryError, replay};
+use crate::log::{Entry, LogError};
+
+/// How often it is looked after.
+const TICK: Duration = Duration::from_secs(1);
+
+/// How long at most until a store that could not be opened anew is tried again.
+const LONGEST_WAIT: Duration = Duration::from_secs(15);
+
+/// How often records that are too old are looked for.
+const TRIMMING: Duration = Duration::from_secs(60);
+
+impl Registry {
+    /// Looks after the registry; it never ends. Calls `recovered` whenever a log that had failed is written again.
+    pub async fn look_after(self: Arc<Self>, recovered: impl Fn()) {
+        let mut ticks = interval(TICK);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let (mut wait, mut next_try, mut trimmed) = (TICK, Instant::now(), Instant::now());
+        loop {
+            let now = ticks.tick().await;
+            if self.failure().is_some() && now >= next_try {
+                let registry = Arc::clone(&self);
+                let outcome = tokio::task::spawn_blocking(move || registry.recover()).await;
+                match outcome {
+                    Ok(Ok(())) => {
+                        wait = TICK;
+                        recovered();
+                    }
+                    Ok(Err(error)) => {
+                        warn!(%error, "the log could not be opened anew");
+                        wait = (2 * wait).min(LONGEST_WAIT);
+                    }
+                    // Only if it panicked, of which the panic itself has told.
+                    Err(_) => wait = LONGEST_WAIT,
+                }
+                next_try = Instant::now() + wait;
+            }
+            if now >= trimmed + TRIMMING {
+                trimmed = now;
+                self.trim();
+            }
+        }
+    }
+
+    /// Why nothing is written any more, if so.
+    pub fn failure(&self) -> Option<RegistryError> {
+        self.host.log.failure().map(RegistryError::Log)
+    }
+
+    /// Opens the log anew if it has failed, and takes its indices for what they are then. Those that are as far as their
+    /// writers took them to be go on; any other is replayed, and who waited for it is told to ask again. It blocks.
+    pub fn recover(&self) -> Result<(), RegistryError> {
+        let _changing = self.changing.lock();
+        self.host.log.reopen()?;
+        let entries = self.host.log.indexes()?;
+        let places = self.indexes.read().clone();
+        for (name, place) in &places {
+            let left = entries.iter().any(|entry| entry.name == *name);
+            if !left {
+                self.indexes.write().remove(name);
+                if let Place::Hosted(hosted) = place {
+                    hosted.close(RegistryError::Deleted);
+                }
+            }
+        }
+        for entry in &entries {
+            let place = self.taken(places.get(&entry.name), entry);
+            self.indexes.write().insert(entry.name.clone(), place);
+        }
+        self.take_gone();
+        info!(indexes = entries.len(), "the log is written again");
+        Ok(())
+    }
+
+    /// What an index is after the log was opened anew.
+    fn taken(&self, before: Option<&Place>, entry: &Entry) -> Place {
+        if let Some(Place::Hosted(hosted)) = before {
+            if hosted.uid() == entry.uid && self.goes_on(hosted) {
+                return Place::Hosted(Arc::clone(hosted));
+            }
+            hosted.close(RegistryError::Log(LogError::Closed));
+        }
+        replay::replayed(&self.host, entry)
+    }
+
+    fn goes_on(&self, hosted: &Arc<Hosted>) -> bool {
+        match self.host.log.points(hosted.uid()) {
+            Ok(view) => hosted.resume(view),
+            Err(error) => {
+                error!(index = hosted.name(), %error, "cannot be read after the log was opened anew");
+                false
+            }
+        }
+    }
+
+    /// Forgets records that are too old, also of indices that nobody writes.
+    fn trim(&self) {
+        let hosted = self.page(None, usize::MAX);
+        for hosted in hosted {
+            if let Err(error) = hosted.trim(SystemTime::now()) {
+                warn!(index = hosted.name(), %error, "could not trim the log");
+            }
+        }
+    }
+}
