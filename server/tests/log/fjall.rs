@@ -158,6 +158,129 @@ fn a_flipped_byte_of_the_journal_is_never_a_silent_gap() {
     assert!(told > 0);
 }
 
+/// The disk is taken away and comes back. What was acknowledged is there, what was not is there whole or not at all.
+#[test]
+fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let arm = entry("arm");
+    let uid = arm.uid;
+    log.create(arm.clone()).unwrap();
+    for revision in 1..=3 {
+        append(&log, uid, revision);
+        wait_synced(&log, uid, revision);
+    }
+    let (store, away) = (
+        directory.path().join("store"),
+        directory.path().join("away"),
+    );
+    for head in [3, 4, 5] {
+        assert_eq!(log.failure(), None);
+        let view = log.points(uid).unwrap();
+        let before = all_points(&*view);
+        fs::rename(&store, &away).unwrap();
+        append(&log, uid, head + 1);
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .build()
+            .unwrap();
+        let failed = runtime.block_on(log.synced(uid, head + 1)).unwrap_err();
+        assert!(matches!(failed, LogError::Storage { .. }));
+        for _ in 0..2 {
+            let refused = log.append(uid, head + 1, effects(head + 2, &[99], &[]));
+            assert_eq!(refused.unwrap_err(), failed);
+            assert_eq!(log.create(entry("other")), Err(failed.clone()));
+            assert_eq!(log.delete(uid), Err(failed.clone()));
+            // It is not over yet, and so the store stays as it is.
+            assert!(matches!(log.reopen(), Err(LogError::Storage { .. })));
+            assert_eq!(log.failure(), Some(failed.clone()));
+            assert_eq!(all_points(&*view), before);
+        }
+        fs::rename(&away, &store).unwrap();
+        log.reopen().unwrap();
+        assert_eq!(view.get(1).unwrap_err(), LogError::Closed);
+        let (found, tail) = (log.points(uid).unwrap(), log.tail(uid, None).unwrap());
+        // The last one was handed to the system: it happens to be there.
+        assert_eq!((found.revision(), tail.len() as u64), (head + 1, head + 1));
+        assert_eq!(all_points(&*found).len() as u64, head + 1);
+    }
+    drop(log);
+    let log = open(directory.path(), Durability::Fsync);
+    assert_eq!(log.points(uid).unwrap().revision(), 6);
+}
+
+#[test]
+fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let arm = entry("arm");
+    let uid = arm.uid;
+    log.create(arm.clone()).unwrap();
+    append(&log, uid, 1);
+    wait_synced(&log, uid, 1);
+    drop(log);
+    let (store, away) = (
+        directory.path().join("store"),
+        directory.path().join("away"),
+    );
+    fs::rename(&store, &away).unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let gone = log.gone();
+    assert_eq!((&*gone[0].name, gone[0].uid), ("arm", uid));
+    assert!(
+        gone[0].why.to_string().contains("revisions 1 to 1"),
+        "{}",
+        gone[0].why
+    );
+    for error in [
+        log.points(uid).err().unwrap(),
+        log.create(entry("other")).unwrap_err(),
+        log.failure().unwrap(),
+    ] {
+        assert!(matches!(error, LogError::Unopened { .. }));
+    }
+    assert!(log.reopen().is_err());
+    fs::rename(&away, &store).unwrap();
+    log.reopen().unwrap();
+    assert_eq!(log.points(uid).unwrap().revision(), 1);
+    assert_eq!(log.gone(), []);
+}
+
+/// An index of which the creation was synced and then cut off is named, keeps its number, and can be deleted.
+#[test]
+fn an_index_of_which_only_the_mark_is_left_is_named_until_it_is_deleted() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    drop(log);
+    let (path, _) = journal(directory.path());
+    fs::File::options()
+        .write(true)
+        .open(path)
+        .unwrap()
+        .set_len(0)
+        .unwrap();
+    for _ in 0..2 {
+        let log = open(directory.path(), Durability::Fsync);
+        assert_eq!(log.indexes().unwrap(), []);
+        let gone = log.gone();
+        assert_eq!(
+            (gone.len(), &*gone[0].name, gone[0].uid),
+            (1, "arm", arm.uid)
+        );
+    }
+    let log = open(directory.path(), Durability::Fsync);
+    log.delete(arm.uid).unwrap();
+    assert_eq!(log.gone(), []);
+    let new = entry("arm");
+    log.create(new.clone()).unwrap();
+    append(&log, new.uid, 1);
+    wait_synced(&log, new.uid, 1);
+    drop(log);
+    let log = open(directory.path(), Durability::Fsync);
+    assert_eq!((log.indexes().unwrap(), log.gone()), (vec![new], vec![]));
+}
+
 #[test]
 fn an_index_is_deleted_for_good() {
     let directory = tempfile::tempdir().unwrap();

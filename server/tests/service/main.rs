@@ -18,5 +18,6 @@ mod reads;
 mod refusals;
 mod replay;
 mod scan;
+mod storage_failure;
 mod support;
 mod update;

@@ -11,7 +11,7 @@ use wayfold_server::{
         Durability, Effects, Entry, FjallLog, Keep, Log, LogError, MemoryLog, Operation, Origin,
         Record, Restoring, Uid, View,
     },
-    registry::Registry,
+    registry::{Registry, RegistryOptions},
     service::{Code, Limits, Service},
 };
 
@@ -187,4 +187,51 @@ async fn a_broken_chain_is_not_replayed() {
     };
     service.delete_index(&CALL, deletion).await.unwrap();
     create(&service, "arm", "R1").await;
+}
+
+#[tokio::test]
+async fn operations_are_remembered_for_their_own_window_whatever_becomes_of_their_records() {
+    let directory = tempfile::tempdir().unwrap();
+    let on_disk = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+    for log in [
+        Arc::new(on_disk) as Arc<dyn Log>,
+        Arc::new(MemoryLog::new()),
+    ] {
+        let options = RegistryOptions {
+            window_bytes: 0,
+            ..options()
+        };
+        let limits = Limits {
+            operations_remembered: 5,
+            ..Limits::default()
+        };
+        let served = |log: &Arc<dyn Log>| {
+            let registry = Registry::new(Arc::clone(log), options);
+            registry.replay().unwrap();
+            let service = Service::new(registry, limits.clone());
+            service.set_ready();
+            service
+        };
+        let before = served(&log);
+        create(&before, "arm", "R1").await;
+        let request = |at: u64| v1::InsertRequest {
+            operation_id: format!("op {at}"),
+            ..insertion(&[[at as f64]], &[])
+        };
+        let mut responses = Vec::new();
+        for at in 0..9 {
+            responses.push(before.insert(&CALL, request(at)).await.unwrap());
+        }
+        drop(before);
+        let entry = log.indexes().unwrap().remove(0);
+        assert_eq!(log.tail(entry.uid, None).unwrap().len(), 1);
+        let after = served(&log);
+        for at in 4..9 {
+            let retried = after.insert(&CALL, request(at)).await.unwrap();
+            assert_eq!(retried, responses[at as usize]);
+        }
+        assert_eq!(info(&after, "arm").await.revision, 9);
+        // Out of the window: a new call.
+        assert_eq!(after.insert(&CALL, request(3)).await.unwrap().revision, 10);
+    }
 }

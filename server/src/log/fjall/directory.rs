@@ -115,8 +115,9 @@ impl Directory {
         })
     }
 
-    /// Fails if the disk cannot be written, or has no room to speak of.
-    pub(super) fn probe(&self) -> io::Result<()> {
+    /// Fails if the disk cannot be written, or has no room to speak of, or if `name` is not there.
+    pub(super) fn probe(&self, name: &str) -> io::Result<()> {
+        fs::metadata(self.join(name))?;
         let path = self.join(PROBE);
         let written = File::create(&path).and_then(|mut file| {
             file.write_all(&vec![0; PROBE_BYTES])?;

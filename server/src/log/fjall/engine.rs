@@ -45,7 +45,11 @@ impl Engine {
     ) -> Result<Self, String> {
         let (mut marks, marked) = marks;
         let text = |error: std::io::Error| error.to_string();
-        let store = Store::open(&directory.join(STORE), durability).map_err(told)?;
+        let path = directory.join(STORE);
+        if !path.try_exists().map_err(text)? {
+            return Err(format!("there is no {}", path.display()));
+        }
+        let store = Store::open(&path, durability).map_err(told)?;
         let store = Arc::new(store);
         let renamed = loose::may_have_lost(directory.path()).map_err(text)?;
         let handles = store.handles().map_err(|error| error.to_string())?;

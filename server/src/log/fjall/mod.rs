@@ -105,8 +105,11 @@ impl FjallLog {
             path: directory.path().into(),
             source,
         };
-        make_store(&directory).map_err(failed)?;
         let (marks, marked) = Marks::open(&directory.join(MARKS)).map_err(failed)?;
+        // Where there are marks there was a store: one that is missing is not to be taken for one that holds nothing.
+        if marked.is_empty() {
+            make_store(&directory).map_err(failed)?;
+        }
         let opened = match Engine::open(&directory, durability, (marks, &marked)) {
             Ok(engine) => Opened::Open(Arc::new(engine)),
             Err(what) => {
@@ -236,7 +239,7 @@ impl Log for FjallLog {
         let storage = |error: io::Error| LogError::Storage {
             what: error.to_string(),
         };
-        self.directory.probe().map_err(storage)?;
+        self.directory.probe(STORE).map_err(storage)?;
         if let Ok(failed) = self.engine() {
             let meanwhile = "it is being opened anew".into();
             *self.opened.write() = Opened::Not(meanwhile, BTreeMap::new());

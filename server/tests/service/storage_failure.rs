@@ -1,0 +1,145 @@
+//! The disk fails under a running service, and comes back: writes are refused, reads go on, and nothing is half there.
+
+use std::{path::PathBuf, sync::Arc};
+
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{Durability, FjallLog},
+    registry::{Registry, RegistryError},
+    service::{Code, Limits, Service},
+};
+
+use crate::support::*;
+
+/// A service over a store that can be taken away.
+struct Failing {
+    service: Service,
+    registry: Arc<Registry>,
+    store: PathBuf,
+    away: PathBuf,
+    _directory: tempfile::TempDir,
+}
+
+impl Failing {
+    fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+        let registry = Arc::new(Registry::new(Arc::new(log), options()));
+        let service = Service::starting(Limits::default());
+        service.set_registry(Arc::clone(&registry));
+        service.set_ready();
+        Self {
+            service,
+            registry,
+            store: directory.path().join("store"),
+            away: directory.path().join("away"),
+            _directory: directory,
+        }
+    }
+
+    fn fail(&self) {
+        std::fs::rename(&self.store, &self.away).unwrap();
+    }
+
+    fn mend(&self) {
+        std::fs::rename(&self.away, &self.store).unwrap();
+    }
+
+    async fn recover(&self) -> Result<(), RegistryError> {
+        let registry = Arc::clone(&self.registry);
+        tokio::task::spawn_blocking(move || registry.recover())
+            .await
+            .unwrap()
+    }
+}
+
+fn operation(id: u64) -> v1::InsertRequest {
+    v1::InsertRequest {
+        operation_id: format!("op {id}"),
+        payloads: vec![format!("payload {id}").into_bytes().into()],
+        ..insertion(&[[id as f64]], &[id])
+    }
+}
+
+fn unavailable<T: std::fmt::Debug>(answer: Result<T, wayfold_server::service::Error>) {
+    let error = answer.unwrap_err();
+    assert_eq!(
+        (error.code(), error.reason()),
+        (Code::Unavailable, "STORAGE_FAILED"),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
+    let failing = Failing::new();
+    let service = &failing.service;
+    let uid = create(service, "arm", "R1").await;
+    let idle = create(service, "idle", "R1").await;
+    for id in 0..20 {
+        service.insert(&CALL, operation(id)).await.unwrap();
+    }
+    for (round, id) in (20..23).enumerate() {
+        let before = everything(service).await;
+        failing.fail();
+        // Under way while it failed: nobody knows.
+        unavailable(service.insert(&CALL, operation(id)).await);
+        // Refused before anything was written.
+        unavailable(service.insert(&CALL, operation(99)).await);
+        unavailable(service.create_index(&CALL, creation("new", "R1")).await);
+        let delete = v1::DeleteIndexRequest {
+            name: "idle".into(),
+            ..Default::default()
+        };
+        unavailable(service.delete_index(&CALL, delete).await);
+        assert_eq!(everything(service).await, before);
+        assert_eq!(
+            service
+                .knn(&CALL, knn(&[[3.1]], 2))
+                .await
+                .unwrap()
+                .neighbors
+                .unwrap()
+                .ids,
+            [3, 4]
+        );
+        failing.recover().await.unwrap_err();
+        assert_eq!(everything(service).await, before);
+
+        failing.mend();
+        failing.recover().await.unwrap();
+        failing.recover().await.unwrap();
+        assert_eq!(
+            (
+                info(service, "arm").await.uid,
+                info(service, "idle").await.uid
+            ),
+            (uid.clone(), idle.clone())
+        );
+        // Whatever became of it, asking again makes it take place, once.
+        let revision = service.insert(&CALL, operation(id)).await.unwrap().revision;
+        assert_eq!(revision, 21 + round as u64);
+        let after = everything(service).await;
+        assert_eq!((after.revision, after.total_points), (revision, id + 1));
+        assert_eq!(after.points.unwrap().ids, (0..=id).collect::<Vec<_>>());
+    }
+    let found = service.get(&CALL, getting(&[7, 22])).await.unwrap();
+    assert_eq!(found.points.unwrap().payloads, ["payload 7", "payload 22"]);
+}
+
+#[tokio::test]
+async fn what_is_read_across_the_end_of_it_is_asked_for_again() {
+    let failing = Failing::new();
+    let service = &failing.service;
+    create(service, "arm", "R1").await;
+    for id in 0..5 {
+        service.insert(&CALL, operation(id)).await.unwrap();
+    }
+    let mut scan = service.scan(&CALL, scanning()).await.unwrap();
+    failing.fail();
+    unavailable(service.insert(&CALL, operation(5)).await);
+    failing.mend();
+    failing.recover().await.unwrap();
+    unavailable(scan.next().await.unwrap());
+    assert_eq!(everything(service).await.total_points, 6);
+}
