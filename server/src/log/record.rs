@@ -107,6 +107,12 @@ impl Effects {
         self.stored.is_empty() && self.removed.is_empty()
     }
 
+    /// Whether it stores new points and does nothing else.
+    pub fn only_adds(&self) -> bool {
+        let mut outcomes = self.outcomes.iter();
+        self.removed.is_empty() && outcomes.all(|&outcome| outcome == Outcome::Inserted)
+    }
+
     /// How many points it stores or removes.
     pub fn len(&self) -> usize {
         self.stored.len() + self.removed.len()

@@ -88,6 +88,11 @@ impl Hosted {
         Arc::clone(&self.state.borrow().published)
     }
 
+    /// What the writer is at, which readers may not be shown yet.
+    pub fn newest(&self) -> Arc<Published> {
+        Arc::clone(&self.state.borrow().head)
+    }
+
     /// Waits until readers see `revision`, or a later one.
     pub async fn reached(&self, revision: u64) -> Result<Arc<Published>, RegistryError> {
         let published = self.published();

@@ -21,6 +21,8 @@ pub struct Writer {
     pub(super) mergers: usize,
     head: Arc<Published>,
     operations: Operations,
+    /// The newest revision that did anything else than add points, or may have.
+    changed: u64,
     /// What was asked to be remembered last.
     window: OperationWindow,
 }
@@ -28,6 +30,7 @@ pub struct Writer {
 impl Writer {
     /// A writer whose head is `view`, with a forest of the same points.
     pub(super) fn new(forest: Forest, view: Arc<dyn View>) -> Self {
+        let changed = view.revision();
         let head = Published {
             snapshot: forest.snapshot(),
             revision: view.revision(),
@@ -38,6 +41,7 @@ impl Writer {
             mergers: 0,
             head: Arc::new(head),
             operations: Operations::default(),
+            changed,
             window: EVERY_OPERATION,
         }
     }
@@ -50,6 +54,11 @@ impl Writer {
     /// The operation of this id, if it took effect and is remembered.
     pub fn recall(&self, id: &str) -> Option<&Arc<Operation>> {
         self.operations.recall(id)
+    }
+
+    /// Whether every point of that revision is what it was, and every other point newer.
+    pub fn only_added_since(&self, revision: u64) -> bool {
+        self.changed <= revision
     }
 
     /// How many operations are remembered.
@@ -71,6 +80,9 @@ impl Writer {
     pub(super) fn apply(&mut self, record: &Record, window: OperationWindow) {
         let effects = record.effects();
         self.window = window;
+        if !effects.only_adds() {
+            self.changed = record.revision();
+        }
         self.forest
             .apply(record.revision(), effects.stored(), effects.removed());
         if let Some(operation) = effects.operation() {

@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use wayfold_index::{PointRef, Search, Space};
+use wayfold_index::{Neighbor, PointRef, Search, Space};
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
+    ahead::{Ahead, Around},
     answer::{Found, Room},
     call::Pace,
     check::{self, END_OF_IDS, Rows, Violations},
@@ -46,13 +47,18 @@ impl Service {
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
         let insertion = Insertion::check(request, hosted.space(), self.limits(), &mut pace).await?;
 
+        let ahead = insertion
+            .search_ahead(&hosted, self.limits(), &mut pace)
+            .await?;
+
         let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
             Begun::Answered(response) => return Ok(response),
             Begun::Writing(writer) => writer,
         };
         let head = writer.head().clone();
         let revision = head.revision;
-        let mut evaluation = Evaluation::new(&insertion, &hosted, head, self.limits())?;
+        let ahead = ahead.filter(|ahead| ahead.holds(&writer));
+        let mut evaluation = Evaluation::new(&insertion, &hosted, head, self.limits(), ahead)?;
         for (at, row) in insertion.rows.iter().enumerate() {
             evaluation.row(at, row)?;
             // A search takes long, and so does the copy of a large payload.
@@ -77,6 +83,7 @@ struct Evaluation<'a> {
     insertion: &'a Insertion,
     index: &'a str,
     staging: Staging<'a>,
+    ahead: Option<Ahead>,
     /// The next id to assign.
     next_id: u64,
     found: Option<Found>,
@@ -91,6 +98,7 @@ impl<'a> Evaluation<'a> {
         hosted: &'a Hosted,
         head: Arc<Published>,
         limits: &Limits,
+        ahead: Option<Ahead>,
     ) -> Result<Self, Error> {
         let space = hosted.space();
         let mut room = Room::new(limits);
@@ -100,6 +108,7 @@ impl<'a> Evaluation<'a> {
             index: hosted.name(),
             next_id: head.view.next_id(),
             staging: Staging::new(hosted.name(), head, space, insertion.is_searched()),
+            ahead,
             found: insertion
                 .neighbors
                 .map(|(_, include)| Found::new(include, space.coordinates(), room)),
@@ -131,10 +140,10 @@ impl<'a> Evaluation<'a> {
         if is_held {
             self.staging.hide(id);
         }
-        self.tell_neighbors(row)?;
+        self.tell_neighbors(at, row)?;
         let (outcome, told_id) = if is_unchanged {
             (v1::Outcome::Unchanged, id)
-        } else if let Some(blocker) = self.blocker(row) {
+        } else if let Some(blocker) = self.blocker(at, row) {
             (v1::Outcome::TooClose, blocker)
         } else if is_held {
             (v1::Outcome::Replaced, id)
@@ -164,7 +173,7 @@ impl<'a> Evaluation<'a> {
         Ok(())
     }
 
-    fn tell_neighbors(&mut self, row: &[f64]) -> Result<(), Error> {
+    fn tell_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
         let (Some(found), Some((search, _))) = (&mut self.found, &self.insertion.neighbors) else {
             return Ok(());
         };
@@ -172,20 +181,16 @@ impl<'a> Evaluation<'a> {
             k: search.k.min(found.too_many()),
             ..*search
         };
-        found.push(&self.staging, &self.staging.search(row, &search))
+        let known = known(self.ahead.as_ref(), at, |around| &around.neighbors);
+        found.push(&self.staging, &self.staging.search(row, &search, known))
     }
 
     /// The nearest point that is nearer than the separation asked for.
-    fn blocker(&self, row: &[f64]) -> Option<u64> {
+    fn blocker(&self, at: usize, row: &[f64]) -> Option<u64> {
         let min_separation = self.insertion.min_separation;
-        if min_separation == 0.0 {
-            return None;
-        }
-        let nearest = Search {
-            radius: min_separation,
-            ..Search::nearest_k(1)
-        };
-        let neighbors = self.staging.search(row, &nearest);
+        let nearest = self.insertion.nearest()?;
+        let known = known(self.ahead.as_ref(), at, |around| &around.nearest);
+        let neighbors = self.staging.search(row, &nearest, known);
         let nearest = neighbors.first()?;
         (nearest.distance < min_separation).then_some(nearest.id)
     }
@@ -206,7 +211,50 @@ impl<'a> Evaluation<'a> {
     }
 }
 
+/// What is known of a row's surroundings, and as of which revision.
+fn known<'a>(
+    ahead: Option<&'a Ahead>,
+    at: usize,
+    what: impl FnOnce(&'a Around) -> &'a Vec<Neighbor>,
+) -> Option<(u64, &'a [Neighbor])> {
+    let ahead = ahead?;
+    Some((ahead.revision(), what(ahead.row(at)?)))
+}
+
 impl Insertion {
+    /// The search for what is nearer than the separation asked for.
+    fn nearest(&self) -> Option<Search<'static>> {
+        let asked = self.min_separation > 0.0;
+        asked.then(|| Search {
+            radius: self.min_separation,
+            ..Search::nearest_k(1)
+        })
+    }
+
+    /// Looks around the rows in what the index is now.
+    async fn search_ahead(
+        &self,
+        hosted: &Hosted,
+        limits: &Limits,
+        pace: &mut Pace,
+    ) -> Result<Option<Ahead>, Error> {
+        if !self.is_searched() {
+            return Ok(None);
+        }
+        // More than an answer holds are not asked for by anybody who gets one.
+        let most = limits.answer_bytes / 16;
+        let neighbors = self.neighbors.map(|(search, _)| search);
+        let ahead = Ahead::search(
+            hosted.newest(),
+            &self.rows,
+            neighbors,
+            self.nearest(),
+            most,
+            pace,
+        );
+        ahead.await.map(Some)
+    }
+
     /// Whether rows must find the rows before them.
     fn is_searched(&self) -> bool {
         self.min_separation > 0.0 || self.neighbors.is_some()

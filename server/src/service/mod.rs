@@ -5,9 +5,10 @@
 //!
 //! One verb a file; what they share: `check` (requests become canonical rows and searches, or violations), `at`
 //! (which index and which revision), `mutation` (from an evaluated mutation to its acknowledgement), `staging` (rows
-//! that see the rows before them), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting
+//! that see the rows before them), `ahead` (searching before it is a call's turn to write), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting
 //! others on in between), `error`, `limits`.
 
+mod ahead;
 mod answer;
 mod at;
 mod call;

@@ -84,29 +84,38 @@ impl<'a> Staging<'a> {
         }
     }
 
-    /// What a row finds in the head and in the rows before it.
-    pub(super) fn search(&self, row: &[f64], search: &Search<'_>) -> Vec<Neighbor> {
+    /// What a row finds in the head and in the rows before it. `known` is what the same search, or one for more, found
+    /// in an earlier revision, since which points were only added.
+    pub(super) fn search(
+        &self,
+        row: &[f64],
+        search: &Search<'_>,
+        known: Option<(u64, &[Neighbor])>,
+    ) -> Vec<Neighbor> {
         let Some(searched) = &self.searched else {
             return Vec::new();
         };
-        let staged = searched.forest.search(row, search).neighbors;
-        // The ball is closed: a point of the head as far as the last of enough staged ones may precede it by its id.
-        let radius = match staged.last() {
-            Some(farthest) if staged.len() >= search.k => farthest.distance,
-            _ => search.radius,
-        };
-        let hidden = (!searched.hidden.is_empty()).then_some(&searched.hidden);
-        let at_head = Search {
-            radius,
-            excluded: hidden,
-            ..*search
-        };
-        let mut neighbors = self.head.snapshot.search(row, &at_head).neighbors;
-        if !staged.is_empty() {
-            neighbors.extend(staged);
-            neighbors.sort_unstable();
-            neighbors.truncate(search.k);
+        // It knows nothing of what is hidden.
+        let known = known.filter(|_| searched.hidden.is_empty());
+        let mut neighbors = searched.forest.search(row, search).neighbors;
+        let mut at_head = *search;
+        if let Some((revision, known)) = known {
+            merge(&mut neighbors, known, search.k);
+            if revision == self.head.revision {
+                return neighbors;
+            }
+            let since = &mut at_head.filter.since_revision;
+            *since = revision.max(*since);
         }
+        // The ball is closed: a point of the head as far as the last of enough found ones may precede it by its id.
+        if let Some(farthest) = neighbors.last()
+            && neighbors.len() >= search.k
+        {
+            at_head.radius = farthest.distance;
+        }
+        at_head.excluded = (!searched.hidden.is_empty()).then_some(&searched.hidden);
+        let found = self.head.snapshot.search(row, &at_head).neighbors;
+        merge(&mut neighbors, &found, search.k);
         neighbors
     }
 
@@ -144,6 +153,17 @@ impl<'a> Staging<'a> {
     }
 }
 
+/// Adds the `others` to some neighbours, of which the nearest `k` stay.
+fn merge(neighbors: &mut Vec<Neighbor>, others: &[Neighbor], k: usize) {
+    if neighbors.is_empty() {
+        neighbors.extend(&others[..others.len().min(k)]);
+    } else if !others.is_empty() {
+        neighbors.extend(others);
+        neighbors.sort_unstable();
+        neighbors.truncate(k);
+    }
+}
+
 impl Source for Staging<'_> {
     fn point(&self, id: u64) -> Option<PointRef<'_>> {
         let slot = self
@@ -171,7 +191,7 @@ impl Source for Staging<'_> {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use wayfold_index::Linear;
+    use wayfold_index::{Filter, Linear};
 
     use super::*;
     use crate::{
@@ -179,11 +199,11 @@ mod tests {
         registry::{Registry, RegistryOptions},
     };
 
-    fn point(id: u64, row: &[f64]) -> PointRef<'_> {
+    fn point(id: u64, revision: u64, row: &[f64]) -> PointRef<'_> {
         PointRef {
             id,
             tag: 0,
-            revision: 1,
+            revision,
             row,
         }
     }
@@ -191,11 +211,14 @@ mod tests {
     proptest! {
         #![proptest_config(crate::testing::cases(256))]
 
-        /// On a grid, where most distances are ties: as if head and accepted rows were one set.
+        /// On a grid, where most distances are ties: as if head and accepted rows were one set, whether or not something
+        /// is known of an earlier head.
         #[test]
         fn a_row_finds_the_nearest_of_the_head_and_the_rows_before_it(
             head in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),
             rows in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),
+            seen in 0..30usize,
+            since in 0..20u64,
             asked in 0..8u8,
             k in prop_oneof![1..6usize, Just(usize::MAX)],
             radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
@@ -205,12 +228,21 @@ mod tests {
             let (hosted, _) = registry.create("line", space.clone(), 1).unwrap();
             let mut forest = Forest::new(space.clone(), ForestOptions::default());
             let mut union = Linear::new(space.clone());
-            for (&id, &at) in &head {
+            let filter = Filter { since_revision: since, ..Filter::default() };
+            let search = Search { radius, filter, ..Search::nearest_k(k) };
+            let asked = [f64::from(asked)];
+            let mut known = (0, Vec::new());
+            for (slot, (&id, &at)) in head.iter().enumerate() {
+                let revision = slot as u64 + 1;
                 let mut points = Points::new(1);
-                points.push_point(point(id, &[f64::from(at)]));
-                forest.apply(forest.revision() + 1, &points, &[]);
-                union.insert(point(id, &[f64::from(at)]));
+                points.push_point(point(id, revision, &[f64::from(at)]));
+                forest.apply(revision, &points, &[]);
+                union.insert(point(id, revision, &[f64::from(at)]));
+                if slot == seen {
+                    known = (revision, forest.search(&asked, &search).neighbors);
+                }
             }
+            let held: HashSet<u64> = head.keys().copied().collect();
             let head = Arc::new(Published {
                 snapshot: forest.snapshot(),
                 revision: forest.revision(),
@@ -218,13 +250,16 @@ mod tests {
             });
             let mut staging = Staging::new("line", head, &space, true);
             for (&id, &at) in &rows {
-                staging.hide(id);
+                if held.contains(&id) {
+                    staging.hide(id);
+                }
                 staging.accept(id, 0, &[f64::from(at)], Bytes::new(), Outcome::Inserted);
-                union.insert(point(id, &[f64::from(at)]));
+                union.insert(point(id, staging.revision(), &[f64::from(at)]));
             }
-            let search = Search { radius, ..Search::nearest_k(k) };
-            let asked = [f64::from(asked)];
-            prop_assert_eq!(staging.search(&asked, &search), union.search(&asked, &search).neighbors);
+            let expected = union.search(&asked, &search).neighbors;
+            for known in [None, Some((known.0, &*known.1))] {
+                prop_assert_eq!(staging.search(&asked, &search, known), &*expected);
+            }
         }
     }
 }

@@ -6,6 +6,7 @@
 )]
 
 mod cancellation;
+mod concurrent;
 mod durability;
 mod indexes;
 mod insert;

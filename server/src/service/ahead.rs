@@ -1,0 +1,80 @@
+//! Searching for the rows of an insert before it is its turn to write, so that those who write one index search side by
+//! side. What came in between is little, and is looked for when its turn has come.
+
+use std::sync::Arc;
+
+use wayfold_index::{Neighbor, Search};
+
+use super::{Error, call::Pace, check::Rows};
+use crate::registry::{Published, Writer};
+
+/// What rows have around them in one revision of the index, in what the rows' searches have in common: nothing is
+/// excluded, and the rows do not see each other.
+pub(super) struct Ahead {
+    revision: u64,
+    /// One a row, as long as there was room for them.
+    rows: Vec<Around>,
+}
+
+/// What one row has around it.
+pub(super) struct Around {
+    pub(super) neighbors: Vec<Neighbor>,
+    /// The nearest, within the separation asked for.
+    pub(super) nearest: Vec<Neighbor>,
+}
+
+impl Ahead {
+    /// Searches for `rows` in `head`, until more than `most` neighbours are found.
+    pub(super) async fn search(
+        head: Arc<Published>,
+        rows: &Rows,
+        neighbors: Option<Search<'_>>,
+        nearest: Option<Search<'_>>,
+        most: usize,
+        pace: &mut Pace,
+    ) -> Result<Self, Error> {
+        let mut ahead = Self {
+            revision: head.revision,
+            rows: Vec::new(),
+        };
+        let mut found = 0;
+        for row in rows.iter() {
+            if found > most {
+                break;
+            }
+            let search = |search: Option<Search<'_>>| match search {
+                Some(search) => {
+                    let search = Search {
+                        k: search.k.min(most + 1),
+                        ..search
+                    };
+                    head.snapshot.search(row, &search).neighbors
+                }
+                None => Vec::new(),
+            };
+            let around = Around {
+                neighbors: search(neighbors),
+                nearest: search(nearest),
+            };
+            found += around.neighbors.len();
+            ahead.rows.push(around);
+            pace.step().await?;
+        }
+        Ok(ahead)
+    }
+
+    /// Whether it is still so at the head of `writer`, but for points that were added since.
+    pub(super) fn holds(&self, writer: &Writer) -> bool {
+        writer.only_added_since(self.revision)
+    }
+
+    /// The revision it is from.
+    pub(super) fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// What the row has around it, if it was searched for.
+    pub(super) fn row(&self, at: usize) -> Option<&Around> {
+        self.rows.get(at)
+    }
+}
