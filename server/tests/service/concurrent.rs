@@ -19,7 +19,7 @@ enum Request {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Response {
-    Insert(v1::InsertResponse),
+    Insert(Box<v1::InsertResponse>),
     Update(v1::UpdateResponse),
     Remove(v1::RemoveResponse),
 }
@@ -29,7 +29,7 @@ impl Request {
     async fn send(&self, service: &Service) -> Option<Response> {
         Some(match self.clone() {
             Request::Insert(request) => {
-                Response::Insert(service.insert(&CALL, request).await.ok()?)
+                Response::Insert(Box::new(service.insert(&CALL, request).await.ok()?))
             }
             Request::Update(request) => {
                 Response::Update(service.update(&CALL, request).await.ok()?)
@@ -42,7 +42,7 @@ impl Request {
 
     fn apply(&self, model: &mut Model) -> Option<Response> {
         Some(match self {
-            Request::Insert(request) => Response::Insert(model.insert(request).ok()?),
+            Request::Insert(request) => Response::Insert(Box::new(model.insert(request).ok()?)),
             Request::Update(request) => Response::Update(model.update(request).ok()?),
             Request::Remove(request) => Response::Remove(model.remove(request)),
         })
