@@ -184,6 +184,13 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
                 problem: format!("{number} is too small; at least {least}"),
             });
         }
+        (ValueKind::String(_), ValueKind::String(text)) if text.is_empty() => {
+            return Err(ConfigError::Value {
+                origin: origin.to_owned(),
+                key: key.to_owned(),
+                problem: "it is empty; leave it out for the default".to_owned(),
+            });
+        }
         (ValueKind::String(_), ValueKind::String(_)) => return Ok(()),
         (ValueKind::I64(_), _) => "an integer",
         _ => "a string",

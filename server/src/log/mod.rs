@@ -106,8 +106,9 @@ pub trait Log: Send + Sync {
     /// will survive a crash.
     fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError>;
 
-    /// Resolves once the record of `revision`, and so every one before it, is as durable as this log makes it.
-    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<(), LogError>>;
+    /// Resolves once the record of `revision`, and so every one before it, is as durable as this log makes it, to the
+    /// newest revision of which that is so then.
+    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>>;
 
     /// The records after the revision `after`; None for all that are still held. [`LogError::Trimmed`] if some of
     /// them are held no longer.

@@ -1,6 +1,6 @@
 //! One index of the registry: what its readers see, and the way to its writer.
 
-use std::{sync::Arc, time::SystemTime};
+use std::{collections::VecDeque, sync::Arc, time::SystemTime};
 
 use futures_util::FutureExt;
 use tokio::sync::{Mutex, watch};
@@ -34,6 +34,16 @@ pub struct Hosted {
     pub(super) host: Arc<Host>,
     state: watch::Sender<State>,
     writer: Arc<Mutex<Writer>>,
+    unsynced: parking_lot::Mutex<Unsynced>,
+}
+
+/// Heads that are not yet as durable as configured.
+#[derive(Default)]
+struct Unsynced {
+    /// The oldest first.
+    heads: VecDeque<Arc<Published>>,
+    /// Whether somebody sees to it that they are published.
+    publishing: bool,
 }
 
 struct State {
@@ -60,6 +70,7 @@ impl Hosted {
             host: Arc::clone(host),
             state: watch::Sender::new(state),
             writer: Arc::new(Mutex::new(writer)),
+            unsynced: parking_lot::Mutex::default(),
         })
     }
 
@@ -166,22 +177,60 @@ impl Hosted {
         }
         let head = Arc::clone(writer.head());
         let revision = head.revision;
-        let hosted = Arc::clone(self);
-        let published = log
-            .synced(self.uid, revision)
-            .map(move |synced| match synced {
-                Ok(()) => hosted.publish(head),
-                Err(error) => {
-                    error!(index = hosted.name, %error, "the log could not be synced");
-                    hosted.close(error.into());
-                }
-            });
-        // A log that is synced already is published here; any other without the caller, who may go away.
-        let mut published = Box::pin(published);
-        if (&mut published).now_or_never().is_none() {
-            tokio::spawn(published);
-        }
+        drop(writer);
+        self.publish_once_synced(head);
         Ok(revision)
+    }
+
+    /// Sees to it that a head is published once it is synced. One task does so for all heads of an index, and publishes
+    /// only the newest that a sync has reached: those who wait are woken once a sync.
+    fn publish_once_synced(self: &Arc<Self>, head: Arc<Published>) {
+        let mut unsynced = self.unsynced.lock();
+        unsynced.heads.push_back(head);
+        let others_do = std::mem::replace(&mut unsynced.publishing, true);
+        drop(unsynced);
+        if !others_do {
+            // What is synced already is published here; the rest without the caller, who may go away.
+            let mut publishing = Box::pin(Arc::clone(self).publish_synced());
+            if (&mut publishing).now_or_never().is_none() {
+                tokio::spawn(publishing);
+            }
+        }
+    }
+
+    async fn publish_synced(self: Arc<Self>) {
+        while let Some(revision) = self.oldest_unsynced() {
+            match self.host.log.synced(self.uid, revision).await {
+                Ok(synced) => {
+                    if let Some(head) = self.take_synced(synced) {
+                        self.publish(head);
+                    }
+                }
+                Err(error) => {
+                    error!(index = self.name, %error, "the log could not be synced");
+                    self.close(error.into());
+                    *self.unsynced.lock() = Unsynced::default();
+                    return;
+                }
+            }
+        }
+    }
+
+    /// The revision of the oldest head that is not synced; with the last of them publishing ends.
+    fn oldest_unsynced(&self) -> Option<u64> {
+        let mut unsynced = self.unsynced.lock();
+        let oldest = unsynced.heads.front().map(|head| head.revision);
+        unsynced.publishing = oldest.is_some();
+        oldest
+    }
+
+    /// Takes the heads up to the revision `synced`; of these the newest is of interest.
+    fn take_synced(&self, synced: u64) -> Option<Arc<Published>> {
+        let mut unsynced = self.unsynced.lock();
+        let count = unsynced
+            .heads
+            .partition_point(|head| head.revision <= synced);
+        unsynced.heads.drain(..count).next_back()
     }
 
     /// Lets readers see what was the writer's head at `head.revision`, in its newest form, unless they see a later

@@ -147,6 +147,7 @@ fn a_value_out_of_range_is_named() {
             "grpc.max_calls_per_connection",
         ),
         ("[log]\nformat = 'xml'", "log.format"),
+        ("[data]\ndir = ''", "data.dir"),
     ] {
         let message = load_file(text).unwrap_err().to_string();
         assert!(message.contains(&format!("`{key}`")), "{message}");

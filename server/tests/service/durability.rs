@@ -60,7 +60,7 @@ impl Log for Held {
         self.memory.append(uid, expected, effects)
     }
 
-    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<(), LogError>> {
+    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
         if self.fails.load(Ordering::Relaxed) {
             let what = "the disk is full";
             return std::future::ready(Err(LogError::Damaged {
@@ -71,11 +71,7 @@ impl Log for Held {
             .boxed();
         }
         let mut synced = self.synced.subscribe();
-        async move {
-            synced.wait_for(|&synced| synced >= revision).await.unwrap();
-            Ok(())
-        }
-        .boxed()
+        async move { Ok(*synced.wait_for(|&synced| synced >= revision).await.unwrap()) }.boxed()
     }
 
     fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {

@@ -129,7 +129,7 @@ impl Log for Unchained {
         self.0.append(uid, expected, effects)
     }
 
-    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<(), LogError>> {
+    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
         self.0.synced(uid, revision)
     }
 

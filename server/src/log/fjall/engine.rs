@@ -60,9 +60,7 @@ impl Engine {
         loose::begin(directory.path(), durability).map_err(text)?;
 
         // What is there is on disk now, also what was never acknowledged: whoever is shown it may count on it.
-        let reached = found.indexes.iter();
-        let reached = reached.filter_map(|index| Some((index.number, index.mark()?)));
-        marks.write(&reached.collect::<Vec<_>>()).map_err(text)?;
+        write_marks(&mut marks, &found.indexes).map_err(text)?;
         let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(text)?;
         let sweeper = Sweeper::start(Arc::clone(&store), sweeping).map_err(text)?;
         let syncer = match durability {
@@ -126,9 +124,9 @@ impl Engine {
     }
 
     /// Announces a batch that was committed.
-    fn written(&self, number: Number, mark: Mark) {
+    fn written(&self, index: &Arc<Index>, mark: Mark) {
         if let Some(syncer) = &self.syncer {
-            syncer.written(number, mark);
+            syncer.written(index, mark);
         }
     }
 
@@ -140,18 +138,19 @@ impl Engine {
         }
     }
 
-    /// Stores an index's entry, for certain.
-    fn put(&self, number: Number, named: &Named, mark: Mark) -> Result<(), LogError> {
+    /// Stores the entry of an index, for certain.
+    fn put(&self, index: &Arc<Index>, deleted: bool, mark: Mark) -> Result<(), LogError> {
         self.writable()?;
         let handles = self.store.handles()?;
-        let entry = named.encode(number);
+        let entry = index.entry.clone();
+        let named = Named { entry, deleted }.encode(index.number);
         let stored = handles.wait_for_room().and_then(|()| {
-            let stored = handles.keyspace.insert(entry_key(number), entry);
+            let stored = handles.keyspace.insert(entry_key(index.number), named);
             stored.map_err(storage)
         });
         drop(handles);
         stored.inspect_err(|error| self.note(error))?;
-        self.written(number, mark);
+        self.written(index, mark);
         self.wait()
     }
 
@@ -159,10 +158,9 @@ impl Engine {
         let mut next = self.next.lock();
         self.untaken(entry.uid)?;
         let number = *next;
-        let index = Index::new(number, entry.clone(), State::new(Origin::START));
+        let index = Index::new(number, entry, State::new(Origin::START));
         *next += 1;
-        let deleted = false;
-        self.put(number, &Named { entry, deleted }, index.here())?;
+        self.put(&index, false, index.here())?;
         self.indexes.write().insert(index.entry.uid, index);
         Ok(())
     }
@@ -179,7 +177,7 @@ impl Engine {
 
     /// Adds an index that is in the store, once that is certain.
     pub(super) fn add(&self, index: Arc<Index>) -> Result<(), LogError> {
-        self.written(index.number, index.here());
+        self.written(&index, index.here());
         self.wait()?;
         self.indexes.write().insert(index.entry.uid, index);
         Ok(())
@@ -199,18 +197,13 @@ impl Engine {
             return Ok(());
         }
         let index = self.index(uid)?;
-        let number = index.number;
         let mark = index.close(LogError::UnknownIndex { uid });
-        let named = Named {
-            entry: index.entry.clone(),
-            deleted: true,
-        };
-        if let Err(why) = self.put(number, &named, mark) {
+        if let Err(why) = self.put(&index, true, mark) {
             index.close(why.clone());
             return Err(why);
         }
         self.indexes.write().remove(&uid);
-        self.sweeper.sweep(number);
+        self.sweeper.sweep(index.number);
         Ok(())
     }
 
@@ -241,27 +234,28 @@ impl Engine {
         self.writable()?;
         let index = self.index(uid)?;
         let appended = index.append(&self.store, expected, effects, |mark| {
-            self.written(index.number, mark);
+            self.written(&index, mark);
         });
         appended.inspect_err(|error| self.note(error))
     }
 
-    pub(super) fn synced(&self) -> BoxFuture<'static, Result<(), LogError>> {
-        match &self.syncer {
-            Some(syncer) => syncer.synced(),
-            None => std::future::ready(Ok(())).boxed(),
-        }
+    pub(super) fn synced(
+        &self,
+        uid: Uid,
+        revision: u64,
+    ) -> Result<BoxFuture<'static, Result<u64, LogError>>, LogError> {
+        Ok(match &self.syncer {
+            Some(syncer) => syncer.synced(self.index(uid)?, revision),
+            None => std::future::ready(Ok(revision)).boxed(),
+        })
     }
 
     /// Notes that all there is was synced.
     fn settle(&self) -> Result<(), String> {
         Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
-        let indexes = self.indexes.read();
-        let marks = indexes
-            .values()
-            .filter_map(|index| Some((index.number, index.mark()?)));
+        let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
         let settled = Marks::open(&self.directory.join(MARKS))
-            .and_then(|(mut file, _)| file.write(&marks.collect::<Vec<_>>()))
+            .and_then(|(mut marks, _)| write_marks(&mut marks, &indexes))
             .and_then(|()| loose::end(self.directory.path()));
         settled.map_err(|error| error.to_string())
     }
@@ -290,4 +284,12 @@ impl Engine {
         let handles = self.store.handles();
         handles.is_ok_and(|handles| handles.is_busy())
     }
+}
+
+/// Notes that all there is of these indices is on disk.
+fn write_marks(marks: &mut Marks, indexes: &[Arc<Index>]) -> std::io::Result<()> {
+    let here = indexes.iter();
+    let here = here.filter_map(|index| Some((index.number, index.mark()?)));
+    let here: Vec<_> = here.collect();
+    marks.write(here.iter().map(|(number, mark)| (*number, mark)))
 }

@@ -1,6 +1,13 @@
 //! One index of the store: where its log is, and how a record gets there.
 
-use std::{collections::VecDeque, sync::Arc, time::SystemTime};
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::SystemTime,
+};
 
 use fjall::{OwnedWriteBatch, Readable};
 use parking_lot::{Mutex, MutexGuard};
@@ -22,6 +29,8 @@ pub(super) struct Index {
     pub(super) entry: Entry,
     pub(super) number: Number,
     name: Arc<str>,
+    /// The newest revision that is known to be on disk.
+    durable: AtomicU64,
     /// Who holds it may write, and sees the store at this very head.
     state: Mutex<State>,
 }
@@ -71,6 +80,7 @@ impl Index {
             name: entry.name.as_str().into(),
             entry,
             number,
+            durable: AtomicU64::new(state.head.revision),
             state: Mutex::new(state),
         })
     }
@@ -84,8 +94,19 @@ impl Index {
         }
     }
 
-    /// Takes the state that was found in the store.
+    /// The newest revision that is known to be on disk.
+    pub(super) fn durable(&self) -> u64 {
+        self.durable.load(Ordering::Acquire)
+    }
+
+    /// Takes note that `revision` is on disk.
+    pub(super) fn set_durable(&self, revision: u64) {
+        self.durable.fetch_max(revision, Ordering::Release);
+    }
+
+    /// Takes the state that was found in the store, where it is made certain before anybody reads it.
     pub(super) fn restore(&self, state: State) {
+        self.set_durable(state.head.revision);
         *self.state.lock() = state;
     }
 

@@ -52,8 +52,11 @@ impl Marks {
     }
 
     /// Writes marks; of several for one index the last.
-    pub(super) fn write(&mut self, marks: &[(Number, Mark)]) -> io::Result<()> {
-        let newest: BTreeMap<Number, &Mark> = marks.iter().map(|(n, mark)| (*n, mark)).collect();
+    pub(super) fn write<'a>(
+        &mut self,
+        marks: impl IntoIterator<Item = (Number, &'a Mark)>,
+    ) -> io::Result<()> {
+        let newest: BTreeMap<Number, &Mark> = marks.into_iter().collect();
         for (number, mark) in newest {
             self.put(number, &encode(number, mark))?;
         }
@@ -114,7 +117,7 @@ mod tests {
         let (mut marks, found) = Marks::open(&path).unwrap();
         assert!(found.is_empty());
         marks
-            .write(&[(3, mark(1)), (0, mark(5)), (3, mark(2)), (4, mark(9))])
+            .write([(3, &mark(1)), (0, &mark(5)), (3, &mark(2)), (4, &mark(9))])
             .unwrap();
         marks.clear(0).unwrap();
         let mut bytes = std::fs::read(&path).unwrap();

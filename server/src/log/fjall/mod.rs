@@ -193,11 +193,11 @@ impl Log for FjallLog {
         self.engine()?.append(uid, expected, effects)
     }
 
-    fn synced(&self, _uid: Uid, _revision: u64) -> BoxFuture<'static, Result<(), LogError>> {
-        match self.engine() {
-            Ok(engine) => engine.synced(),
-            Err(error) => std::future::ready(Err(error)).boxed(),
-        }
+    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
+        let synced = self
+            .engine()
+            .and_then(|engine| engine.synced(uid, revision));
+        synced.unwrap_or_else(|error| std::future::ready(Err(error)).boxed())
     }
 
     fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {

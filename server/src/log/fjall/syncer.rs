@@ -11,7 +11,7 @@ use parking_lot::{Condvar, Mutex};
 use tokio::sync::watch;
 use tracing::error;
 
-use super::{journal::Journal, layout::Number, marks::Mark, marks::Marks};
+use super::{index::Index, journal::Journal, marks::Mark, marks::Marks};
 use crate::log::LogError;
 
 /// See the module.
@@ -32,8 +32,8 @@ struct Shared {
 #[derive(Default)]
 struct Announced {
     batches: u64,
-    /// Where the indices are by the last of these batches, unless a mark says so already.
-    marks: Vec<(Number, Mark)>,
+    /// Where which indices are by these batches, unless a mark says so already.
+    marks: Vec<(Arc<Index>, Mark)>,
     stop: bool,
 }
 
@@ -63,10 +63,10 @@ impl Syncer {
     }
 
     /// Announces a committed batch, which brought an index to `mark`.
-    pub(super) fn written(&self, number: Number, mark: Mark) {
+    pub(super) fn written(&self, index: &Arc<Index>, mark: Mark) {
         let mut announced = self.shared.announced.lock();
         announced.batches += 1;
-        announced.marks.push((number, mark));
+        announced.marks.push((Arc::clone(index), mark));
         drop(announced);
         self.shared.wake.notify_one();
     }
@@ -86,7 +86,7 @@ impl Syncer {
         self.shared.synced.borrow().failed.clone()
     }
 
-    /// As [`Syncer::synced`], on a thread that may block.
+    /// Returns once all that was announced before is synced.
     pub(super) fn wait(&self) -> Result<(), LogError> {
         let mut announced = self.shared.announced.lock();
         let batches = announced.batches;
@@ -100,18 +100,21 @@ impl Syncer {
         }
     }
 
-    /// Resolves once all that was announced before is synced.
-    pub(super) fn synced(&self) -> BoxFuture<'static, Result<(), LogError>> {
-        let batches = self.shared.announced.lock().batches;
+    /// Resolves once `revision` of the index is synced, to how far it is synced then.
+    pub(super) fn synced(
+        &self,
+        index: Arc<Index>,
+        revision: u64,
+    ) -> BoxFuture<'static, Result<u64, LogError>> {
         let mut synced = self.shared.synced.subscribe();
         async move {
             let reached = synced
-                .wait_for(|synced| synced.batches >= batches || synced.failed.is_some())
+                .wait_for(|synced| index.durable() >= revision || synced.failed.is_some())
                 .await;
-            match reached {
-                Ok(synced) if synced.batches >= batches => Ok(()),
-                Ok(synced) => Err(synced.failed.clone().unwrap_or_else(ended)),
-                Err(_) => Err(ended()),
+            match (index.durable(), reached) {
+                (durable, _) if durable >= revision => Ok(durable),
+                (_, Ok(synced)) => Err(synced.failed.clone().unwrap_or_else(ended)),
+                (_, Err(_)) => Err(ended()),
             }
         }
         .boxed()
@@ -137,11 +140,15 @@ impl Shared {
             if reached.is_empty() {
                 return;
             }
-            let synced = journal
-                .sync()
-                .and_then(|()| marks.write(&reached).map_err(|error| error.to_string()));
+            let synced = journal.sync().and_then(|()| {
+                let reached = reached.iter().map(|(index, mark)| (index.number, mark));
+                marks.write(reached).map_err(|error| error.to_string())
+            });
             match synced {
                 Ok(()) => {
+                    for (index, mark) in &reached {
+                        index.set_durable(mark.revision);
+                    }
                     self.synced.send_modify(|synced| synced.batches = batches);
                     self.tell_blocked();
                 }

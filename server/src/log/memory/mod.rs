@@ -77,8 +77,8 @@ impl Log for MemoryLog {
         self.store(uid)?.append(expected, effects)
     }
 
-    fn synced(&self, _uid: Uid, _revision: u64) -> BoxFuture<'static, Result<(), LogError>> {
-        std::future::ready(Ok(())).boxed()
+    fn synced(&self, _uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
+        std::future::ready(Ok(revision)).boxed()
     }
 
     fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
