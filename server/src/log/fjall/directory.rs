@@ -85,7 +85,7 @@ impl Directory {
             path: path.into(),
             source,
         };
-        fs::create_dir_all(path).map_err(failed)?;
+        make(path).map_err(failed)?;
         let marker = path.join(MARKER);
         if !marker.try_exists().map_err(failed)? && !is_empty(path).map_err(failed)? {
             return Err(OpenError::Foreign {
@@ -186,6 +186,29 @@ fn only_the_marker(path: &Path) -> io::Result<bool> {
         }
     }
     Ok(true)
+}
+
+/// Makes a directory, and those around it, if they are missing.
+fn make(path: &Path) -> io::Result<()> {
+    let missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
+    let made: Vec<&Path> = path.ancestors().take_while(missing).collect();
+    fs::create_dir_all(path)?;
+    for parent in made.iter().filter_map(|path| path.parent()) {
+        let here = parent.as_os_str().is_empty();
+        sync_directory(if here { Path::new(".") } else { parent })?;
+    }
+    Ok(())
+}
+
+/// Makes the names in a directory durable, and in every directory under it.
+pub(super) fn sync_directories(path: &Path) -> io::Result<()> {
+    for file in fs::read_dir(path)? {
+        let file = file?;
+        if file.file_type()?.is_dir() {
+            sync_directories(&file.path())?;
+        }
+    }
+    sync_directory(path)
 }
 
 /// Makes names in a directory durable.

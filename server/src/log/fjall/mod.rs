@@ -39,7 +39,7 @@ pub use directory::OpenError;
 use super::{
     Effects, Entry, Gone, Keep, Log, LogError, Operation, Origin, Record, Restoring, Uid, View,
 };
-use directory::{Directory, sync_directory};
+use directory::{Directory, sync_directories, sync_directory};
 use engine::Engine;
 use journal::Journal;
 use layout::Number;
@@ -276,6 +276,12 @@ fn make_store(directory: &Directory) -> io::Result<()> {
     let synced = Journal::new(Arc::clone(&made), new.clone()).sync();
     synced.map_err(io::Error::other)?;
     made.close();
+    // fjall leaves it to the file system whether the names of its directories are durable.
+    sync_directories(&new)?;
+    fs::File::options()
+        .append(true)
+        .create(true)
+        .open(directory.join(MARKS))?;
     fs::rename(&new, &store)?;
     sync_directory(directory.path())
 }
