@@ -5,8 +5,9 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use prost::bytes::Bytes;
 use wayfold_index::{Linear, PointRef, Search, Space};
 use wayfold_proto::v1::{
-    self, InsertRequest, InsertResponse, KnnRequest, KnnResponse, NeighborQuery, Neighbors,
-    OnConflict, Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse,
+    self, GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse,
+    NeighborQuery, Neighbors, OnConflict, Outcome, QueryRequest, QueryResponse, RemoveRequest,
+    RemoveResponse,
 };
 
 use crate::{Content, StoredPoint, bits, ledger::Entry, neighbor_rows};
@@ -153,6 +154,30 @@ impl Model {
             &search,
             response.neighbors.as_ref(),
         );
+    }
+
+    /// Checks the answer to a Get with payloads.
+    ///
+    /// # Panics
+    /// As [`Model::check`].
+    pub fn get(&self, request: &GetRequest, response: &GetResponse) {
+        assert_eq!(response.revision, self.revision);
+        let told = response.points.as_ref().expect("points");
+        let rows = told.states.as_ref().expect("states");
+        assert_eq!(told.ids, request.ids);
+        assert_eq!(rows.rows as usize, told.ids.len());
+        let width = self.points.space().coordinates();
+        for (i, id) in told.ids.iter().enumerate() {
+            let point = self.points.get(*id).expect("a point that was there");
+            let row = &rows.coordinates[i * width..][..width];
+            assert_eq!(
+                (bits(row), told.tags[i], told.revisions[i]),
+                (bits(point.row), point.tag, point.revision),
+                "point {id} at revision {}",
+                self.revision
+            );
+            assert_eq!(told.payloads[i], self.payloads[id]);
+        }
     }
 
     /// Checks that an index holds exactly this.

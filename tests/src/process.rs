@@ -1,8 +1,7 @@
 //! Child processes: the server under test, and its clients.
 
 use std::{
-    fs::File,
-    io::{BufRead, BufReader, Read, Seek, Write},
+    io::{BufRead, BufReader, Read, Write},
     path::Path,
     process::{Child, Command, ExitStatus, Stdio},
     sync::mpsc::{self, Receiver},
@@ -41,7 +40,9 @@ pub struct Finished {
 pub struct Process {
     child: Child,
     lines: Receiver<String>,
-    stderr: File,
+    log: Receiver<String>,
+    /// What was received of the log already.
+    logged: String,
 }
 
 impl Process {
@@ -58,27 +59,19 @@ impl Process {
     /// # Panics
     /// If it cannot be started.
     pub fn spawn(command: &mut Command) -> Self {
-        let stderr = tempfile::tempfile().expect("a temporary file");
         let mut child = command
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            .stderr(stderr.try_clone().expect("a second handle"))
+            .stderr(Stdio::piped())
             .spawn()
             .expect("the program starts");
-        let stdout = child.stdout.take().expect("a pipe");
-        let (sender, lines) = mpsc::channel();
-        // The sender is dropped at the end of the stream: that is how a process's end is noticed.
-        thread::spawn(move || {
-            for line in BufReader::new(stdout).lines().map_while(Result::ok) {
-                if sender.send(line).is_err() {
-                    break;
-                }
-            }
-        });
+        let lines = read_lines(child.stdout.take().expect("a pipe"));
+        let log = read_lines(child.stderr.take().expect("a pipe"));
         Self {
             child,
             lines,
-            stderr,
+            log,
+            logged: String::new(),
         }
     }
 
@@ -92,11 +85,30 @@ impl Process {
     /// # Panics
     /// If it says nothing for two minutes.
     pub fn line(&mut self) -> Option<String> {
-        match self.lines.recv_timeout(PATIENCE) {
-            Ok(line) => Some(line),
-            Err(mpsc::RecvTimeoutError::Disconnected) => None,
-            Err(mpsc::RecvTimeoutError::Timeout) => panic!("a process says nothing and lives on"),
+        next(&self.lines)
+    }
+
+    /// The next line of its standard error; none when it has closed it.
+    ///
+    /// # Panics
+    /// If it says nothing for two minutes.
+    pub fn log_line(&mut self) -> Option<String> {
+        let line = next(&self.log)?;
+        self.logged += &line;
+        self.logged.push('\n');
+        Some(line)
+    }
+
+    /// Kills it once it has said so many lines to standard error.
+    ///
+    /// # Panics
+    /// As [`Process::log_line`] and [`Process::finish`].
+    pub fn kill_at_line(mut self, lines: u32) {
+        for _ in 0..lines {
+            self.log_line();
         }
+        self.signal(Signal::Kill);
+        self.finish();
     }
 
     /// Writes a line to its standard input.
@@ -146,15 +158,32 @@ impl Process {
         }
     }
 
-    /// What it has written to standard error.
-    ///
-    /// # Panics
-    /// If the file of it cannot be read.
-    pub fn log(&mut self) -> String {
-        let mut log = Vec::new();
-        self.stderr.rewind().expect("a seekable file");
-        self.stderr.read_to_end(&mut log).expect("a readable file");
-        String::from_utf8_lossy(&log).into_owned()
+    /// All that it wrote to standard error, once it has ended.
+    fn log(&mut self) -> String {
+        while self.log_line().is_some() {}
+        std::mem::take(&mut self.logged)
+    }
+}
+
+/// The lines of a stream, read as they come. The sender is dropped at the end of the stream: that is how a process's
+/// end is noticed.
+fn read_lines(stream: impl Read + Send + 'static) -> Receiver<String> {
+    let (sender, lines) = mpsc::channel();
+    thread::spawn(move || {
+        for line in BufReader::new(stream).lines().map_while(Result::ok) {
+            if sender.send(line).is_err() {
+                break;
+            }
+        }
+    });
+    lines
+}
+
+fn next(lines: &Receiver<String>) -> Option<String> {
+    match lines.recv_timeout(PATIENCE) {
+        Ok(line) => Some(line),
+        Err(mpsc::RecvTimeoutError::Disconnected) => None,
+        Err(mpsc::RecvTimeoutError::Timeout) => panic!("a process says nothing and lives on"),
     }
 }
 

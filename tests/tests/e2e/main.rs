@@ -8,6 +8,7 @@
 mod bad_input;
 mod cancellation;
 mod client_library;
+mod clients;
 mod command_line;
 mod crash;
 mod filters;

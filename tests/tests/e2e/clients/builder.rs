@@ -1,0 +1,70 @@
+//! Creates and deletes indices.
+
+use std::collections::BTreeMap;
+
+use tokio::sync::watch;
+use wayfold_proto::v1::{
+    CreateIndexRequest, DeleteIndexRequest, InsertRequest, ListIndexesRequest,
+};
+use wayfold_tests::{Stubs, row_states};
+
+/// A client that creates and deletes indices; of the last one it may not know whether it is there.
+#[derive(Default)]
+pub(crate) struct Builder {
+    calls: u64,
+    /// How many points the indices hold that it knows of; none where it deleted one.
+    known: BTreeMap<String, Option<u64>>,
+}
+
+impl Builder {
+    /// Goes on until the server is gone, and says before each call that it begins one.
+    pub(crate) async fn build(mut self, mut stubs: Stubs, began: watch::Sender<u64>) -> Self {
+        loop {
+            self.calls += 1;
+            let name = format!("scratch-{}", self.calls % 5);
+            let there = self.known.remove(&name).flatten().is_some();
+            began.send_modify(|count| *count += 1);
+            let done = if there {
+                let request = DeleteIndexRequest {
+                    name: name.clone(),
+                    ..Default::default()
+                };
+                stubs.indexes.delete_index(request).await.is_ok()
+            } else {
+                let request = CreateIndexRequest {
+                    name: name.clone(),
+                    space_text: "R2".into(),
+                    ..Default::default()
+                };
+                let created = stubs.indexes.create_index(request).await.is_ok();
+                let row = InsertRequest {
+                    index: name.clone(),
+                    states: Some(row_states(&[1.0, 2.0], 2)),
+                    ..Default::default()
+                };
+                created && stubs.points.insert(row).await.is_ok()
+            };
+            if !done {
+                return self;
+            }
+            self.known.insert(name, (!there).then_some(1));
+        }
+    }
+
+    /// Checks that what it was told is so, and what is unknown whole or not at all.
+    pub(crate) async fn check(&mut self, stubs: &mut Stubs) {
+        let request = ListIndexesRequest::default();
+        let listed = stubs.indexes.list_indexes(request).await.unwrap();
+        let listed = listed.into_inner().indexes;
+        let listed = listed.into_iter().filter(|index| index.name != "arm");
+        let listed: BTreeMap<_, _> = listed.map(|index| (index.name, index.points)).collect();
+        for (name, points) in &self.known {
+            assert_eq!(listed.get(name), points.as_ref(), "{name}");
+        }
+        for (name, &points) in &listed {
+            assert!(points <= 1, "{name} has {points} points");
+        }
+        let listed = listed.into_iter();
+        self.known = listed.map(|(name, points)| (name, Some(points))).collect();
+    }
+}

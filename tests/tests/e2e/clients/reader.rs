@@ -1,0 +1,102 @@
+//! Reads, and notes what it saw: at which revision of which index, bit for bit.
+
+use rand::RngExt;
+use tokio::sync::watch;
+use tonic::{Code, Status};
+use wayfold_proto::v1::{GetRequest, GetResponse, KnnRequest, KnnResponse};
+use wayfold_tests::{Content, Model, States, Stubs, row_states};
+
+use super::{COORDINATES, SPACE};
+
+/// One read in so many is a scan of everything.
+const SCANS: u32 = 30;
+
+/// What a reader saw.
+pub(crate) enum Seen {
+    Knn(KnnRequest, KnnResponse),
+    Get(GetRequest, GetResponse),
+    Scan(Content),
+}
+
+impl Seen {
+    /// The index and the revision that it is of.
+    pub(crate) fn at(&self) -> (&str, u64) {
+        match self {
+            Seen::Knn(_, response) => (&response.uid, response.revision),
+            Seen::Get(_, response) => (&response.uid, response.revision),
+            Seen::Scan(content) => (&content.uid, content.revision),
+        }
+    }
+
+    /// Checks that it is what there is to see at the model's revision.
+    pub(crate) fn check(&self, model: &Model) {
+        match self {
+            Seen::Knn(request, response) => model.knn(request, response),
+            Seen::Get(request, response) => model.get(request, response),
+            Seen::Scan(content) => model.check_content(content),
+        }
+    }
+}
+
+/// A client that reads.
+pub(crate) struct Reader {
+    states: States,
+    ids: Vec<u64>,
+    /// What it saw since it was taken away last.
+    pub(crate) seen: Vec<Seen>,
+}
+
+impl Reader {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self {
+            states: States::new(SPACE.parse().unwrap(), seed),
+            ids: Vec::new(),
+            seen: Vec::new(),
+        }
+    }
+
+    /// Reads once each time that writers were acknowledged something, until the server is gone. What others have
+    /// under way meanwhile must not be seen.
+    pub(crate) async fn read(
+        mut self,
+        stubs: Stubs,
+        mut acknowledged: watch::Receiver<u64>,
+    ) -> Self {
+        while acknowledged.changed().await.is_ok() {
+            match self.look(stubs.clone()).await {
+                Ok(seen) => self.seen.push(seen),
+                // It was removed meanwhile.
+                Err(status) if status.code() == Code::NotFound => {}
+                Err(_) => break,
+            }
+        }
+        self
+    }
+
+    /// One read.
+    pub(crate) async fn look(&mut self, mut stubs: Stubs) -> Result<Seen, Status> {
+        if self.states.rng().random_ratio(1, SCANS) {
+            return Content::read(&stubs, "arm").await.map(Seen::Scan);
+        }
+        if let Some(id) = self.ids.pop() {
+            let request = GetRequest {
+                index: "arm".into(),
+                ids: vec![id],
+                payloads: true,
+                ..Default::default()
+            };
+            let response = stubs.points.get(request.clone()).await?;
+            return Ok(Seen::Get(request, response.into_inner()));
+        }
+        let request = KnnRequest {
+            index: "arm".into(),
+            states: Some(row_states(&self.states.rows(2), COORDINATES)),
+            k: 5,
+            ..Default::default()
+        };
+        let response = stubs.points.knn(request.clone()).await?.into_inner();
+        let neighbors = response.neighbors.as_ref();
+        self.ids = neighbors.map_or_else(Vec::new, |found| found.ids.clone());
+        Ok(Seen::Knn(request, response))
+    }
+}

@@ -1,0 +1,97 @@
+//! Counts what was acknowledged, and what of it is not there, or there twice.
+
+use std::{
+    collections::{HashMap, HashSet},
+    fmt,
+};
+
+use prost::bytes::Bytes;
+use wayfold_tests::{Content, ledger::Entry};
+
+/// The count, of mutations. It knows of no order and no revisions; the model does.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    pub(crate) acknowledged: u64,
+    pub(crate) lost: u64,
+    pub(crate) duplicated: u64,
+    /// By payload, as each is like no other: the calls that stored it and removed it.
+    rows: HashMap<Bytes, Row>,
+    ids: HashMap<u64, Bytes>,
+    calls: usize,
+}
+
+#[derive(Debug)]
+struct Row {
+    stored_by: usize,
+    removed_by: Option<usize>,
+}
+
+impl Tally {
+    /// Takes note of what was acknowledged; of one client in its order.
+    pub(crate) fn note(&mut self, entry: &Entry) {
+        self.calls += 1;
+        self.acknowledged += 1;
+        match entry {
+            Entry::Insert(request, response) => {
+                for (payload, &id) in request.payloads.iter().zip(&response.ids) {
+                    let row = Row {
+                        stored_by: self.calls,
+                        removed_by: None,
+                    };
+                    self.rows.insert(payload.clone(), row);
+                    self.ids.insert(id, payload.clone());
+                }
+            }
+            Entry::Remove(request, _) => {
+                for id in &request.ids {
+                    let row = self
+                        .ids
+                        .remove(id)
+                        .and_then(|payload| self.rows.get_mut(&payload));
+                    if let Some(row) = row {
+                        row.removed_by = Some(self.calls);
+                    }
+                }
+            }
+            Entry::Knn(..) | Entry::Query(..) => {}
+        }
+    }
+
+    /// Compares it with what there is. What is found neither stored nor removed was lost, and is forgotten.
+    pub(crate) fn count(&mut self, content: &Content) {
+        let mut found: HashMap<&[u8], u64> = HashMap::new();
+        for point in content.points.values() {
+            *found.entry(&point.payload).or_default() += 1;
+        }
+        let (mut lost, mut duplicated) = (HashSet::new(), HashSet::new());
+        self.rows.retain(|payload, row| {
+            let times = found.get(&payload[..]).copied().unwrap_or_default();
+            match row.removed_by {
+                None if times == 0 => lost.insert(row.stored_by),
+                Some(removed_by) if times > 0 => lost.insert(removed_by),
+                _ => false,
+            };
+            if times > 1 {
+                duplicated.insert(row.stored_by);
+            }
+            row.removed_by.is_none()
+        });
+        self.lost += lost.len() as u64;
+        self.duplicated += duplicated.len() as u64;
+    }
+}
+
+impl fmt::Display for Tally {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            acknowledged,
+            lost,
+            duplicated,
+            ..
+        } = self;
+        write!(
+            f,
+            "{acknowledged} mutations acknowledged, {lost} lost, {duplicated} duplicated"
+        )
+    }
+}

@@ -1,0 +1,172 @@
+//! Writes, and keeps a ledger of what was acknowledged.
+
+use prost::bytes::Bytes;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tokio::sync::watch;
+use wayfold_proto::v1::{InsertRequest, NeighborQuery, RemoveRequest};
+use wayfold_tests::{States, Stubs, ledger::Entry, row_states};
+
+use super::{COORDINATES, SPACE};
+
+/// What a writer sends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Load {
+    /// Up to so many rows in one call.
+    pub(crate) rows: usize,
+    /// How often a call carries large payloads instead.
+    pub(crate) heavy: f64,
+    /// How often it removes.
+    pub(crate) removals: f64,
+}
+
+/// Bytes of a large payload: as much as is allowed.
+const HEAVY_BYTES: usize = 64 * 1024;
+
+/// A client that writes one mutation after another, and remembers the one of which it does not know what became.
+pub(crate) struct Writer {
+    pub(crate) name: u64,
+    load: Load,
+    random: ChaCha8Rng,
+    states: States,
+    /// What large payloads are filled with: nothing is to be saved by compressing it.
+    noise: Vec<u8>,
+    calls: u64,
+    mine: Vec<u64>,
+    /// Those with large payloads.
+    heavy: Vec<u64>,
+    unknown: Option<Request>,
+    /// What was acknowledged since it was taken away last.
+    pub(crate) ledger: Vec<Entry>,
+}
+
+#[derive(Clone)]
+enum Request {
+    Insert(InsertRequest),
+    Remove(RemoveRequest),
+}
+
+impl Writer {
+    /// Each name is another client; equal names and seeds write equal calls.
+    pub(crate) fn new(name: u64, seed: u64, load: Load) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed + name);
+        Self {
+            name,
+            load,
+            noise: (0..HEAVY_BYTES).map(|_| random.random()).collect(),
+            random,
+            states: States::new(SPACE.parse().unwrap(), seed + name),
+            calls: 0,
+            mine: Vec::new(),
+            heavy: Vec::new(),
+            unknown: None,
+            ledger: Vec::new(),
+        }
+    }
+
+    fn next(&mut self) -> Request {
+        self.calls += 1;
+        let operation_id = format!("{}-{}", self.name, self.calls);
+        if self.random.random_bool(self.load.removals) {
+            let ids = self.outdated();
+            if !ids.is_empty() {
+                return Request::Remove(RemoveRequest {
+                    index: "arm".into(),
+                    ids,
+                    operation_id,
+                    ..Default::default()
+                });
+            }
+        }
+        let heavy = self.random.random_bool(self.load.heavy);
+        let (rows, bytes) = if heavy {
+            (4, HEAVY_BYTES)
+        } else {
+            (self.random.random_range(1..=self.load.rows), 0)
+        };
+        let payloads = (0..rows).map(|row| self.payload(&format!("{operation_id}/{row}"), bytes));
+        let payloads = payloads.collect();
+        Request::Insert(InsertRequest {
+            index: "arm".into(),
+            states: Some(row_states(&self.states.rows(rows), COORDINATES)),
+            tags: vec![self.name; rows],
+            payloads,
+            neighbors: heavy.then(|| NeighborQuery {
+                k: Some(3),
+                ..Default::default()
+            }),
+            operation_id,
+            ..Default::default()
+        })
+    }
+
+    /// The large points, so that they do not pile up, or another.
+    fn outdated(&mut self) -> Vec<u64> {
+        if !self.heavy.is_empty() {
+            return std::mem::take(&mut self.heavy);
+        }
+        let count = self.mine.len();
+        let one = (count > 0).then(|| self.random.random_range(0..count));
+        Vec::from_iter(one.map(|at| self.mine.swap_remove(at)))
+    }
+
+    /// A payload like no other, of at least so many bytes.
+    fn payload(&self, text: &str, bytes: usize) -> Bytes {
+        let noise = &self.noise[text.len().min(bytes)..bytes];
+        [text.as_bytes(), noise].concat().into()
+    }
+
+    /// Writes until the server is gone; first what may or may not have taken place before.
+    pub(crate) async fn write(
+        mut self,
+        mut stubs: Stubs,
+        acknowledged: watch::Sender<u64>,
+    ) -> Self {
+        loop {
+            let request = match self.unknown.take() {
+                Some(request) => request,
+                None => self.next(),
+            };
+            if !self.send(&mut stubs, request).await {
+                return self;
+            }
+            acknowledged.send_modify(|count| *count += 1);
+        }
+    }
+
+    /// What is unknown becomes known by asking again, and takes place once.
+    pub(crate) async fn resolve(&mut self, stubs: &mut Stubs) {
+        if let Some(request) = self.unknown.take() {
+            assert!(self.send(stubs, request).await);
+        }
+    }
+
+    /// Whether it was acknowledged; it is unknown if not.
+    async fn send(&mut self, stubs: &mut Stubs, request: Request) -> bool {
+        let answered = match &request {
+            Request::Insert(insert) => match stubs.points.insert(insert.clone()).await {
+                Ok(response) => Some(Entry::Insert(insert.clone(), response.into_inner())),
+                Err(_) => None,
+            },
+            Request::Remove(remove) => match stubs.points.remove(remove.clone()).await {
+                Ok(response) => Some(Entry::Remove(remove.clone(), response.into_inner())),
+                Err(_) => None,
+            },
+        };
+        let Some(entry) = answered else {
+            self.unknown = Some(request);
+            return false;
+        };
+        if let Entry::Insert(insert, response) = &entry {
+            let heavy = insert.payloads[0].len() == HEAVY_BYTES;
+            let ids = if heavy {
+                &mut self.heavy
+            } else {
+                &mut self.mine
+            };
+            ids.extend(&response.ids);
+        }
+        self.ledger.push(entry);
+        true
+    }
+}
