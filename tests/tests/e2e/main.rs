@@ -15,6 +15,8 @@ mod filters;
 mod no_missed_edge;
 mod operation_ids;
 mod planners;
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+mod power_loss;
 mod readme;
 mod reflection;
 mod scan;

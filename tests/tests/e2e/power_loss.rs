@@ -1,0 +1,94 @@
+//! A loss of power: what a server did not sync is gone from its files, and nothing that it acknowledged, or showed to a
+//! reader, is missing.
+
+mod disk;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wayfold_tests::Signal;
+
+use self::disk::Disk;
+use crate::clients::{Clients, Load, Moment};
+
+const FSYNC: &[(&str, &str)] = &[("WAYFOLD_DATA__DURABILITY", "fsync")];
+/// Enough in a few rounds for the store to move points out of its journal and begin another.
+const LOAD: Load = Load {
+    rows: 3,
+    heavy: 0.2,
+    removals: 0.2,
+};
+/// Losses of power, unless the environment variable `POWER_LOSSES` says otherwise.
+const LOSSES: u64 = 8;
+const SEED: u64 = 3;
+/// Lines that a starting server says at least.
+const LINES: u32 = 4;
+
+fn losses() -> u64 {
+    std::env::var("POWER_LOSSES").map_or(LOSSES, |losses| losses.parse().unwrap())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_acknowledged_is_lost_when_the_disk_keeps_only_what_was_synced() {
+    lose_power(Disk::new(None), SEED).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_acknowledged_is_lost_when_the_disk_keeps_some_of_the_rest() {
+    lose_power(Disk::new(Some(SEED)), SEED + 1).await;
+}
+
+async fn lose_power(mut disk: Disk, seed: u64) {
+    println!("seed {seed}");
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut server = disk.serve(FSYNC);
+    let mut clients = Clients::new(&server, seed, LOAD).await;
+    let mut cuts = 0;
+    for _ in 0..losses() {
+        let moment = match random.random_range(0..4) {
+            0 => Moment::Built(random.random_range(1..50)),
+            _ => Moment::Acknowledged(random.random_range(1..200)),
+        };
+        clients.work(server, moment).await;
+        disk.cut();
+        cuts += 1;
+        // Sometimes again while it starts.
+        while random.random_bool(0.4) {
+            disk.start(FSYNC)
+                .kill_at_line(random.random_range(0..LINES));
+            disk.cut();
+            cuts += 1;
+        }
+        server = disk.serve(FSYNC);
+        clients.check(&server).await;
+    }
+    server.stop(Signal::Terminate);
+    disk.check_shadow();
+    println!("{cuts} losses of power, {}", clients.tally());
+}
+
+/// The control: the disk does lose what was not synced, and then the index has another uid.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_syncs_something_is_lost_and_the_uid_is_new() {
+    let settings = [("WAYFOLD_DATA__DURABILITY", "none")];
+    let load = Load {
+        removals: 0.0,
+        ..LOAD
+    };
+    let mut disk = Disk::new(None);
+    // A server that ends in order leaves all on the disk, so the index is there.
+    let server = disk.serve(&settings);
+    let mut clients = Clients::new(&server, SEED, load).await;
+    server.stop(Signal::Terminate);
+    disk.check_shadow();
+    disk.cut();
+    clients
+        .work(disk.serve(&settings), Moment::Acknowledged(50))
+        .await;
+    disk.cut();
+    let server = disk.serve(&settings);
+    let left = clients.count(&server).await;
+    println!("one loss of power, {}", clients.tally());
+    assert!(clients.tally().lost > 0);
+    assert_eq!(clients.tally().duplicated, 0);
+    assert_ne!(left.uid, clients.uid());
+}
