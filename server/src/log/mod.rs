@@ -110,7 +110,8 @@ pub trait Log: Send + Sync {
     /// newest revision of which that is so then.
     fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>>;
 
-    /// The records after the revision `after`; None for all that are still held. [`LogError::Trimmed`] if some of
+    /// The records after the revision `after`, intact and each the successor of the one before; None for all that are
+    /// still held. [`LogError::Trimmed`] if some of
     /// them are held no longer.
     fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError>;
 

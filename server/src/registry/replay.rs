@@ -29,25 +29,12 @@ pub(super) fn replayed(host: &Arc<Host>, entry: &Entry) -> Place {
 /// none: its retry is evaluated anew, which it cannot tell from a first try.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
     let view = host.log.points(entry.uid)?;
-    let records = host.log.tail(entry.uid, None)?;
     let mut forest = Forest::new(entry.space.clone(), host.options.forest);
     if view.revision() > 0 {
         forest.apply(view.revision(), &load(&*view, entry)?, &[]);
         forest.settle();
     }
     let mut writer = Writer::new(forest, Arc::clone(&view));
-    let mut previous = None;
-    for record in &records {
-        let revision = record.revision();
-        if !record.is_intact() || previous.is_some_and(|digest| digest != *record.previous()) {
-            return Err(RegistryError::Log(LogError::Damaged {
-                uid: entry.uid,
-                revision,
-                what: "it does not match its checksum, or not the record before it",
-            }));
-        }
-        previous = Some(*record.digest());
-    }
     for operation in host.log.operations(entry.uid)? {
         writer.remember(operation, EVERY_OPERATION);
     }

@@ -155,3 +155,70 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
     }
     Ok(state)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{
+        super::{Durability, store::Store},
+        *,
+    };
+    use crate::log::{Effects, Entry, Record};
+
+    fn effects(id: u64) -> Effects {
+        let mut effects = Effects::new(1);
+        effects.remove(id);
+        effects
+    }
+
+    /// What is wrong with an index of three records after `damage`; None if nothing is.
+    fn found(damage: impl FnOnce(&Handles, &[Arc<Record>])) -> Option<String> {
+        let directory = tempfile::tempdir().unwrap();
+        let store = Store::open(directory.path(), Durability::Fsync).unwrap();
+        let entry = Entry {
+            uid: Uid::unique(),
+            name: "arm".into(),
+            space: "R1".parse().unwrap(),
+        };
+        let index = Index::new(0, entry, State::new(Origin::START));
+        let append = |head| index.append(&store, head, effects(head), |_| ()).unwrap();
+        let records: Vec<_> = (0..3).map(append).collect();
+        let handles = store.handles().unwrap();
+        damage(&handles, &records);
+        let error = state(&handles, &index, Some(index.here())).err()?;
+        Some(error.to_string())
+    }
+
+    #[test]
+    fn a_chain_of_records_with_another_link_is_not_taken() {
+        assert_eq!(found(|_, _| ()), None);
+        let put = |handles: &Handles, record: &Record| {
+            let key = record_key(0, record.revision());
+            handles.keyspace.insert(key, record.encode()).unwrap();
+        };
+        // Of another second record the third tells; of another third the mark.
+        for revision in [2, 3] {
+            let other = found(|handles, records| {
+                let before = *records[revision - 1].previous();
+                put(
+                    handles,
+                    &Record::new(revision as u64, before, 0, effects(9)),
+                );
+            });
+            let told = other
+                .as_ref()
+                .map(|other| other.contains("revision 3 is damaged"));
+            assert_eq!(told, Some(true), "{other:?}");
+        }
+        let unlinked = found(|handles, records| {
+            put(
+                handles,
+                &Record::new(2, [7; 32], 0, records[1].effects().clone()),
+            );
+        });
+        assert!(unlinked.is_some_and(|error| error.contains("revision 2 is damaged")));
+        let missing = found(|handles, _| {
+            handles.keyspace.remove(record_key(0, 2)).unwrap();
+        });
+        assert!(missing.is_some_and(|error| error.contains("it is missing")));
+    }
+}
