@@ -1,24 +1,14 @@
 //! What the log on disk promises beyond the others: what is left after a crash, and that damage is found and named.
 
-use std::{fs, path::Path, process::Command, slice};
+use std::{fs, path::Path, slice};
 
 use futures_util::FutureExt;
 use wayfold_server::log::{Durability, FjallLog, Log, LogError, Uid};
 
-use super::{all_points, effects, entry};
+use super::{all_points, effects, entry, kept::copied};
 
 fn open(directory: &Path, durability: Durability) -> FjallLog {
     FjallLog::open(directory, durability).unwrap()
-}
-
-/// What a crash would leave of a directory: its files as they are now. The copy of a lock is not locked.
-fn copied(directory: &Path) -> tempfile::TempDir {
-    let copy = tempfile::tempdir().unwrap();
-    let from = directory.join(".");
-    let mut command = Command::new("cp");
-    command.arg("-R").arg(from).arg(copy.path());
-    assert!(command.status().unwrap().success());
-    copy
 }
 
 fn append(log: &FjallLog, uid: Uid, revision: u64) {

@@ -1,0 +1,248 @@
+//! The journal, and the sum of what is in it.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wayfold_server::log::{Entry, Keep, LogError, Operation, Origin, Record, StoredPoint, Uid};
+
+/// What is written, one after the other.
+pub(super) enum Item {
+    Create(Entry, Origin, Points),
+    Append(Uid, Arc<Record>),
+    /// So many of the oldest records and operations are forgotten.
+    Trim(Uid, usize, usize),
+    Delete(Uid),
+    /// A half of something.
+    Torn,
+}
+
+pub(super) type Points = Arc<BTreeMap<u64, Arc<StoredPoint>>>;
+
+pub(super) struct Journal {
+    pub(super) items: Vec<Item>,
+    /// How many of them are on disk for certain.
+    pub(super) synced: usize,
+    /// The sum of the items but those of calls that failed.
+    pub(super) indexes: BTreeMap<Uid, Index>,
+    /// The writing call that is to fail: 0 is the next.
+    pub(super) fails: Option<u64>,
+    pub(super) failed: Option<LogError>,
+    /// How often it was opened.
+    pub(super) opened: u64,
+    pub(super) random: ChaCha8Rng,
+}
+
+pub(super) struct Index {
+    pub(super) entry: Entry,
+    pub(super) head: u64,
+    /// The newest revision that is on disk for certain.
+    durable: u64,
+    pub(super) next_id: u64,
+    pub(super) digest: [u8; 32],
+    pub(super) points: Points,
+    pub(super) records: VecDeque<Arc<Record>>,
+    pub(super) operations: VecDeque<Arc<Operation>>,
+}
+
+impl Journal {
+    pub(super) fn new(seed: u64) -> Self {
+        Self {
+            items: Vec::new(),
+            synced: 0,
+            indexes: BTreeMap::new(),
+            fails: None,
+            failed: None,
+            opened: 0,
+            random: ChaCha8Rng::seed_from_u64(seed),
+        }
+    }
+
+    /// Opens what is left of the journal, up to the first half.
+    pub(super) fn open(&mut self, left: usize) {
+        let whole = |item: &Item| !matches!(item, Item::Torn);
+        let left = self.items[..left]
+            .iter()
+            .take_while(|item| whole(item))
+            .count();
+        self.items.truncate(left);
+        self.indexes.clear();
+        for item in std::mem::take(&mut self.items) {
+            self.apply(&item);
+            self.items.push(item);
+        }
+        self.all_synced();
+        self.fails = None;
+        self.failed = None;
+        self.opened += 1;
+    }
+
+    /// Whether this writing call may go on.
+    pub(super) fn called(&mut self) -> Result<(), LogError> {
+        if let Some(why) = &self.failed {
+            return Err(why.clone());
+        }
+        match self.fails {
+            Some(0) => {
+                self.fails = None;
+                let what = "it was told to fail".into();
+                let why = LogError::Storage { what };
+                self.failed = Some(why.clone());
+                Err(why)
+            }
+            fails => {
+                self.fails = fails.map(|calls| calls - 1);
+                Ok(())
+            }
+        }
+    }
+
+    /// Writes an item, which then can be seen; if it fails it cannot, whatever is on the disk.
+    pub(super) fn write(&mut self, item: Item) -> Result<(), LogError> {
+        let healthy = self.failed.is_none();
+        if let Err(why) = self.called() {
+            if healthy {
+                match self.random.random_range(0..3) {
+                    0 => {}
+                    1 => self.items.push(Item::Torn),
+                    _ => self.items.push(item),
+                }
+            }
+            return Err(why);
+        }
+        self.apply(&item);
+        self.items.push(item);
+        Ok(())
+    }
+
+    /// As [`Journal::write`], and for certain.
+    pub(super) fn write_and_sync(&mut self, item: Item) -> Result<(), LogError> {
+        self.write(item)?;
+        self.all_synced();
+        Ok(())
+    }
+
+    /// Syncs all there is, unless the revision is on disk already; says which is.
+    pub(super) fn sync(&mut self, uid: Uid, revision: u64) -> Result<u64, LogError> {
+        if self.index(uid)?.durable < revision {
+            self.called()?;
+            self.all_synced();
+        }
+        Ok(self.index(uid)?.durable)
+    }
+
+    fn all_synced(&mut self) {
+        self.synced = self.items.len();
+        for index in self.indexes.values_mut() {
+            index.durable = index.head;
+        }
+    }
+
+    fn apply(&mut self, item: &Item) {
+        match item {
+            Item::Create(entry, origin, points) => {
+                let index = Index {
+                    entry: entry.clone(),
+                    head: origin.revision,
+                    durable: origin.revision,
+                    next_id: origin.next_id,
+                    digest: origin.digest,
+                    points: Arc::clone(points),
+                    records: VecDeque::new(),
+                    operations: VecDeque::new(),
+                };
+                self.indexes.insert(entry.uid, index);
+            }
+            Item::Append(uid, record) => {
+                if let Some(index) = self.indexes.get_mut(uid) {
+                    index.apply(record);
+                }
+            }
+            Item::Trim(uid, records, operations) => {
+                if let Some(index) = self.indexes.get_mut(uid) {
+                    index.records.drain(..records);
+                    index.operations.drain(..operations);
+                }
+            }
+            Item::Delete(uid) => {
+                self.indexes.remove(uid);
+            }
+            Item::Torn => {}
+        }
+    }
+
+    pub(super) fn index(&self, uid: Uid) -> Result<&Index, LogError> {
+        self.indexes.get(&uid).ok_or(LogError::UnknownIndex { uid })
+    }
+
+    pub(super) fn create(
+        &mut self,
+        entry: Entry,
+        origin: Origin,
+        points: Points,
+    ) -> Result<(), LogError> {
+        if self.indexes.contains_key(&entry.uid) {
+            return Err(LogError::UidTaken { uid: entry.uid });
+        }
+        self.write_and_sync(Item::Create(entry, origin, points))
+    }
+}
+
+impl Index {
+    fn apply(&mut self, record: &Arc<Record>) {
+        let effects = record.effects();
+        let points = Arc::make_mut(&mut self.points);
+        for id in effects.removed() {
+            points.remove(id);
+        }
+        for (slot, point) in effects.stored().iter().enumerate() {
+            let stored = StoredPoint {
+                id: point.id,
+                revision: point.revision,
+                modified: record.revision(),
+                tag: point.tag,
+                state: point.row.into(),
+                payload: effects.payload(slot),
+            };
+            self.next_id = self.next_id.max(point.id + 1);
+            points.insert(point.id, Arc::new(stored));
+        }
+        self.head = record.revision();
+        self.digest = *record.digest();
+        self.operations.extend(effects.operation().cloned());
+        self.records.push_back(Arc::clone(record));
+    }
+
+    /// How many of the oldest records and operations need not be kept.
+    pub(super) fn outdated(&self, keep: &Keep) -> (usize, usize) {
+        let time =
+            |record: &Record| SystemTime::UNIX_EPOCH + Duration::from_millis(record.time_ms());
+        let bytes = self.records.iter().map(|record| record.effects().bytes());
+        let mut bytes: usize = bytes.sum();
+        let mut records = 0;
+        while records + 1 < self.records.len()
+            && (bytes > keep.record_bytes || time(&self.records[records]) < keep.since)
+        {
+            bytes -= self.records[records].effects().bytes();
+            records += 1;
+        }
+        let mut bytes: usize = self
+            .operations
+            .iter()
+            .map(|operation| operation.bytes())
+            .sum();
+        let mut operations = 0;
+        while operations + 1 < self.operations.len()
+            && (bytes > keep.operation_bytes
+                || self.operations.len() - operations > keep.operations)
+        {
+            bytes -= self.operations[operations].bytes();
+            operations += 1;
+        }
+        (records, operations)
+    }
+}

@@ -1,0 +1,184 @@
+//! An index as it must be, whatever store it is in.
+
+use std::{
+    collections::BTreeMap,
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use bytes::Bytes;
+use wayfold_server::log::{
+    Effects, Keep, Log, LogError, Operation, Origin, Record, StoredPoint, Uid, View,
+};
+
+use crate::{all_points, effects};
+
+pub(crate) type Points = BTreeMap<u64, Arc<StoredPoint>>;
+
+/// An index as it must be: its points after each of its records, and what is held of these.
+pub(crate) struct Model {
+    origin: Origin,
+    pub(crate) records: Vec<Arc<Record>>,
+    /// After the origin, and after each record.
+    points: Vec<(Points, u64)>,
+    pub(crate) trimmed: usize,
+    pub(crate) operations_trimmed: usize,
+    /// How many records are there for certain.
+    pub(crate) synced: usize,
+}
+
+impl Model {
+    pub(crate) fn new(origin: Origin, points: Points) -> Self {
+        Self {
+            origin,
+            records: Vec::new(),
+            points: vec![(points, origin.next_id)],
+            trimmed: 0,
+            operations_trimmed: 0,
+            synced: 0,
+        }
+    }
+
+    pub(crate) fn head(&self) -> u64 {
+        self.origin.revision + self.records.len() as u64
+    }
+
+    pub(crate) fn newest(&self) -> &(Points, u64) {
+        self.points.last().unwrap()
+    }
+
+    pub(crate) fn digest(&self) -> [u8; 32] {
+        self.records
+            .last()
+            .map_or(self.origin.digest, |last| *last.digest())
+    }
+
+    /// The effects of the next record.
+    pub(crate) fn next(&self, store: &[u64], remove: &[u64], operation: usize) -> Effects {
+        let revision = self.head() + 1;
+        let present = |id: &u64| self.newest().0.contains_key(id);
+        let remove: Vec<u64> = remove.iter().copied().filter(present).collect();
+        let mut effects = effects(revision, store, &remove);
+        effects.set_operation((operation > 0).then(|| {
+            Arc::new(Operation {
+                id: format!("operation {revision}"),
+                fingerprint: [revision as u8; 32],
+                response: vec![7; operation].into(),
+            })
+        }));
+        effects
+    }
+
+    /// Takes note of the next record, which must be of these effects.
+    pub(crate) fn append(&mut self, record: Arc<Record>, effects: &Effects) {
+        assert_eq!(record.revision(), self.head() + 1);
+        assert_eq!(record.effects(), effects);
+        assert_eq!(*record.previous(), self.digest());
+        assert!(record.is_intact());
+        let (mut points, mut next_id) = self.newest().clone();
+        for id in effects.removed() {
+            points.remove(id);
+        }
+        for point in effects.stored().iter() {
+            let revision = record.revision();
+            let stored = StoredPoint {
+                id: point.id,
+                revision,
+                modified: revision,
+                tag: revision,
+                state: Box::new([revision as f64]),
+                payload: Bytes::from(format!("{} at {revision}", point.id)),
+            };
+            points.insert(point.id, Arc::new(stored));
+            next_id = next_id.max(point.id + 1);
+        }
+        self.points.push((points, next_id));
+        self.records.push(record);
+    }
+
+    fn operations(&self) -> Vec<Arc<Operation>> {
+        let operations = self
+            .records
+            .iter()
+            .map(|record| record.effects().operation());
+        operations.flatten().cloned().collect()
+    }
+
+    pub(crate) fn trim(&mut self, keep: &Keep) {
+        let time =
+            |record: &Record| SystemTime::UNIX_EPOCH + Duration::from_millis(record.time_ms());
+        let bytes = |records: &[Arc<Record>]| -> usize {
+            records.iter().map(|record| record.effects().bytes()).sum()
+        };
+        while let held = &self.records[self.trimmed..]
+            && held.len() > 1
+            && (bytes(held) > keep.record_bytes || time(&held[0]) < keep.since)
+        {
+            self.trimmed += 1;
+        }
+        let operations = self.operations();
+        let bytes = |operations: &[Arc<Operation>]| -> usize {
+            operations.iter().map(|operation| operation.bytes()).sum()
+        };
+        while let held = &operations[self.operations_trimmed..]
+            && held.len() > 1
+            && (held.len() > keep.operations || bytes(held) > keep.operation_bytes)
+        {
+            self.operations_trimmed += 1;
+        }
+    }
+
+    /// Goes back to where a log is that was opened again; what was trimmed may have come back. `unknown` are the effects
+    /// of an append that failed.
+    pub(crate) fn rejoin(&mut self, log: &dyn Log, uid: Uid, unknown: Option<&Effects>) {
+        let revision = log.points(uid).unwrap().revision();
+        let held = log.tail(uid, None).unwrap();
+        if revision == self.head() + 1 {
+            let unknown = unknown.expect("nobody appended it");
+            self.append(Arc::clone(held.last().unwrap()), unknown);
+        }
+        let left = (revision - self.origin.revision) as usize;
+        assert!((self.synced..=self.records.len()).contains(&left), "{left}");
+        self.records.truncate(left);
+        self.points.truncate(left + 1);
+        self.synced = left;
+        let trimmed = left - held.len();
+        assert!(trimmed <= self.trimmed, "{trimmed} of {}", self.trimmed);
+        self.trimmed = trimmed;
+        let operations = self.operations().len();
+        let trimmed = operations - log.operations(uid).unwrap().len();
+        assert!(trimmed <= self.operations_trimmed);
+        self.operations_trimmed = trimmed;
+    }
+
+    /// Checks all that a log shows of the index.
+    pub(crate) fn check(&self, log: &dyn Log, uid: Uid) {
+        let view = log.points(uid).unwrap();
+        assert_eq!(view.revision(), self.head());
+        assert_eq!(view.next_id(), self.newest().1);
+        check_view(&*view, &self.newest().0);
+        assert_eq!(log.tail(uid, None).unwrap(), self.records[self.trimmed..]);
+        let oldest = self.origin.revision + self.trimmed as u64;
+        for after in self.origin.revision.saturating_sub(1)..=self.head() {
+            let tail = log.tail(uid, Some(after));
+            if after < oldest {
+                assert_eq!(tail, Err(LogError::Trimmed { uid, after, oldest }));
+            } else {
+                let skipped = (after - self.origin.revision) as usize;
+                assert_eq!(tail.unwrap(), self.records[skipped..]);
+            }
+        }
+        let operations = self.operations();
+        assert_eq!(
+            log.operations(uid).unwrap(),
+            operations[self.operations_trimmed..]
+        );
+    }
+}
+
+pub(crate) fn check_view(view: &dyn View, points: &Points) {
+    assert_eq!(all_points(view), *points);
+    for id in 0..13 {
+        assert_eq!(view.get(id).unwrap().as_ref(), points.get(&id));
+    }
+}

@@ -1,0 +1,328 @@
+//! One suite for every store: whatever is done to a log, it is the sum of its records.
+
+use std::{
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use proptest::prelude::*;
+use wayfold_server::log::{Effects, Entry, Keep, LogError, Origin, StoredPoint, View};
+
+use crate::{
+    all_points, cases, effects, entry,
+    kept::Kept,
+    model::{Model, Points, check_view},
+};
+
+#[derive(Clone, Debug)]
+enum Step {
+    /// With an operation of so many bytes, unless there are none.
+    Append {
+        store: Vec<u64>,
+        remove: Vec<u64>,
+        operation: usize,
+    },
+    Stale {
+        behind: u64,
+    },
+    Hold,
+    Release(usize),
+    Trim {
+        record_bytes: usize,
+        operations: usize,
+        operation_bytes: usize,
+        /// Those before this one of the held records are too old, if there are so many.
+        oldest: usize,
+    },
+    Sync,
+    /// Closed in order, and opened.
+    Reopen,
+    /// Ended there and then, and opened.
+    Cut,
+    /// The writing call after so many fails.
+    Fail(u64),
+    /// A copy is made, and, if it is finished, takes the place of the index.
+    Copy {
+        finished: bool,
+    },
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let ids = || prop::collection::btree_set(0..12u64, 0..4);
+    let some = |most: usize| prop_oneof![Just(usize::MAX), 0..most];
+    prop_oneof![
+        8 => (ids(), ids(), 0..40usize).prop_map(|(store, remove, bytes)| Step::Append {
+            remove: remove.difference(&store).copied().collect(),
+            store: store.into_iter().collect(),
+            operation: bytes.saturating_sub(20),
+        }),
+        1 => (1..3u64).prop_map(|behind| Step::Stale { behind }),
+        2 => Just(Step::Hold),
+        1 => (0..100usize).prop_map(Step::Release),
+        2 => (some(2000), some(5), some(100), 0..12usize).prop_map(
+            |(record_bytes, operations, operation_bytes, oldest)| Step::Trim {
+                record_bytes, operations, operation_bytes, oldest,
+            }
+        ),
+        2 => Just(Step::Sync),
+        1 => Just(Step::Reopen),
+        1 => Just(Step::Cut),
+        2 => (0..4u64).prop_map(Step::Fail),
+        1 => any::<bool>().prop_map(|finished| Step::Copy { finished }),
+    ]
+}
+
+/// A log, what it must be, and the views that are held of it.
+struct Run {
+    kept: Kept,
+    ours: Entry,
+    other: Entry,
+    model: Model,
+    views: Vec<(Arc<dyn View>, Points)>,
+}
+
+impl Run {
+    fn new(kept: Kept) -> Self {
+        let (ours, other) = (entry("ours"), entry("other"));
+        for entry in [&ours, &other] {
+            kept.log().create(entry.clone()).unwrap();
+        }
+        let model = Model::new(Origin::START, Points::new());
+        let views = Vec::new();
+        Self {
+            kept,
+            ours,
+            other,
+            model,
+            views,
+        }
+    }
+
+    fn step(&mut self, step: Step) {
+        let (log, uid, head) = (self.kept.log(), self.ours.uid, self.model.head());
+        match step {
+            Step::Append {
+                store,
+                remove,
+                operation,
+            } => {
+                let effects = self.model.next(&store, &remove, operation);
+                match log.append(uid, head, effects.clone()) {
+                    Ok(record) => self.model.append(record, &effects),
+                    Err(why) => self.recover(&why, Some(&effects)),
+                }
+            }
+            Step::Stale { behind } if behind <= head => {
+                let expected = head - behind;
+                let refused = log.append(uid, expected, effects(expected + 1, &[1], &[]));
+                let fenced = LogError::Fenced {
+                    uid,
+                    expected,
+                    head,
+                };
+                assert_eq!(refused, Err(fenced));
+            }
+            Step::Stale { .. } => {}
+            Step::Hold => {
+                let view = log.points(uid).unwrap();
+                self.views.push((view, self.model.newest().0.clone()));
+            }
+            Step::Release(at) if !self.views.is_empty() => {
+                let at = at % self.views.len();
+                drop(self.views.swap_remove(at));
+            }
+            Step::Release(_) => {}
+            Step::Trim {
+                record_bytes,
+                operations,
+                operation_bytes,
+                oldest,
+            } => {
+                let oldest = self.model.records[self.model.trimmed..].get(oldest);
+                let since = oldest.map_or(0, |record| record.time_ms());
+                let keep = Keep {
+                    record_bytes,
+                    since: SystemTime::UNIX_EPOCH + Duration::from_millis(since),
+                    operations,
+                    operation_bytes,
+                };
+                match log.trim(uid, &keep) {
+                    Ok(()) => self.model.trim(&keep),
+                    Err(why) => {
+                        // It may have been trimmed or not.
+                        self.views.clear();
+                        let (records, operations) =
+                            (self.model.trimmed, self.model.operations_trimmed);
+                        self.model.trim(&keep);
+                        let may = (self.model.trimmed, self.model.operations_trimmed);
+                        (self.model.trimmed, self.model.operations_trimmed) = (records, operations);
+                        self.failed(&why);
+                        self.reopen_failed(None, may);
+                    }
+                }
+            }
+            Step::Sync => match self.wait_synced() {
+                Ok(synced) => {
+                    assert_eq!(synced, head);
+                    self.model.synced = self.model.records.len();
+                }
+                Err(why) => self.recover(&why, None),
+            },
+            Step::Reopen => {
+                self.views.clear();
+                self.model.synced = self.model.records.len();
+                self.kept.reopen();
+                self.model.rejoin(self.kept.log(), uid, None);
+            }
+            Step::Cut => {
+                self.views.clear();
+                self.kept.cut();
+                self.model.rejoin(self.kept.log(), uid, None);
+            }
+            Step::Fail(after) => {
+                self.kept.fail_after(after);
+            }
+            Step::Copy { finished } => self.copy(finished),
+        }
+        self.check();
+    }
+
+    fn check(&self) {
+        let log = self.kept.log();
+        self.model.check(log, self.ours.uid);
+        assert_eq!(log.points(self.other.uid).unwrap().revision(), 0);
+        for (view, points) in &self.views {
+            check_view(&**view, points);
+        }
+    }
+
+    fn wait_synced(&self) -> Result<u64, LogError> {
+        let synced = self.kept.log().synced(self.ours.uid, self.model.head());
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .build()
+            .unwrap();
+        runtime.block_on(synced)
+    }
+
+    /// After a call that failed: it has changed nothing that can be seen, nothing more is written, and reads go on; once
+    /// it is opened anew, what is unknown is there whole or not at all.
+    fn recover(&mut self, why: &LogError, unknown: Option<&Effects>) {
+        let may = (self.model.trimmed, self.model.operations_trimmed);
+        self.failed(why);
+        self.reopen_failed(unknown, may);
+    }
+
+    fn failed(&self, why: &LogError) {
+        assert!(matches!(why, LogError::Storage { .. }), "{why}");
+        self.check();
+        let log = self.kept.log();
+        assert_eq!(log.failure().as_ref(), Some(why));
+        let refused = log.append(self.ours.uid, self.model.head(), effects(1, &[1], &[]));
+        assert_eq!(refused.as_ref(), Err(why));
+        assert_eq!(log.create(entry("new")).as_ref(), Err(why));
+        assert_eq!(log.delete(self.other.uid).as_ref(), Err(why));
+        self.check();
+    }
+
+    /// As much as `may` of records and operations may have been trimmed.
+    fn reopen_failed(&mut self, unknown: Option<&Effects>, may: (usize, usize)) {
+        let log = self.kept.log();
+        log.reopen().unwrap();
+        assert_eq!(log.failure(), None);
+        for (view, _) in self.views.drain(..) {
+            assert_eq!(view.get(0), Err(LogError::Closed));
+            assert_eq!(view.page(None, 1), Err(LogError::Closed));
+        }
+        (self.model.trimmed, self.model.operations_trimmed) = may;
+        self.model.rejoin(log, self.ours.uid, unknown);
+    }
+
+    /// Copies the index under another uid, in parts; a copy that is finished goes on in its place.
+    fn copy(&mut self, finished: bool) {
+        let log = self.kept.log();
+        let (points, next_id) = self.model.newest().clone();
+        let origin = Origin {
+            revision: self.model.head(),
+            next_id,
+            digest: self.model.digest(),
+        };
+        let copy = entry("copy");
+        let stored: Vec<StoredPoint> = points.values().map(|point| (**point).clone()).collect();
+        let copied = log.restore(copy.clone(), origin).and_then(|mut copying| {
+            for part in stored.chunks(3) {
+                copying.add(part)?;
+                assert!(log.points(copy.uid).is_err(), "it is not there yet");
+            }
+            if finished { copying.finish() } else { Ok(()) }
+        });
+        let made = match copied {
+            Ok(()) => finished,
+            Err(why) => {
+                self.recover(&why, None);
+                let entries = self.kept.log().indexes().unwrap();
+                entries.contains(&copy)
+            }
+        };
+        let log = self.kept.log();
+        assert_eq!(log.points(copy.uid).is_ok(), made);
+        assert_eq!(log.indexes().unwrap().len(), 2 + usize::from(made));
+        if made {
+            let before = std::mem::replace(&mut self.ours, copy);
+            self.views.clear();
+            self.model = Model::new(origin, points);
+            self.check();
+            if let Err(why) = log.delete(before.uid) {
+                self.recover(&why, None);
+                let log = self.kept.log();
+                if log.indexes().unwrap().contains(&before) {
+                    assert_eq!(log.points(before.uid).unwrap().revision(), origin.revision);
+                    log.delete(before.uid).unwrap();
+                }
+            }
+        }
+    }
+}
+
+fn check_log(kept: Kept, steps: Vec<Step>) {
+    let mut run = Run::new(kept);
+    for step in steps {
+        run.step(step);
+    }
+    // The neighbour is as it was, and views outlive their index.
+    let log = run.kept.log();
+    if let Err(why) = log.delete(run.ours.uid) {
+        run.failed(&why);
+        return;
+    }
+    assert_eq!(log.indexes().unwrap(), [run.other]);
+    for (view, points) in &run.views {
+        assert_eq!(all_points(&**view), *points);
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(256))]
+    #[test]
+    fn the_log_in_memory_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
+        check_log(Kept::in_memory(), steps);
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(48))]
+    #[test]
+    fn the_log_on_disk_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
+        check_log(Kept::on_disk(), steps);
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(1024))]
+    #[test]
+    fn the_log_that_fails_is_the_sum_of_its_records(
+        seed in any::<u64>(),
+        steps in prop::collection::vec(step(), 1..40),
+    ) {
+        check_log(Kept::faulty(seed), steps);
+    }
+}
