@@ -8,6 +8,9 @@
 mod cancellation;
 mod concurrent;
 mod durability;
+#[path = "../log/fault/mod.rs"]
+mod fault;
+mod faults;
 mod indexes;
 mod insert;
 mod limits;
