@@ -7,6 +7,7 @@
 
 mod fault;
 mod fjall;
+mod flips;
 mod kept;
 mod model;
 mod suite;

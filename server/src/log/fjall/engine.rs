@@ -12,7 +12,7 @@ use super::{
     index::{Index, State},
     journal::Journal,
     layout::{Named, Number, entry_key},
-    loose,
+    loose, manifest,
     marks::{Mark, Marks},
     recovery,
     restoring::Copy,
@@ -49,6 +49,7 @@ impl Engine {
         if !path.try_exists().map_err(text)? {
             return Err(format!("there is no {}", path.display()));
         }
+        manifest::check(&path)?;
         let store = Store::open(&path, durability).map_err(told)?;
         let store = Arc::new(store);
         let renamed = loose::may_have_lost(directory.path()).map_err(text)?;

@@ -4,10 +4,10 @@
 //! and the head of its index. What is acknowledged depends on [`Durability`]; `fsync` shares one sync among all who
 //! write meanwhile (`syncer`).
 //!
-//! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `layout` and `point`
-//! (what it holds, byte for byte), `index` (one index's writer), `view` (its points, pinned), `restoring` (an index made
-//! from a copy), `journal`, `syncer` and `marks` (what is on disk for certain), `recovery`, `loose` (after a server that
-//! does not sync), `sweeper` (what deleted indices leave).
+//! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` (before
+//! it is opened), `layout` and `point` (what it holds, byte for byte), `index` (one index's writer), `view` (its points,
+//! pinned), `restoring` (an index made from a copy), `journal`, `syncer` and `marks` (what is on disk for certain),
+//! `recovery`, `loose` (after a server that does not sync), `sweeper` (what deleted indices leave).
 //!
 //! A store that has failed takes nothing any more and is read still. It is closed and opened anew as a whole
 //! ([`Log::reopen`]), by the same way as at the start: there is no other that leads from the files to the state.
@@ -18,6 +18,7 @@ mod index;
 mod journal;
 mod layout;
 mod loose;
+mod manifest;
 mod marks;
 mod point;
 mod recovery;

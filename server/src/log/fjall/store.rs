@@ -1,6 +1,6 @@
 //! The store of a directory, which can be closed while others still know it.
 
-use std::{path::Path, time::Duration};
+use std::{panic, path::Path, time::Duration};
 
 use fjall::{Database, Keyspace, KeyspaceCreateOptions, LsmError, PersistMode};
 use parking_lot::{MappedRwLockReadGuard, RwLock, RwLockReadGuard};
@@ -32,13 +32,18 @@ pub(super) struct Handles {
 impl Store {
     /// Opens the store in a directory, or makes it there.
     pub(super) fn open(directory: &Path, durability: Durability) -> fjall::Result<Self> {
-        let database = Database::builder(directory)
-            .max_journaling_size(JOURNAL_BYTES)
-            // The syncer hands batches on to the operating system, or nobody does.
-            .manual_journal_persist(durability != Durability::Os)
-            .open()?;
-        let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
-        Ok(Self(RwLock::new(Some(Handles { database, keyspace }))))
+        // On files that it did not expect fjall may panic.
+        let opened = panic::catch_unwind(|| -> fjall::Result<Handles> {
+            let database = Database::builder(directory)
+                .max_journaling_size(JOURNAL_BYTES)
+                // The syncer hands batches on to the operating system, or nobody does.
+                .manual_journal_persist(durability != Durability::Os)
+                .open()?;
+            let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
+            Ok(Handles { database, keyspace })
+        });
+        let handles = opened.unwrap_or(Err(LsmError::Unrecoverable.into()))?;
+        Ok(Self(RwLock::new(Some(handles))))
     }
 
     /// The open store, which is not closed before what is returned is dropped. Not to be asked for twice at a time by

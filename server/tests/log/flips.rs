@@ -1,0 +1,150 @@
+//! A flipped bit, in whatever file of a closed log: either what it holds is not different by a bit, or it is told.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use fjall::{Database, KeyspaceCreateOptions};
+use wayfold_server::log::{
+    Durability, Entry, FjallLog, Log, LogError, Operation, Record, StoredPoint, Uid,
+};
+
+use crate::{effects, entry, kept::copied};
+
+/// At most about so many flips in a file, unless the environment variable `FLIPS` says otherwise.
+const FLIPS: u64 = 16;
+
+/// Revisions of an index that go into tables, and as many stay in the journal.
+const REVISIONS: u64 = 40;
+
+/// Ids that the effects of a revision store and remove.
+fn changed(revision: u64) -> ([u64; 3], [u64; 1]) {
+    let first = revision * 2;
+    ([first, first + 1, revision % 7], [first.saturating_sub(9)])
+}
+
+/// Two indices, the first half of both in tables and the rest in the journal.
+fn fill(directory: &Path) -> Vec<Entry> {
+    let entries = vec![entry("arm"), entry("base")];
+    for half in 0..2 {
+        let log = FjallLog::open(directory, Durability::Fsync).unwrap();
+        for entry in &entries {
+            if half == 0 {
+                log.create(entry.clone()).unwrap();
+            }
+            for revision in half * REVISIONS + 1..=(half + 1) * REVISIONS {
+                let (stored, removed) = changed(revision);
+                let effects = effects(revision, &stored, &removed);
+                log.append(entry.uid, revision - 1, effects).unwrap();
+            }
+        }
+        drop(log);
+        if half == 0 {
+            let database = Database::builder(directory.join("store")).open().unwrap();
+            let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default);
+            keyspace.unwrap().rotate_memtable_and_wait().unwrap();
+        }
+    }
+    entries
+}
+
+/// All that a log holds of an index.
+type Content = (
+    BTreeMap<u64, Arc<StoredPoint>>,
+    Vec<Arc<Record>>,
+    Vec<Arc<Operation>>,
+    u64,
+);
+
+fn content(log: &FjallLog, uid: Uid) -> Result<Content, LogError> {
+    let view = log.points(uid)?;
+    let mut points = BTreeMap::new();
+    let mut after = None;
+    while let page = view.page(after, 7)?
+        && let Some(last) = page.last()
+    {
+        after = Some(last.id);
+        points.extend(page.into_iter().map(|point| (point.id, point)));
+    }
+    Ok((
+        points,
+        log.tail(uid, None)?,
+        log.operations(uid)?,
+        view.next_id(),
+    ))
+}
+
+fn files(directory: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for file in fs::read_dir(directory).unwrap() {
+        let path = file.unwrap().path();
+        if path.is_dir() {
+            files.extend(self::files(&path));
+        } else {
+            files.push(path);
+        }
+    }
+    files.sort();
+    files
+}
+
+/// Whether it is told that something is wrong with a log; if not, it holds what it held.
+fn told(directory: &Path, entries: &[Entry], whole: &[Content], what: &str) -> bool {
+    let Ok(log) = FjallLog::open(directory, Durability::Fsync) else {
+        return true;
+    };
+    let mut told = false;
+    for (entry, whole) in entries.iter().zip(whole) {
+        let gone = log.gone().iter().any(|gone| gone.uid == entry.uid);
+        told |= gone;
+        match content(&log, entry.uid) {
+            Ok(content) => assert!(content == *whole, "{what}: {} is another", entry.name),
+            Err(LogError::UnknownIndex { .. }) => assert!(gone, "{what}: {} is gone", entry.name),
+            Err(_) => told = true,
+        }
+    }
+    told
+}
+
+#[test]
+fn a_flipped_bit_of_any_file_is_told_or_changes_nothing() {
+    let flips = std::env::var("FLIPS").map_or(FLIPS, |flips| flips.parse().unwrap());
+    let directory = tempfile::tempdir().unwrap();
+    let entries = fill(directory.path());
+    // Opened and closed once more, so that the journal is as short as what is in it.
+    let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+    let whole: Vec<Content> = entries
+        .iter()
+        .map(|entry| content(&log, entry.uid).unwrap())
+        .collect();
+    drop(log);
+    let (mut told_of, mut harmless) = (0, 0);
+    for path in files(directory.path()) {
+        let name = path.strip_prefix(directory.path()).unwrap();
+        let bytes = fs::read(&path).unwrap();
+        let step = (bytes.len() as u64).div_ceil(flips).max(1) | 1;
+        let before = (told_of, harmless);
+        for at in (0..bytes.len()).step_by(step as usize) {
+            let copy = copied(directory.path());
+            let mut flipped = bytes.clone();
+            flipped[at] ^= 1 << (at % 8);
+            fs::write(copy.path().join(name), flipped).unwrap();
+            let what = format!("bit {} of byte {at} of {}", at % 8, name.display());
+            match told(copy.path(), &entries, &whole, &what) {
+                true => told_of += 1,
+                false => harmless += 1,
+            }
+        }
+        println!(
+            "{}: {} bytes, {} flips told of, {} harmless",
+            name.display(),
+            bytes.len(),
+            told_of - before.0,
+            harmless - before.1
+        );
+    }
+    assert!(told_of > 0 && harmless > 0);
+}
