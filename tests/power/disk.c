@@ -4,6 +4,7 @@
  *   POWER_DISK    a directory, as an absolute path without links; only what is under it is watched
  *   POWER_SHADOW  an empty directory beside it
  *   POWER_SEED    a number: the disk also writes some of what it was not asked to, in parts and in any order
+ *   POWER_CUT     a number: of the calls that make, write or sync something, the one before which the program is killed
  *
  * What is durable:
  *   - The content of a file, as of the last fsync or fdatasync of it. sync_file_range does not count.
@@ -27,6 +28,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
+#include <signal.h>
 #include <stdarg.h>
 #include <stdbool.h>
 #include <stdint.h>
@@ -63,7 +65,7 @@ static const char *root, *shadow;
 static struct object *objects;
 static size_t count;
 static unsigned numbers;
-static uint64_t seed;
+static uint64_t seed, calls, cut;
 
 /* What a test must know of. */
 static void trouble(const char *what, const char *where) {
@@ -146,6 +148,14 @@ static void copy(int from, int to, off_t start, off_t end) {
             return;
         }
         start += got;
+    }
+}
+
+/* A call that makes, writes or syncs something is about to take place. */
+static void about_to_change(void) {
+    if (++calls == cut) {
+        kill(getpid(), SIGKILL);
+        pause();
     }
 }
 
@@ -277,6 +287,7 @@ __attribute__((constructor)) static void start(void) {
     shadow = getenv("POWER_SHADOW");
     if (disk == NULL || shadow == NULL) return;
     /* Never 0, which would draw 0 for ever. */
+    if (getenv("POWER_CUT") != NULL) cut = strtoull(getenv("POWER_CUT"), NULL, 10);
     if (unasked != NULL) seed = strtoull(unasked, NULL, 10) * 2 + 1;
     pthread_mutex_lock(&mutex);
     sync_all(disk, true);
@@ -298,6 +309,7 @@ static int opened(int at, const char *path, int flags, mode_t mode) {
     struct stat before, stat;
     pthread_mutex_lock(&mutex);
     bool existed = fstatat(at, path, &before, 0) == 0;
+    if (!existed || flags & O_TRUNC) about_to_change();
     int fd = syscall(SYS_openat, at, path, flags, mode);
     int error = errno;
     if (fd >= 0 && fstat(fd, &stat) == 0 && (S_ISREG(stat.st_mode) || S_ISDIR(stat.st_mode))) {
@@ -339,6 +351,7 @@ int mkdirat(int at, const char *path, mode_t mode) {
     struct stat stat;
     if (!watched(path)) return syscall(SYS_mkdirat, at, path, mode);
     pthread_mutex_lock(&mutex);
+    about_to_change();
     int result = syscall(SYS_mkdirat, at, path, mode);
     int error = errno;
     if (result == 0 && fstatat(at, path, &stat, AT_SYMLINK_NOFOLLOW) == 0) made(&stat, path);
@@ -348,6 +361,13 @@ int mkdirat(int at, const char *path, mode_t mode) {
 }
 
 int mkdir(const char *path, mode_t mode) { return mkdirat(AT_FDCWD, path, mode); }
+
+/* A descriptor is about to be written or synced. */
+static void about_to_change_file(int fd) {
+    if (lock(fd) == NULL) return;
+    about_to_change();
+    pthread_mutex_unlock(&mutex);
+}
 
 /* So many bytes were written up to an offset; below 0 it is where the descriptor stands. */
 static ssize_t written(int fd, ssize_t bytes, off_t end) {
@@ -361,14 +381,17 @@ static ssize_t written(int fd, ssize_t bytes, off_t end) {
 }
 
 ssize_t write(int fd, const void *bytes, size_t length) {
+    about_to_change_file(fd);
     return written(fd, syscall(SYS_write, fd, bytes, length), -1);
 }
 
 ssize_t writev(int fd, const struct iovec *parts, int length) {
+    about_to_change_file(fd);
     return written(fd, syscall(SYS_writev, fd, parts, length), -1);
 }
 
 ssize_t pwrite64(int fd, const void *bytes, size_t length, off64_t at) {
+    about_to_change_file(fd);
     ssize_t count = syscall(SYS_pwrite64, fd, bytes, length, at);
     return written(fd, count, at + count);
 }
@@ -380,6 +403,7 @@ int ftruncate64(int fd, off64_t length) {
     struct object *object = lock(fd);
     if (object == NULL) return syscall(SYS_ftruncate, fd, length);
     fstat(fd, &before);
+    about_to_change();
     int result = syscall(SYS_ftruncate, fd, length);
     int error = errno;
     /* What is cut off and written anew later is zeros in between. */
@@ -399,6 +423,12 @@ static int synced(int fd, int result) {
     return result;
 }
 
-int fsync(int fd) { return synced(fd, syscall(SYS_fsync, fd)); }
+int fsync(int fd) {
+    about_to_change_file(fd);
+    return synced(fd, syscall(SYS_fsync, fd));
+}
 
-int fdatasync(int fd) { return synced(fd, syscall(SYS_fdatasync, fd)); }
+int fdatasync(int fd) {
+    about_to_change_file(fd);
+    return synced(fd, syscall(SYS_fdatasync, fd));
+}

@@ -5,7 +5,7 @@ mod disk;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold_tests::Signal;
+use wayfold_tests::{Signal, Stubs};
 
 use self::disk::Disk;
 use crate::clients::{Clients, Load, Moment};
@@ -22,9 +22,12 @@ const LOSSES: u64 = 8;
 const SEED: u64 = 3;
 /// Lines that a starting server says at least.
 const LINES: u32 = 4;
+/// About as many calls as it makes that change something.
+const CALLS: u32 = 40;
 
-fn losses() -> u64 {
-    std::env::var("POWER_LOSSES").map_or(LOSSES, |losses| losses.parse().unwrap())
+fn wanted() -> Option<u64> {
+    let losses = std::env::var("POWER_LOSSES").ok();
+    losses.map(|losses| losses.parse().unwrap())
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -43,7 +46,7 @@ async fn lose_power(mut disk: Disk, seed: u64) {
     let mut server = disk.serve(FSYNC);
     let mut clients = Clients::new(&server, seed, LOAD).await;
     let mut cuts = 0;
-    for _ in 0..losses() {
+    for _ in 0..wanted().unwrap_or(LOSSES) {
         let moment = match random.random_range(0..4) {
             0 => Moment::Built(random.random_range(1..50)),
             _ => Moment::Acknowledged(random.random_range(1..200)),
@@ -53,8 +56,9 @@ async fn lose_power(mut disk: Disk, seed: u64) {
         cuts += 1;
         // Sometimes again while it starts.
         while random.random_bool(0.4) {
-            disk.start(FSYNC)
-                .kill_at_line(random.random_range(0..LINES));
+            let calls = random.random_range(1..CALLS).to_string();
+            let cut = [FSYNC, &[("POWER_CUT", &calls)]].concat();
+            disk.start(&cut).kill_at_line(random.random_range(0..LINES));
             disk.cut();
             cuts += 1;
         }
@@ -64,6 +68,40 @@ async fn lose_power(mut disk: Disk, seed: u64) {
     server.stop(Signal::Terminate);
     disk.check_shadow();
     println!("{cuts} losses of power, {}", clients.tally());
+}
+
+/// A first start that is cut short, before any of the calls that make, write or sync something, leaves nothing that the
+/// next cannot go on with. Each call in the long run, otherwise one in a few.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_first_start_may_be_cut_short_anywhere() {
+    let mut disk = Disk::new(None);
+    let stride = if wanted().is_some() { 1 } else { 4 };
+    let mut cut_short = true;
+    let (mut calls, mut cuts) = (0, 0);
+    while cut_short {
+        calls += stride;
+        disk.erase();
+        let at = calls.to_string();
+        let cut = [FSYNC, &[("POWER_CUT", &at)]].concat();
+        let mut starting = disk.start(&cut);
+        cut_short = starting.line().is_none();
+        starting.kill_at_line(0);
+        disk.cut();
+        let server = disk.serve(FSYNC);
+        let uid = Stubs::connect(server.uri())
+            .await
+            .create("arm", "R2")
+            .await
+            .uid;
+        server.stop(Signal::Kill);
+        disk.cut();
+        let server = disk.serve(FSYNC);
+        let mut stubs = Stubs::connect(server.uri()).await;
+        assert_eq!(stubs.describe("arm").await.uid, uid, "cut at call {calls}");
+        server.stop(Signal::Kill);
+        cuts += u64::from(cut_short);
+    }
+    println!("{cuts} first starts cut short");
 }
 
 /// The control: the disk does lose what was not synced, and then the index has another uid.

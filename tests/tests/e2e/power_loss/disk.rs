@@ -73,6 +73,14 @@ impl Disk {
         ServerProcess::ready(self.start(settings))
     }
 
+    /// Takes everything from it.
+    pub(super) fn erase(&mut self) {
+        fs::remove_dir_all(self.files()).unwrap();
+        fs::remove_dir_all(self.shadow()).unwrap();
+        fs::create_dir(self.files()).unwrap();
+        fs::create_dir(self.shadow()).unwrap();
+    }
+
     /// Cuts the power. What ran on it must have been killed.
     pub(super) fn cut(&mut self) {
         let (files, shadow) = (self.files(), self.shadow());
