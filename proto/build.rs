@@ -2,10 +2,11 @@
 
 use std::{env, error::Error, fs, path::PathBuf};
 
-const PROTOS: [&str; 3] = [
+const PROTOS: [&str; 4] = [
     "wayfold/v1/space.proto",
     "wayfold/v1/index_service.proto",
     "wayfold/v1/point_service.proto",
+    "wayfold/v1/snapshot.proto",
 ];
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -26,6 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .bytes(".wayfold.v1.UpdateRequest.payloads")
         .bytes(".wayfold.v1.Neighbors.payloads")
         .bytes(".wayfold.v1.Points.payloads")
+        .bytes(".wayfold.v1.SnapshotPart")
         .compile_fds(compiler.file_descriptor_set())?;
     Ok(())
 }

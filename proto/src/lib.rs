@@ -1,5 +1,7 @@
-//! The `wayfold.v1` protocol: messages, gRPC stubs, and conversions to and from the types of `wayfold-index`.
+//! The `wayfold.v1` protocol: messages, gRPC stubs, conversions to and from the types of `wayfold-index`, and the format
+//! of snapshots.
 
+pub mod snapshot;
 pub mod space;
 
 /// Messages, clients and servers of package `wayfold.v1`; every field is documented in `wayfold/v1/*.proto`.

@@ -1,0 +1,218 @@
+//! What can be wrong with a snapshot.
+
+use std::{fmt, io};
+
+use thiserror::Error;
+use wayfold_index::StateError;
+
+use super::{END_OF_IDS, FORMAT_VERSION, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES};
+use crate::space::SpaceMessageError;
+
+/// Why something is not a snapshot, or not a good one.
+#[derive(Debug, Error)]
+pub enum SnapshotError {
+    /// The file cannot be read or written.
+    #[error(transparent)]
+    Io(io::Error),
+    /// The file is of another program.
+    #[error("not a snapshot: it does not begin with the line `wayfold snapshot {FORMAT_VERSION}`")]
+    NotSnapshot,
+    /// A version that this program does not know.
+    #[error(
+        "a snapshot of format version {found}, and this program knows version {FORMAT_VERSION}: use a newer one"
+    )]
+    Version {
+        /// The version.
+        found: String,
+    },
+    /// It ends before its trailer.
+    #[error(
+        "the snapshot is cut short: it ends after {parts} whole parts, without its trailer; copy it or take it again"
+    )]
+    CutShort {
+        /// How many whole parts there are.
+        parts: u64,
+    },
+    /// Something follows its trailer.
+    #[error("something follows the trailer, which is part {part}: this is no snapshot alone")]
+    Trailing {
+        /// The number of the trailer.
+        part: u64,
+    },
+    /// A part is too large to be one.
+    #[error(
+        "part {part}: {bytes} bytes, where a part has at most {MAX_CONTENT_BYTES}: damaged, or not a snapshot"
+    )]
+    TooLarge {
+        /// Which part.
+        part: u64,
+        /// How many bytes it has, or says that it has.
+        bytes: u64,
+    },
+    /// Another part is where this one belongs.
+    #[error("part {found} is where part {part} belongs: parts are missing, or not in their order")]
+    Order {
+        /// The part that belongs there.
+        part: u64,
+        /// The one that is there.
+        found: u64,
+    },
+    /// A part is not what was written.
+    #[error(
+        "part {part} does not match its checksum: the snapshot is damaged there; copy it or take it again"
+    )]
+    Damaged {
+        /// Which part.
+        part: u64,
+    },
+    /// A part is not the encoding of what belongs there.
+    #[error("part {part} cannot be understood: {problem}")]
+    Malformed {
+        /// Which part.
+        part: u64,
+        /// What is wrong.
+        problem: String,
+    },
+    /// The space of the header is none.
+    #[error("part {part}: space.{problem}")]
+    Space {
+        /// Which part.
+        part: u64,
+        /// What is wrong.
+        problem: Box<SpaceMessageError>,
+    },
+    /// A column of points is too short or too long.
+    #[error("part {part}: {found} {column}, where {expected} belong to its points")]
+    Column {
+        /// Which part.
+        part: u64,
+        /// The column.
+        column: &'static str,
+        /// How many entries it has.
+        found: usize,
+        /// How many it should have.
+        expected: usize,
+    },
+    /// A point that no index holds.
+    #[error("{place}: {problem}")]
+    Point {
+        /// Where it is.
+        place: Place,
+        /// What is wrong with it.
+        problem: Box<PointProblem>,
+    },
+    /// There are more or fewer points than were announced.
+    #[error("part {part}: {found} points so far, where the {said_by} says {expected}")]
+    Count {
+        /// Which part.
+        part: u64,
+        /// How many points there were.
+        found: u64,
+        /// How many there should be.
+        expected: u64,
+        /// Where that is said.
+        said_by: &'static str,
+    },
+}
+
+/// Where a point is in a snapshot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The part.
+    pub part: u64,
+    /// Its place in the part, from 0.
+    pub row: usize,
+    /// Its id.
+    pub id: u64,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Place { part, row, id } = self;
+        write!(f, "part {part}, point {row} (id {id})")
+    }
+}
+
+/// What is wrong with a point.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum PointProblem {
+    /// The ids do not ascend.
+    #[error("its id follows {before}, and ids ascend")]
+    NotAscending {
+        /// The id before.
+        before: u64,
+    },
+    /// An id that the header excludes.
+    #[error("ids are below next_id, which is {next_id}")]
+    Id {
+        /// What the header says.
+        next_id: u64,
+    },
+    /// Revisions that the header excludes, or that contradict each other.
+    #[error(
+        "stored by revision {stored} and modified by {modified}, where 1 ≤ stored ≤ modified ≤ {revision}, the \
+         snapshot's revision"
+    )]
+    Revisions {
+        /// The revision that stored its state.
+        stored: u64,
+        /// The revision that last changed it.
+        modified: u64,
+        /// What the header says.
+        revision: u64,
+    },
+    /// No state of the space.
+    #[error("its state is none of the space: {0}")]
+    State(StateError),
+    /// A state that is not in canonical form, so that no server stored it.
+    #[error("its state is not in canonical form")]
+    NotCanonical,
+    /// A payload above the limit.
+    #[error("its payload has {bytes} bytes, and a payload has at most {MAX_PAYLOAD_BYTES}")]
+    Payload {
+        /// How many bytes it has.
+        bytes: usize,
+    },
+}
+
+impl SnapshotError {
+    /// The kind of problem in UPPER_SNAKE_CASE.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            SnapshotError::Io(_) => "SNAPSHOT_UNREADABLE",
+            SnapshotError::NotSnapshot => "NOT_A_SNAPSHOT",
+            SnapshotError::Version { .. } => "SNAPSHOT_VERSION",
+            SnapshotError::CutShort { .. } => "SNAPSHOT_CUT_SHORT",
+            SnapshotError::Trailing { .. } => "SNAPSHOT_TRAILING",
+            SnapshotError::Order { .. } => "SNAPSHOT_ORDER",
+            SnapshotError::Damaged { .. } => "SNAPSHOT_DAMAGED",
+            SnapshotError::TooLarge { .. }
+            | SnapshotError::Malformed { .. }
+            | SnapshotError::Space { .. }
+            | SnapshotError::Column { .. }
+            | SnapshotError::Point { .. }
+            | SnapshotError::Count { .. } => "SNAPSHOT_INVALID",
+        }
+    }
+
+    pub(super) fn malformed(part: u64, problem: impl ToString) -> SnapshotError {
+        let problem = problem.to_string();
+        SnapshotError::Malformed { part, problem }
+    }
+
+    pub(super) fn version(found: impl ToString) -> SnapshotError {
+        let found = found.to_string();
+        SnapshotError::Version { found }
+    }
+
+    pub(super) fn next_id(part: u64, found: u64) -> SnapshotError {
+        let problem = format!("next_id is {found}, and at most {END_OF_IDS}");
+        SnapshotError::Malformed { part, problem }
+    }
+}
+
+impl From<io::Error> for SnapshotError {
+    fn from(error: io::Error) -> SnapshotError {
+        SnapshotError::Io(error)
+    }
+}

@@ -1,0 +1,132 @@
+//! Snapshots in files: a line that says what the file is, and the parts, each after its length.
+
+use std::io::{self, BufRead, BufReader, Read, Write};
+
+use bytes::Bytes;
+use prost::Message;
+
+use super::{Content, FORMAT_VERSION, MAX_CONTENT_BYTES, Reader, SnapshotError};
+use crate::v1;
+
+/// What the first line begins with; a version follows.
+const NAME: &str = "wayfold snapshot ";
+
+/// No first line has more bytes.
+const MAX_LINE: u64 = 64;
+
+/// What a part may have beside its content.
+const MAX_PART_BYTES: u64 = MAX_CONTENT_BYTES as u64 + 256;
+
+/// Writes the parts of a snapshot into a file. To flush and sync it is the caller's care.
+#[derive(Debug)]
+pub struct FileWriter<W> {
+    file: W,
+    buffer: Vec<u8>,
+}
+
+impl<W: Write> FileWriter<W> {
+    /// Begins the file.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn new(mut file: W) -> io::Result<FileWriter<W>> {
+        writeln!(file, "{NAME}{FORMAT_VERSION}")?;
+        let buffer = Vec::new();
+        Ok(FileWriter { file, buffer })
+    }
+
+    /// Writes the next part.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&mut self, part: &v1::SnapshotPart) -> io::Result<()> {
+        self.buffer.clear();
+        part.encode_length_delimited(&mut self.buffer)
+            .map_err(io::Error::other)?;
+        self.file.write_all(&self.buffer)
+    }
+
+    /// Flushes the file, and gives it back.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn finish(mut self) -> io::Result<W> {
+        self.file.flush()?;
+        Ok(self.file)
+    }
+}
+
+/// Reads the parts of a snapshot from a file, and checks them.
+#[derive(Debug)]
+pub struct FileReader<R> {
+    file: BufReader<R>,
+    reader: Reader,
+}
+
+impl<R: Read> FileReader<R> {
+    /// Begins to read a file.
+    ///
+    /// # Errors
+    /// It is not a snapshot, or of another version, or cannot be read.
+    pub fn new(file: R) -> Result<FileReader<R>, SnapshotError> {
+        let mut file = BufReader::new(file);
+        let mut line = Vec::new();
+        file.by_ref().take(MAX_LINE).read_until(b'\n', &mut line)?;
+        let line = String::from_utf8(line).map_err(|_| SnapshotError::NotSnapshot)?;
+        let version = line
+            .strip_prefix(NAME)
+            .and_then(|rest| rest.strip_suffix('\n'))
+            .ok_or(SnapshotError::NotSnapshot)?;
+        if version != FORMAT_VERSION.to_string() {
+            return Err(SnapshotError::version(version.escape_debug()));
+        }
+        Ok(FileReader {
+            file,
+            reader: Reader::new(),
+        })
+    }
+
+    /// The next part, and what is in it; none after the trailer, at the end of the file.
+    ///
+    /// # Errors
+    /// The file ends before its trailer, goes on after it, is damaged, holds what no index does, or cannot be read.
+    pub fn next_part(&mut self) -> Result<Option<(v1::SnapshotPart, Content)>, SnapshotError> {
+        let part = self.reader.parts() + 1;
+        if self.file.fill_buf()?.is_empty() {
+            return self.reader.finish().map(|()| None);
+        }
+        if self.reader.is_done() {
+            return Err(SnapshotError::Trailing { part: part - 1 });
+        }
+        let bytes = self.length(part)?;
+        if bytes > MAX_PART_BYTES {
+            return Err(SnapshotError::TooLarge { part, bytes });
+        }
+        let mut message = Vec::new();
+        self.file.by_ref().take(bytes).read_to_end(&mut message)?;
+        if (message.len() as u64) < bytes {
+            return Err(SnapshotError::CutShort { parts: part - 1 });
+        }
+        let message = v1::SnapshotPart::decode(Bytes::from(message))
+            .map_err(|error| SnapshotError::malformed(part, error))?;
+        let content = self.reader.read(&message)?;
+        Ok(Some((message, content)))
+    }
+
+    /// The length before a part: a varint.
+    fn length(&mut self, part: u64) -> Result<u64, SnapshotError> {
+        let mut length = 0_u64;
+        for place in 0..10 {
+            let Some(&byte) = self.file.fill_buf()?.first() else {
+                return Err(SnapshotError::CutShort { parts: part - 1 });
+            };
+            self.file.consume(1);
+            // Whatever the tenth byte adds, it is too much already.
+            length |= u64::from(byte & 0x7f) << (7 * place).min(57);
+            if byte & 0x80 == 0 {
+                return Ok(length);
+            }
+        }
+        Err(SnapshotError::malformed(part, "its length is no number"))
+    }
+}

@@ -1,0 +1,77 @@
+//! Snapshots of indices: how the parts are made ([`Writer`]), checked ([`Reader`]) and kept in files ([`FileWriter`],
+//! [`FileReader`]).
+//!
+//! The format is documented in `wayfold/v1/snapshot.proto`. Whoever takes a snapshot, keeps it or restores it checks it
+//! here, whole: nobody trusts the one before.
+
+mod error;
+mod file;
+mod reader;
+mod writer;
+
+use std::io::Read;
+
+use sha2::{Digest as _, Sha256};
+use wayfold_index::Space;
+
+pub use error::{Place, PointProblem, SnapshotError};
+pub use file::{FileReader, FileWriter};
+pub use reader::{Content, Reader};
+pub use writer::Writer;
+
+/// The version of the format.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// The most bytes of a part's content.
+pub const MAX_CONTENT_BYTES: usize = 4 * 1024 * 1024;
+
+/// The most bytes of a point's payload.
+pub const MAX_PAYLOAD_BYTES: usize = 64 * 1024;
+
+/// The first id that is too large.
+pub const END_OF_IDS: u64 = 1 << 63;
+
+/// A SHA-256.
+pub type Digest = [u8; 32];
+
+/// What is known of a snapshot before its points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// The name that the index had.
+    pub name: String,
+    /// The uid that the index had.
+    pub uid: String,
+    /// The space of its states.
+    pub space: Space,
+    /// The revision that was read.
+    pub revision: u64,
+    /// The least id above every id that the index ever used.
+    pub next_id: u64,
+    /// How many points follow.
+    pub points: u64,
+}
+
+/// Reads a file from its first byte to its last, checks all of it, and tells its header.
+///
+/// # Errors
+/// It is not a whole snapshot of a known version, or cannot be read.
+pub fn check(file: impl Read) -> Result<Header, SnapshotError> {
+    let mut file = FileReader::new(file)?;
+    let mut header = None;
+    while let Some((_, content)) = file.next_part()? {
+        if let Content::Header(found) = content {
+            header = Some(found);
+        }
+    }
+    header.ok_or(SnapshotError::CutShort { parts: 0 })
+}
+
+/// The digest of a part, after one of the digest `before`.
+fn digest(before: &Digest, number: u64, content: &[u8]) -> Digest {
+    Sha256::new()
+        .chain_update(before)
+        .chain_update(number.to_le_bytes())
+        .chain_update(content)
+        .finalize()
+        .into()
+}

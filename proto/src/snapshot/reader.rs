@@ -1,0 +1,306 @@
+//! What is in the parts, once it is known to be good.
+
+use prost::Message;
+use wayfold_index::Space;
+
+use super::{
+    Digest, END_OF_IDS, FORMAT_VERSION, Header, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES, Place,
+    PointProblem, SnapshotError, digest,
+};
+use crate::{
+    space,
+    v1::{self, snapshot_content},
+};
+
+/// What a part holds.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Content {
+    /// The first part.
+    Header(Header),
+    /// Points such as an index holds them: all columns are there and as long as the ids, but for the payloads, of which
+    /// there may be none; and all that an index promises of its points is so.
+    Points(v1::Points, Vec<u64>),
+    /// The last part.
+    Trailer,
+}
+
+/// Checks the parts of one snapshot as they come. After an error, what comes is of no use.
+#[derive(Debug, Default)]
+pub struct Reader {
+    parts: u64,
+    digest: Digest,
+    header: Option<Header>,
+    points: u64,
+    last_id: Option<u64>,
+    done: bool,
+    /// The row that is compared with its canonical form.
+    row: Vec<f64>,
+}
+
+impl Reader {
+    /// Begins to read a snapshot.
+    pub fn new() -> Reader {
+        Reader::default()
+    }
+
+    /// The digest of the last part, which covers all parts so far.
+    pub fn digest(&self) -> &Digest {
+        &self.digest
+    }
+
+    /// The next part.
+    ///
+    /// # Errors
+    /// It is not the part that was written next, or holds what no index does.
+    pub fn read(&mut self, part: &v1::SnapshotPart) -> Result<Content, SnapshotError> {
+        if self.done {
+            return Err(SnapshotError::Trailing { part: self.parts });
+        }
+        let number = self.parts + 1;
+        self.authenticate(number, part)?;
+        let content = v1::SnapshotContent::decode(part.content.clone())
+            .map_err(|error| SnapshotError::malformed(number, error))?;
+        let content = match (content.content, &self.header) {
+            (Some(snapshot_content::Content::Header(header)), None) => {
+                let header = read_header(number, header)?;
+                self.header = Some(header.clone());
+                Content::Header(header)
+            }
+            (Some(snapshot_content::Content::Points(points)), Some(_)) => {
+                self.read_points(number, points)?
+            }
+            (Some(snapshot_content::Content::Trailer(trailer)), Some(header)) => {
+                self.check_count(number, header.points, "header")?;
+                self.check_count(number, trailer.points, "trailer")?;
+                self.done = true;
+                Content::Trailer
+            }
+            (Some(_), None) => {
+                let problem = "a snapshot begins with its header";
+                return Err(SnapshotError::malformed(number, problem));
+            }
+            (Some(snapshot_content::Content::Header(_)), Some(_)) => {
+                let problem = "a second header";
+                return Err(SnapshotError::malformed(number, problem));
+            }
+            (None, _) => {
+                let problem = "it holds nothing that this version knows";
+                return Err(SnapshotError::malformed(number, problem));
+            }
+        };
+        self.parts = number;
+        Ok(content)
+    }
+
+    /// How many good parts there were.
+    pub fn parts(&self) -> u64 {
+        self.parts
+    }
+
+    /// Whether the trailer was read.
+    pub fn is_done(&self) -> bool {
+        self.done
+    }
+
+    /// Says that no part follows.
+    ///
+    /// # Errors
+    /// There was no trailer.
+    pub fn finish(&self) -> Result<(), SnapshotError> {
+        if self.done {
+            Ok(())
+        } else {
+            Err(SnapshotError::CutShort { parts: self.parts })
+        }
+    }
+
+    /// Before its meaning: what does not match is not worth reading.
+    fn authenticate(&mut self, number: u64, part: &v1::SnapshotPart) -> Result<(), SnapshotError> {
+        if part.content.len() > MAX_CONTENT_BYTES {
+            return Err(SnapshotError::TooLarge {
+                part: number,
+                bytes: part.content.len() as u64,
+            });
+        }
+        // A part that is whole and elsewhere is told from one that is damaged, whatever its number says.
+        let found = digest(&self.digest, number, &part.content);
+        if found[..] == part.digest[..] && part.number == number {
+            self.digest = found;
+            return Ok(());
+        }
+        Err(if part.number == number {
+            SnapshotError::Damaged { part: number }
+        } else {
+            SnapshotError::Order {
+                part: number,
+                found: part.number,
+            }
+        })
+    }
+
+    fn read_points(
+        &mut self,
+        number: u64,
+        message: v1::SnapshotPoints,
+    ) -> Result<Content, SnapshotError> {
+        let Some(header) = self.header.take() else {
+            let problem = "a snapshot begins with its header";
+            return Err(SnapshotError::malformed(number, problem));
+        };
+        let points = message.points.unwrap_or_default();
+        let modified = message.modified_revisions;
+        check_columns(number, &header.space, &points, &modified)?;
+        self.points += points.ids.len() as u64;
+        if self.points > header.points {
+            self.check_count(number, header.points, "header")?;
+        }
+        for row in 0..points.ids.len() {
+            self.check_point(&header, &points, &modified, row)
+                .map_err(|problem| SnapshotError::Point {
+                    place: Place {
+                        part: number,
+                        row,
+                        id: points.ids[row],
+                    },
+                    problem: Box::new(problem),
+                })?;
+        }
+        self.header = Some(header);
+        Ok(Content::Points(points, modified))
+    }
+
+    /// Whether an index as the header describes it may hold this point after those before.
+    fn check_point(
+        &mut self,
+        header: &Header,
+        points: &v1::Points,
+        modified: &[u64],
+        row: usize,
+    ) -> Result<(), PointProblem> {
+        let id = points.ids[row];
+        if let Some(before) = self.last_id.filter(|&before| before >= id) {
+            return Err(PointProblem::NotAscending { before });
+        }
+        self.last_id = Some(id);
+        if id >= header.next_id {
+            let next_id = header.next_id;
+            return Err(PointProblem::Id { next_id });
+        }
+        let (stored, modified) = (points.revisions[row], modified[row]);
+        if stored == 0 || stored > modified || modified > header.revision {
+            return Err(PointProblem::Revisions {
+                stored,
+                modified,
+                revision: header.revision,
+            });
+        }
+        let bytes = points.payloads.get(row).map_or(0, |payload| payload.len());
+        if bytes > MAX_PAYLOAD_BYTES {
+            return Err(PointProblem::Payload { bytes });
+        }
+        let width = header.space.coordinates();
+        let coordinates = points
+            .states
+            .as_ref()
+            .map_or(&[][..], |states| &states.coordinates);
+        let state = &coordinates[row * width..][..width];
+        self.row.clear();
+        self.row.extend_from_slice(state);
+        header
+            .space
+            .canonicalize(&mut self.row)
+            .map_err(PointProblem::State)?;
+        let mut pairs = self.row.iter().zip(state);
+        if pairs.all(|(canonical, given)| canonical.to_bits() == given.to_bits()) {
+            Ok(())
+        } else {
+            Err(PointProblem::NotCanonical)
+        }
+    }
+
+    fn check_count(
+        &self,
+        number: u64,
+        expected: u64,
+        said_by: &'static str,
+    ) -> Result<(), SnapshotError> {
+        if self.points == expected {
+            return Ok(());
+        }
+        Err(SnapshotError::Count {
+            part: number,
+            found: self.points,
+            expected,
+            said_by,
+        })
+    }
+}
+
+fn read_header(number: u64, header: v1::SnapshotHeader) -> Result<Header, SnapshotError> {
+    if header.format_version != FORMAT_VERSION {
+        return Err(SnapshotError::version(header.format_version));
+    }
+    let space = space::from_message(&header.space.unwrap_or_default()).map_err(|problem| {
+        SnapshotError::Space {
+            part: number,
+            problem: Box::new(problem),
+        }
+    })?;
+    if header.next_id > END_OF_IDS {
+        return Err(SnapshotError::next_id(number, header.next_id));
+    }
+    Ok(Header {
+        name: header.name,
+        uid: header.uid,
+        space,
+        revision: header.revision,
+        next_id: header.next_id,
+        points: header.points,
+    })
+}
+
+/// Every column has as many entries as there are ids.
+fn check_columns(
+    part: u64,
+    space: &Space,
+    points: &v1::Points,
+    modified: &[u64],
+) -> Result<(), SnapshotError> {
+    let rows = points.ids.len();
+    if rows == 0 {
+        return Err(SnapshotError::malformed(part, "points without any point"));
+    }
+    let states = points.states.as_ref();
+    let payloads = match points.payloads.len() {
+        0 => rows,
+        payloads => payloads,
+    };
+    let columns = [
+        (
+            "rows of states",
+            states.map_or(0, |states| states.rows as usize),
+            rows,
+        ),
+        (
+            "coordinates",
+            states.map_or(0, |states| states.coordinates.len()),
+            // A part has at most so many bytes that this cannot overflow.
+            rows * space.coordinates(),
+        ),
+        ("tags", points.tags.len(), rows),
+        ("revisions", points.revisions.len(), rows),
+        ("modified_revisions", modified.len(), rows),
+        ("payloads", payloads, rows),
+    ];
+    for (column, found, expected) in columns {
+        if found != expected {
+            return Err(SnapshotError::Column {
+                part,
+                column,
+                found,
+                expected,
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,449 @@
+//! Snapshots: what is written is read, every cut and every flipped bit is noticed, and no bytes make a reader panic.
+
+#![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
+
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use prost::Message;
+use wayfold_proto::snapshot::{
+    Content, FileReader, FileWriter, Header, PointProblem, Reader, SnapshotError, Writer, check,
+};
+use wayfold_proto::v1;
+
+fn seeded(cases: u32) -> ProptestConfig {
+    ProptestConfig {
+        cases,
+        failure_persistence: None,
+        rng_seed: RngSeed::Fixed(7),
+        ..ProptestConfig::default()
+    }
+}
+
+fn header(points: u64) -> Header {
+    Header {
+        name: "arm".into(),
+        uid: "fe1a".into(),
+        space: "R1*SO2".parse().unwrap(),
+        revision: 9,
+        next_id: 1000,
+        points,
+    }
+}
+
+fn points(ids: &[u64]) -> v1::SnapshotPoints {
+    let coordinates = ids.iter().flat_map(|&id| [id as f64, 0.5]);
+    v1::SnapshotPoints {
+        points: Some(v1::Points {
+            ids: ids.into(),
+            states: Some(v1::States {
+                rows: ids.len() as u32,
+                coordinates: coordinates.collect(),
+            }),
+            tags: ids.iter().map(|id| id * 3).collect(),
+            revisions: vec![4; ids.len()],
+            payloads: ids.iter().map(|id| id.to_string().into()).collect(),
+        }),
+        modified_revisions: vec![6; ids.len()],
+    }
+}
+
+/// The parts of a snapshot whose parts of points hold these ids.
+fn parts(ids: &[Vec<u64>]) -> Vec<v1::SnapshotPart> {
+    let mut writer = Writer::new();
+    let total: usize = ids.iter().map(Vec::len).sum();
+    let mut parts = vec![writer.header(&header(total as u64))];
+    parts.extend(ids.iter().map(|ids| writer.points(points(ids))));
+    parts.push(writer.trailer());
+    parts
+}
+
+fn file(parts: &[v1::SnapshotPart]) -> Vec<u8> {
+    let mut file = FileWriter::new(Vec::new()).unwrap();
+    for part in parts {
+        file.write(part).unwrap();
+    }
+    file.finish().unwrap()
+}
+
+fn whole() -> Vec<u8> {
+    file(&parts(&[vec![1, 5, 6], vec![70, 999]]))
+}
+
+/// The header of a snapshot with one thing changed, then such points, then a trailer, all with good digests.
+fn read_changed(
+    change_header: impl FnOnce(&mut Header),
+    change: impl FnOnce(&mut v1::SnapshotPoints),
+) -> SnapshotError {
+    let mut header = header(3);
+    change_header(&mut header);
+    let mut points = points(&[1, 5, 6]);
+    change(&mut points);
+    let mut writer = Writer::new();
+    let parts = [
+        writer.header(&header),
+        writer.points(points),
+        writer.trailer(),
+    ];
+    let mut reader = Reader::new();
+    let read = parts
+        .iter()
+        .try_for_each(|part| reader.read(part).map(drop));
+    read.unwrap_err()
+}
+
+fn columns(points: &mut v1::SnapshotPoints) -> &mut v1::Points {
+    points.points.as_mut().unwrap()
+}
+
+fn coordinates(points: &mut v1::SnapshotPoints) -> &mut Vec<f64> {
+    &mut columns(points).states.as_mut().unwrap().coordinates
+}
+
+#[test]
+fn what_is_written_is_read() {
+    let written = parts(&[vec![1, 5, 6], vec![70, 999]]);
+    let bytes = file(&written);
+    assert_eq!(check(&bytes[..]).unwrap(), header(5));
+    let mut file = FileReader::new(&bytes[..]).unwrap();
+    let mut contents = Vec::new();
+    while let Some((part, content)) = file.next_part().unwrap() {
+        assert_eq!(part, written[contents.len()]);
+        contents.push(content);
+    }
+    let content = |ids: &[u64]| {
+        let points = points(ids);
+        Content::Points(points.points.unwrap(), points.modified_revisions)
+    };
+    let expected = [
+        Content::Header(header(5)),
+        content(&[1, 5, 6]),
+        content(&[70, 999]),
+        Content::Trailer,
+    ];
+    assert_eq!(contents, expected);
+
+    assert_eq!(check(&file_of_none()[..]).unwrap(), header(0));
+}
+
+fn file_of_none() -> Vec<u8> {
+    file(&parts(&[]))
+}
+
+/// As another program would read it: the line, and delimited messages.
+#[test]
+fn a_file_is_a_line_and_delimited_messages() {
+    let bytes = whole();
+    let mut rest = bytes.strip_prefix(b"wayfold snapshot 1\n").unwrap();
+    for written in parts(&[vec![1, 5, 6], vec![70, 999]]) {
+        let part = v1::SnapshotPart::decode_length_delimited(&mut rest).unwrap();
+        assert_eq!(part, written);
+    }
+    assert!(rest.is_empty());
+}
+
+#[test]
+fn every_cut_is_noticed() {
+    let bytes = whole();
+    for end in 0..bytes.len() {
+        let error = check(&bytes[..end]).unwrap_err();
+        let line = "wayfold snapshot 1\n".len();
+        if end < line {
+            assert!(
+                matches!(error, SnapshotError::NotSnapshot),
+                "{end}: {error}"
+            );
+        } else {
+            assert!(
+                matches!(error, SnapshotError::CutShort { .. }),
+                "{end}: {error}"
+            );
+        }
+    }
+}
+
+#[test]
+fn every_flipped_bit_is_noticed() {
+    let bytes = whole();
+    for bit in 0..8 * bytes.len() {
+        let mut flipped = bytes.clone();
+        flipped[bit / 8] ^= 1 << (bit % 8);
+        assert!(check(&flipped[..]).is_err(), "bit {bit}");
+    }
+}
+
+#[test]
+fn what_follows_the_trailer_is_noticed() {
+    for more in [&b"\n"[..], b"\0", b"more", &whole()] {
+        let bytes = [&whole()[..], more].concat();
+        let error = check(&bytes[..]).unwrap_err();
+        assert!(
+            matches!(error, SnapshotError::Trailing { part: 4 }),
+            "{more:?}: {error}"
+        );
+    }
+    let mut reader = Reader::new();
+    let parts = parts(&[]);
+    reader.read(&parts[0]).unwrap();
+    reader.read(&parts[1]).unwrap();
+    let error = reader.read(&parts[1]).unwrap_err();
+    assert!(
+        matches!(error, SnapshotError::Trailing { part: 2 }),
+        "{error}"
+    );
+}
+
+#[test]
+fn parts_that_are_missing_moved_or_doubled_are_noticed() {
+    let parts = parts(&[vec![1], vec![2], vec![3]]);
+    for from in 0..parts.len() {
+        let mut missing = parts.clone();
+        let part = missing.remove(from);
+        let error = check(&file(&missing)[..]).unwrap_err();
+        let expected = if from + 1 == parts.len() {
+            matches!(error, SnapshotError::CutShort { parts: 4 })
+        } else {
+            matches!(error, SnapshotError::Order { part, found }
+                if part == from as u64 + 1 && found == part + 1)
+        };
+        assert!(expected, "{from}: {error}");
+        for to in 0..parts.len() {
+            if from != to {
+                let mut moved = missing.clone();
+                moved.insert(to, part.clone());
+                assert!(check(&file(&moved)[..]).is_err(), "{from} to {to}");
+            }
+            let mut doubled = parts.clone();
+            doubled.insert(to, part.clone());
+            assert!(check(&file(&doubled)[..]).is_err(), "{from} also at {to}");
+        }
+    }
+}
+
+/// Each with a number that fits, so that only the digest tells.
+#[test]
+fn a_part_of_another_snapshot_is_noticed() {
+    let (mut parts, others) = (parts(&[vec![1], vec![2]]), parts(&[vec![8], vec![2]]));
+    parts[2] = others[2].clone();
+    let error = check(&file(&parts)[..]).unwrap_err();
+    assert!(
+        matches!(error, SnapshotError::Damaged { part: 3 }),
+        "{error}"
+    );
+    assert!(error.to_string().starts_with("part 3 "));
+}
+
+#[test]
+fn other_files_and_other_versions_are_told_apart() {
+    for other in [
+        &b""[..],
+        b"PK\x03\x04",
+        b"id,x,y\n1,2,3\n",
+        b"\x93NUMPY\x01\x00",
+        &[0xff; 100],
+    ] {
+        let error = check(other).unwrap_err();
+        assert!(matches!(error, SnapshotError::NotSnapshot), "{error}");
+    }
+    let mut newer = b"wayfold snapshot 2\n".to_vec();
+    newer.extend(b"whatever");
+    let error = check(&newer[..]).unwrap_err();
+    assert!(error.to_string().contains("format version 2"), "{error}");
+
+    // On a stream the header says it.
+    let content = v1::SnapshotContent {
+        content: Some(v1::snapshot_content::Content::Header(v1::SnapshotHeader {
+            format_version: 3,
+            ..Default::default()
+        })),
+    };
+    let content = content.encode_to_vec();
+    let part = signed(1, content);
+    let error = Reader::new().read(&part).unwrap_err();
+    assert!(error.to_string().contains("format version 3"), "{error}");
+}
+
+/// The first part of a snapshot with this content, its digest as documented.
+fn signed(number: u64, content: Vec<u8>) -> v1::SnapshotPart {
+    use sha2::{Digest, Sha256};
+    let bytes = [&[0; 32][..], &number.to_le_bytes(), &content].concat();
+    v1::SnapshotPart {
+        number,
+        content: content.into(),
+        digest: Sha256::digest(&bytes).to_vec().into(),
+    }
+}
+
+#[test]
+fn digests_are_as_documented() {
+    let part = &parts(&[])[0];
+    assert_eq!(*part, signed(1, part.content.to_vec()));
+}
+
+#[test]
+fn points_that_no_index_holds_are_refused_with_their_place() {
+    let same = |_: &mut Header| {};
+    let cases = [
+        (
+            read_changed(same, |p| columns(p).ids[1] = 1),
+            "NotAscending",
+        ),
+        (
+            read_changed(same, |p| columns(p).ids[2] = 2),
+            "NotAscending",
+        ),
+        (read_changed(|h| h.next_id = 6, |_| {}), "Id"),
+        (read_changed(same, |p| columns(p).ids[2] = 1 << 63), "Id"),
+        (
+            read_changed(same, |p| columns(p).revisions[2] = 7),
+            "Revisions",
+        ),
+        (
+            read_changed(same, |p| columns(p).revisions[2] = 0),
+            "Revisions",
+        ),
+        (
+            read_changed(same, |p| p.modified_revisions[2] = 10),
+            "Revisions",
+        ),
+        (
+            read_changed(same, |p| coordinates(p)[2] = f64::NAN),
+            "State",
+        ),
+        (
+            read_changed(same, |p| coordinates(p)[5] = 3.5),
+            "NotCanonical",
+        ),
+        (
+            read_changed(same, |p| coordinates(p)[2] = -0.0),
+            "NotCanonical",
+        ),
+        (
+            read_changed(same, |p| columns(p).payloads[1] = vec![0; 65_537].into()),
+            "Payload",
+        ),
+    ];
+    for (error, kind) in cases {
+        let text = error.to_string();
+        let SnapshotError::Point { place, problem } = error else {
+            panic!("{text}");
+        };
+        assert_eq!(place.part, 2, "{text}");
+        assert!(text.contains(&format!("point {}", place.row)), "{text}");
+        assert!(format!("{problem:?}").starts_with(kind), "{text}");
+    }
+    let largest = |p: &mut v1::SnapshotPoints| columns(p).payloads[1] = vec![0; 65_536].into();
+    let error = read_changed(|h| h.points = 4, largest);
+    assert!(matches!(error, SnapshotError::Count { .. }), "{error}");
+    let next_id = PointProblem::Id { next_id: 6 };
+    assert!(next_id.to_string().contains("next_id, which is 6"));
+}
+
+#[test]
+fn columns_and_counts_that_do_not_fit_are_refused() {
+    let same = |_: &mut Header| {};
+    let errors = [
+        read_changed(same, |p| p.points = None),
+        read_changed(same, |p| columns(p).states = None),
+        read_changed(same, |p| coordinates(p).truncate(5)),
+        read_changed(same, |p| columns(p).states.as_mut().unwrap().rows = 2),
+        read_changed(same, |p| columns(p).tags.truncate(2)),
+        read_changed(same, |p| columns(p).revisions.push(1)),
+        read_changed(same, |p| columns(p).payloads.truncate(2)),
+        read_changed(same, |p| p.modified_revisions.clear()),
+        read_changed(|h| h.space = "R3".parse().unwrap(), |_| {}),
+        read_changed(|h| h.points = 2, |_| {}),
+        read_changed(|h| h.points = 4, |_| {}),
+        read_changed(|h| h.next_id = (1 << 63) + 1, |_| {}),
+    ];
+    for error in errors {
+        assert_eq!(error.reason(), "SNAPSHOT_INVALID", "{error}");
+        assert!(error.to_string().contains("part "), "{error}");
+    }
+}
+
+#[test]
+fn payloads_may_be_left_out() {
+    let mut without = points(&[1, 2]);
+    columns(&mut without).payloads.clear();
+    let mut writer = Writer::new();
+    let parts = [
+        writer.header(&header(2)),
+        writer.points(without),
+        writer.trailer(),
+    ];
+    assert_eq!(check(&file(&parts)[..]).unwrap(), header(2));
+}
+
+#[test]
+fn a_length_beyond_any_part_is_not_believed() {
+    for length in [
+        &b"\xff\xff\xff\xff\x0f"[..],
+        b"\xff\xff\xff\xff\xff\xff\xff\xff\xff\x7f",
+    ] {
+        let bytes = [b"wayfold snapshot 1\n", length].concat();
+        let error = check(&bytes[..]).unwrap_err();
+        assert!(
+            matches!(error, SnapshotError::TooLarge { part: 1, .. }),
+            "{error}"
+        );
+    }
+    let endless = [b"wayfold snapshot 1\n", &[0xff; 11][..]].concat();
+    let error = check(&endless[..]).unwrap_err();
+    assert!(matches!(error, SnapshotError::Malformed { .. }), "{error}");
+}
+
+proptest! {
+    #![proptest_config(seeded(2000))]
+
+    #[test]
+    fn arbitrary_bytes_are_refused(
+        bytes in prop::collection::vec(any::<u8>(), 0..300),
+        begins in any::<bool>(),
+    ) {
+        let line: &[u8] = if begins { b"wayfold snapshot 1\n" } else { b"" };
+        prop_assert!(check(&[line, &bytes].concat()[..]).is_err());
+    }
+
+    /// With a good digest, so that all of what follows it is reached.
+    #[test]
+    fn arbitrary_contents_do_not_make_a_reader_panic(
+        content in prop::collection::vec(any::<u8>(), 0..300),
+    ) {
+        prop_assert!(Reader::new().read(&signed(1, content)).is_err());
+    }
+
+    /// A good header, then a damaged part with a good digest.
+    #[test]
+    fn damaged_points_with_a_good_digest_do_not_make_a_reader_panic(
+        at in any::<prop::sample::Index>(),
+        bytes in prop::collection::vec(any::<u8>(), 1..8),
+        cut in 0..8_usize,
+    ) {
+        let mut writer = Writer::new();
+        let first = writer.header(&header(3));
+        let mut content = writer.points(points(&[1, 5, 6])).content.to_vec();
+        let start = at.index(content.len());
+        for (place, byte) in content[start..].iter_mut().zip(bytes) {
+            *place = byte;
+        }
+        content.truncate(content.len() - cut);
+        let bytes = [&first.digest[..], &2_u64.to_le_bytes(), &content].concat();
+        let digest = <sha2::Sha256 as sha2::Digest>::digest(&bytes).to_vec().into();
+        let mut reader = Reader::new();
+        reader.read(&first).unwrap();
+        // Some such parts are good ones: with another tag, or another payload.
+        let _ = reader.read(&v1::SnapshotPart { number: 2, content: content.into(), digest });
+    }
+
+    #[test]
+    fn several_damaged_bytes_are_noticed(
+        damage in prop::collection::vec((any::<prop::sample::Index>(), 1..=255_u8), 1..4),
+    ) {
+        let mut bytes = whole();
+        for (at, change) in damage {
+            let at = at.index(bytes.len());
+            bytes[at] ^= change;
+        }
+        prop_assert!(bytes == whole() || check(&bytes[..]).is_err());
+    }
+}
