@@ -6,7 +6,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use futures_util::{Stream, stream};
+use futures_util::{Stream, StreamExt, stream};
 use tokio::net::TcpListener;
 use tokio_stream::wrappers::TcpListenerStream;
 use tonic::{Request, Response, Status, Streaming, async_trait};
@@ -38,6 +38,10 @@ struct Inner {
     revisions: VecDeque<u64>,
     /// Whether calls wait for ever.
     silent: bool,
+    /// What the next snapshots are; one that is not ended waits for ever after its last part.
+    snapshot: Vec<v1::SnapshotPart>,
+    snapshot_ends: bool,
+    verification: Vec<v1::VerifyIndexResponse>,
 }
 
 #[derive(Clone)]
@@ -90,6 +94,17 @@ impl Fake {
 
     pub(crate) fn fall_silent(&self) {
         self.inner.lock().unwrap().silent = true;
+    }
+
+    /// Lets snapshots consist of these parts, and then end, or not.
+    pub(crate) fn snapshots(&self, parts: &[v1::SnapshotPart], end: bool) {
+        let mut inner = self.inner.lock().unwrap();
+        (inner.snapshot, inner.snapshot_ends) = (parts.to_vec(), end);
+    }
+
+    /// Lets verifications answer so.
+    pub(crate) fn verifies(&self, answers: &[v1::VerifyIndexResponse]) {
+        self.inner.lock().unwrap().verification = answers.to_vec();
     }
 
     /// How many calls came since failures were last set.
@@ -165,6 +180,8 @@ fn numbered(rows: usize) -> Option<v1::Neighbors> {
     })
 }
 
+type Answers<A> = Pin<Box<dyn Stream<Item = Result<A, Status>> + Send>>;
+
 #[async_trait]
 impl IndexService for Fake {
     async fn create_index(
@@ -204,6 +221,47 @@ impl IndexService for Fake {
     ) -> Result<Response<v1::DeleteIndexResponse>, Status> {
         self.enter(&request, 0).await?;
         Err(Status::unimplemented("delete_index"))
+    }
+
+    type SnapshotIndexStream = Answers<v1::SnapshotIndexResponse>;
+
+    async fn snapshot_index(
+        &self,
+        request: Request<v1::SnapshotIndexRequest>,
+    ) -> Result<Response<Self::SnapshotIndexStream>, Status> {
+        self.enter(&request, 0).await?;
+        let inner = self.inner.lock().unwrap();
+        let parts = inner.snapshot.clone().into_iter();
+        let parts =
+            stream::iter(parts.map(|part| Ok(v1::SnapshotIndexResponse { part: Some(part) })));
+        Ok(Response::new(match inner.snapshot_ends {
+            true => Box::pin(parts),
+            false => Box::pin(parts.chain(stream::pending())),
+        }))
+    }
+
+    /// Reads everything, and then fails.
+    async fn restore_index(
+        &self,
+        request: Request<Streaming<v1::RestoreIndexRequest>>,
+    ) -> Result<Response<v1::RestoreIndexResponse>, Status> {
+        self.enter(&request, 0).await?;
+        let mut messages = request.into_inner();
+        while messages.message().await?.is_some() {}
+        Err(Status::unimplemented("restore_index"))
+    }
+
+    type VerifyIndexStream = Answers<v1::VerifyIndexResponse>;
+
+    async fn verify_index(
+        &self,
+        request: Request<v1::VerifyIndexRequest>,
+    ) -> Result<Response<Self::VerifyIndexStream>, Status> {
+        self.enter(&request, 0).await?;
+        let answers = self.inner.lock().unwrap().verification.clone();
+        Ok(Response::new(Box::pin(stream::iter(
+            answers.into_iter().map(Ok),
+        ))))
     }
 }
 

@@ -65,8 +65,11 @@ pub(crate) async fn serve(
     });
     // No limit on what is sent: the service refuses a large answer before a mutation takes effect, and a second limit
     // here could only fail a call that did.
-    let indices = IndexServiceServer::new(IndexFace(service))
-        .max_decoding_message_size(config.max_message_bytes);
+    let indices = IndexServiceServer::new(IndexFace {
+        service,
+        max_message_bytes: config.max_message_bytes,
+    })
+    .max_decoding_message_size(config.max_message_bytes);
     let health = HealthServer::new(HealthFace::new(phases.clone()));
     let (reflection, reflection_alpha) =
         (descriptors().build_v1()?, descriptors().build_v1alpha()?);

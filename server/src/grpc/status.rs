@@ -96,7 +96,9 @@ fn describe(error: &Error, metadata: &mut Metadata, details: &mut ErrorDetails) 
                 description: error.to_string(),
             })]);
         }
-        Error::IndexNotFound { name } => resource(details, "wayfold.v1.Index", name, error),
+        Error::IndexNotFound { name } | Error::NameTaken { name } => {
+            resource(details, "wayfold.v1.Index", name, error);
+        }
         Error::PointsNotFound { index, ids } | Error::PointsExist { index, ids } => {
             metadata.set("index", index);
             metadata.set_ids(ids);
@@ -157,6 +159,15 @@ fn describe(error: &Error, metadata: &mut Metadata, details: &mut ErrorDetails) 
             if let Some(id) = after_id {
                 metadata.set("after_id", id);
             }
+            let text = bounded(error, MAX_TEXT);
+            details.set_quota_failure([quota("scan_seconds", &text, *scan_seconds)]);
+        }
+        Error::HeldTooLong {
+            what: _,
+            scan_seconds,
+        } => {
+            metadata.set("limit", "scan_seconds");
+            metadata.set("value", scan_seconds);
             let text = bounded(error, MAX_TEXT);
             details.set_quota_failure([quota("scan_seconds", &text, *scan_seconds)]);
         }
@@ -280,6 +291,21 @@ mod tests {
                 },
                 Code::AlreadyExists,
                 Some("ResourceInfo"),
+            ),
+            (
+                Error::NameTaken {
+                    name: index.clone(),
+                },
+                Code::AlreadyExists,
+                Some("ResourceInfo"),
+            ),
+            (
+                Error::HeldTooLong {
+                    what: "snapshot",
+                    scan_seconds: 300,
+                },
+                Code::ResourceExhausted,
+                Some("QuotaFailure"),
             ),
             (
                 Error::PointsExist {

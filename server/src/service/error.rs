@@ -93,6 +93,14 @@ pub enum Error {
         /// The space asked for, as text.
         asked: String,
     },
+    /// The name for a restored index is taken, whatever its space.
+    #[error(
+        "an index is named \"{name}\" already: restore under another name, or delete that one first"
+    )]
+    NameTaken {
+        /// The name.
+        name: String,
+    },
     /// Ids of an insert hold different points.
     #[error(
         "index \"{index}\" holds different points under {}: set on_conflict to REPLACE to replace them",
@@ -166,6 +174,16 @@ pub enum Error {
         /// The last id that was sent.
         after_id: Option<u64>,
     },
+    /// A snapshot or a verification held its revision for longer than it may.
+    #[error(
+        "the {what} held its revision for longer than scan_seconds = {scan_seconds}: read it faster, or raise the limit"
+    )]
+    HeldTooLong {
+        /// "snapshot" or "verification".
+        what: &'static str,
+        /// The limit.
+        scan_seconds: u64,
+    },
     /// The server answers no calls now.
     #[error(
         "the server is {}: try again in a moment",
@@ -221,11 +239,14 @@ impl Error {
                 Code::InvalidArgument
             }
             Error::IndexNotFound { .. } | Error::PointsNotFound { .. } => Code::NotFound,
-            Error::IndexExists { .. } | Error::PointsExist { .. } => Code::AlreadyExists,
+            Error::IndexExists { .. } | Error::NameTaken { .. } | Error::PointsExist { .. } => {
+                Code::AlreadyExists
+            }
             Error::UidMismatch { .. } | Error::RevisionConflict { .. } => Code::FailedPrecondition,
             Error::LimitExceeded { .. }
             | Error::IdsExhausted { .. }
-            | Error::ScanTooLong { .. } => Code::ResourceExhausted,
+            | Error::ScanTooLong { .. }
+            | Error::HeldTooLong { .. } => Code::ResourceExhausted,
             Error::Unavailable { .. } | Error::StorageFailed { .. } => Code::Unavailable,
             Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
             Error::DataLoss { .. } => Code::DataLoss,
@@ -241,13 +262,14 @@ impl Error {
                 .map_or("INVALID_ARGUMENT", |violation| violation.reason),
             Error::IndexNotFound { .. } => "INDEX_NOT_FOUND",
             Error::PointsNotFound { .. } => "POINTS_NOT_FOUND",
-            Error::IndexExists { .. } => "INDEX_EXISTS",
+            Error::IndexExists { .. } | Error::NameTaken { .. } => "INDEX_EXISTS",
             Error::PointsExist { .. } => "POINTS_EXIST",
             Error::UidMismatch { .. } => "UID_MISMATCH",
             Error::RevisionConflict { .. } => "REVISION_CONFLICT",
             Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",
             Error::IdsExhausted { .. } => "IDS_EXHAUSTED",
             Error::ScanTooLong { .. } => "SCAN_TOO_LONG",
+            Error::HeldTooLong { .. } => "HELD_TOO_LONG",
             Error::Unavailable { why } => match why {
                 Unavailability::Starting => "STARTING",
                 Unavailability::Stopping => "STOPPING",

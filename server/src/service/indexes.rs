@@ -5,7 +5,7 @@ use wayfold_index::Space;
 use wayfold_proto::{space, v1};
 
 use super::{Call, Error, Service, at::failed, check::Violations};
-use crate::registry::{Hosted, Registry, RegistryError};
+use crate::registry::{Hosted, Published, Registry, RegistryError};
 
 impl Service {
     /// Creates an index, or finds the one of this name with an equal space.
@@ -42,7 +42,7 @@ impl Service {
             error => failed(&request.name, error),
         })?;
         Ok(v1::CreateIndexResponse {
-            index: Some(describe(&hosted)),
+            index: Some(describe(&hosted, &hosted.published())),
             created,
         })
     }
@@ -56,7 +56,7 @@ impl Service {
         self.accept(call)?;
         let hosted = self.index(&request.name, "")?;
         Ok(v1::GetIndexResponse {
-            index: Some(describe(&hosted)),
+            index: Some(describe(&hosted, &hosted.published())),
         })
     }
 
@@ -81,7 +81,7 @@ impl Service {
         let mut page = v1::ListIndexesResponse::default();
         let mut bytes = 0;
         for hosted in &hosted {
-            let index = describe(hosted);
+            let index = describe(hosted, &hosted.published());
             bytes += index.encoded_len() + 8;
             let full = page.indexes.len() == size || bytes > self.limits().answer_bytes;
             if let Some(last) = page.indexes.last().filter(|_| full) {
@@ -139,8 +139,7 @@ impl Service {
 }
 
 /// An index as of one published revision.
-fn describe(hosted: &Hosted) -> v1::Index {
-    let published = hosted.published();
+pub(super) fn describe(hosted: &Hosted, published: &Published) -> v1::Index {
     let space = hosted.space();
     v1::Index {
         name: hosted.name().into(),
@@ -162,7 +161,7 @@ fn is_name(name: &str) -> bool {
     name.len() <= 63 && name.bytes().next().is_some_and(word) && name.bytes().all(rest)
 }
 
-fn check_name(name: &str, violations: &mut Violations) {
+pub(super) fn check_name(name: &str, violations: &mut Violations) {
     if !is_name(name) {
         let text = format!("{name:?} is not of the form [a-z0-9][a-z0-9_-]{{0,62}}");
         violations.add("name", "NAME", text);

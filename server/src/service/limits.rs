@@ -18,7 +18,7 @@ pub struct Limits {
     pub answer_bytes: usize,
     /// Most indices on the server.
     pub indexes: usize,
-    /// How long a scan may hold its snapshot, in seconds.
+    /// How long a scan, a snapshot or a verification may hold its revision, in seconds.
     pub scan_seconds: u64,
     /// How many operations (calls with an `operation_id`) an index remembers for their retries. The window ends with
     /// this or with `operation_bytes`, whichever is reached first.

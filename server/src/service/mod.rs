@@ -21,11 +21,15 @@ mod knn;
 mod limits;
 mod mutation;
 mod neighbors;
+mod pin;
 mod query;
 mod remove;
+mod restore;
 mod scan;
+mod snapshot;
 mod staging;
 mod update;
+mod verify;
 
 use std::sync::{
     Arc, OnceLock,
@@ -36,7 +40,10 @@ use crate::registry::Registry;
 pub use call::Call;
 pub use error::{Code, Error, Unavailability, Violation};
 pub use limits::Limits;
+pub use restore::Restoring;
 pub use scan::Scan;
+pub use snapshot::Snapshot;
+pub use verify::Verification;
 
 /// The service: cheap to clone, used from any number of tasks.
 #[derive(Clone)]

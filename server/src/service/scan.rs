@@ -1,9 +1,7 @@
 //! `Scan`: all points at one pinned revision, part by part.
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
-use parking_lot::Mutex;
-use tokio::sync::oneshot;
 use wayfold_index::Filter;
 use wayfold_proto::v1;
 
@@ -12,6 +10,7 @@ use super::{
     answer::{PointColumns, Seen},
     at::check_read_at,
     check::{self, Violations},
+    pin::Pin,
 };
 use crate::registry::{Hosted, Published};
 
@@ -25,11 +24,7 @@ const PART_BYTES: usize = 1024 * 1024;
 pub struct Scan {
     call: Call,
     hosted: Arc<Hosted>,
-    /// Emptied when the time is up, also while nobody asks for the next part.
-    held: Arc<Mutex<Option<Arc<Published>>>>,
-    /// Ends the watch over that time together with the scan.
-    _watch: oneshot::Sender<()>,
-    scan_seconds: u64,
+    pin: Pin,
     part_bytes: usize,
     filter: Filter,
     payloads: bool,
@@ -57,14 +52,10 @@ impl Service {
         let published = self
             .published(call, &hosted, &at, filter.since_revision)
             .await?;
-        let held = Arc::new(Mutex::new(Some(published)));
-        let watch = release_after(Duration::from_secs(limits.scan_seconds), &held);
         Ok(Scan {
             call: *call,
             hosted,
-            held,
-            _watch: watch,
-            scan_seconds: limits.scan_seconds,
+            pin: Pin::new(published, limits.scan_seconds),
             part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
             filter,
             payloads: request.payloads,
@@ -72,18 +63,6 @@ impl Service {
             done: false,
         })
     }
-}
-
-/// Empties `held` after `time`, unless what is returned is dropped before.
-fn release_after(time: Duration, held: &Arc<Mutex<Option<Arc<Published>>>>) -> oneshot::Sender<()> {
-    let (watch, ended) = oneshot::channel();
-    let held = Arc::clone(held);
-    tokio::spawn(async move {
-        if tokio::time::timeout(time, ended).await.is_err() {
-            held.lock().take();
-        }
-    });
-    watch
 }
 
 impl Scan {
@@ -96,7 +75,7 @@ impl Scan {
         let part = self.part().await;
         self.done |= part.is_err();
         if self.done {
-            self.held.lock().take();
+            self.pin.release();
         }
         Some(part)
     }
@@ -136,9 +115,8 @@ impl Scan {
     }
 
     fn still_held(&self) -> Result<Arc<Published>, Error> {
-        let held = self.held.lock();
-        held.clone().ok_or(Error::ScanTooLong {
-            scan_seconds: self.scan_seconds,
+        self.pin.get().ok_or(Error::ScanTooLong {
+            scan_seconds: self.pin.seconds(),
             after_id: self.after,
         })
     }

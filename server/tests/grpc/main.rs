@@ -5,6 +5,7 @@
 mod harness;
 mod raw;
 
+mod backup;
 mod deadlines;
 mod errors;
 mod health;

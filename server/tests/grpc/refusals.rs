@@ -29,6 +29,9 @@ async fn a_message_that_does_not_parse_is_an_invalid_argument() {
     let server = TestServer::start(|_| ()).await;
     for rpc in [
         "IndexService/CreateIndex",
+        "IndexService/SnapshotIndex",
+        "IndexService/RestoreIndex",
+        "IndexService/VerifyIndex",
         "PointService/Insert",
         "PointService/Knn",
         "PointService/Scan",

@@ -5,6 +5,7 @@
     reason = "a test that cannot go on has failed; clippy spares only what is marked as a test itself"
 )]
 
+mod backup;
 mod cancellation;
 mod concurrent;
 mod durability;
@@ -21,7 +22,10 @@ mod random;
 mod reads;
 mod refusals;
 mod replay;
+mod restore;
 mod scan;
+mod snapshot;
 mod storage_failure;
 mod support;
 mod update;
+mod verify;

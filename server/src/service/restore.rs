@@ -1,0 +1,207 @@
+//! `RestoreIndex`: an index from the parts of a snapshot.
+
+use bytes::Bytes;
+use tokio::task::JoinError;
+use wayfold_proto::{
+    snapshot::{Content, Reader, SnapshotError},
+    v1,
+};
+
+use super::{
+    Call, Error, Service,
+    at::failed,
+    check::Violations,
+    indexes::{check_name, describe},
+};
+use crate::{
+    log::{Origin, StoredPoint},
+    registry::{RegistryError, Restore},
+};
+
+/// An index on its way. Until [`Restoring::finish`] nobody sees it, and if it is dropped nothing is left of it.
+pub struct Restoring {
+    service: Service,
+    call: Call,
+    /// From the first message on.
+    name: Option<String>,
+    /// Away while a part is read; gone for good where that failed or was given up.
+    draft: Option<Draft>,
+}
+
+/// What there is of the index.
+#[derive(Default)]
+struct Draft {
+    reader: Reader,
+    /// From the header on.
+    restore: Option<Restore>,
+}
+
+impl Service {
+    /// Begins to make an index of a snapshot.
+    pub fn restore_index(&self, call: &Call) -> Result<Restoring, Error> {
+        self.accept(call)?;
+        Ok(Restoring {
+            service: self.clone(),
+            call: *call,
+            name: None,
+            draft: Some(Draft::default()),
+        })
+    }
+}
+
+impl Restoring {
+    /// Takes the next part. After an error nothing more is taken.
+    pub async fn add(&mut self, request: v1::RestoreIndexRequest) -> Result<(), Error> {
+        let name = self.name(request.name)?;
+        let Some(part) = request.part else {
+            return Err(refused("REQUIRED", "a message without a part".into()));
+        };
+        let mut draft = self.draft.take().ok_or_else(out_of_order)?;
+        let service = self.service.clone();
+        // Checking a part takes milliseconds, and so may storing it.
+        let read = tokio::task::spawn_blocking(move || {
+            draft.read(&service, &name, &part)?;
+            Ok::<_, Error>(draft)
+        });
+        let read = self.call.bound("while restoring", read).await?;
+        self.draft = Some(read.map_err(stopped)??);
+        Ok(())
+    }
+
+    /// Says that there are no more parts: from now on the index is there, if the snapshot is whole.
+    pub async fn finish(mut self) -> Result<v1::RestoreIndexResponse, Error> {
+        self.call.check("while restoring")?;
+        let Draft { reader, restore } = self.draft.take().ok_or_else(out_of_order)?;
+        reader.finish().map_err(bad)?;
+        let (Some(name), Some(restore)) = (self.name, restore) else {
+            return Err(out_of_order());
+        };
+        let service = self.service;
+        let finished = tokio::task::spawn_blocking(move || {
+            let hosted = service.registry()?.host(restore);
+            hosted.map_err(|error| not_restored(&name, error))
+        });
+        let hosted = finished.await.map_err(stopped)??;
+        Ok(v1::RestoreIndexResponse {
+            index: Some(describe(&hosted, &hosted.published())),
+        })
+    }
+
+    /// The name that the first message gives, and no other does otherwise.
+    fn name(&mut self, given: String) -> Result<String, Error> {
+        let mut violations = Violations::default();
+        let name = match &self.name {
+            Some(name) => {
+                if !given.is_empty() && given != *name {
+                    let text = format!("{given:?}, where the first message says {name:?}");
+                    violations.add("name", "AMBIGUOUS", text);
+                }
+                name.clone()
+            }
+            None => {
+                check_name(&given, &mut violations);
+                given
+            }
+        };
+        violations.finish()?;
+        self.name = Some(name.clone());
+        Ok(name)
+    }
+}
+
+impl Draft {
+    fn read(
+        &mut self,
+        service: &Service,
+        name: &str,
+        part: &v1::SnapshotPart,
+    ) -> Result<(), Error> {
+        let content = self.reader.read(part).map_err(bad)?;
+        match (content, &mut self.restore) {
+            (Content::Header(header), restore) => {
+                let origin = Origin {
+                    revision: header.revision,
+                    next_id: header.next_id,
+                    digest: *self.reader.digest(),
+                };
+                let limit = service.limits().indexes;
+                let begun = service
+                    .registry()?
+                    .restore(name, header.space, limit, origin);
+                *restore = Some(begun.map_err(|error| not_restored(name, error))?);
+            }
+            (Content::Points(points, modified), Some(restore)) => {
+                restore
+                    .add(&stored(points, &modified))
+                    .map_err(|error| not_restored(name, error))?;
+            }
+            (Content::Trailer, Some(_)) => {}
+            // A reader lets nothing come before the header.
+            (Content::Points(..) | Content::Trailer, None) => return Err(out_of_order()),
+        }
+        Ok(())
+    }
+}
+
+/// The points of a part that a reader found good.
+fn stored(points: v1::Points, modified: &[u64]) -> Vec<StoredPoint> {
+    let states = points.states.unwrap_or_default();
+    let width = states.coordinates.len() / points.ids.len().max(1);
+    let columns = points.ids.iter().zip(&points.tags);
+    let columns = columns.zip(points.revisions.iter().zip(modified));
+    let rows = states.coordinates.chunks_exact(width.max(1));
+    let rows = columns.zip(rows).enumerate();
+    rows.map(
+        |(at, (((&id, &tag), (&revision, &modified)), state))| StoredPoint {
+            id,
+            revision,
+            modified,
+            tag,
+            state: state.into(),
+            // A copy: the part is to go.
+            payload: points
+                .payloads
+                .get(at)
+                .map_or_else(Bytes::new, |payload| Bytes::copy_from_slice(payload)),
+        },
+    )
+    .collect()
+}
+
+fn bad(error: SnapshotError) -> Error {
+    refused(error.reason(), error.to_string())
+}
+
+fn refused(reason: &'static str, description: String) -> Error {
+    let mut violations = Violations::default();
+    violations.add("part", reason, description);
+    match violations.finish() {
+        Err(error) => error,
+        Ok(()) => out_of_order(),
+    }
+}
+
+fn not_restored(name: &str, error: RegistryError) -> Error {
+    match error {
+        RegistryError::Taken => Error::NameTaken { name: name.into() },
+        RegistryError::Full { limit } => Error::LimitExceeded {
+            limit: "indexes",
+            value: limit as u64,
+            asked: limit as u64 + 1,
+            advice: "delete an index first",
+        },
+        error => failed(name, error),
+    }
+}
+
+fn out_of_order() -> Error {
+    Error::Internal {
+        what: "a restore went on after its end".into(),
+    }
+}
+
+fn stopped(_: JoinError) -> Error {
+    Error::Internal {
+        what: "restoring an index did not come to its end".into(),
+    }
+}

@@ -1,0 +1,196 @@
+//! `SnapshotIndex`: all of an index at one pinned revision, part by part.
+
+use std::sync::Arc;
+
+use wayfold_proto::{
+    snapshot::{Header, Writer},
+    v1,
+};
+
+use super::{
+    Call, Error, Service,
+    at::{check_read_at, log_failed},
+    check::Violations,
+    pin::Pin,
+};
+use crate::{
+    log::StoredPoint,
+    registry::{Hosted, Published},
+};
+
+/// About how many bytes a part has; less if answers may have less. Its checksum is computed in one go.
+const PART_BYTES: usize = 256 * 1024;
+
+/// How many points are read from the log at once.
+const PAGE: usize = 128;
+
+/// A snapshot under way. It pins its revision until it ends, is dropped, or has held it for as long as it may.
+pub struct Snapshot {
+    call: Call,
+    hosted: Arc<Hosted>,
+    pin: Pin,
+    part_bytes: usize,
+    writer: Writer,
+    after: Option<u64>,
+    next: Next,
+}
+
+/// What the next part is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Next {
+    Header,
+    Points,
+    Nothing,
+}
+
+impl Service {
+    /// Begins to read all of an index at one pinned revision.
+    pub async fn snapshot_index(
+        &self,
+        call: &Call,
+        request: v1::SnapshotIndexRequest,
+    ) -> Result<Snapshot, Error> {
+        self.accept(call)?;
+        let at = request.at.unwrap_or_default();
+        let hosted = self.index(&request.name, &at.uid)?;
+        let mut violations = Violations::default();
+        check_read_at(&at, &mut violations);
+        violations.finish()?;
+
+        let limits = self.limits();
+        let published = self.published(call, &hosted, &at, 0).await?;
+        Ok(Snapshot {
+            call: *call,
+            hosted,
+            pin: Pin::new(published, limits.scan_seconds),
+            part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
+            writer: Writer::new(),
+            after: None,
+            next: Next::Header,
+        })
+    }
+}
+
+impl Snapshot {
+    /// The next part; None after the trailer or an error.
+    pub async fn next(&mut self) -> Option<Result<v1::SnapshotIndexResponse, Error>> {
+        let part = match self.next {
+            Next::Header => self.header(),
+            Next::Points => self.points().await,
+            Next::Nothing => return None,
+        };
+        if part.is_err() {
+            self.next = Next::Nothing;
+        }
+        if self.next == Next::Nothing {
+            self.pin.release();
+        }
+        let response = |part| v1::SnapshotIndexResponse { part: Some(part) };
+        Some(part.map(response))
+    }
+
+    fn header(&mut self) -> Result<v1::SnapshotPart, Error> {
+        let published = self.published()?;
+        self.next = Next::Points;
+        Ok(self.writer.header(&Header {
+            name: self.hosted.name().into(),
+            uid: self.hosted.uid_text().into(),
+            space: self.hosted.space().clone(),
+            revision: published.revision,
+            next_id: published.view.next_id(),
+            points: published.snapshot.len() as u64,
+        }))
+    }
+
+    /// The next points, or the trailer.
+    async fn points(&mut self) -> Result<v1::SnapshotPart, Error> {
+        let published = self.published()?;
+        let mut pace = self.call.pace("while taking a snapshot");
+        let mut rows = Rows::default();
+        let mut after = self.after;
+        while rows.bytes < self.part_bytes {
+            let page = published.view.page(after, PAGE);
+            let page = page.map_err(|error| log_failed(self.hosted.name(), error))?;
+            if page.is_empty() {
+                break;
+            }
+            for point in &page {
+                rows.push(point);
+                after = Some(point.id);
+                if rows.bytes >= self.part_bytes {
+                    break;
+                }
+            }
+            pace.step().await?;
+            self.published()?;
+        }
+        self.after = after;
+        if let Some(points) = rows.finish() {
+            return Ok(self.writer.points(points));
+        }
+        self.next = Next::Nothing;
+        let (stored, searched) = (
+            self.writer.points_written(),
+            published.snapshot.len() as u64,
+        );
+        if stored != searched {
+            let (index, revision) = (self.hosted.name(), published.revision);
+            return Err(Error::DataLoss {
+                what: format!(
+                    "index \"{index}\": at revision {revision} it has {searched} points, of which {stored} are stored"
+                ),
+            });
+        }
+        Ok(self.writer.trailer())
+    }
+
+    fn published(&self) -> Result<Arc<Published>, Error> {
+        self.pin.get().ok_or(Error::HeldTooLong {
+            what: "snapshot",
+            scan_seconds: self.pin.seconds(),
+        })
+    }
+}
+
+/// Stored points under way to their columns.
+#[derive(Default)]
+struct Rows {
+    points: v1::Points,
+    states: v1::States,
+    modified: Vec<u64>,
+    bytes: usize,
+}
+
+impl Rows {
+    fn push(&mut self, point: &StoredPoint) {
+        self.bytes += 8 * (point.state.len() + 4) + point.payload.len();
+        let points = &mut self.points;
+        points.ids.push(point.id);
+        points.tags.push(point.tag);
+        points.revisions.push(point.revision);
+        points.payloads.push(point.payload.clone());
+        self.modified.push(point.modified);
+        self.states.rows += 1;
+        self.states.coordinates.extend_from_slice(&point.state);
+    }
+
+    /// None if there are none.
+    fn finish(mut self) -> Option<v1::SnapshotPoints> {
+        if self.modified.is_empty() {
+            return None;
+        }
+        if self
+            .points
+            .payloads
+            .iter()
+            .all(|payload| payload.is_empty())
+        {
+            self.points.payloads.clear();
+        }
+        self.points.states = Some(self.states);
+        Some(v1::SnapshotPoints {
+            points: Some(self.points),
+            modified_revisions: self.modified,
+        })
+    }
+}

@@ -1,0 +1,207 @@
+//! `VerifyIndex`: what is searched against what is stored, at one pinned revision.
+//!
+//! The stored points are read twice, a page at a time, so that nothing is held but a page: first to compare them with
+//! the forest's (`compare`), then to answer sampled queries by brute force (`search`). `sample` draws the states.
+
+mod compare;
+mod sample;
+mod search;
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
+
+use super::{
+    Call, Error, Service,
+    at::{check_read_at, log_failed},
+    check::Violations,
+    indexes::describe,
+    pin::Pin,
+};
+use crate::{
+    log::StoredPoint,
+    registry::{Hosted, Published},
+};
+use compare::Comparison;
+use search::Searches;
+
+/// How many points are read from the log at once.
+const PAGE: usize = 256;
+
+/// How long it works between two messages.
+const SILENCE: Duration = Duration::from_millis(250);
+
+/// How many disagreements are told in words.
+const TOLD: usize = 10;
+
+const DOING: &str = "while verifying";
+
+/// A verification under way. It pins its revision until it ends, is dropped, or has held it for as long as it may.
+pub struct Verification {
+    call: Call,
+    hosted: Arc<Hosted>,
+    pin: Pin,
+    queries: usize,
+    k: usize,
+    disagreements: Disagreements,
+    stage: Stage,
+}
+
+enum Stage {
+    Comparing(Box<Comparison>),
+    /// With the number of stored points and their hash.
+    Searching(Searches, u64, [u8; 32]),
+    Done,
+}
+
+impl Service {
+    /// Begins to verify an index.
+    pub async fn verify_index(
+        &self,
+        call: &Call,
+        request: v1::VerifyIndexRequest,
+    ) -> Result<Verification, Error> {
+        self.accept(call)?;
+        let at = request.at.unwrap_or_default();
+        let hosted = self.index(&request.name, &at.uid)?;
+        let mut violations = Violations::default();
+        check_read_at(&at, &mut violations);
+        let mut within = |field, asked: Option<u32>, default, least, most| {
+            let asked = asked.unwrap_or(default);
+            if !(least..=most).contains(&asked) {
+                let text = format!("{asked}; it is from {least} to {most}");
+                violations.add(field, "OUT_OF_RANGE", text);
+            }
+            asked as usize
+        };
+        let queries = within("queries", request.queries, 32, 0, 1000);
+        let k = within("k", request.k, 10, 1, 100);
+        violations.finish()?;
+
+        let published = self.published(call, &hosted, &at, 0).await?;
+        let comparison = Comparison::new(hosted.space(), queries.div_ceil(2), request.seed);
+        Ok(Verification {
+            call: *call,
+            hosted,
+            pin: Pin::new(published, self.limits().scan_seconds),
+            queries,
+            k,
+            disagreements: Disagreements::default(),
+            stage: Stage::Comparing(Box::new(comparison)),
+        })
+    }
+}
+
+impl Verification {
+    /// How far it is, or what it found; None after that, or after an error.
+    pub async fn next(&mut self) -> Option<Result<v1::VerifyIndexResponse, Error>> {
+        if matches!(self.stage, Stage::Done) {
+            return None;
+        }
+        let answer = self.work().await;
+        if !matches!(answer, Ok(Answer::Progress(_))) {
+            self.stage = Stage::Done;
+            self.pin.release();
+        }
+        let response = |answer| v1::VerifyIndexResponse {
+            result: Some(answer),
+        };
+        Some(answer.map(response))
+    }
+
+    /// Works for a while, or to the end.
+    async fn work(&mut self) -> Result<Answer, Error> {
+        let published = held(&self.pin)?;
+        let until = Instant::now() + SILENCE;
+        let pass = Pass {
+            call: &self.call,
+            index: self.hosted.name(),
+            published: &published,
+            pin: &self.pin,
+            until,
+        };
+        let per_pass = published.snapshot.len() as u64;
+        let passes = if self.queries > 0 { 2 } else { 1 };
+        let progress = |points_read| {
+            Answer::Progress(v1::VerifyProgress {
+                points_read,
+                points_to_read: passes * per_pass,
+            })
+        };
+        if let Stage::Comparing(comparison) = &mut self.stage {
+            if !comparison.go_on(&pass, &mut self.disagreements).await? {
+                return Ok(progress(comparison.read()));
+            }
+            let states = comparison.sample(self.queries);
+            let searches = Searches::new(states, self.k);
+            let (read, hash) = (comparison.read(), comparison.hash());
+            self.stage = Stage::Searching(searches, read, hash);
+        }
+        let Stage::Searching(searches, stored, hash) = &mut self.stage else {
+            return Err(Error::Internal {
+                what: "a verification went on after its end".into(),
+            });
+        };
+        if !searches.go_on(&pass).await? {
+            return Ok(progress(*stored + searches.read()));
+        }
+        searches.compare(&mut self.disagreements);
+        Ok(Answer::Report(v1::VerifyReport {
+            index: Some(describe(&self.hosted, &published)),
+            stored_points: *stored,
+            content_hash: hash.to_vec(),
+            queries: self.queries as u64,
+            disagreements: self.disagreements.count,
+            first_disagreements: std::mem::take(&mut self.disagreements.first),
+        }))
+    }
+}
+
+fn held(pin: &Pin) -> Result<Arc<Published>, Error> {
+    pin.get().ok_or(Error::HeldTooLong {
+        what: "verification",
+        scan_seconds: pin.seconds(),
+    })
+}
+
+/// What both passes over the stored points work with.
+struct Pass<'a> {
+    call: &'a Call,
+    index: &'a str,
+    published: &'a Published,
+    pin: &'a Pin,
+    /// When to say how far it is.
+    until: Instant,
+}
+
+impl Pass<'_> {
+    /// The stored points after an id; none at the end.
+    fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
+        held(self.pin)?;
+        let page = self.published.view.page(after, PAGE);
+        page.map_err(|error| log_failed(self.index, error))
+    }
+
+    fn has_time(&self) -> bool {
+        Instant::now() < self.until
+    }
+}
+
+/// Where what is searched and what is stored differ.
+#[derive(Default)]
+struct Disagreements {
+    count: u64,
+    first: Vec<String>,
+}
+
+impl Disagreements {
+    fn add(&mut self, words: impl FnOnce() -> String) {
+        self.count += 1;
+        if self.first.len() < TOLD {
+            self.first.push(words());
+        }
+    }
+}

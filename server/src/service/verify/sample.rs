@@ -1,0 +1,101 @@
+//! States to ask about, drawn from the stored ones.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wayfold_index::{Factor, Space};
+
+/// How far beside a stored state a state is drawn, in parts of the bounds.
+const BESIDE: f64 = 1e-3;
+
+/// Keeps some of the states that it sees, each with the same chance, and the bounds of all.
+pub(super) struct Sampler {
+    space: Space,
+    random: ChaCha8Rng,
+    keeps: usize,
+    kept: Vec<Box<[f64]>>,
+    seen: u64,
+    bounds: Vec<(f64, f64)>,
+}
+
+impl Sampler {
+    /// Keeps so many states.
+    pub(super) fn new(space: &Space, keeps: usize, seed: u64) -> Self {
+        Self {
+            random: ChaCha8Rng::seed_from_u64(seed),
+            keeps,
+            kept: Vec::new(),
+            seen: 0,
+            bounds: vec![(f64::INFINITY, f64::NEG_INFINITY); space.coordinates()],
+            space: space.clone(),
+        }
+    }
+
+    /// A stored state.
+    pub(super) fn see(&mut self, state: &[f64]) {
+        for ((low, high), &coordinate) in self.bounds.iter_mut().zip(state) {
+            *low = low.min(coordinate);
+            *high = high.max(coordinate);
+        }
+        self.seen += 1;
+        if self.kept.len() < self.keeps {
+            self.kept.push(state.into());
+            return;
+        }
+        let place = self.random.random_range(0..self.seen);
+        let place = usize::try_from(place).ok();
+        if let Some(kept) = place.and_then(|place| self.kept.get_mut(place)) {
+            *kept = state.into();
+        }
+    }
+
+    /// `count` canonical states: half of them beside kept ones, half anywhere within the bounds.
+    pub(super) fn draw(&mut self, count: usize) -> Vec<Vec<f64>> {
+        if self.seen == 0 {
+            self.bounds.fill((0.0, 1.0));
+        }
+        (0..count)
+            .filter_map(|at| {
+                let kept = self.kept.get(at / 2).filter(|_| at.is_multiple_of(2));
+                let kept = kept.cloned();
+                self.state(kept.as_deref())
+            })
+            .collect()
+    }
+
+    /// A canonical state, beside another or anywhere.
+    fn state(&mut self, beside: Option<&[f64]>) -> Option<Vec<f64>> {
+        let mut state: Vec<f64> = Vec::with_capacity(self.bounds.len());
+        for (at, &(low, high)) in self.bounds.iter().enumerate() {
+            let share: f64 = self.random.random();
+            state.push(match beside.and_then(|beside| beside.get(at)) {
+                Some(coordinate) => coordinate + (share - 0.5) * BESIDE * (high - low),
+                None => low + share * (high - low),
+            });
+        }
+        let terms = self.space.groups().iter().flat_map(|group| &group.terms);
+        let mut rest = &mut state[..];
+        for term in terms {
+            let (own, others) = rest.split_at_mut_checked(term.factor.coordinates())?;
+            rest = others;
+            if term.factor == Factor::SO3 {
+                normalise(own);
+            } else {
+                // A little beside the largest state that is allowed would be none.
+                own.iter_mut().for_each(|x| *x = x.clamp(-1e150, 1e150));
+            }
+        }
+        self.space.canonicalize(&mut state).ok()?;
+        Some(state)
+    }
+}
+
+/// Makes a quaternion of four numbers: the identity where they are too near 0.
+fn normalise(quaternion: &mut [f64]) {
+    let norm = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if norm > 1e-6 {
+        quaternion.iter_mut().for_each(|x| *x /= norm);
+    } else if let Some((w, xyz)) = quaternion.split_last_mut() {
+        xyz.fill(0.0);
+        *w = 1.0;
+    }
+}

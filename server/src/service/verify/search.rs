@@ -1,0 +1,176 @@
+//! The second pass: sampled queries, answered by the forest and by brute force over the stored points.
+
+use wayfold_index::{Linear, Neighbor, PointRef, Search};
+
+use super::{DOING, Disagreements, Pass};
+use crate::service::Error;
+
+/// How many times `k` points within a radius are compared, at most.
+const WITHIN: usize = 4;
+
+/// The queries, and how far the pass is.
+pub(super) struct Searches {
+    k: usize,
+    unasked: Vec<Vec<f64>>,
+    queries: Vec<Query>,
+    after: Option<u64>,
+    read: u64,
+}
+
+struct Query {
+    state: Vec<f64>,
+    /// The k nearest points, as the forest answers.
+    nearest: Vec<Neighbor>,
+    /// The distance of the last of them.
+    radius: f64,
+    /// The points within that radius, the nearest of them, as the forest answers.
+    within: Vec<Neighbor>,
+    /// The nearest stored points so far, `WITHIN * k` at most.
+    brute_force: Vec<Neighbor>,
+}
+
+impl Searches {
+    /// Before the first query.
+    pub(super) fn new(states: Vec<Vec<f64>>, k: usize) -> Self {
+        Self {
+            k,
+            unasked: states,
+            queries: Vec::new(),
+            after: None,
+            read: 0,
+        }
+    }
+
+    /// Goes on until the end, or until it is time to say how far it is: false.
+    pub(super) async fn go_on(&mut self, pass: &Pass<'_>) -> Result<bool, Error> {
+        while let Some(state) = self.unasked.pop() {
+            let query = Query::ask(pass, state, self.k).await?;
+            self.queries.push(query);
+            if !pass.has_time() {
+                return Ok(false);
+            }
+        }
+        if self.queries.is_empty() {
+            return Ok(true);
+        }
+        let mut pace = pass.call.pace(DOING);
+        while pass.has_time() {
+            let page = pass.page(self.after)?;
+            let Some(last) = page.last() else {
+                return Ok(true);
+            };
+            let space = pass.published.snapshot.space();
+            let mut points = Linear::new(space.clone());
+            // One of another width has no distance; the comparison has told of it.
+            for point in page
+                .iter()
+                .filter(|point| point.state.len() == space.coordinates())
+            {
+                points.insert(PointRef {
+                    id: point.id,
+                    tag: point.tag,
+                    revision: point.revision,
+                    row: &point.state,
+                });
+            }
+            for query in &mut self.queries {
+                query.measure(&points, WITHIN * self.k);
+                pace.step().await?;
+            }
+            self.after = Some(last.id);
+            self.read += page.len() as u64;
+        }
+        Ok(false)
+    }
+
+    /// How many points were measured.
+    pub(super) fn read(&self) -> u64 {
+        self.read
+    }
+
+    /// Compares the forest's answers with brute force, at the end.
+    pub(super) fn compare(&self, disagreements: &mut Disagreements) {
+        for query in &self.queries {
+            let nearest = query.brute_force.iter().take(self.k);
+            let within = query
+                .brute_force
+                .iter()
+                .filter(|neighbor| neighbor.distance <= query.radius);
+            let asked = || format!("the {} nearest of {:?}", self.k, query.state);
+            compare(&query.nearest, nearest, asked, disagreements);
+            let asked = || format!("those within {:?} of {:?}", query.radius, query.state);
+            compare(&query.within, within, asked, disagreements);
+        }
+    }
+}
+
+impl Query {
+    /// Asks the forest.
+    async fn ask(pass: &Pass<'_>, state: Vec<f64>, k: usize) -> Result<Self, Error> {
+        let mut pace = pass.call.pace(DOING);
+        let mut search = Search {
+            until: pass.call.deadline,
+            ..Search::nearest_k(k)
+        };
+        let nearest = pass.published.snapshot.search(&state, &search);
+        pace.step().await?;
+        let radius = nearest.neighbors.last().map_or(0.0, |last| last.distance);
+        (search.k, search.radius) = (WITHIN * k, radius);
+        let within = pass.published.snapshot.search(&state, &search);
+        if !(nearest.exact && within.exact) {
+            // Only because it was out of time.
+            pace.check()?;
+        }
+        tokio::task::yield_now().await;
+        Ok(Self {
+            state,
+            nearest: nearest.neighbors,
+            radius,
+            within: within.neighbors,
+            brute_force: Vec::new(),
+        })
+    }
+
+    /// Merges the nearest of some points into the nearest so far.
+    fn measure(&mut self, points: &Linear, keeps: usize) {
+        let mut search = Search::nearest_k(keeps);
+        if self.brute_force.len() == keeps
+            && let Some(last) = self.brute_force.last()
+        {
+            search.radius = last.distance;
+        }
+        let nearest = points.search(&self.state, &search).neighbors;
+        self.brute_force.extend(nearest);
+        self.brute_force.sort_unstable();
+        self.brute_force.truncate(keeps);
+    }
+}
+
+/// Neighbours are equal in their ids and in the bits of their distances.
+fn compare<'a>(
+    answer: &[Neighbor],
+    brute_force: impl Iterator<Item = &'a Neighbor>,
+    asked: impl Fn() -> String,
+    disagreements: &mut Disagreements,
+) {
+    let (mut found, mut expected) = (answer.iter(), brute_force);
+    loop {
+        let (one, other) = (found.next(), expected.next());
+        if one != other {
+            let asked = asked();
+            let (one, other) = (told(one), told(other));
+            disagreements
+                .add(|| format!("{asked}: the answer has {one}, where brute force has {other}"));
+        }
+        if one != other || one.is_none() {
+            return;
+        }
+    }
+}
+
+fn told(neighbor: Option<&Neighbor>) -> String {
+    match neighbor {
+        Some(Neighbor { id, distance }) => format!("id {id} at {distance:?}"),
+        None => "no more".into(),
+    }
+}

@@ -1,0 +1,177 @@
+//! Snapshots: one pinned revision whatever happens meanwhile, with all that a copy needs.
+
+use std::{sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use prost::Message;
+use wayfold_proto::{snapshot::Reader, v1};
+use wayfold_server::{
+    log::MemoryLog,
+    service::{Code, Error, Limits},
+};
+
+use crate::{backup::*, support::*};
+
+fn request() -> v1::SnapshotIndexRequest {
+    v1::SnapshotIndexRequest {
+        name: "arm".into(),
+        at: None,
+    }
+}
+
+#[tokio::test]
+async fn it_is_one_revision_whatever_is_written_meanwhile() {
+    let (service, uid) = arm("R3").await;
+    let rows = cube(7, 20_000);
+    let ids: Vec<u64> = (0..20_000).map(|at| at * 3).collect();
+    let payload = |id: u64| Bytes::from(format!("point {id}"));
+    let request = v1::InsertRequest {
+        payloads: ids.iter().map(|&id| payload(id)).collect(),
+        ..insertion(&rows, &ids)
+    };
+    service.insert(&CALL, request).await.unwrap();
+
+    let mut snapshot = service
+        .snapshot_index(&CALL, self::request())
+        .await
+        .unwrap();
+    let mut parts = Vec::new();
+    while let Some(part) = snapshot.next().await {
+        parts.push(part.unwrap().part.unwrap());
+        // Between the parts points go, come and change.
+        let (gone, left) = ids[parts.len() * 1000..][..1000].split_at(900);
+        service.remove(&CALL, removal(gone)).await.unwrap();
+        let update = v1::UpdateRequest {
+            index: "arm".into(),
+            ids: left.into(),
+            payloads: vec![Bytes::from_static(b"other"); left.len()],
+            tags: vec![5],
+            ..Default::default()
+        };
+        service.update(&CALL, update).await.unwrap();
+        service
+            .insert(&CALL, insertion(&[[0.5; 3]], &[]))
+            .await
+            .unwrap();
+    }
+    assert!(parts.len() > 4, "{} parts", parts.len());
+    let held = read(&parts);
+    assert_eq!((held.header.revision, held.header.points), (1, 20_000));
+    assert_eq!((held.header.name.as_str(), held.header.uid), ("arm", uid));
+    assert_eq!(held.header.next_id, 3 * 19_999 + 1);
+    assert_eq!(held.ids, ids);
+    for ((point, row), id) in held.points.iter().zip(&rows).zip(&ids) {
+        assert_eq!(*point, (0, 1, 1, row.to_vec(), payload(*id)));
+    }
+}
+
+#[tokio::test]
+async fn it_tells_which_revision_changed_a_point_last_and_which_ids_were_used() {
+    let (service, _) = arm("R1").await;
+    service
+        .insert(&CALL, insertion(&[[0.0], [1.0], [2.0]], &[1, 2, 90]))
+        .await
+        .unwrap();
+    let update = v1::UpdateRequest {
+        index: "arm".into(),
+        ids: vec![2],
+        tags: vec![8],
+        ..Default::default()
+    };
+    service.update(&CALL, update).await.unwrap();
+    service.remove(&CALL, removal(&[90])).await.unwrap();
+    let held = read(&snapshot(&service, "arm").await);
+    assert_eq!((held.header.revision, held.header.next_id), (3, 91));
+    let expected = [
+        (0, 1, 1, vec![0.0], Bytes::new()),
+        (8, 1, 2, vec![1.0], Bytes::new()),
+    ];
+    assert_eq!(held.points, expected);
+}
+
+#[tokio::test]
+async fn parts_are_bounded_whatever_the_payloads() {
+    let (service, _) = arm("R1").await;
+    let rows: Vec<[f64; 1]> = (0..200).map(|at| [f64::from(at)]).collect();
+    for rows in rows.chunks(50) {
+        let request = v1::InsertRequest {
+            payloads: vec![vec![7; 65_536].into(); rows.len()],
+            ..insertion(rows, &[])
+        };
+        service.insert(&CALL, request).await.unwrap();
+    }
+    let parts = snapshot(&service, "arm").await;
+    let largest = parts.iter().map(Message::encoded_len).max().unwrap();
+    assert!(largest < 400_000, "{largest} bytes");
+    assert_eq!(read(&parts).ids.len(), 200);
+}
+
+#[tokio::test]
+async fn an_empty_index_has_a_header_and_a_trailer() {
+    let (service, _) = arm("SO3").await;
+    let parts = snapshot(&service, "arm").await;
+    assert_eq!(parts.len(), 2);
+    assert_eq!(read(&parts).header.revision, 0);
+}
+
+#[tokio::test]
+async fn what_cannot_be_read_is_refused() {
+    let (service, uid) = arm("R1").await;
+    let ask = async |name: &str, at: v1::ReadAt| {
+        let request = v1::SnapshotIndexRequest {
+            name: name.into(),
+            at: Some(at),
+        };
+        let snapshot = service.snapshot_index(&CALL, request).await;
+        let (code, reason, _) = refusal(snapshot.map(drop));
+        (code, reason)
+    };
+    let at = |uid: &str, min_revision| v1::ReadAt {
+        uid: uid.into(),
+        min_revision,
+    };
+    assert_eq!(ask("leg", at("", 0)).await.0, Code::NotFound);
+    assert_eq!(ask("arm", at("x", 0)).await.0, Code::FailedPrecondition);
+    let without_uid = (Code::InvalidArgument, "REQUIRED");
+    assert_eq!(ask("arm", at("", 3)).await, without_uid);
+    let past = wayfold_server::service::Call {
+        deadline: Some(std::time::Instant::now()),
+    };
+    let late = service.snapshot_index(&past, request()).await;
+    assert_eq!(refusal(late.map(drop)).0, Code::DeadlineExceeded);
+    let snapshot = v1::SnapshotIndexRequest {
+        at: Some(at(&uid, 0)),
+        ..request()
+    };
+    assert!(service.snapshot_index(&CALL, snapshot).await.is_ok());
+}
+
+/// On a clock that is moved by hand.
+#[tokio::test(start_paused = true)]
+async fn one_that_is_not_read_ends_and_is_no_snapshot() {
+    let limits = Limits {
+        scan_seconds: 10,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    create(&service, "arm", "R3").await;
+    service
+        .insert(&CALL, insertion(&cube(1, 9000), &[]))
+        .await
+        .unwrap();
+    let mut snapshot = service.snapshot_index(&CALL, request()).await.unwrap();
+    let mut reader = Reader::new();
+    for _ in 0..2 {
+        let part = snapshot.next().await.unwrap().unwrap().part.unwrap();
+        reader.read(&part).unwrap();
+    }
+    tokio::time::advance(Duration::from_secs(11)).await;
+    let error = snapshot.next().await.unwrap().unwrap_err();
+    let too_long = Error::HeldTooLong {
+        what: "snapshot",
+        scan_seconds: 10,
+    };
+    assert_eq!(error, too_long);
+    assert!(snapshot.next().await.is_none());
+    assert!(reader.finish().is_err());
+}

@@ -1,0 +1,333 @@
+//! Verification: it agrees with what is so, and finds what is not.
+
+use std::sync::Arc;
+
+use futures_util::future::BoxFuture;
+use sha2::{Digest, Sha256};
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{
+        Effects, Entry, Keep, Log, LogError, MemoryLog, Operation, Origin, Record, Restoring,
+        StoredPoint, Uid, View,
+    },
+    service::{Code, Service},
+};
+
+use crate::{backup::*, support::*};
+
+/// The hash as documented, of what a scan tells.
+async fn content_hash(service: &Service, space: &str) -> Vec<u8> {
+    let points = everything(service).await.points.unwrap();
+    let rows = points.states.unwrap().coordinates;
+    let mut bytes = b"wayfold content 1".to_vec();
+    bytes.extend((space.len() as u64).to_le_bytes());
+    bytes.extend(space.bytes());
+    for (at, id) in points.ids.iter().enumerate() {
+        let width = rows.len() / points.ids.len();
+        bytes.extend(id.to_le_bytes());
+        bytes.extend(points.tags[at].to_le_bytes());
+        rows[at * width..][..width]
+            .iter()
+            .for_each(|x| bytes.extend(x.to_le_bytes()));
+        bytes.extend((points.payloads[at].len() as u64).to_le_bytes());
+        bytes.extend(&points.payloads[at]);
+    }
+    Sha256::digest(&bytes).to_vec()
+}
+
+#[tokio::test]
+async fn what_is_so_is_agreed_to() {
+    for (seed, space) in ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"]
+        .into_iter()
+        .enumerate()
+    {
+        let service = service();
+        lived_in(&service, space, seed as u64).await;
+        let request = v1::VerifyIndexRequest {
+            queries: Some(101),
+            k: Some(7),
+            seed: seed as u64,
+            ..verification()
+        };
+        let report = verify(&service, request).await.unwrap();
+        let index = described(&service, "arm").await;
+        assert_eq!(report.first_disagreements, Vec::<String>::new(), "{space}");
+        assert_eq!((report.disagreements, report.queries), (0, 101));
+        assert_eq!(report.stored_points, index.points);
+        assert_eq!(report.content_hash, content_hash(&service, space).await);
+        assert_eq!(settled(report.index.unwrap()), index);
+    }
+}
+
+#[tokio::test]
+async fn an_index_without_points_and_one_without_queries_are_verified() {
+    let (service, _) = arm("R3*SO3:0.15").await;
+    let report = verify(&service, verification()).await.unwrap();
+    assert_eq!((report.disagreements, report.stored_points), (0, 0));
+    assert_eq!(report.queries, 32);
+    let none = v1::VerifyIndexRequest {
+        queries: Some(0),
+        ..verification()
+    };
+    let bare = verify(&service, none).await.unwrap();
+    assert_eq!(bare.content_hash, report.content_hash);
+    assert_eq!(bare.queries, 0);
+}
+
+#[tokio::test]
+async fn the_hash_is_the_contents_and_not_the_pasts() {
+    let (one, _) = arm("R1").await;
+    let (other, _) = arm("R1").await;
+    one.insert(&CALL, insertion(&[[0.0], [1.0]], &[4, 5]))
+        .await
+        .unwrap();
+    other
+        .insert(&CALL, insertion(&[[1.0], [7.0]], &[5, 9]))
+        .await
+        .unwrap();
+    other.remove(&CALL, removal(&[9])).await.unwrap();
+    let hash = async |service| verify(service, verification()).await.unwrap().content_hash;
+    assert_ne!(hash(&one).await, hash(&other).await);
+    other
+        .insert(&CALL, insertion(&[[0.0]], &[4]))
+        .await
+        .unwrap();
+    assert_eq!(hash(&one).await, hash(&other).await);
+    let tagged = v1::UpdateRequest {
+        index: "arm".into(),
+        ids: vec![4],
+        tags: vec![1],
+        ..Default::default()
+    };
+    other.update(&CALL, tagged).await.unwrap();
+    assert_ne!(hash(&one).await, hash(&other).await);
+}
+
+#[tokio::test]
+async fn what_is_asked_for_is_bounded() {
+    let (service, _) = arm("R1").await;
+    for (queries, k, field) in [
+        (Some(1001), None, "queries"),
+        (None, Some(0), "k"),
+        (None, Some(101), "k"),
+    ] {
+        let request = v1::VerifyIndexRequest {
+            queries,
+            k,
+            ..verification()
+        };
+        let refused = refusal(verify(&service, request).await);
+        let expected = (Code::InvalidArgument, "OUT_OF_RANGE", field.to_owned());
+        assert_eq!(refused, expected);
+    }
+    let elsewhere = v1::VerifyIndexRequest {
+        name: "leg".into(),
+        ..verification()
+    };
+    assert_eq!(refusal(verify(&service, elsewhere).await).0, Code::NotFound);
+}
+
+/// How a view lies about the points it stores.
+type Lie = fn(Arc<StoredPoint>) -> Result<Option<Arc<StoredPoint>>, LogError>;
+
+/// A log whose views lie.
+struct Lying(MemoryLog, Lie);
+
+struct LyingView(Arc<dyn View>, Lie);
+
+impl View for LyingView {
+    fn revision(&self) -> u64 {
+        self.0.revision()
+    }
+
+    fn next_id(&self) -> u64 {
+        self.0.next_id()
+    }
+
+    fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
+        self.0.get(id)
+    }
+
+    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
+        let page = self.0.page(after, limit)?;
+        page.into_iter()
+            .filter_map(|point| (self.1)(point).transpose())
+            .collect()
+    }
+}
+
+impl Log for Lying {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        self.0.indexes()
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.0.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.0.delete(uid)
+    }
+
+    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
+        self.0.append(uid, expected, effects)
+    }
+
+    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
+        self.0.synced(uid, revision)
+    }
+
+    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
+        self.0.tail(uid, after)
+    }
+
+    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        Ok(Arc::new(LyingView(self.0.points(uid)?, self.1)))
+    }
+
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        self.0.restore(entry, origin)
+    }
+
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
+        self.0.operations(uid)
+    }
+
+    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
+        self.0.trim(uid, keep)
+    }
+}
+
+async fn lying(lie: Lie) -> Service {
+    let service = over(Arc::new(Lying(MemoryLog::new(), lie)));
+    create(&service, "arm", "R3").await;
+    let rows = cube(3, 1000);
+    service.insert(&CALL, insertion(&rows, &[])).await.unwrap();
+    service
+}
+
+/// The last point under another id.
+fn moved(point: Arc<StoredPoint>) -> Result<Option<Arc<StoredPoint>>, LogError> {
+    let mut point = (*point).clone();
+    if point.id == 999 {
+        point.id = 10_000;
+    }
+    Ok(Some(Arc::new(point)))
+}
+
+/// The point with id 500, changed.
+fn changed(
+    point: Arc<StoredPoint>,
+    change: impl FnOnce(&mut StoredPoint),
+) -> Result<Option<Arc<StoredPoint>>, LogError> {
+    let mut point = (*point).clone();
+    if point.id == 500 {
+        change(&mut point);
+    }
+    Ok(Some(Arc::new(point)))
+}
+
+#[tokio::test]
+async fn a_point_that_differs_is_found_and_named() {
+    let lies: [(Lie, &str); 6] = [
+        (
+            |point| Ok((point.id != 500).then_some(point)),
+            "id 500 is searched and not stored",
+        ),
+        (moved, "id 10000 is stored and not searched"),
+        (
+            |point| changed(point, |point| point.tag = 9),
+            "id 500 is searched with the tag 0, stored 9",
+        ),
+        (
+            |point| changed(point, |point| point.revision = 2),
+            "id 500 is searched with revision 1, stored 2",
+        ),
+        (
+            |point| changed(point, |point| point.state[1] = 0.5),
+            "id 500 is searched with the state",
+        ),
+        (
+            |point| changed(point, |point| point.state = [0.5].into()),
+            "id 500 is searched with the state",
+        ),
+    ];
+    for (lie, words) in lies {
+        let service = lying(lie).await;
+        let none = v1::VerifyIndexRequest {
+            queries: Some(0),
+            ..verification()
+        };
+        let report = verify(&service, none).await.unwrap();
+        assert!(report.disagreements > 0, "{words}");
+        let told = report.first_disagreements.join("; ");
+        assert!(told.contains(words), "{words}: {told}");
+        // With queries too, whatever is stored.
+        assert!(
+            verify(&service, verification())
+                .await
+                .unwrap()
+                .disagreements
+                > 0
+        );
+    }
+}
+
+#[tokio::test]
+async fn an_answer_that_differs_is_found() {
+    // All is moved a little, each to where a brute force finds it and a forest does not.
+    let service = lying(|point| {
+        let mut point = (*point).clone();
+        point.state[0] += 1e-9;
+        Ok(Some(Arc::new(point)))
+    })
+    .await;
+    let report = verify(&service, verification()).await.unwrap();
+    // A thousand points, and both answers to each query.
+    assert_eq!(report.disagreements, 1000 + 2 * 32);
+    assert_eq!(report.first_disagreements.len(), 10);
+}
+
+#[tokio::test]
+async fn stored_points_that_cannot_be_read_are_data_loss() {
+    let service = lying(|point| match point.id {
+        700 => Err(LogError::DamagedPoint {
+            uid: Uid::unique(),
+            id: 700,
+            what: "it does not match its checksum",
+        }),
+        _ => Ok(Some(point)),
+    })
+    .await;
+    let error = verify(&service, verification()).await.unwrap_err();
+    assert_eq!(error.code(), Code::DataLoss);
+    assert!(error.to_string().contains("\"arm\""), "{error}");
+    let request = v1::SnapshotIndexRequest {
+        name: "arm".into(),
+        at: None,
+    };
+    let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();
+    snapshot.next().await.unwrap().unwrap();
+    let error = snapshot.next().await.unwrap().unwrap_err();
+    assert_eq!(error.code(), Code::DataLoss);
+}
+
+#[tokio::test]
+async fn a_snapshot_that_lacks_points_is_not_finished() {
+    let service = lying(|point| Ok((point.id != 500).then_some(point))).await;
+    let request = v1::SnapshotIndexRequest {
+        name: "arm".into(),
+        at: None,
+    };
+    let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();
+    let mut last = None;
+    while let Some(part) = snapshot.next().await {
+        last = Some(part);
+    }
+    let error = last.unwrap().unwrap_err();
+    assert_eq!(error.code(), Code::DataLoss);
+    assert!(
+        error.to_string().contains("1000 points, of which 999"),
+        "{error}"
+    );
+}
