@@ -244,8 +244,7 @@ impl Client {
         F: FnMut(IndexStub, tonic::Request<Q>) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
-        let stub = IndexServiceClient::new(self.channel.clone())
-            .max_decoding_message_size(self.settings.max_message_bytes);
+        let stub = self.indexes();
         let attempt = |remaining| send(stub.clone(), within(remaining, message.clone()));
         self.call(call, self.settings.timeout, attempt).await
     }
@@ -273,6 +272,12 @@ impl Client {
             }
         };
         self.settings.retry.run(deadline, attempt).await
+    }
+
+    /// The stub of the calls about whole indices.
+    pub(crate) fn indexes(&self) -> IndexStub {
+        IndexServiceClient::new(self.channel.clone())
+            .max_decoding_message_size(self.settings.max_message_bytes)
     }
 
     /// The stub of the calls about points.

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 use tonic::Code;
+use wayfold_proto::snapshot::SnapshotError;
 
 use crate::Refusal;
 
@@ -85,6 +86,9 @@ pub enum Error {
         /// Why the next call failed.
         source: Box<Error>,
     },
+    /// A file is no snapshot, or not a good one, or cannot be read.
+    #[error(transparent)]
+    Snapshot(SnapshotError),
     /// The server answered with what the protocol does not allow.
     #[error(
         "{call}: the answer breaks the protocol: {problem}; client and server may be of different versions"
@@ -104,7 +108,8 @@ impl Error {
             Error::Address { .. }
             | Error::Width { .. }
             | Error::Layout { .. }
-            | Error::Argument { .. } => Code::InvalidArgument,
+            | Error::Argument { .. }
+            | Error::Snapshot(_) => Code::InvalidArgument,
             Error::Connection { .. } => Code::Unavailable,
             Error::Timeout { .. } => Code::DeadlineExceeded,
             Error::Refused(refusal) => refusal.code,

@@ -14,7 +14,7 @@ use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
 
 use crate::{
     Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Query, Remove,
-    ScanRequest, State, States, Update, client::within,
+    ScanRequest, SnapshotRequest, State, States, Update, Verify, client::within,
 };
 
 /// An index of a server, of one uid: when the index is deleted and made anew, the calls of this handle fail with
@@ -138,6 +138,16 @@ impl IndexHandle {
     /// All points, in the order of their ids: see [`ScanRequest`].
     pub fn scan(&self) -> ScanRequest {
         ScanRequest::new(self.clone())
+    }
+
+    /// All of it, for a backup or a copy elsewhere: see [`SnapshotRequest`].
+    pub fn snapshot(&self) -> SnapshotRequest {
+        SnapshotRequest::new(self.clone())
+    }
+
+    /// Compares what is searched with what is stored: see [`Verify`].
+    pub fn verify(&self) -> Verify {
+        Verify::new(self.clone())
     }
 
     /// Opens a stream on which many [`Knn`] requests can be under way: see [`KnnRequests`].

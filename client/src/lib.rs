@@ -31,6 +31,10 @@
 //! | keep many searches under way | [`stream_knn`](IndexHandle::stream_knn), [`KnnRequests`] | [`KnnAnswers`] |
 //! | read points by id | [`get`](IndexHandle::get), [`Get`] | [`Points`] |
 //! | read all points | [`scan`](IndexHandle::scan), [`ScanRequest`] | [`Scan`] |
+//! | back up all of it | [`snapshot`](IndexHandle::snapshot), [`SnapshotRequest`] | [`Snapshot`] |
+//! | verify it | [`verify`](IndexHandle::verify), [`Verify`] | [`Verified`] |
+//!
+//! [`Client::restore`] makes an index of a snapshot.
 //!
 //! **States** are whatever implements [`State`]: arrays, slices, vectors, the types of `nalgebra`, your own.
 //!
@@ -55,6 +59,7 @@ mod read;
 mod refusal;
 mod request;
 mod retry;
+mod snapshot;
 mod state;
 mod states;
 
@@ -72,11 +77,13 @@ pub use read::Include;
 pub use refusal::{FieldViolation, Refusal};
 pub use request::{
     Get, Insert, Inserted, Knn, KnnAnswers, KnnRequests, NeighborQuery, Outcome, Query, Remove,
-    Removed, Scan, ScanRequest, Update, Updated,
+    Removed, Scan, ScanRequest, Snapshot, SnapshotRequest, Update, Updated, Verified, Verify,
 };
 pub use retry::RetryPolicy;
+pub use snapshot::{SnapshotPart, SnapshotReader, SnapshotWriter};
 pub use state::{FromState, State};
 pub use states::States;
 
 pub use tonic::Code;
 pub use wayfold_index::{Factor, Filter, Group, Space, SpaceError, Term};
+pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};

@@ -5,9 +5,12 @@ mod insert;
 mod knn;
 mod query;
 mod remove;
+mod restore;
 mod scan;
+mod snapshot;
 mod stream_knn;
 mod update;
+mod verify;
 
 pub use get::Get;
 pub use insert::{Insert, Inserted, NeighborQuery, Outcome};
@@ -15,9 +18,11 @@ pub use knn::Knn;
 pub use query::Query;
 pub use remove::{Remove, Removed};
 pub use scan::{Scan, ScanRequest};
+pub use snapshot::{Snapshot, SnapshotRequest};
 pub(crate) use stream_knn::open_stream;
 pub use stream_knn::{KnnAnswers, KnnRequests};
 pub use update::{Update, Updated};
+pub use verify::{Verified, Verify};
 
 use std::ops::Range;
 

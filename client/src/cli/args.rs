@@ -1,8 +1,8 @@
 //! The arguments that every verb has, and the list of verbs.
 
-use std::time::Duration;
+use std::{ffi::OsString, time::Duration};
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand, error::ErrorKind};
 
 use super::{output::Format, parse, verb};
 
@@ -13,6 +13,7 @@ Examples:
   wayfold knn arm -k 10 --state 0.1,0.2,0.3,0,0,0,1
   wayfold query arm queries.npy --radius 0.5 --output json
   wayfold scan arm roadmap.csv                  ids and states; insert reads it with --ids id
+  wayfold snapshot arm arm.snapshot             a backup, of which restore makes an index again
 
 Exit status: 0, 1 for an error (told on standard error), 2 for wrong usage.
 `wayfold COMMAND --help` tells more of a command.";
@@ -25,7 +26,7 @@ Exit status: 0, 1 for an error (told on standard error), 2 for wrong usage.
 #[derive(Debug, Parser)]
 #[command(name = "wayfold", version, after_help = EXAMPLES, max_term_width = 100)]
 pub(super) struct Args {
-    /// Where the server listens
+    /// Where the server listens; `verify` takes it more than once
     #[arg(
         long,
         global = true,
@@ -34,7 +35,7 @@ pub(super) struct Args {
         value_name = "URL",
         default_value = "http://127.0.0.1:50051"
     )]
-    pub(super) server: String,
+    pub(super) server: Vec<String>,
 
     /// How results are printed: a table for people, or a line of JSON each for programs
     ///
@@ -71,4 +72,28 @@ pub(super) enum Command {
     Get(verb::GetArgs),
     Remove(verb::RemoveArgs),
     Scan(verb::ScanArgs),
+    Snapshot(verb::SnapshotArgs),
+    Restore(verb::RestoreArgs),
+    Verify(verb::VerifyArgs),
+}
+
+impl Args {
+    /// The arguments of the process, if they make sense together.
+    pub(super) fn read() -> Result<Args, clap::Error> {
+        let args = Args::try_parse()?;
+        let refused = |problem| Err(Args::command().error(ErrorKind::ArgumentConflict, problem));
+        if args.server.len() > 1 && !matches!(args.command, Command::Verify(_)) {
+            return refused("--server is given more than once, which only verify takes");
+        }
+        // Of an option that stands on both sides of a verb, clap passes over what stands before it.
+        if std::env::args_os().filter(is_server).count() > args.server.len() {
+            return refused("give every --server before the verb, or every one after it");
+        }
+        Ok(args)
+    }
+}
+
+fn is_server(argument: &OsString) -> bool {
+    let bytes = argument.as_encoded_bytes();
+    bytes == b"--server" || bytes.starts_with(b"--server=")
 }

@@ -5,7 +5,7 @@ use std::{io, path::PathBuf, time::Duration};
 use thiserror::Error;
 
 use super::input::InputError;
-use crate::{Code, Error};
+use crate::{Code, Error, SnapshotError};
 
 #[derive(Debug, Error)]
 pub(super) enum Failure {
@@ -17,6 +17,20 @@ pub(super) enum Failure {
     Output(#[from] io::Error),
     #[error("cannot write to {}: {source}", path.display())]
     File { path: PathBuf, source: io::Error },
+    #[error("{} exists; --force replaces it", path.display())]
+    Exists { path: PathBuf },
+    #[error("{} is there, and is no file", path.display())]
+    NoFile { path: PathBuf },
+    #[error("a snapshot is not for a terminal: name a file, or send it through a pipe")]
+    Terminal,
+    #[error("interrupted; nothing was written")]
+    Interrupted,
+    #[error("{file}: {source}")]
+    Snapshot { file: String, source: SnapshotError },
+    #[error("{what}")]
+    Disagreement { what: String },
+    #[error("--server names no server")]
+    NoServer,
     #[error("the process cannot start its threads: {0}")]
     Runtime(io::Error),
     /// `done` says how far the command came before `source`.

@@ -13,8 +13,6 @@ mod verb;
 
 use std::{io::Write, process::ExitCode};
 
-use clap::Parser;
-
 use crate::{Client, IndexHandle, RetryPolicy};
 use args::{Args, Command};
 use failure::Failure;
@@ -22,7 +20,7 @@ use output::Output;
 
 /// Reads the arguments of the process, does what they say, and tells the exit status.
 pub fn main() -> ExitCode {
-    let args = match Args::try_parse() {
+    let args = match Args::read() {
         Ok(args) => args,
         Err(error) => {
             // Help and version come this way too. Where standard output is gone there is nobody to tell.
@@ -53,6 +51,8 @@ fn run(args: Args) -> Result<(), Failure> {
 /// What every verb works with.
 struct Session {
     client: Client,
+    /// The other servers, where several were named.
+    others: Vec<Client>,
     output: Output,
 }
 
@@ -63,15 +63,22 @@ impl Session {
 }
 
 async fn execute(args: Args) -> Result<(), Failure> {
-    let client = Client::builder()
+    let builder = Client::builder()
         .timeout(args.timeout)
         .retry(RetryPolicy::until_deadline());
-    let client = client
-        .connect(&args.server)
-        .await
-        .map_err(|error| Failure::unreachable(error, args.timeout))?;
+    let connect = async |server: &str| {
+        let connected = builder.connect(server).await;
+        connected.map_err(|error| Failure::unreachable(error, args.timeout))
+    };
+    let (first, rest) = args.server.split_first().ok_or(Failure::NoServer)?;
+    let client = connect(first).await?;
+    let mut others = Vec::new();
+    for server in rest {
+        others.push(connect(server).await?);
+    }
     let mut session = Session {
         client,
+        others,
         output: Output::stdout(args.output),
     };
     let done = match args.command {
@@ -85,6 +92,9 @@ async fn execute(args: Args) -> Result<(), Failure> {
         Command::Get(args) => verb::get(args, &mut session).await,
         Command::Remove(args) => verb::remove(args, &mut session).await,
         Command::Scan(args) => verb::scan(args, &mut session).await,
+        Command::Snapshot(args) => verb::snapshot(args, &mut session).await,
+        Command::Restore(args) => verb::restore(args, &mut session).await,
+        Command::Verify(args) => verb::verify(args, &mut session).await,
     };
     // What was answered before an error is told.
     let flushed = session.output.flush();
