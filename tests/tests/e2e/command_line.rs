@@ -330,6 +330,7 @@ fn help_is_for_people() {
     let help = succeeded(help.finish()).join("\n");
     for verb in [
         "create", "list", "info", "delete", "insert", "knn", "query", "get", "remove", "scan",
+        "snapshot", "restore", "verify",
     ] {
         assert!(
             help.contains(&format!("\n  {verb} ")),

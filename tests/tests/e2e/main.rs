@@ -5,6 +5,7 @@
     reason = "a test says what went wrong by where it panics"
 )]
 
+mod backup;
 mod bad_input;
 mod cancellation;
 mod client_library;
