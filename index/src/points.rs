@@ -68,6 +68,16 @@ impl Points {
         self.push(point.id, point.tag, point.revision, point.row);
     }
 
+    /// A copy with room for `rows` rows in all.
+    pub(crate) fn copy_with_room(&self, rows: usize) -> Self {
+        let mut copy = Self::with_capacity(self.coordinates, rows);
+        copy.ids.extend_from_slice(&self.ids);
+        copy.tags.extend_from_slice(&self.tags);
+        copy.revisions.extend_from_slice(&self.revisions);
+        copy.rows.extend_from_slice(&self.rows);
+        copy
+    }
+
     /// How many points there are.
     pub fn len(&self) -> usize {
         self.ids.len()

@@ -183,6 +183,11 @@ impl Forest {
             return;
         }
         for point in rows.iter() {
+            if Arc::get_mut(&mut self.head.buffer).is_none() {
+                // A snapshot holds it. A plain copy would have no room, and be copied again by the push.
+                let copy = self.head.buffer.copy_with_room(self.options.buffer_rows);
+                self.head.buffer = Arc::new(copy);
+            }
             let buffer = Arc::make_mut(&mut self.head.buffer);
             buffer.push_point(point);
             if buffer.len() >= self.options.buffer_rows {

@@ -43,23 +43,38 @@ impl Journal {
     }
 
     fn sync_newest(&mut self) -> io::Result<()> {
-        let mut number = None;
-        for file in fs::read_dir(&self.directory)? {
-            let name = file?.file_name();
-            let name = name.to_str().and_then(|name| name.strip_suffix(".jnl"));
-            number = number.max(name.and_then(|name| name.parse::<u64>().ok()));
-        }
-        let number = number.ok_or_else(|| io::Error::other("it has no file"))?;
+        let number = self.newest_number()?;
         match &mut self.newest {
             Some((known, file)) if *known == number => file.sync_data(),
-            newest => {
-                let path = self.directory.join(format!("{number}.jnl"));
-                let file = File::options().write(true).open(path)?;
+            _ => {
+                let file = File::options().write(true).open(self.file(number))?;
                 file.sync_data()?;
-                *newest = Some((number, file));
+                self.newest = Some((number, file));
                 Ok(())
             }
         }
+    }
+
+    fn newest_number(&self) -> io::Result<u64> {
+        // Files are numbered one by one, and the oldest are removed first: if this one is there and the next is not,
+        // there is no other. Looking for two is less work than listing all, as a sync does that every time.
+        if let Some((known, _)) = self.newest
+            && self.file(known).try_exists()?
+            && !self.file(known + 1).try_exists()?
+        {
+            return Ok(known);
+        }
+        let mut newest = None;
+        for file in fs::read_dir(&self.directory)? {
+            let name = file?.file_name();
+            let name = name.to_str().and_then(|name| name.strip_suffix(".jnl"));
+            newest = newest.max(name.and_then(|name| name.parse::<u64>().ok()));
+        }
+        newest.ok_or_else(|| io::Error::other("it has no file"))
+    }
+
+    fn file(&self, number: u64) -> PathBuf {
+        self.directory.join(format!("{number}.jnl"))
     }
 }
 

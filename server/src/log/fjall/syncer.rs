@@ -2,9 +2,9 @@
 //!
 //! A writer commits its batch, which only hands it to the journal, and announces it ([`Syncer::written`]). The thread
 //! syncs once for all that was announced meanwhile, then notes in the marks how far each index has come, and only then
-//! tells those who wait.
+//! tells those who wait. Where the last sync was shared by many, it waits a moment for them to be back.
 
-use std::{sync::Arc, thread::JoinHandle};
+use std::{sync::Arc, thread::JoinHandle, time::Duration};
 
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Condvar, Mutex};
@@ -13,6 +13,13 @@ use tracing::error;
 
 use super::{index::Index, journal::Journal, marks::Mark, marks::Marks};
 use crate::log::LogError;
+
+/// So many batches in one sync come from several writers, who will be back.
+const MANY: usize = 8;
+
+/// How long to wait then for most of them to be back, before the next sync: about as long as a sync takes. Each takes a
+/// good part of a core from those who write.
+const LINGER: Duration = Duration::from_micros(200);
 
 /// See the module.
 pub(super) struct Syncer {
@@ -32,6 +39,8 @@ struct Shared {
 #[derive(Default)]
 struct Announced {
     batches: u64,
+    /// How many announcements the thread is waiting for.
+    enough: usize,
     /// Where which indices are by these batches, unless a mark says so already.
     marks: Vec<(Arc<Index>, Mark)>,
     stop: bool,
@@ -67,8 +76,11 @@ impl Syncer {
         let mut announced = self.shared.announced.lock();
         announced.batches += 1;
         announced.marks.push((Arc::clone(index), mark));
+        let enough = announced.marks.len() >= announced.enough;
         drop(announced);
-        self.shared.wake.notify_one();
+        if enough {
+            self.shared.wake.notify_one();
+        }
     }
 
     /// Ends the thread, once all that was announced is synced.
@@ -129,10 +141,16 @@ impl Drop for Syncer {
 
 impl Shared {
     fn run(&self, journal: &mut Journal, marks: &mut Marks) {
+        let mut last = 0;
         loop {
             let mut announced = self.announced.lock();
+            announced.enough = 1;
             while announced.marks.is_empty() && !announced.stop {
                 self.wake.wait(&mut announced);
+            }
+            announced.enough = last / 4 * 3;
+            if last >= MANY && announced.marks.len() < announced.enough && !announced.stop {
+                self.wake.wait_for(&mut announced, LINGER);
             }
             let batches = announced.batches;
             let reached = std::mem::take(&mut announced.marks);
@@ -140,6 +158,7 @@ impl Shared {
             if reached.is_empty() {
                 return;
             }
+            last = reached.len();
             let synced = journal.sync().and_then(|()| {
                 let reached = reached.iter().map(|(index, mark)| (index.number, mark));
                 marks.write(reached).map_err(|error| error.to_string())
