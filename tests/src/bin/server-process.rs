@@ -2,6 +2,10 @@
 
 use std::process::ExitCode;
 
+/// A tenth less work for every call than the system's.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> ExitCode {
     wayfold_server::main()
 }
