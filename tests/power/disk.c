@@ -4,6 +4,7 @@
  *   POWER_DISK    a directory, as an absolute path without links; only what is under it is watched
  *   POWER_SHADOW  an empty directory beside it
  *   POWER_SEED    a number: the disk also writes some of what it was not asked to, in parts and in any order
+ *   POWER_SYNC_MS a number: how long a sync takes at least, so that there is time to see what must not be seen before
  *   POWER_CUT     a number: of the calls that make, write or sync something, the one before which the program is killed
  *
  * What is durable:
@@ -38,6 +39,7 @@
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/uio.h>
+#include <time.h>
 #include <unistd.h>
 
 enum { SECTOR = 512, PATH_BYTES = 4096 };
@@ -65,7 +67,7 @@ static const char *root, *shadow;
 static struct object *objects;
 static size_t count;
 static unsigned numbers;
-static uint64_t seed, calls, cut;
+static uint64_t seed, calls, cut, sync_ms;
 
 /* What a test must know of. */
 static void trouble(const char *what, const char *where) {
@@ -287,6 +289,7 @@ __attribute__((constructor)) static void start(void) {
     shadow = getenv("POWER_SHADOW");
     if (disk == NULL || shadow == NULL) return;
     /* Never 0, which would draw 0 for ever. */
+    if (getenv("POWER_SYNC_MS") != NULL) sync_ms = strtoull(getenv("POWER_SYNC_MS"), NULL, 10);
     if (getenv("POWER_CUT") != NULL) cut = strtoull(getenv("POWER_CUT"), NULL, 10);
     if (unasked != NULL) seed = strtoull(unasked, NULL, 10) * 2 + 1;
     pthread_mutex_lock(&mutex);
@@ -423,12 +426,20 @@ static int synced(int fd, int result) {
     return result;
 }
 
-int fsync(int fd) {
+static void about_to_sync(int fd) {
+    if (lock(fd) == NULL) return;
+    pthread_mutex_unlock(&mutex);
+    struct timespec time = {.tv_sec = sync_ms / 1000, .tv_nsec = sync_ms % 1000 * 1000000};
+    nanosleep(&time, NULL);
     about_to_change_file(fd);
+}
+
+int fsync(int fd) {
+    about_to_sync(fd);
     return synced(fd, syscall(SYS_fsync, fd));
 }
 
 int fdatasync(int fd) {
-    about_to_change_file(fd);
+    about_to_sync(fd);
     return synced(fd, syscall(SYS_fdatasync, fd));
 }

@@ -99,6 +99,19 @@ impl Process {
         Some(line)
     }
 
+    /// Sends it a signal and waits for its end.
+    ///
+    /// # Panics
+    /// As [`Process::signal`] and [`Process::finish`].
+    pub fn stop(mut self, signal: Signal) -> Finished {
+        match signal {
+            // At this very moment: no other program need be started for it.
+            Signal::Kill => self.child.kill().expect("a child of this process"),
+            Signal::Terminate | Signal::Interrupt => self.signal(signal),
+        }
+        self.finish()
+    }
+
     /// Kills it once it has said so many lines to standard error.
     ///
     /// # Panics
@@ -107,8 +120,7 @@ impl Process {
         for _ in 0..lines {
             self.log_line();
         }
-        self.signal(Signal::Kill);
-        self.finish();
+        self.stop(Signal::Kill);
     }
 
     /// Writes a line to its standard input.
@@ -257,8 +269,7 @@ impl ServerProcess {
     /// # Panics
     /// As [`Process::signal`] and [`Process::finish`].
     pub fn stop(self, signal: Signal) -> Finished {
-        self.process.signal(signal);
-        self.process.finish()
+        self.process.stop(signal)
     }
 }
 

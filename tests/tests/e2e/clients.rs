@@ -48,14 +48,16 @@ impl Clients {
     /// Creates the index they share.
     pub(crate) async fn new(server: &ServerProcess, seed: u64, load: Load) -> Self {
         let mut stubs = Stubs::connect(server.uri()).await;
-        let readers = (0..READERS).map(|reader| Reader::new(seed + WRITERS + reader));
+        let uid = stubs.create("arm", SPACE).await.uid;
+        let readers = (0..READERS).map(|reader| Reader::new(seed + WRITERS + reader, &uid));
+        let readers = readers.collect();
         Self {
             writers: (0..WRITERS)
                 .map(|name| Writer::new(name, seed, load))
                 .collect(),
-            readers: readers.collect(),
+            readers,
             builder: Builder::default(),
-            uid: stubs.create("arm", SPACE).await.uid,
+            uid,
             model: Model::new(SPACE.parse().unwrap()),
             tally: Tally::default(),
             probes: States::new(SPACE.parse().unwrap(), seed + WRITERS + READERS),
@@ -73,7 +75,7 @@ impl Clients {
         }
         for reader in self.readers.drain(..) {
             let stubs = Stubs::connect(server.uri()).await;
-            reading.spawn(reader.read(stubs, acknowledged.subscribe()));
+            reading.spawn(reader.read(stubs));
         }
         let builder = std::mem::take(&mut self.builder);
         let building = tokio::spawn(builder.build(Stubs::connect(server.uri()).await, built));
@@ -111,6 +113,7 @@ impl Clients {
         for reader in &mut self.readers {
             seen.append(&mut reader.seen);
         }
+        self.tally.read += seen.len() as u64;
         seen.sort_by_key(|seen| seen.at().1);
         let mut seen = seen.into_iter().peekable();
         for entry in &entries {

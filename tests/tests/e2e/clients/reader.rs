@@ -1,15 +1,16 @@
 //! Reads, and notes what it saw: at which revision of which index, bit for bit.
 
 use rand::RngExt;
-use tokio::sync::watch;
 use tonic::{Code, Status};
-use wayfold_proto::v1::{GetRequest, GetResponse, KnnRequest, KnnResponse};
+use wayfold_proto::v1::{Filter, GetRequest, GetResponse, KnnRequest, KnnResponse, ReadAt};
 use wayfold_tests::{Content, Model, States, Stubs, row_states};
 
 use super::{COORDINATES, SPACE};
 
 /// One read in so many is a scan of everything.
 const SCANS: u32 = 30;
+/// Of so many revisions before the last that it saw it asks again, and of all since.
+const RECENT: u64 = 2;
 
 /// What a reader saw.
 pub(crate) enum Seen {
@@ -42,35 +43,36 @@ impl Seen {
 pub(crate) struct Reader {
     states: States,
     ids: Vec<u64>,
+    newest: u64,
+    uid: String,
     /// What it saw since it was taken away last.
     pub(crate) seen: Vec<Seen>,
 }
 
 impl Reader {
-    pub(crate) fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64, uid: &str) -> Self {
         Self {
             states: States::new(SPACE.parse().unwrap(), seed),
             ids: Vec::new(),
+            newest: 0,
+            uid: uid.to_owned(),
             seen: Vec::new(),
         }
     }
 
-    /// Reads once each time that writers were acknowledged something, until the server is gone. What others have
-    /// under way meanwhile must not be seen.
-    pub(crate) async fn read(
-        mut self,
-        stubs: Stubs,
-        mut acknowledged: watch::Receiver<u64>,
-    ) -> Self {
-        while acknowledged.changed().await.is_ok() {
+    /// Reads until the server is gone. What others have under way meanwhile must not be seen.
+    pub(crate) async fn read(mut self, stubs: Stubs) -> Self {
+        loop {
             match self.look(stubs.clone()).await {
                 Ok(seen) => self.seen.push(seen),
                 // It was removed meanwhile.
                 Err(status) if status.code() == Code::NotFound => {}
-                Err(_) => break,
+                Err(status) => {
+                    assert_ne!(status.code(), Code::InvalidArgument, "{status}");
+                    return self;
+                }
             }
         }
-        self
     }
 
     /// One read.
@@ -90,13 +92,24 @@ impl Reader {
         }
         let request = KnnRequest {
             index: "arm".into(),
-            states: Some(row_states(&self.states.rows(2), COORDINATES)),
-            k: 5,
+            states: Some(row_states(&self.states.rows(1), COORDINATES)),
+            k: 20,
+            // All of the newest points, as it is these that might not be there any more.
+            filter: Some(Filter {
+                since_revision: self.newest.saturating_sub(RECENT),
+                ..Default::default()
+            }),
+            at: Some(ReadAt {
+                uid: self.uid.clone(),
+                ..Default::default()
+            }),
             ..Default::default()
         };
         let response = stubs.points.knn(request.clone()).await?.into_inner();
+        self.newest = response.revision;
         let neighbors = response.neighbors.as_ref();
-        self.ids = neighbors.map_or_else(Vec::new, |found| found.ids.clone());
+        let ids = neighbors.into_iter().flat_map(|found| &found.ids);
+        self.ids = ids.copied().take(1).collect();
         Ok(Seen::Knn(request, response))
     }
 }

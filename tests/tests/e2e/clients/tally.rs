@@ -14,6 +14,8 @@ pub(crate) struct Tally {
     pub(crate) acknowledged: u64,
     pub(crate) lost: u64,
     pub(crate) duplicated: u64,
+    /// Answers of readers that were compared.
+    pub(crate) read: u64,
     /// By payload, as each is like no other: the calls that stored it and removed it.
     rows: HashMap<Bytes, Row>,
     ids: HashMap<u64, Bytes>,
@@ -87,11 +89,12 @@ impl fmt::Display for Tally {
             acknowledged,
             lost,
             duplicated,
+            read,
             ..
         } = self;
         write!(
             f,
-            "{acknowledged} mutations acknowledged, {lost} lost, {duplicated} duplicated"
+            "{acknowledged} mutations acknowledged, {lost} lost, {duplicated} duplicated; {read} reads compared"
         )
     }
 }
