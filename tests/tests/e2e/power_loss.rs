@@ -80,7 +80,7 @@ async fn lose_power(mut disk: Disk, seed: u64) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_first_start_may_be_cut_short_anywhere() {
     let mut disk = Disk::new(None);
-    let stride = if wanted().is_some() { 1 } else { 4 };
+    let stride = if wanted().is_some() { 1 } else { 8 };
     let mut cut_short = true;
     let (mut calls, mut cuts) = (0, 0);
     while cut_short {
