@@ -3,6 +3,8 @@
 //! Everything here speaks to a real server process over the generated stubs, and knows what to expect from brute force.
 
 mod content;
+pub mod echo;
+pub mod figures;
 pub mod ledger;
 mod model;
 mod process;

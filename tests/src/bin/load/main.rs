@@ -8,7 +8,6 @@
 //! what it reaches is what the protocol leaves.
 
 mod asking;
-mod echo;
 mod growth;
 mod report;
 
@@ -16,7 +15,7 @@ use std::{env, fs, path::PathBuf, process::Command, process::ExitCode};
 
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
-use wayfold_tests::{Process, ServerProcess, Stubs};
+use wayfold_tests::{Process, ServerProcess, Stubs, figures::resident_bytes};
 
 use asking::{Asker, Way};
 use report::Report;
@@ -45,7 +44,7 @@ struct Arguments {
 fn main() -> ExitCode {
     match env::var(ROLE).as_deref() {
         Ok("server") => return wayfold_server::main(),
-        Ok("echo") => return echo::main(),
+        Ok("echo") => return wayfold_tests::echo::main(),
         _ => {}
     }
     let arguments = Arguments::parse();
@@ -84,11 +83,11 @@ async fn measure(arguments: &Arguments) -> Report {
     let style = ProgressStyle::with_template("{msg:24} {wide_bar} {percent:>3} %  {eta}");
     let progress = ProgressBar::new(steps as u64).with_style(style.expect("a template"));
 
-    let resident_before = report::resident_bytes(server.process().id());
+    let resident_before = resident_bytes(server.process().id());
     let echo_growth = growth::grow(&echo_stubs, arguments.points, &ProgressBar::hidden()).await;
     progress.set_message("inserting");
     let server_growth = growth::grow(&server_stubs, arguments.points, &progress).await;
-    let resident_after = report::resident_bytes(server.process().id());
+    let resident_after = resident_bytes(server.process().id());
     let described = server_stubs.describe(INDEX).await;
 
     let mut report = Report {

@@ -1,8 +1,9 @@
 //! The figures: as a table for people, as JSON for programs.
 
-use std::{fmt, fs, time::Duration};
+use std::{fmt, time::Duration};
 
 use serde_json::{Value, json};
+use wayfold_tests::figures::{median, quantile_ms};
 
 use crate::{K, SPACE, asking::Way, growth::Growth};
 
@@ -106,20 +107,6 @@ fn rate(f: &mut fmt::Formatter<'_>, what: &str, (server, echo): (f64, f64)) -> f
     )
 }
 
-fn median(mut rates: Vec<f64>) -> f64 {
-    rates.sort_by(f64::total_cmp);
-    rates[rates.len() / 2]
-}
-
-/// A quantile of durations that are in order.
-fn quantile_ms(taken: &[Duration], q: f64) -> f64 {
-    let last = taken.len().saturating_sub(1) as f64;
-    let at = (last * q).round() as usize;
-    taken
-        .get(at)
-        .map_or(f64::NAN, |taken| taken.as_secs_f64() * 1e3)
-}
-
 fn quantiles(taken: &[Duration]) -> Value {
     json!({
         "p50": quantile_ms(taken, 0.5),
@@ -127,14 +114,4 @@ fn quantiles(taken: &[Duration]) -> Value {
         "p999": quantile_ms(taken, 0.999),
         "max": quantile_ms(taken, 1.0),
     })
-}
-
-/// The memory that a process has in use, where the system tells it.
-pub(crate) fn resident_bytes(process: u32) -> Option<u64> {
-    let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmRSS:"))?;
-    let kib: u64 = line.trim().trim_end_matches(" kB").parse().ok()?;
-    Some(kib * 1024)
 }

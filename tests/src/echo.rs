@@ -12,7 +12,7 @@ use tonic::{Request, Response, Status, Streaming, transport::Server};
 use wayfold_proto::v1::{
     GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse, Neighbors,
     Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, ScanRequest, ScanResponse,
-    StreamKnnRequest, StreamKnnResponse, UpdateRequest, UpdateResponse,
+    States, StreamKnnRequest, StreamKnnResponse, UpdateRequest, UpdateResponse,
     point_service_server::{PointService, PointServiceServer},
     stream_knn_response::Result as StreamedAnswer,
 };
@@ -22,8 +22,11 @@ const UID: &str = "00000000-0000-4000-8000-000000000000";
 const AHEAD: usize = 32;
 const MAX_MESSAGE_BYTES: usize = 16 << 20;
 
-/// Serves until it is killed.
-pub(crate) fn main() -> ExitCode {
+/// Serves until it is killed; says where as the server does.
+///
+/// # Panics
+/// If it cannot.
+pub fn main() -> ExitCode {
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     runtime.block_on(async {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
@@ -46,55 +49,57 @@ pub(crate) fn main() -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// The answers by their number of rows.
+type Made<By, Answer> = Arc<Mutex<HashMap<By, Answer>>>;
+
+/// The answers by their numbers of rows and of neighbours.
 #[derive(Clone, Debug, Default)]
 struct Echo {
-    neighbors: Arc<Mutex<HashMap<usize, KnnResponse>>>,
-    outcomes: Arc<Mutex<HashMap<usize, InsertResponse>>>,
+    neighbors: Made<(usize, u32), KnnResponse>,
+    outcomes: Made<(usize, Option<u32>), InsertResponse>,
 }
 
 impl Echo {
     fn neighbors(&self, request: &KnnRequest) -> KnnResponse {
-        let rows = request
-            .states
-            .as_ref()
-            .map_or(0, |states| states.rows as usize);
-        let k = request.k;
+        let (rows, k) = (row_count(request.states.as_ref()), request.k);
         let mut made = self
             .neighbors
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let answer = made.entry(rows).or_insert_with(|| {
-            let found = rows * k as usize;
-            KnnResponse {
-                neighbors: Some(Neighbors {
-                    counts: vec![k; rows],
-                    ids: (0..found as u64).collect(),
-                    distances: vec![0.5; found],
-                    ..Default::default()
-                }),
-                exact: true,
-                revision: 1_000,
-                uid: UID.into(),
-            }
+        let answer = made.entry((rows, k)).or_insert_with(|| KnnResponse {
+            neighbors: Some(neighbors(rows, k)),
+            exact: true,
+            revision: 1_000,
+            uid: UID.into(),
         });
         answer.clone()
     }
 
     fn outcomes(&self, request: &InsertRequest) -> InsertResponse {
-        let rows = request
-            .states
-            .as_ref()
-            .map_or(0, |states| states.rows as usize);
+        let rows = row_count(request.states.as_ref());
+        let k = request.neighbors.and_then(|neighbors| neighbors.k);
         let mut made = self.outcomes.lock().unwrap_or_else(PoisonError::into_inner);
-        let answer = made.entry(rows).or_insert_with(|| InsertResponse {
+        let answer = made.entry((rows, k)).or_insert_with(|| InsertResponse {
             outcomes: vec![Outcome::Inserted.into(); rows],
             ids: (0..rows as u64).collect(),
-            neighbors: None,
+            neighbors: k.map(|k| neighbors(rows, k)),
             revision: 1_000,
             uid: UID.into(),
         });
         answer.clone()
+    }
+}
+
+fn row_count(states: Option<&States>) -> usize {
+    states.map_or(0, |states| states.rows as usize)
+}
+
+fn neighbors(rows: usize, k: u32) -> Neighbors {
+    let found = rows * k as usize;
+    Neighbors {
+        counts: vec![k; rows],
+        ids: (0..found as u64).collect(),
+        distances: vec![0.5; found],
+        ..Default::default()
     }
 }
 

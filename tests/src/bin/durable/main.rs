@@ -1,0 +1,142 @@
+//! Measures durability: what an acknowledgement, a restart and the disk cost, each beside the bare thing.
+//!
+//!     cargo run --release -p wayfold-tests --bin durable -- [--quick] [--dir DIR] [--json FILE]
+
+mod bare;
+mod idle;
+mod latency;
+mod pauses;
+mod place;
+mod rates;
+mod report;
+mod service;
+mod shape;
+mod stored;
+
+use std::{env, fs, path::PathBuf, process::Command, process::ExitCode};
+
+use clap::{Parser, ValueEnum};
+use wayfold_tests::{Process, ServerProcess, echo};
+
+use place::{Appended, Place};
+use report::Report;
+use shape::Shape;
+
+/// Which of the processes this is; unset in the one that measures.
+const ROLE: &str = "DURABLE_ROLE";
+const SPACE: &str = "R3*SO3:0.15";
+const WIDTH: usize = 7;
+const INDEX: &str = "durable";
+const K: u32 = 10;
+const CLIENTS: usize = 64;
+
+/// Measures what durability costs, each figure beside the bare thing.
+#[derive(Debug, Parser)]
+#[command(name = "durable")]
+struct Arguments {
+    /// Leaves out what takes many minutes.
+    #[arg(long)]
+    quick: bool,
+    /// Measures only these parts.
+    #[arg(long, value_enum)]
+    only: Vec<Part>,
+    /// How often what is measured in rounds is measured; the medians are reported.
+    #[arg(long, default_value_t = 5)]
+    rounds: usize,
+    /// A directory on the disk to measure; the system's own for temporary files if not given.
+    #[arg(long)]
+    dir: Option<PathBuf>,
+    /// Writes the figures to a file, as JSON.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+/// A part of the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Part {
+    /// Acknowledged inserts a second of 64 clients.
+    Rates,
+    /// What one client waits for.
+    Latency,
+    /// The slowest calls while an index grows.
+    Pauses,
+    /// Restart and disk with 1,000,000 points.
+    Stored,
+    /// A thousand idle indices.
+    Idle,
+}
+
+fn main() -> ExitCode {
+    match env::var(ROLE).as_deref() {
+        Ok("server") => return wayfold_server::main(),
+        Ok("echo") => return echo::main(),
+        _ => {}
+    }
+    let arguments = Arguments::parse();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let report = runtime.block_on(measure(&arguments));
+    if let Some(path) = &arguments.json {
+        let json = format!("{:#}\n", report.into_json());
+        if let Err(error) = fs::write(path, json) {
+            eprintln!("error: {}: {error}", path.display());
+            return ExitCode::FAILURE;
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+/// Starts this program in another role.
+fn start(role: &str, data: &str) -> ServerProcess {
+    let program = env::current_exe().expect("this program");
+    let mut command = Command::new(program);
+    command
+        .env(ROLE, role)
+        .args(["--grpc", "127.0.0.1:0", "--data", data]);
+    ServerProcess::ready(Process::spawn(&mut command))
+}
+
+async fn measure(arguments: &Arguments) -> Report {
+    let place = Place::new(arguments.dir.as_deref());
+    let rounds = arguments.rounds.max(1);
+    let mut report = Report::default();
+    let shape = Shape::read(&place).await;
+
+    report.section("the disk", "");
+    println!("  {}", place.file_system().unwrap_or_default());
+    let directory = place.directory();
+    let mut file = Appended::new(directory.path());
+    let mut taken: Vec<_> = (0..1000).map(|_| file.append(&[0; 4096])).collect();
+    taken.sort();
+    report.note(
+        "append of 4 KiB and fdatasync, median",
+        taken[500].as_secs_f64() * 1e3,
+        "ms",
+    );
+    report.note(
+        "one insert writes, keys and values",
+        shape.bytes() as f64,
+        "bytes",
+    );
+
+    let is_asked = |part| arguments.only.is_empty() || arguments.only.contains(&part);
+    if is_asked(Part::Rates) {
+        let count = if arguments.quick { 40_000 } else { 100_000 };
+        rates::measure(&place, &shape, (rounds, count), &mut report).await;
+    }
+    if is_asked(Part::Latency) {
+        latency::measure(&place, &shape, rounds, &mut report).await;
+    }
+    if is_asked(Part::Pauses) {
+        pauses::measure(&place, 1_000_000, &mut report).await;
+        if !arguments.quick {
+            pauses::measure(&place, 10_000_000, &mut report).await;
+        }
+    }
+    if is_asked(Part::Stored) {
+        stored::measure(&place, 1_000_000, rounds, &mut report).await;
+    }
+    if is_asked(Part::Idle) {
+        idle::measure(&place, &mut report).await;
+    }
+    report
+}

@@ -1,0 +1,156 @@
+//! How long single inserts and queries take while an index is loaded and its levels merge.
+
+use std::{
+    path::Path,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc::{self, RecvTimeoutError},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use wayfold_proto::v1::KnnRequest;
+use wayfold_tests::{States, Stubs, figures::quantile_ms, row_states};
+
+use crate::{
+    INDEX, K, SPACE, WIDTH,
+    place::{Appended, Place},
+    report::Report,
+    service::insertion,
+    start,
+};
+
+const BATCH: usize = 1_000;
+/// What counts as a pause.
+const PAUSE: Duration = Duration::from_millis(20);
+/// A sync of the witness that takes this long is to blame for what waits beside it.
+const SLOW_SYNC: Duration = Duration::from_millis(10);
+/// How often the witness syncs.
+const EVERY: Duration = Duration::from_millis(2);
+
+/// When something began, and how long it took.
+type Taken = (Instant, Duration);
+
+pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
+    let title = format!("while {points} points are loaded in batches of {BATCH}, over gRPC");
+    report.section(&title, "");
+    for durable in [true, false] {
+        let directory = place.directory();
+        let data = directory.path().join("data");
+        let (data, on) = if durable {
+            (data.to_string_lossy().into_owned(), "on disk")
+        } else {
+            ("memory".into(), "in memory")
+        };
+        let server = start("server", &data);
+        Stubs::connect(server.uri())
+            .await
+            .create(INDEX, SPACE)
+            .await;
+        let (stop, stopped) = mpsc::channel();
+        let beside = directory.path().to_owned();
+        let witness = thread::spawn(move || witness(&beside, &stopped));
+        let loaded = Arc::new(AtomicBool::new(false));
+        let inserts = tokio::spawn(ask(
+            Stubs::connect(server.uri()).await,
+            false,
+            loaded.clone(),
+        ));
+        let queries = tokio::spawn(ask(
+            Stubs::connect(server.uri()).await,
+            true,
+            loaded.clone(),
+        ));
+        let rate = load(Stubs::connect(server.uri()).await, points).await;
+        loaded.store(true, Ordering::Relaxed);
+        let (inserts, queries) = (inserts.await, queries.await);
+        drop(stop);
+        let syncs = witness.join().expect("a witness");
+        report.note(&format!("{on}: points loaded a second"), rate, "/s");
+        for (what, taken) in [
+            ("single inserts", inserts.expect("inserts")),
+            ("k = 10 queries", queries.expect("queries")),
+        ] {
+            tell(report, &format!("{on}: {what}"), &taken);
+            let pauses: Vec<_> = taken.iter().filter(|taken| taken.1 > PAUSE).collect();
+            let excused = pauses.iter().filter(|pause| is_excused(pause, &syncs));
+            report.note(&format!("{on}: {what} over 20 ms"), pauses.len() as f64, "");
+            report.note(
+                "  of these beside a slow sync of the witness",
+                excused.count() as f64,
+                "",
+            );
+        }
+        tell(
+            report,
+            &format!("{on}: the witness's own 4 KiB appends"),
+            &syncs,
+        );
+    }
+}
+
+fn tell(report: &mut Report, what: &str, taken: &[Taken]) {
+    let mut sorted: Vec<_> = taken.iter().map(|taken| taken.1).collect();
+    sorted.sort();
+    for (name, q) in [("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0)] {
+        report.note(&format!("{what}, {name}"), quantile_ms(&sorted, q), "ms");
+    }
+}
+
+fn is_excused(pause: &Taken, syncs: &[Taken]) -> bool {
+    syncs
+        .iter()
+        .any(|sync| sync.1 >= SLOW_SYNC && sync.0 < pause.0 + pause.1 && pause.0 < sync.0 + sync.1)
+}
+
+/// Appends and syncs on the same disk until it is told to stop: what is slow here is the disk's doing.
+fn witness(directory: &Path, stopped: &mpsc::Receiver<()>) -> Vec<Taken> {
+    let mut file = Appended::new(directory);
+    let mut taken = Vec::new();
+    while stopped.recv_timeout(EVERY) == Err(RecvTimeoutError::Timeout) {
+        let began = Instant::now();
+        taken.push((began, file.append(&[0; 4096])));
+    }
+    taken
+}
+
+/// Points a second.
+async fn load(mut stubs: Stubs, points: usize) -> f64 {
+    let mut states = States::new(SPACE.parse().expect("a space"), 0);
+    let mut in_calls = Duration::ZERO;
+    for _ in 0..points.div_ceil(BATCH) {
+        let request = insertion(&states.rows(BATCH), None);
+        let began = Instant::now();
+        stubs.insert(request).await;
+        in_calls += began.elapsed();
+    }
+    points as f64 / in_calls.as_secs_f64()
+}
+
+/// One call of one state in flight, until all is loaded.
+async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<Taken> {
+    let mut states = States::new(SPACE.parse().expect("a space"), 1 + u64::from(queries));
+    let mut taken = Vec::new();
+    while !loaded.load(Ordering::Relaxed) {
+        let row = states.row();
+        let began;
+        if queries {
+            let request = KnnRequest {
+                index: INDEX.into(),
+                states: Some(row_states(&row, WIDTH)),
+                k: K,
+                ..Default::default()
+            };
+            began = Instant::now();
+            stubs.points.knn(request).await.expect("an answer");
+        } else {
+            let request = insertion(&row, None);
+            began = Instant::now();
+            stubs.insert(request).await;
+        }
+        taken.push((began, began.elapsed()));
+    }
+    taken
+}

@@ -1,0 +1,90 @@
+//! Where the data goes.
+
+use std::{
+    fs::{self, File},
+    io::Write,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use tempfile::TempDir;
+
+/// A directory for data directories, on a disk that counts.
+pub(crate) struct Place(TempDir);
+
+impl Place {
+    /// In the directory given, or where the system keeps what is temporary.
+    pub(crate) fn new(parent: Option<&Path>) -> Self {
+        let parent = parent.map_or_else(std::env::temp_dir, PathBuf::from);
+        Self(tempfile::tempdir_in(parent).expect("a directory to write in"))
+    }
+
+    /// A new directory.
+    pub(crate) fn directory(&self) -> TempDir {
+        tempfile::tempdir_in(self.0.path()).expect("a directory to write in")
+    }
+
+    /// The type of the file system, and what it is mounted on, where the system tells.
+    pub(crate) fn file_system(&self) -> Option<String> {
+        let mounts = fs::read_to_string("/proc/mounts").ok()?;
+        let path = self.0.path().canonicalize().ok()?;
+        let mounts = mounts.lines().filter_map(|line| {
+            let mut words = line.split(' ').skip(1);
+            Some((words.next()?, words.next()?))
+        });
+        let on = mounts.filter(|(mounted, _)| path.starts_with(mounted));
+        let (mounted, kind) = on.max_by_key(|(mounted, _)| mounted.len())?;
+        Some(format!("{kind} on {mounted}"))
+    }
+}
+
+/// A plain file that is appended to and synced.
+pub(crate) struct Appended(File);
+
+impl Appended {
+    pub(crate) fn new(directory: &Path) -> Self {
+        let path = directory.join("appended");
+        let file = File::options().append(true).create(true).open(path);
+        Self(file.expect("a file"))
+    }
+
+    /// How long one append of so many bytes and its fdatasync take.
+    pub(crate) fn append(&mut self, bytes: &[u8]) -> Duration {
+        let began = Instant::now();
+        self.0.write_all(bytes).expect("room on the disk");
+        self.0.sync_data().expect("a disk that syncs");
+        began.elapsed()
+    }
+}
+
+/// The bytes of all files under a directory as the disk has them, and how many files there are.
+pub(crate) fn used(directory: &Path) -> (u64, usize) {
+    let mut sum = (0, 0);
+    for entry in fs::read_dir(directory).expect("a directory") {
+        let entry = entry.expect("an entry");
+        let metadata = entry.metadata().expect("an entry that stays");
+        let (bytes, files) = if metadata.is_dir() {
+            used(&entry.path())
+        } else {
+            (on_disk(&metadata), 1)
+        };
+        sum = (sum.0 + bytes, sum.1 + files);
+    }
+    sum
+}
+
+/// The bytes of a file as the disk has them.
+pub(crate) fn bytes_of(path: &Path) -> u64 {
+    on_disk(&fs::metadata(path).expect("a file that stays"))
+}
+
+#[cfg(unix)]
+fn on_disk(metadata: &fs::Metadata) -> u64 {
+    // Journals are made with room for more: what was not written takes none.
+    std::os::unix::fs::MetadataExt::blocks(metadata) * 512
+}
+
+#[cfg(not(unix))]
+fn on_disk(metadata: &fs::Metadata) -> u64 {
+    metadata.len()
+}

@@ -1,0 +1,260 @@
+//! Acknowledged durable inserts a second of 64 clients, one state each.
+
+use std::{collections::BTreeMap, process, time::Instant};
+
+use serde_json::json;
+use tokio::task::JoinSet;
+use wayfold_server::log::Durability;
+use wayfold_tests::{
+    ServerProcess, States, Stubs,
+    figures::{median, processor_seconds},
+};
+
+use crate::{
+    CLIENTS, INDEX, K, SPACE, WIDTH,
+    bare::{self, Bare},
+    place::Place,
+    report::{Goal, Report},
+    service::{Hosting, WINDOW_BYTES, insertion},
+    shape::Shape,
+    start,
+};
+
+/// States of one client; they are inserted over and over, under new ids.
+const POOL: usize = 1024;
+
+/// What one round of one contestant came to.
+#[derive(Clone, Copy, Debug, Default)]
+struct Round {
+    /// Inserts a second.
+    rate: f64,
+    /// Processor time an insert, in microseconds; the server's, where it is another process, first.
+    processor_us: (f64, f64),
+}
+
+/// Who is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Contestant {
+    Bare(bare::Way),
+    Service(Option<u32>),
+    Grpc(Option<u32>),
+    Echo(Option<u32>),
+}
+
+/// Measures inserts of one state: `count` of them in each of `rounds`.
+pub(crate) async fn measure(
+    place: &Place,
+    shape: &Shape,
+    (rounds, count): (usize, usize),
+    report: &mut Report,
+) {
+    let mut taken = BTreeMap::<Contestant, Vec<Round>>::new();
+    for round in 0..rounds {
+        // In turns, so that what else the machine does meets all of them.
+        for way in bare::Way::ALL {
+            let bare = Bare::open(place, shape, way);
+            let meter = Meter::start(None, count);
+            bare.write(count).await;
+            taken
+                .entry(Contestant::Bare(way))
+                .or_default()
+                .push(meter.stop());
+        }
+        for k in [None, Some(K)] {
+            let service = through_service(place, round, count, k).await;
+            taken
+                .entry(Contestant::Service(k))
+                .or_default()
+                .push(service);
+            let (server, echo) = through_grpc(place, round, count, k).await;
+            taken.entry(Contestant::Grpc(k)).or_default().push(server);
+            taken.entry(Contestant::Echo(k)).or_default().push(echo);
+        }
+    }
+    let taken = taken.into_iter();
+    let medians = taken.map(|(contestant, rounds)| (contestant, middle(&rounds)));
+    tell(&medians.collect(), shape, report);
+}
+
+fn middle(rounds: &[Round]) -> Round {
+    let of = |part: fn(&Round) -> f64| median(rounds.iter().map(part).collect());
+    Round {
+        rate: of(|round| round.rate),
+        processor_us: (
+            of(|round| round.processor_us.0),
+            of(|round| round.processor_us.1),
+        ),
+    }
+}
+
+fn tell(medians: &BTreeMap<Contestant, Round>, shape: &Shape, report: &mut Report) {
+    report.section(
+        "acknowledged durable inserts/s, 64 clients, one state each",
+        "bare fjall",
+    );
+    let of = |contestant| medians.get(&contestant).copied().unwrap_or_default();
+    let mut best = 0.0f64;
+    for way in bare::Way::ALL {
+        let round = of(Contestant::Bare(way));
+        report.note(&format!("bare fjall: {}", way.name()), round.rate, "/s");
+        if way != bare::Way::Beside {
+            best = best.max(round.rate);
+        }
+    }
+    let beside = of(Contestant::Bare(bare::Way::Beside)).rate;
+    for (k, with) in [(None, ""), (Some(K), ", k = 10")] {
+        let service = of(Contestant::Service(k));
+        let (grpc, echo) = (of(Contestant::Grpc(k)), of(Contestant::Echo(k)));
+        report.ratio(
+            &format!("service layer{with}"),
+            service.rate,
+            best,
+            "/s",
+            Goal::AtLeast(0.9),
+        );
+        report.compare(
+            &format!("  to bare fjall synced beside{with}"),
+            service.rate,
+            beside,
+            "/s",
+        );
+        report.ratio(
+            &format!("gRPC, 64 connections{with}"),
+            grpc.rate,
+            best,
+            "/s",
+            Goal::AtLeast(0.7),
+        );
+        report.compare(
+            &format!("  to a bare echo of the same messages{with}"),
+            grpc.rate,
+            echo.rate,
+            "/s",
+        );
+        report.compare(
+            &format!("  the bare echo to bare fjall{with}"),
+            echo.rate,
+            best,
+            "/s",
+        );
+        report.note(
+            &format!("processor an insert: service layer{with}"),
+            service.processor_us.1,
+            "us",
+        );
+        for (what, round) in [("gRPC", grpc), ("echo", echo)] {
+            let (server, client) = round.processor_us;
+            report.note(
+                &format!("processor an insert: {what}, server{with}"),
+                server,
+                "us",
+            );
+            report.note(
+                &format!("processor an insert: {what}, client{with}"),
+                client,
+                "us",
+            );
+        }
+    }
+    report.data("bytes an insert", json!(shape.bytes()));
+}
+
+/// Takes the time of so many inserts.
+struct Meter {
+    count: f64,
+    server: Option<u32>,
+    began: Instant,
+    processor: (f64, f64),
+}
+
+impl Meter {
+    fn start(server: Option<&ServerProcess>, count: usize) -> Self {
+        let server = server.map(|server| server.process().id());
+        Self {
+            count: count as f64,
+            server,
+            processor: processors(server),
+            began: Instant::now(),
+        }
+    }
+
+    fn stop(self) -> Round {
+        let seconds = self.began.elapsed().as_secs_f64();
+        let (server, client) = processors(self.server);
+        let each = |seconds: f64| seconds * 1e6 / self.count;
+        Round {
+            rate: self.count / seconds,
+            processor_us: (
+                each(server - self.processor.0),
+                each(client - self.processor.1),
+            ),
+        }
+    }
+}
+
+/// The processor time of a server, and of this process.
+fn processors(server: Option<u32>) -> (f64, f64) {
+    let of = |process| processor_seconds(process).unwrap_or_default();
+    (server.map_or(0.0, of), of(process::id()))
+}
+
+fn pool(client: usize, round: usize) -> Vec<f64> {
+    let seed = (round * CLIENTS + client) as u64;
+    States::new(SPACE.parse().expect("a space"), seed).rows(POOL)
+}
+
+async fn through_service(place: &Place, round: usize, count: usize, k: Option<u32>) -> Round {
+    let directory = place.directory();
+    let hosting = Hosting::open(directory.path(), Durability::Fsync, WINDOW_BYTES);
+    hosting.create(INDEX).await;
+    let pools: Vec<_> = (0..CLIENTS).map(|client| pool(client, round)).collect();
+    let meter = Meter::start(None, count);
+    let mut clients = JoinSet::new();
+    for pool in pools {
+        let hosting = hosting.clone();
+        clients.spawn(async move {
+            let rows = pool.chunks_exact(WIDTH).cycle();
+            for row in rows.take(count / CLIENTS) {
+                let inserted = hosting.insert(insertion(row, k)).await;
+                assert_eq!(inserted.ids.len(), 1);
+            }
+        });
+    }
+    clients.join_all().await;
+    meter.stop()
+}
+
+/// The server's, and the echo's.
+async fn through_grpc(place: &Place, round: usize, count: usize, k: Option<u32>) -> (Round, Round) {
+    let directory = place.directory();
+    let data = directory.path().join("data").to_string_lossy().into_owned();
+    let server = start("server", &data);
+    Stubs::connect(server.uri())
+        .await
+        .create(INDEX, SPACE)
+        .await;
+    let ours = call(&server, round, count, k).await;
+    drop(server);
+    let echo = start("echo", &data);
+    (ours, call(&echo, round, count, k).await)
+}
+
+async fn call(server: &ServerProcess, round: usize, count: usize, k: Option<u32>) -> Round {
+    let mut ready = Vec::new();
+    for client in 0..CLIENTS {
+        ready.push((Stubs::connect(server.uri()).await, pool(client, round)));
+    }
+    let meter = Meter::start(Some(server), count);
+    let mut clients = JoinSet::new();
+    for (mut stubs, pool) in ready {
+        clients.spawn(async move {
+            let rows = pool.chunks_exact(WIDTH).cycle();
+            for row in rows.take(count / CLIENTS) {
+                let inserted = stubs.insert(insertion(row, k)).await;
+                assert_eq!(inserted.ids.len(), 1);
+            }
+        });
+    }
+    clients.join_all().await;
+    meter.stop()
+}

@@ -1,0 +1,65 @@
+//! Our service layer without the network.
+
+use std::{path::Path, sync::Arc};
+
+use wayfold_proto::v1::{CreateIndexRequest, InsertRequest, InsertResponse, NeighborQuery};
+use wayfold_server::{
+    log::{Durability, FjallLog},
+    registry::{Registry, RegistryOptions},
+    service::{Call, Limits, Service},
+};
+use wayfold_tests::row_states;
+
+use crate::{INDEX, SPACE, WIDTH};
+
+/// What the server keeps of recent mutations, by default.
+pub(crate) const WINDOW_BYTES: usize = 4 * 1024 * 1024;
+
+/// A service over the durable log in a directory.
+#[derive(Clone)]
+pub(crate) struct Hosting(Service);
+
+impl Hosting {
+    /// With the server's own settings, but for the window.
+    pub(crate) fn open(directory: &Path, durability: Durability, window_bytes: usize) -> Self {
+        let log = FjallLog::open(directory, durability).expect("a data directory");
+        let options = RegistryOptions {
+            window_bytes,
+            ..RegistryOptions::default()
+        };
+        let registry = Registry::new(Arc::new(log), options);
+        registry.replay().expect("a log that is whole");
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        Self(service)
+    }
+
+    /// Creates an index, unless it is there.
+    pub(crate) async fn create(&self, name: &str) {
+        let request = CreateIndexRequest {
+            name: name.into(),
+            space_text: SPACE.into(),
+            ..Default::default()
+        };
+        let created = self.0.create_index(&Call::default(), request).await;
+        created.expect("an index");
+    }
+
+    pub(crate) async fn insert(&self, request: InsertRequest) -> InsertResponse {
+        let inserted = self.0.insert(&Call::default(), request).await;
+        inserted.expect("an accepted insert")
+    }
+}
+
+/// An insert of some states, which asks for the `k` nearest of each if given.
+pub(crate) fn insertion(states: &[f64], k: Option<u32>) -> InsertRequest {
+    InsertRequest {
+        index: INDEX.into(),
+        states: Some(row_states(states, WIDTH)),
+        neighbors: k.map(|k| NeighborQuery {
+            k: Some(k),
+            ..Default::default()
+        }),
+        ..Default::default()
+    }
+}

@@ -1,0 +1,43 @@
+//! Figures from measurements.
+
+use std::{fs, time::Duration};
+
+/// The median.
+///
+/// # Panics
+/// If there is nothing.
+pub fn median(mut rates: Vec<f64>) -> f64 {
+    rates.sort_by(f64::total_cmp);
+    rates[rates.len() / 2]
+}
+
+/// A quantile, in milliseconds, of durations that are in order.
+pub fn quantile_ms(taken: &[Duration], q: f64) -> f64 {
+    let last = taken.len().saturating_sub(1) as f64;
+    let at = (last * q).round() as usize;
+    taken
+        .get(at)
+        .map_or(f64::NAN, |taken| taken.as_secs_f64() * 1e3)
+}
+
+/// The memory that a process has in use, where the system tells it.
+pub fn resident_bytes(process: u32) -> Option<u64> {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let kib: u64 = line.trim().trim_end_matches(" kB").parse().ok()?;
+    Some(kib * 1024)
+}
+
+/// The processor time that a process has taken, in seconds, where the system tells it.
+pub fn processor_seconds(process: u32) -> Option<f64> {
+    /// Of `clock_t` in /proc on Linux, whatever the kernel's own ticks are.
+    const TICKS_PER_SECOND: f64 = 100.0;
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    // The name before may hold spaces; user and system time are the 14th and 15th field.
+    let (_, fields) = stat.rsplit_once(") ")?;
+    let ticks = fields.split(' ').skip(11).take(2);
+    let ticks: u64 = ticks.filter_map(|field| field.parse::<u64>().ok()).sum();
+    Some(ticks as f64 / TICKS_PER_SECOND)
+}
