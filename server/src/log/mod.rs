@@ -30,6 +30,8 @@ use bytes::Bytes;
 use futures_util::future::BoxFuture;
 use wayfold_index::Space;
 
+#[cfg(fuzzing)]
+pub use self::fjall::fuzzing;
 pub use self::fjall::{Durability, FjallLog, OpenError};
 pub use error::LogError;
 pub use memory::MemoryLog;

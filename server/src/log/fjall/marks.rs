@@ -18,7 +18,7 @@ use std::{
 use super::layout::{Number, seal, unseal};
 use crate::log::{Digest, Uid, cursor::Cursor};
 
-const SIZE: usize = 128;
+pub(super) const SIZE: usize = 128;
 /// Most bytes of a name: as many as the contract allows.
 const NAME: usize = 63;
 
@@ -76,7 +76,7 @@ impl Marks {
     }
 }
 
-fn encode(number: Number, mark: &Mark) -> Vec<u8> {
+pub(super) fn encode(number: Number, mark: &Mark) -> Vec<u8> {
     let mut bytes = mark.uid.as_bytes().to_vec();
     bytes.extend_from_slice(&mark.revision.to_le_bytes());
     bytes.extend_from_slice(&mark.digest);
@@ -87,7 +87,7 @@ fn encode(number: Number, mark: &Mark) -> Vec<u8> {
     seal(&number.to_be_bytes(), bytes)
 }
 
-fn decode(number: Number, bytes: &[u8]) -> Option<Mark> {
+pub(super) fn decode(number: Number, bytes: &[u8]) -> Option<Mark> {
     let mut cursor = Cursor::new(unseal(&number.to_be_bytes(), bytes)?);
     let (uid, revision, digest) = (cursor.array()?, cursor.u64()?, cursor.array()?);
     let [length] = cursor.array()?;

@@ -14,6 +14,8 @@
 
 mod directory;
 mod engine;
+#[cfg(fuzzing)]
+pub mod fuzzing;
 mod index;
 mod journal;
 mod layout;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use wayfold_index::PointRef;
+use wayfold_index::{PointRef, Space};
 
 use super::{Digest, Effects, Operation, Outcome, Record};
 use crate::log::cursor::Cursor;
@@ -76,8 +76,8 @@ pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
     }
     let (previous, revision, time_ms) = (cursor.array()?, cursor.u64()?, cursor.u64()?);
     let (coordinates, rows) = (cursor.length()?, cursor.length()?);
-    // Every row takes its bytes, so a count that is out of all proportion ends here, before room is made for it.
-    if coordinates > cursor.left() / 8 && rows > 0 {
+    // No space is wider, and nobody need reckon with a width that is out of all proportion, even of no rows.
+    if coordinates > Space::MAX_COORDINATES {
         return None;
     }
     let mut effects = Effects::new(coordinates);
@@ -162,6 +162,19 @@ mod tests {
         }
         for length in 0..bytes.len() {
             assert!(Record::decode(&bytes[..length]).is_err(), "{length} bytes");
+        }
+    }
+
+    /// Found by fuzzing: recovery counts the bytes of a record, and the width of its rows overflowed that.
+    #[test]
+    fn rows_wider_than_any_space_are_not_read() {
+        let width = |coordinates| {
+            let record = Record::new(5, [9; 32], 77, Effects::new(coordinates));
+            Record::decode(&record.encode()).map(|record| record.effects().bytes() > 0)
+        };
+        assert_eq!(width(Space::MAX_COORDINATES), Ok(true));
+        for wider in [Space::MAX_COORDINATES + 1, 1 << 32, usize::MAX] {
+            assert!(width(wider).is_err(), "{wider} coordinates");
         }
     }
 
