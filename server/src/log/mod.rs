@@ -113,9 +113,10 @@ pub trait Log: Send + Sync {
     fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>>;
 
     /// The records after the revision `after`, intact and each the successor of the one before; None for all that are
-    /// still held. [`LogError::Trimmed`] if some of
-    /// them are held no longer.
-    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError>;
+    /// still held. Only the first of them, as many as take `most` bytes (see [`Effects::bytes`]), but at least one.
+    /// [`LogError::Trimmed`] if some of them are held no longer.
+    fn tail(&self, uid: Uid, after: Option<u64>, most: usize)
+    -> Result<Vec<Arc<Record>>, LogError>;
 
     /// The points as of the head, pinned.
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;

@@ -39,6 +39,28 @@ pub(super) struct Trimmed {
     pub(super) operations: usize,
 }
 
+/// How many bytes of records may still be read; the first record always may.
+pub(super) struct Allowance {
+    left: usize,
+    is_first: bool,
+}
+
+impl Allowance {
+    pub(super) fn of(bytes: usize) -> Self {
+        Self {
+            left: bytes,
+            is_first: true,
+        }
+    }
+
+    /// Whether this record may be read too.
+    pub(super) fn take(&mut self, record: &Record) -> bool {
+        let left = self.left.checked_sub(record.effects().bytes());
+        self.left = left.unwrap_or(0);
+        std::mem::replace(&mut self.is_first, false) || left.is_some()
+    }
+}
+
 impl Window {
     /// Takes note of the next record.
     pub(super) fn hold(&mut self, record: &Record) {

@@ -43,7 +43,10 @@ fn what_was_synced_survives_a_crash_at_any_moment() {
         let view = after.points(uid).unwrap();
         assert_eq!((view.revision(), view.next_id()), (revision, revision + 1));
         assert_eq!(all_points(&*view), all_points(&*log.points(uid).unwrap()));
-        assert_eq!(after.tail(uid, None), log.tail(uid, None));
+        assert_eq!(
+            after.tail(uid, None, usize::MAX),
+            log.tail(uid, None, usize::MAX)
+        );
         append(&after, uid, revision + 1);
     }
 }
@@ -101,7 +104,7 @@ fn a_journal_cut_short_of_what_was_synced_is_named() {
     // It stays so, and the other index is not concerned.
     for _ in 0..2 {
         let log = open(directory.path(), Durability::Fsync);
-        assert_eq!(log.tail(arm.uid, None).unwrap_err(), lost);
+        assert_eq!(log.tail(arm.uid, None, usize::MAX).unwrap_err(), lost);
         assert_eq!(log.points(arm.uid).err(), Some(lost.clone()));
         let refused = log.append(arm.uid, 2, effects(3, &[1], &[]));
         assert_eq!(refused.unwrap_err(), lost);
@@ -188,7 +191,10 @@ fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
         fs::rename(&away, &store).unwrap();
         log.reopen().unwrap();
         assert_eq!(view.get(1).unwrap_err(), LogError::Closed);
-        let (found, tail) = (log.points(uid).unwrap(), log.tail(uid, None).unwrap());
+        let (found, tail) = (
+            log.points(uid).unwrap(),
+            log.tail(uid, None, usize::MAX).unwrap(),
+        );
         // The last one was handed to the system: it happens to be there.
         assert_eq!((found.revision(), tail.len() as u64), (head + 1, head + 1));
         assert_eq!(all_points(&*found).len() as u64, head + 1);

@@ -71,7 +71,7 @@ fn content(log: &FjallLog, uid: Uid) -> Result<Content, LogError> {
     }
     Ok((
         points,
-        log.tail(uid, None)?,
+        log.tail(uid, None, usize::MAX)?,
         log.operations(uid)?,
         view.next_id(),
     ))

@@ -100,7 +100,7 @@ fn check_uids(log: &dyn Log) {
         log.append(uid, 0, effects(1, &[1], &[])).unwrap_err(),
         unknown
     );
-    assert_eq!(log.tail(uid, None).unwrap_err(), unknown);
+    assert_eq!(log.tail(uid, None, usize::MAX).unwrap_err(), unknown);
     assert_eq!(log.trim(uid, &keep(0)).unwrap_err(), unknown);
     assert_eq!(log.delete(uid).unwrap_err(), unknown);
     assert!(log.points(uid).is_err());
@@ -118,7 +118,7 @@ fn who_has_all_records_but_the_newest_gets_it_however_large_it_is() {
         log.append(uid, revision - 1, effects(revision, &[1], &[]))
             .unwrap();
         log.trim(uid, &keep(0)).unwrap();
-        let tail = log.tail(uid, Some(revision - 1)).unwrap();
+        let tail = log.tail(uid, Some(revision - 1), usize::MAX).unwrap();
         assert_eq!(tail[0].revision(), revision);
     }
 }

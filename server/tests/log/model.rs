@@ -132,7 +132,7 @@ impl Model {
     /// of an append that failed.
     pub(crate) fn rejoin(&mut self, log: &dyn Log, uid: Uid, unknown: Option<&Effects>) {
         let revision = log.points(uid).unwrap().revision();
-        let held = log.tail(uid, None).unwrap();
+        let held = log.tail(uid, None, usize::MAX).unwrap();
         if revision == self.head() + 1 {
             let unknown = unknown.expect("nobody appended it");
             self.append(Arc::clone(held.last().unwrap()), unknown);
@@ -157,15 +157,29 @@ impl Model {
         assert_eq!(view.revision(), self.head());
         assert_eq!(view.next_id(), self.newest().1);
         check_view(&*view, &self.newest().0);
-        assert_eq!(log.tail(uid, None).unwrap(), self.records[self.trimmed..]);
+        assert_eq!(
+            log.tail(uid, None, usize::MAX).unwrap(),
+            self.records[self.trimmed..]
+        );
         let oldest = self.origin.revision + self.trimmed as u64;
         for after in self.origin.revision.saturating_sub(1)..=self.head() {
-            let tail = log.tail(uid, Some(after));
+            let tail = log.tail(uid, Some(after), usize::MAX);
             if after < oldest {
                 assert_eq!(tail, Err(LogError::Trimmed { uid, after, oldest }));
             } else {
                 let skipped = (after - self.origin.revision) as usize;
-                assert_eq!(tail.unwrap(), self.records[skipped..]);
+                let rest = &self.records[skipped..];
+                assert_eq!(tail.unwrap(), rest);
+                for most in [0, 600, 1500] {
+                    let part = log.tail(uid, Some(after), most).unwrap();
+                    let bytes = |count: usize| -> usize {
+                        let records = rest[..count].iter();
+                        records.map(|record| record.effects().bytes()).sum()
+                    };
+                    let fits = (0..=rest.len()).rev().find(|&count| bytes(count) <= most);
+                    let count = fits.unwrap_or(0).max(1).min(rest.len());
+                    assert_eq!(part, rest[..count]);
+                }
             }
         }
         let operations = self.operations();

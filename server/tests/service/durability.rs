@@ -74,8 +74,13 @@ impl Log for Held {
         async move { Ok(*synced.wait_for(|&synced| synced >= revision).await.unwrap()) }.boxed()
     }
 
-    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
-        self.memory.tail(uid, after)
+    fn tail(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        most: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.memory.tail(uid, after, most)
     }
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {

@@ -133,8 +133,13 @@ impl Log for Damaging {
         self.0.synced(uid, revision)
     }
 
-    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
-        self.0.tail(uid, after)
+    fn tail(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        most: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.0.tail(uid, after, most)
     }
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
@@ -239,7 +244,7 @@ async fn operations_are_remembered_for_their_own_window_whatever_becomes_of_thei
         }
         drop(before);
         let entry = log.indexes().unwrap().remove(0);
-        assert_eq!(log.tail(entry.uid, None).unwrap().len(), 1);
+        assert_eq!(log.tail(entry.uid, None, usize::MAX).unwrap().len(), 1);
         let after = served(&log);
         for at in 4..9 {
             let retried = after.insert(&CALL, request(at)).await.unwrap();

@@ -177,8 +177,13 @@ impl Log for Lying {
         self.0.synced(uid, revision)
     }
 
-    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
-        self.0.tail(uid, after)
+    fn tail(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        most: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.0.tail(uid, after, most)
     }
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {

@@ -20,8 +20,9 @@ use super::{
     view::Pinned,
 };
 use crate::log::{
-    Effects, Entry, Keep, LogError, Operation, Origin, Record, View, record::time_ms,
-    window::Window,
+    Effects, Entry, Keep, LogError, Operation, Origin, Record, View,
+    record::time_ms,
+    window::{Allowance, Window},
 };
 
 /// See the module.
@@ -218,6 +219,7 @@ impl Index {
         &self,
         store: &Store,
         after: Option<u64>,
+        most: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let state = self.open()?;
         let (oldest, head) = (state.head.trimmed, state.head.revision);
@@ -229,14 +231,18 @@ impl Index {
             let uid = self.entry.uid;
             return Err(LogError::Trimmed { uid, after, oldest });
         }
-        let revisions = after.saturating_add(1)..=head;
-        revisions
-            .map(|revision| {
-                let value = snapshot.get(&handles.keyspace, record_key(self.number, revision));
-                let value = value.map_err(|error| unreadable(self.entry.uid, error))?;
-                self.record(revision, value.as_deref()).map(Arc::new)
-            })
-            .collect()
+        let mut left = Allowance::of(most);
+        let mut records = Vec::new();
+        for revision in after.saturating_add(1)..=head {
+            let value = snapshot.get(&handles.keyspace, record_key(self.number, revision));
+            let value = value.map_err(|error| unreadable(self.entry.uid, error))?;
+            let record = self.record(revision, value.as_deref())?;
+            if !left.take(&record) {
+                break;
+            }
+            records.push(Arc::new(record));
+        }
+        Ok(records)
     }
 
     /// The record of a stored value.

@@ -203,9 +203,14 @@ impl Log for FjallLog {
         synced.unwrap_or_else(|error| std::future::ready(Err(error)).boxed())
     }
 
-    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
+    fn tail(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        most: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
         let engine = self.engine()?;
-        engine.index(uid)?.tail(&engine.store, after)
+        engine.index(uid)?.tail(&engine.store, after, most)
     }
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {

@@ -81,8 +81,13 @@ impl Log for MemoryLog {
         std::future::ready(Ok(revision)).boxed()
     }
 
-    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
-        self.store(uid)?.tail(after)
+    fn tail(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        most: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.store(uid)?.tail(after, most)
     }
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {

@@ -7,7 +7,8 @@ use parking_lot::{Mutex, RwLock};
 use super::versions::Versions;
 use crate::log::{
     Digest, Effects, Keep, LogError, Operation, Origin, Record, StoredPoint, Uid, View,
-    record::time_ms, window::Window,
+    record::time_ms,
+    window::{Allowance, Window},
 };
 
 /// How many rows are stored or dropped under one hold of the lock, so that a large record does not keep readers from
@@ -122,7 +123,11 @@ impl Store {
         self.versions.write().collect(ROWS_PER_HOLD)
     }
 
-    pub(super) fn tail(&self, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
+    pub(super) fn tail(
+        &self,
+        after: Option<u64>,
+        most: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
         let journal = self.journal.lock();
         let oldest = journal.head - journal.records.len() as u64;
         let after = after.unwrap_or(oldest);
@@ -134,7 +139,12 @@ impl Store {
             });
         }
         let skipped = (after - oldest) as usize;
-        Ok(journal.records.iter().skip(skipped).cloned().collect())
+        let mut left = Allowance::of(most);
+        let records = journal.records.iter().skip(skipped);
+        Ok(records
+            .take_while(|record| left.take(record))
+            .cloned()
+            .collect())
     }
 
     pub(super) fn operations(&self) -> Vec<Arc<Operation>> {

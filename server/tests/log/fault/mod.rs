@@ -104,7 +104,12 @@ impl Log for FaultLog {
         std::future::ready(synced).boxed()
     }
 
-    fn tail(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
+    fn tail(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        most: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
         let journal = self.0.lock();
         let index = journal.index(uid)?;
         let oldest = index.head - index.records.len() as u64;
@@ -112,11 +117,19 @@ impl Log for FaultLog {
         if after < oldest {
             return Err(LogError::Trimmed { uid, after, oldest });
         }
-        let records = index.records.iter();
-        Ok(records
-            .filter(|record| record.revision() > after)
-            .cloned()
-            .collect())
+        let mut records = Vec::new();
+        let mut bytes = 0;
+        for record in &index.records {
+            bytes += if record.revision() > after {
+                record.effects().bytes()
+            } else {
+                0
+            };
+            if record.revision() > after && (records.is_empty() || bytes <= most) {
+                records.push(Arc::clone(record));
+            }
+        }
+        Ok(records)
     }
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
