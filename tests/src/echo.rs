@@ -12,7 +12,8 @@ use tonic::{Request, Response, Status, Streaming, transport::Server};
 use wayfold_proto::v1::{
     GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse, Neighbors,
     Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, ScanRequest, ScanResponse,
-    States, StreamKnnRequest, StreamKnnResponse, UpdateRequest, UpdateResponse,
+    States, StreamKnnRequest, StreamKnnResponse, UpdateRequest, UpdateResponse, WatchRequest,
+    WatchResponse,
     point_service_server::{PointService, PointServiceServer},
     stream_knn_response::Result as StreamedAnswer,
 };
@@ -109,6 +110,7 @@ type Answer<T> = Result<Response<T>, Status>;
 impl PointService for Echo {
     type StreamKnnStream = ReceiverStream<Result<StreamKnnResponse, Status>>;
     type ScanStream = ReceiverStream<Result<ScanResponse, Status>>;
+    type WatchStream = ReceiverStream<Result<WatchResponse, Status>>;
 
     async fn insert(&self, request: Request<InsertRequest>) -> Answer<InsertResponse> {
         Ok(Response::new(self.outcomes(request.get_ref())))
@@ -155,6 +157,10 @@ impl PointService for Echo {
     }
 
     async fn scan(&self, _: Request<ScanRequest>) -> Answer<Self::ScanStream> {
+        Err(not_measured())
+    }
+
+    async fn watch(&self, _: Request<WatchRequest>) -> Answer<Self::WatchStream> {
         Err(not_measured())
     }
 }

@@ -371,6 +371,16 @@ impl PointService for Fake {
         Ok(Response::new(Box::pin(stream::empty())))
     }
 
+    type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
+
+    async fn watch(
+        &self,
+        request: Request<v1::WatchRequest>,
+    ) -> Result<Response<Self::WatchStream>, Status> {
+        self.enter(&request, 0).await?;
+        Err(Status::unimplemented("watch"))
+    }
+
     type ScanStream = Pin<Box<dyn Stream<Item = Result<v1::ScanResponse, Status>> + Send>>;
 
     async fn scan(

@@ -122,6 +122,23 @@ impl PointService for PointFace {
         });
         Ok(Response::new(parts.boxed()))
     }
+
+    type WatchStream = BoxStream<'static, Result<v1::WatchResponse, Status>>;
+
+    async fn watch(
+        &self,
+        request: Request<v1::WatchRequest>,
+    ) -> Result<Response<Self::WatchStream>, Status> {
+        let (call, message) = (call_of(&request), request.into_inner());
+        observe::index(&message.index);
+        let watch = self.service.watch(&call, message).await;
+        let watch = watch.map_err(|error| status::from_error(&error))?;
+        let messages = stream::unfold(watch, async |mut watch| {
+            let message = watch.next().await?;
+            Some((message.map_err(|error| status::from_error(&error)), watch))
+        });
+        Ok(Response::new(messages.boxed()))
+    }
 }
 
 const STREAM_KNN: &str = "/wayfold.v1.PointService/StreamKnn";

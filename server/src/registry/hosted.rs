@@ -7,8 +7,8 @@ use tokio::sync::{Mutex, watch};
 use tracing::{error, warn};
 use wayfold_index::{Snapshot, Space};
 
-use super::{Host, OperationWindow, RegistryError, WriteGuard, Writer};
-use crate::log::{Effects, Entry, Keep, LogError, Uid, View};
+use super::{Host, OperationWindow, RegistryError, WriteGuard, Writer, recent::Recent};
+use crate::log::{Effects, Entry, Keep, LogError, Record, Uid, View};
 
 /// A mutation of more points or more bytes than these is committed on a thread of its own: it would hold up the calls
 /// that share the caller's.
@@ -35,6 +35,7 @@ pub struct Hosted {
     state: watch::Sender<State>,
     writer: Arc<Mutex<Writer>>,
     unsynced: parking_lot::Mutex<Unsynced>,
+    recent: parking_lot::Mutex<Recent>,
 }
 
 /// Heads that are not yet as durable as configured.
@@ -71,6 +72,7 @@ impl Hosted {
             state: watch::Sender::new(state),
             writer: Arc::new(Mutex::new(writer)),
             unsynced: parking_lot::Mutex::default(),
+            recent: parking_lot::Mutex::default(),
         })
     }
 
@@ -121,6 +123,25 @@ impl Hosted {
         }
     }
 
+    /// The mutations after the revision `after` that readers see, the first of them that take `most` bytes (see
+    /// [`Effects::bytes`]), but at least one unless there are none. [`LogError::Trimmed`] if they are not held any more.
+    pub async fn mutations(
+        self: &Arc<Self>,
+        after: u64,
+        most: usize,
+    ) -> Result<Vec<Arc<Record>>, RegistryError> {
+        let last = self.published().revision;
+        if let Some(records) = self.recent.lock().after(after, last, most) {
+            return Ok(records);
+        }
+        let hosted = Arc::clone(self);
+        let read = move || hosted.host.log.tail(hosted.uid, Some(after), most);
+        let read = tokio::task::spawn_blocking(read).await;
+        let mut records = read.map_err(|_| RegistryError::Stopped)??;
+        records.retain(|record| record.revision() <= last);
+        Ok(records)
+    }
+
     /// Waits for the writer; those who wait get it in the order in which they came.
     pub async fn write(&self) -> Result<WriteGuard, RegistryError> {
         let writer = Arc::clone(&self.writer).lock_owned().await;
@@ -161,6 +182,7 @@ impl Hosted {
         let log = &self.host.log;
         let record = log.append(self.uid, writer.head().revision, effects)?;
         writer.apply(&record, window);
+        self.recent.lock().push(record);
         match log.points(self.uid) {
             Ok(view) => writer.advance(view),
             Err(error) => {

@@ -12,6 +12,7 @@ mod error;
 mod hosted;
 mod merging;
 mod operations;
+mod recent;
 mod replay;
 mod restore;
 mod upkeep;

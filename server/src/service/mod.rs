@@ -30,11 +30,14 @@ mod snapshot;
 mod staging;
 mod update;
 mod verify;
+mod watch;
 
 use std::sync::{
     Arc, OnceLock,
     atomic::{AtomicBool, Ordering},
 };
+
+use tokio_util::sync::CancellationToken;
 
 use crate::registry::Registry;
 pub use call::Call;
@@ -44,6 +47,7 @@ pub use restore::Restoring;
 pub use scan::Scan;
 pub use snapshot::Snapshot;
 pub use verify::Verification;
+pub use watch::Watch;
 
 /// The service: cheap to clone, used from any number of tasks.
 #[derive(Clone)]
@@ -56,7 +60,7 @@ struct Inner {
     registry: OnceLock<Arc<Registry>>,
     limits: Limits,
     ready: AtomicBool,
-    stopping: AtomicBool,
+    stopping: CancellationToken,
 }
 
 impl Service {
@@ -74,7 +78,7 @@ impl Service {
                 registry: OnceLock::new(),
                 limits,
                 ready: AtomicBool::new(false),
-                stopping: AtomicBool::new(false),
+                stopping: CancellationToken::new(),
             }),
         }
     }
@@ -92,7 +96,7 @@ impl Service {
 
     /// Answers new calls with [`Error::Unavailable`] from now on. Those accepted before go on to their end.
     pub fn begin_shutdown(&self) {
-        self.inner.stopping.store(true, Ordering::Release);
+        self.inner.stopping.cancel();
     }
 
     /// Whether new calls are answered.
@@ -100,8 +104,13 @@ impl Service {
         self.unavailability().is_none()
     }
 
+    /// Ends when the server begins to stop.
+    async fn stopping(&self) {
+        self.inner.stopping.cancelled().await;
+    }
+
     fn unavailability(&self) -> Option<Unavailability> {
-        if self.inner.stopping.load(Ordering::Acquire) {
+        if self.inner.stopping.is_cancelled() {
             Some(Unavailability::Stopping)
         } else if !self.inner.ready.load(Ordering::Acquire) {
             Some(Unavailability::Starting)

@@ -28,4 +28,6 @@ mod snapshot;
 mod storage_failure;
 mod support;
 mod update;
+
 mod verify;
+mod watch;

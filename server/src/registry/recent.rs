@@ -1,0 +1,86 @@
+//! The newest records of an index, at hand for who follows it.
+
+use std::{collections::VecDeque, sync::Arc};
+
+use crate::log::Record;
+
+/// Most bytes of records that are kept at hand, but always the newest one. Who falls further behind reads the log.
+const BYTES: usize = 4 * 1024 * 1024;
+
+/// See the module.
+#[derive(Default)]
+pub(super) struct Recent {
+    /// Without a gap up to the newest.
+    records: VecDeque<Arc<Record>>,
+    bytes: usize,
+}
+
+impl Recent {
+    /// Adds the next record.
+    pub(super) fn push(&mut self, record: Arc<Record>) {
+        self.bytes += record.effects().bytes();
+        self.records.push_back(record);
+        while self.records.len() > 1
+            && self.bytes > BYTES
+            && let Some(oldest) = self.records.pop_front()
+        {
+            self.bytes -= oldest.effects().bytes();
+        }
+    }
+
+    /// The records after the revision `after` up to `last`, the first of them that take `most` bytes, at least one;
+    /// None if they are not all at hand.
+    pub(super) fn after(&self, after: u64, last: u64, most: usize) -> Option<Vec<Arc<Record>>> {
+        let first = self.records.front()?.revision();
+        let skipped = (after + 1).checked_sub(first)? as usize;
+        let mut page = Vec::new();
+        let mut bytes = 0;
+        for record in self.records.iter().skip(skipped) {
+            bytes += record.effects().bytes();
+            if record.revision() > last || (bytes > most && !page.is_empty()) {
+                break;
+            }
+            page.push(Arc::clone(record));
+        }
+        Some(page)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::Effects;
+
+    fn revisions(recent: &Recent, after: u64, last: u64, most: usize) -> Option<Vec<u64>> {
+        let page = recent.after(after, last, most)?;
+        Some(page.iter().map(|record| record.revision()).collect())
+    }
+
+    #[test]
+    fn pages_follow_one_another_and_what_is_not_at_hand_is_told() {
+        let mut recent = Recent::default();
+        assert_eq!(revisions(&recent, 0, 9, 1000), None);
+        for revision in 5..=9 {
+            let record = Record::new(revision, [0; 32], 0, Effects::new(1));
+            recent.push(Arc::new(record));
+        }
+        let bytes = Effects::new(1).bytes();
+        assert_eq!(revisions(&recent, 3, 9, 0), None);
+        assert_eq!(revisions(&recent, 4, 9, 0), Some(vec![5]));
+        assert_eq!(revisions(&recent, 4, 9, 2 * bytes), Some(vec![5, 6]));
+        assert_eq!(revisions(&recent, 6, 8, usize::MAX), Some(vec![7, 8]));
+        assert_eq!(revisions(&recent, 9, 9, 1000), Some(vec![]));
+    }
+
+    #[test]
+    fn the_oldest_go_and_the_newest_stays_however_large_it_is() {
+        let mut recent = Recent::default();
+        for revision in 1..=3 {
+            let mut effects = Effects::new(1);
+            (0..BYTES as u64 / 16 * revision).for_each(|id| effects.remove(id));
+            recent.push(Arc::new(Record::new(revision, [0; 32], 0, effects)));
+        }
+        assert_eq!(revisions(&recent, 1, 3, usize::MAX), None);
+        assert_eq!(revisions(&recent, 2, 3, 0), Some(vec![3]));
+    }
+}

@@ -1,0 +1,269 @@
+//! Who follows an index sees each mutation once, in order, whole, and not before readers do.
+
+use std::{collections::BTreeMap, pin::pin, sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use futures_util::poll;
+use prost::Message;
+use wayfold_index::Space;
+use wayfold_proto::v1::{self, ResetReason};
+use wayfold_server::{
+    log::{Log, MemoryLog},
+    registry::{Registry, RegistryOptions},
+    service::{Call, Code, Limits, Service, Watch},
+};
+
+use crate::{random::Requests, support::*};
+
+fn watching(uid: &str, after_revision: u64) -> v1::WatchRequest {
+    v1::WatchRequest {
+        index: "arm".into(),
+        uid: uid.into(),
+        after_revision: Some(after_revision),
+        payloads: true,
+    }
+}
+
+async fn message(watch: &mut Watch) -> v1::WatchResponse {
+    watch.next().await.unwrap().unwrap()
+}
+
+/// What a follower knows: each point with its state, tag, revision and payload.
+#[derive(Default)]
+struct Follower {
+    points: BTreeMap<u64, (Vec<f64>, u64, u64, Bytes)>,
+    revision: u64,
+    /// The pieces of the next mutation.
+    pieces: Vec<v1::Mutation>,
+}
+
+impl Follower {
+    fn take(&mut self, message: v1::WatchResponse) {
+        assert_eq!(message.reset(), ResetReason::Unspecified);
+        for mutation in message.mutations {
+            assert_eq!(mutation.revision, self.revision + 1);
+            let continued = mutation.continued;
+            self.pieces.push(mutation);
+            if continued {
+                continue;
+            }
+            self.revision += 1;
+            for piece in std::mem::take(&mut self.pieces) {
+                for id in piece.removed_ids {
+                    assert!(self.points.remove(&id).is_some());
+                }
+                let Some(stored) = piece.stored else {
+                    continue;
+                };
+                let states = stored.states.unwrap();
+                let width = states.coordinates.len() / states.rows as usize;
+                for (slot, row) in states.coordinates.chunks(width).enumerate() {
+                    let (tag, revision) = (stored.tags[slot], stored.revisions[slot]);
+                    assert!(revision <= self.revision);
+                    let point = (row.to_vec(), tag, revision, stored.payloads[slot].clone());
+                    self.points.insert(stored.ids[slot], point);
+                }
+            }
+        }
+    }
+
+    async fn follow(&mut self, watch: &mut Watch, revision: u64) {
+        while self.revision < revision {
+            self.take(message(watch).await);
+        }
+    }
+
+    async fn check(&self, service: &Service) {
+        let all = everything(service).await;
+        assert_eq!(all.revision, self.revision);
+        let points = all.points.unwrap();
+        let states = points.states.unwrap().coordinates;
+        assert!(points.ids.iter().eq(self.points.keys()));
+        for (slot, (row, tag, revision, payload)) in self.points.values().enumerate() {
+            assert_eq!(states[slot * row.len()..][..row.len()], row[..]);
+            assert_eq!(
+                (points.tags[slot], points.revisions[slot]),
+                (*tag, *revision)
+            );
+            assert_eq!(points.payloads[slot], payload);
+        }
+    }
+}
+
+#[tokio::test]
+async fn the_mutations_amount_to_the_points_wherever_one_begins() {
+    for seed in 0..8 {
+        println!("seed {seed}");
+        let (service, uid) = arm("R2*SO2").await;
+        let space: Space = "R2*SO2".parse().unwrap();
+        let mut requests = Requests::new(seed, &space, &uid);
+        let mut watch = service.watch(&CALL, watching(&uid, 0)).await.unwrap();
+        let first = message(&mut watch).await;
+        assert_eq!(
+            (first.revision, first.mutations.len(), &first.uid),
+            (0, 0, &uid)
+        );
+        let mut follower = Follower::default();
+        let mut late: Vec<(Follower, u64)> = Vec::new();
+        for step in 0..60 {
+            let revision = info(&service, "arm").await.revision;
+            // Refusals are as good as any.
+            match step % 4 {
+                0..=1 => drop(service.insert(&CALL, requests.insert(revision)).await),
+                2 => drop(service.update(&CALL, requests.update(revision)).await),
+                _ => drop(service.remove(&CALL, requests.remove()).await),
+            }
+            let revision = info(&service, "arm").await.revision;
+            if step % 7 == 0 {
+                follower.follow(&mut watch, revision).await;
+                follower.check(&service).await;
+                let points = follower.points.clone();
+                let pieces = Vec::new();
+                late.push((
+                    Follower {
+                        points,
+                        revision,
+                        pieces,
+                    },
+                    revision,
+                ));
+            }
+        }
+        let last = info(&service, "arm").await.revision;
+        for (mut follower, from) in late {
+            let mut watch = service.watch(&CALL, watching(&uid, from)).await.unwrap();
+            assert_eq!(message(&mut watch).await.revision, last);
+            follower.follow(&mut watch, last).await;
+            follower.check(&service).await;
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_large_mutation_comes_in_pieces_that_fit() {
+    let limits = Limits {
+        answer_bytes: 20_000,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    let uid = create(&service, "arm", "R3").await;
+    let large = v1::InsertRequest {
+        payloads: (0..300u32)
+            .map(|at| vec![at as u8; at as usize].into())
+            .collect(),
+        ..insertion(&cube(1, 300), &(0..300).collect::<Vec<_>>())
+    };
+    service.insert(&CALL, large).await.unwrap();
+    let ids: Vec<u64> = (0..300).filter(|id| id % 7 > 0).collect();
+    service.remove(&CALL, removal(&ids)).await.unwrap();
+    service
+        .insert(&CALL, insertion(&cube(2, 1), &[]))
+        .await
+        .unwrap();
+    let mut watch = service.watch(&CALL, watching(&uid, 0)).await.unwrap();
+    let mut follower = Follower::default();
+    let mut pieces = 0;
+    while follower.revision < 3 {
+        let message = message(&mut watch).await;
+        assert!(message.encoded_len() <= 20_000, "{}", message.encoded_len());
+        pieces += message.mutations.len();
+        follower.take(message);
+    }
+    assert!(pieces > 5, "{pieces}");
+    follower.check(&service).await;
+}
+
+#[tokio::test]
+async fn what_can_not_be_told_any_more_is_a_reset() {
+    let log = Arc::new(MemoryLog::new());
+    let options = RegistryOptions {
+        window_bytes: 0,
+        ..options()
+    };
+    let served = || {
+        let registry = Registry::new(Arc::clone(&log) as Arc<dyn Log>, options);
+        registry.replay().unwrap();
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        service
+    };
+    let service = served();
+    let uid = create(&service, "arm", "R1").await;
+    for id in 0..4 {
+        service
+            .insert(&CALL, insertion(&[[1.0]], &[id]))
+            .await
+            .unwrap();
+    }
+    // Only the newest is left to one that starts again.
+    let service = served();
+    let mut watch = service.watch(&CALL, watching(&uid, 3)).await.unwrap();
+    assert_eq!(message(&mut watch).await.mutations, []);
+    assert_eq!(message(&mut watch).await.mutations[0].revision, 4);
+    let mut watch = service.watch(&CALL, watching(&uid, 2)).await.unwrap();
+    assert_eq!(message(&mut watch).await.reset(), ResetReason::Unspecified);
+    let reset = message(&mut watch).await;
+    assert_eq!(
+        (reset.reset(), reset.revision),
+        (ResetReason::WindowPassed, 4)
+    );
+    assert!(watch.next().await.is_none());
+
+    let deletion = v1::DeleteIndexRequest {
+        name: "arm".into(),
+        ..Default::default()
+    };
+    service.delete_index(&CALL, deletion).await.unwrap();
+    let other = create(&service, "arm", "R1").await;
+    let mut watch = service.watch(&CALL, watching(&uid, 4)).await.unwrap();
+    let reset = message(&mut watch).await;
+    assert_eq!((reset.reset(), reset.uid), (ResetReason::UidChanged, other));
+    assert!(watch.next().await.is_none());
+}
+
+#[tokio::test]
+async fn a_watch_ends_with_its_index_its_deadline_and_its_server() {
+    let (service, uid) = arm("R1").await;
+    let unnamed = v1::WatchRequest {
+        uid: String::new(),
+        ..watching("", 0)
+    };
+    let refused = service.watch(&CALL, unnamed).await;
+    assert_eq!(refused.err().unwrap().reason(), "REQUIRED");
+    let now = v1::WatchRequest {
+        after_revision: None,
+        ..watching("", 0)
+    };
+    let mut waiting = Vec::new();
+    for deadline in [
+        None,
+        Some(std::time::Instant::now() + Duration::from_millis(1)),
+        None,
+    ] {
+        let call = Call { deadline };
+        waiting.push(service.watch(&call, now.clone()).await.unwrap());
+    }
+    for watch in &mut waiting {
+        assert_eq!(message(watch).await.uid, uid);
+    }
+    let late = waiting[1].next().await.unwrap();
+    assert_eq!(refusal(late).0, Code::DeadlineExceeded);
+    assert!(waiting[1].next().await.is_none());
+    {
+        let mut next = pin!(waiting[0].next());
+        assert!(poll!(&mut next).is_pending());
+        let deletion = v1::DeleteIndexRequest {
+            name: "arm".into(),
+            ..Default::default()
+        };
+        service.delete_index(&CALL, deletion).await.unwrap();
+        assert_eq!(refusal(next.await.unwrap()).0, Code::NotFound);
+    }
+    create(&service, "arm", "R1").await;
+    let mut watch = service.watch(&CALL, now).await.unwrap();
+    message(&mut watch).await;
+    let mut next = pin!(watch.next());
+    assert!(poll!(&mut next).is_pending());
+    service.begin_shutdown();
+    assert_eq!(refusal(next.await.unwrap()).0, Code::Unavailable);
+}
