@@ -14,6 +14,7 @@ mod fault;
 mod faults;
 mod indexes;
 mod insert;
+mod lifecycle;
 mod limits;
 mod merging;
 mod model;

@@ -24,11 +24,11 @@ pub(crate) struct Model {
     pub(crate) uid: String,
     pub(crate) revision: u64,
     pub(crate) points: BTreeMap<u64, Point>,
-    next_id: u64,
+    pub(crate) next_id: u64,
 }
 
 /// Why the model refuses, with all ids.
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Refused {
     Exist(Vec<u64>),
     Missing(Vec<u64>),

@@ -17,6 +17,7 @@ use crate::{
 pub(crate) struct Requests {
     random: ChaCha8Rng,
     space: Space,
+    name: String,
     uid: String,
 }
 
@@ -25,8 +26,15 @@ impl Requests {
         Self {
             random: ChaCha8Rng::seed_from_u64(seed),
             space: space.clone(),
+            name: "arm".into(),
             uid: uid.into(),
         }
+    }
+
+    /// The same of an index that has another name than `arm`.
+    pub(crate) fn named(self, name: &str) -> Self {
+        let name = name.into();
+        Self { name, ..self }
     }
 
     fn pick<T: Copy>(&mut self, of: &[T]) -> T {
@@ -134,7 +142,7 @@ impl Requests {
             }
         });
         v1::InsertRequest {
-            index: "arm".into(),
+            index: self.name.clone(),
             states: self.states(rows as u32),
             ids,
             tags,
@@ -158,7 +166,7 @@ impl Requests {
         tags.iter_mut()
             .for_each(|tag| *tag &= tag_mask.unwrap_or(u64::MAX));
         v1::UpdateRequest {
-            index: "arm".into(),
+            index: self.name.clone(),
             tags,
             tag_mask,
             payloads: self.payloads(payload_count),
@@ -170,13 +178,16 @@ impl Requests {
     }
 
     pub(crate) fn remove(&mut self) -> v1::RemoveRequest {
-        removal(&self.ids(5))
+        v1::RemoveRequest {
+            index: self.name.clone(),
+            ..removal(&self.ids(5))
+        }
     }
 
-    fn knn(&mut self, revision: u64) -> v1::KnnRequest {
+    pub(crate) fn knn(&mut self, revision: u64) -> v1::KnnRequest {
         let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
         v1::KnnRequest {
-            index: "arm".into(),
+            index: self.name.clone(),
             states: self.states(2),
             k: self.random.random_range(1..80),
             radius: self.random.random_bool(0.5).then_some(radius),
@@ -189,7 +200,7 @@ impl Requests {
 
     fn scan(&mut self, revision: u64) -> v1::ScanRequest {
         v1::ScanRequest {
-            index: "arm".into(),
+            index: self.name.clone(),
             filter: self.filter(revision),
             payloads: self.random.random(),
             after_id: self
@@ -221,7 +232,7 @@ fn as_query(knn: &v1::KnnRequest) -> v1::QueryRequest {
     }
 }
 
-fn refused<T>(answer: Result<T, Error>) -> Result<T, Refused> {
+pub(crate) fn refused<T>(answer: Result<T, Error>) -> Result<T, Refused> {
     answer.map_err(|error| match error {
         Error::PointsExist { ids, .. } => Refused::Exist(ids),
         Error::PointsNotFound { ids, .. } => Refused::Missing(ids),
@@ -231,7 +242,7 @@ fn refused<T>(answer: Result<T, Error>) -> Result<T, Refused> {
 }
 
 /// Equal to the last bit, of zeros too.
-fn assert_same<M: Message + PartialEq + std::fmt::Debug>(
+pub(crate) fn assert_same<M: Message + PartialEq + std::fmt::Debug>(
     answer: Result<M, Error>,
     expected: Result<M, Refused>,
     what: &str,
@@ -242,7 +253,7 @@ fn assert_same<M: Message + PartialEq + std::fmt::Debug>(
     assert_eq!(bits(&answer), bits(&expected), "{what}");
 }
 
-async fn compare(service: &Service, model: &Model, requests: &mut Requests) {
+pub(crate) async fn compare(service: &Service, model: &Model, requests: &mut Requests) {
     let knn = requests.knn(model.revision);
     assert_same(
         service.knn(&CALL, knn.clone()).await,
@@ -262,6 +273,7 @@ async fn compare(service: &Service, model: &Model, requests: &mut Requests) {
     assert_eq!((answer.exact, answer.revision), (true, model.revision));
 
     let get = v1::GetRequest {
+        index: requests.name.clone(),
         payloads: requests.random.random(),
         ..getting(&requests.ids(4))
     };

@@ -17,8 +17,12 @@ use crate::{backup::*, support::*};
 
 /// The hash as documented, of what a scan tells.
 async fn content_hash(service: &Service, space: &str) -> Vec<u8> {
-    let points = everything(service).await.points.unwrap();
-    let rows = points.states.unwrap().coordinates;
+    hash_of(&everything(service).await.points.unwrap(), space)
+}
+
+/// The hash as documented, of all points of an index.
+pub(crate) fn hash_of(points: &v1::Points, space: &str) -> Vec<u8> {
+    let rows = &points.states.as_ref().unwrap().coordinates;
     let mut bytes = b"wayfold content 1".to_vec();
     bytes.extend((space.len() as u64).to_le_bytes());
     bytes.extend(space.bytes());

@@ -1,0 +1,68 @@
+//! Any of the three mutations, sent and applied to the model.
+
+use std::fmt::Debug;
+
+use prost::Message;
+use rand::{Rng, RngExt};
+use wayfold_proto::v1;
+use wayfold_server::service::Service;
+
+use crate::{
+    model::{Model, Refused},
+    random::{Requests, refused},
+    support::*,
+};
+
+#[derive(Clone, Debug)]
+pub(super) enum Mutation {
+    Insert(v1::InsertRequest),
+    Update(v1::UpdateRequest),
+    Remove(v1::RemoveRequest),
+}
+
+/// An answer, in words and to the last bit.
+pub(super) type Told = Result<(String, Vec<u8>), Refused>;
+
+fn told<M: Message + Debug>(answer: Result<M, Refused>) -> Told {
+    answer.map(|answer| (format!("{answer:?}"), answer.encode_to_vec()))
+}
+
+impl Mutation {
+    pub(super) fn draw(
+        random: &mut impl Rng,
+        requests: &mut Requests,
+        revision: u64,
+        operation_id: String,
+    ) -> Self {
+        match random.random_range(0..8) {
+            0..=4 => Self::Insert(v1::InsertRequest {
+                operation_id,
+                ..requests.insert(revision)
+            }),
+            5..=6 => Self::Update(v1::UpdateRequest {
+                operation_id,
+                ..requests.update(revision)
+            }),
+            _ => Self::Remove(v1::RemoveRequest {
+                operation_id,
+                ..requests.remove()
+            }),
+        }
+    }
+
+    pub(super) async fn send(&self, service: &Service) -> Told {
+        match self.clone() {
+            Self::Insert(request) => told(refused(service.insert(&CALL, request).await)),
+            Self::Update(request) => told(refused(service.update(&CALL, request).await)),
+            Self::Remove(request) => told(refused(service.remove(&CALL, request).await)),
+        }
+    }
+
+    pub(super) fn apply(&self, model: &mut Model) -> Told {
+        match self {
+            Self::Insert(request) => told(model.insert(request)),
+            Self::Update(request) => told(model.update(request)),
+            Self::Remove(request) => told(Ok(model.remove(request))),
+        }
+    }
+}

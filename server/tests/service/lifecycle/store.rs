@@ -1,0 +1,64 @@
+//! Where the indices are kept from one start of the server to the next.
+
+use std::{path::Path, process::Command, sync::Arc};
+
+use wayfold_server::log::{Durability, FjallLog, Log, MemoryLog};
+
+use crate::fault::FaultLog;
+
+pub(super) enum Store {
+    /// It outlives the servers over it.
+    Memory(Arc<MemoryLog>),
+    Disk(tempfile::TempDir),
+    /// A disk that loses its power.
+    Faulty(FaultLog),
+}
+
+/// How a server ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum End {
+    Orderly,
+    Crash,
+}
+
+impl Store {
+    pub(super) fn on_disk() -> Self {
+        Self::Disk(tempfile::tempdir().unwrap())
+    }
+
+    pub(super) fn open(&self) -> Arc<dyn Log> {
+        match self {
+            Self::Memory(log) => Arc::clone(log) as _,
+            Self::Disk(directory) => {
+                Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap())
+            }
+            Self::Faulty(log) => Arc::new(log.clone()),
+        }
+    }
+
+    /// What is left where the server ends as it is now. It still runs.
+    pub(super) fn left(&self, end: End) -> Option<Self> {
+        match (self, end) {
+            (Self::Disk(directory), End::Crash) => Some(Self::Disk(copied(directory.path()))),
+            _ => None,
+        }
+    }
+
+    /// To be called once the server has ended.
+    pub(super) fn close(&self, end: End) {
+        match (self, end) {
+            (Self::Faulty(log), End::Crash) => log.cut(),
+            (Self::Faulty(log), End::Orderly) => log.close_and_open(),
+            (Self::Memory(_) | Self::Disk(_), _) => {}
+        }
+    }
+}
+
+/// The files as they are now.
+fn copied(directory: &Path) -> tempfile::TempDir {
+    let copy = tempfile::tempdir().unwrap();
+    let mut command = Command::new("cp");
+    command.arg("-R").arg(directory.join(".")).arg(copy.path());
+    assert!(command.status().unwrap().success());
+    copy
+}

@@ -1,0 +1,145 @@
+//! What there must be on the server: a model an index, with the operations that it answered, and copies of some.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rand::{RngExt, seq::IndexedRandom};
+use rand_chacha::ChaCha8Rng;
+use wayfold_proto::{snapshot::Header, space, v1};
+
+use super::mutation::{Mutation, Told};
+use crate::{
+    backup::{Held, read},
+    model::Model,
+    random::Requests,
+};
+
+pub(super) struct World {
+    pub(super) random: ChaCha8Rng,
+    pub(super) indexes: BTreeMap<String, Kept>,
+    pub(super) copies: Vec<Copied>,
+    /// How many indices were made of them.
+    pub(super) restored: u64,
+    /// All there ever were.
+    uids: BTreeSet<String>,
+}
+
+/// An index that is there.
+pub(super) struct Kept {
+    pub(super) model: Model,
+    pub(super) operations: Vec<Operation>,
+}
+
+/// A mutation with an operation id.
+#[derive(Clone)]
+pub(super) struct Operation {
+    pub(super) mutation: Mutation,
+    /// What its retry is told; None if it is evaluated anew.
+    pub(super) told: Option<Told>,
+    /// Whether it made a revision: others are forgotten by a restart.
+    pub(super) changed: bool,
+}
+
+/// A snapshot that was taken, and what it is of.
+#[derive(Clone)]
+pub(super) struct Copied {
+    pub(super) parts: Vec<v1::SnapshotPart>,
+    pub(super) model: Model,
+}
+
+impl World {
+    pub(super) fn new(random: ChaCha8Rng) -> Self {
+        Self {
+            random,
+            indexes: BTreeMap::new(),
+            copies: Vec::new(),
+            restored: 0,
+            uids: BTreeSet::new(),
+        }
+    }
+
+    pub(super) fn pick<T: Copy>(&mut self, of: &[T]) -> T {
+        *of.choose(&mut self.random).unwrap()
+    }
+
+    /// The name of an index that is there.
+    pub(super) fn present(&mut self) -> Option<String> {
+        let names: Vec<&String> = self.indexes.keys().collect();
+        names.choose(&mut self.random).map(|name| (*name).clone())
+    }
+
+    pub(super) fn requests(&mut self, name: &str) -> Requests {
+        let model = &self.indexes[name].model;
+        Requests::new(self.random.random(), &model.space, &model.uid).named(name)
+    }
+
+    /// A new index, under a uid that no other had.
+    pub(super) fn add(&mut self, name: &str, model: Model) {
+        assert!(self.uids.insert(model.uid.clone()), "a uid came again");
+        let operations = Vec::new();
+        let kept = Kept { model, operations };
+        assert!(self.indexes.insert(name.into(), kept).is_none());
+    }
+
+    /// What a server forgets when it ends.
+    pub(super) fn forget(&mut self) {
+        for kept in self.indexes.values_mut() {
+            for operation in &mut kept.operations {
+                if !operation.changed {
+                    operation.told = None;
+                }
+            }
+        }
+    }
+}
+
+impl Kept {
+    /// Applies one of its operations, or recalls what it was told.
+    pub(super) fn apply(&mut self, at: usize) -> Told {
+        let operation = &mut self.operations[at];
+        if let Some(told) = &operation.told {
+            return told.clone();
+        }
+        let before = self.model.revision;
+        let told = operation.mutation.apply(&mut self.model);
+        operation.changed = self.model.revision > before;
+        operation.told = told.is_ok().then(|| told.clone());
+        told
+    }
+}
+
+/// What `GetIndex` tells, but for the memory.
+pub(super) fn described(name: &str, model: &Model) -> v1::Index {
+    v1::Index {
+        name: name.into(),
+        space: Some(space::to_message(&model.space)),
+        space_text: model.space.to_string(),
+        uid: model.uid.clone(),
+        revision: model.revision,
+        points: model.points.len() as u64,
+        coordinates: model.space.coordinates() as u32,
+        dimension: model.space.dimension() as u32,
+        memory_bytes: 0,
+    }
+}
+
+/// That a snapshot holds all of the model, and nothing else.
+pub(super) fn assert_holds(name: &str, parts: &[v1::SnapshotPart], model: &Model) {
+    let points = model.points.values().map(|point| {
+        let (row, payload) = (point.row.clone(), point.payload.clone());
+        (point.tag, point.stored, point.modified, row, payload)
+    });
+    let header = Header {
+        name: name.into(),
+        uid: model.uid.clone(),
+        space: model.space.clone(),
+        revision: model.revision,
+        next_id: model.next_id,
+        points: model.points.len() as u64,
+    };
+    let expected = Held {
+        header,
+        ids: model.points.keys().copied().collect(),
+        points: points.collect(),
+    };
+    assert_eq!(read(parts), expected);
+}
