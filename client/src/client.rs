@@ -15,7 +15,7 @@ use wayfold_proto::{
     },
 };
 
-use crate::{Error, IndexHandle, IndexInfo, RetryPolicy};
+use crate::{DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, RetryPolicy};
 
 /// A connection to a Wayfold server. Clones share it; any number of calls can be under way on it at once.
 ///
@@ -189,13 +189,13 @@ impl Client {
         IndexInfo::from_message(CALL, answer.index)
     }
 
-    /// All indices of the server, by name.
+    /// All indices of the server, by name; those that cannot be read apart.
     ///
     /// # Errors
     /// Those of every call.
-    pub async fn list_indexes(&self) -> Result<Vec<IndexInfo>, Error> {
+    pub async fn list_indexes(&self) -> Result<IndexList, Error> {
         const CALL: &str = "list_indexes";
-        let (mut indexes, mut page_token) = (Vec::new(), String::new());
+        let (mut list, mut page_token) = (IndexList::default(), String::new());
         loop {
             let message = v1::ListIndexesRequest {
                 page_size: 0,
@@ -205,22 +205,32 @@ impl Client {
                 |stub: IndexStub, request| async move { { stub }.list_indexes(request).await };
             let page = self.index_call(CALL, message, call).await?;
             for index in page.indexes {
-                indexes.push(IndexInfo::from_message(CALL, Some(index))?);
+                list.indexes
+                    .push(IndexInfo::from_message(CALL, Some(index))?);
             }
+            list.damaged
+                .extend(page.damaged.into_iter().map(DamagedIndex::from_message));
             page_token = page.next_page_token;
             if page_token.is_empty() {
-                return Ok(indexes);
+                return Ok(list);
             }
         }
     }
 
-    /// Deletes the index that has this name now, with all its points, and tells the uid it had.
+    /// Deletes the index that has this name now, with all its points, and tells the uid it had. It may be one that
+    /// cannot be read.
     ///
     /// # Errors
     /// `NOT_FOUND`: there is no index of this name. `FAILED_PRECONDITION`: it was made anew during the call.
     pub async fn delete_index(&self, name: &str) -> Result<String, Error> {
         // With its uid, a delete that is tried again cannot hit an index that was created in between.
-        let uid = self.index_info(name).await?.uid;
+        let uid = match self.index_info(name).await {
+            Ok(index) => index.uid,
+            Err(error) if error.code() == Code::DataLoss => {
+                self.damaged_uid(name).await?.ok_or(error)?
+            }
+            Err(error) => return Err(error),
+        };
         let message = v1::DeleteIndexRequest {
             name: name.to_owned(),
             uid: uid.clone(),
@@ -231,6 +241,13 @@ impl Client {
             Err(error) if error.code() == Code::NotFound => Ok(uid),
             deleted => deleted.map(|_| uid),
         }
+    }
+
+    /// The uid of the index of this name, if it cannot be read.
+    async fn damaged_uid(&self, name: &str) -> Result<Option<String>, Error> {
+        let damaged = self.list_indexes().await?.damaged.into_iter();
+        let mut named = damaged.filter(|damaged| damaged.name == name);
+        Ok(named.next().map(|damaged| damaged.uid))
     }
 
     async fn index_call<Q, A, F, Fut>(

@@ -3,7 +3,39 @@
 use wayfold_index::Space;
 use wayfold_proto::{space, v1};
 
-use crate::Error;
+use crate::{Error, Refusal};
+
+/// The indices of a server.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct IndexList {
+    /// Those that can be read, by name.
+    pub indexes: Vec<IndexInfo>,
+    /// Those that cannot, by name.
+    pub damaged: Vec<DamagedIndex>,
+}
+
+/// An index that cannot be read. Its name is taken until it is deleted.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct DamagedIndex {
+    /// Its name.
+    pub name: String,
+    /// Its uid.
+    pub uid: String,
+    /// How every call for it is refused.
+    pub error: Refusal,
+}
+
+impl DamagedIndex {
+    pub(crate) fn from_message(damaged: v1::DamagedIndex) -> DamagedIndex {
+        DamagedIndex {
+            name: damaged.name,
+            uid: damaged.uid,
+            error: Refusal::from_message(&damaged.error.unwrap_or_default()),
+        }
+    }
+}
 
 /// An index as it stood at one revision.
 #[derive(Clone, Debug, PartialEq)]

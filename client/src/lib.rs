@@ -68,7 +68,7 @@ pub mod cli;
 pub use client::{Client, ClientBuilder};
 pub use error::Error;
 pub use handle::IndexHandle;
-pub use info::IndexInfo;
+pub use info::{DamagedIndex, IndexInfo, IndexList};
 pub use layout::{Coordinate, coordinate_names};
 pub use limits::{MUTATION_ROWS, READ_ROWS, REQUEST_BYTES};
 pub use neighbors::{Neighbors, Row};

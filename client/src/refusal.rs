@@ -98,7 +98,7 @@ impl fmt::Display for Refusal {
 }
 
 /// The code's name as the gRPC documentation spells it.
-fn code_name(code: Code) -> &'static str {
+pub(crate) fn code_name(code: Code) -> &'static str {
     match code {
         Code::Ok => "OK",
         Code::Cancelled => "CANCELLED",

@@ -6,6 +6,7 @@ mod backup;
 mod cli_errors;
 mod cli_files;
 mod cli_verbs;
+mod damaged;
 mod dividing;
 mod fake;
 mod process;

@@ -5,7 +5,10 @@ use tonic::{Request, Response, Status, Streaming};
 use wayfold_proto::v1::{self, index_service_server::IndexService};
 
 use super::{calls::call_of, refusals, status};
-use crate::{observe, service::Service};
+use crate::{
+    observe,
+    service::{Listing, Service},
+};
 
 /// The gRPC face of the indices.
 #[derive(Clone)]
@@ -40,7 +43,8 @@ impl IndexService for IndexFace {
         request: Request<v1::ListIndexesRequest>,
     ) -> Result<Response<v1::ListIndexesResponse>, Status> {
         let (call, message) = (call_of(&request), request.into_inner());
-        status::respond(self.service.list_indexes(&call, message).await)
+        let listed = self.service.list_indexes(&call, message).await;
+        status::respond(listed.map(listing))
     }
 
     async fn delete_index(
@@ -105,5 +109,18 @@ impl IndexService for IndexFace {
             ))
         });
         Ok(Response::new(answers.boxed()))
+    }
+}
+
+fn listing(listing: Listing) -> v1::ListIndexesResponse {
+    let damaged = listing.damaged.into_iter().map(|damaged| v1::DamagedIndex {
+        error: Some(status::to_message(&status::describing(&damaged.error))),
+        name: damaged.name,
+        uid: damaged.uid,
+    });
+    v1::ListIndexesResponse {
+        indexes: listing.indexes,
+        next_page_token: listing.next_page_token,
+        damaged: damaged.collect(),
     }
 }

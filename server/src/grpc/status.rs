@@ -37,6 +37,11 @@ pub(crate) fn from_error(error: &Error) -> Status {
     ) {
         error!(%error, "call failed");
     }
+    describing(error)
+}
+
+/// The same where no call failed.
+pub(crate) fn describing(error: &Error) -> Status {
     let mut metadata = Metadata::default();
     let mut details = ErrorDetails::new();
     describe(error, &mut metadata, &mut details);
@@ -55,7 +60,7 @@ pub(crate) fn limit(reason: &str, message: String, limit: &str, value: usize) ->
     Status::with_error_details(Code::ResourceExhausted, message, details)
 }
 
-/// `status` as a message, for streams that go on after it.
+/// `status` as a message, for answers that carry it.
 pub(crate) fn to_message(status: &Status) -> v1::Status {
     // The details are a google.rpc.Status that this file encoded.
     let details = pb::Status::decode(status.details()).map_or_else(|_| Vec::new(), |s| s.details);

@@ -81,6 +81,21 @@ impl Place {
     }
 }
 
+/// An index as it is listed.
+pub enum Listed {
+    /// One that is hosted.
+    Hosted(Arc<Hosted>),
+    /// One that cannot be read.
+    Damaged {
+        /// Its name.
+        name: String,
+        /// Its uid.
+        uid: Uid,
+        /// Why every call for it fails.
+        why: RegistryError,
+    },
+}
+
 /// What all indices share.
 struct Host {
     log: Arc<dyn Log>,
@@ -136,13 +151,20 @@ impl Registry {
         }
     }
 
-    /// Up to `limit` indices with names after `after` (from the first if None), by name; not those that are damaged.
-    pub fn page(&self, after: Option<&str>, limit: usize) -> Vec<Arc<Hosted>> {
+    /// Up to `limit` indices with names after `after` (from the first if None), by name; also those that are damaged.
+    pub fn page(&self, after: Option<&str>, limit: usize) -> Vec<Listed> {
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
         let indexes = self.indexes.read();
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
-        page.filter_map(|(_, place)| place.hosted().ok().cloned())
-            .take(limit)
+        page.take(limit)
+            .map(|(name, place)| match place {
+                Place::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
+                Place::Damaged(uid, why) => Listed::Damaged {
+                    name: name.clone(),
+                    uid: *uid,
+                    why: why.clone(),
+                },
+            })
             .collect()
     }
 

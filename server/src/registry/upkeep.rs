@@ -105,8 +105,8 @@ impl Registry {
 
     /// Forgets records that are too old, also of indices that nobody writes.
     fn trim(&self) {
-        let hosted = self.page(None, usize::MAX);
-        for hosted in hosted {
+        let places = self.indexes.read().clone();
+        for hosted in places.values().filter_map(|place| place.hosted().ok()) {
             if let Err(error) = hosted.trim(SystemTime::now()) {
                 warn!(index = hosted.name(), %error, "could not trim the log");
             }

@@ -5,7 +5,38 @@ use wayfold_index::Space;
 use wayfold_proto::{space, v1};
 
 use super::{Call, Error, Service, at::failed, check::Violations};
-use crate::registry::{Hosted, Published, Registry, RegistryError};
+use crate::registry::{Hosted, Listed, Published, Registry, RegistryError};
+
+/// A page of the indices, by name: those of both lists are consecutive.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Listing {
+    /// Those that can be read.
+    pub indexes: Vec<v1::Index>,
+    /// Those that cannot.
+    pub damaged: Vec<Damaged>,
+    /// Asks for the next page; empty on the last.
+    pub next_page_token: String,
+}
+
+/// An index that cannot be read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Damaged {
+    /// Its name.
+    pub name: String,
+    /// Its uid.
+    pub uid: String,
+    /// How every call for it fails.
+    pub error: Error,
+}
+
+impl Damaged {
+    /// At least as many as an answer has for it.
+    fn bytes(&self) -> usize {
+        // Of the error it has the code, the reason and other names, and the text.
+        const NAMES: usize = 256;
+        NAMES + self.name.len() + self.uid.len() + self.error.to_string().len()
+    }
+}
 
 impl Service {
     /// Creates an index, or finds the one of this name with an equal space.
@@ -60,13 +91,13 @@ impl Service {
         })
     }
 
-    /// Lists the indices in the order of their names, a page a call. A page ends early where the answer would grow
-    /// beyond its limit.
+    /// Lists the indices in the order of their names, a page a call; also those that cannot be read. A page ends early
+    /// where the answer would grow beyond its limit.
     pub async fn list_indexes(
         &self,
         call: &Call,
         request: v1::ListIndexesRequest,
-    ) -> Result<v1::ListIndexesResponse, Error> {
+    ) -> Result<Listing, Error> {
         self.accept(call)?;
         let size = match request.page_size {
             0 => 100,
@@ -77,18 +108,38 @@ impl Service {
         violations.finish()?;
 
         let mut pace = call.pace("while listing the indices");
-        let hosted = self.registry()?.page(after.as_deref(), size + 1);
-        let mut page = v1::ListIndexesResponse::default();
-        let mut bytes = 0;
-        for hosted in &hosted {
-            let index = describe(hosted, &hosted.published());
-            bytes += index.encoded_len() + 8;
-            let full = page.indexes.len() == size || bytes > self.limits().answer_bytes;
-            if let Some(last) = page.indexes.last().filter(|_| full) {
-                page.next_page_token = write_token(&last.name);
+        let listed = self.registry()?.page(after.as_deref(), size + 1);
+        let mut page = Listing::default();
+        let (mut bytes, mut last) = (0, None::<String>);
+        for (at, listed) in listed.into_iter().enumerate() {
+            let (name, entry) = match listed {
+                Listed::Hosted(hosted) => {
+                    let index = describe(&hosted, &hosted.published());
+                    (index.name.clone(), Ok(index))
+                }
+                Listed::Damaged { name, uid, why } => {
+                    let damaged = Damaged {
+                        name: name.clone(),
+                        uid: uid.to_string(),
+                        error: failed(&name, why),
+                    };
+                    (name, Err(damaged))
+                }
+            };
+            bytes += match &entry {
+                Ok(index) => index.encoded_len() + 8,
+                Err(damaged) => damaged.bytes(),
+            };
+            let full = at == size || bytes > self.limits().answer_bytes;
+            if let Some(last) = last.filter(|_| full) {
+                page.next_page_token = write_token(&last);
                 break;
             }
-            page.indexes.push(index);
+            match entry {
+                Ok(index) => page.indexes.push(index),
+                Err(damaged) => page.damaged.push(damaged),
+            }
+            last = Some(name);
             pace.step().await?;
         }
         Ok(page)

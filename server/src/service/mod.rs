@@ -42,6 +42,7 @@ use tokio_util::sync::CancellationToken;
 use crate::registry::Registry;
 pub use call::Call;
 pub use error::{Code, Error, Unavailability, Violation};
+pub use indexes::{Damaged, Listing};
 pub use limits::Limits;
 pub use restore::Restoring;
 pub use scan::Scan;

@@ -109,7 +109,7 @@ async fn a_restart_changes_nothing() {
     }
 }
 
-/// A log that finds the index `damaged` by its name.
+/// A log that finds every index damaged at its second revision.
 struct Damaging(MemoryLog);
 
 impl Log for Damaging {
@@ -144,8 +144,7 @@ impl Log for Damaging {
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
         let view = self.0.points(uid)?;
-        let entry = self.0.indexes()?.into_iter().find(|entry| entry.uid == uid);
-        match entry.is_some_and(|entry| entry.name == "damaged") && view.revision() == 2 {
+        match view.revision() == 2 {
             false => Ok(view),
             true => Err(LogError::Damaged {
                 uid,
@@ -168,20 +167,86 @@ impl Log for Damaging {
     }
 }
 
+/// Makes an index of which the second mutation is logged, and then cannot be shown to anybody.
+async fn create_damaged(service: &Service, name: &str) -> String {
+    let uid = create(service, name, "R1").await;
+    for row in [[1.0], [2.0]] {
+        let request = v1::InsertRequest {
+            index: name.into(),
+            ..insertion(&[row], &[])
+        };
+        let inserted = service.insert(&CALL, request).await;
+        assert_eq!(inserted.is_ok(), row == [1.0]);
+    }
+    uid
+}
+
+#[tokio::test]
+async fn damaged_indices_are_listed_among_the_others_page_by_page() {
+    let log: Arc<dyn Log> = Arc::new(Damaging(MemoryLog::new()));
+    let before = service_with(Arc::clone(&log), Limits::default());
+    let mut expected = Vec::new();
+    for name in ["e", "c", "a", "d", "b"] {
+        let uid = match name {
+            "b" | "c" | "e" => create_damaged(&before, name).await,
+            _ => create(&before, name, "R1").await,
+        };
+        expected.push((name.to_owned(), uid));
+    }
+    expected.sort();
+    drop(before);
+    let registry = Registry::new(log, options());
+    registry.replay().unwrap();
+    let registry = Arc::new(registry);
+    // Pages that end by their size, and by the bytes of the answer.
+    for (page_size, answer_bytes, longest) in
+        [(1, 9999, 1), (2, 9999, 2), (5, 9999, 5), (5, 500, 4)]
+    {
+        let limits = Limits {
+            answer_bytes,
+            ..Limits::default()
+        };
+        let service = Service::starting(limits);
+        service.set_registry(Arc::clone(&registry));
+        service.set_ready();
+        let (mut listed, mut most) = (Vec::new(), 0);
+        let mut request = v1::ListIndexesRequest {
+            page_size,
+            ..Default::default()
+        };
+        loop {
+            let page = service.list_indexes(&CALL, request.clone()).await.unwrap();
+            let mut names = Vec::new();
+            for index in page.indexes {
+                names.push((index.name, index.uid));
+            }
+            for damaged in page.damaged {
+                let get = v1::GetIndexRequest {
+                    name: damaged.name.clone(),
+                };
+                let refused = service.get_index(&CALL, get).await.unwrap_err();
+                assert_eq!(refused, damaged.error);
+                assert_eq!(refused.code(), Code::DataLoss);
+                names.push((damaged.name, damaged.uid));
+            }
+            names.sort();
+            most = most.max(names.len());
+            listed.append(&mut names);
+            if page.next_page_token.is_empty() {
+                break;
+            }
+            request.page_token = page.next_page_token;
+        }
+        assert_eq!(listed, expected, "pages of {page_size}");
+        assert!(most <= longest, "{most} in a page of {page_size}");
+    }
+}
+
 #[tokio::test]
 async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
     let log: Arc<dyn Log> = Arc::new(Damaging(MemoryLog::new()));
     let service = service_with(Arc::clone(&log), Limits::default());
-    create(&service, "damaged", "R1").await;
-    for row in [[1.0], [2.0]] {
-        let request = v1::InsertRequest {
-            index: "damaged".into(),
-            ..insertion(&[row], &[])
-        };
-        // The second is logged, and then cannot be shown to anybody.
-        let inserted = service.insert(&CALL, request).await;
-        assert_eq!(inserted.is_ok(), row == [1.0]);
-    }
+    create_damaged(&service, "damaged").await;
     create(&service, "other", "R1").await;
     drop(service);
     let service = restarted(log);

@@ -1,12 +1,19 @@
 //! `wayfold info` and `wayfold list`
 
+use std::io;
+
 use indicatif::HumanBytes;
 use serde::Serialize;
 
 use crate::{
-    IndexInfo,
-    cli::{Session, failure::Failure, output::Format},
+    DamagedIndex, IndexInfo, IndexList,
+    cli::{
+        Session,
+        failure::Failure,
+        output::{Format, Output},
+    },
     coordinate_names,
+    refusal::code_name,
 };
 
 /// Describes an index
@@ -14,6 +21,36 @@ use crate::{
 pub(in crate::cli) struct InfoArgs {
     /// The index
     name: String,
+}
+
+/// An index that cannot be read as a line of JSON.
+#[derive(Serialize)]
+struct DamagedLine<'a> {
+    name: &'a str,
+    uid: &'a str,
+    error: ErrorLine<'a>,
+}
+
+#[derive(Serialize)]
+struct ErrorLine<'a> {
+    code: &'static str,
+    reason: &'a str,
+    message: &'a str,
+}
+
+impl DamagedLine<'_> {
+    fn of(index: &DamagedIndex) -> DamagedLine<'_> {
+        let error = &index.error;
+        DamagedLine {
+            name: &index.name,
+            uid: &index.uid,
+            error: ErrorLine {
+                code: code_name(error.code),
+                reason: &error.reason,
+                message: &error.message,
+            },
+        }
+    }
 }
 
 /// An index as a line of JSON.
@@ -66,18 +103,35 @@ pub(in crate::cli) async fn info(args: InfoArgs, session: &mut Session) -> Resul
 }
 
 pub(in crate::cli) async fn list(session: &mut Session) -> Result<(), Failure> {
-    let indexes = session.client.list_indexes().await?;
+    let IndexList {
+        indexes, damaged, ..
+    } = session.client.list_indexes().await?;
     let output = &mut session.output;
     if output.format == Format::Json {
         for index in &indexes {
             output.json(&InfoLine::of(index))?;
         }
+        for index in &damaged {
+            output.json(&DamagedLine::of(index))?;
+        }
         return Ok(());
     }
-    if indexes.is_empty() {
+    if indexes.is_empty() && damaged.is_empty() {
         output.text("no indices; `wayfold create NAME --space SPACE` makes one")?;
-        return Ok(());
     }
+    if !indexes.is_empty() {
+        table(&indexes, output)?;
+    }
+    for index in &damaged {
+        output.text(format_args!(
+            "{} cannot be read: {}",
+            index.name, index.error
+        ))?;
+    }
+    Ok(())
+}
+
+fn table(indexes: &[IndexInfo], output: &mut Output) -> io::Result<()> {
     let longest = |text: fn(&IndexInfo) -> usize, least: usize| {
         indexes.iter().map(text).fold(least, usize::max)
     };
@@ -88,7 +142,7 @@ pub(in crate::cli) async fn list(session: &mut Session) -> Result<(), Failure> {
         "{:name$}  {:>points$}  {:>revision$}  SPACE",
         "NAME", "POINTS", "REVISION"
     ))?;
-    for index in &indexes {
+    for index in indexes {
         let IndexInfo {
             name: called,
             space,
