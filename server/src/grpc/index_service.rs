@@ -80,7 +80,7 @@ impl IndexService for IndexFace {
         let (call, mut messages) = (call_of(&request), request.into_inner());
         let restoring = self.service.restore_index(&call);
         let mut restoring = restoring.map_err(|error| status::from_error(&error))?;
-        let restate = |status| refusals::restate(status, self.max_message_bytes);
+        let restate = |status| refusals::restate(status, self.max_message_bytes, refusals::RAISE);
         while let Some(message) = messages.message().await.map_err(restate)? {
             if !message.name.is_empty() {
                 observe::index(&message.name);

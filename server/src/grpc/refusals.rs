@@ -15,6 +15,13 @@ use super::{
 use crate::service::{Error, Unavailability, Violation};
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
+/// What to do with a message that is too large.
+pub(crate) const SPLIT: &str = "split it into several calls";
+
+/// What to do where that message is a part of a snapshot.
+pub(crate) const RAISE: &str =
+    "a part of a snapshot has up to about 400 KiB and cannot be divided, so raise the limit";
+
 const MAX_CALLS: &str = "grpc.max_calls";
 
 /// Every status of this server has details, so one without them is tonic's own.
@@ -23,7 +30,7 @@ const DETAILS_HEADER: &str = "grpc-status-details-bin";
 /// The response as it goes out: `response`, unless it is a refusal of tonic's, which is put into other words.
 pub(crate) fn rewrite(response: Response<Body>, max_message_bytes: usize) -> Response<Body> {
     match tonics_own(response.headers()) {
-        Some(status) => restate(status, max_message_bytes).into_http(),
+        Some(status) => restate(status, max_message_bytes, SPLIT).into_http(),
         None => response,
     }
 }
@@ -37,14 +44,13 @@ fn tonics_own(headers: &HeaderMap) -> Option<Status> {
     Status::from_header_map(headers)
 }
 
-/// The contract's words for a status that tonic made while it read a request.
-pub(crate) fn restate(status: Status, max_message_bytes: usize) -> Status {
+/// The contract's words for a status that tonic made while it read a request; `advice` for one that is too large.
+pub(crate) fn restate(status: Status, max_message_bytes: usize, advice: &str) -> Status {
     match status.code() {
         Code::OutOfRange => status::limit(
             "LIMIT_EXCEEDED",
             format!(
-                "the request message exceeds the limit {MAX_MESSAGE_BYTES} = {max_message_bytes}: \
-                 split it into several calls"
+                "the request message exceeds the limit {MAX_MESSAGE_BYTES} = {max_message_bytes}: {advice}"
             ),
             MAX_MESSAGE_BYTES,
             max_message_bytes,

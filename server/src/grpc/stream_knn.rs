@@ -142,7 +142,11 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
             Err(status) => {
                 // Where a message of the wrong size ends is not known, so nothing can be read after it.
                 self.ended = true;
-                Read::End(Box::new(refusals::restate(status, self.max_message_bytes)))
+                Read::End(Box::new(refusals::restate(
+                    status,
+                    self.max_message_bytes,
+                    refusals::SPLIT,
+                )))
             }
         };
         Some((read, self))

@@ -123,6 +123,7 @@ async fn a_restore_that_is_refused_says_why() {
         large.message().contains("grpc.max_message_bytes"),
         "{large}"
     );
+    assert!(large.message().ends_with("raise the limit"), "{large}");
     let none = restore(&server, "copy", &[]).await.unwrap_err();
     assert_eq!(reason(&none, Code::InvalidArgument), "SNAPSHOT_CUT_SHORT");
     restore(&server, "copy", &good).await.unwrap();
