@@ -4,7 +4,7 @@ use std::{collections::VecDeque, sync::Arc, time::SystemTime};
 
 use futures_util::FutureExt;
 use tokio::sync::{Mutex, watch};
-use tracing::{error, warn};
+use tracing::{debug, warn};
 use wayfold_index::{Snapshot, Space};
 
 use super::{Host, OperationWindow, RegistryError, WriteGuard, Writer, recent::Recent};
@@ -229,7 +229,8 @@ impl Hosted {
                     }
                 }
                 Err(error) => {
-                    error!(index = self.name, %error, "the log could not be synced");
+                    // That the log has failed is told once, by itself, and not by each index.
+                    debug!(index = self.name, %error, "the log could not be synced");
                     self.close(error.into());
                     *self.unsynced.lock() = Unsynced::default();
                     return;

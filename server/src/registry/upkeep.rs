@@ -26,6 +26,7 @@ impl Registry {
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let (mut wait, mut next_try, mut trimmed) = (TICK, Instant::now(), Instant::now());
+        let mut told = None;
         loop {
             let now = ticks.tick().await;
             if self.failure().is_some() && now >= next_try {
@@ -33,12 +34,16 @@ impl Registry {
                 let outcome = tokio::task::spawn_blocking(move || registry.recover()).await;
                 match outcome {
                     Ok(Ok(())) => {
-                        wait = TICK;
+                        (wait, told) = (TICK, None);
                         recovered();
                     }
                     Ok(Err(error)) => {
-                        warn!(%error, "the log could not be opened anew");
                         wait = (2 * wait).min(LONGEST_WAIT);
+                        // It may last for days, and there is nothing new to say of it.
+                        if told.as_ref() != Some(&error) {
+                            warn!(%error, "the log cannot be opened anew yet");
+                            told = Some(error);
+                        }
                     }
                     // Only if it panicked, of which the panic itself has told.
                     Err(_) => wait = LONGEST_WAIT,

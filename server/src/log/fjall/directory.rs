@@ -21,8 +21,8 @@ const FORM: &str = "wayfold-server data, version ";
 const VERSION: &str = "2";
 
 const PROBE: &str = "probe";
-/// Enough for the store to begin anew with.
-const PROBE_BYTES: usize = 4 * 1024 * 1024;
+/// Enough for the store to begin anew with, beside what it has yet to move out of its journal.
+const PROBE_BYTES: u64 = 4 * 1024 * 1024;
 
 /// Why a data directory could not be opened.
 #[derive(Debug, Error)]
@@ -115,12 +115,12 @@ impl Directory {
         })
     }
 
-    /// Fails if the disk cannot be written, or has no room to speak of, or if `name` is not there.
-    pub(super) fn probe(&self, name: &str) -> io::Result<()> {
+    /// Fails if the disk cannot be written, or has no room for so many bytes and some more, or if `name` is not there.
+    pub(super) fn probe(&self, name: &str, bytes: u64) -> io::Result<()> {
         fs::metadata(self.join(name))?;
         let path = self.join(PROBE);
         let written = File::create(&path).and_then(|mut file| {
-            file.write_all(&vec![0; PROBE_BYTES])?;
+            io::copy(&mut io::repeat(0).take(PROBE_BYTES + bytes), &mut file)?;
             file.sync_all()
         });
         let removed = fs::remove_file(&path);

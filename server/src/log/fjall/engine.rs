@@ -4,11 +4,12 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Mutex, RwLock};
-use tracing::{error, warn};
+use tracing::warn;
 
 use super::{
     Durability, MARKS, STORE,
     directory::Directory,
+    failure::Failure,
     index::{Index, State},
     journal::Journal,
     layout::{Named, Number, entry_key},
@@ -30,8 +31,7 @@ pub(super) struct Engine {
     gone: Mutex<BTreeMap<Number, Gone>>,
     /// The number of the next index; who holds it creates or deletes one.
     next: Mutex<Number>,
-    /// Why nothing is written any more.
-    failed: Mutex<Option<LogError>>,
+    failure: Arc<Failure>,
     pub(super) store: Arc<Store>,
     directory: Arc<Directory>,
 }
@@ -64,8 +64,12 @@ impl Engine {
         write_marks(&mut marks, &found.indexes).map_err(text)?;
         let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(text)?;
         let sweeper = Sweeper::start(Arc::clone(&store), sweeping).map_err(text)?;
+        let failure = Arc::new(Failure::default());
         let syncer = match durability {
-            Durability::Fsync => Some(Syncer::start(journal, marks).map_err(text)?),
+            Durability::Fsync => {
+                let failure = Arc::clone(&failure);
+                Some(Syncer::start(journal, marks, failure).map_err(text)?)
+            }
             Durability::Os | Durability::None => None,
         };
         for &number in &found.deleted {
@@ -78,7 +82,7 @@ impl Engine {
             indexes: RwLock::new(indexes.map(|index| (index.entry.uid, index)).collect()),
             gone: Mutex::new(found.gone),
             next: Mutex::new(found.next),
-            failed: Mutex::new(None),
+            failure,
             store,
             directory: Arc::clone(directory),
         })
@@ -102,19 +106,12 @@ impl Engine {
 
     /// Why nothing is written any more.
     pub(super) fn failure(&self) -> Option<LogError> {
-        let failed = self.failed.lock().clone();
-        failed.or_else(|| self.syncer.as_ref().and_then(Syncer::failure))
+        self.failure.get()
     }
 
     /// Takes note of an error, after which, if it is one of the store, nothing is written any more.
     pub(super) fn note(&self, error: &LogError) {
-        if matches!(error, LogError::Storage { .. }) {
-            let mut failed = self.failed.lock();
-            if failed.is_none() {
-                error!(%error, "the log has failed");
-                *failed = Some(error.clone());
-            }
-        }
+        self.failure.note(error);
     }
 
     fn writable(&self) -> Result<(), LogError> {
@@ -278,6 +275,12 @@ impl Engine {
         }
         self.sweeper.stop();
         self.store.close();
+    }
+
+    /// About how many bytes the store has yet to move out of its journal.
+    pub(super) fn unmoved(&self) -> u64 {
+        let handles = self.store.handles();
+        handles.map_or(0, |handles| handles.unmoved())
     }
 
     /// Whether the next append may have to wait.

@@ -7,13 +7,15 @@
 //! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` (before
 //! it is opened), `layout` and `point` (what it holds, byte for byte), `index` (one index's writer), `view` (its points,
 //! pinned), `restoring` (an index made from a copy), `journal`, `syncer` and `marks` (what is on disk for certain),
-//! `recovery`, `loose` (after a server that does not sync), `sweeper` (what deleted indices leave).
+//! `failure` (why nothing more is written), `recovery`, `loose` (after a server that does not sync), `sweeper` (what
+//! deleted indices leave).
 //!
 //! A store that has failed takes nothing any more and is read still. It is closed and opened anew as a whole
 //! ([`Log::reopen`]), by the same way as at the start: there is no other that leads from the files to the state.
 
 mod directory;
 mod engine;
+mod failure;
 #[cfg(fuzzing)]
 pub mod fuzzing;
 mod index;
@@ -247,8 +249,11 @@ impl Log for FjallLog {
         let storage = |error: io::Error| LogError::Storage {
             what: error.to_string(),
         };
-        self.directory.probe(STORE).map_err(storage)?;
-        if let Ok(failed) = self.engine() {
+        let failed = self.engine().ok();
+        // It begins by moving these, and fails at once if it cannot.
+        let unmoved = failed.as_ref().map_or(0, |failed| failed.unmoved());
+        self.directory.probe(STORE, unmoved).map_err(storage)?;
+        if let Some(failed) = failed {
             let meanwhile = "it is being opened anew".into();
             *self.opened.write() = Opened::Not(meanwhile, BTreeMap::new());
             failed.shut();

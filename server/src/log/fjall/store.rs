@@ -60,6 +60,11 @@ impl Store {
 }
 
 impl Handles {
+    /// About how many bytes the store has yet to move out of its journal.
+    pub(super) fn unmoved(&self) -> u64 {
+        self.database.write_buffer_size()
+    }
+
     /// Whether the next batch would have to wait until the store has caught up.
     pub(super) fn is_busy(&self) -> bool {
         self.keyspace.sealed_memtable_count() + 1 >= MEMTABLES_THAT_HALT

@@ -9,9 +9,8 @@ use std::{sync::Arc, thread::JoinHandle, time::Duration};
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Condvar, Mutex};
 use tokio::sync::watch;
-use tracing::error;
 
-use super::{index::Index, journal::Journal, marks::Mark, marks::Marks};
+use super::{failure::Failure, index::Index, journal::Journal, marks::Mark, marks::Marks};
 use crate::log::LogError;
 
 /// So many batches in one sync come from several writers, who will be back.
@@ -34,6 +33,7 @@ struct Shared {
     /// Something was synced, or nothing will be any more.
     done: Condvar,
     synced: watch::Sender<Synced>,
+    failure: Arc<Failure>,
 }
 
 #[derive(Default)]
@@ -54,12 +54,17 @@ struct Synced {
 
 impl Syncer {
     /// Starts the thread.
-    pub(super) fn start(mut journal: Journal, mut marks: Marks) -> std::io::Result<Self> {
+    pub(super) fn start(
+        mut journal: Journal,
+        mut marks: Marks,
+        failure: Arc<Failure>,
+    ) -> std::io::Result<Self> {
         let shared = Arc::new(Shared {
             announced: Mutex::default(),
             wake: Condvar::new(),
             done: Condvar::new(),
             synced: watch::Sender::default(),
+            failure,
         });
         let work = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
@@ -91,11 +96,6 @@ impl Syncer {
             // It panics only by a bug, of which the panic itself has told.
             let _ = thread.join();
         }
-    }
-
-    /// Why nothing is synced any more.
-    pub(super) fn failure(&self) -> Option<LogError> {
-        self.shared.synced.borrow().failed.clone()
     }
 
     /// Returns once all that was announced before is synced.
@@ -172,9 +172,11 @@ impl Shared {
                     self.tell_blocked();
                 }
                 Err(what) => {
-                    error!(%what, "the journal could not be synced: no mutation is taken any more");
-                    let failed = Some(LogError::Storage { what });
-                    self.synced.send_modify(|synced| synced.failed = failed);
+                    let failed = LogError::Storage { what };
+                    // Before anybody is told, who might write on.
+                    self.failure.note(&failed);
+                    self.synced
+                        .send_modify(|synced| synced.failed = Some(failed));
                     self.tell_blocked();
                     return;
                 }
