@@ -87,6 +87,15 @@ pub enum LogError {
         /// What the store said.
         what: String,
     },
+    /// The disk does not let the store be opened.
+    #[error(
+        "the store cannot be opened ({what}): nothing is read or written until the disk can be used again, which is \
+         tried again and again"
+    )]
+    Shut {
+        /// What the disk said.
+        what: String,
+    },
     /// Revisions that were synced, and so acknowledged, are not there any more.
     #[error(
         "index {uid}: the revisions {first} to {last} were stored and are gone: the files of the log were cut short or \

@@ -52,6 +52,7 @@ impl From<LogError> for RegistryError {
             | LogError::Lost { .. }
             | LogError::Unreadable { .. }
             | LogError::Unopened { .. }
+            | LogError::Shut { .. }
             | LogError::Storage { .. }
             | LogError::Closed) => Self::Log(error),
         }

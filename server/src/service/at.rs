@@ -87,7 +87,9 @@ pub(super) fn log_failed(index: &str, error: LogError) -> Error {
         | LogError::Unreadable { .. }
         | LogError::Unopened { .. }
         | LogError::Trimmed { .. } => Error::DataLoss { what },
-        LogError::Storage { .. } | LogError::Closed => Error::StorageFailed { what },
+        LogError::Storage { .. } | LogError::Shut { .. } | LogError::Closed => {
+            Error::StorageFailed { what }
+        }
         LogError::UidTaken { .. } | LogError::Fenced { .. } => Error::Internal { what },
     }
 }

@@ -17,7 +17,7 @@ use super::{
     marks::{Mark, Marks},
     recovery,
     restoring::Copy,
-    store::{Store, storage, told},
+    store::{Store, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
     syncer::Syncer,
 };
@@ -42,33 +42,32 @@ impl Engine {
         directory: &Arc<Directory>,
         durability: Durability,
         marks: (Marks, &BTreeMap<Number, Mark>),
-    ) -> Result<Self, String> {
+    ) -> Result<Self, LogError> {
         let (mut marks, marked) = marks;
-        let text = |error: std::io::Error| error.to_string();
         let path = directory.join(STORE);
-        if !path.try_exists().map_err(text)? {
-            return Err(format!("there is no {}", path.display()));
+        if !path.try_exists().map_err(shut)? {
+            return Err(not_readable(format!("there is no {}", path.display())));
         }
-        manifest::check(&path)?;
-        let store = Store::open(&path, durability).map_err(told)?;
+        manifest::check(&path).map_err(not_readable)?;
+        let store = Store::open(&path, durability).map_err(unopened)?;
         let store = Arc::new(store);
-        let renamed = loose::may_have_lost(directory.path()).map_err(text)?;
-        let handles = store.handles().map_err(|error| error.to_string())?;
+        let renamed = loose::may_have_lost(directory.path()).map_err(shut)?;
+        let handles = store.handles()?;
         let found = recovery::recover(&handles, marked, renamed)?;
         drop(handles);
         let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
-        journal.sync()?;
-        loose::begin(directory.path(), durability).map_err(text)?;
+        journal.sync().map_err(|what| LogError::Shut { what })?;
+        loose::begin(directory.path(), durability).map_err(shut)?;
 
         // What is there is on disk now, also what was never acknowledged: whoever is shown it may count on it.
-        write_marks(&mut marks, &found.indexes).map_err(text)?;
-        let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(text)?;
-        let sweeper = Sweeper::start(Arc::clone(&store), sweeping).map_err(text)?;
+        write_marks(&mut marks, &found.indexes).map_err(shut)?;
+        let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
+        let sweeper = Sweeper::start(Arc::clone(&store), sweeping).map_err(shut)?;
         let failure = Arc::new(Failure::default());
         let syncer = match durability {
             Durability::Fsync => {
                 let failure = Arc::clone(&failure);
-                Some(Syncer::start(journal, marks, failure).map_err(text)?)
+                Some(Syncer::start(journal, marks, failure).map_err(shut)?)
             }
             Durability::Os | Durability::None => None,
         };

@@ -49,7 +49,7 @@ use engine::Engine;
 use journal::Journal;
 use layout::Number;
 use marks::{Mark, Marks};
-use store::Store;
+use store::{Store, shut};
 
 const STORE: &str = "store";
 /// A store in the making: it takes its name once it is whole.
@@ -96,7 +96,7 @@ pub struct FjallLog {
 enum Opened {
     Open(Arc<Engine>),
     /// Not open, and why; with what the marks tell of what it holds.
-    Not(String, BTreeMap<Number, Mark>),
+    Not(LogError, BTreeMap<Number, Mark>),
 }
 
 impl FjallLog {
@@ -116,13 +116,15 @@ impl FjallLog {
             make_store(&directory).map_err(failed)?;
         }
         let opened = match Engine::open(&directory, durability, (marks, &marked)) {
-            Ok(engine) => Opened::Open(Arc::new(engine)),
-            Err(what) => {
-                error!(directory = %directory.path().display(), what, "the store cannot be opened: every call will say so");
-                Opened::Not(what, marked)
+            Ok(engine) => {
+                info!(directory = %directory.path().display(), "opened the log");
+                Opened::Open(Arc::new(engine))
+            }
+            Err(why) => {
+                error!(directory = %directory.path().display(), error = %why, "every call will say so");
+                Opened::Not(why, marked)
             }
         };
-        info!(directory = %directory.path().display(), "opened the log");
         Ok(Self {
             opened: RwLock::new(opened),
             reopening: Mutex::new(()),
@@ -134,20 +136,14 @@ impl FjallLog {
     fn engine(&self) -> Result<Arc<Engine>, LogError> {
         match &*self.opened.read() {
             Opened::Open(engine) => Ok(Arc::clone(engine)),
-            Opened::Not(what, _) => Err(unopened(what, 0)),
+            Opened::Not(why, _) => Err(why.clone()),
         }
     }
 
-    fn try_reopen(&self) -> Result<Engine, String> {
-        let (marks, marked) =
-            Marks::open(&self.directory.join(MARKS)).map_err(|error| error.to_string())?;
+    fn try_reopen(&self) -> Result<Engine, LogError> {
+        let (marks, marked) = Marks::open(&self.directory.join(MARKS)).map_err(shut)?;
         Engine::open(&self.directory, self.durability, (marks, &marked))
     }
-}
-
-fn unopened(what: &str, revision: u64) -> LogError {
-    let what = what.into();
-    LogError::Unopened { what, revision }
 }
 
 impl Drop for FjallLog {
@@ -163,7 +159,7 @@ impl Log for FjallLog {
         match self.engine() {
             Ok(engine) => Ok(engine.entries()),
             // None of which more is known than that it is gone.
-            Err(LogError::Unopened { .. }) => Ok(Vec::new()),
+            Err(LogError::Unopened { .. } | LogError::Shut { .. }) => Ok(Vec::new()),
             Err(error) => Err(error),
         }
     }
@@ -171,11 +167,11 @@ impl Log for FjallLog {
     fn gone(&self) -> Vec<Gone> {
         match &*self.opened.read() {
             Opened::Open(engine) => engine.gone(),
-            Opened::Not(what, marked) => {
+            Opened::Not(why, marked) => {
                 let gone = marked.values().map(|mark| Gone {
                     name: mark.name.to_string(),
                     uid: mark.uid,
-                    why: unopened(what, mark.revision),
+                    why: why_gone(why, mark),
                 });
                 gone.collect()
             }
@@ -254,8 +250,7 @@ impl Log for FjallLog {
         let unmoved = failed.as_ref().map_or(0, |failed| failed.unmoved());
         self.directory.probe(STORE, unmoved).map_err(storage)?;
         if let Some(failed) = failed {
-            let meanwhile = "it is being opened anew".into();
-            *self.opened.write() = Opened::Not(meanwhile, BTreeMap::new());
+            *self.opened.write() = Opened::Not(LogError::Closed, BTreeMap::new());
             failed.shut();
         }
         let reopened = self.try_reopen();
@@ -266,12 +261,22 @@ impl Log for FjallLog {
                 info!("opened the log anew");
                 Ok(())
             }
-            Err(what) => {
-                let why = unopened(&what, 0);
-                *opened = Opened::Not(what, BTreeMap::new());
+            Err(why) => {
+                *opened = Opened::Not(why.clone(), BTreeMap::new());
                 Err(why)
             }
         }
+    }
+}
+
+/// Of a store that cannot be opened: what that means for an index.
+fn why_gone(why: &LogError, mark: &Mark) -> LogError {
+    match why {
+        LogError::Unopened { what, .. } => LogError::Unopened {
+            what: what.clone(),
+            revision: mark.revision,
+        },
+        why => why.clone(),
     }
 }
 

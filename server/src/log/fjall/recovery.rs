@@ -8,7 +8,7 @@ use super::{
     index::{Index, State},
     layout::{Head, Named, Number, entry_key, head_key, number_of_entry, record_key},
     marks::Mark,
-    store::{Handles, told, unreadable},
+    store::{Handles, not_readable, unopened, unreadable},
 };
 use crate::log::{Gone, LogError, Origin, Uid};
 
@@ -29,7 +29,7 @@ pub(super) fn recover(
     handles: &Handles,
     marks: &BTreeMap<Number, Mark>,
     renamed: bool,
-) -> Result<Found, String> {
+) -> Result<Found, LogError> {
     let mut found = Found {
         indexes: Vec::new(),
         gone: BTreeMap::new(),
@@ -39,8 +39,9 @@ pub(super) fn recover(
     };
     let mut left = marks.clone();
     for entry in handles.keyspace.range(entries()) {
-        let (key, value) = entry.into_inner().map_err(told)?;
-        let number = number_of_entry(&key).ok_or("a key of no known form")?;
+        let (key, value) = entry.into_inner().map_err(unopened)?;
+        let number =
+            number_of_entry(&key).ok_or_else(|| not_readable("a key of no known form".into()))?;
         found.next = found.next.max(number + 1);
         let Some(named) = Named::decode(number, &value) else {
             if !left.contains_key(&number) {
@@ -84,20 +85,20 @@ fn open(
     mut named: Named,
     mark: Option<Mark>,
     renamed: bool,
-) -> Result<Arc<Index>, String> {
+) -> Result<Arc<Index>, LogError> {
     let uid = named.entry.uid;
     if renamed {
         named.entry.uid = Uid::unique();
         let entry = named.encode(number);
         let stored = handles.keyspace.insert(entry_key(number), entry);
-        stored.map_err(told)?;
+        stored.map_err(unopened)?;
         warn!(index = named.entry.name, old = %uid, new = %named.entry.uid, "mutations may have been lost: new uid");
     }
     let index = Index::new(number, named.entry, State::new(Origin::START));
     match state(handles, &index, mark.filter(|mark| mark.uid == uid)) {
         Ok(state) => index.restore(state),
         // Of the disk, not of this index.
-        Err(LogError::Storage { what }) => return Err(what),
+        Err(LogError::Storage { what }) => return Err(LogError::Shut { what }),
         Err(why) => {
             error!(index = index.entry.name, error = %why, "an index is damaged: every call for it will say so");
             index.close(why);

@@ -1,6 +1,6 @@
 //! The store of a directory, which can be closed while others still know it.
 
-use std::{panic, path::Path, time::Duration};
+use std::{io, panic, path::Path, time::Duration};
 
 use fjall::{Database, Keyspace, KeyspaceCreateOptions, LsmError, PersistMode};
 use parking_lot::{MappedRwLockReadGuard, RwLock, RwLockReadGuard};
@@ -100,6 +100,29 @@ pub(super) fn unreadable(uid: Uid, error: fjall::Error) -> LogError {
             what: told(error),
         },
     }
+}
+
+/// Why the store as a whole cannot be opened: a disk that does not let it, or what is there is not what was stored.
+pub(super) fn unopened(error: fjall::Error) -> LogError {
+    match error {
+        fjall::Error::Io(error) | fjall::Error::Storage(LsmError::Io(error)) => shut(error),
+        fjall::Error::Poisoned => LogError::Shut { what: told(error) },
+        error => not_readable(told(error)),
+    }
+}
+
+/// As [`unopened`]. A file that is missing, or ends too early, is no trouble of the disk.
+pub(super) fn shut(error: io::Error) -> LogError {
+    let what = error.to_string();
+    match error.raw_os_error() {
+        Some(_) if error.kind() != io::ErrorKind::NotFound => LogError::Shut { what },
+        _ => not_readable(what),
+    }
+}
+
+/// As [`unopened`], whatever the disk does.
+pub(super) fn not_readable(what: String) -> LogError {
+    LogError::Unopened { what, revision: 0 }
 }
 
 /// What the store says, in as few words as there are.
