@@ -6,9 +6,16 @@
 //!
 //! This relies on how fjall 3 keeps its journal: files `N.jnl`, of which the one with the largest N is written to, and
 //! the one before was synced before the next was made. Whatever was committed before [`Journal::sync`] is therefore in
-//! the largest file that it finds, or synced already.
+//! the largest file that it finds, or synced already. Unless fjall has failed to make that file: it leaves it there with
+//! nothing in it, and writes to the one before until all know of the failure.
 
-use std::{fs, fs::File, io, path::PathBuf, sync::Arc};
+use std::{
+    fs,
+    fs::File,
+    io::{self, Read, Seek, SeekFrom},
+    path::PathBuf,
+    sync::Arc,
+};
 
 use fjall::PersistMode;
 
@@ -20,6 +27,8 @@ pub(super) struct Journal {
     directory: PathBuf,
     /// The newest file, by its number.
     newest: Option<(u64, File)>,
+    /// The one before, as long as nothing was found in the newest.
+    before: Option<File>,
 }
 
 impl Journal {
@@ -29,6 +38,7 @@ impl Journal {
             store,
             directory,
             newest: None,
+            before: None,
         }
     }
 
@@ -44,15 +54,29 @@ impl Journal {
 
     fn sync_newest(&mut self) -> io::Result<()> {
         let number = self.newest_number()?;
-        match &mut self.newest {
-            Some((known, file)) if *known == number => file.sync_data(),
-            _ => {
-                let file = File::options().write(true).open(self.file(number))?;
-                file.sync_data()?;
-                self.newest = Some((number, file));
-                Ok(())
+        if self
+            .newest
+            .as_ref()
+            .is_none_or(|(known, _)| *known != number)
+        {
+            let file = File::options()
+                .read(true)
+                .write(true)
+                .open(self.file(number))?;
+            let before = self.newest.replace((number, file));
+            self.before = before.map(|(_, file)| file);
+        }
+        let Some((_, newest)) = &mut self.newest else {
+            return Ok(());
+        };
+        if let Some(before) = &self.before {
+            if is_begun(newest)? {
+                self.before = None;
+            } else {
+                before.sync_data()?;
             }
         }
+        newest.sync_data()
     }
 
     fn newest_number(&self) -> io::Result<u64> {
@@ -76,6 +100,14 @@ impl Journal {
     fn file(&self, number: u64) -> PathBuf {
         self.directory.join(format!("{number}.jnl"))
     }
+}
+
+/// Whether anything was written to a file of the journal, which is made full of zeros: no entry begins with one.
+fn is_begun(file: &mut File) -> io::Result<bool> {
+    let mut first = [0];
+    file.seek(SeekFrom::Start(0))?;
+    let found = file.read(&mut first)?;
+    Ok(found > 0 && first != [0])
 }
 
 #[cfg(test)]
@@ -113,5 +145,26 @@ mod tests {
             keyspace.rotate_memtable_and_wait().unwrap();
         }
         assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
+    }
+
+    /// What a rotation leaves that failed for want of room, while fjall writes on to the file before.
+    #[test]
+    fn a_file_that_was_made_and_is_not_written_to_does_not_hide_the_one_before() {
+        let directory = tempfile::tempdir().unwrap();
+        let store = Arc::new(Store::open(directory.path(), Durability::Fsync).unwrap());
+        let mut journal = Journal::new(Arc::clone(&store), directory.path().into());
+        journal.sync().unwrap();
+        let (written, _) = journal.newest.as_ref().unwrap();
+        let new = directory.path().join(format!("{}.jnl", written + 1));
+        for length in [0, 4096] {
+            fs::write(&new, vec![0; length]).unwrap();
+            for _ in 0..2 {
+                journal.sync().unwrap();
+                assert!(journal.before.is_some());
+            }
+        }
+        fs::write(&new, [1]).unwrap();
+        journal.sync().unwrap();
+        assert!(journal.before.is_none());
     }
 }
