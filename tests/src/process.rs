@@ -112,6 +112,22 @@ impl Process {
         self.finish()
     }
 
+    /// All that it said to standard error up to the next line that has `part` in it, and that line.
+    ///
+    /// # Panics
+    /// As [`Process::log_line`], and if it ends before.
+    pub fn log_until(&mut self, part: &str) -> Vec<String> {
+        let mut lines = Vec::new();
+        while let Some(line) = self.log_line() {
+            let found = line.contains(part);
+            lines.push(line);
+            if found {
+                return lines;
+            }
+        }
+        panic!("the process has ended and never said \"{part}\"");
+    }
+
     /// Kills it once it has said so many lines to standard error.
     ///
     /// # Panics
@@ -237,12 +253,20 @@ impl ServerProcess {
     /// # Panics
     /// If it does not come up.
     pub fn ready(mut process: Process) -> Self {
-        let first = process.line();
-        let uri = first
-            .as_deref()
-            .and_then(|line| line.strip_prefix("listening on "))
-            .unwrap_or_else(|| panic!("the server said {first:?} and not that it listens"))
-            .to_owned();
+        match process.line() {
+            Some(line) => Self::listening(process, &line),
+            None => panic!("the server did not say that it listens"),
+        }
+    }
+
+    /// A server of which `line` is the first that it said.
+    ///
+    /// # Panics
+    /// If that is not that it listens.
+    pub fn listening(process: Process, line: &str) -> Self {
+        let uri = line.strip_prefix("listening on ");
+        let uri = uri.unwrap_or_else(|| panic!("the server said {line:?} and not that it listens"));
+        let uri = uri.to_owned();
         Self { process, uri }
     }
 
@@ -254,6 +278,14 @@ impl ServerProcess {
     /// Its process.
     pub fn process(&self) -> &Process {
         &self.process
+    }
+
+    /// As [`Process::log_until`].
+    ///
+    /// # Panics
+    /// As that.
+    pub fn log_until(&mut self, part: &str) -> Vec<String> {
+        self.process.log_until(part)
     }
 
     /// Waits for its end.

@@ -1,11 +1,15 @@
-//! The clients that are at work while a server goes down, and what they know afterwards.
+//! The clients that are at work while a server or its disk goes down, and what they know afterwards.
 
 mod builder;
 mod reader;
 mod tally;
 mod writer;
 
-use tokio::{sync::watch, task::JoinSet};
+use tokio::{
+    sync::watch,
+    task::{JoinHandle, JoinSet},
+};
+use tonic::Status;
 use wayfold_proto::v1::KnnRequest;
 use wayfold_tests::{
     Content, Model, ServerProcess, Signal, States, Stubs, ledger::Entry, row_states,
@@ -21,10 +25,11 @@ use writer::Writer;
 const SPACE: &str = "R3*SO3:0.15";
 /// Its coordinates.
 const COORDINATES: usize = 7;
-const WRITERS: u64 = 8;
 const READERS: u64 = 2;
+/// One in so many is kept of the reads of which there are as many as there is time for.
+const KEPT: usize = 20;
 
-/// When a server is killed.
+/// When a server is killed, or its disk fails.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Moment {
     /// Once so many mutations were acknowledged.
@@ -44,15 +49,40 @@ pub(crate) struct Clients {
     probes: States,
 }
 
+/// Clients at work.
+struct Working {
+    writing: JoinSet<Writer>,
+    reading: JoinSet<Reader>,
+    /// Ends the readers, who end by nothing else.
+    over: watch::Sender<bool>,
+    building: JoinHandle<Builder>,
+    at_acknowledged: watch::Receiver<u64>,
+    at_built: watch::Receiver<u64>,
+}
+
+impl Working {
+    async fn reach(&mut self, moment: Moment) {
+        let reached = match moment {
+            Moment::Acknowledged(count) => self.at_acknowledged.wait_for(|&now| now >= count).await,
+            Moment::Built(count) => self.at_built.wait_for(|&now| now >= count).await,
+        };
+        assert!(reached.is_ok(), "the server has ended by itself");
+    }
+}
+
 impl Clients {
+    /// How many of them write.
+    pub(crate) const WRITERS: usize = 8;
+
     /// Creates the index they share.
     pub(crate) async fn new(server: &ServerProcess, seed: u64, load: Load) -> Self {
         let mut stubs = Stubs::connect(server.uri()).await;
         let uid = stubs.create("arm", SPACE).await.uid;
-        let readers = (0..READERS).map(|reader| Reader::new(seed + WRITERS + reader, &uid));
+        let writers = Self::WRITERS as u64;
+        let readers = (0..READERS).map(|reader| Reader::new(seed + writers + reader, &uid));
         let readers = readers.collect();
         Self {
-            writers: (0..WRITERS)
+            writers: (0..writers)
                 .map(|name| Writer::new(name, seed, load))
                 .collect(),
             readers,
@@ -60,38 +90,127 @@ impl Clients {
             uid,
             model: Model::new(SPACE.parse().unwrap()),
             tally: Tally::default(),
-            probes: States::new(SPACE.parse().unwrap(), seed + WRITERS + READERS),
+            probes: States::new(SPACE.parse().unwrap(), seed + writers + READERS),
         }
     }
 
     /// All work, until the server is killed under them.
     pub(crate) async fn work(&mut self, server: ServerProcess, moment: Moment) {
+        let mut working = self.begin(&server).await;
+        working.reach(moment).await;
+        server.stop(Signal::Kill);
+        self.end(working).await;
+        for reader in &mut self.readers {
+            (reader.refusals, reader.searches_refused) = (Vec::new(), 0);
+        }
+    }
+
+    /// All work, until each writer was refused, as it will be after `fail`: what they were told.
+    pub(crate) async fn work_until_refused(
+        &mut self,
+        server: &ServerProcess,
+        moment: Moment,
+        fail: impl FnOnce(),
+    ) -> Vec<Status> {
+        let mut working = self.begin(server).await;
+        working.reach(moment).await;
+        fail();
+        self.end(working).await;
+        let refusals = self.writers.iter().map(|writer| writer.refusal.clone());
+        refusals.map(Option::unwrap).collect()
+    }
+
+    /// Each writer asks again for what is unknown: how many are refused again.
+    pub(crate) async fn ask_again(&mut self, server: &ServerProcess) -> usize {
+        let mut stubs = Stubs::connect(server.uri()).await;
+        let mut refused = 0;
+        for writer in &mut self.writers {
+            refused += usize::from(!writer.ask_again(&mut stubs).await);
+        }
+        refused
+    }
+
+    /// Each reader reads so many times.
+    pub(crate) async fn look(&mut self, server: &ServerProcess, times: usize) {
+        let stubs = Stubs::connect(server.uri()).await;
+        for reader in &mut self.readers {
+            for _ in 0..times {
+                reader.note(stubs.clone()).await;
+            }
+        }
+    }
+
+    /// The readers read while `wait` takes its time.
+    pub(crate) async fn look_during(
+        &mut self,
+        server: &mut ServerProcess,
+        wait: impl FnOnce(&mut ServerProcess),
+    ) {
+        let over = watch::Sender::new(false);
+        let mut reading = JoinSet::new();
+        for reader in self.readers.drain(..) {
+            let stubs = Stubs::connect(server.uri()).await;
+            let seen = reader.seen.len();
+            let reading_on = reader.read(stubs, over.subscribe());
+            reading.spawn(async move { (seen, reading_on.await) });
+        }
+        tokio::task::block_in_place(|| wait(server));
+        over.send_replace(true);
+        for (seen, mut reader) in reading.join_all().await {
+            // To compare all with brute force would take longer than it took to read it.
+            let mut at = 0;
+            reader.seen.retain(|_| {
+                at += 1;
+                at <= seen || at % KEPT == 0
+            });
+            self.readers.push(reader);
+        }
+    }
+
+    /// What readers were refused with, which is never a search.
+    pub(crate) fn refused_reads(&mut self) -> Vec<Status> {
+        let mut refusals = Vec::new();
+        for reader in &mut self.readers {
+            assert_eq!(reader.searches_refused, 0, "{:?}", reader.refusals);
+            refusals.append(&mut reader.refusals);
+        }
+        refusals
+    }
+
+    /// All begin to work.
+    async fn begin(&mut self, server: &ServerProcess) -> Working {
         let (acknowledged, built) = (watch::Sender::new(0), watch::Sender::new(0));
-        let (mut at_acknowledged, mut at_built) = (acknowledged.subscribe(), built.subscribe());
+        let (at_acknowledged, at_built) = (acknowledged.subscribe(), built.subscribe());
         let (mut writing, mut reading) = (JoinSet::new(), JoinSet::new());
+        let over = watch::Sender::new(false);
         for writer in self.writers.drain(..) {
             let stubs = Stubs::connect(server.uri()).await;
             writing.spawn(writer.write(stubs, acknowledged.clone()));
         }
         for reader in self.readers.drain(..) {
             let stubs = Stubs::connect(server.uri()).await;
-            reading.spawn(reader.read(stubs));
+            reading.spawn(reader.read(stubs, over.subscribe()));
         }
         let builder = std::mem::take(&mut self.builder);
         let building = tokio::spawn(builder.build(Stubs::connect(server.uri()).await, built));
-        // Only those who work hold it: a server that has ended by itself is noticed.
-        drop(acknowledged);
-        let reached = match moment {
-            Moment::Acknowledged(count) => at_acknowledged.wait_for(|&now| now >= count).await,
-            Moment::Built(count) => at_built.wait_for(|&now| now >= count).await,
-        };
-        assert!(reached.is_ok(), "the server has ended by itself");
-        drop(reached);
-        server.stop(Signal::Kill);
-        self.writers = writing.join_all().await;
+        // Only those who work hold the senders: a server that has ended by itself is noticed.
+        Working {
+            writing,
+            reading,
+            over,
+            building,
+            at_acknowledged,
+            at_built,
+        }
+    }
+
+    /// Those who write are refused, and end.
+    async fn end(&mut self, working: Working) {
+        self.writers = working.writing.join_all().await;
         self.writers.sort_by_key(|writer| writer.name);
-        self.readers = reading.join_all().await;
-        self.builder = building.await.unwrap();
+        working.over.send_replace(true);
+        self.readers = working.reading.join_all().await;
+        self.builder = working.building.await.unwrap();
     }
 
     /// All that was acknowledged is there, once, in order; what was seen is so still; answers equal brute force.

@@ -12,12 +12,16 @@ mod client_library;
 mod clients;
 mod command_line;
 mod crash;
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+mod disk_failure;
 mod filters;
 mod no_missed_edge;
 mod operation_ids;
 mod planners;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod power_loss;
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+mod preload;
 mod readme;
 mod reflection;
 mod scan;

@@ -1,6 +1,7 @@
 //! Reads, and notes what it saw: at which revision of which index, bit for bit.
 
 use rand::RngExt;
+use tokio::sync::watch;
 use tonic::{Code, Status};
 use wayfold_proto::v1::{Filter, GetRequest, GetResponse, KnnRequest, KnnResponse, ReadAt};
 use wayfold_tests::{Content, Model, States, Stubs, row_states};
@@ -47,6 +48,10 @@ pub(crate) struct Reader {
     uid: String,
     /// What it saw since it was taken away last.
     pub(crate) seen: Vec<Seen>,
+    /// What it was refused with since then.
+    pub(crate) refusals: Vec<Status>,
+    /// How many of these were searches, for which nothing needs to be read.
+    pub(crate) searches_refused: usize,
 }
 
 impl Reader {
@@ -57,20 +62,28 @@ impl Reader {
             newest: 0,
             uid: uid.to_owned(),
             seen: Vec::new(),
+            refusals: Vec::new(),
+            searches_refused: 0,
         }
     }
 
-    /// Reads until the server is gone. What others have under way meanwhile must not be seen.
-    pub(crate) async fn read(mut self, stubs: Stubs) -> Self {
-        loop {
-            match self.look(stubs.clone()).await {
-                Ok(seen) => self.seen.push(seen),
-                // It was removed meanwhile.
-                Err(status) if status.code() == Code::NotFound => {}
-                Err(status) => {
-                    assert_ne!(status.code(), Code::InvalidArgument, "{status}");
-                    return self;
-                }
+    /// Reads until it is over, whatever it is told. What others have under way meanwhile must not be seen.
+    pub(crate) async fn read(mut self, stubs: Stubs, over: watch::Receiver<bool>) -> Self {
+        while !*over.borrow() {
+            self.note(stubs.clone()).await;
+        }
+        self
+    }
+
+    /// Reads once, and notes what it sees or is told.
+    pub(crate) async fn note(&mut self, stubs: Stubs) {
+        match self.look(stubs).await {
+            Ok(seen) => self.seen.push(seen),
+            // It was removed meanwhile.
+            Err(status) if status.code() == Code::NotFound => {}
+            Err(status) => {
+                assert_ne!(status.code(), Code::InvalidArgument, "{status}");
+                self.refusals.push(status);
             }
         }
     }
@@ -105,7 +118,9 @@ impl Reader {
             }),
             ..Default::default()
         };
-        let response = stubs.points.knn(request.clone()).await?.into_inner();
+        let answered = stubs.points.knn(request.clone()).await;
+        self.searches_refused += usize::from(answered.is_err());
+        let response = answered?.into_inner();
         self.newest = response.revision;
         let neighbors = response.neighbors.as_ref();
         let ids = neighbors.into_iter().flat_map(|found| &found.ids);

@@ -4,6 +4,7 @@ use prost::bytes::Bytes;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::watch;
+use tonic::Status;
 use wayfold_proto::v1::{InsertRequest, NeighborQuery, RemoveRequest};
 use wayfold_tests::{States, Stubs, ledger::Entry, row_states};
 
@@ -36,6 +37,8 @@ pub(crate) struct Writer {
     /// Those with large payloads.
     heavy: Vec<u64>,
     unknown: Option<Request>,
+    /// What it was told of that, if anything.
+    pub(crate) refusal: Option<Status>,
     /// What was acknowledged since it was taken away last.
     pub(crate) ledger: Vec<Entry>,
 }
@@ -60,6 +63,7 @@ impl Writer {
             mine: Vec::new(),
             heavy: Vec::new(),
             unknown: None,
+            refusal: None,
             ledger: Vec::new(),
         }
     }
@@ -116,7 +120,7 @@ impl Writer {
         [text.as_bytes(), noise].concat().into()
     }
 
-    /// Writes until the server is gone; first what may or may not have taken place before.
+    /// Writes until it is refused, or the server is gone; first what may or may not have taken place before.
     pub(crate) async fn write(
         mut self,
         mut stubs: Stubs,
@@ -136,27 +140,39 @@ impl Writer {
 
     /// What is unknown becomes known by asking again, and takes place once.
     pub(crate) async fn resolve(&mut self, stubs: &mut Stubs) {
-        if let Some(request) = self.unknown.take() {
-            assert!(self.send(stubs, request).await);
+        let known = self.ask_again(stubs).await;
+        assert!(known, "{:?}", self.refusal);
+    }
+
+    /// Asks again for what is unknown; false if it still is.
+    pub(crate) async fn ask_again(&mut self, stubs: &mut Stubs) -> bool {
+        match self.unknown.take() {
+            Some(request) => self.send(stubs, request).await,
+            None => true,
         }
     }
 
     /// Whether it was acknowledged; it is unknown if not.
     async fn send(&mut self, stubs: &mut Stubs, request: Request) -> bool {
         let answered = match &request {
-            Request::Insert(insert) => match stubs.points.insert(insert.clone()).await {
-                Ok(response) => Some(Entry::Insert(insert.clone(), response.into_inner())),
-                Err(_) => None,
-            },
-            Request::Remove(remove) => match stubs.points.remove(remove.clone()).await {
-                Ok(response) => Some(Entry::Remove(remove.clone(), response.into_inner())),
-                Err(_) => None,
-            },
+            Request::Insert(insert) => {
+                let answered = stubs.points.insert(insert.clone()).await;
+                answered.map(|response| Entry::Insert(insert.clone(), response.into_inner()))
+            }
+            Request::Remove(remove) => {
+                let answered = stubs.points.remove(remove.clone()).await;
+                answered.map(|response| Entry::Remove(remove.clone(), response.into_inner()))
+            }
         };
-        let Some(entry) = answered else {
-            self.unknown = Some(request);
-            return false;
+        let entry = match answered {
+            Ok(entry) => entry,
+            Err(status) => {
+                self.unknown = Some(request);
+                self.refusal = Some(status);
+                return false;
+            }
         };
+        self.refusal = None;
         if let Entry::Insert(insert, response) = &entry {
             let heavy = insert.payloads[0].len() == HEAVY_BYTES;
             let ids = if heavy {

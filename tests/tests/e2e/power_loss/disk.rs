@@ -8,6 +8,8 @@ use std::{
 
 use wayfold_tests::{Process, ServerProcess};
 
+use crate::preload::compiled;
+
 /// A disk. What runs on it sees its files as they are written; once the power is cut only what is durable is left.
 pub(super) struct Disk {
     directory: tempfile::TempDir,
@@ -18,18 +20,10 @@ pub(super) struct Disk {
 }
 
 impl Disk {
-    /// An empty disk. Rust needs the system's `cc` to link, so it is there.
+    /// An empty disk.
     pub(super) fn new(unasked: Option<u64>) -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let library = directory.path().join("disk.so");
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("power/disk.c");
-        let compiled = Command::new("cc")
-            .args(["-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror"])
-            // It replaces the very functions that this would wrap.
-            .arg("-U_FORTIFY_SOURCE")
-            .args([Path::new("-o"), &library, &source])
-            .status();
-        assert!(compiled.unwrap().success(), "cc");
+        let library = compiled("disk.c", directory.path());
         let disk = Self {
             directory,
             library,

@@ -1,0 +1,162 @@
+//! The disk fails under a running server, and comes back: writes are refused with a clear status and nothing is half
+//! applied, reads go on, and the same process goes on writing once it can.
+
+mod disk;
+mod operator;
+mod start;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tonic::{Code, Status};
+use wayfold_tests::{Refusal, ServerProcess, Signal};
+
+use self::disk::Disk;
+use crate::clients::{Clients, Load, Moment};
+
+const LOAD: Load = Load {
+    rows: 10,
+    heavy: 0.05,
+    removals: 0.2,
+};
+/// Enough for the store to move points out of its journal within a few hundred calls.
+const HEAVY: Load = Load {
+    rows: 10,
+    heavy: 0.9,
+    removals: 0.1,
+};
+const SEED: u64 = 7;
+/// How often the disk fails in each way, unless the environment variable `DISK_FAILURES` says otherwise.
+const FAILURES: u64 = 1;
+/// Reads by each reader while it fails.
+const READS: usize = 40;
+/// What a server says once it writes again.
+const RECOVERED: &str = "the log is written again";
+
+fn failures() -> u64 {
+    std::env::var("DISK_FAILURES").map_or(FAILURES, |failures| failures.parse().unwrap())
+}
+
+fn check_refusals(refusals: &[Status]) {
+    for status in refusals {
+        let refusal = Refusal::of(status);
+        assert_eq!(
+            (refusal.code, &*refusal.reason),
+            (Code::Unavailable, "STORAGE_FAILED"),
+            "{status:?}"
+        );
+    }
+}
+
+/// A server on a disk that will fail, and its clients.
+struct Scene {
+    disk: Disk,
+    server: ServerProcess,
+    clients: Clients,
+    random: ChaCha8Rng,
+}
+
+impl Scene {
+    async fn new(load: Load) -> Self {
+        println!("seed {SEED}");
+        let disk = Disk::new();
+        let server = disk.serve();
+        Self {
+            clients: Clients::new(&server, SEED, load).await,
+            disk,
+            server,
+            random: ChaCha8Rng::seed_from_u64(SEED),
+        }
+    }
+
+    /// All work; at some moment the disk begins to fail, and is left so once each writer was refused.
+    async fn fail(&mut self, how: &str) {
+        let moment = Moment::Acknowledged(self.random.random_range(1..150));
+        let (clients, disk) = (&mut self.clients, &self.disk);
+        let refusals = clients.work_until_refused(&self.server, moment, || disk.fail(how));
+        let refusals = refusals.await;
+        check_refusals(&refusals);
+        // What to do, and what not to worry about.
+        for status in refusals {
+            let told = status.message();
+            assert!(told.contains("tried again and again"), "{told}");
+        }
+    }
+
+    /// As long as it fails every write is refused, and every read answered.
+    async fn look(&mut self) {
+        self.clients.look(&self.server, READS).await;
+        let refused = self.clients.ask_again(&self.server).await;
+        assert_eq!(refused, Clients::WRITERS);
+        self.clients.look(&self.server, READS).await;
+        let refused = self.clients.refused_reads();
+        assert!(refused.is_empty(), "{refused:?}");
+    }
+
+    /// The disk comes back. While the store is opened anew reads of what it keeps are to be asked for again.
+    async fn recover(&mut self) {
+        let disk = &self.disk;
+        let recovered = self.clients.look_during(&mut self.server, |server| {
+            disk.mend();
+            server.log_until(RECOVERED);
+        });
+        recovered.await;
+        check_refusals(&self.clients.refused_reads());
+        self.clients.check(&self.server).await;
+    }
+
+    /// All is there after a restart, too.
+    async fn end(mut self) {
+        self.server.stop(Signal::Kill);
+        self.clients.check(&self.disk.serve()).await;
+        println!("{}", self.clients.tally());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_disk_that_fails_and_comes_back_costs_no_acknowledged_mutation() {
+    let mut scene = Scene::new(LOAD).await;
+    for _ in 0..failures() {
+        for how in ["full 28", "torn 28", "readonly 30", "full 5", "syncs 5"] {
+            scene.fail(how).await;
+            scene.look().await;
+            scene.recover().await;
+        }
+    }
+    scene.end().await;
+}
+
+/// There is room for a little, and not for what the store moves out of its journal.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_disk_without_the_room_that_the_store_needs_is_waited_for() {
+    let mut scene = Scene::new(HEAVY).await;
+    for _ in 0..failures() {
+        scene.fail("large 28 8000000").await;
+        scene.look().await;
+        scene.recover().await;
+    }
+    scene.end().await;
+}
+
+/// The disk looks well, and only what the store moves out of its journal cannot be written: the store is opened anew
+/// again and again. Searches go on even so.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_store_that_fails_on_a_disk_that_looks_well_recovers_once_it_can() {
+    let mut scene = Scene::new(HEAVY).await;
+    for how in ["full 28 /tables/", "syncs 5 /keyspaces/"] {
+        scene.fail(how).await;
+        for _ in 0..10 {
+            scene.clients.look(&scene.server, READS).await;
+            scene.clients.ask_again(&scene.server).await;
+        }
+        check_refusals(&scene.clients.refused_reads());
+        scene.disk.mend();
+        let mut tries = 0;
+        while scene.clients.ask_again(&scene.server).await > 0 {
+            assert!(tries < 20, "it does not recover");
+            tries += 1;
+            tokio::task::block_in_place(|| scene.server.log_until(RECOVERED));
+        }
+        scene.clients.check(&scene.server).await;
+    }
+    scene.end().await;
+}
