@@ -22,6 +22,10 @@ use place::{Appended, Place};
 use report::Report;
 use shape::Shape;
 
+/// The server's own, so that what is measured is what runs; all contestants share it.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Which of the processes this is; unset in the one that measures.
 const ROLE: &str = "DURABLE_ROLE";
 const SPACE: &str = "R3*SO3:0.15";

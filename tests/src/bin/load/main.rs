@@ -20,6 +20,10 @@ use wayfold_tests::{Process, ServerProcess, Stubs, figures::resident_bytes};
 use asking::{Asker, Way};
 use report::Report;
 
+/// The server's own, so that what is measured is what runs; all contestants share it.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Which of the processes this is; unset in the one that measures.
 const ROLE: &str = "LOAD_ROLE";
 const SPACE: &str = "R3*SO3:0.15";
