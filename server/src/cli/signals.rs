@@ -29,7 +29,14 @@ pub(super) fn first() -> io::Result<impl Future<Output = ()>> {
 struct Signals {
     interrupt: tokio::signal::unix::Signal,
     terminate: tokio::signal::unix::Signal,
+    /// Never waited for: while it is listened for, a file that may not grow is an error of the write, as a full disk is,
+    /// and not the end of the server.
+    _file_size: tokio::signal::unix::Signal,
 }
+
+/// SIGXFSZ, on every system but those on MIPS.
+#[cfg(unix)]
+const FILE_SIZE: i32 = 25;
 
 #[cfg(unix)]
 impl Signals {
@@ -38,6 +45,7 @@ impl Signals {
         Ok(Self {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
+            _file_size: signal(SignalKind::from_raw(FILE_SIZE))?,
         })
     }
 

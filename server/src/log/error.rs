@@ -42,7 +42,10 @@ pub enum LogError {
         oldest: u64,
     },
     /// A record is not the one that was written.
-    #[error("index {uid}: the record of revision {revision} is damaged: {what}")]
+    #[error(
+        "the record of revision {revision} is damaged: {what}; restore the index from a snapshot, or delete it and start \
+         anew ({uid})"
+    )]
     Damaged {
         /// The index.
         uid: Uid,
@@ -52,7 +55,9 @@ pub enum LogError {
         what: &'static str,
     },
     /// A point is not the one that was written.
-    #[error("index {uid}: the point with id {id} is damaged: {what}")]
+    #[error(
+        "the point with id {id} is damaged: {what}; restore the index from a snapshot, or delete it and start anew ({uid})"
+    )]
     DamagedPoint {
         /// The index.
         uid: Uid,
@@ -63,8 +68,8 @@ pub enum LogError {
     },
     /// What the store read is not what was written.
     #[error(
-        "index {uid}: a part of its stored records and points is damaged ({what}); restore it from a snapshot, or delete \
-         the index and start anew"
+        "a part of its stored records and points is damaged ({what}); restore the index from a snapshot, or delete it and \
+         start anew ({uid})"
     )]
     Unreadable {
         /// The index.
@@ -98,8 +103,12 @@ pub enum LogError {
     },
     /// Revisions that were synced, and so acknowledged, are not there any more.
     #[error(
-        "index {uid}: the revisions {first} to {last} were stored and are gone: the files of the log were cut short or \
-         replaced; put them back from a copy, or delete the index and start anew"
+        "{} stored and gone: the files of the log were cut short or replaced; put them back from a copy, restore the index \
+         from a snapshot, or delete it and start anew ({uid})",
+        match first == last {
+            true => format!("revision {first} was"),
+            false => format!("the revisions {first} to {last} were"),
+        }
     )]
     Lost {
         /// The index.
@@ -112,7 +121,7 @@ pub enum LogError {
     /// The store failed: nothing more is written until it is opened anew.
     #[error(
         "the store failed ({what}): whether the mutations under way are stored is unknown, and none is taken until the \
-         disk can be written again, which is tried again and again; reads go on"
+         disk can be written again, which is tried again and again; meanwhile reads go on"
     )]
     Storage {
         /// What it said.

@@ -25,7 +25,7 @@ use tokio::sync::Semaphore;
 use tracing::info;
 use wayfold_index::{Forest, ForestOptions, Space};
 
-use crate::log::{Entry, Log, Uid};
+use crate::log::{Entry, Log, LogError, Uid};
 pub use error::RegistryError;
 pub use hosted::{Hosted, Published};
 pub use operations::OperationWindow;
@@ -60,7 +60,7 @@ impl Default for RegistryOptions {
 pub struct Registry {
     host: Arc<Host>,
     indexes: RwLock<BTreeMap<String, Place>>,
-    /// Held by who creates or deletes an index, so that readers need not wait for the log meanwhile.
+    /// Held by who creates, deletes, restores or recovers indices, so that readers need not wait for the log meanwhile.
     changing: Mutex<()>,
 }
 
@@ -143,29 +143,42 @@ impl Registry {
         }
     }
 
-    /// The index of this name: [`RegistryError::Deleted`] if there is none, or why it could not be replayed.
+    /// The index of this name: [`RegistryError::Deleted`] if there is none, or why it cannot be read.
     pub fn get(&self, name: &str) -> Result<Arc<Hosted>, RegistryError> {
         match self.indexes.read().get(name) {
             Some(place) => place.hosted().cloned(),
-            None => Err(RegistryError::Deleted),
+            None => Err(self.unopened().unwrap_or(RegistryError::Deleted)),
         }
     }
 
+    /// Why the log is not open, if so: then it may hold what is not known by name.
+    fn unopened(&self) -> Option<RegistryError> {
+        let not_open =
+            |why: &LogError| matches!(why, LogError::Unopened { .. } | LogError::Shut { .. });
+        let why = self.host.log.failure().filter(not_open);
+        why.map(RegistryError::Log)
+    }
+
     /// Up to `limit` indices with names after `after` (from the first if None), by name; also those that are damaged.
-    pub fn page(&self, after: Option<&str>, limit: usize) -> Vec<Listed> {
+    /// Fails if none is known and the log is not open.
+    pub fn page(&self, after: Option<&str>, limit: usize) -> Result<Vec<Listed>, RegistryError> {
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
         let indexes = self.indexes.read();
+        if indexes.is_empty()
+            && let Some(why) = self.unopened()
+        {
+            return Err(why);
+        }
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
-        page.take(limit)
-            .map(|(name, place)| match place {
-                Place::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
-                Place::Damaged(uid, why) => Listed::Damaged {
-                    name: name.clone(),
-                    uid: *uid,
-                    why: why.clone(),
-                },
-            })
-            .collect()
+        let listed = page.take(limit).map(|(name, place)| match place {
+            Place::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
+            Place::Damaged(uid, why) => Listed::Damaged {
+                name: name.clone(),
+                uid: *uid,
+                why: why.clone(),
+            },
+        });
+        Ok(listed.collect())
     }
 
     /// Creates an index, or finds the one of this name with an equal space; says whether it was created.

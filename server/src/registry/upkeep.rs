@@ -66,7 +66,12 @@ impl Registry {
     /// writers took them to be go on; any other is replayed, and who waited for it is told to ask again. It blocks.
     pub fn recover(&self) -> Result<(), RegistryError> {
         let _changing = self.changing.lock();
-        self.host.log.reopen()?;
+        if let Err(why) = self.host.log.reopen() {
+            if matches!(why, LogError::Unopened { .. }) {
+                self.give_up(&why);
+            }
+            return Err(why.into());
+        }
         let entries = self.host.log.indexes()?;
         let places = self.indexes.read().clone();
         for (name, place) in &places {
@@ -85,6 +90,21 @@ impl Registry {
         self.take_gone();
         info!(indexes = entries.len(), "the log is written again");
         Ok(())
+    }
+
+    /// What a start would find: nothing of the log can be read any more.
+    fn give_up(&self, why: &LogError) {
+        let gone = self.host.log.gone();
+        let mut indexes = self.indexes.write();
+        for (name, place) in indexes.iter_mut() {
+            if let Place::Hosted(hosted) = place {
+                let told = gone.iter().find(|gone| gone.name == *name);
+                let why = told.map_or(why, |gone| &gone.why).clone();
+                let uid = hosted.uid();
+                hosted.close(RegistryError::Log(why.clone()));
+                *place = Place::Damaged(uid, RegistryError::Log(why));
+            }
+        }
     }
 
     /// What an index is after the log was opened anew.

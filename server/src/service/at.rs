@@ -78,9 +78,26 @@ pub(super) fn failed(index: &str, error: RegistryError) -> Error {
 
 /// What a failure of the log means to a caller.
 pub(super) fn log_failed(index: &str, error: LogError) -> Error {
-    let what = format!("index \"{index}\": {error}");
     match error {
         LogError::UnknownIndex { .. } => Error::IndexNotFound { name: index.into() },
+        error => {
+            let what = format!("index \"{index}\": {error}");
+            told(what, error)
+        }
+    }
+}
+
+/// As [`log_failed`], of no index in particular.
+pub(super) fn unlisted(error: RegistryError) -> Error {
+    let what = error.to_string();
+    match error {
+        RegistryError::Log(error) => told(what, error),
+        _ => Error::Internal { what },
+    }
+}
+
+fn told(what: String, error: LogError) -> Error {
+    match error {
         LogError::Damaged { .. }
         | LogError::DamagedPoint { .. }
         | LogError::Lost { .. }
@@ -90,6 +107,8 @@ pub(super) fn log_failed(index: &str, error: LogError) -> Error {
         LogError::Storage { .. } | LogError::Shut { .. } | LogError::Closed => {
             Error::StorageFailed { what }
         }
-        LogError::UidTaken { .. } | LogError::Fenced { .. } => Error::Internal { what },
+        LogError::UnknownIndex { .. } | LogError::UidTaken { .. } | LogError::Fenced { .. } => {
+            Error::Internal { what }
+        }
     }
 }

@@ -4,7 +4,11 @@ use prost::Message;
 use wayfold_index::Space;
 use wayfold_proto::{space, v1};
 
-use super::{Call, Error, Service, at::failed, check::Violations};
+use super::{
+    Call, Error, Service,
+    at::{failed, unlisted},
+    check::Violations,
+};
 use crate::registry::{Hosted, Listed, Published, Registry, RegistryError};
 
 /// A page of the indices, by name: those of both lists are consecutive.
@@ -109,6 +113,7 @@ impl Service {
 
         let mut pace = call.pace("while listing the indices");
         let listed = self.registry()?.page(after.as_deref(), size + 1);
+        let listed = listed.map_err(unlisted)?;
         let mut page = Listing::default();
         let (mut bytes, mut last) = (0, None::<String>);
         for (at, listed) in listed.into_iter().enumerate() {

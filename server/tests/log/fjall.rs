@@ -2,8 +2,9 @@
 
 use std::{fs, path::Path, slice};
 
+use bytes::Bytes;
 use futures_util::FutureExt;
-use wayfold_server::log::{Durability, FjallLog, Log, LogError, Uid};
+use wayfold_server::log::{Durability, FjallLog, Log, LogError, Origin, StoredPoint, Uid};
 
 use super::{all_points, effects, entry, kept::copied};
 
@@ -275,6 +276,141 @@ fn an_index_of_which_only_the_mark_is_left_is_named_until_it_is_deleted() {
     drop(log);
     let log = open(directory.path(), Durability::Fsync);
     assert_eq!((log.indexes().unwrap(), log.gone()), (vec![new], vec![]));
+}
+
+/// A restore that was acknowledged, and of which the journal then lost some, is not taken for one that was given up.
+#[test]
+fn a_restored_index_that_is_cut_off_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    let (_, before) = journal(directory.path());
+    let copy = entry("copy");
+    let origin = Origin {
+        revision: 7,
+        next_id: 50,
+        digest: [3; 32],
+    };
+    let mut restoring = log.restore(copy.clone(), origin).unwrap();
+    let point = |id| StoredPoint {
+        id,
+        revision: 1,
+        modified: 1,
+        tag: 0,
+        state: Box::new([0.5]),
+        payload: Bytes::new(),
+    };
+    for ids in [0..20, 20..40] {
+        restoring.add(&ids.map(point).collect::<Vec<_>>()).unwrap();
+    }
+    restoring.finish().unwrap();
+    // Given up: it leaves nothing, also no mark.
+    let mut given_up = log.restore(entry("given-up"), origin).unwrap();
+    given_up.add(&[point(1)]).unwrap();
+    let (path, used) = journal(directory.path());
+    let crashed = copied(directory.path());
+    drop(given_up);
+    drop(log);
+    let name = path.strip_prefix(directory.path()).unwrap();
+    let log = open(crashed.path(), Durability::Fsync);
+    assert_eq!(log.points(copy.uid).unwrap().revision(), 7);
+    assert_eq!((log.indexes().unwrap().len(), log.gone()), (2, vec![]));
+    drop(log);
+    for length in [before, (2 * before + used) / 3, used - 400] {
+        let damaged = copied(directory.path());
+        let file = fs::File::options()
+            .write(true)
+            .open(damaged.path().join(name));
+        file.unwrap().set_len(length).unwrap();
+        for _ in 0..2 {
+            let log = open(damaged.path(), Durability::Fsync);
+            assert_eq!(log.indexes().unwrap(), [arm.clone()], "{length} of {used}");
+            let gone = log.gone();
+            assert_eq!(
+                (gone.len(), &*gone[0].name, gone[0].uid),
+                (1, "copy", copy.uid)
+            );
+            assert_eq!(
+                gone[0].why,
+                LogError::Lost {
+                    uid: copy.uid,
+                    first: 1,
+                    last: 7
+                }
+            );
+        }
+        let log = open(damaged.path(), Durability::Fsync);
+        log.delete(copy.uid).unwrap();
+        drop(log);
+        let log = open(damaged.path(), Durability::Fsync);
+        assert_eq!(
+            (log.indexes().unwrap(), log.gone()),
+            (vec![arm.clone()], vec![])
+        );
+    }
+}
+
+/// However much of it is back after the journal was cut short.
+#[test]
+fn an_index_that_was_deleted_does_not_come_back() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let (arm, leg) = (entry("arm"), entry("leg"));
+    log.create(arm.clone()).unwrap();
+    log.create(leg.clone()).unwrap();
+    let (_, before) = journal(directory.path());
+    append(&log, leg.uid, 1);
+    wait_synced(&log, leg.uid, 1);
+    log.delete(leg.uid).unwrap();
+    let (path, used) = journal(directory.path());
+    drop(log);
+    let name = path.strip_prefix(directory.path()).unwrap();
+    for length in (before..used).step_by(37) {
+        let damaged = copied(directory.path());
+        let file = fs::File::options()
+            .write(true)
+            .open(damaged.path().join(name));
+        file.unwrap().set_len(length).unwrap();
+        for _ in 0..2 {
+            let log = open(damaged.path(), Durability::Fsync);
+            assert_eq!(log.indexes().unwrap(), [arm.clone()], "{length} of {used}");
+            assert_eq!(log.gone(), []);
+        }
+        // Its number is not used again.
+        let log = open(damaged.path(), Durability::Fsync);
+        let new = entry("leg");
+        log.create(new.clone()).unwrap();
+        append(&log, new.uid, 1);
+        wait_synced(&log, new.uid, 1);
+        drop(log);
+        let log = open(damaged.path(), Durability::Fsync);
+        assert_eq!(log.points(new.uid).unwrap().revision(), 1);
+    }
+}
+
+/// What a disk does not let be read is not damaged.
+#[test]
+fn a_list_of_tables_that_cannot_be_read_is_no_loss_of_data() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    drop(log);
+    let current = directory.path().join("store/keyspaces/0/current");
+    let whole = fs::read(&current).unwrap();
+    fs::remove_file(&current).unwrap();
+    fs::create_dir(&current).unwrap();
+    let log = open(directory.path(), Durability::Fsync);
+    assert!(
+        matches!(log.failure(), Some(LogError::Shut { .. })),
+        "{:?}",
+        log.failure()
+    );
+    fs::remove_dir(&current).unwrap();
+    fs::write(&current, whole).unwrap();
+    log.reopen().unwrap();
+    assert_eq!(log.indexes().unwrap(), [arm]);
 }
 
 #[test]

@@ -143,3 +143,79 @@ async fn what_is_read_across_the_end_of_it_is_asked_for_again() {
     unavailable(scan.next().await.unwrap());
     assert_eq!(everything(service).await.total_points, 6);
 }
+
+/// The newest journal of a store, with a bit in the middle of it flipped.
+fn damage(store: &std::path::Path) {
+    let files = std::fs::read_dir(store).unwrap();
+    let journals = files.map(|file| file.unwrap().path());
+    let journal = journals.filter(|path| path.extension().is_some_and(|kind| kind == "jnl"));
+    let journal = journal.max().unwrap();
+    let mut bytes = std::fs::read(&journal).unwrap();
+    let used = bytes.iter().rposition(|&byte| byte != 0).unwrap();
+    bytes[used / 2] ^= 1;
+    std::fs::write(&journal, bytes).unwrap();
+}
+
+/// A failed store that turns out to be damaged when it is opened anew: what a start would say, without one.
+#[tokio::test]
+async fn damage_that_is_found_on_the_way_is_named_for_every_call() {
+    let failing = Failing::new();
+    let service = &failing.service;
+    create(service, "arm", "R1").await;
+    for id in 0..20 {
+        service.insert(&CALL, operation(id)).await.unwrap();
+    }
+    failing.fail();
+    unavailable(service.insert(&CALL, operation(20)).await);
+    failing.mend();
+    damage(&failing.store);
+    failing.recover().await.unwrap_err();
+    let insert = service.insert(&CALL, operation(21)).await;
+    let knn = service.knn(&CALL, knn(&[[3.1]], 2)).await;
+    let create = service.create_index(&CALL, creation("new", "R1")).await;
+    for code in [refusal(insert).0, refusal(knn).0, refusal(create).0] {
+        assert_eq!(code, Code::DataLoss);
+    }
+    let listed = service.list_indexes(&CALL, v1::ListIndexesRequest::default());
+    let listed = listed.await.unwrap();
+    assert_eq!((listed.indexes.len(), &*listed.damaged[0].name), (0, "arm"));
+}
+
+/// Below fsync no mark names what there is: then no call is answered as if there were nothing.
+#[tokio::test]
+async fn a_store_that_cannot_be_opened_is_not_served_as_an_empty_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = FjallLog::open(directory.path(), Durability::Os).unwrap();
+    let service = service_with(Arc::new(log), Limits::default());
+    create(&service, "arm", "R1").await;
+    for id in 0..20 {
+        service.insert(&CALL, operation(id)).await.unwrap();
+    }
+    let crashed = tempfile::tempdir().unwrap();
+    let mut copy = std::process::Command::new("cp");
+    copy.arg("-R")
+        .arg(directory.path().join("."))
+        .arg(crashed.path());
+    assert!(copy.status().unwrap().success());
+    damage(&crashed.path().join("store"));
+    for missing in [false, true] {
+        if missing {
+            std::fs::remove_dir_all(crashed.path().join("store")).unwrap();
+        }
+        let log = FjallLog::open(crashed.path(), Durability::Os).unwrap();
+        let registry = Registry::new(Arc::new(log), options());
+        registry.replay().unwrap();
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let listed = service
+            .list_indexes(&CALL, v1::ListIndexesRequest::default())
+            .await;
+        assert_eq!(listed.err().unwrap().code(), Code::DataLoss);
+        assert_eq!(
+            refusal(service.knn(&CALL, knn(&[[3.1]], 2)).await).0,
+            Code::DataLoss
+        );
+        let create = service.create_index(&CALL, creation("arm", "R1")).await;
+        assert_eq!(refusal(create).0, Code::DataLoss);
+    }
+}

@@ -16,6 +16,8 @@ use std::{
 
 use thiserror::Error;
 
+use super::{MARKS, STORE};
+
 const MARKER: &str = "wayfold-data";
 const FORM: &str = "wayfold-server data, version ";
 const VERSION: &str = "2";
@@ -34,6 +36,16 @@ pub enum OpenError {
         directory.display()
     )]
     Foreign {
+        /// The directory.
+        directory: PathBuf,
+    },
+    /// It looks like ours, and does not say so.
+    #[error(
+        "the file {MARKER} in {} is missing or damaged, and the rest looks like the data of a wayfold-server: if it is, \
+         write the line \"{FORM}{VERSION}\" into that file; else name another directory with --data",
+        directory.display()
+    )]
+    Marker {
         /// The directory.
         directory: PathBuf,
     },
@@ -88,9 +100,7 @@ impl Directory {
         make(path).map_err(failed)?;
         let marker = path.join(MARKER);
         if !marker.try_exists().map_err(failed)? && !is_empty(path).map_err(failed)? {
-            return Err(OpenError::Foreign {
-                directory: path.into(),
-            });
+            return Err(foreign(path));
         }
         let mut file = File::options()
             .read(true)
@@ -152,8 +162,9 @@ fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
         source,
     };
     let line = format!("{FORM}{VERSION}\n");
-    let mut found = String::new();
-    file.take(1000).read_to_string(&mut found).map_err(failed)?;
+    let mut found = Vec::new();
+    file.take(1000).read_to_end(&mut found).map_err(failed)?;
+    let found = String::from_utf8_lossy(&found).into_owned();
     if found == line {
         return Ok(());
     }
@@ -169,9 +180,16 @@ fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
             directory: path.into(),
             found: version.trim_end().into(),
         }),
-        None => Err(OpenError::Foreign {
-            directory: path.into(),
-        }),
+        None => Err(foreign(path)),
+    }
+}
+
+/// The refusal of a directory without our marker.
+fn foreign(path: &Path) -> OpenError {
+    let directory = path.into();
+    match [STORE, MARKS].iter().all(|name| path.join(name).exists()) {
+        true => OpenError::Marker { directory },
+        false => OpenError::Foreign { directory },
     }
 }
 
@@ -245,6 +263,32 @@ mod tests {
         fs::write(ours.join(MARKER), "hello").unwrap();
         assert!(refusal(&ours).contains("not a data directory"));
         assert!(refusal(directory.path()).contains("not a data directory"));
+    }
+
+    #[test]
+    fn a_marker_that_is_damaged_beside_all_the_rest_can_be_mended_as_it_says() {
+        let directory = tempfile::tempdir().unwrap();
+        let ours = directory.path();
+        drop(Directory::take(ours).unwrap());
+        fs::write(ours.join(MARKS), "").unwrap();
+        fs::create_dir(ours.join(STORE)).unwrap();
+        let marker = ours.join(MARKER);
+        let whole = fs::read_to_string(&marker).unwrap();
+        for damaged in [
+            &b""[..],
+            b"wayfold-sErver",
+            b"\xff\xfe",
+            b"wayfold-server data, ver",
+        ] {
+            fs::write(&marker, damaged).unwrap();
+            let refusal = refusal(ours);
+            assert!(refusal.contains("missing or damaged"), "{refusal}");
+            assert!(refusal.contains(whole.trim_end()), "{refusal}");
+        }
+        fs::remove_file(&marker).unwrap();
+        assert!(refusal(ours).contains("missing or damaged"));
+        fs::write(&marker, whole).unwrap();
+        Directory::take(ours).unwrap();
     }
 
     #[test]

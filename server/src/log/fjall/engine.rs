@@ -12,7 +12,7 @@ use super::{
     failure::Failure,
     index::{Index, State},
     journal::Journal,
-    layout::{Named, Number, entry_key},
+    layout::{Named, Number, Stage, entry_key},
     loose, manifest,
     marks::{Mark, Marks},
     recovery,
@@ -48,7 +48,7 @@ impl Engine {
         if !path.try_exists().map_err(shut)? {
             return Err(not_readable(format!("there is no {}", path.display())));
         }
-        manifest::check(&path).map_err(not_readable)?;
+        manifest::check(&path)?;
         let store = Store::open(&path, durability).map_err(unopened)?;
         let store = Arc::new(store);
         let renamed = loose::may_have_lost(directory.path()).map_err(shut)?;
@@ -136,11 +136,11 @@ impl Engine {
     }
 
     /// Stores the entry of an index, for certain.
-    fn put(&self, index: &Arc<Index>, deleted: bool, mark: Mark) -> Result<(), LogError> {
+    fn put(&self, index: &Arc<Index>, stage: Stage, mark: Mark) -> Result<(), LogError> {
         self.writable()?;
         let handles = self.store.handles()?;
         let entry = index.entry.clone();
-        let named = Named { entry, deleted }.encode(index.number);
+        let named = Named { entry, stage }.encode(index.number);
         let stored = handles.wait_for_room().and_then(|()| {
             let stored = handles.keyspace.insert(entry_key(index.number), named);
             stored.map_err(storage)
@@ -157,7 +157,7 @@ impl Engine {
         let number = *next;
         let index = Index::new(number, entry, State::new(Origin::START));
         *next += 1;
-        self.put(&index, false, index.here())?;
+        self.put(&index, Stage::Whole, index.here())?;
         self.indexes.write().insert(index.entry.uid, index);
         Ok(())
     }
@@ -194,8 +194,11 @@ impl Engine {
             return Ok(());
         }
         let index = self.index(uid)?;
-        let mark = index.close(LogError::UnknownIndex { uid });
-        if let Err(why) = self.put(&index, true, mark) {
+        let mark = Mark {
+            deleted: true,
+            ..index.close(LogError::UnknownIndex { uid })
+        };
+        if let Err(why) = self.put(&index, Stage::Deleted, mark) {
             index.close(why.clone());
             return Err(why);
         }
@@ -204,15 +207,15 @@ impl Engine {
         Ok(())
     }
 
-    /// Removes the mark of an index of which nothing else is left; false if there is none.
+    /// Marks an index as deleted of which nothing but the mark is left; false if it is none of these.
     fn forget(&self, uid: Uid) -> Result<bool, LogError> {
         let mut gone = self.gone.lock();
         let found = gone.iter().find(|(_, gone)| gone.uid == uid);
         let Some((&number, _)) = found else {
             return Ok(false);
         };
-        let cleared =
-            Marks::open(&self.directory.join(MARKS)).and_then(|(mut marks, _)| marks.clear(number));
+        let cleared = Marks::open(&self.directory.join(MARKS))
+            .and_then(|(mut marks, _)| marks.delete(number));
         cleared.map_err(|error| LogError::Storage {
             what: error.to_string(),
         })?;

@@ -134,6 +134,7 @@ impl Index {
             name: Arc::clone(&self.name),
             revision: head.revision,
             digest: head.digest,
+            deleted: false,
         }
     }
 

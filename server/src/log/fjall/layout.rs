@@ -3,7 +3,7 @@
 //!
 //! | key | value |
 //! |---|---|
-//! | `e`, index | [`Named`]: whether it was deleted, its uid, its name, its space as text |
+//! | `e`, index | [`Named`]: its [`Stage`], its uid, its name, its space as text |
 //! | `h`, index | [`Head`]: revision, next id, how many records were trimmed, the newest record's digest |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
@@ -94,13 +94,27 @@ fn checksum(key: &[u8], value: &[u8]) -> [u8; 8] {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Named {
     pub(super) entry: Entry,
+    pub(super) stage: Stage,
+}
+
+/// How an index is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Stage {
+    /// There.
+    Whole,
     /// Deleted: what is left of it is being removed.
-    pub(super) deleted: bool,
+    Deleted,
+    /// A copy that is not finished. As nobody was told that it is there, it is as good as deleted.
+    Copied,
 }
 
 impl Named {
     pub(super) fn encode(&self, number: Number) -> Vec<u8> {
-        let mut value = vec![u8::from(self.deleted)];
+        let mut value = vec![match self.stage {
+            Stage::Whole => 0,
+            Stage::Deleted => 1,
+            Stage::Copied => 2,
+        }];
         value.extend_from_slice(self.entry.uid.as_bytes());
         value.extend_from_slice(&(self.entry.name.len() as u64).to_le_bytes());
         value.extend_from_slice(self.entry.name.as_bytes());
@@ -110,9 +124,10 @@ impl Named {
 
     pub(super) fn decode(number: Number, value: &[u8]) -> Option<Self> {
         let mut cursor = Cursor::new(unseal(&entry_key(number), value)?);
-        let deleted = match cursor.array()? {
-            [0] => false,
-            [1] => true,
+        let stage = match cursor.array()? {
+            [0] => Stage::Whole,
+            [1] => Stage::Deleted,
+            [2] => Stage::Copied,
             _ => return None,
         };
         let uid = Uid::from_bytes(cursor.array()?);
@@ -121,7 +136,7 @@ impl Named {
         let space = str::from_utf8(cursor.take(cursor.left())?).ok()?;
         let space = space.parse().ok()?;
         let entry = Entry { uid, name, space };
-        Some(Self { entry, deleted })
+        Some(Self { entry, stage })
     }
 }
 
@@ -182,7 +197,7 @@ mod tests {
                 name: "arm".into(),
                 space: "sum(R3:0.1, SO3:0.15)".parse().unwrap(),
             },
-            deleted: false,
+            stage: Stage::Copied,
         };
         assert_eq!(Named::decode(7, &named.encode(7)), Some(named.clone()));
         assert_eq!(Named::decode(8, &named.encode(7)), None);

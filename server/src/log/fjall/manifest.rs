@@ -9,12 +9,19 @@ use std::{fs, io, path::Path};
 
 use xxhash_rust::xxh3::xxh3_128;
 
-use crate::log::cursor::Cursor;
+use super::store::{not_readable, shut};
+use crate::log::{LogError, cursor::Cursor};
 
-/// Says what is wrong with the lists of a store, before it is opened.
-pub(super) fn check(store: &Path) -> Result<(), String> {
+/// Fails if the lists of a store are damaged, or the disk does not let them be read, before it is opened.
+pub(super) fn check(store: &Path) -> Result<(), LogError> {
     let trees = store.join("keyspaces");
-    let unreadable = |path: &Path, error: io::Error| format!("{}: {error}", path.display());
+    let unreadable = |path: &Path, error| match shut(error) {
+        LogError::Shut { what } => LogError::Shut {
+            what: format!("{}: {what}", path.display()),
+        },
+        _ => not_readable(format!("{} is missing", path.display())),
+    };
+    let damaged = |path: &Path| not_readable(format!("{} is damaged", path.display()));
     for tree in fs::read_dir(&trees).map_err(|error| unreadable(&trees, error))? {
         let tree = tree.map_err(|error| unreadable(&trees, error))?.path();
         let path = tree.join("current");
@@ -24,12 +31,11 @@ pub(super) fn check(store: &Path) -> Result<(), String> {
             Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
             Err(error) => return Err(unreadable(&path, error)),
         };
-        let (number, sum) =
-            decode(&current).ok_or_else(|| format!("{} is damaged", path.display()))?;
+        let (number, sum) = decode(&current).ok_or_else(|| damaged(&path))?;
         let path = tree.join(format!("v{number}"));
         let list = fs::read(&path).map_err(|error| unreadable(&path, error))?;
         if xxh3_128(&list).to_le_bytes() != sum {
-            return Err(format!("{} is damaged", path.display()));
+            return Err(damaged(&path));
         }
     }
     Ok(())

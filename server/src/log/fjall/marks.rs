@@ -2,7 +2,8 @@
 //! word, and this is how that is noticed.
 //!
 //! The file has 128 bytes for each index that there ever was, at 128 times its number: uid, revision, the digest of that
-//! revision's record, the name after its length and before zeros, and a checksum over the number and these. So an index
+//! revision's record, the name after its length (of which the highest bit says that the index was deleted) and before
+//! zeros, and a checksum over the number and these. So an index
 //! of which nothing else is left can be named. A mark is written after what it speaks of was synced, so it may be behind
 //! and is never ahead. The file itself is not synced with every mark: after a loss of power it may
 //! be a moment older, and a mark that was torn then says nothing.
@@ -21,8 +22,10 @@ use crate::log::{Digest, Uid, cursor::Cursor};
 pub(super) const SIZE: usize = 128;
 /// Most bytes of a name: as many as the contract allows.
 const NAME: usize = 63;
+/// Set in the byte of the name's length.
+const DELETED: u8 = 0x80;
 
-/// How far an index was synced.
+/// How far an index was synced, or that it was deleted.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Mark {
     pub(super) uid: Uid,
@@ -30,6 +33,21 @@ pub(super) struct Mark {
     pub(super) revision: u64,
     /// Of the record of `revision`.
     pub(super) digest: Digest,
+    /// That it was deleted was synced: whatever else is found of it is to go.
+    pub(super) deleted: bool,
+}
+
+impl Mark {
+    /// Of an index of which nothing is left to be known.
+    pub(super) fn of_deleted() -> Self {
+        Self {
+            uid: Uid::from_bytes([0; 16]),
+            name: "".into(),
+            revision: 0,
+            digest: [0; 32],
+            deleted: true,
+        }
+    }
 }
 
 /// The file of marks.
@@ -63,9 +81,10 @@ impl Marks {
         Ok(())
     }
 
-    /// Forgets an index, for good.
-    pub(super) fn clear(&mut self, number: Number) -> io::Result<()> {
-        self.put(number, &[0; SIZE])?;
+    /// Notes for certain that an index is deleted. A mark is never removed: a journal that is cut short would bring the
+    /// index back, and nobody could tell.
+    pub(super) fn delete(&mut self, number: Number) -> io::Result<()> {
+        self.put(number, &encode(number, &Mark::of_deleted()))?;
         self.0.sync_data()
     }
 
@@ -81,7 +100,8 @@ pub(super) fn encode(number: Number, mark: &Mark) -> Vec<u8> {
     bytes.extend_from_slice(&mark.revision.to_le_bytes());
     bytes.extend_from_slice(&mark.digest);
     let name = &mark.name.as_bytes()[..mark.name.len().min(NAME)];
-    bytes.push(name.len() as u8);
+    let flag = if mark.deleted { DELETED } else { 0 };
+    bytes.push(name.len() as u8 | flag);
     bytes.extend_from_slice(name);
     bytes.resize(SIZE - 8, 0);
     seal(&number.to_be_bytes(), bytes)
@@ -91,12 +111,14 @@ pub(super) fn decode(number: Number, bytes: &[u8]) -> Option<Mark> {
     let mut cursor = Cursor::new(unseal(&number.to_be_bytes(), bytes)?);
     let (uid, revision, digest) = (cursor.array()?, cursor.u64()?, cursor.array()?);
     let [length] = cursor.array()?;
-    let name = str::from_utf8(cursor.take(length.into())?).ok()?;
+    let name = cursor.take((length & !DELETED).into())?;
+    let name = str::from_utf8(name).ok()?;
     Some(Mark {
         uid: Uid::from_bytes(uid),
         name: name.into(),
         revision,
         digest,
+        deleted: length & DELETED > 0,
     })
 }
 
@@ -113,17 +135,19 @@ mod tests {
             name: "arm".into(),
             revision,
             digest: [2; 32],
+            deleted: false,
         };
         let (mut marks, found) = Marks::open(&path).unwrap();
         assert!(found.is_empty());
         marks
             .write([(3, &mark(1)), (0, &mark(5)), (3, &mark(2)), (4, &mark(9))])
             .unwrap();
-        marks.clear(0).unwrap();
+        marks.delete(0).unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
         bytes[4 * SIZE + 20] ^= 1;
         std::fs::write(&path, bytes).unwrap();
         let (_, found) = Marks::open(&path).unwrap();
-        assert_eq!(found, BTreeMap::from([(3, mark(2))]));
+        let deleted = Mark::of_deleted();
+        assert_eq!(found, BTreeMap::from([(0, deleted), (3, mark(2))]));
     }
 }

@@ -106,15 +106,13 @@ impl FjallLog {
     /// with every call, and of each index in [`Log::gone`].
     pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
-        let failed = |source| OpenError::Io {
-            path: directory.path().into(),
+        let failed = |path: &Path, source| OpenError::Io {
+            path: path.into(),
             source,
         };
-        let (marks, marked) = Marks::open(&directory.join(MARKS)).map_err(failed)?;
-        // Where there are marks there was a store: one that is missing is not to be taken for one that holds nothing.
-        if marked.is_empty() {
-            make_store(&directory).map_err(failed)?;
-        }
+        make_store(&directory).map_err(|source| failed(directory.path(), source))?;
+        let path = directory.join(MARKS);
+        let (marks, marked) = Marks::open(&path).map_err(|source| failed(&path, source))?;
         let opened = match Engine::open(&directory, durability, (marks, &marked)) {
             Ok(engine) => {
                 info!(directory = %directory.path().display(), "opened the log");
@@ -168,7 +166,8 @@ impl Log for FjallLog {
         match &*self.opened.read() {
             Opened::Open(engine) => engine.gone(),
             Opened::Not(why, marked) => {
-                let gone = marked.values().map(|mark| Gone {
+                let named = marked.values().filter(|mark| !mark.deleted);
+                let gone = named.map(|mark| Gone {
                     name: mark.name.to_string(),
                     uid: mark.uid,
                     why: why_gone(why, mark),
@@ -242,30 +241,33 @@ impl Log for FjallLog {
             return Ok(());
         }
         // While it cannot be written the failed store is better than none: it can be read.
-        let storage = |error: io::Error| LogError::Storage {
-            what: error.to_string(),
-        };
         let failed = self.engine().ok();
+        let unwritable = |error: io::Error| match &failed {
+            Some(_) => LogError::Storage {
+                what: error.to_string(),
+            },
+            None => shut(error),
+        };
         // It begins by moving these, and fails at once if it cannot.
         let unmoved = failed.as_ref().map_or(0, |failed| failed.unmoved());
-        self.directory.probe(STORE, unmoved).map_err(storage)?;
+        self.directory.probe(STORE, unmoved).map_err(unwritable)?;
         if let Some(failed) = failed {
             *self.opened.write() = Opened::Not(LogError::Closed, BTreeMap::new());
             failed.shut();
         }
-        let reopened = self.try_reopen();
-        let mut opened = self.opened.write();
-        match reopened {
+        let (opened, outcome) = match self.try_reopen() {
             Ok(engine) => {
-                *opened = Opened::Open(Arc::new(engine));
                 info!("opened the log anew");
-                Ok(())
+                (Opened::Open(Arc::new(engine)), Ok(()))
             }
             Err(why) => {
-                *opened = Opened::Not(why.clone(), BTreeMap::new());
-                Err(why)
+                let marked = Marks::open(&self.directory.join(MARKS));
+                let marked = marked.map(|(_, marked)| marked).unwrap_or_default();
+                (Opened::Not(why.clone(), marked), Err(why))
             }
-        }
+        };
+        *self.opened.write() = opened;
+        outcome
     }
 }
 
@@ -280,10 +282,11 @@ fn why_gone(why: &LogError, mark: &Mark) -> LogError {
     }
 }
 
-/// Makes the store, unless there is one. A start that is cut short leaves none, or a whole one.
+/// Makes the store, unless there is one, or was: beside the file of marks, one that is missing is not to be taken for
+/// one that holds nothing. A start that is cut short leaves none, or a whole one.
 fn make_store(directory: &Directory) -> io::Result<()> {
     let (store, new) = (directory.join(STORE), directory.join(NEW_STORE));
-    if store.try_exists()? {
+    if store.try_exists()? || directory.join(MARKS).try_exists()? {
         return Ok(());
     }
     if new.try_exists()? {
@@ -296,10 +299,10 @@ fn make_store(directory: &Directory) -> io::Result<()> {
     made.close();
     // fjall leaves it to the file system whether the names of its directories are durable.
     sync_directories(&new)?;
+    fs::rename(&new, &store)?;
     fs::File::options()
         .append(true)
         .create(true)
         .open(directory.join(MARKS))?;
-    fs::rename(&new, &store)?;
     sync_directory(directory.path())
 }

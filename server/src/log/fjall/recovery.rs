@@ -6,7 +6,7 @@ use tracing::{error, warn};
 
 use super::{
     index::{Index, State},
-    layout::{Head, Named, Number, entry_key, head_key, number_of_entry, record_key},
+    layout::{Head, Named, Number, Stage, entry_key, head_key, number_of_entry, record_key},
     marks::Mark,
     store::{Handles, not_readable, unopened, unreadable},
 };
@@ -52,14 +52,27 @@ pub(super) fn recover(
             }
             continue;
         };
-        let mark = left.remove(&number);
-        if named.deleted {
-            found.deleted.push(number);
-        } else {
-            let index = open(handles, number, named, mark, renamed)?;
-            found.indexes.push(index);
+        let mark = left.get(&number);
+        let was_deleted = mark.is_some_and(|mark| mark.deleted);
+        match named.stage {
+            // It is told of below.
+            Stage::Copied if mark.is_some() && !was_deleted => continue,
+            Stage::Whole if was_deleted => {
+                warn!(
+                    index = named.entry.name,
+                    "the journal was cut short: an index is back that was deleted, and is deleted again"
+                );
+                found.deleted.push(number);
+            }
+            Stage::Deleted | Stage::Copied => found.deleted.push(number),
+            Stage::Whole => {
+                let index = open(handles, number, named, mark.cloned(), renamed)?;
+                found.indexes.push(index);
+            }
         }
+        left.remove(&number);
     }
+    left.retain(|_, mark| !mark.deleted);
     for (number, mark) in left {
         let why = LogError::Lost {
             uid: mark.uid,

@@ -1,14 +1,14 @@
 //! An index on its way into the store, point by point.
 //!
-//! Until its last batch its entry says that it was deleted: whatever ends the copy before, what is left of it is removed
-//! like what is left of any deleted index.
+//! Until its last batch its entry says that it is a copy that is not finished: whatever ends it before, what is left of it
+//! is removed like what is left of a deleted index. Found so where a mark says that it was finished, it is lost.
 
 use std::sync::Arc;
 
 use super::{
     engine::Engine,
     index::{Index, State},
-    layout::{Head, Named, Number, entry_key, head_key, point_key},
+    layout::{Head, Named, Number, Stage, entry_key, head_key, point_key},
     point::PointForm,
     store::storage,
 };
@@ -38,17 +38,17 @@ impl Copy {
             origin,
             finished: false,
         };
-        copy.write(&[], true, false)?;
+        copy.write(&[], false)?;
         Ok(copy)
     }
 
-    fn write(&self, points: &[StoredPoint], deleted: bool, head: bool) -> Result<(), LogError> {
-        let result = self.try_write(points, deleted, head);
+    fn write(&self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
+        let result = self.try_write(points, finished);
         result.inspect_err(|error| self.engine.note(error))
     }
 
-    /// Writes points and the entry in one batch, and with `head` where the index begins.
-    fn try_write(&self, points: &[StoredPoint], deleted: bool, head: bool) -> Result<(), LogError> {
+    /// Writes points and the entry in one batch, and, if it is `finished`, where the index begins.
+    fn try_write(&self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
         let number = self.number;
         let handles = self.engine.store.handles()?;
         handles.wait_for_room()?;
@@ -65,13 +65,16 @@ impl Copy {
             let value = form.encode(number, point.id);
             batch.insert(keyspace, point_key(number, point.id), value);
         }
-        if head {
+        if finished {
             let head = Head::at(&self.origin);
             batch.insert(keyspace, head_key(number), head.encode(number));
         }
         let named = Named {
             entry: self.entry.clone(),
-            deleted,
+            stage: match finished {
+                true => Stage::Whole,
+                false => Stage::Copied,
+            },
         };
         batch.insert(keyspace, entry_key(number), named.encode(number));
         batch.commit().map_err(storage)
@@ -80,11 +83,11 @@ impl Copy {
 
 impl Restoring for Copy {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
-        self.write(points, true, false)
+        self.write(points, false)
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), LogError> {
-        self.write(&[], false, true)?;
+        self.write(&[], true)?;
         // From here on it is there, or not, as the next start finds it.
         self.finished = true;
         let index = Index::new(self.number, self.entry.clone(), State::new(self.origin));

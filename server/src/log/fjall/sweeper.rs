@@ -101,8 +101,8 @@ fn sweep(
             }
         }
     }
-    // Before the entry: a mark without an entry is an index that was lost.
-    marks.clear(number).map_err(text)?;
+    // Before the entry: a mark of another kind without an entry is an index that was lost.
+    marks.delete(number).map_err(text)?;
     let handles = store.handles().map_err(text)?;
     let mut batch = handles.database.batch();
     batch.remove(&handles.keyspace, entry_key(number));
