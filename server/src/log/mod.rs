@@ -8,7 +8,8 @@
 //! Besides its records a log keeps their sum, the *points* of each index as of its head ([`View`]): the checkpoint
 //! from which replay starts, and the place where payloads live.
 //!
-//! The stores: `fjall` keeps the log in a directory, `memory` in the process. One suite runs over both.
+//! The stores: `fjall` keeps the log in a directory, `memory` in the process. One suite runs over these, and over one
+//! that fails on purpose.
 //!
 //! Invariants of every [`Log`]:
 //! - The revisions of an index start at 1 and have no gaps; record `n` carries the digest of record `n - 1`.
