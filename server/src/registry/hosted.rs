@@ -197,20 +197,20 @@ impl Hosted {
         if let Err(error) = log.trim(self.uid, &keep) {
             warn!(index = self.name, %error, "could not trim the log");
         }
-        let head = Arc::clone(writer.head());
-        let revision = head.revision;
-        drop(writer);
-        self.publish_once_synced(head);
+        let revision = writer.head().revision;
+        self.publish_once_synced(writer);
         Ok(revision)
     }
 
-    /// Sees to it that a head is published once it is synced. One task does so for all heads of an index, and publishes
+    /// Sees to it that the writer's head is published once it is synced. One task does so for all heads of an index, and publishes
     /// only the newest that a sync has reached: those who wait are woken once a sync.
-    fn publish_once_synced(self: &Arc<Self>, head: Arc<Published>) {
+    fn publish_once_synced(self: &Arc<Self>, writer: WriteGuard) {
         let mut unsynced = self.unsynced.lock();
-        unsynced.heads.push_back(head);
+        unsynced.heads.push_back(Arc::clone(writer.head()));
         let others_do = std::mem::replace(&mut unsynced.publishing, true);
         drop(unsynced);
+        // Not before: the next head would come to stand before this one, and be taken for the older.
+        drop(writer);
         if !others_do {
             // What is synced already is published here; the rest without the caller, who may go away.
             let mut publishing = Box::pin(Arc::clone(self).publish_synced());
