@@ -50,7 +50,7 @@ impl Registry {
                 }
                 next_try = Instant::now() + wait;
             }
-            if now >= trimmed + TRIMMING {
+            if now >= trimmed + TRIMMING && self.failure().is_none() {
                 trimmed = now;
                 self.trim();
             }
