@@ -202,8 +202,8 @@ impl Hosted {
         Ok(revision)
     }
 
-    /// Sees to it that the writer's head is published once it is synced. One task does so for all heads of an index, and publishes
-    /// only the newest that a sync has reached: those who wait are woken once a sync.
+    /// Sees to it that the writer's head is published once it is synced. One task does so for all heads of an index, and
+    /// publishes only the newest that a sync has reached: those who wait are woken once a sync.
     fn publish_once_synced(self: &Arc<Self>, writer: WriteGuard) {
         let mut unsynced = self.unsynced.lock();
         unsynced.heads.push_back(Arc::clone(writer.head()));

@@ -325,7 +325,11 @@ fn a_restored_index_that_is_cut_off_is_named() {
         file.unwrap().set_len(length).unwrap();
         for _ in 0..2 {
             let log = open(damaged.path(), Durability::Fsync);
-            assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm), "{length} of {used}");
+            assert_eq!(
+                log.indexes().unwrap(),
+                slice::from_ref(&arm),
+                "{length} of {used}"
+            );
             let gone = log.gone();
             assert_eq!(
                 (gone.len(), &*gone[0].name, gone[0].uid),
@@ -374,7 +378,11 @@ fn an_index_that_was_deleted_does_not_come_back() {
         file.unwrap().set_len(length).unwrap();
         for _ in 0..2 {
             let log = open(damaged.path(), Durability::Fsync);
-            assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm), "{length} of {used}");
+            assert_eq!(
+                log.indexes().unwrap(),
+                slice::from_ref(&arm),
+                "{length} of {used}"
+            );
             assert_eq!(log.gone(), []);
         }
         // Its number is not used again.
