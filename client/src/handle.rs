@@ -14,7 +14,7 @@ use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
 
 use crate::{
     Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Query, Remove,
-    ScanRequest, SnapshotRequest, State, States, Update, Verify, client::within,
+    ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest, client::within,
 };
 
 /// An index of a server, of one uid: when the index is deleted and made anew, the calls of this handle fail with
@@ -138,6 +138,11 @@ impl IndexHandle {
     /// All points, in the order of their ids: see [`ScanRequest`].
     pub fn scan(&self) -> ScanRequest {
         ScanRequest::new(self.clone())
+    }
+
+    /// Its mutations, as they become readable: see [`WatchRequest`].
+    pub fn watch(&self) -> WatchRequest {
+        WatchRequest::new(self.clone())
     }
 
     /// All of it, for a backup or a copy elsewhere: see [`SnapshotRequest`].

@@ -31,6 +31,7 @@
 //! | keep many searches under way | [`stream_knn`](IndexHandle::stream_knn), [`KnnRequests`] | [`KnnAnswers`] |
 //! | read points by id | [`get`](IndexHandle::get), [`Get`] | [`Points`] |
 //! | read all points | [`scan`](IndexHandle::scan), [`ScanRequest`] | [`Scan`] |
+//! | follow its mutations | [`watch`](IndexHandle::watch), [`WatchRequest`] | [`Watch`], a [`WatchEvent`] a mutation |
 //! | back up all of it | [`snapshot`](IndexHandle::snapshot), [`SnapshotRequest`] | [`Snapshot`] |
 //! | verify it | [`verify`](IndexHandle::verify), [`Verify`] | [`Verified`] |
 //!
@@ -76,8 +77,9 @@ pub use points::{Point, Points};
 pub use read::Include;
 pub use refusal::{FieldViolation, Refusal};
 pub use request::{
-    Get, Insert, Inserted, Knn, KnnAnswers, KnnRequests, NeighborQuery, Outcome, Query, Remove,
-    Removed, Scan, ScanRequest, Snapshot, SnapshotRequest, Update, Updated, Verified, Verify,
+    Get, Insert, Inserted, Knn, KnnAnswers, KnnRequests, Mutation, NeighborQuery, Outcome, Query,
+    Remove, Removed, Reset, ResetReason, Scan, ScanRequest, Snapshot, SnapshotRequest, Update,
+    Updated, Verified, Verify, Watch, WatchEvent, WatchRequest,
 };
 pub use retry::RetryPolicy;
 pub use snapshot::{SnapshotPart, SnapshotReader, SnapshotWriter};

@@ -11,6 +11,7 @@ mod snapshot;
 mod stream_knn;
 mod update;
 mod verify;
+mod watch;
 
 pub use get::Get;
 pub use insert::{Insert, Inserted, NeighborQuery, Outcome};
@@ -23,6 +24,7 @@ pub(crate) use stream_knn::open_stream;
 pub use stream_knn::{KnnAnswers, KnnRequests};
 pub use update::{Update, Updated};
 pub use verify::{Verified, Verify};
+pub use watch::{Mutation, Reset, ResetReason, Watch, WatchEvent, WatchRequest};
 
 use std::ops::Range;
 

@@ -75,6 +75,7 @@ pub(super) enum Command {
     Snapshot(verb::SnapshotArgs),
     Restore(verb::RestoreArgs),
     Verify(verb::VerifyArgs),
+    Watch(verb::WatchArgs),
 }
 
 impl Args {

@@ -29,6 +29,8 @@ pub(super) enum Failure {
     Snapshot { file: String, source: SnapshotError },
     #[error("{what}")]
     Disagreement { what: String },
+    #[error("{what}")]
+    Reset { what: String },
     #[error("--server names no server")]
     NoServer,
     #[error("the process cannot start its threads: {0}")]

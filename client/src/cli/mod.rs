@@ -95,6 +95,7 @@ async fn execute(args: Args) -> Result<(), Failure> {
         Command::Snapshot(args) => verb::snapshot(args, &mut session).await,
         Command::Restore(args) => verb::restore(args, &mut session).await,
         Command::Verify(args) => verb::verify(args, &mut session).await,
+        Command::Watch(args) => verb::watch(args, &mut session).await,
     };
     // What was answered before an error is told.
     let flushed = session.output.flush();

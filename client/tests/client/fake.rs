@@ -42,6 +42,11 @@ struct Inner {
     snapshot: Vec<v1::SnapshotPart>,
     snapshot_ends: bool,
     verification: Vec<v1::VerifyIndexResponse>,
+    /// What the next watches tell, one after the other; those after them find nothing new, and wait.
+    watches: VecDeque<Vec<Result<v1::WatchResponse, Status>>>,
+    watched: Vec<v1::WatchRequest>,
+    /// What the next scans answer, one after the other; those after them answer nothing.
+    scans: VecDeque<Vec<v1::ScanResponse>>,
 }
 
 #[derive(Clone)]
@@ -105,6 +110,20 @@ impl Fake {
     /// Lets verifications answer so.
     pub(crate) fn verifies(&self, answers: &[v1::VerifyIndexResponse]) {
         self.inner.lock().unwrap().verification = answers.to_vec();
+    }
+
+    /// Lets the next watch tell this; unless that ends with an error, it waits for ever then.
+    pub(crate) fn watch_tells(&self, messages: Vec<Result<v1::WatchResponse, Status>>) {
+        self.inner.lock().unwrap().watches.push_back(messages);
+    }
+
+    /// Lets the next scan answer so.
+    pub(crate) fn scan_answers(&self, parts: Vec<v1::ScanResponse>) {
+        self.inner.lock().unwrap().scans.push_back(parts);
+    }
+
+    pub(crate) fn watch_requests(&self) -> Vec<v1::WatchRequest> {
+        self.inner.lock().unwrap().watched.clone()
     }
 
     /// How many calls came since failures were last set.
@@ -378,7 +397,20 @@ impl PointService for Fake {
         request: Request<v1::WatchRequest>,
     ) -> Result<Response<Self::WatchStream>, Status> {
         self.enter(&request, 0).await?;
-        Err(Status::unimplemented("watch"))
+        let mut inner = self.inner.lock().unwrap();
+        inner.watched.push(request.into_inner());
+        let messages = inner.watches.pop_front().unwrap_or_else(|| {
+            vec![Ok(v1::WatchResponse {
+                uid: UID.to_owned(),
+                ..Default::default()
+            })]
+        });
+        let ends = messages.last().is_some_and(Result::is_err);
+        let messages = stream::iter(messages);
+        Ok(Response::new(match ends {
+            true => Box::pin(messages),
+            false => Box::pin(messages.chain(stream::pending())),
+        }))
     }
 
     type ScanStream = Pin<Box<dyn Stream<Item = Result<v1::ScanResponse, Status>> + Send>>;
@@ -388,6 +420,8 @@ impl PointService for Fake {
         request: Request<v1::ScanRequest>,
     ) -> Result<Response<Self::ScanStream>, Status> {
         self.enter(&request, 0).await?;
-        Ok(Response::new(Box::pin(stream::empty())))
+        let parts = self.inner.lock().unwrap().scans.pop_front();
+        let parts = stream::iter(parts.unwrap_or_default().into_iter().map(Ok));
+        Ok(Response::new(Box::pin(parts)))
     }
 }

@@ -16,3 +16,4 @@ mod revisions;
 mod server;
 mod streaming;
 mod typed_states;
+mod watching;

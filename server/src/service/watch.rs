@@ -21,6 +21,8 @@ pub struct Watch {
     hosted: Arc<Hosted>,
     /// The newest revision of which all was sent.
     after: u64,
+    /// Whether it begins at the newest revision, which the first message names.
+    from_newest: bool,
     /// What comes next, as far as it was read.
     next: VecDeque<Arc<Record>>,
     /// How many points, and removed ids, of the first of these were sent.
@@ -52,11 +54,11 @@ impl Service {
         let hosted = self.index(&request.index, "")?;
         violations.finish()?;
         let is_strange = !request.uid.is_empty() && request.uid != hosted.uid_text();
-        let now = hosted.published().revision;
         Ok(Watch {
             service: self.clone(),
             call: *call,
-            after: request.after_revision.unwrap_or(now),
+            after: request.after_revision.unwrap_or_default(),
+            from_newest: request.after_revision.is_none(),
             next: VecDeque::new(),
             sent: 0,
             payloads: request.payloads,
@@ -79,7 +81,12 @@ impl Watch {
             State::Strange => Ok(self.reset(v1::ResetReason::UidChanged)),
             State::Beginning => {
                 self.state = State::Going;
-                Ok(self.message())
+                let message = self.message();
+                if self.from_newest {
+                    // Not what was the newest when the call began: the message is to name it.
+                    self.after = message.revision;
+                }
+                Ok(message)
             }
             State::Going => self.mutations().await,
         };

@@ -11,6 +11,7 @@ mod scan;
 mod search;
 mod snapshot;
 mod verify;
+mod watch;
 
 pub(super) use create::{CreateArgs, create};
 pub(super) use delete::{DeleteArgs, delete};
@@ -23,3 +24,4 @@ pub(super) use scan::{ScanArgs, scan};
 pub(super) use search::{KnnArgs, QueryArgs, knn, query};
 pub(super) use snapshot::{SnapshotArgs, snapshot};
 pub(super) use verify::{VerifyArgs, verify};
+pub(super) use watch::{WatchArgs, watch};

@@ -1,0 +1,248 @@
+//! Following an index: whole mutations, in order, or an error, or a reset.
+
+use std::io::{BufRead, BufReader};
+
+use serde_json::{Value, json};
+use tonic::Status;
+use wayfold_client::{Code, Error, Mutation, ResetReason, Watch, WatchEvent};
+use wayfold_proto::v1;
+
+use crate::{
+    fake::{Fake, UID},
+    process::command,
+    server::Server,
+};
+
+/// A message that tells of these mutations.
+pub(crate) fn message(newest: u64, mutations: Vec<v1::Mutation>) -> v1::WatchResponse {
+    v1::WatchResponse {
+        uid: UID.to_owned(),
+        revision: newest,
+        mutations,
+        reset: 0,
+    }
+}
+
+/// A mutation of the line, or a piece of one.
+pub(crate) fn piece(
+    revision: u64,
+    stored: &[(u64, f64)],
+    removed: &[u64],
+    continued: bool,
+) -> v1::Mutation {
+    let stored = (!stored.is_empty()).then(|| points(revision, stored));
+    v1::Mutation {
+        revision,
+        time_ms: 1_000 + revision,
+        stored,
+        removed_ids: removed.to_vec(),
+        continued,
+    }
+}
+
+/// Points of the line, all stored by one revision.
+pub(crate) fn points(revision: u64, points: &[(u64, f64)]) -> v1::Points {
+    v1::Points {
+        ids: points.iter().map(|(id, _)| *id).collect(),
+        states: Some(v1::States {
+            rows: u32::try_from(points.len()).unwrap(),
+            coordinates: points.iter().map(|(_, x)| *x).collect(),
+        }),
+        tags: vec![0; points.len()],
+        revisions: vec![revision; points.len()],
+        payloads: Vec::new(),
+    }
+}
+
+async fn mutation(watch: &mut Watch) -> Mutation {
+    match watch.next().await.unwrap().unwrap() {
+        WatchEvent::Mutation(mutation) => mutation,
+        other => panic!("{other:?}"),
+    }
+}
+
+async fn watch(fake: &Fake) -> Watch {
+    let index = fake.client().await.index("line").await.unwrap();
+    index.watch().after(3).await.unwrap()
+}
+
+#[tokio::test]
+async fn pieces_are_put_together() {
+    let fake = Fake::start().await;
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(
+            5,
+            vec![
+                piece(4, &[(1, 0.5)], &[], false),
+                piece(5, &[(2, 1.0)], &[], true),
+            ],
+        )),
+        Ok(message(6, vec![piece(5, &[(3, 2.0)], &[7], true)])),
+        Ok(message(6, vec![piece(5, &[], &[8, 9], false)])),
+    ]);
+    let mut watch = watch(&fake).await;
+    assert_eq!(mutation(&mut watch).await.revision, 4);
+    let whole = mutation(&mut watch).await;
+    assert_eq!((whole.revision, whole.stored.ids()), (5, &[2, 3][..]));
+    assert_eq!(whole.stored.states().coordinates(), [1.0, 2.0]);
+    assert_eq!(whole.removed, [7, 8, 9]);
+    assert_eq!(watch.newest(), 6);
+    let asked = &fake.watch_requests()[0];
+    assert_eq!((asked.uid.as_str(), asked.after_revision), (UID, Some(3)));
+}
+
+#[tokio::test]
+async fn what_is_no_next_mutation_ends_the_watch() {
+    let fake = Fake::start().await;
+    let other_uid = v1::WatchResponse {
+        uid: "another".to_owned(),
+        ..message(9, vec![])
+    };
+    let wrong = [
+        // A gap, a repeat, another mutation in the middle of one, and another uid.
+        vec![message(9, vec![piece(5, &[(1, 0.0)], &[], false)])],
+        vec![message(9, vec![piece(3, &[(1, 0.0)], &[], false)])],
+        vec![
+            message(9, vec![piece(4, &[(1, 0.0)], &[], true)]),
+            message(9, vec![piece(5, &[(1, 0.0)], &[], false)]),
+        ],
+        vec![other_uid],
+    ];
+    for messages in wrong {
+        let first = vec![Ok(message(9, vec![]))];
+        let messages = messages.into_iter().map(Ok);
+        fake.watch_tells(first.into_iter().chain(messages).collect());
+        let mut watch = watch(&fake).await;
+        let error = watch.next().await.unwrap_err();
+        assert!(matches!(error, Error::Protocol { .. }), "{error}");
+        assert_eq!(watch.next().await.unwrap(), None);
+    }
+}
+
+#[tokio::test]
+async fn a_stream_that_breaks_tells_nothing_of_what_it_began() {
+    let fake = Fake::start().await;
+    fake.watch_tells(vec![
+        Ok(message(4, vec![])),
+        Ok(message(4, vec![piece(4, &[(1, 0.0)], &[], true)])),
+        Err(Status::unavailable("the server is stopping")),
+    ]);
+    let mut watch = watch(&fake).await;
+    let error = watch.next().await.unwrap_err();
+    assert_eq!(error.code(), Code::Unavailable);
+    assert_eq!(watch.next().await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn a_reset_is_the_last_event() {
+    let fake = Fake::start().await;
+    let mut reset = message(12, vec![]);
+    reset.set_reset(v1::ResetReason::WindowPassed);
+    fake.watch_tells(vec![
+        Ok(message(4, vec![])),
+        Ok(message(4, vec![piece(4, &[(1, 0.0)], &[], true)])),
+        Ok(reset),
+    ]);
+    let mut watch = watch(&fake).await;
+    let WatchEvent::Reset(reset) = watch.next().await.unwrap().unwrap() else {
+        panic!("half a mutation")
+    };
+    assert_eq!(
+        (reset.reason, reset.revision),
+        (ResetReason::WindowPassed, 12)
+    );
+    assert_eq!(watch.next().await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn a_server_tells_what_is_done_to_its_index() {
+    let server = Server::start();
+    let index = server.index("line", "R1").await;
+    index.insert([[0.0]]).await.unwrap();
+    let mut from_now = index.watch().await.unwrap();
+    let mut all = index.watch().after(0).payloads().await.unwrap();
+    index
+        .insert([[1.0], [2.0]])
+        .payloads(["a", "b"])
+        .await
+        .unwrap();
+    index.update([2]).tags([7]).await.unwrap();
+    index.remove([0, 1]).await.unwrap();
+    assert_eq!(mutation(&mut all).await.revision, 1);
+    let inserted = mutation(&mut all).await;
+    assert_eq!(inserted.stored.point(1).payload.unwrap(), "b");
+    let same = mutation(&mut from_now).await;
+    assert_eq!((same.revision, same.stored.point(1).payload), (2, None));
+    let updated = mutation(&mut all).await;
+    let point = updated.stored.point(0);
+    assert_eq!((point.id, point.tag, point.revision), (2, 7, 2));
+    let removed = mutation(&mut all).await;
+    assert_eq!((removed.revision, &removed.removed[..]), (4, &[0, 1][..]));
+
+    let client = server.client().await;
+    client.delete_index("line").await.unwrap();
+    let error = all.next().await.unwrap_err();
+    assert_eq!(error.code(), Code::NotFound);
+    // A handle of the index that was: the new one has another uid.
+    let new = server.index("line", "R1").await;
+    let mut old = index.watch().after(4).await.unwrap();
+    let WatchEvent::Reset(reset) = old.next().await.unwrap().unwrap() else {
+        panic!("a mutation of another index")
+    };
+    assert_eq!(
+        (reset.reason, reset.uid.as_str(), reset.revision),
+        (ResetReason::UidChanged, new.uid(), 0)
+    );
+}
+
+#[test]
+fn the_command_prints_a_line_a_mutation_until_it_is_interrupted() {
+    let server = Server::start();
+    server.json(&["create", "line", "--space", "R1"]).line();
+    server.run_with(&["insert", "line", "-"], "0.5\n1.5\n");
+    let args = ["watch", "line", "--after", "0", "--output", "json"];
+    let mut child = command(&server.uri, &args).spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let mut line = || serde_json::from_str::<Value>(&lines.next().unwrap().unwrap()).unwrap();
+    let first = line();
+    assert_eq!(first["revision"], 1);
+    assert_eq!(
+        first["stored"],
+        json!([
+            {"id": 0, "state": [0.5], "tag": 0, "revision": 1},
+            {"id": 1, "state": [1.5], "tag": 0, "revision": 1},
+        ])
+    );
+    server.json(&["remove", "line", "1"]).line();
+    let second = line();
+    assert_eq!(
+        (&second["revision"], &second["removed_ids"]),
+        (&json!(2), &json!([1]))
+    );
+    // The shell's own `kill`: the program is missing on small systems.
+    let kill = format!("kill -INT {}", child.id());
+    let killed = std::process::Command::new("sh")
+        .args(["-c", &kill])
+        .status();
+    assert!(killed.unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn the_command_says_why_it_cannot_go_on() {
+    let server = Server::start();
+    server.json(&["create", "line", "--space", "R1"]).line();
+    server.run_with(&["insert", "line", "-"], "0.5\n");
+    let args = ["watch", "line", "--after", "0"];
+    let mut child = command(&server.uri, &args).spawn().unwrap();
+    let mut line = String::new();
+    let stdout = child.stdout.as_mut().unwrap();
+    BufReader::new(stdout).read_line(&mut line).unwrap();
+    assert_eq!(line, "revision 1  1 stored  0 removed\n");
+    server.json(&["delete", "line"]).line();
+    let ended = child.wait_with_output().unwrap();
+    assert_eq!(ended.status.code(), Some(1));
+    let told = String::from_utf8(ended.stderr).unwrap();
+    assert!(told.contains("no index is named \"line\""), "{told}");
+}
