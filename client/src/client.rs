@@ -72,7 +72,10 @@ impl ClientBuilder {
     pub async fn connect(self, uri: &str) -> Result<Client, Error> {
         let endpoint = endpoint(uri)?
             .tcp_nodelay(true)
-            .connect_timeout(self.timeout);
+            .connect_timeout(self.timeout)
+            // A peer that is gone without a word is noticed by the streams that wait for it.
+            .http2_keep_alive_interval(Duration::from_secs(10))
+            .keep_alive_timeout(Duration::from_secs(20));
         let uri: Arc<str> = endpoint.uri().to_string().trim_end_matches('/').into();
         let deadline = Instant::now() + self.timeout;
         let connect = || async {
@@ -243,6 +246,13 @@ impl Client {
         }
     }
 
+    /// A copy of an index in this process, which follows it and is searched without the network: see
+    /// [`Replica`](crate::Replica).
+    #[cfg(feature = "replica")]
+    pub fn replica(&self, name: &str) -> crate::ReplicaRequest {
+        crate::ReplicaRequest::new(self.clone(), name)
+    }
+
     /// The uid of the index of this name, if it cannot be read.
     async fn damaged_uid(&self, name: &str) -> Result<Option<String>, Error> {
         let damaged = self.list_indexes().await?.damaged.into_iter();
@@ -305,6 +315,11 @@ impl Client {
 
     pub(crate) fn timeout(&self) -> Duration {
         self.settings.timeout
+    }
+
+    #[cfg(feature = "replica")]
+    pub(crate) fn retry_policy(&self) -> RetryPolicy {
+        self.settings.retry
     }
 
     pub(crate) fn max_message_bytes(&self) -> usize {

@@ -1,6 +1,6 @@
 //! What can go wrong with a call.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use thiserror::Error;
 use tonic::Code;
@@ -89,6 +89,28 @@ pub enum Error {
     /// A file is no snapshot, or not a good one, or cannot be read.
     #[error(transparent)]
     Snapshot(SnapshotError),
+    /// Nothing shows that a replica has what its server published longer ago than its bound on staleness.
+    #[error("the replica may miss what was published {age:?} ago, more than its bound {bound:?}")]
+    Stale {
+        /// How old its points may be.
+        age: Duration,
+        /// How old they may be at most.
+        bound: Duration,
+    },
+    /// A replica was asked for what came after a revision that it has not reached.
+    #[error("the replica is at revision {revision}, and cannot tell what came after {asked}")]
+    Behind {
+        /// The revision that was asked about.
+        asked: u64,
+        /// The one that it is at.
+        revision: u64,
+    },
+    /// A replica follows its index no more.
+    #[error("the replica ended: {why}")]
+    Ended {
+        /// Why.
+        why: Arc<Error>,
+    },
     /// The server answered with what the protocol does not allow.
     #[error(
         "{call}: the answer breaks the protocol: {problem}; client and server may be of different versions"
@@ -110,7 +132,10 @@ impl Error {
             | Error::Layout { .. }
             | Error::Argument { .. }
             | Error::Snapshot(_) => Code::InvalidArgument,
-            Error::Connection { .. } => Code::Unavailable,
+            Error::Connection { .. } | Error::Stale { .. } | Error::Behind { .. } => {
+                Code::Unavailable
+            }
+            Error::Ended { why } => why.code(),
             Error::Timeout { .. } => Code::DeadlineExceeded,
             Error::Refused(refusal) => refusal.code,
             Error::Partial { source, .. } => source.code(),
@@ -123,6 +148,7 @@ impl Error {
         match self {
             Error::Refused(refusal) => Some(&refusal.reason),
             Error::Partial { source, .. } => source.reason(),
+            Error::Ended { why } => why.reason(),
             _ => None,
         }
     }

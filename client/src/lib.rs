@@ -37,6 +37,9 @@
 //!
 //! [`Client::restore`] makes an index of a snapshot.
 //!
+//! **Replicas.** With the feature `replica`, `Client::replica` gives a copy of an index in this process, which follows the
+//! server's and is searched without the network.
+//!
 //! **States** are whatever implements [`State`]: arrays, slices, vectors, the types of `nalgebra`, your own.
 //!
 //! **Limits.** What exceeds the bounds of one call ([`REQUEST_BYTES`], [`MUTATION_ROWS`], [`READ_ROWS`], and the bytes
@@ -58,6 +61,8 @@ mod neighbors;
 mod points;
 mod read;
 mod refusal;
+#[cfg(feature = "replica")]
+mod replica;
 mod request;
 mod retry;
 mod snapshot;
@@ -76,6 +81,8 @@ pub use neighbors::{Neighbors, Row};
 pub use points::{Point, Points};
 pub use read::Include;
 pub use refusal::{FieldViolation, Refusal};
+#[cfg(feature = "replica")]
+pub use replica::{Found, Replica, ReplicaRequest, ReplicaStatus, ReplicaView, Write};
 pub use request::{
     Get, Insert, Inserted, Knn, KnnAnswers, KnnRequests, Mutation, NeighborQuery, Outcome, Query,
     Remove, Removed, Reset, ResetReason, Scan, ScanRequest, Snapshot, SnapshotRequest, Update,
@@ -88,4 +95,6 @@ pub use states::States;
 
 pub use tonic::Code;
 pub use wayfold_index::{Factor, Filter, Group, Space, SpaceError, Term};
+#[cfg(feature = "replica")]
+pub use wayfold_index::{Neighbor, PointRef, Search};
 pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};

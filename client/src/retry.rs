@@ -60,6 +60,16 @@ impl RetryPolicy {
         Some(bound.mul_f64(0.5 + 0.5 * chance))
     }
 
+    /// The pause after so many failures in a row, for who tries without an end.
+    #[cfg(feature = "replica")]
+    pub(crate) fn endless_pause(&self, failures: u32) -> Duration {
+        let endless = RetryPolicy {
+            attempts: u32::MAX,
+            ..*self
+        };
+        endless.pause(failures, chance()).unwrap_or(self.longest)
+    }
+
     /// Makes tries until one succeeds, fails for good, or the next would begin after `deadline`.
     pub(crate) async fn run<T, F, Fut>(&self, deadline: Instant, mut attempt: F) -> Result<T, Error>
     where

@@ -108,6 +108,12 @@ pub struct Inserted {
 awaitable!(Insert => Inserted);
 
 impl Insert {
+    /// Which index it is for.
+    #[cfg(feature = "replica")]
+    pub(crate) fn index(&self) -> &IndexHandle {
+        &self.index
+    }
+
     pub(crate) fn new(index: IndexHandle, states: Result<States, Error>) -> Insert {
         Insert {
             index,

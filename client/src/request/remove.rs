@@ -34,6 +34,12 @@ pub struct Removed {
 awaitable!(Remove => Removed);
 
 impl Remove {
+    /// Which index it is for.
+    #[cfg(feature = "replica")]
+    pub(crate) fn index(&self) -> &IndexHandle {
+        &self.index
+    }
+
     pub(crate) fn new(index: IndexHandle, ids: Vec<u64>) -> Remove {
         Remove {
             index,

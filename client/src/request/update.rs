@@ -41,6 +41,12 @@ pub struct Updated {
 awaitable!(Update => Updated);
 
 impl Update {
+    /// Which index it is for.
+    #[cfg(feature = "replica")]
+    pub(crate) fn index(&self) -> &IndexHandle {
+        &self.index
+    }
+
     pub(crate) fn new(index: IndexHandle, ids: Vec<u64>) -> Update {
         Update {
             index,

@@ -24,5 +24,6 @@ mod power_loss;
 mod preload;
 mod readme;
 mod reflection;
+mod replica;
 mod scan;
 mod shutdown;

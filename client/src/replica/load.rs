@@ -1,0 +1,49 @@
+//! Reading all points into a forest.
+
+use wayfold_index::{Forest, ForestOptions, PointRef, Points};
+
+use crate::{Error, IndexHandle};
+
+const CALL: &str = "replica";
+
+/// A forest of all points of an index, at one revision and with every merge done.
+pub(super) async fn load(index: &IndexHandle) -> Result<Forest, Error> {
+    let mut scan = index.scan().await?;
+    let (revision, total) = (scan.revision(), scan.total_points());
+    let mut points = Points::new(index.coordinates());
+    while let Some(part) = scan.next_part().await? {
+        for point in part.iter() {
+            points.push_point(PointRef {
+                id: point.id,
+                tag: point.tag,
+                revision: point.revision,
+                row: point.state,
+            });
+        }
+    }
+    if points.len() as u64 != total {
+        return Err(protocol(format!(
+            "a scan of {} points that told of {total}",
+            points.len()
+        )));
+    }
+    let mut forest = Forest::new(index.space().clone(), ForestOptions::default());
+    let built = tokio::task::spawn_blocking(move || {
+        if revision > 0 {
+            forest.apply(revision, &points, &[]);
+            drop(points);
+            forest.settle();
+        }
+        forest
+    });
+    built
+        .await
+        .map_err(|error| protocol(format!("its points could not be built: {error}")))
+}
+
+fn protocol(problem: String) -> Error {
+    Error::Protocol {
+        call: CALL,
+        problem,
+    }
+}

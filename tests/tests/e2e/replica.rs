@@ -1,0 +1,340 @@
+//! A replica answers what brute force answers at the revision that it names, whatever happens to its server and to the
+//! way there.
+
+mod past;
+mod proxy;
+
+use std::{
+    path::Path,
+    process::Command,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use wayfold_client::{
+    Client, Code, Error, Replica, ReplicaStatus, ResetReason, RetryPolicy, WatchEvent,
+};
+use wayfold_index::{Linear, Space};
+use wayfold_tests::{Process, ServerProcess, Signal, States, bits, server};
+
+use past::{Answered, Past};
+use proxy::Proxy;
+
+const SPACE: &str = "R2*SO2*SO3:0.15";
+
+/// A client that waits for its server, however long that is away.
+async fn client(uri: &str) -> Client {
+    let patient = Client::builder()
+        .timeout(Duration::from_secs(120))
+        .retry(RetryPolicy::until_deadline());
+    patient.connect(uri).await.unwrap()
+}
+
+/// A server on disk, with so small a first tree that there is hardly a moment without a merge.
+fn start(data: &Path) -> ServerProcess {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--data"])
+        .arg(data)
+        .env("WAYFOLD_INDEX__BUFFER_ROWS", "8");
+    ServerProcess::ready(Process::spawn(&mut command))
+}
+
+/// Asks on until it is told to stop; keeps at most one answer for each revision that it saw.
+fn ask(replica: &Replica, space: Space, seed: u64, stop: &AtomicBool) -> Vec<Answered> {
+    let mut states = States::new(space, 1_000 + seed);
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut answers: Vec<Answered> = Vec::new();
+    while !stop.load(Ordering::Relaxed) {
+        let state = states.row();
+        let search = past::question(&mut random, replica.revision());
+        let found = replica.search(&state[..], &search).unwrap();
+        let last = answers.last().map(|last| last.found.revision);
+        assert!(last <= Some(found.revision), "it went back from {last:?}");
+        if last != Some(found.revision) {
+            answers.push(Answered {
+                state,
+                search,
+                found,
+            });
+        }
+    }
+    answers
+}
+
+/// A replica has the points that there are, and no others.
+fn compare(replica: &Replica, points: &Linear) {
+    let view = replica.view().unwrap();
+    assert_eq!(view.len(), points.len());
+    for expected in points.iter() {
+        let point = view.get(expected.id).unwrap();
+        assert_eq!(bits(point.row), bits(expected.row));
+        assert_eq!(
+            (point.tag, point.revision),
+            (expected.tag, expected.revision)
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_answer_is_brute_forces_through_kills_and_cuts() {
+    const CALLS: u64 = 250;
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let mut server = start(&data);
+    let (steady, shaky) = (Proxy::to(server.uri()).await, Proxy::to(server.uri()).await);
+    let space: Space = SPACE.parse().unwrap();
+    let index = client(&steady.uri)
+        .await
+        .create_index("arm", &space)
+        .await
+        .unwrap();
+    let replica = client(&shaky.uri).await.replica("arm").await.unwrap();
+
+    let stop = Arc::new(AtomicBool::new(false));
+    let readers = [0, 1, 2].map(|seed| {
+        let (replica, space, stop) = (replica.clone(), space.clone(), stop.clone());
+        std::thread::spawn(move || ask(&replica, space, seed, &stop))
+    });
+    let writers = [1, 2].map(|name| tokio::spawn(past::write(index.clone(), name, CALLS)));
+    for revision in (25..2 * CALLS).step_by(25) {
+        replica.at_least(revision).await.unwrap();
+        if revision % 200 == 0 {
+            // The one that is killed, and those who are connected to it.
+            server.stop(Signal::Kill);
+            server = start(&data);
+            steady.lead_to(server.uri());
+            shaky.lead_to(server.uri());
+        } else {
+            // In the middle of something.
+            shaky.cut_after(i64::try_from(revision * 37).unwrap());
+        }
+    }
+    let mut past = Past::new();
+    for writer in writers {
+        past.extend(writer.await.unwrap());
+    }
+    replica.at_least(2 * CALLS).await.unwrap();
+    stop.store(true, Ordering::Relaxed);
+    let answers: Vec<Answered> = readers
+        .into_iter()
+        .flat_map(|reader| reader.join().unwrap())
+        .collect();
+    println!("{} answers, {} cuts", answers.len(), shaky.cuts());
+    assert!(
+        answers
+            .iter()
+            .all(|answered| &*answered.found.uid == index.uid())
+    );
+    let points = past::check(&space, &past, answers);
+    compare(&replica, &points);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_replica_that_missed_too_much_reads_everything_anew() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0"])
+        .env("WAYFOLD_DATA__DIR", "memory")
+        .env("WAYFOLD_INDEX__WINDOW_BYTES", "1000");
+    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let way = Proxy::to(server.uri()).await;
+    let space: Space = SPACE.parse().unwrap();
+    let index = client(server.uri())
+        .await
+        .create_index("arm", &space)
+        .await
+        .unwrap();
+    let mut states = States::new(space.clone(), 5);
+    let inserted = index.insert([states.row(), states.row()]).await.unwrap();
+    let replica = client(&way.uri).await.replica("arm").await.unwrap();
+    let mut slow = index
+        .watch()
+        .after(inserted.revision)
+        .payloads()
+        .await
+        .unwrap();
+
+    // Once cut off, once connected to what brings nothing.
+    for held in [false, true] {
+        let from = replica.revision();
+        match held {
+            true => way.hold(server.uri()),
+            false => way.close(),
+        }
+        index.remove([inserted_id(from)]).await.unwrap();
+        let large = vec![vec![7_u8; 60_000]; 50];
+        for _ in 0..4 {
+            // More than the server holds at hand for its followers, and than it and the network have on the way.
+            let rows = states.rows(50);
+            let insert = index.insert(rows.chunks(space.coordinates()));
+            index_payloads(insert, &large).await;
+        }
+        let newest = index.info().await.unwrap().revision;
+        let mut watch = index.watch().after(from).await.unwrap();
+        let Ok(Some(WatchEvent::Reset(reset))) = watch.next().await else {
+            panic!("the window is wider than thought")
+        };
+        assert_eq!(
+            (reset.reason, reset.revision),
+            (ResetReason::WindowPassed, newest)
+        );
+        assert_eq!(replica.revision(), from);
+        way.lead_to(server.uri());
+        replica.at_least(newest).await.unwrap();
+        let mut points = Linear::new(space.clone());
+        let mut scan = index.scan().await.unwrap();
+        while let Some(part) = scan.next_part().await.unwrap() {
+            for point in part.iter() {
+                points.insert(wayfold_index::PointRef {
+                    id: point.id,
+                    tag: point.tag,
+                    revision: point.revision,
+                    row: point.state,
+                });
+            }
+        }
+        compare(&replica, &points);
+    }
+
+    // A follower that takes nothing for so long gets what was on the way, without a gap, and is told that there is more.
+    let mut revision = inserted.revision;
+    loop {
+        match slow.next().await.unwrap().unwrap() {
+            WatchEvent::Mutation(mutation) => {
+                revision += 1;
+                assert_eq!(mutation.revision, revision);
+            }
+            WatchEvent::Reset(reset) => {
+                assert_eq!(reset.reason, ResetReason::WindowPassed);
+                assert!(revision < reset.revision);
+                break;
+            }
+        }
+    }
+}
+
+/// One that is stored: the first two inserted.
+fn inserted_id(revision: u64) -> u64 {
+    u64::from(revision > 1)
+}
+
+async fn index_payloads(insert: wayfold_client::Insert, payloads: &[Vec<u8>]) {
+    insert.payloads(payloads.to_vec()).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_index_made_anew_is_noticed_by_its_uid() {
+    let server = server!();
+    let way = Proxy::to(server.uri()).await;
+    let direct = client(server.uri()).await;
+    let line = direct
+        .create_index("arm", &"R1".parse().unwrap())
+        .await
+        .unwrap();
+    line.insert([[0.0], [1.0]]).await.unwrap();
+    let replica = client(&way.uri).await.replica("arm").await.unwrap();
+    assert_eq!(replica.nearest([0.9]).unwrap().neighbors[0].id, 1);
+
+    // Another one, of another space, behind its back.
+    way.close();
+    direct.delete_index("arm").await.unwrap();
+    let plane = direct
+        .create_index("arm", &"R2".parse().unwrap())
+        .await
+        .unwrap();
+    plane.insert([[5.0, 5.0]]).await.unwrap();
+    assert_eq!(
+        replica.nearest([0.9]).unwrap().neighbors[0].id,
+        1,
+        "what it had"
+    );
+    let waiting = replica.clone();
+    let waiting = tokio::spawn(async move { waiting.at_least(7).await });
+    way.lead_to(server.uri());
+    replica
+        .status_where(|_| replica.index().uid() == plane.uid())
+        .await;
+    let found = replica.nearest([5.0, 1.0]).unwrap();
+    assert_eq!(
+        (&*found.uid, found.revision, found.neighbors[0].distance),
+        (plane.uid(), 1, 4.0)
+    );
+    assert!(matches!(replica.nearest([0.9]), Err(Error::Width { .. })));
+    let gone = waiting.await.unwrap().unwrap_err();
+    assert_eq!(gone.code(), Code::FailedPrecondition, "{gone}");
+
+    // A server without a disk, killed, and given the index again.
+    way.close();
+    server.stop(Signal::Kill);
+    let server = server!();
+    let direct = client(server.uri()).await;
+    let again = direct
+        .create_index("arm", &"R2".parse().unwrap())
+        .await
+        .unwrap();
+    way.lead_to(server.uri());
+    replica
+        .status_where(|_| replica.index().uid() == again.uid())
+        .await;
+    assert_eq!(replica.revision(), 0);
+    let inserted = replica
+        .write(replica.index().insert([[1.0, 0.0]]))
+        .await
+        .unwrap();
+    let found = replica.nearest([0.0, 0.0]).unwrap();
+    assert!(found.revision >= inserted.revision);
+    assert_eq!(found.neighbors[0].distance, 1.0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_deleted_index_ends_its_replica() {
+    let server = server!();
+    let direct = client(server.uri()).await;
+    let line = direct
+        .create_index("arm", &"R1".parse().unwrap())
+        .await
+        .unwrap();
+    let request = direct.replica("arm").missing_for(Duration::ZERO);
+    let replica = request.await.unwrap();
+    replica.write(line.insert([[0.0]])).await.unwrap();
+    assert_eq!(replica.nearest([1.0]).unwrap().neighbors[0].distance, 1.0);
+    direct.delete_index("arm").await.unwrap();
+    let ended = replica.status_where(|status| matches!(status, ReplicaStatus::Ended { .. }));
+    ended.await;
+    let error = replica.nearest([1.0]).unwrap_err();
+    assert!(matches!(error, Error::Ended { .. }), "{error}");
+    assert_eq!(
+        (error.code(), error.reason()),
+        (Code::NotFound, Some("INDEX_NOT_FOUND"))
+    );
+    assert!(matches!(
+        replica.at_least(9).await,
+        Err(Error::Ended { .. })
+    ));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn inserts_through_a_replica_are_there_when_they_return() {
+    let server = server!();
+    let direct = client(server.uri()).await;
+    let space: Space = SPACE.parse().unwrap();
+    direct.create_index("arm", &space).await.unwrap();
+    let replica = direct.replica("arm").await.unwrap();
+    let mut states = States::new(space, 11);
+    for _ in 0..200 {
+        let row = states.row();
+        let inserted = replica
+            .write(replica.index().insert([&row[..]]))
+            .await
+            .unwrap();
+        let found = replica.nearest(&row[..]).unwrap();
+        assert!(found.revision >= inserted.revision);
+        assert_eq!(found.neighbors[0].distance, 0.0);
+    }
+}
