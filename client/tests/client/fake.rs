@@ -118,6 +118,7 @@ impl Fake {
     }
 
     /// Lets the next scan answer so.
+    #[cfg(feature = "replica")]
     pub(crate) fn scan_answers(&self, parts: Vec<v1::ScanResponse>) {
         self.inner.lock().unwrap().scans.push_back(parts);
     }

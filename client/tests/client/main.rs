@@ -10,6 +10,8 @@ mod damaged;
 mod dividing;
 mod fake;
 mod process;
+#[cfg(feature = "replica")]
+mod replica;
 mod requests;
 mod retrying;
 mod revisions;

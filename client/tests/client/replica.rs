@@ -1,0 +1,239 @@
+//! A replica and its server: what is told in pieces, twice, not at all, or wrongly.
+
+use std::time::Duration;
+
+use tonic::Status;
+use wayfold_client::{
+    Client, Code, Error, Filter, Replica, ReplicaRequest, ReplicaStatus, RetryPolicy, Search,
+};
+use wayfold_proto::v1;
+
+use crate::{
+    fake::{Fake, UID},
+    server::Server,
+    watching::{message, piece, points},
+};
+
+/// The points that a scan finds at a revision.
+fn scanned(revision: u64, found: &[(u64, f64)]) -> Vec<v1::ScanResponse> {
+    vec![v1::ScanResponse {
+        points: Some(points(revision, found)),
+        revision,
+        uid: UID.to_owned(),
+        total_points: found.len() as u64,
+    }]
+}
+
+/// A replica that tries again at once.
+async fn request(fake: &Fake) -> ReplicaRequest {
+    let hasty = RetryPolicy {
+        attempts: 1,
+        first: Duration::from_millis(1),
+        longest: Duration::from_millis(1),
+    };
+    let client = Client::builder().retry(hasty).connect(&fake.uri).await;
+    client.unwrap().replica("line")
+}
+
+fn nearest(replica: &Replica, x: f64) -> (u64, u64) {
+    let found = replica.nearest([x]).unwrap();
+    (found.neighbors[0].id, found.revision)
+}
+
+fn reset(reason: v1::ResetReason, revision: u64) -> v1::WatchResponse {
+    let mut reset = message(revision, vec![]);
+    reset.set_reset(reason);
+    reset
+}
+
+/// The revisions after which the watches asked, of which there are so many.
+fn asked_after(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
+    let asked = fake.watch_requests().into_iter().take(watches);
+    asked.map(|request| request.after_revision).collect()
+}
+
+#[tokio::test]
+async fn a_stream_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0), (2, 10.0)]));
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(4, &[(3, 5.0)], &[], false)])),
+        Ok(message(5, vec![piece(5, &[(4, 6.0)], &[], true)])),
+        Err(Status::unavailable("the server is stopping")),
+    ]);
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(5, &[(4, 6.0)], &[], true)])),
+        Ok(message(5, vec![piece(5, &[], &[3], false)])),
+    ]);
+    let replica = request(&fake).await.await.unwrap();
+    assert_eq!(replica.at_least(5).await.unwrap().len(), 3);
+    assert_eq!(nearest(&replica, 5.0), (4, 5));
+    assert_eq!(asked_after(&fake, 2), [Some(3), Some(4)]);
+    let status = replica.status();
+    assert!(
+        matches!(
+            status,
+            ReplicaStatus::Following {
+                revision: 5,
+                behind: 0
+            }
+        ),
+        "{status:?}"
+    );
+}
+
+#[tokio::test]
+async fn a_gap_and_a_repeat_are_not_applied_but_asked_for_again() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], false)])),
+    ]);
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(4, &[(4, 4.0)], &[], false)])),
+        Ok(message(5, vec![piece(4, &[(4, 9.0)], &[1], false)])),
+    ]);
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], false)])),
+    ]);
+    let replica = request(&fake).await.await.unwrap();
+    let view = replica.at_least(5).await.unwrap();
+    let found = view.nearest_r([4.5], 100.0).unwrap().neighbors;
+    let ids: Vec<u64> = found.iter().map(|neighbor| neighbor.id).collect();
+    assert_eq!(ids, [4, 5, 1]);
+    assert_eq!(asked_after(&fake, 3), [Some(3), Some(3), Some(4)]);
+}
+
+#[tokio::test]
+async fn after_a_reset_all_points_are_read_anew() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    fake.watch_tells(vec![
+        Ok(message(9, vec![])),
+        Ok(message(9, vec![piece(4, &[(2, 1.0)], &[], true)])),
+        Ok(reset(v1::ResetReason::WindowPassed, 9)),
+    ]);
+    // The first scan tells of more points than come.
+    let mut short = scanned(9, &[(8, 1.0)]);
+    short[0].total_points = 2;
+    fake.scan_answers(short);
+    fake.watch_tells(vec![Ok(reset(v1::ResetReason::WindowPassed, 9))]);
+    fake.scan_answers(scanned(9, &[(9, 1.0)]));
+    fake.watch_tells(vec![Ok(message(9, vec![]))]);
+    let replica = request(&fake).await.await.unwrap();
+    replica.at_least(9).await.unwrap();
+    assert_eq!(nearest(&replica, 0.0), (9, 9));
+    replica
+        .status_where(|status| matches!(status, ReplicaStatus::Following { revision: 9, .. }))
+        .await;
+    assert_eq!(asked_after(&fake, 3), [Some(3), Some(3), Some(9)]);
+}
+
+#[tokio::test]
+async fn while_there_is_no_server_it_answers_what_it_had_until_that_is_stale() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    let replica = request(&fake).await.await.unwrap();
+    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    let bound = Duration::from_millis(1);
+    let bounded = request(&fake).await.max_staleness(bound).await.unwrap();
+    fake.fail(|_, _| Some(Status::unavailable("the server is stopping")));
+    for replica in [&replica, &bounded] {
+        replica
+            .status_where(|status| matches!(status, ReplicaStatus::Disconnected { .. }))
+            .await;
+    }
+    assert_eq!(nearest(&replica, 7.0), (1, 3));
+    let stale = replica.clone();
+    assert!(stale.at_least_within(4, bound).await.is_err());
+    // By now more time has passed than is allowed.
+    let Err(Error::Stale { age, .. }) = bounded.nearest([7.0]) else {
+        panic!("an answer that may be stale")
+    };
+    assert!(age > bound);
+    assert!(matches!(bounded.view(), Err(Error::Stale { .. })));
+}
+
+#[tokio::test]
+async fn a_server_that_cannot_be_followed_ends_it() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    fake.watch_tells(vec![Err(Status::unimplemented("an old server"))]);
+    let replica = request(&fake).await.await.unwrap();
+    let error = replica.at_least(4).await.unwrap_err();
+    assert!(matches!(error, Error::Ended { .. }), "{error}");
+    assert_eq!(error.code(), Code::Unimplemented);
+}
+
+#[tokio::test]
+async fn what_the_server_refuses_the_replica_refuses_in_the_same_words() {
+    let server = Server::start();
+    let index = server.index("arm", "R1*SO3").await;
+    let inserted = index.insert([[0.5, 0.0, 0.0, 0.0, 1.0]]).await.unwrap();
+    let replica = server.client().await.replica("arm").await.unwrap();
+    let good = [0.0, 0.0, 0.0, 0.0, 1.0];
+    let bad = [
+        [f64::NAN, 0.0, 0.0, 0.0, 1.0],
+        [0.0, 0.0, 0.0, f64::NEG_INFINITY, 1.0],
+        [1e200, 0.0, 0.0, 0.0, 1.0],
+        [0.0, 1.0, 0.0, 0.0, 1.0],
+    ];
+    let outside = Filter {
+        tag_mask: 1,
+        tag_value: 6,
+        ..Filter::default()
+    };
+    let mut asked: Vec<([f64; 5], Search<'_>)> =
+        bad.map(|state| (state, Search::nearest_k(1))).into();
+    let k = Search::nearest_k(1);
+    asked.extend([
+        (good, Search { k: 0, ..k }),
+        (good, Search { radius: -1.0, ..k }),
+        (
+            good,
+            Search {
+                radius: f64::NAN,
+                ..k
+            },
+        ),
+        (
+            good,
+            Search {
+                epsilon: f64::INFINITY,
+                ..k
+            },
+        ),
+        (
+            bad[0],
+            Search {
+                filter: outside,
+                epsilon: -0.5,
+                ..k
+            },
+        ),
+    ]);
+    for (state, search) in asked {
+        let request = index.knn([state]).k(u32::try_from(search.k).unwrap());
+        let request = request.radius(search.radius).epsilon(search.epsilon);
+        let theirs = request.filter(search.filter).await.unwrap_err();
+        let ours = replica.search(state, &search).unwrap_err();
+        let (Error::Refused(theirs), Error::Refused(ours)) = (theirs, ours) else {
+            panic!("{search:?}")
+        };
+        assert_eq!(ours, theirs);
+    }
+    assert!(matches!(replica.nearest([0.0]), Err(Error::Width { .. })));
+    let pose = nalgebra::Isometry2::translation(0.0, 0.0);
+    assert!(matches!(replica.nearest(pose), Err(Error::Layout { .. })));
+    let later = Filter {
+        since_revision: inserted.revision + 1,
+        ..Filter::default()
+    };
+    let later = replica.search(good, &Search { filter: later, ..k });
+    assert!(matches!(later, Err(Error::Behind { .. })), "{later:?}");
+}
