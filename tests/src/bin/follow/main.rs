@@ -1,0 +1,106 @@
+//! Measures a replica that follows a server, beside the same forest in this process, fed at the same rate.
+//!
+//!     cargo run --release -p wayfold-tests --bin follow -- [--points 50000] [--rate 10000] [--rounds 5] [--json FILE]
+//!
+//! A server in a process of its own holds SE(3) points (`R3*SO3:0.15`); a writer here inserts more of them at a fixed
+//! rate. One thread asks for ten neighbours on end, in turns a replica and a forest that is fed without the network;
+//! its rate is counted by its own processor time, so that what else runs here does not count. How long after its
+//! acknowledgement an insert is in the replica is compared with calls to a bare echo, made at the same time.
+
+mod feed;
+mod phase;
+mod report;
+
+use std::{env, fs, path::PathBuf, process::Command, process::ExitCode};
+
+use clap::Parser;
+use indicatif::{ProgressBar, ProgressStyle};
+use wayfold_client::Client;
+use wayfold_tests::{Process, ServerProcess, Stubs};
+
+use phase::Setting;
+use report::Report;
+
+/// Which of the processes this is; unset in the one that measures.
+const ROLE: &str = "FOLLOW_ROLE";
+const SPACE: &str = "R3*SO3:0.15";
+const WIDTH: usize = 7;
+const K: usize = 10;
+
+/// Measures a replica that follows a server, beside the same forest in this process.
+#[derive(Debug, Parser)]
+#[command(name = "follow")]
+struct Arguments {
+    /// How many points there are before.
+    #[arg(long, default_value_t = 50_000)]
+    points: usize,
+    /// How many points are inserted a second.
+    #[arg(long, default_value_t = 10_000)]
+    rate: usize,
+    /// How many points are inserted in one call.
+    #[arg(long, default_value_t = 10)]
+    batch: usize,
+    /// How many seconds each measurement lasts.
+    #[arg(long, default_value_t = 3)]
+    seconds: usize,
+    /// How often each is measured; the medians are reported.
+    #[arg(long, default_value_t = 5)]
+    rounds: usize,
+    /// Writes the figures to a file, as JSON.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    match env::var(ROLE).as_deref() {
+        Ok("server") => return wayfold_server::main(),
+        Ok("echo") => return wayfold_tests::echo::main(),
+        _ => {}
+    }
+    let arguments = Arguments::parse();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let report = runtime.block_on(measure(&arguments));
+    print!("{report}");
+    if let Some(path) = &arguments.json {
+        let json = format!("{:#}\n", report.to_json());
+        if let Err(error) = fs::write(path, json) {
+            eprintln!("error: {}: {error}", path.display());
+            return ExitCode::FAILURE;
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+/// Starts this program in another role.
+fn start(role: &str) -> ServerProcess {
+    let program = env::current_exe().expect("this program");
+    let mut command = Command::new(program);
+    command
+        .env(ROLE, role)
+        .args(["--grpc", "127.0.0.1:0", "--data", "memory"]);
+    ServerProcess::ready(Process::spawn(&mut command))
+}
+
+async fn measure(arguments: &Arguments) -> Report {
+    let (server, echo) = (start("server"), start("echo"));
+    let client = Client::connect(server.uri()).await.expect("a server");
+    let stubs = Stubs::connect(echo.uri()).await;
+    let rounds = arguments.rounds.max(1);
+    let style = ProgressStyle::with_template("{wide_bar} {percent:>3} %  {eta}");
+    let progress = ProgressBar::new(2 * rounds as u64).with_style(style.expect("a template"));
+    let setting = Setting {
+        points: arguments.points,
+        batch: arguments.batch.max(1),
+        calls_per_second: (arguments.rate / arguments.batch.max(1)).max(1),
+        seconds: arguments.seconds.max(1),
+    };
+    let mut report = Report::new(&setting);
+    for round in 0..rounds as u64 {
+        report.add_replica(phase::replica(&client, &stubs, &setting, round).await);
+        progress.inc(1);
+        report.add_forest(phase::forest(&client, &stubs, &setting, round).await);
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    report
+}

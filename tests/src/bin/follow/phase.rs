@@ -1,0 +1,221 @@
+//! One measurement of each kind.
+
+use std::{
+    fs,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use arc_swap::ArcSwap;
+use tokio::{sync::mpsc, task::JoinSet};
+use wayfold_client::{Client, IndexHandle};
+use wayfold_index::{Forest, ForestOptions, Merged, Points, Search, Snapshot};
+use wayfold_tests::{States, Stubs};
+
+use crate::{
+    K, SPACE, WIDTH,
+    feed::{Fed, Inserted, feed},
+};
+
+/// States drawn in advance; they are asked about over and over.
+const POOL: usize = 4_096;
+/// As many as a replica runs.
+const MERGERS: usize = 2;
+
+/// What is measured.
+pub(crate) struct Setting {
+    pub(crate) points: usize,
+    pub(crate) batch: usize,
+    pub(crate) calls_per_second: usize,
+    pub(crate) seconds: usize,
+}
+
+/// How fast one thread was answered.
+#[derive(Clone, Copy)]
+pub(crate) struct Asked {
+    /// Queries a second of its processor time.
+    pub(crate) by_processor: f64,
+    /// Queries a second.
+    pub(crate) by_clock: f64,
+}
+
+/// What a measurement of a replica found.
+pub(crate) struct Followed {
+    pub(crate) asked: Asked,
+    pub(crate) fed: Fed,
+    /// From the acknowledgement of each insert to the moment at which the replica had it.
+    pub(crate) lags: Vec<Duration>,
+    /// The same from when it was sent.
+    pub(crate) lags_from_sending: Vec<Duration>,
+}
+
+/// An index of its own with the points that are there before; and these.
+async fn index(client: &Client, setting: &Setting, name: String) -> (IndexHandle, Vec<f64>) {
+    let space = SPACE.parse().expect("a space");
+    let index = client.create_index(&name, &space).await.expect("an index");
+    let rows = States::new(space, 7).rows(setting.points);
+    let inserted = index.insert(rows.chunks(WIDTH)).await;
+    inserted.expect("an insert");
+    (index, rows)
+}
+
+/// Asks a replica while it follows.
+pub(crate) async fn replica(
+    client: &Client,
+    echo: &Stubs,
+    setting: &Setting,
+    round: u64,
+) -> Followed {
+    let (index, _) = index(client, setting, format!("replica-{round}")).await;
+    let replica = client.replica(index.name()).await.expect("a replica");
+    let search = {
+        let replica = replica.clone();
+        move |state: &[f64]| {
+            let found = replica.nearest_k(state, K).expect("an answer");
+            found.neighbors.len()
+        }
+    };
+    let asking = Asking::start(round, search);
+    let (told, mut inserted) = mpsc::unbounded_channel::<Inserted>();
+    let watched = tokio::spawn(async move {
+        let mut waits = JoinSet::new();
+        while let Some(insert) = inserted.recv().await {
+            let replica = replica.clone();
+            waits.spawn(async move {
+                let reached = replica.at_least(insert.revision).await;
+                reached.expect("the revision");
+                (insert.acknowledged.elapsed(), insert.sent.elapsed())
+            });
+        }
+        waits.join_all().await
+    });
+    let fed = feed(&index, echo, setting, round, told).await;
+    let asked = asking.stop();
+    let (lags, lags_from_sending) = watched.await.expect("the watcher").into_iter().unzip();
+    client.delete_index(index.name()).await.expect("a deletion");
+    Followed {
+        asked,
+        fed,
+        lags,
+        lags_from_sending,
+    }
+}
+
+/// Asks a forest that is fed the same, at the same rate, with no replica.
+pub(crate) async fn forest(client: &Client, echo: &Stubs, setting: &Setting, round: u64) -> Asked {
+    let (index, rows) = index(client, setting, format!("forest-{round}")).await;
+    let mut forest = Forest::new(index.space().clone(), ForestOptions::default());
+    forest.apply(1, &points(&index, &rows, 0, 1), &[]);
+    forest.settle();
+    let published = Arc::new(ArcSwap::from_pointee(forest.snapshot()));
+    let search = {
+        let published = Arc::clone(&published);
+        move |state: &[f64]| {
+            let answer = published.load().search(state, &Search::nearest_k(K));
+            answer.neighbors.len()
+        }
+    };
+    let asking = Asking::start(round, search);
+    let (told, inserted) = mpsc::unbounded_channel();
+    let fed_with = index.clone();
+    let applied = tokio::spawn(apply_all(fed_with, forest, published, inserted));
+    feed(&index, echo, setting, round, told).await;
+    let asked = asking.stop();
+    applied.await.expect("the applier");
+    client.delete_index(index.name()).await.expect("a deletion");
+    asked
+}
+
+/// Applies what was inserted, and publishes it, with merges in the background.
+async fn apply_all(
+    index: IndexHandle,
+    mut forest: Forest,
+    published: Arc<ArcSwap<Snapshot>>,
+    mut inserted: mpsc::UnboundedReceiver<Inserted>,
+) {
+    let mut merges: JoinSet<Merged> = JoinSet::new();
+    let mut next_id = forest.len() as u64;
+    loop {
+        tokio::select! {
+            insert = inserted.recv() => {
+                let Some(insert) = insert else { return };
+                let revision = forest.revision() + 1;
+                let stored = points(&index, &insert.rows, next_id, revision);
+                next_id += stored.len() as u64;
+                forest.apply(revision, &stored, &[]);
+            }
+            Some(merged) = merges.join_next() => forest.finish_merge(merged.expect("a merge")),
+        }
+        published.store(Arc::new(forest.snapshot()));
+        while merges.len() < MERGERS
+            && let Some(merge) = forest.begin_merge()
+        {
+            merges.spawn_blocking(move || merge.run());
+        }
+    }
+}
+
+fn points(index: &IndexHandle, rows: &[f64], first_id: u64, revision: u64) -> Points {
+    let mut points = Points::new(WIDTH);
+    for (row, id) in rows.chunks(WIDTH).zip(first_id..) {
+        let mut row = row.to_vec();
+        index.space().canonicalize(&mut row).expect("a state");
+        points.push(id, 0, revision, &row);
+    }
+    points
+}
+
+/// A thread that asks on end.
+struct Asking {
+    stop: Arc<AtomicBool>,
+    thread: thread::JoinHandle<Asked>,
+}
+
+impl Asking {
+    fn start(seed: u64, search: impl Fn(&[f64]) -> usize + Send + 'static) -> Asking {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let space: wayfold_index::Space = SPACE.parse().expect("a space");
+        let mut pool = States::new(space.clone(), 500 + seed).rows(POOL);
+        for row in pool.chunks_mut(WIDTH) {
+            space.canonicalize(row).expect("a state");
+        }
+        let thread = thread::spawn(move || {
+            let (started, processor) = (Instant::now(), thread_time());
+            let mut asked = 0_u64;
+            'asking: loop {
+                for state in pool.chunks(WIDTH) {
+                    if stopped.load(Ordering::Relaxed) {
+                        break 'asking;
+                    }
+                    assert_eq!(search(state), K);
+                    asked += 1;
+                }
+            }
+            let clock = started.elapsed();
+            let processor = thread_time().zip(processor);
+            let processor = processor.map_or(clock, |(end, start)| end - start);
+            Asked {
+                by_processor: asked as f64 / processor.as_secs_f64(),
+                by_clock: asked as f64 / clock.as_secs_f64(),
+            }
+        });
+        Asking { stop, thread }
+    }
+
+    fn stop(self) -> Asked {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join().expect("the asking thread")
+    }
+}
+
+/// The processor time that this thread has taken, where the system tells it.
+fn thread_time() -> Option<Duration> {
+    let text = fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    let nanos = text.split(' ').next()?.parse().ok()?;
+    Some(Duration::from_nanos(nanos))
+}
