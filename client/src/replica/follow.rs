@@ -81,7 +81,7 @@ impl Follower {
             if let Stop::Failed(error) = stopped
                 && let Err(why) = self.recover(error).await
             {
-                return self.shared.tell(ReplicaStatus::Ended { why });
+                return self.shared.tell_end(why);
             }
         }
     }
@@ -98,8 +98,9 @@ impl Follower {
         let asked = Instant::now();
         let after = self.grove.revision();
         let mut watch = self.index.watch().after(after).await?;
-        if let Some(WatchEvent::Reset(reset)) = watch.ready() {
-            return Err(Stop::Reset(reset));
+        // A reset may be all that it tells.
+        while let Some(event) = watch.ready() {
+            self.apply(event)?;
         }
         let mut word = Some(Word {
             asked,
@@ -225,5 +226,16 @@ impl Follower {
                 () = self.grove.merged() => self.publish(),
             }
         }
+    }
+}
+
+impl Drop for Follower {
+    /// Readers are told also where the task does not come to its end: its runtime is shut down, or it panicked.
+    fn drop(&mut self) {
+        self.shared.end(|| Error::Connection {
+            call: "replica",
+            uri: self.client.uri().to_owned(),
+            source: "the task that follows the server was stopped".into(),
+        });
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{
     sync::{
-        Arc,
+        Arc, OnceLock,
         atomic::{AtomicU64, Ordering},
     },
     time::Duration,
@@ -25,7 +25,7 @@ pub(super) struct Shared {
     fresh: AtomicU64,
     start: Instant,
     max_staleness: Option<Duration>,
-    ended: std::sync::OnceLock<Arc<Error>>,
+    ended: OnceLock<Arc<Error>>,
 }
 
 impl Shared {
@@ -35,9 +35,8 @@ impl Shared {
         asked: Instant,
         max_staleness: Option<Duration>,
     ) -> Arc<Shared> {
-        let status = ReplicaStatus::Following {
+        let status = ReplicaStatus::CatchingUp {
             revision: view.revision(),
-            behind: 0,
         };
         Arc::new(Shared {
             published: ArcSwap::from_pointee(view),
@@ -45,7 +44,7 @@ impl Shared {
             fresh: AtomicU64::new(0),
             start: asked,
             max_staleness,
-            ended: std::sync::OnceLock::new(),
+            ended: OnceLock::new(),
         })
     }
 
@@ -58,11 +57,21 @@ impl Shared {
     }
 
     pub(super) fn tell(&self, status: ReplicaStatus) {
-        if let ReplicaStatus::Ended { why } = &status {
-            // There is one end.
-            let _ = self.ended.set(Arc::clone(why));
-        }
         self.status.send_replace(status);
+    }
+
+    pub(super) fn tell_end(&self, why: Arc<Error>) {
+        // There is one end.
+        if self.ended.set(Arc::clone(&why)).is_ok() {
+            self.tell(ReplicaStatus::Ended { why });
+        }
+    }
+
+    /// Tells an end, if there was none.
+    pub(super) fn end(&self, why: impl FnOnce() -> Error) {
+        if self.ended.get().is_none() {
+            self.tell_end(Arc::new(why()));
+        }
     }
 
     pub(super) fn status(&self) -> ReplicaStatus {

@@ -17,7 +17,8 @@ pub enum ReplicaStatus {
         /// How many revisions the server was ahead, by its last word.
         behind: u64,
     },
-    /// It reads all points anew, since the server could not tell what it had missed. Reads see the old ones.
+    /// It has read all points and does not follow yet; or it reads them anew, since the server could not tell what it
+    /// had missed, and reads see the old ones.
     CatchingUp {
         /// The revision that reads see.
         revision: u64,

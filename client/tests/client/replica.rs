@@ -237,3 +237,18 @@ async fn what_the_server_refuses_the_replica_refuses_in_the_same_words() {
     let later = replica.search(good, &Search { filter: later, ..k });
     assert!(matches!(later, Err(Error::Behind { .. })), "{later:?}");
 }
+
+#[test]
+fn a_replica_whose_runtime_is_gone_says_so() {
+    let server = Server::start();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let replica = runtime.block_on(async {
+        server.index("line", "R1").await;
+        server.client().await.replica("line").await.unwrap()
+    });
+    assert!(replica.nearest([0.0]).unwrap().neighbors.is_empty());
+    drop(runtime);
+    let error = replica.nearest([0.0]).unwrap_err();
+    assert!(matches!(error, Error::Ended { .. }), "{error}");
+    assert!(matches!(replica.status(), ReplicaStatus::Ended { .. }));
+}
