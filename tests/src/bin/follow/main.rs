@@ -27,6 +27,10 @@ const SPACE: &str = "R3*SO3:0.15";
 const WIDTH: usize = 7;
 const K: usize = 10;
 
+/// The server's own, so that what is measured is what runs; all contestants share it.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Measures a replica that follows a server, beside the same forest in this process.
 #[derive(Debug, Parser)]
 #[command(name = "follow")]
