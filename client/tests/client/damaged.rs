@@ -83,7 +83,10 @@ async fn an_index_that_cannot_be_read_is_listed_and_can_be_deleted() {
     let lines = server.json(&["list"]).lines();
     assert_eq!(lines.len(), 3);
     let message = &damaged.error.message;
-    assert!(message.contains("revision 1 was stored and gone"), "{message}");
+    assert!(
+        message.contains("revision 1 was stored and gone"),
+        "{message}"
+    );
     let error = json!({"code": "DATA_LOSS", "reason": "DATA_LOSS", "message": message});
     let expected = json!({"name": "leg", "uid": uids[1], "error": error});
     assert_eq!(lines[2], expected);
