@@ -201,5 +201,9 @@ fn a_data_directory_that_it_cannot_have_is_named_with_what_to_do() {
     std::fs::write(directory.path().join("wayfold-data"), "another form").unwrap();
     let (status, stderr) = refused(&again);
     assert_eq!(status, Some(1));
+    assert!(stderr.contains("missing or damaged"), "{stderr}");
+    std::fs::remove_dir_all(directory.path().join("store")).unwrap();
+    let (status, stderr) = refused(&again);
+    assert_eq!(status, Some(1));
     assert!(stderr.contains("not a data directory"), "{stderr}");
 }
