@@ -71,12 +71,14 @@ async fn stops_gracefully(signal: Signal) {
     let part = parts.message().await.unwrap().unwrap();
     let mut scanned = part.points.unwrap().ids.len();
     assert!(scanned < BATCHES * ROWS);
-    // A batch, and after it on the same connection a call that was answered.
+    // A batch, and after it on the same connection calls that were answered: meanwhile it has been accepted.
     let batch = knn(&mut states, ROWS);
     let mut other = stubs.clone();
     let batch = tokio::spawn(async move { other.points.knn(batch).await });
     tokio::task::yield_now().await;
-    stubs.points.knn(knn(&mut states, 1)).await.unwrap();
+    for _ in 0..50 {
+        stubs.points.knn(knn(&mut states, 1)).await.unwrap();
+    }
 
     server.process().signal(signal);
     // Health says so before anything is refused.
