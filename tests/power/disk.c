@@ -4,7 +4,9 @@
  *   POWER_DISK    a directory, as an absolute path without links; only what is under it is watched
  *   POWER_SHADOW  an empty directory beside it
  *   POWER_SEED    a number: the disk also writes some of what it was not asked to, in parts and in any order
- *   POWER_SYNC_MS a number: how long a sync takes at least, so that there is time to see what must not be seen before
+ *   POWER_LOOKED  a pipe to be made, not under the disk: while readers have it open, the sync of a journal (*.jnl) lasts
+ *                 until they have looked again, of which they tell by a byte. So there is time to see what must not be
+ *                 seen before. (While it syncs its tables fjall lets nobody read from them.)
  *   POWER_CUT     a number: of the calls that make, write or sync something, the one before which the program is killed
  *
  * What is durable:
@@ -28,6 +30,7 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <poll.h>
 #include <pthread.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -39,10 +42,9 @@
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/uio.h>
-#include <time.h>
 #include <unistd.h>
 
-enum { SECTOR = 512, PATH_BYTES = 4096 };
+enum { SECTOR = 512, PATH_BYTES = 4096, LOOKS = 3, MOST_MS = 10000 };
 
 struct range {
     off_t start, end;
@@ -67,7 +69,8 @@ static const char *root, *shadow;
 static struct object *objects;
 static size_t count;
 static unsigned numbers;
-static uint64_t seed, calls, cut, sync_ms;
+static uint64_t seed, calls, cut;
+static int looked = -1;
 
 /* What a test must know of. */
 static void trouble(const char *what, const char *where) {
@@ -285,12 +288,17 @@ static void sync_all(const char *path, bool start) {
 }
 
 __attribute__((constructor)) static void start(void) {
-    const char *disk = getenv("POWER_DISK"), *unasked = getenv("POWER_SEED");
+    const char *disk = getenv("POWER_DISK"), *unasked = getenv("POWER_SEED"), *pipe = getenv("POWER_LOOKED");
     shadow = getenv("POWER_SHADOW");
     if (disk == NULL || shadow == NULL) return;
-    /* Never 0, which would draw 0 for ever. */
-    if (getenv("POWER_SYNC_MS") != NULL) sync_ms = strtoull(getenv("POWER_SYNC_MS"), NULL, 10);
     if (getenv("POWER_CUT") != NULL) cut = strtoull(getenv("POWER_CUT"), NULL, 10);
+    if (pipe != NULL) {
+        /* It is there already if the program was started before. */
+        mkfifo(pipe, 0600);
+        looked = syscall(SYS_openat, AT_FDCWD, pipe, O_RDONLY | O_NONBLOCK | O_CLOEXEC, 0);
+        if (looked < 0) trouble("cannot open the pipe", pipe);
+    }
+    /* Never 0, which would draw 0 for ever. */
     if (unasked != NULL) seed = strtoull(unasked, NULL, 10) * 2 + 1;
     pthread_mutex_lock(&mutex);
     sync_all(disk, true);
@@ -426,11 +434,33 @@ static int synced(int fd, int result) {
     return result;
 }
 
+static bool is_journal(int fd) {
+    char link[64], path[PATH_BYTES];
+    snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+    ssize_t length = readlink(link, path, sizeof path - 1);
+    return length > 4 && memcmp(path + length - 4, ".jnl", 4) == 0;
+}
+
+/* Waits for so many looks that of two readers one has begun meanwhile and is done. If there is none it does not wait: one
+ * that looks no more closes the pipe. */
+static void wait_for_looks(void) {
+    char told[256];
+    ssize_t got;
+    do got = syscall(SYS_read, looked, told, sizeof told);
+    while (got > 0);
+    if (got == 0) return;
+    struct pollfd look = {.fd = looked, .events = POLLIN};
+    for (ssize_t looks = 0; looks < LOOKS; looks += got) {
+        if (poll(&look, 1, MOST_MS) == 0) trouble("nobody looks", "while a journal is synced");
+        got = syscall(SYS_read, looked, told, sizeof told);
+        if (got <= 0) return;
+    }
+}
+
 static void about_to_sync(int fd) {
     if (lock(fd) == NULL) return;
     pthread_mutex_unlock(&mutex);
-    struct timespec time = {.tv_sec = sync_ms / 1000, .tv_nsec = sync_ms % 1000 * 1000000};
-    nanosleep(&time, NULL);
+    if (looked >= 0 && is_journal(fd)) wait_for_looks();
     about_to_change_file(fd);
 }
 

@@ -5,7 +5,10 @@ mod reader;
 mod tally;
 mod writer;
 
+use std::path::PathBuf;
+
 use tokio::{
+    net::unix::pipe,
     sync::watch,
     task::{JoinHandle, JoinSet},
 };
@@ -47,6 +50,7 @@ pub(crate) struct Clients {
     model: Model,
     tally: Tally,
     probes: States,
+    looked: Option<PathBuf>,
 }
 
 /// Clients at work.
@@ -91,7 +95,13 @@ impl Clients {
             model: Model::new(SPACE.parse().unwrap()),
             tally: Tally::default(),
             probes: States::new(SPACE.parse().unwrap(), seed + writers + READERS),
+            looked: None,
         }
+    }
+
+    /// From now on readers write a byte into this pipe, which the server has open, each time they have looked.
+    pub(crate) fn tell_of_looks(&mut self, looked: PathBuf) {
+        self.looked = Some(looked);
     }
 
     /// All work, until the server is killed under them.
@@ -151,7 +161,7 @@ impl Clients {
         for reader in self.readers.drain(..) {
             let stubs = Stubs::connect(server.uri()).await;
             let seen = reader.seen.len();
-            let reading_on = reader.read(stubs, over.subscribe());
+            let reading_on = reader.read(stubs, over.subscribe(), None);
             reading.spawn(async move { (seen, reading_on.await) });
         }
         tokio::task::block_in_place(|| wait(server));
@@ -189,7 +199,9 @@ impl Clients {
         }
         for reader in self.readers.drain(..) {
             let stubs = Stubs::connect(server.uri()).await;
-            reading.spawn(reader.read(stubs, over.subscribe()));
+            let looked = self.looked.as_ref();
+            let looked = looked.map(|pipe| pipe::OpenOptions::new().open_sender(pipe).unwrap());
+            reading.spawn(reader.read(stubs, over.subscribe(), looked));
         }
         let builder = std::mem::take(&mut self.builder);
         let building = tokio::spawn(builder.build(Stubs::connect(server.uri()).await, built));

@@ -11,11 +11,6 @@ use self::disk::Disk;
 use crate::clients::{Clients, Load, Moment};
 
 const FSYNC: &[(&str, &str)] = &[("WAYFOLD_DATA__DURABILITY", "fsync")];
-/// With a disk on which most of the time a sync is under way, and readers who look meanwhile.
-const SLOW: &[(&str, &str)] = &[
-    ("WAYFOLD_DATA__DURABILITY", "fsync"),
-    ("POWER_SYNC_MS", "5"),
-];
 /// Enough in a few rounds for the store to move points out of its journal and begin another.
 const LOAD: Load = Load {
     rows: 3,
@@ -48,8 +43,10 @@ async fn nothing_acknowledged_is_lost_when_the_disk_keeps_some_of_the_rest() {
 async fn lose_power(mut disk: Disk, seed: u64) {
     println!("seed {seed}");
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut server = disk.serve(SLOW);
+    let mut server = disk.serve(FSYNC);
     let mut clients = Clients::new(&server, seed, LOAD).await;
+    // On this disk a sync is under way most of the time, and readers look meanwhile.
+    clients.tell_of_looks(disk.looked());
     let mut cuts = 0;
     for _ in 0..wanted().unwrap_or(LOSSES) {
         let moment = match random.random_range(0..4) {
@@ -62,12 +59,12 @@ async fn lose_power(mut disk: Disk, seed: u64) {
         // Sometimes again while it starts.
         while random.random_bool(0.4) {
             let calls = random.random_range(1..CALLS).to_string();
-            let cut = [SLOW, &[("POWER_CUT", &calls)]].concat();
+            let cut = [FSYNC, &[("POWER_CUT", &calls)]].concat();
             disk.start(&cut).kill_at_line(random.random_range(0..LINES));
             disk.cut();
             cuts += 1;
         }
-        server = disk.serve(SLOW);
+        server = disk.serve(FSYNC);
         clients.check(&server).await;
     }
     server.stop(Signal::Terminate);

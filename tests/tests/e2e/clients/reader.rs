@@ -1,7 +1,7 @@
 //! Reads, and notes what it saw: at which revision of which index, bit for bit.
 
 use rand::RngExt;
-use tokio::sync::watch;
+use tokio::{net::unix::pipe, sync::watch};
 use tonic::{Code, Status};
 use wayfold_proto::v1::{Filter, GetRequest, GetResponse, KnnRequest, KnnResponse, ReadAt};
 use wayfold_tests::{Content, Model, States, Stubs, row_states};
@@ -67,10 +67,20 @@ impl Reader {
         }
     }
 
-    /// Reads until it is over, whatever it is told. What others have under way meanwhile must not be seen.
-    pub(crate) async fn read(mut self, stubs: Stubs, over: watch::Receiver<bool>) -> Self {
+    /// Reads until it is over, whatever it is told. What others have under way meanwhile must not be seen. After each
+    /// time it tells so.
+    pub(crate) async fn read(
+        mut self,
+        stubs: Stubs,
+        over: watch::Receiver<bool>,
+        looked: Option<pipe::Sender>,
+    ) -> Self {
         while !*over.borrow() {
             self.note(stubs.clone()).await;
+            if let Some(looked) = &looked {
+                // It is full if it was told enough, and broken if the server was killed.
+                let _ = looked.try_write(&[1]);
+            }
         }
         self
     }

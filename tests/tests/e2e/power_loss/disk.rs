@@ -45,6 +45,11 @@ impl Disk {
         self.directory.path().join(format!("shadow-{}", self.cuts))
     }
 
+    /// The pipe into which readers tell that they have looked: a sync lasts until one has.
+    pub(super) fn looked(&self) -> PathBuf {
+        self.directory.path().join("looked")
+    }
+
     /// Starts a server whose data is on it; more of its settings by environment. Once between two cuts: what it finds
     /// is taken for durable.
     pub(super) fn start(&self, settings: &[(&str, &str)]) -> Process {
@@ -55,6 +60,7 @@ impl Disk {
             .env("LD_PRELOAD", &self.library)
             .env("POWER_DISK", self.files())
             .env("POWER_SHADOW", self.shadow())
+            .env("POWER_LOOKED", self.looked())
             .envs(settings.iter().copied());
         if let Some(seed) = self.unasked {
             command.env("POWER_SEED", (seed + self.cuts).to_string());
