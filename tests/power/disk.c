@@ -7,6 +7,8 @@
  *   POWER_LOOKED  a pipe to be made, not under the disk: while readers have it open, the sync of a journal (*.jnl) lasts
  *                 until they have looked again, of which they tell by a byte. So there is time to see what must not be
  *                 seen before. (While it syncs its tables fjall lets nobody read from them.)
+ *   POWER_FAILS   a number: of the syncs of a journal, the one that fails, with EIO. What it was to write is taken for
+ *                 clean from then on, as Linux does, and is written only if a program writes it again
  *   POWER_CUT     a number: of the calls that make, write or sync something, the one before which the program is killed
  *
  * What is durable:
@@ -69,7 +71,7 @@ static const char *root, *shadow;
 static struct object *objects;
 static size_t count;
 static unsigned numbers;
-static uint64_t seed, calls, cut;
+static uint64_t seed, calls, cut, journal_syncs, failing;
 static int looked = -1;
 
 /* What a test must know of. */
@@ -292,6 +294,7 @@ __attribute__((constructor)) static void start(void) {
     shadow = getenv("POWER_SHADOW");
     if (disk == NULL || shadow == NULL) return;
     if (getenv("POWER_CUT") != NULL) cut = strtoull(getenv("POWER_CUT"), NULL, 10);
+    if (getenv("POWER_FAILS") != NULL) failing = strtoull(getenv("POWER_FAILS"), NULL, 10);
     if (pipe != NULL) {
         /* It is there already if the program was started before. */
         mkfifo(pipe, 0600);
@@ -426,14 +429,6 @@ int ftruncate64(int fd, off64_t length) {
 
 int ftruncate(int fd, off_t length) { return ftruncate64(fd, length); }
 
-static int synced(int fd, int result) {
-    struct object *object = result == 0 ? lock(fd) : NULL;
-    if (object == NULL) return result;
-    sync_object(object, fd);
-    pthread_mutex_unlock(&mutex);
-    return result;
-}
-
 static bool is_journal(int fd) {
     char link[64], path[PATH_BYTES];
     snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
@@ -462,6 +457,18 @@ static void about_to_sync(int fd) {
     pthread_mutex_unlock(&mutex);
     if (looked >= 0 && is_journal(fd)) wait_for_looks();
     about_to_change_file(fd);
+}
+
+static int synced(int fd, int result) {
+    bool journal = is_journal(fd);
+    struct object *object = result == 0 ? lock(fd) : NULL;
+    if (object == NULL) return result;
+    bool fails = journal && ++journal_syncs == failing;
+    if (fails) object->ranges = 0;
+    else sync_object(object, fd);
+    pthread_mutex_unlock(&mutex);
+    if (fails) errno = EIO;
+    return fails ? -1 : 0;
 }
 
 int fsync(int fd) {

@@ -19,6 +19,8 @@ const LOAD: Load = Load {
 };
 /// Losses of power, unless the environment variable `POWER_LOSSES` says otherwise.
 const LOSSES: u64 = 8;
+/// How often a sync fails before, unless that says otherwise.
+const FAILED_SYNCS: u64 = 3;
 const SEED: u64 = 3;
 /// Lines that a starting server says at least.
 const LINES: u32 = 4;
@@ -70,6 +72,31 @@ async fn lose_power(mut disk: Disk, seed: u64) {
     server.stop(Signal::Terminate);
     disk.check_shadow();
     println!("{cuts} losses of power, {}", clients.tally());
+}
+
+/// After a failed sync the kernel takes for clean what it could not write, and the next sync succeeds without it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_failed_sync_has_left_is_written_before_more_is_acknowledged() {
+    println!("seed {SEED}");
+    let mut random = ChaCha8Rng::seed_from_u64(SEED);
+    let mut disk = Disk::new(None);
+    let mut server = disk.serve(FSYNC);
+    let mut clients = Clients::new(&server, SEED, LOAD).await;
+    for _ in 0..wanted().unwrap_or(FAILED_SYNCS) {
+        server.stop(Signal::Kill);
+        disk.cut();
+        let fails = random.random_range(5..50).to_string();
+        server = disk.serve(&[FSYNC, &[("POWER_FAILS", &fails)]].concat());
+        let refused = clients.work_until_refused(&server, Moment::Acknowledged(1), || ());
+        refused.await;
+        server.log_until("the log is written again");
+        clients.check(&server).await;
+        server.stop(Signal::Kill);
+        disk.cut();
+        server = disk.serve(FSYNC);
+        clients.check(&server).await;
+    }
+    println!("{}", clients.tally());
 }
 
 /// A first start that is cut short, before any of the calls that make, write or sync something, leaves nothing that the

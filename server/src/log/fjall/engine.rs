@@ -11,7 +11,7 @@ use super::{
     directory::Directory,
     failure::Failure,
     index::{Index, State},
-    journal::Journal,
+    journal::{self, Journal},
     layout::{Named, Number, Stage, entry_key},
     loose, manifest,
     marks::{Mark, Marks},
@@ -49,6 +49,7 @@ impl Engine {
             return Err(not_readable(format!("there is no {}", path.display())));
         }
         manifest::check(&path)?;
+        journal::write_again(&path).map_err(shut)?;
         let store = Store::open(&path, durability).map_err(unopened)?;
         let store = Arc::new(store);
         let renamed = loose::may_have_lost(directory.path()).map_err(shut)?;

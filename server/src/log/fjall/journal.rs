@@ -12,14 +12,19 @@
 use std::{
     fs,
     fs::File,
-    io::{self, Read, Seek, SeekFrom},
-    path::PathBuf,
+    io::{self, Read, Seek, SeekFrom, Write},
+    path::{Path, PathBuf},
     sync::Arc,
 };
 
 use fjall::PersistMode;
 
 use super::store::{Store, told};
+
+/// The ending of its files' names.
+const ENDING: &str = "jnl";
+/// Bytes to write again at a time.
+const PIECE: usize = 128 * 1024;
 
 /// The journal of a store.
 pub(super) struct Journal {
@@ -99,6 +104,42 @@ impl Journal {
 
     fn file(&self, number: u64) -> PathBuf {
         self.directory.join(format!("{number}.jnl"))
+    }
+}
+
+/// Writes what the journal in `directory` holds once more, to where it is, and syncs it. To be called before the store is
+/// opened.
+///
+/// When a sync has failed, of this server or of one before it, Linux takes for clean what it could not write: it is read
+/// from memory, as if it were on disk, and no later sync writes it.
+pub(super) fn write_again(directory: &Path) -> io::Result<()> {
+    for file in fs::read_dir(directory)? {
+        let path = file?.path();
+        if path
+            .extension()
+            .is_some_and(|extension| extension == ENDING)
+        {
+            write_file_again(&mut File::options().read(true).write(true).open(path)?)?;
+        }
+    }
+    Ok(())
+}
+
+fn write_file_again(file: &mut File) -> io::Result<()> {
+    let mut piece = vec![0; PIECE];
+    let mut at = 0;
+    loop {
+        file.seek(SeekFrom::Start(at))?;
+        let read = file.read(&mut piece)?;
+        if read == 0 {
+            return file.sync_all();
+        }
+        // The room that was taken in advance is a hole, and stays one.
+        if piece[..read].iter().any(|&byte| byte != 0) {
+            file.seek(SeekFrom::Start(at))?;
+            file.write_all(&piece[..read])?;
+        }
+        at += read as u64;
     }
 }
 

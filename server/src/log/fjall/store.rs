@@ -65,9 +65,10 @@ impl Handles {
         self.database.write_buffer_size()
     }
 
-    /// Whether the next batch would have to wait until the store has caught up.
+    /// Whether the next batch may have to wait: for the store to catch up, or for the disk, as fjall syncs the journal
+    /// under its lock when it begins to move points out of it.
     pub(super) fn is_busy(&self) -> bool {
-        self.keyspace.sealed_memtable_count() + 1 >= MEMTABLES_THAT_HALT
+        self.keyspace.sealed_memtable_count() > 0
             || self.keyspace.l0_table_count() >= RUNS_THAT_STALL
     }
 
