@@ -20,6 +20,9 @@ use crate::{
     start,
 };
 
+/// Connections that the clients share evenly: one for each, and as from a few processes with many tasks.
+const CONNECTIONS: [usize; 2] = [CLIENTS, 4];
+
 /// States of one client; they are inserted over and over, under new ids.
 const POOL: usize = 1024;
 
@@ -37,8 +40,9 @@ struct Round {
 enum Contestant {
     Bare(bare::Way),
     Service(Option<u32>),
-    Grpc(Option<u32>),
-    Echo(Option<u32>),
+    /// Over so many connections.
+    Grpc(usize, Option<u32>),
+    Echo(usize, Option<u32>),
 }
 
 /// Measures inserts of one state: `count` of them in each of `rounds`.
@@ -66,9 +70,15 @@ pub(crate) async fn measure(
                 .entry(Contestant::Service(k))
                 .or_default()
                 .push(service);
-            let (server, echo) = through_grpc(place, round, count, k).await;
-            taken.entry(Contestant::Grpc(k)).or_default().push(server);
-            taken.entry(Contestant::Echo(k)).or_default().push(echo);
+            for over in CONNECTIONS {
+                let (server, echo) = through_grpc(place, (round, over), count, k).await;
+                let grpc = taken.entry(Contestant::Grpc(over, k)).or_default();
+                grpc.push(server);
+                taken
+                    .entry(Contestant::Echo(over, k))
+                    .or_default()
+                    .push(echo);
+            }
         }
     }
     let taken = taken.into_iter();
@@ -104,7 +114,6 @@ fn tell(medians: &BTreeMap<Contestant, Round>, shape: &Shape, report: &mut Repor
     let beside = of(Contestant::Bare(bare::Way::Beside)).rate;
     for (k, with) in [(None, ""), (Some(K), ", k = 10")] {
         let service = of(Contestant::Service(k));
-        let (grpc, echo) = (of(Contestant::Grpc(k)), of(Contestant::Echo(k)));
         report.ratio(
             &format!("service layer{with}"),
             service.rate,
@@ -118,45 +127,42 @@ fn tell(medians: &BTreeMap<Contestant, Round>, shape: &Shape, report: &mut Repor
             beside,
             "/s",
         );
-        report.ratio(
-            &format!("gRPC, 64 connections{with}"),
-            grpc.rate,
-            best,
-            "/s",
-            Goal::AtLeast(0.7),
-        );
-        report.compare(
-            &format!("  to a bare echo of the same messages{with}"),
-            grpc.rate,
-            echo.rate,
-            "/s",
-        );
-        report.compare(
-            &format!("  the bare echo to bare fjall{with}"),
-            echo.rate,
-            best,
-            "/s",
-        );
         report.note(
-            &format!("processor an insert: service layer{with}"),
+            &format!("  processor an insert{with}"),
             service.processor_us.1,
             "us",
         );
-        for (what, round) in [("gRPC", grpc), ("echo", echo)] {
-            let (server, client) = round.processor_us;
-            report.note(
-                &format!("processor an insert: {what}, server{with}"),
-                server,
-                "us",
-            );
-            report.note(
-                &format!("processor an insert: {what}, client{with}"),
-                client,
-                "us",
-            );
+        for over in CONNECTIONS {
+            let measured = (of(Contestant::Grpc(over, k)), of(Contestant::Echo(over, k)));
+            tell_grpc(measured, best, &format!("{over} connections{with}"), report);
         }
     }
     report.data("bytes an insert", json!(shape.bytes()));
+}
+
+/// The server's figures, beside the echo's.
+fn tell_grpc((grpc, echo): (Round, Round), bare: f64, with: &str, report: &mut Report) {
+    let goal = Goal::AtLeast(0.7);
+    report.ratio(&format!("gRPC, {with}"), grpc.rate, bare, "/s", goal);
+    report.compare(
+        &format!("  to a bare echo of the same messages, {with}"),
+        grpc.rate,
+        echo.rate,
+        "/s",
+    );
+    report.compare(
+        &format!("  the bare echo to bare fjall, {with}"),
+        echo.rate,
+        bare,
+        "/s",
+    );
+    for (what, round) in [("gRPC", grpc), ("echo", echo)] {
+        let (server, client) = round.processor_us;
+        for (whose, processor) in [("server", server), ("client", client)] {
+            let what = format!("  processor an insert: {what}, {whose}, {with}");
+            report.note(&what, processor, "us");
+        }
+    }
 }
 
 /// Takes the time of so many inserts.
@@ -225,7 +231,12 @@ async fn through_service(place: &Place, round: usize, count: usize, k: Option<u3
 }
 
 /// The server's, and the echo's.
-async fn through_grpc(place: &Place, round: usize, count: usize, k: Option<u32>) -> (Round, Round) {
+async fn through_grpc(
+    place: &Place,
+    round: (usize, usize),
+    count: usize,
+    k: Option<u32>,
+) -> (Round, Round) {
     let directory = place.directory();
     let data = directory.path().join("data").to_string_lossy().into_owned();
     let server = start("server", &data);
@@ -239,11 +250,21 @@ async fn through_grpc(place: &Place, round: usize, count: usize, k: Option<u32>)
     (ours, call(&echo, round, count, k).await)
 }
 
-async fn call(server: &ServerProcess, round: usize, count: usize, k: Option<u32>) -> Round {
-    let mut ready = Vec::new();
-    for client in 0..CLIENTS {
-        ready.push((Stubs::connect(server.uri()).await, pool(client, round)));
+async fn call(
+    server: &ServerProcess,
+    (round, connections): (usize, usize),
+    count: usize,
+    k: Option<u32>,
+) -> Round {
+    let mut connected = Vec::new();
+    for _ in 0..connections {
+        connected.push(Stubs::connect(server.uri()).await);
     }
+    let clients = (0..CLIENTS).map(|client| {
+        let stubs = connected[client % connections].clone();
+        (stubs, pool(client, round))
+    });
+    let ready: Vec<_> = clients.collect();
     let meter = Meter::start(Some(server), count);
     let mut clients = JoinSet::new();
     for (mut stubs, pool) in ready {
