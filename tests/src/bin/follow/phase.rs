@@ -1,7 +1,6 @@
 //! One measurement of each kind.
 
 use std::{
-    fs,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -14,7 +13,7 @@ use arc_swap::ArcSwap;
 use tokio::{sync::mpsc, task::JoinSet};
 use wayfold_client::{Client, IndexHandle};
 use wayfold_index::{Forest, ForestOptions, Merged, Points, Search, Snapshot};
-use wayfold_tests::{States, Stubs};
+use wayfold_tests::{States, Stubs, figures::thread_time};
 
 use crate::{
     K, SPACE, WIDTH,
@@ -197,8 +196,7 @@ impl Asking {
                 }
             }
             let clock = started.elapsed();
-            let processor = thread_time().zip(processor);
-            let processor = processor.map_or(clock, |(end, start)| end - start);
+            let processor = thread_time() - processor;
             Asked {
                 by_processor: asked as f64 / processor.as_secs_f64(),
                 by_clock: asked as f64 / clock.as_secs_f64(),
@@ -211,11 +209,4 @@ impl Asking {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.join().expect("the asking thread")
     }
-}
-
-/// The processor time that this thread has taken, where the system tells it.
-fn thread_time() -> Option<Duration> {
-    let text = fs::read_to_string("/proc/thread-self/schedstat").ok()?;
-    let nanos = text.split(' ').next()?.parse().ok()?;
-    Some(Duration::from_nanos(nanos))
 }

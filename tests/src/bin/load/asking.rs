@@ -1,7 +1,7 @@
-//! Four ways to ask for ten neighbours, and how many states a second each gets answered.
+//! Four ways to ask for ten neighbours, and what an answer takes in each.
 
 use std::{
-    fmt,
+    fmt, process,
     time::{Duration, Instant},
 };
 
@@ -10,9 +10,13 @@ use tokio_stream::wrappers::ReceiverStream;
 use wayfold_proto::v1::{
     KnnRequest, StreamKnnRequest, stream_knn_response::Result as StreamedAnswer,
 };
-use wayfold_tests::{States, Stubs, row_states};
+use wayfold_tests::{
+    ServerProcess, States, Stubs,
+    figures::{processor_seconds, quantile_ms},
+    row_states,
+};
 
-use crate::{INDEX, K, SPACE};
+use crate::{INDEX, K, SPACE, WIDTH};
 
 /// How long a measurement lasts.
 const DURATION: Duration = Duration::from_secs(2);
@@ -20,7 +24,6 @@ const DURATION: Duration = Duration::from_secs(2);
 const CALLS: usize = 1_000_000;
 /// States drawn in advance; they are asked about over and over.
 const POOL: usize = 20_000;
-const WIDTH: usize = 7;
 const BATCH: usize = 1_000;
 const IN_FLIGHT: usize = 64;
 /// What a measurement counts for beside an inserted point in the progress bar.
@@ -69,6 +72,18 @@ impl fmt::Display for Way {
     }
 }
 
+/// What one measurement found.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asked {
+    /// States answered a second.
+    pub(crate) rate: f64,
+    /// Processor time for each, of server and client together, in microseconds.
+    pub(crate) processor_us: f64,
+    /// How long a call took.
+    pub(crate) p50_ms: f64,
+    pub(crate) p99_ms: f64,
+}
+
 /// Asks in one way, about states of its own.
 #[derive(Clone)]
 pub(crate) struct Asker {
@@ -88,10 +103,28 @@ impl Asker {
         }
     }
 
-    /// States answered a second.
-    pub(crate) async fn measure(&mut self, stubs: &Stubs) -> f64 {
-        let started = Instant::now();
-        let answered = match self.way {
+    /// Asks a server, whose process is the other.
+    pub(crate) async fn measure(&mut self, stubs: &Stubs, server: &ServerProcess) -> Asked {
+        let processes = [server.process().id(), process::id()];
+        let processor = || {
+            let taken = processes.map(|process| processor_seconds(process).unwrap_or(f64::NAN));
+            taken[0] + taken[1]
+        };
+        let (started, before) = (Instant::now(), processor());
+        let (answered, mut taken) = self.ask_on(stubs, started).await;
+        let (seconds, processor) = (started.elapsed().as_secs_f64(), processor() - before);
+        taken.sort();
+        Asked {
+            rate: answered as f64 / seconds,
+            processor_us: processor * 1e6 / answered as f64,
+            p50_ms: quantile_ms(&taken, 0.5),
+            p99_ms: quantile_ms(&taken, 0.99),
+        }
+    }
+
+    /// How many states were answered, and how long the calls took.
+    async fn ask_on(&mut self, stubs: &Stubs, started: Instant) -> (usize, Vec<Duration>) {
+        match self.way {
             Way::OneInFlight => self.ask(stubs.clone(), 1, started).await,
             Way::Batches => self.ask(stubs.clone(), BATCH, started).await,
             Way::ManyInFlight => {
@@ -101,27 +134,37 @@ impl Asker {
                     asker.next = i * (POOL / IN_FLIGHT);
                     askers.spawn(async move { asker.ask(stubs, 1, started).await });
                 }
-                askers.join_all().await.into_iter().sum()
+                let asked = askers.join_all().await.into_iter();
+                asked.fold((0, Vec::new()), |(sum, mut all), (answered, taken)| {
+                    all.extend(taken);
+                    (sum + answered, all)
+                })
             }
-            Way::Streamed => self.stream(stubs.clone(), started).await,
-        };
-        answered as f64 / started.elapsed().as_secs_f64()
+            Way::Streamed => (self.stream(stubs.clone(), started).await, Vec::new()),
+        }
     }
 
-    /// Asks with one call in flight; returns how many states were answered.
-    async fn ask(&mut self, mut stubs: Stubs, rows: usize, started: Instant) -> usize {
-        let mut answered = 0;
+    /// Asks with one call in flight.
+    async fn ask(
+        &mut self,
+        mut stubs: Stubs,
+        rows: usize,
+        started: Instant,
+    ) -> (usize, Vec<Duration>) {
+        let (mut answered, mut taken) = (0, Vec::new());
         for _ in 0..CALLS {
             if started.elapsed() >= DURATION {
                 break;
             }
             let request = self.request(rows);
+            let called = Instant::now();
             let response = stubs.points.knn(request).await.expect("an answer");
+            taken.push(called.elapsed());
             let neighbors = response.into_inner().neighbors.expect("neighbours");
             assert_eq!(neighbors.ids.len(), rows * K as usize);
             answered += rows;
         }
-        answered
+        (answered, taken)
     }
 
     async fn stream(&mut self, mut stubs: Stubs, started: Instant) -> usize {

@@ -12,10 +12,9 @@ use indicatif::ProgressBar;
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{States, Stubs, row_states};
 
-use crate::{INDEX, SPACE, asking::Asker, asking::Way};
+use crate::{INDEX, SPACE, WIDTH, asking::Asker, asking::Way};
 
 const BATCH: usize = 1_000;
-const WIDTH: usize = 7;
 
 /// What growing took.
 #[derive(Clone, Debug)]

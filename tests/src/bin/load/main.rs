@@ -5,10 +5,12 @@
 //! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`) in batches while a reader asks on,
 //! and then asks for ten neighbours in four ways: one call in flight, 64 in flight, batches of 1,000 states, and one
 //! pipelined stream. The echo takes the same requests and answers messages of the same size without looking at them:
-//! what it reaches is what the protocol leaves.
+//! what it reaches is what the protocol leaves. The same search is done in this process, too: no server can take less
+//! than the echo and that search together.
 
 mod asking;
 mod growth;
+mod inside;
 mod report;
 
 use std::{env, fs, path::PathBuf, process::Command, process::ExitCode};
@@ -18,7 +20,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use wayfold_tests::{Process, ServerProcess, Stubs, figures::resident_bytes};
 
 use asking::{Asker, Way};
-use report::Report;
+use inside::Inside;
+use report::{Report, Round};
 
 /// The server's own, so that what is measured is what runs; all contestants share it.
 #[global_allocator]
@@ -28,6 +31,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 const ROLE: &str = "LOAD_ROLE";
 const SPACE: &str = "R3*SO3:0.15";
 const INDEX: &str = "load";
+const WIDTH: usize = 7;
 const K: u32 = 10;
 
 /// Measures a server under load, beside a bare tonic echo of the same messages.
@@ -101,17 +105,21 @@ async fn measure(arguments: &Arguments) -> Report {
         memory_bytes: described.memory_bytes,
         resident_bytes: resident_before.zip(resident_after),
     };
+    let inside = Inside::new(arguments.points);
     for way in Way::ALL {
         progress.set_message(way.to_string());
-        let mut rates = (Vec::new(), Vec::new());
-        // In turns, so that what else the machine does meets both.
-        for round in 0..rounds {
-            let mut asker = Asker::new(way, round as u64);
-            rates.0.push(asker.measure(&server_stubs).await);
-            rates.1.push(asker.measure(&echo_stubs).await);
+        let mut measured = Vec::new();
+        // In turns, so that what else the machine does meets all.
+        for round in 0..rounds as u64 {
+            let mut asker = Asker::new(way, round);
+            measured.push(Round {
+                server: asker.measure(&server_stubs, &server).await,
+                echo: asker.measure(&echo_stubs, &echo).await,
+                search_us: inside.search_us(round),
+            });
             progress.inc(asking::STEPS as u64);
         }
-        report.add(way, rates);
+        report.add(way, &measured);
     }
     progress.finish_and_clear();
     report

@@ -5,12 +5,51 @@ use std::{fmt, time::Duration};
 use serde_json::{Value, json};
 use wayfold_tests::figures::{median, quantile_ms};
 
-use crate::{K, SPACE, asking::Way, growth::Growth};
+use crate::{
+    K, SPACE,
+    asking::{Asked, Way},
+    growth::Growth,
+};
+
+/// What one round found.
+pub(crate) struct Round {
+    pub(crate) server: Asked,
+    pub(crate) echo: Asked,
+    /// Processor time of the search alone.
+    pub(crate) search_us: f64,
+}
+
+impl Round {
+    /// The processor time that echo and search take together, of what the server and its client take.
+    fn share(&self) -> f64 {
+        (self.echo.processor_us + self.search_us) / self.server.processor_us
+    }
+}
+
+/// The medians of one way of asking.
+pub(crate) struct Figures {
+    way: Way,
+    server: Asked,
+    echo: Asked,
+    search_us: f64,
+    /// Of [`Round::share`].
+    share: f64,
+}
+
+fn middle(asked: impl Iterator<Item = Asked> + Clone) -> Asked {
+    let of = |part: fn(Asked) -> f64| median(asked.clone().map(part).collect());
+    Asked {
+        rate: of(|asked| asked.rate),
+        processor_us: of(|asked| asked.processor_us),
+        p50_ms: of(|asked| asked.p50_ms),
+        p99_ms: of(|asked| asked.p99_ms),
+    }
+}
 
 /// All that was measured; the server's first, the echo's second.
 pub(crate) struct Report {
     pub(crate) growth: (Growth, Growth),
-    pub(crate) asking: Vec<(Way, f64, f64)>,
+    pub(crate) asking: Vec<Figures>,
     /// How many points the server held.
     pub(crate) points: u64,
     /// What it says that they take.
@@ -21,8 +60,14 @@ pub(crate) struct Report {
 
 impl Report {
     /// Adds the medians of some measurements.
-    pub(crate) fn add(&mut self, way: Way, (server, echo): (Vec<f64>, Vec<f64>)) {
-        self.asking.push((way, median(server), median(echo)));
+    pub(crate) fn add(&mut self, way: Way, rounds: &[Round]) {
+        self.asking.push(Figures {
+            way,
+            server: middle(rounds.iter().map(|round| round.server)),
+            echo: middle(rounds.iter().map(|round| round.echo)),
+            search_us: median(rounds.iter().map(|round| round.search_us).collect()),
+            share: median(rounds.iter().map(Round::share).collect()),
+        });
     }
 
     fn bytes_per_point(&self) -> f64 {
@@ -43,9 +88,23 @@ impl Report {
                 "queries": growth.queries.len(),
             })
         };
-        let asking = self.asking.iter().map(|(way, server, echo)| {
-            let rates = json!({"states_per_second": server, "echo": echo, "ratio": server / echo});
-            (way.key().to_owned(), rates)
+        let asked = |asked: &Asked| {
+            json!({
+                "states_per_second": asked.rate,
+                "processor_us": asked.processor_us,
+                "p50_ms": asked.p50_ms,
+                "p99_ms": asked.p99_ms,
+            })
+        };
+        let asking = self.asking.iter().map(|figures| {
+            let found = json!({
+                "server": asked(&figures.server),
+                "echo": asked(&figures.echo),
+                "search_us": figures.search_us,
+                "ratio": figures.server.rate / figures.echo.rate,
+                "echo_and_search": figures.share,
+            });
+            (figures.way.key().to_owned(), found)
         });
         json!({
             "points": self.points,
@@ -87,8 +146,29 @@ impl fmt::Display for Report {
                 )?;
             }
         }
-        for (way, server, echo) in &self.asking {
-            rate(f, &format!("{way}, states/s"), (*server, *echo))?;
+        for figures in &self.asking {
+            let Figures {
+                way, server, echo, ..
+            } = figures;
+            rate(f, &format!("{way}, states/s"), (server.rate, echo.rate))?;
+            if !server.p50_ms.is_nan() {
+                let medians = (server.p50_ms * 1e3, echo.p50_ms * 1e3);
+                rate(f, "  a call, p50 us", medians)?;
+                rate(
+                    f,
+                    "  a call, p99 us",
+                    (server.p99_ms * 1e3, echo.p99_ms * 1e3),
+                )?;
+            }
+            let processors = (server.processor_us, echo.processor_us);
+            rate(f, "  processor a state, both ends, us", processors)?;
+            let (search, share) = (figures.search_us, figures.share);
+            writeln!(f, "{:<36}{search:>10.1}", "  the search in process, us")?;
+            writeln!(
+                f,
+                "{:<36}{:>22}{share:>8.2}",
+                "  echo's processor and search / ours", ""
+            )?;
         }
         let bytes = self.bytes_per_point();
         writeln!(f, "{:<36}{bytes:>10.0}", "bytes a point, by GetIndex")?;
@@ -100,9 +180,10 @@ impl fmt::Display for Report {
 }
 
 fn rate(f: &mut fmt::Formatter<'_>, what: &str, (server, echo): (f64, f64)) -> fmt::Result {
+    let digits = if server < 1_000.0 { 1 } else { 0 };
     writeln!(
         f,
-        "{what:<36}{server:>10.0}{echo:>12.0}{:>8.2}",
+        "{what:<36}{server:>10.digits$}{echo:>12.digits$}{:>8.2}",
         server / echo
     )
 }

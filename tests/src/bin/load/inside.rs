@@ -1,0 +1,58 @@
+//! The same search in this process: what of an answer's time is not the network's.
+
+use std::time::Duration;
+
+use wayfold_index::{Forest, ForestOptions, Points, Search, Snapshot, Space};
+use wayfold_tests::{States, figures::thread_time};
+
+use crate::{K, SPACE, WIDTH};
+
+/// Points that are applied at a time, as the server gets them.
+const BATCH: usize = 1_000;
+/// States that are asked about in one measurement.
+const ASKED: usize = 5_000;
+
+/// A forest with as many points as the server has, at rest as far as the server is.
+pub(crate) struct Inside {
+    space: Space,
+    points: Snapshot,
+}
+
+impl Inside {
+    pub(crate) fn new(points: usize) -> Self {
+        let space: Space = SPACE.parse().expect("a space");
+        let mut states = States::new(space.clone(), 0);
+        let mut forest = Forest::new(space.clone(), ForestOptions::default());
+        let mut next_id = 0;
+        while next_id < points as u64 {
+            let rows = BATCH.min(points - next_id as usize);
+            let mut batch = Points::new(WIDTH);
+            for row in states.rows(rows).chunks_mut(WIDTH) {
+                space.canonicalize(row).expect("a state");
+                batch.push(next_id, 0, 0, row);
+                next_id += 1;
+            }
+            forest.apply(forest.revision() + 1, &batch, &[]);
+            while let Some(merge) = forest.begin_merge() {
+                forest.finish_merge(merge.run());
+            }
+        }
+        let points = forest.snapshot();
+        Self { space, points }
+    }
+
+    /// Processor time of one search, in microseconds: the mean of thousands.
+    pub(crate) fn search_us(&self, seed: u64) -> f64 {
+        let mut rows = States::new(self.space.clone(), 1_000 + seed).rows(ASKED);
+        for row in rows.chunks_mut(WIDTH) {
+            self.space.canonicalize(row).expect("a state");
+        }
+        let before = thread_time();
+        for row in rows.chunks(WIDTH) {
+            let answer = self.points.search(row, &Search::nearest_k(K as usize));
+            assert_eq!(answer.neighbors.len(), K as usize);
+        }
+        let taken: Duration = thread_time() - before;
+        taken.as_secs_f64() * 1e6 / ASKED as f64
+    }
+}
