@@ -12,7 +12,7 @@ use wayfold_server::log::{
     Durability, Entry, FjallLog, Log, LogError, Operation, Record, StoredPoint, Uid,
 };
 
-use crate::{effects, entry, kept::copied};
+use crate::{copied::copied, effects, entry};
 
 /// At most about so many flips in a file, unless the environment variable `FLIPS` says otherwise.
 const FLIPS: u64 = 16;

@@ -1,10 +1,8 @@
 //! The stores under test.
 
-use std::{path::Path, process::Command};
-
 use wayfold_server::log::{Durability, FjallLog, Log, MemoryLog};
 
-use crate::fault::FaultLog;
+use crate::{copied::copied, fault::FaultLog};
 
 /// A log under test, which is closed and opened again, cut off and made to fail where it can be.
 pub(crate) enum Kept {
@@ -77,14 +75,4 @@ impl Kept {
             }
         }
     }
-}
-
-/// What a crash would leave of a directory: its files as they are now. The copy of a lock is not locked.
-pub(crate) fn copied(directory: &Path) -> tempfile::TempDir {
-    let copy = tempfile::tempdir().unwrap();
-    let from = directory.join(".");
-    let mut command = Command::new("cp");
-    command.arg("-R").arg(from).arg(copy.path());
-    assert!(command.status().unwrap().success());
-    copy
 }

@@ -5,10 +5,13 @@
     reason = "a test that cannot go on has failed; clippy spares only what is marked as a test itself"
 )]
 
+mod copied;
+mod disk;
 mod fault;
 mod fjall;
 mod flips;
 mod kept;
+mod lost;
 mod model;
 mod suite;
 

@@ -1,0 +1,112 @@
+//! The log on disk: opened, written to, and damaged in a copy.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use wayfold_server::log::{Durability, Entry, FjallLog, Log, LogError, Uid};
+
+use super::{copied::copied, effects};
+
+pub(crate) fn open(directory: &Path) -> FjallLog {
+    open_at(directory, Durability::Fsync)
+}
+
+pub(crate) fn open_at(directory: &Path, durability: Durability) -> FjallLog {
+    FjallLog::open(directory, durability).unwrap()
+}
+
+pub(crate) fn append(log: &FjallLog, uid: Uid, revision: u64) {
+    let appended = log.append(uid, revision - 1, effects(revision, &[revision], &[]));
+    assert_eq!(appended.unwrap().revision(), revision);
+}
+
+/// Waits on this thread.
+pub(crate) fn synced(log: &FjallLog, uid: Uid, revision: u64) -> Result<u64, LogError> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .build()
+        .unwrap();
+    runtime.block_on(log.synced(uid, revision))
+}
+
+pub(crate) fn append_synced(log: &FjallLog, uid: Uid, revision: u64) {
+    append(log, uid, revision);
+    synced(log, uid, revision).unwrap();
+}
+
+/// Only this index is gone; why.
+pub(crate) fn only_gone(log: &FjallLog, entry: &Entry) -> LogError {
+    let mut gone = log.gone();
+    let names: Vec<_> = gone.iter().map(|gone| (&*gone.name, gone.uid)).collect();
+    assert_eq!(names, [(&*entry.name, entry.uid)]);
+    gone.remove(0).why
+}
+
+/// The newest journal of fjall in a directory.
+pub(crate) struct Journal<'a> {
+    directory: &'a Path,
+    /// In the directory.
+    name: PathBuf,
+    /// How much of it is written.
+    pub(crate) used: u64,
+}
+
+impl<'a> Journal<'a> {
+    pub(crate) fn of(directory: &'a Path) -> Self {
+        let files = fs::read_dir(directory.join("store")).unwrap();
+        let journals = files
+            .map(|file| file.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|kind| kind == "jnl"));
+        let path = journals.max().unwrap();
+        let bytes = fs::read(&path).unwrap();
+        Self {
+            directory,
+            name: path.strip_prefix(directory).unwrap().into(),
+            used: bytes.iter().rposition(|&byte| byte != 0).unwrap() as u64 + 1,
+        }
+    }
+
+    /// A copy of the directory in which the journal has this length.
+    pub(crate) fn cut(&self, length: u64) -> tempfile::TempDir {
+        let copy = copied(self.directory);
+        let file = fs::File::options()
+            .write(true)
+            .open(copy.path().join(&self.name));
+        file.unwrap().set_len(length).unwrap();
+        copy
+    }
+
+    /// A copy of the directory in which one bit of this byte of the journal is flipped.
+    pub(crate) fn flipped(&self, at: u64) -> tempfile::TempDir {
+        let copy = copied(self.directory);
+        let path = copy.path().join(&self.name);
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[at as usize] ^= 0x10;
+        fs::write(path, bytes).unwrap();
+        copy
+    }
+}
+
+/// A store that can be taken away from its directory, and comes back.
+pub(crate) struct Store {
+    path: PathBuf,
+    away: PathBuf,
+}
+
+impl Store {
+    pub(crate) fn of(directory: &Path) -> Self {
+        Self {
+            path: directory.join("store"),
+            away: directory.join("away"),
+        }
+    }
+
+    pub(crate) fn take_away(&self) {
+        fs::rename(&self.path, &self.away).unwrap();
+    }
+
+    pub(crate) fn bring_back(&self) {
+        fs::rename(&self.away, &self.path).unwrap();
+    }
+}

@@ -1,0 +1,225 @@
+//! What is lost of a log on disk is named, and what was deleted stays so.
+
+use std::slice;
+
+use bytes::Bytes;
+use wayfold_server::log::{Log, LogError, Origin, StoredPoint};
+
+use super::{
+    all_points,
+    copied::copied,
+    disk::{Journal, Store, append, append_synced, only_gone, open},
+    effects, entry,
+};
+
+#[test]
+fn a_journal_cut_short_of_what_was_synced_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let (arm, idle) = (entry("arm"), entry("idle"));
+    for entry in [&arm, &idle] {
+        log.create(entry.clone()).unwrap();
+    }
+    for revision in 1..=3 {
+        append(&log, arm.uid, revision);
+    }
+    drop(log);
+    let journal = Journal::of(directory.path());
+    let damaged = journal.cut(journal.used - 1);
+
+    let lost = LogError::Lost {
+        uid: arm.uid,
+        first: 3,
+        last: 3,
+    };
+    // It stays so, and the other index is not concerned.
+    for _ in 0..2 {
+        let log = open(damaged.path());
+        assert_eq!(log.tail(arm.uid, None, usize::MAX).unwrap_err(), lost);
+        assert_eq!(log.points(arm.uid).err(), Some(lost.clone()));
+        let refused = log.append(arm.uid, 2, effects(3, &[1], &[]));
+        assert_eq!(refused.unwrap_err(), lost);
+        assert_eq!(log.points(idle.uid).unwrap().revision(), 0);
+    }
+    let log = open(damaged.path());
+    log.delete(arm.uid).unwrap();
+    assert_eq!(log.indexes().unwrap(), [idle]);
+}
+
+/// Whatever happens to one byte of the journal, a start tells of it, or nothing is missing.
+#[test]
+fn a_flipped_byte_of_the_journal_is_never_a_silent_gap() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    for revision in 1..=3 {
+        append(&log, arm.uid, revision);
+    }
+    let whole = all_points(&*log.points(arm.uid).unwrap());
+    drop(log);
+    let journal = Journal::of(directory.path());
+    let mut told = 0;
+    for at in (0..journal.used).step_by(97) {
+        println!("byte {at}");
+        let damaged = journal.flipped(at);
+        let log = open(damaged.path());
+        match log.points(arm.uid) {
+            Ok(view) => assert_eq!(all_points(&*view), whole),
+            Err(LogError::Lost { .. }) => told += 1,
+            // The index as a whole, where its creation was cut off, or all there is.
+            Err(LogError::UnknownIndex { .. } | LogError::Unopened { .. }) => {
+                only_gone(&log, &arm);
+                told += 1;
+            }
+            Err(other) => panic!("{other}"),
+        }
+    }
+    assert!(told > 0);
+}
+
+#[test]
+fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let arm = entry("arm");
+    let uid = arm.uid;
+    log.create(arm.clone()).unwrap();
+    append_synced(&log, uid, 1);
+    drop(log);
+    let store = Store::of(directory.path());
+    store.take_away();
+    let log = open(directory.path());
+    let why = only_gone(&log, &arm).to_string();
+    assert!(why.contains("revisions 1 to 1"), "{why}");
+    for error in [
+        log.points(uid).err().unwrap(),
+        log.create(entry("other")).unwrap_err(),
+        log.failure().unwrap(),
+    ] {
+        assert!(matches!(error, LogError::Unopened { .. }));
+    }
+    assert!(log.reopen().is_err());
+    store.bring_back();
+    log.reopen().unwrap();
+    assert_eq!(log.points(uid).unwrap().revision(), 1);
+    assert_eq!(log.gone(), []);
+}
+
+/// An index of which the creation was synced and then cut off is named, keeps its number, and can be deleted.
+#[test]
+fn an_index_of_which_only_the_mark_is_left_is_named_until_it_is_deleted() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    drop(log);
+    let damaged = Journal::of(directory.path()).cut(0);
+    for _ in 0..2 {
+        let log = open(damaged.path());
+        assert_eq!(log.indexes().unwrap(), []);
+        only_gone(&log, &arm);
+    }
+    let log = open(damaged.path());
+    log.delete(arm.uid).unwrap();
+    assert_eq!(log.gone(), []);
+    let new = entry("arm");
+    log.create(new.clone()).unwrap();
+    append_synced(&log, new.uid, 1);
+    drop(log);
+    let log = open(damaged.path());
+    assert_eq!((log.indexes().unwrap(), log.gone()), (vec![new], vec![]));
+}
+
+/// A restore that was acknowledged, and of which the journal then lost some, is not taken for one that was given up.
+#[test]
+fn a_restored_index_that_is_cut_off_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    let before = Journal::of(directory.path()).used;
+    let copy = entry("copy");
+    let origin = Origin {
+        revision: 7,
+        next_id: 50,
+        digest: [3; 32],
+    };
+    let mut restoring = log.restore(copy.clone(), origin).unwrap();
+    let point = |id| StoredPoint {
+        id,
+        revision: 1,
+        modified: 1,
+        tag: 0,
+        state: Box::new([0.5]),
+        payload: Bytes::new(),
+    };
+    for ids in [0..20, 20..40] {
+        restoring.add(&ids.map(point).collect::<Vec<_>>()).unwrap();
+    }
+    restoring.finish().unwrap();
+    // Given up: it leaves nothing, also no mark.
+    let mut given_up = log.restore(entry("given-up"), origin).unwrap();
+    given_up.add(&[point(1)]).unwrap();
+    let journal = Journal::of(directory.path());
+    let crashed = copied(directory.path());
+    drop(given_up);
+    drop(log);
+    let log = open(crashed.path());
+    assert_eq!(log.points(copy.uid).unwrap().revision(), 7);
+    assert_eq!((log.indexes().unwrap().len(), log.gone()), (2, vec![]));
+    drop(log);
+    let lost = LogError::Lost {
+        uid: copy.uid,
+        first: 1,
+        last: 7,
+    };
+    let used = journal.used;
+    for length in [before, (2 * before + used) / 3, used - 400] {
+        println!("{length} of {used}");
+        let damaged = journal.cut(length);
+        for _ in 0..2 {
+            let log = open(damaged.path());
+            assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm));
+            assert_eq!(only_gone(&log, &copy), lost);
+        }
+        let log = open(damaged.path());
+        log.delete(copy.uid).unwrap();
+        drop(log);
+        let log = open(damaged.path());
+        assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm));
+        assert_eq!(log.gone(), []);
+    }
+}
+
+/// However much of it is back after the journal was cut short.
+#[test]
+fn an_index_that_was_deleted_does_not_come_back() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let (arm, leg) = (entry("arm"), entry("leg"));
+    log.create(arm.clone()).unwrap();
+    log.create(leg.clone()).unwrap();
+    let before = Journal::of(directory.path()).used;
+    append_synced(&log, leg.uid, 1);
+    log.delete(leg.uid).unwrap();
+    let journal = Journal::of(directory.path());
+    drop(log);
+    for length in (before..journal.used).step_by(37) {
+        println!("{length} of {}", journal.used);
+        let damaged = journal.cut(length);
+        for _ in 0..2 {
+            let log = open(damaged.path());
+            assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm));
+            assert_eq!(log.gone(), []);
+        }
+        // Its number is not used again.
+        let log = open(damaged.path());
+        let new = entry("leg");
+        log.create(new.clone()).unwrap();
+        append_synced(&log, new.uid, 1);
+        drop(log);
+        let log = open(damaged.path());
+        assert_eq!(log.points(new.uid).unwrap().revision(), 1);
+    }
+}
