@@ -13,14 +13,11 @@ use futures_util::{FutureExt, future::BoxFuture, poll};
 use tokio::sync::watch;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{
-        Effects, Entry, Keep, Log, LogError, MemoryLog, Operation, Origin, Record, Restoring, Uid,
-        View,
-    },
+    log::{Effects, Log, LogError, MemoryLog, Record, Uid, View},
     service::{Code, Limits},
 };
 
-use crate::support::*;
+use crate::{forward::forward_to, support::*};
 
 /// A log in memory that is synced up to the revision that the test says, and fails when it says so.
 struct Held {
@@ -43,17 +40,7 @@ impl Held {
 }
 
 impl Log for Held {
-    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        self.memory.indexes()
-    }
-
-    fn create(&self, entry: Entry) -> Result<(), LogError> {
-        self.memory.create(entry)
-    }
-
-    fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        self.memory.delete(uid)
-    }
+    forward_to!(memory);
 
     fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
         *self.appended_by.lock().unwrap() = Some(std::thread::current().id());
@@ -74,29 +61,8 @@ impl Log for Held {
         async move { Ok(*synced.wait_for(|&synced| synced >= revision).await.unwrap()) }.boxed()
     }
 
-    fn tail(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        most: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.memory.tail(uid, after, most)
-    }
-
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
         self.memory.points(uid)
-    }
-
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        self.memory.restore(entry, origin)
-    }
-
-    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
-        self.memory.operations(uid)
-    }
-
-    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
-        self.memory.trim(uid, keep)
     }
 }
 

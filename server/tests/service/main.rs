@@ -8,10 +8,13 @@
 mod backup;
 mod cancellation;
 mod concurrent;
+#[path = "../log/copied.rs"]
+mod copied;
 mod durability;
 #[path = "../log/fault/mod.rs"]
 mod fault;
 mod faults;
+mod forward;
 mod indexes;
 mod insert;
 mod lifecycle;
@@ -29,6 +32,5 @@ mod snapshot;
 mod storage_failure;
 mod support;
 mod update;
-
 mod verify;
 mod watch;

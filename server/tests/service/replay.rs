@@ -7,23 +7,12 @@ use rand::{RngExt, SeedableRng};
 use wayfold_index::Space;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{
-        Durability, Effects, Entry, FjallLog, Keep, Log, LogError, MemoryLog, Operation, Origin,
-        Record, Restoring, Uid, View,
-    },
+    log::{Durability, Effects, FjallLog, Log, LogError, MemoryLog, Record, Uid, View},
     registry::{Registry, RegistryOptions},
     service::{Code, Limits, Service},
 };
 
-use crate::{random::Requests, support::*};
-
-fn restarted(log: Arc<dyn Log>) -> Service {
-    let registry = Registry::new(log, options());
-    registry.replay().unwrap();
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    service
-}
+use crate::{copied::copied, forward::forward_to, random::Requests, support::*};
 
 #[tokio::test]
 async fn a_restart_changes_nothing() {
@@ -64,14 +53,8 @@ async fn a_restart_changes_nothing() {
         let response = before.insert(&CALL, operation.clone()).await.unwrap();
         assert_eq!(response.ids, [501]);
 
-        let crashed = tempfile::tempdir().unwrap();
+        let crashed = copied(directory.path());
         let after = if on_disk {
-            // The files as a crash would leave them at this moment.
-            let mut copy = std::process::Command::new("cp");
-            copy.arg("-R")
-                .arg(directory.path().join("."))
-                .arg(crashed.path());
-            assert!(copy.status().unwrap().success());
             let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
             restarted(Arc::new(log))
         } else {
@@ -113,17 +96,7 @@ async fn a_restart_changes_nothing() {
 struct Damaging(MemoryLog);
 
 impl Log for Damaging {
-    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        self.0.indexes()
-    }
-
-    fn create(&self, entry: Entry) -> Result<(), LogError> {
-        self.0.create(entry)
-    }
-
-    fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        self.0.delete(uid)
-    }
+    forward_to!(0);
 
     fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
         self.0.append(uid, expected, effects)
@@ -131,15 +104,6 @@ impl Log for Damaging {
 
     fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
         self.0.synced(uid, revision)
-    }
-
-    fn tail(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        most: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.0.tail(uid, after, most)
     }
 
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
@@ -152,18 +116,6 @@ impl Log for Damaging {
                 what: "it does not match its checksum",
             }),
         }
-    }
-
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        self.0.restore(entry, origin)
-    }
-
-    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
-        self.0.operations(uid)
-    }
-
-    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
-        self.0.trim(uid, keep)
     }
 }
 
@@ -290,13 +242,7 @@ async fn operations_are_remembered_for_their_own_window_whatever_becomes_of_thei
             operations_remembered: 5,
             ..Limits::default()
         };
-        let served = |log: &Arc<dyn Log>| {
-            let registry = Registry::new(Arc::clone(log), options);
-            registry.replay().unwrap();
-            let service = Service::new(registry, limits.clone());
-            service.set_ready();
-            service
-        };
+        let served = |log: &Arc<dyn Log>| restarted_with(Arc::clone(log), options, limits.clone());
         let before = served(&log);
         create(&before, "arm", "R1").await;
         let request = |at: u64| v1::InsertRequest {

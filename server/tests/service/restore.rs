@@ -11,11 +11,10 @@ use wayfold_proto::{
 };
 use wayfold_server::{
     log::{Durability, FjallLog, Log, MemoryLog},
-    registry::Registry,
     service::{Code, Limits, Service},
 };
 
-use crate::{backup::*, support::*};
+use crate::{backup::*, copied::copied, support::*};
 
 const SPACES: [&str; 5] = ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"];
 
@@ -160,17 +159,9 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
             assert_eq!(go_on(&target, &space).await, go_on(&source, &space).await);
         }
         // And it is there after a crash.
-        let crashed = tempfile::tempdir().unwrap();
-        let mut copy = std::process::Command::new("cp");
-        copy.arg("-R")
-            .arg(directory.path().join("."))
-            .arg(crashed.path());
-        assert!(copy.status().unwrap().success());
+        let crashed = copied(directory.path());
         let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
-        let registry = Registry::new(Arc::new(log), options());
-        registry.replay().unwrap();
-        let service = Service::new(registry, Limits::default());
-        service.set_ready();
+        let service = restarted(Arc::new(log));
         let report = verify(&service, verification()).await.unwrap();
         assert_eq!(report.disagreements, 0);
         assert!(report.stored_points > 0);

@@ -9,7 +9,7 @@ use wayfold_server::{
     service::{Code, Limits, Service},
 };
 
-use crate::support::*;
+use crate::{copied::copied, support::*};
 
 /// A service over a store that can be taken away.
 struct Failing {
@@ -191,22 +191,14 @@ async fn a_store_that_cannot_be_opened_is_not_served_as_an_empty_one() {
     for id in 0..20 {
         service.insert(&CALL, operation(id)).await.unwrap();
     }
-    let crashed = tempfile::tempdir().unwrap();
-    let mut copy = std::process::Command::new("cp");
-    copy.arg("-R")
-        .arg(directory.path().join("."))
-        .arg(crashed.path());
-    assert!(copy.status().unwrap().success());
+    let crashed = copied(directory.path());
     damage(&crashed.path().join("store"));
     for missing in [false, true] {
         if missing {
             std::fs::remove_dir_all(crashed.path().join("store")).unwrap();
         }
         let log = FjallLog::open(crashed.path(), Durability::Os).unwrap();
-        let registry = Registry::new(Arc::new(log), options());
-        registry.replay().unwrap();
-        let service = Service::new(registry, Limits::default());
-        service.set_ready();
+        let service = restarted(Arc::new(log));
         let listed = service
             .list_indexes(&CALL, v1::ListIndexesRequest::default())
             .await;

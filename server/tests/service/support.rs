@@ -34,6 +34,23 @@ pub(crate) fn service_with(log: Arc<dyn Log>, limits: Limits) -> Service {
     service
 }
 
+/// A service over a log that a service before may have left.
+pub(crate) fn restarted(log: Arc<dyn Log>) -> Service {
+    restarted_with(log, options(), Limits::default())
+}
+
+pub(crate) fn restarted_with(
+    log: Arc<dyn Log>,
+    options: RegistryOptions,
+    limits: Limits,
+) -> Service {
+    let registry = Registry::new(log, options);
+    registry.replay().unwrap();
+    let service = Service::new(registry, limits);
+    service.set_ready();
+    service
+}
+
 /// A service with one index, `arm`, and that index's uid.
 pub(crate) async fn arm(space: &str) -> (Service, String) {
     let service = service();

@@ -6,14 +6,11 @@ use futures_util::future::BoxFuture;
 use sha2::{Digest, Sha256};
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{
-        Effects, Entry, Keep, Log, LogError, MemoryLog, Operation, Origin, Record, Restoring,
-        StoredPoint, Uid, View,
-    },
+    log::{Effects, Log, LogError, MemoryLog, Record, StoredPoint, Uid, View},
     service::{Code, Service},
 };
 
-use crate::{backup::*, support::*};
+use crate::{backup::*, forward::forward_to, support::*};
 
 /// The hash as documented, of what a scan tells.
 async fn content_hash(service: &Service, space: &str) -> Vec<u8> {
@@ -161,17 +158,7 @@ impl View for LyingView {
 }
 
 impl Log for Lying {
-    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        self.0.indexes()
-    }
-
-    fn create(&self, entry: Entry) -> Result<(), LogError> {
-        self.0.create(entry)
-    }
-
-    fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        self.0.delete(uid)
-    }
+    forward_to!(0);
 
     fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
         self.0.append(uid, expected, effects)
@@ -181,29 +168,8 @@ impl Log for Lying {
         self.0.synced(uid, revision)
     }
 
-    fn tail(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        most: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.0.tail(uid, after, most)
-    }
-
     fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
         Ok(Arc::new(LyingView(self.0.points(uid)?, self.1)))
-    }
-
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        self.0.restore(entry, origin)
-    }
-
-    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
-        self.0.operations(uid)
-    }
-
-    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
-        self.0.trim(uid, keep)
     }
 }
 

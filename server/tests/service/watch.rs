@@ -9,7 +9,7 @@ use wayfold_index::Space;
 use wayfold_proto::v1::{self, ResetReason};
 use wayfold_server::{
     log::{Log, MemoryLog},
-    registry::{Registry, RegistryOptions},
+    registry::RegistryOptions,
     service::{Call, Code, Limits, Service, Watch},
 };
 
@@ -180,13 +180,7 @@ async fn what_can_not_be_told_any_more_is_a_reset() {
         window_bytes: 0,
         ..options()
     };
-    let served = || {
-        let registry = Registry::new(Arc::clone(&log) as Arc<dyn Log>, options);
-        registry.replay().unwrap();
-        let service = Service::new(registry, Limits::default());
-        service.set_ready();
-        service
-    };
+    let served = || restarted_with(Arc::clone(&log) as Arc<dyn Log>, options, Limits::default());
     let service = served();
     let uid = create(&service, "arm", "R1").await;
     for id in 0..4 {

@@ -12,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_server::{
     log::MemoryLog,
-    registry::{Registry, RegistryOptions},
+    registry::RegistryOptions,
     service::{Limits, Service},
 };
 
@@ -65,11 +65,7 @@ fn started(store: &Store) -> Service {
         window_bytes: 500,
         ..options()
     };
-    let registry = Registry::new(store.open(), options);
-    registry.replay().unwrap();
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    service
+    restarted_with(store.open(), options, Limits::default())
 }
 
 /// Runs every seed over a store of its own.

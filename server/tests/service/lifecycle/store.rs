@@ -1,10 +1,10 @@
 //! Where the indices are kept from one start of the server to the next.
 
-use std::{path::Path, process::Command, sync::Arc};
+use std::sync::Arc;
 
 use wayfold_server::log::{Durability, FjallLog, Log, MemoryLog};
 
-use crate::fault::FaultLog;
+use crate::{copied::copied, fault::FaultLog};
 
 pub(super) enum Store {
     /// It outlives the servers over it.
@@ -52,13 +52,4 @@ impl Store {
             (Self::Memory(_) | Self::Disk(_), _) => {}
         }
     }
-}
-
-/// The files as they are now.
-fn copied(directory: &Path) -> tempfile::TempDir {
-    let copy = tempfile::tempdir().unwrap();
-    let mut command = Command::new("cp");
-    command.arg("-R").arg(directory.join(".")).arg(copy.path());
-    assert!(command.status().unwrap().success());
-    copy
 }
