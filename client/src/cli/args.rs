@@ -63,6 +63,8 @@ pub(super) struct Args {
 pub(super) enum Command {
     Create(verb::CreateArgs),
     /// Lists the indices
+    ///
+    /// Those that the server cannot read are listed too, with the reason; the exit status is 1 then.
     List,
     Info(verb::InfoArgs),
     Delete(verb::DeleteArgs),

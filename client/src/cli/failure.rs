@@ -29,6 +29,11 @@ pub(super) enum Failure {
     Snapshot { file: String, source: SnapshotError },
     #[error("{what}")]
     Disagreement { what: String },
+    #[error(
+        "{damaged} of {all} indices cannot be read: the list says why, and what helps; `wayfold delete NAME` frees a name \
+         for `wayfold restore NAME FILE`"
+    )]
+    Damaged { damaged: usize, all: usize },
     #[error("{what}")]
     Reset { what: String },
     #[error("--server names no server")]

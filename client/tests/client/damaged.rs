@@ -80,7 +80,10 @@ async fn an_index_that_cannot_be_read_is_listed_and_can_be_deleted() {
     assert_eq!(refused.to_string(), damaged.error.to_string());
     assert_eq!(damaged.error.reason, "DATA_LOSS");
 
-    let lines = server.json(&["list"]).lines();
+    let listed = server.json(&["list"]);
+    let told = &listed.stderr;
+    assert!(told.starts_with("error: 1 of 3 indices"), "{told}");
+    let lines = listed.lines_and(1);
     assert_eq!(lines.len(), 3);
     let message = &damaged.error.message;
     assert!(
@@ -90,8 +93,9 @@ async fn an_index_that_cannot_be_read_is_listed_and_can_be_deleted() {
     let error = json!({"code": "DATA_LOSS", "reason": "DATA_LOSS", "message": message});
     let expected = json!({"name": "leg", "uid": uids[1], "error": error});
     assert_eq!(lines[2], expected);
-    let table = server.run(&["list"]).stdout;
-    let rows: Vec<&str> = table.lines().collect();
+    let table = server.run(&["list"]);
+    assert_eq!((table.status, table.stderr), (Some(1), listed.stderr));
+    let rows: Vec<&str> = table.stdout.lines().collect();
     assert_eq!(
         rows[..3].concat(),
         "NAME  POINTS  REVISION  SPACEarm        0         0  R1rail       0         0  R1"
@@ -109,5 +113,7 @@ async fn an_index_that_cannot_be_read_is_listed_and_can_be_deleted() {
     for name in ["arm", "rail"] {
         client.delete_index(name).await.unwrap();
     }
-    assert!(server.run(&["list"]).stdout.starts_with("no indices"));
+    let empty = server.run(&["list"]);
+    assert!(empty.stdout.starts_with("no indices"));
+    assert_eq!((empty.status, &*empty.stderr), (Some(0), ""));
 }

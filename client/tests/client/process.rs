@@ -20,7 +20,12 @@ pub(crate) struct Run {
 impl Run {
     /// What was printed, a value a line.
     pub(crate) fn lines(&self) -> Vec<Value> {
-        assert_eq!(self.status, Some(0), "{}", self.stderr);
+        self.lines_and(0)
+    }
+
+    /// What was printed, a value a line, before it ended so.
+    pub(crate) fn lines_and(&self, status: i32) -> Vec<Value> {
+        assert_eq!(self.status, Some(status), "{}", self.stderr);
         let lines = self.stdout.lines();
         lines
             .map(|line| serde_json::from_str(line).expect(line))

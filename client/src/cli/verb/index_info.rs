@@ -114,7 +114,7 @@ pub(in crate::cli) async fn list(session: &mut Session) -> Result<(), Failure> {
         for index in &damaged {
             output.json(&DamagedLine::of(index))?;
         }
-        return Ok(());
+        return whole(indexes.len(), damaged.len());
     }
     if indexes.is_empty() && damaged.is_empty() {
         output.text("no indices; `wayfold create NAME --space SPACE` makes one")?;
@@ -128,7 +128,18 @@ pub(in crate::cli) async fn list(session: &mut Session) -> Result<(), Failure> {
             index.name, index.error
         ))?;
     }
-    Ok(())
+    whole(indexes.len(), damaged.len())
+}
+
+/// A list with damaged indices in it is no success, so that a script that only asks for the status hears of them.
+fn whole(readable: usize, damaged: usize) -> Result<(), Failure> {
+    match damaged {
+        0 => Ok(()),
+        damaged => Err(Failure::Damaged {
+            damaged,
+            all: readable + damaged,
+        }),
+    }
 }
 
 fn table(indexes: &[IndexInfo], output: &mut Output) -> io::Result<()> {
