@@ -6,6 +6,7 @@
 mod args;
 mod failure;
 mod input;
+mod interrupt;
 mod output;
 mod parse;
 mod progress;

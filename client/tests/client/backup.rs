@@ -1,10 +1,6 @@
 //! Snapshots, restores and verifications through the library, and how they fail.
 
-use std::{
-    fs,
-    process::{Command, Stdio},
-    time::Duration,
-};
+use std::{fs, process::Stdio, time::Duration};
 
 use futures_util::{StreamExt, stream};
 use wayfold_client::{
@@ -15,7 +11,11 @@ use wayfold_proto::{
     v1::{self, verify_index_response::Result as Answer},
 };
 
-use crate::{fake::Fake, process::command, server::Server};
+use crate::{
+    fake::Fake,
+    process::{command, send},
+    server::Server,
+};
 
 /// A snapshot of an index in R1 with these parts of points.
 fn parts(parts: &[&[f64]]) -> Vec<v1::SnapshotPart> {
@@ -242,28 +242,25 @@ async fn a_verification_tells_how_far_it_is_and_ends_with_a_report() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_interrupted_snapshot_leaves_no_file() {
     let fake = Fake::start().await;
+    // The rest never comes.
     fake.snapshots(&parts(&[&[1.0]])[..2], false);
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("line.snapshot");
-    let mut child = command(&fake.uri, &["snapshot", "line", file.to_str().unwrap()])
-        .stdin(Stdio::null())
-        .spawn()
-        .unwrap();
-    // It has asked for the index and for the snapshot, and waits for the rest.
-    while fake.calls() < 2 {
-        assert!(child.try_wait().unwrap().is_none());
-        tokio::task::yield_now().await;
+    for signal in ["INT", "TERM"] {
+        let directory = tempfile::tempdir().unwrap();
+        let files = || fs::read_dir(directory.path()).unwrap().count();
+        let file = directory.path().join("line.snapshot");
+        let mut child = command(&fake.uri, &["snapshot", "line", file.to_str().unwrap()])
+            .stdin(Stdio::null())
+            .spawn()
+            .unwrap();
+        while files() == 0 {
+            assert!(child.try_wait().unwrap().is_none());
+            tokio::task::yield_now().await;
+        }
+        send(signal, &child);
+        let ended = tokio::task::spawn_blocking(move || child.wait_with_output());
+        let output = ended.await.unwrap().unwrap();
+        assert_eq!(output.status.code(), Some(1), "SIG{signal}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains("interrupted"));
+        assert_eq!(files(), 0, "SIG{signal}");
     }
-    let interrupt = format!("kill -INT {}", child.id());
-    assert!(
-        Command::new("sh")
-            .args(["-c", &interrupt])
-            .status()
-            .unwrap()
-            .success()
-    );
-    let ended = tokio::task::spawn_blocking(move || child.wait_with_output());
-    let output = ended.await.unwrap().unwrap();
-    assert!(!output.status.success());
-    assert!(!fs::exists(&file).unwrap());
 }

@@ -57,6 +57,14 @@ pub(crate) fn command(server: &str, args: &[&str]) -> Command {
     command
 }
 
+/// Sends `INT` or another signal.
+pub(crate) fn send(signal: &str, child: &Child) {
+    // The shell's own `kill`: the program is missing on small systems.
+    let kill = format!("kill -{signal} {}", child.id());
+    let sent = Command::new("sh").args(["-c", &kill]).status();
+    assert!(sent.unwrap().success());
+}
+
 fn ended(mut child: Child, input: &str) -> Run {
     let mut stdin = child.stdin.take().unwrap();
     let input = input.to_owned();

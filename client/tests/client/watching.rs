@@ -9,7 +9,7 @@ use wayfold_proto::v1;
 
 use crate::{
     fake::{Fake, UID},
-    process::command,
+    process::{command, send},
     server::Server,
 };
 
@@ -220,12 +220,7 @@ fn the_command_prints_a_line_a_mutation_until_it_is_interrupted() {
         (&second["revision"], &second["removed_ids"]),
         (&json!(2), &json!([1]))
     );
-    // The shell's own `kill`: the program is missing on small systems.
-    let kill = format!("kill -INT {}", child.id());
-    let killed = std::process::Command::new("sh")
-        .args(["-c", &kill])
-        .status();
-    assert!(killed.unwrap().success());
+    send("INT", &child);
     assert_eq!(child.wait().unwrap().code(), Some(0));
 }
 

@@ -12,7 +12,7 @@ use tempfile::NamedTempFile;
 
 use crate::{
     Snapshot, SnapshotHeader, SnapshotWriter,
-    cli::{Session, failure::Failure, output::Format, progress},
+    cli::{Session, failure::Failure, interrupt, output::Format, progress},
 };
 
 const EXAMPLES: &str = "\
@@ -89,14 +89,12 @@ async fn keep(snapshot: Snapshot, args: &SnapshotArgs) -> Result<u64, Failure> {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
     };
+    // Before there is a file: it goes with the command that is interrupted.
+    let interrupted = interrupt::listen().map_err(failed)?;
     let mut file = unnamed(directory).map_err(failed)?;
-    // The file goes with the command that is interrupted.
     tokio::select! {
         written = write(snapshot, file.as_file_mut(), &failed) => { written?; }
-        interrupted = tokio::signal::ctrl_c() => {
-            interrupted.map_err(failed)?;
-            return Err(Failure::Interrupted);
-        }
+        () = interrupted => return Err(Failure::Interrupted),
     }
     file.as_file().sync_all().map_err(failed)?;
     let bytes = file.as_file().metadata().map_err(failed)?.len();
