@@ -180,6 +180,40 @@ fn an_address_it_cannot_have_is_named_with_what_to_do() {
     assert!(stderr.contains("HOST:PORT"), "{stderr}");
 }
 
+#[tokio::test]
+async fn a_file_of_marks_that_is_gone_is_told_of_once() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = ["--data", directory.path().to_str().unwrap()];
+    let marks = directory.path().join("marks");
+    let told = |server: Server| {
+        server.signal("TERM");
+        let (status, _, stderr) = server.finish();
+        assert_eq!(status, Some(0), "{stderr}");
+        stderr.matches("no mark says").count()
+    };
+    // Of nothing there is no mark.
+    assert_eq!(told(Server::start(&data)), 0);
+    assert_eq!(told(Server::start(&data)), 0);
+    let server = Server::start(&data);
+    let line = v1::CreateIndexRequest {
+        name: "line".into(),
+        space_text: "R1".into(),
+        ..Default::default()
+    };
+    let mut indices = IndexServiceClient::new(connect(server.address).await);
+    indices.create_index(line).await.unwrap();
+    assert_eq!(told(server), 0);
+    for is_there in [true, false] {
+        if is_there {
+            std::fs::write(&marks, "").unwrap();
+        } else {
+            std::fs::remove_file(&marks).unwrap();
+        }
+        assert_eq!(told(Server::start(&data)), 1);
+        assert_eq!(told(Server::start(&data)), 0);
+    }
+}
+
 #[test]
 fn a_data_directory_that_it_cannot_have_is_named_with_what_to_do() {
     let directory = tempfile::tempdir().unwrap();

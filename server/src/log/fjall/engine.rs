@@ -56,6 +56,18 @@ impl Engine {
         let handles = store.handles()?;
         let found = recovery::recover(&handles, marked, renamed)?;
         drop(handles);
+        // A server that did not sync may have ended before it wrote the first.
+        if marked.is_empty()
+            && !found.indexes.is_empty()
+            && !loose::was_begun(directory.path()).map_err(shut)?
+        {
+            warn!(
+                file = %directory.join(MARKS).display(),
+                indexes = found.indexes.len(),
+                "no mark says how far the indices were synced, the file is missing or was emptied: should the journal have \
+                 been cut short too, nobody can tell; they are marked anew as they are now"
+            );
+        }
         let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
         journal.sync().map_err(|what| LogError::Shut { what })?;
         loose::begin(directory.path(), durability).map_err(shut)?;

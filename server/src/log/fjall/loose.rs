@@ -22,6 +22,11 @@ pub(super) fn may_have_lost(directory: &Path) -> io::Result<bool> {
     }
 }
 
+/// Whether the server that was here before did not sync, and did not end well.
+pub(super) fn was_begun(directory: &Path) -> io::Result<bool> {
+    directory.join(FILE).try_exists()
+}
+
 /// Says that a server with this setting is at work here.
 pub(super) fn begin(directory: &Path, durability: Durability) -> io::Result<()> {
     if durability == Durability::Fsync {
