@@ -6,6 +6,7 @@ mod content;
 pub mod echo;
 pub mod figures;
 pub mod ledger;
+pub mod measuring;
 mod model;
 mod process;
 mod refusal;

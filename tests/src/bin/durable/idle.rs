@@ -5,6 +5,7 @@ use std::{fs, time::Instant};
 use wayfold_tests::{
     Signal, States, Stubs,
     figures::{median, resident_bytes},
+    measuring,
 };
 
 use crate::{
@@ -12,7 +13,6 @@ use crate::{
     place::{Place, used},
     report::Report,
     service::insertion,
-    start,
 };
 
 const COUNTS: [usize; 3] = [0, 100, 1_000];
@@ -72,7 +72,7 @@ async fn host(place: &Place, count: usize) -> Idle {
     let directory = place.directory();
     let data = directory.path().join("data");
     let data = data.to_string_lossy().into_owned();
-    let server = start("server", &data);
+    let server = measuring::server(&data);
     let mut stubs = Stubs::connect(server.uri()).await;
     let mut states = States::new(SPACE.parse().expect("a space"), 0);
     for number in 0..count {
@@ -89,7 +89,7 @@ async fn host(place: &Place, count: usize) -> Idle {
     let (mut starts, mut resident) = (Vec::new(), 0);
     for _ in 0..STARTS {
         let began = Instant::now();
-        let server = start("server", &data);
+        let server = measuring::server(&data);
         starts.push(began.elapsed().as_secs_f64() * 1e3);
         resident = resident_bytes(server.process().id()).unwrap_or_default();
         server.stop(Signal::Terminate);

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use wayfold_tests::{
     States, Stubs,
     figures::{median, quantile_ms},
+    measuring,
 };
 
 use crate::{
@@ -13,7 +14,6 @@ use crate::{
     report::{Goal, Report},
     service::insertion,
     shape::Shape,
-    start,
 };
 
 const CALLS: usize = 1_000;
@@ -21,7 +21,7 @@ const CALLS: usize = 1_000;
 pub(crate) async fn measure(place: &Place, shape: &Shape, rounds: usize, report: &mut Report) {
     let directory = place.directory();
     let data = directory.path().join("data").to_string_lossy().into_owned();
-    let (server, echo) = (start("server", &data), start("echo", &data));
+    let (server, echo) = (measuring::server(&data), measuring::echo());
     let (mut ours, echo) = (
         Stubs::connect(server.uri()).await,
         Stubs::connect(echo.uri()).await,

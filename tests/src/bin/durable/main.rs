@@ -13,10 +13,10 @@ mod service;
 mod shape;
 mod stored;
 
-use std::{env, fs, path::PathBuf, process::Command, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, ValueEnum};
-use wayfold_tests::{Process, ServerProcess, echo};
+use wayfold_tests::measuring;
 
 use place::{Appended, Place};
 use report::Report;
@@ -26,8 +26,6 @@ use shape::Shape;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Which of the processes this is; unset in the one that measures.
-const ROLE: &str = "DURABLE_ROLE";
 const SPACE: &str = "R3*SO3:0.15";
 const WIDTH: usize = 7;
 const INDEX: &str = "durable";
@@ -71,32 +69,10 @@ enum Part {
 }
 
 fn main() -> ExitCode {
-    match env::var(ROLE).as_deref() {
-        Ok("server") => return wayfold_server::main(),
-        Ok("echo") => return echo::main(),
-        _ => {}
-    }
-    let arguments = Arguments::parse();
-    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-    let report = runtime.block_on(measure(&arguments));
-    if let Some(path) = &arguments.json {
-        let json = format!("{:#}\n", report.into_json());
-        if let Err(error) = fs::write(path, json) {
-            eprintln!("error: {}: {error}", path.display());
-            return ExitCode::FAILURE;
-        }
-    }
-    ExitCode::SUCCESS
-}
-
-/// Starts this program in another role.
-fn start(role: &str, data: &str) -> ServerProcess {
-    let program = env::current_exe().expect("this program");
-    let mut command = Command::new(program);
-    command
-        .env(ROLE, role)
-        .args(["--grpc", "127.0.0.1:0", "--data", data]);
-    ServerProcess::ready(Process::spawn(&mut command))
+    measuring::main(async |arguments: Arguments| {
+        let report = measure(&arguments).await;
+        (report.into_json(), arguments.json)
+    })
 }
 
 async fn measure(arguments: &Arguments) -> Report {

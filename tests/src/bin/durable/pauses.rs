@@ -12,14 +12,13 @@ use std::{
 };
 
 use wayfold_proto::v1::KnnRequest;
-use wayfold_tests::{States, Stubs, figures::quantile_ms, row_states};
+use wayfold_tests::{States, Stubs, figures::quantile_ms, measuring, row_states};
 
 use crate::{
     INDEX, K, SPACE, WIDTH,
     place::{Appended, Place},
     report::Report,
     service::insertion,
-    start,
 };
 
 const BATCH: usize = 1_000;
@@ -44,7 +43,7 @@ pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
         } else {
             ("memory".into(), "in memory")
         };
-        let server = start("server", &data);
+        let server = measuring::server(&data);
         Stubs::connect(server.uri())
             .await
             .create(INDEX, SPACE)

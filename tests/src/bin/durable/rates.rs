@@ -8,6 +8,7 @@ use wayfold_server::log::Durability;
 use wayfold_tests::{
     ServerProcess, States, Stubs,
     figures::{median, processor_seconds},
+    measuring,
 };
 
 use crate::{
@@ -17,7 +18,6 @@ use crate::{
     report::{Goal, Report},
     service::{Hosting, WINDOW_BYTES, insertion},
     shape::Shape,
-    start,
 };
 
 /// Connections that the clients share evenly: one for each, and as from a few processes with many tasks.
@@ -239,14 +239,14 @@ async fn through_grpc(
 ) -> (Round, Round) {
     let directory = place.directory();
     let data = directory.path().join("data").to_string_lossy().into_owned();
-    let server = start("server", &data);
+    let server = measuring::server(&data);
     Stubs::connect(server.uri())
         .await
         .create(INDEX, SPACE)
         .await;
     let ours = call(&server, round, count, k).await;
     drop(server);
-    let echo = start("echo", &data);
+    let echo = measuring::echo();
     (ours, call(&echo, round, count, k).await)
 }
 

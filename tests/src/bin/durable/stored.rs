@@ -9,7 +9,7 @@ use std::{
 use fjall::{Database, Keyspace, KeyspaceCreateOptions, PersistMode, Readable};
 use wayfold_index::{Forest, ForestOptions, Points, Space};
 use wayfold_server::log::Durability;
-use wayfold_tests::{Signal, States, Stubs, figures::median};
+use wayfold_tests::{Signal, States, Stubs, figures::median, measuring};
 
 use crate::{
     INDEX, SPACE, WIDTH,
@@ -17,7 +17,6 @@ use crate::{
     report::{Goal, Report},
     service::{Hosting, WINDOW_BYTES, insertion},
     shape::{KEYSPACE, STORE},
-    start,
 };
 
 const BATCH: usize = 1_000;
@@ -105,7 +104,7 @@ pub(crate) async fn measure(place: &Place, points: usize, rounds: usize, report:
 
 /// Leaves so many points in a data directory, as a server does.
 async fn fill(data: &Path, points: usize) {
-    let server = start("server", &data.to_string_lossy());
+    let server = measuring::server(&data.to_string_lossy());
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create(INDEX, SPACE).await;
     let mut states = States::new(SPACE.parse().expect("a space"), 0);

@@ -11,18 +11,16 @@ mod feed;
 mod phase;
 mod report;
 
-use std::{env, fs, path::PathBuf, process::Command, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use wayfold_client::Client;
-use wayfold_tests::{Process, ServerProcess, Stubs};
+use wayfold_tests::{Stubs, measuring};
 
 use phase::Setting;
 use report::Report;
 
-/// Which of the processes this is; unset in the one that measures.
-const ROLE: &str = "FOLLOW_ROLE";
 const SPACE: &str = "R3*SO3:0.15";
 const WIDTH: usize = 7;
 const K: usize = 10;
@@ -56,37 +54,15 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    match env::var(ROLE).as_deref() {
-        Ok("server") => return wayfold_server::main(),
-        Ok("echo") => return wayfold_tests::echo::main(),
-        _ => {}
-    }
-    let arguments = Arguments::parse();
-    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-    let report = runtime.block_on(measure(&arguments));
-    print!("{report}");
-    if let Some(path) = &arguments.json {
-        let json = format!("{:#}\n", report.to_json());
-        if let Err(error) = fs::write(path, json) {
-            eprintln!("error: {}: {error}", path.display());
-            return ExitCode::FAILURE;
-        }
-    }
-    ExitCode::SUCCESS
-}
-
-/// Starts this program in another role.
-fn start(role: &str) -> ServerProcess {
-    let program = env::current_exe().expect("this program");
-    let mut command = Command::new(program);
-    command
-        .env(ROLE, role)
-        .args(["--grpc", "127.0.0.1:0", "--data", "memory"]);
-    ServerProcess::ready(Process::spawn(&mut command))
+    measuring::main(async |arguments: Arguments| {
+        let report = measure(&arguments).await;
+        print!("{report}");
+        (report.to_json(), arguments.json)
+    })
 }
 
 async fn measure(arguments: &Arguments) -> Report {
-    let (server, echo) = (start("server"), start("echo"));
+    let (server, echo) = (measuring::server("memory"), measuring::echo());
     let client = Client::connect(server.uri()).await.expect("a server");
     let stubs = Stubs::connect(echo.uri()).await;
     let rounds = arguments.rounds.max(1);

@@ -13,11 +13,11 @@ mod growth;
 mod inside;
 mod report;
 
-use std::{env, fs, path::PathBuf, process::Command, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
-use wayfold_tests::{Process, ServerProcess, Stubs, figures::resident_bytes};
+use wayfold_tests::{Stubs, figures::resident_bytes, measuring};
 
 use asking::{Asker, Way};
 use inside::Inside;
@@ -27,8 +27,6 @@ use report::{Report, Round};
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Which of the processes this is; unset in the one that measures.
-const ROLE: &str = "LOAD_ROLE";
 const SPACE: &str = "R3*SO3:0.15";
 const INDEX: &str = "load";
 const WIDTH: usize = 7;
@@ -50,37 +48,15 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    match env::var(ROLE).as_deref() {
-        Ok("server") => return wayfold_server::main(),
-        Ok("echo") => return wayfold_tests::echo::main(),
-        _ => {}
-    }
-    let arguments = Arguments::parse();
-    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-    let report = runtime.block_on(measure(&arguments));
-    print!("{report}");
-    if let Some(path) = &arguments.json {
-        let json = format!("{:#}\n", report.to_json());
-        if let Err(error) = fs::write(path, json) {
-            eprintln!("error: {}: {error}", path.display());
-            return ExitCode::FAILURE;
-        }
-    }
-    ExitCode::SUCCESS
-}
-
-/// Starts this program in another role.
-fn start(role: &str) -> ServerProcess {
-    let program = env::current_exe().expect("this program");
-    let mut command = Command::new(program);
-    command
-        .env(ROLE, role)
-        .args(["--grpc", "127.0.0.1:0", "--data", "memory"]);
-    ServerProcess::ready(Process::spawn(&mut command))
+    measuring::main(async |arguments: Arguments| {
+        let report = measure(&arguments).await;
+        print!("{report}");
+        (report.to_json(), arguments.json)
+    })
 }
 
 async fn measure(arguments: &Arguments) -> Report {
-    let (server, echo) = (start("server"), start("echo"));
+    let (server, echo) = (measuring::server("memory"), measuring::echo());
     let mut server_stubs = Stubs::connect(server.uri()).await;
     let echo_stubs = Stubs::connect(echo.uri()).await;
     server_stubs.create(INDEX, SPACE).await;

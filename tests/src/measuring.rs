@@ -1,0 +1,67 @@
+//! Programs that measure. Each is, in processes of its own, also the server and the echo that it measures: what is
+//! compared is built alike.
+
+use std::{
+    env, fs,
+    path::PathBuf,
+    process::{Command, ExitCode},
+};
+
+use clap::Parser;
+use serde_json::Value;
+
+use crate::{Process, ServerProcess, echo};
+
+/// Which of the processes this is; unset in the one that measures.
+const ROLE: &str = "MEASURING_ROLE";
+
+/// The whole of such a program: `measure` takes its arguments and returns the figures, and the file to write them to.
+///
+/// # Panics
+/// If the process cannot start its threads.
+pub fn main<A, F>(measure: impl FnOnce(A) -> F) -> ExitCode
+where
+    A: Parser,
+    F: Future<Output = (Value, Option<PathBuf>)>,
+{
+    match env::var(ROLE).as_deref() {
+        Ok("server") => return wayfold_server::main(),
+        Ok("echo") => return echo::main(),
+        _ => {}
+    }
+    let arguments = A::parse();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let (figures, file) = runtime.block_on(measure(arguments));
+    let Some(path) = file else {
+        return ExitCode::SUCCESS;
+    };
+    match fs::write(&path, format!("{figures:#}\n")) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}: {error}", path.display());
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Starts this program as a server; `data` is its data directory, or "memory".
+///
+/// # Panics
+/// If it does not come up.
+pub fn server(data: &str) -> ServerProcess {
+    start("server", &["--grpc", "127.0.0.1:0", "--data", data])
+}
+
+/// Starts this program as an echo.
+///
+/// # Panics
+/// If it does not come up.
+pub fn echo() -> ServerProcess {
+    start("echo", &[])
+}
+
+fn start(role: &str, arguments: &[&str]) -> ServerProcess {
+    let program = env::current_exe().expect("this program");
+    let mut command = Command::new(program);
+    ServerProcess::ready(Process::spawn(command.env(ROLE, role).args(arguments)))
+}
