@@ -35,7 +35,6 @@
 #include <poll.h>
 #include <pthread.h>
 #include <signal.h>
-#include <stdarg.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -45,6 +44,8 @@
 #include <sys/syscall.h>
 #include <sys/uio.h>
 #include <unistd.h>
+
+#include "open.h"
 
 enum { SECTOR = 512, PATH_BYTES = 4096, LOOKS = 3, MOST_MS = 10000 };
 
@@ -338,28 +339,6 @@ static int opened(int at, const char *path, int flags, mode_t mode) {
     errno = error;
     return fd;
 }
-
-#define OPEN(name)                                     \
-    int name(const char *path, int flags, ...) {       \
-        va_list more;                                  \
-        va_start(more, flags);                         \
-        mode_t mode = va_arg(more, mode_t);            \
-        va_end(more);                                  \
-        return opened(AT_FDCWD, path, flags, mode);    \
-    }
-OPEN(open)
-OPEN(open64)
-
-#define OPENAT(name)                                     \
-    int name(int at, const char *path, int flags, ...) { \
-        va_list more;                                    \
-        va_start(more, flags);                           \
-        mode_t mode = va_arg(more, mode_t);              \
-        va_end(more);                                    \
-        return opened(at, path, flags, mode);            \
-    }
-OPENAT(openat)
-OPENAT(openat64)
 
 int mkdirat(int at, const char *path, mode_t mode) {
     struct stat stat;

@@ -21,7 +21,6 @@
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
-#include <stdarg.h>
 #include <stdatomic.h>
 #include <stdbool.h>
 #include <stdio.h>
@@ -31,6 +30,8 @@
 #include <sys/syscall.h>
 #include <sys/uio.h>
 #include <unistd.h>
+
+#include "open.h"
 
 enum { PATH_BYTES = 4096 };
 
@@ -114,28 +115,6 @@ static int opened(int at, const char *path, int flags, mode_t mode) {
     }
     return syscall(SYS_openat, at, path, flags, mode);
 }
-
-#define OPEN(name)                                  \
-    int name(const char *path, int flags, ...) {    \
-        va_list more;                               \
-        va_start(more, flags);                      \
-        mode_t mode = va_arg(more, mode_t);         \
-        va_end(more);                               \
-        return opened(AT_FDCWD, path, flags, mode); \
-    }
-OPEN(open)
-OPEN(open64)
-
-#define OPENAT(name)                                     \
-    int name(int at, const char *path, int flags, ...) { \
-        va_list more;                                    \
-        va_start(more, flags);                           \
-        mode_t mode = va_arg(more, mode_t);              \
-        va_end(more);                                    \
-        return opened(at, path, flags, mode);            \
-    }
-OPENAT(openat)
-OPENAT(openat64)
 
 int mkdir(const char *path, mode_t mode) {
     struct stat stat;
