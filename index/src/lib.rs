@@ -8,8 +8,8 @@
 //! - [`KdTree`], static, built once;
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
-//! Reading order: `space` (the metric), `points`, `neighbor` and `search` (what is stored, found and asked), `kdtree`,
-//! `forest`. Nothing here does I/O, waits, or starts a thread.
+//! Reading order: `space` (the metric), `points`, `neighbor` and `search` (what is stored, found and asked), `kernel`
+//! (bounds of many boxes or points at once), `kdtree`, `forest`. Nothing here does I/O, waits, or starts a thread.
 //!
 //! ```
 //! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
@@ -27,6 +27,7 @@
 
 mod forest;
 mod kdtree;
+mod kernel;
 mod linear;
 mod neighbor;
 mod points;
@@ -35,6 +36,7 @@ mod space;
 
 pub use forest::{Forest, ForestOptions, Merge, Merged, Snapshot};
 pub use kdtree::KdTree;
+pub use kernel::Kernels;
 pub use linear::Linear;
 pub use neighbor::Neighbor;
 pub use points::{PointRef, Points};

@@ -35,11 +35,19 @@ impl PartialEq for Neighbor {
 
 impl Eq for Neighbor {}
 
+/// Up to so many neighbours are kept in order: cheaper than a heap, whose every change runs from end to end of it.
+const IN_ORDER: usize = 48;
+
 /// Keeps the `k` least neighbours, in their total order, of those within a closed radius.
 pub(crate) struct Collector {
     k: usize,
     worst: f64,
-    held: BinaryHeap<Neighbor>,
+    held: Held,
+}
+
+enum Held {
+    Ascending(Vec<Neighbor>),
+    Heap(BinaryHeap<Neighbor>),
 }
 
 impl Collector {
@@ -47,36 +55,70 @@ impl Collector {
         Self {
             k,
             worst: if k == 0 { f64::NEG_INFINITY } else { radius },
-            held: BinaryHeap::new(),
+            held: if k <= IN_ORDER {
+                Held::Ascending(Vec::with_capacity(k))
+            } else {
+                Held::Heap(BinaryHeap::new())
+            },
         }
     }
 
     /// A point farther than this cannot enter; one *at* this distance may, by its id.
+    #[inline]
     pub(crate) fn worst(&self) -> f64 {
         self.worst
     }
 
-    pub(crate) fn offer(&mut self, neighbor: Neighbor) {
+    /// Whether the neighbour has made the worst distance smaller.
+    pub(crate) fn offer(&mut self, neighbor: Neighbor) -> bool {
         if self.k == 0 || neighbor.distance > self.worst {
-            return;
+            return false;
         }
-        if self.held.len() < self.k {
-            self.held.push(neighbor);
-            if self.held.len() < self.k {
-                return;
+        let last = match &mut self.held {
+            Held::Ascending(held) => {
+                if held.len() == self.k {
+                    if held.last().is_some_and(|last| *last <= neighbor) {
+                        return false;
+                    }
+                    held.pop();
+                }
+                let place = held
+                    .iter()
+                    .rev()
+                    .take_while(|held| **held > neighbor)
+                    .count();
+                held.insert(held.len() - place, neighbor);
+                (held.len() == self.k).then(|| held.last()).flatten()
             }
-        } else if let Some(mut last) = self.held.peek_mut()
-            && neighbor < *last
-        {
-            *last = neighbor;
-        }
-        if let Some(last) = self.held.peek() {
-            self.worst = last.distance;
+            Held::Heap(held) => {
+                if held.len() < self.k {
+                    held.push(neighbor);
+                } else if let Some(mut last) = held.peek_mut()
+                    && neighbor < *last
+                {
+                    *last = neighbor;
+                }
+                (held.len() == self.k).then(|| held.peek()).flatten()
+            }
+        };
+        match last {
+            Some(last) if last.distance < self.worst => {
+                self.worst = last.distance;
+                true
+            }
+            _ => false,
         }
     }
 
     pub(crate) fn into_sorted(self) -> Vec<Neighbor> {
-        self.held.into_sorted_vec()
+        match self.held {
+            Held::Ascending(held) => held,
+            Held::Heap(held) => {
+                let mut held = held.into_vec();
+                held.sort_unstable();
+                held
+            }
+        }
     }
 }
 

@@ -2,7 +2,11 @@
 
 use std::{collections::HashSet, time::Instant};
 
-use crate::{Neighbor, PointRef, Space, neighbor::Collector};
+use crate::{
+    Kernels, Neighbor, PointRef, Points, Space,
+    kernel::{BLOCK, CHILDREN, Scale},
+    neighbor::Collector,
+};
 
 /// Limits a search to some of the points. The default admits every point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -76,45 +80,51 @@ pub struct Answer {
     pub exact: bool,
 }
 
-/// The cell that a descent stands in, and its bound.
-#[derive(Default)]
-pub(crate) struct Cell {
-    pub(crate) lo: Vec<f64>,
-    pub(crate) hi: Vec<f64>,
-    /// Each axis' weighted squared distance from the state; a rotation's stands at its first axis.
-    pub(crate) terms: Vec<f64>,
-    /// The sum of the terms of each group.
-    pub(crate) sums: Vec<f64>,
-}
-
 /// How many leaves are visited between two looks at the clock, each of which takes about a tenth of a leaf's time.
 const LEAVES_A_LOOK: u32 = 32;
 
 /// One search under way, carried through every tree and table that takes part in it.
 pub(crate) struct Walk<'a> {
-    pub(crate) space: &'a Space,
-    pub(crate) state: &'a [f64],
+    space: &'a Space,
+    kernels: &'a Kernels,
+    state: &'a [f64],
     search: &'a Search<'a>,
     nearest: Collector,
+    scale: Scale,
+    /// Keys above this lie farther than what is held ...
+    limit: f64,
+    /// ... and above this so far that `epsilon` gives them up.
+    relaxed_limit: f64,
     leaves_left: usize,
     leaves_entered: u32,
     exact: bool,
-    /// Handed from tree to tree, so that only the first descent allocates.
-    pub(crate) cell: Cell,
+    /// Room for a row.
+    row: Vec<f64>,
 }
 
 impl<'a> Walk<'a> {
-    pub(crate) fn new(space: &'a Space, state: &'a [f64], search: &'a Search<'a>) -> Self {
-        Self {
+    pub(crate) fn new(
+        space: &'a Space,
+        kernels: &'a Kernels,
+        state: &'a [f64],
+        search: &'a Search<'a>,
+    ) -> Self {
+        let mut walk = Self {
             space,
+            kernels,
             state,
             search,
             nearest: Collector::new(search.k, search.radius),
+            scale: Scale::new(space),
+            limit: 0.0,
+            relaxed_limit: 0.0,
             leaves_left: search.max_leaves,
             leaves_entered: 0,
             exact: true,
-            cell: Cell::default(),
-        }
+            row: vec![0.0; space.coordinates()],
+        };
+        walk.tighten();
+        walk
     }
 
     /// The revision after which a point's state must have been stored.
@@ -138,33 +148,88 @@ impl<'a> Walk<'a> {
             return;
         }
         let distance = self.space.distance(self.state, point.row);
+        self.offer(distance, || point.id);
+    }
+
+    /// Measures the point that stands in a slot of `points` and in a lane of a block, where it has this key, as
+    /// [`Walk::measure`]: whatever can be is read from the block, which is at hand.
+    #[inline]
+    pub(crate) fn measure_in_block(
+        &mut self,
+        points: &Points,
+        slot: usize,
+        columns: &[f64],
+        lane: usize,
+        key: f64,
+    ) {
+        let filter = &self.search.filter;
+        if *filter != Filter::default() && !filter.admits(points.tag(slot), points.revision(slot)) {
+            return;
+        }
+        let distance = self.scale.distance(key).unwrap_or_else(|| {
+            for (x, &y) in self
+                .row
+                .iter_mut()
+                .zip(columns[lane..].iter().step_by(BLOCK))
+            {
+                *x = y;
+            }
+            self.space.distance(self.state, &self.row)
+        });
+        self.offer(distance, || points.id(slot));
+    }
+
+    /// Keeps what is at this distance, if it is near enough.
+    fn offer(&mut self, distance: f64, id: impl FnOnce() -> u64) {
         if distance > self.nearest.worst() {
             return;
         }
-        if self
-            .search
-            .excluded
-            .is_some_and(|ids| ids.contains(&point.id))
-        {
+        let id = id();
+        if self.search.excluded.is_some_and(|ids| ids.contains(&id)) {
             return;
         }
-        self.nearest.offer(Neighbor {
-            distance,
-            id: point.id,
-        });
+        if self.nearest.offer(Neighbor { distance, id }) {
+            self.tighten();
+        }
     }
 
-    /// Whether a cell may be skipped whose points are all at `bound` or farther. A cell whose bound equals the worst
-    /// distance is visited: a point in it may win by its id. (A NaN, from an overflow, compares false and is visited.)
-    pub(crate) fn skips(&mut self, bound: f64) -> bool {
-        if bound > self.nearest.worst() {
+    /// Sets the limits by the worst distance that is held.
+    fn tighten(&mut self) {
+        let worst = self.nearest.worst();
+        self.limit = self.scale.limit(worst);
+        self.relaxed_limit = if self.search.epsilon > 0.0 {
+            self.scale.limit(worst / (1.0 + self.search.epsilon))
+        } else {
+            self.limit
+        };
+    }
+
+    /// The keys of a node's boxes, and the bits of those that are within reach.
+    #[inline]
+    pub(crate) fn bound_boxes(&self, boxes: &[f64], keys: &mut [f64; CHILDREN]) -> u32 {
+        (self.kernels.boxes)(self.space, self.state, boxes, self.limit, keys)
+    }
+
+    /// The keys of a block's points, and the bits of those that are within reach.
+    #[inline]
+    pub(crate) fn bound_points(&self, columns: &[f64], keys: &mut [f64; BLOCK]) -> u32 {
+        (self.kernels.points)(self.space, self.state, columns, self.limit, keys)
+    }
+
+    /// Whether what has this key, or more, may still matter. What may be *at* the worst distance does: a point may win
+    /// by its id.
+    #[inline]
+    pub(crate) fn reaches(&self, key: f64) -> bool {
+        key <= self.limit
+    }
+
+    /// Whether a box of this key is to be skipped.
+    #[inline]
+    pub(crate) fn skips(&mut self, key: f64) -> bool {
+        if !self.reaches(key) {
             return true;
         }
-        if self.leaves_left == 0 {
-            self.exact = false;
-            return true;
-        }
-        if self.search.epsilon > 0.0 && bound * (1.0 + self.search.epsilon) > self.nearest.worst() {
+        if self.leaves_left == 0 || key > self.relaxed_limit {
             self.exact = false;
             return true;
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::level::Level;
-use crate::{Answer, PointRef, Points, Search, Space, search::Walk};
+use crate::{Answer, Kernels, PointRef, Points, Search, Space, search::Walk};
 
 /// A forest as it stood at one revision, for as long as it is held.
 ///
@@ -44,7 +44,12 @@ impl Snapshot {
 
     /// Answers `search` for a canonical `state`.
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
-        let mut walk = Walk::new(&self.space, state, search);
+        self.search_with(&Kernels::default(), state, search)
+    }
+
+    /// As [`Snapshot::search`], with these kernels.
+    pub fn search_with(&self, kernels: &Kernels, state: &[f64], search: &Search<'_>) -> Answer {
+        let mut walk = Walk::new(&self.space, kernels, state, search);
         for level in self.levels.iter() {
             level.visit(&mut walk, self.revision);
         }

@@ -1,233 +1,257 @@
-//! Construction: the sliding midpoint.
+//! Construction: cuts at medians that leave every leaf full.
+//!
+//! All leaves are equally deep, and nodes are full at the bottom, where a search meets most of them; what does not
+//! divide by eight is left to the top. A cut goes across the coordinate in which the points spread most, as the metric
+//! weighs it.
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
-use super::{KdTree, Node, Split};
-use crate::{Points, Space};
+use super::{KdTree, Node};
+use crate::{
+    Points, Space,
+    kernel::{BLOCK, CHILDREN},
+};
+
+/// So many points tell in which coordinate a larger set spreads most.
+const SAMPLE: usize = 256;
 
 impl KdTree {
     /// As [`KdTree::new`], for a space that several trees share.
     pub(crate) fn build(space: Arc<Space>, points: Points, leaf_rows: usize) -> Self {
-        let (lo, hi) = bounding_box(&points);
-        let mut build = Build {
-            points: &points,
-            leaf_rows: leaf_rows.max(1),
-            // The sliding midpoint may be as deep as the data are skewed; past this, medians bound the depth.
-            sliding_depth: 32 + 2 * points.len().checked_ilog2().unwrap_or(0) as usize,
-            axes: axes(&space),
-            slots: (0..slot_count(&points)).collect(),
-            nodes: Vec::new(),
-            cell_lo: lo.clone(),
-            cell_hi: hi.clone(),
-            spread: Vec::new(),
-            depth: 0,
-        };
-        build.subtree(0, points.len(), 0);
-        let Build {
-            slots,
-            nodes,
-            depth,
-            ..
-        } = build;
-        let points = points.in_order(&slots);
-        Self::assemble(space, points, nodes, (lo, hi), depth)
-    }
-
-    /// A tree that is one leaf: ready at once, searched from end to end.
-    pub(crate) fn one_leaf(space: Arc<Space>, points: Points) -> Self {
-        let bounds = bounding_box(&points);
-        let leaf = Node::Leaf {
-            start: 0,
-            end: slot_count(&points),
-        };
-        Self::assemble(space, points, vec![leaf], bounds, 0)
-    }
-
-    fn assemble(
-        space: Arc<Space>,
-        points: Points,
-        mut nodes: Vec<Node>,
-        (lo, hi): (Vec<f64>, Vec<f64>),
-        depth: usize,
-    ) -> Self {
+        assert!(
+            points.len() <= Self::MAX_POINTS,
+            "too many points for a tree"
+        );
         assert_eq!(
             points.coordinates(),
             space.coordinates(),
             "rows of another space"
         );
+        let leaf_rows = leaf_rows.max(1);
+        let leaves = points.len().div_ceil(leaf_rows);
+        let height = height(leaves);
+        let mut build = Build {
+            points: &points,
+            leaf_rows,
+            scales: scales(&space),
+            slots: (0..points.len() as u32).collect(),
+            keys: Vec::new(),
+            nodes: Vec::new(),
+            boxes: Vec::new(),
+        };
+        if height > 0 {
+            build.add_nodes(1);
+            build.node(0, 0..leaves, height);
+        }
+        let Build {
+            slots,
+            mut nodes,
+            mut boxes,
+            ..
+        } = build;
         nodes.shrink_to_fit();
-        let max_revision = points.iter().map(|point| point.revision).max().unwrap_or(0);
+        boxes.shrink_to_fit();
+        let points = points.in_order(&slots);
         Self {
+            columns: columns(&points, leaf_rows),
+            max_revision: points.iter().map(|point| point.revision).max().unwrap_or(0),
             space,
             points,
+            leaf_rows,
+            height,
             nodes,
-            lo,
-            hi,
-            depth,
-            max_revision,
+            boxes,
         }
     }
+
+    /// A tree that is one leaf: ready at once, searched from end to end.
+    pub(crate) fn one_leaf(space: Arc<Space>, points: Points) -> Self {
+        let leaf_rows = points.len();
+        Self::build(space, points, leaf_rows)
+    }
 }
 
-fn slot_count(points: &Points) -> u32 {
-    u32::try_from(points.len()).expect("a tree holds at most KdTree::MAX_POINTS points")
+/// How many nodes of eight children lie one below the other over so many leaves.
+fn height(leaves: usize) -> u32 {
+    let mut height = 0;
+    while leaves > capacity(height) || (height == 0 && leaves > 0) {
+        height += 1;
+    }
+    height
 }
 
-/// The least and the greatest of each coordinate; an empty interval (∞, −∞) where there are no points.
-fn bounding_box(points: &Points) -> (Vec<f64>, Vec<f64>) {
-    let mut lo = vec![f64::INFINITY; points.coordinates()];
-    let mut hi = vec![f64::NEG_INFINITY; points.coordinates()];
-    for point in points.iter() {
-        for ((lo, hi), &x) in lo.iter_mut().zip(&mut hi).zip(point.row) {
-            *lo = lo.min(x);
-            *hi = hi.max(x);
+/// How many leaves a subtree of this height has at most.
+fn capacity(height: u32) -> usize {
+    CHILDREN.pow(height)
+}
+
+/// What a unit of each coordinate is worth in the metric: w_g · √μ_i.
+fn scales(space: &Space) -> Vec<f64> {
+    let mut scales = Vec::with_capacity(space.coordinates());
+    for part in space.parts() {
+        let scale = space.groups()[part.group].weight * part.weight.sqrt();
+        scales.extend((0..part.factor.coordinates()).map(|_| scale));
+    }
+    scales
+}
+
+/// The rows of each leaf, column by column, in blocks; the last block is filled up with zeros.
+fn columns(points: &Points, leaf_rows: usize) -> Vec<f64> {
+    let width = points.coordinates();
+    let leaves = points.len().div_ceil(leaf_rows);
+    let blocks = leaf_rows.div_ceil(BLOCK);
+    let mut columns = vec![0.0; leaves * blocks * width * BLOCK];
+    for slot in 0..points.len() {
+        let (leaf, place) = (slot / leaf_rows, slot % leaf_rows);
+        let block = &mut columns[(leaf * blocks + place / BLOCK) * width * BLOCK..];
+        for (axis, &x) in points.row(slot).iter().enumerate() {
+            block[axis * BLOCK + place % BLOCK] = x;
         }
     }
-    (lo, hi)
-}
-
-/// A coordinate as the build sees it.
-struct Axis {
-    /// The factor it belongs to.
-    part: u16,
-    /// What a unit of it is worth in the metric: w_g · √μ_i.
-    scale: f64,
-}
-
-fn axes(space: &Space) -> Vec<Axis> {
-    let mut axes = Vec::with_capacity(space.coordinates());
-    for (index, part) in space.parts().iter().enumerate() {
-        axes.extend((0..part.factor.coordinates()).map(|_| Axis {
-            part: index as u16,
-            scale: space.groups()[part.group].weight * part.weight.sqrt(),
-        }));
-    }
-    axes
+    columns
 }
 
 struct Build<'a> {
     points: &'a Points,
     leaf_rows: usize,
-    sliding_depth: usize,
-    axes: Vec<Axis>,
+    scales: Vec<f64>,
     /// The points' slots, reordered as the tree grows.
     slots: Vec<u32>,
+    /// The coordinates that a cut goes by, and the slots they belong to.
+    keys: Vec<(f64, u32)>,
     nodes: Vec<Node>,
-    /// The cell of the subtree under construction: cut by planes, wider than the box of its points.
-    cell_lo: Vec<f64>,
-    cell_hi: Vec<f64>,
-    /// Least and greatest coordinate of the subtree's points on each axis.
-    spread: Vec<(f64, f64)>,
-    depth: usize,
+    boxes: Vec<f64>,
 }
 
 impl Build<'_> {
-    /// Appends the subtree over `slots[start..end]`.
-    fn subtree(&mut self, start: usize, end: usize, depth: usize) {
-        self.depth = self.depth.max(depth);
-        let axis = (end - start > self.leaf_rows)
-            .then(|| self.cut_axis(start, end))
-            .flatten();
-        let Some(axis) = axis else {
-            self.nodes.push(Node::Leaf {
-                start: start as u32,
-                end: end as u32,
-            });
-            return;
-        };
-        let (min, max) = self.spread[axis];
-        let (middle, plane) = if depth < self.sliding_depth {
-            self.cut_at_sliding_midpoint(start, end, axis, (min, max))
+    /// Appends empty nodes; returns the place of the first.
+    fn add_nodes(&mut self, count: usize) -> usize {
+        let first = self.nodes.len();
+        let width = self.scales.len() * 2 * CHILDREN;
+        self.nodes
+            .resize(first + count, Node { first: 0, count: 0 });
+        self.boxes.resize((first + count) * width, 0.0);
+        first
+    }
+
+    /// Makes the subtree of these leaves under the node at `index`.
+    fn node(&mut self, index: usize, leaves: Range<usize>, height: u32) {
+        let count = leaves.len().div_ceil(capacity(height - 1));
+        let mut ends = Vec::with_capacity(count);
+        // In whole bottom nodes, unless these are what is cut.
+        let unit = if height > 1 { CHILDREN } else { 1 };
+        self.cut(leaves.clone(), count, unit, &mut ends);
+
+        let first = if height > 1 {
+            self.add_nodes(count)
         } else {
-            self.cut_at_median(start, end, axis)
+            leaves.start
         };
-
-        let node = self.nodes.len();
-        self.nodes.push(Node::Leaf { start: 0, end: 0 });
-        let left_max = self.extreme(start, middle, axis, f64::max);
-        let right_min = self.extreme(middle, end, axis, f64::min);
-
-        let cell_hi = std::mem::replace(&mut self.cell_hi[axis], plane);
-        self.subtree(start, middle, depth + 1);
-        self.cell_hi[axis] = cell_hi;
-
-        let right = self.nodes.len() as u32;
-        let cell_lo = std::mem::replace(&mut self.cell_lo[axis], plane);
-        self.subtree(middle, end, depth + 1);
-        self.cell_lo[axis] = cell_lo;
-
-        self.nodes[node] = Node::Split(Split {
-            axis: axis as u16,
-            part: self.axes[axis].part,
-            right,
-            left_max,
-            right_min,
-        });
-    }
-
-    /// The axis of the cell's longest side, as the metric weighs it; ties go to the largest spread of the points. None
-    /// if the metric cannot tell the points apart. An axis on which the points do not spread is no choice: a plane
-    /// across it would leave one side empty wherever it slides.
-    fn cut_axis(&mut self, start: usize, end: usize) -> Option<usize> {
-        let axes = self.axes.len();
-        self.spread.clear();
-        self.spread.resize(axes, (f64::INFINITY, f64::NEG_INFINITY));
-        for &slot in &self.slots[start..end] {
-            for ((lo, hi), &x) in self.spread.iter_mut().zip(self.points.row(slot as usize)) {
-                *lo = lo.min(x);
-                *hi = hi.max(x);
+        let mut start = leaves.start;
+        for (child, &end) in ends.iter().enumerate() {
+            if height > 1 {
+                self.node(first + child, start..end, height - 1);
+                self.bound_node(index, child, first + child);
+            } else {
+                self.bound_leaf(index, child, start);
             }
+            start = end;
         }
-        let key = |axis: usize| {
-            let (min, max) = self.spread[axis];
-            let scale = self.axes[axis].scale;
-            (
-                scale * (self.cell_hi[axis] - self.cell_lo[axis]),
-                scale * (max - min),
-            )
+        self.nodes[index] = Node {
+            first: first as u32,
+            count: count as u32,
         };
-        (0..axes)
-            .filter(|&axis| key(axis).1 > 0.0)
-            .max_by(|&a, &b| {
-                let (a, b) = (key(a), key(b));
-                a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
-            })
     }
 
-    /// Cuts at the middle of the cell, or, where a side would be empty, at the first point on the other side.
-    fn cut_at_sliding_midpoint(
-        &mut self,
-        start: usize,
-        end: usize,
-        axis: usize,
-        (min, max): (f64, f64),
-    ) -> (usize, f64) {
-        // Halved before they are added: the sum of two large coordinates may overflow.
-        let plane = (self.cell_lo[axis] / 2.0 + self.cell_hi[axis] / 2.0).clamp(min, max);
-        let goes_left = |x: f64| if plane > min { x < plane } else { x <= min };
-        let mut middle = start;
-        for at in start..end {
-            if goes_left(self.points.row(self.slots[at] as usize)[axis]) {
-                self.slots.swap(at, middle);
-                middle += 1;
-            }
+    /// Divides leaves among `children`, and pushes where each child ends.
+    fn cut(&mut self, leaves: Range<usize>, children: usize, unit: usize, ends: &mut Vec<usize>) {
+        if children == 1 {
+            ends.push(leaves.end);
+            return;
         }
-        (middle, plane)
+        let left = children / 2;
+        let share = (leaves.len() * left).div_ceil(children);
+        let middle = leaves.start + share.next_multiple_of(unit);
+        self.partition(self.rows(&leaves), middle * self.leaf_rows);
+        self.cut(leaves.start..middle, left, unit, ends);
+        self.cut(middle..leaves.end, children - left, unit, ends);
     }
 
-    fn cut_at_median(&mut self, start: usize, end: usize, axis: usize) -> (usize, f64) {
-        let half = (end - start) / 2;
+    /// The places in `slots` of some leaves' points.
+    fn rows(&self, leaves: &Range<usize>) -> Range<usize> {
+        leaves.start * self.leaf_rows..(leaves.end * self.leaf_rows).min(self.slots.len())
+    }
+
+    /// Brings the points that are least in the widest coordinate before `middle`, and the others behind.
+    fn partition(&mut self, rows: Range<usize>, middle: usize) {
+        let axis = self.widest(rows.clone());
         let points = self.points;
-        let x = |slot: u32| points.row(slot as usize)[axis];
-        self.slots[start..end].select_nth_unstable_by(half, |&a, &b| x(a).total_cmp(&x(b)));
-        (start + half, x(self.slots[start + half]))
+        self.keys.clear();
+        let slots = &mut self.slots[rows.clone()];
+        self.keys.extend(
+            slots
+                .iter()
+                .map(|&slot| (points.row(slot as usize)[axis], slot)),
+        );
+        self.keys
+            .select_nth_unstable_by(middle - rows.start, |a, b| a.0.total_cmp(&b.0));
+        for (slot, key) in slots.iter_mut().zip(&self.keys) {
+            *slot = key.1;
+        }
     }
 
-    fn extreme(&self, start: usize, end: usize, axis: usize, pick: fn(f64, f64) -> f64) -> f64 {
-        self.slots[start..end]
-            .iter()
-            .map(|&slot| self.points.row(slot as usize)[axis])
-            .reduce(pick)
-            .expect("a cut leaves points on both sides")
+    /// The coordinate in which the points, or a sample of them, spread most.
+    fn widest(&self, rows: Range<usize>) -> usize {
+        let width = self.scales.len();
+        let (mut lo, mut hi) = (vec![f64::INFINITY; width], vec![f64::NEG_INFINITY; width]);
+        let step = (rows.len() / SAMPLE).max(1);
+        for &slot in self.slots[rows].iter().step_by(step) {
+            widen(&mut lo, &mut hi, self.points.row(slot as usize));
+        }
+        let spread = |axis: usize| self.scales[axis] * (hi[axis] - lo[axis]);
+        (0..width)
+            .max_by(|&a, &b| spread(a).total_cmp(&spread(b)))
+            .unwrap_or(0)
+    }
+
+    /// Writes the box of a leaf into the `child`-th place of the node at `index`.
+    fn bound_leaf(&mut self, index: usize, child: usize, leaf: usize) {
+        let width = self.scales.len();
+        let (mut lo, mut hi) = (vec![f64::INFINITY; width], vec![f64::NEG_INFINITY; width]);
+        for &slot in &self.slots[self.rows(&(leaf..leaf + 1))] {
+            widen(&mut lo, &mut hi, self.points.row(slot as usize));
+        }
+        self.write_box(index, child, &lo, &hi);
+    }
+
+    /// Writes the box of a node into the `child`-th place of its parent.
+    fn bound_node(&mut self, parent: usize, child: usize, node: usize) {
+        let width = self.scales.len();
+        let count = self.nodes[node].count as usize;
+        let ends = &self.boxes[node * width * 2 * CHILDREN..][..width * 2 * CHILDREN];
+        let ends = ends.chunks_exact(2 * CHILDREN);
+        let least = |x: &[f64]| x[..count].iter().copied().fold(f64::INFINITY, f64::min);
+        let greatest = |x: &[f64]| x[..count].iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let (lo, hi): (Vec<f64>, Vec<f64>) = ends
+            .map(|ends| (least(ends), greatest(&ends[CHILDREN..])))
+            .unzip();
+        self.write_box(parent, child, &lo, &hi);
+    }
+
+    fn write_box(&mut self, node: usize, child: usize, lo: &[f64], hi: &[f64]) {
+        let width = lo.len() * 2 * CHILDREN;
+        let ends = self.boxes[node * width..][..width].chunks_exact_mut(2 * CHILDREN);
+        for (ends, (&lo, &hi)) in ends.zip(lo.iter().zip(hi)) {
+            ends[child] = lo;
+            ends[CHILDREN + child] = hi;
+        }
+    }
+}
+
+/// Makes a box hold a row.
+fn widen(lo: &mut [f64], hi: &mut [f64], row: &[f64]) {
+    for ((lo, hi), &x) in lo.iter_mut().zip(hi).zip(row) {
+        *lo = lo.min(x);
+        *hi = hi.max(x);
     }
 }

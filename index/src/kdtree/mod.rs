@@ -1,9 +1,13 @@
-//! The static kd-tree of Yershova and LaValle ("Improving Motion Planning Algorithms by Efficient Nearest-Neighbor
-//! Searching", IEEE Transactions on Robotics), built once over a table of points.
+//! The static kd-tree, built once over a table of points.
 //!
-//! The tree lives in the un-identified space: an interval for each circle, R⁴ for each rotation. That opposite ends of
-//! the interval, or q and −q, are one state enters only in the query, in the bound from a state to a cell (see
-//! [`query`]). Nothing here changes after the build: a tree may be searched from any number of threads.
+//! It is the tree of Yershova and LaValle ("Improving Motion Planning Algorithms by Efficient Nearest-Neighbor
+//! Searching", IEEE Transactions on Robotics) in the un-identified space: an interval for each circle, R⁴ for each
+//! rotation. That opposite ends of the interval, or q and −q, are one state enters only in the query, in the bound from
+//! a state to a box. What differs serves wide registers: a node has up to eight children, whose boxes are tight in
+//! every coordinate and lie side by side, so that one pass bounds them all (see [`kernel`](crate::kernel)); leaves are
+//! full, and keep their points coordinate by coordinate.
+//!
+//! Nothing here changes after the build: a tree may be searched from any number of threads.
 
 mod build;
 mod query;
@@ -11,30 +15,17 @@ mod validate;
 
 use std::sync::Arc;
 
-use crate::{Answer, PointRef, Points, Search, Space, search::Walk};
+use crate::{
+    Answer, Kernels, PointRef, Points, Search, Space,
+    kernel::{BLOCK, CHILDREN},
+    search::Walk,
+};
 
-/// A node. Nodes lie in preorder: the left child of node `i` is node `i + 1`.
+/// Where a node's children are: that many, one after the other, among the nodes or, at the bottom, among the leaves.
 #[derive(Clone, Copy, Debug)]
-enum Node {
-    /// Cuts a cell in two.
-    Split(Split),
-    /// The points in these slots.
-    Leaf { start: u32, end: u32 },
-}
-
-/// A cut of a cell across one coordinate.
-#[derive(Clone, Copy, Debug)]
-struct Split {
-    /// The coordinate ...
-    axis: u16,
-    /// ... and the factor of the space that it belongs to.
-    part: u16,
-    /// The right child.
-    right: u32,
-    /// The greatest coordinate on the left ...
-    left_max: f64,
-    /// ... and the least on the right: the cells end where their points do, not at the plane between.
-    right_min: f64,
+struct Node {
+    first: u32,
+    count: u32,
 }
 
 /// A static kd-tree over a table of points of one space.
@@ -56,12 +47,16 @@ pub struct KdTree {
     space: Arc<Space>,
     /// In the order of the leaves.
     points: Points,
+    /// Every leaf but the last has as many.
+    leaf_rows: usize,
+    /// Nodes on the way from the root to a leaf, the same for all leaves; 0 without points.
+    height: u32,
+    /// The root first.
     nodes: Vec<Node>,
-    /// The box around all points, coordinate by coordinate.
-    lo: Vec<f64>,
-    hi: Vec<f64>,
-    /// The longest path from the root to a leaf, which bounds the rounding of an incremental bound.
-    depth: usize,
+    /// For each node and coordinate the lower ends of its children's boxes, then the upper ends.
+    boxes: Vec<f64>,
+    /// For each block of a leaf and coordinate the points' numbers.
+    columns: Vec<f64>,
     /// The newest state of the tree, so that a search for newer ones can skip it whole.
     max_revision: u64,
 }
@@ -70,8 +65,7 @@ impl KdTree {
     /// Most points of a tree: its slots are 32 bits wide.
     pub const MAX_POINTS: usize = u32::MAX as usize;
 
-    /// Builds the tree over canonical rows, in O(d · n · log n), with leaves of at most `leaf_rows` points (more only
-    /// where points coincide).
+    /// Builds the tree over canonical rows, in O(d · n · log n), with leaves of `leaf_rows` points.
     ///
     /// # Panics
     /// If the rows are of another width than the space's, or more than [`KdTree::MAX_POINTS`].
@@ -81,7 +75,12 @@ impl KdTree {
 
     /// Answers `search` for a canonical `state`.
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
-        let mut walk = Walk::new(&self.space, state, search);
+        self.search_with(&Kernels::default(), state, search)
+    }
+
+    /// As [`KdTree::search`], with these kernels.
+    pub fn search_with(&self, kernels: &Kernels, state: &[f64], search: &Search<'_>) -> Answer {
+        let mut walk = Walk::new(&self.space, kernels, state, search);
         self.visit(&mut walk, |_| true);
         walk.finish()
     }
@@ -110,6 +109,33 @@ impl KdTree {
     pub(crate) fn memory_bytes(&self) -> usize {
         self.points.memory_bytes()
             + self.nodes.capacity() * size_of::<Node>()
-            + 8 * (self.lo.capacity() + self.hi.capacity())
+            + 8 * (self.boxes.capacity() + self.columns.capacity())
+    }
+
+    /// How many leaves there are.
+    fn leaves(&self) -> usize {
+        self.len().div_ceil(self.leaf_rows)
+    }
+
+    /// The slots of a leaf's points.
+    fn slots(&self, leaf: usize) -> std::ops::Range<usize> {
+        let start = leaf * self.leaf_rows;
+        start..(start + self.leaf_rows).min(self.len())
+    }
+
+    /// The boxes of a node's children, as [`Kernels`] take them.
+    fn boxes(&self, node: usize) -> &[f64] {
+        let width = self.space.coordinates() * 2 * CHILDREN;
+        &self.boxes[node * width..][..width]
+    }
+
+    /// The blocks of a leaf, as [`Kernels`] take them: each of `BLOCK` points, the last of what is left.
+    fn blocks(&self, leaf: usize) -> impl Iterator<Item = &[f64]> {
+        let width = self.space.coordinates() * BLOCK;
+        let blocks = self.leaf_rows.div_ceil(BLOCK);
+        let used = self.slots(leaf).len().div_ceil(BLOCK);
+        self.columns[leaf * blocks * width..]
+            .chunks_exact(width)
+            .take(used)
     }
 }

@@ -1,32 +1,16 @@
-//! The query: nearer child first, cells skipped by the incremental bound.
-//!
-//! The bound of a cell is the metric with each factor's distance replaced by the distance from the state to the
-//! factor's part of the cell: |x − [a, b]| on a line, the shorter way around on a circle, the nearer of q and −q for a
-//! rotation. A cut touches one factor, so only that factor's term changes from a cell to its child (the paper, with
-//! the weight it leaves out): d²(R₂) = d²(R₁) + μ_K · (d²_K(R₂) − d²_K(R₁)).
-//!
-//! **Rounding.** Each term is computed by the operations of the distance itself on no greater operands, and rounding
-//! is monotone, so a term never exceeds its counterpart in the distance of a point of the cell (a rotation's series
-//! may, by a few units in the last place). What differs is the order of summation: at most `coordinates` additions in
-//! the distance, and two operations for each cut on the path, each off by at most one half ε of a sum that only grows.
-//! The sums are lowered by more than that before they are composed, and by the least normal number besides, below
-//! which errors are not relative.
+//! The query: the nearest children of a node first, all that cannot matter skipped by their bounds.
 
-use super::{KdTree, Node, Split};
+use super::KdTree;
 use crate::{
-    search::{Cell, Walk},
-    space::{Factor, Part, real_vector, so2, so3},
+    kernel::{BLOCK, CHILDREN},
+    search::Walk,
 };
 
-/// What a state's path from the root to a cell has established.
 struct Descent<'t, 'w, 'a, V> {
     tree: &'t KdTree,
     walk: &'w mut Walk<'a>,
     /// Whether the point in a slot takes part.
     visible: V,
-    cell: Cell,
-    /// Lowers a sum of terms to what is surely a bound.
-    margin: f64,
 }
 
 impl KdTree {
@@ -37,134 +21,86 @@ impl KdTree {
         {
             return;
         }
-        let mut cell = std::mem::take(&mut walk.cell);
-        cell.lo.clone_from(&self.lo);
-        cell.hi.clone_from(&self.hi);
-        cell.terms.clear();
-        cell.terms.resize(self.lo.len(), 0.0);
-        cell.sums.clear();
-        cell.sums.resize(self.space.groups().len(), 0.0);
-        let roundings = 4 * (cell.terms.len() + self.depth) + 64;
         let mut descent = Descent {
             tree: self,
             walk,
             visible,
-            cell,
-            margin: 1.0 - f64::EPSILON * roundings as f64,
         };
-        descent.enter_root();
-        descent.walk.cell = descent.cell;
+        descent.node(0, self.height);
     }
 }
 
 impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
-    fn enter_root(&mut self) {
-        for part in self.tree.space.parts() {
-            let axes = match part.factor {
-                Factor::RealVector(n) => n,
-                Factor::SO2 { .. } | Factor::SO3 => 1,
-            };
-            for axis in part.offset..part.offset + axes {
-                let (first, term) = self.term(part, axis);
-                self.cell.terms[first] = term;
-                self.cell.sums[part.group] += term;
+    /// Visits the node at `index`, so many nodes above the leaves, itself one of them.
+    fn node(&mut self, index: usize, height: u32) {
+        let node = self.tree.nodes[index];
+        let mut keys = [0.0; CHILDREN];
+        let within = self.walk.bound_boxes(self.tree.boxes(index), &mut keys) & !(!0 << node.count);
+
+        let mut order = [(0.0, 0); CHILDREN];
+        let count = sort(within, &keys, &mut order);
+        for &(key, child) in &order[..count] {
+            if self.walk.skips(key) {
+                continue;
+            }
+            let child = node.first as usize + child;
+            if height > 1 {
+                self.node(child, height - 1);
+            } else {
+                self.leaf(child);
             }
         }
-        if !self.walk.skips(self.bound()) {
-            self.node(0);
-        }
     }
 
-    fn node(&mut self, index: usize) {
-        match self.tree.nodes[index] {
-            Node::Leaf { start, end } => self.leaf(start as usize, end as usize),
-            Node::Split(split) => self.split(index, split),
-        }
-    }
-
-    fn leaf(&mut self, start: usize, end: usize) {
+    fn leaf(&mut self, leaf: usize) {
         if !self.walk.enters_leaf() {
             return;
         }
-        for slot in start..end {
-            if (self.visible)(slot) {
-                self.walk.consider(self.tree.points.get(slot));
+        let slots = self.tree.slots(leaf);
+        let mut keys = [0.0; BLOCK];
+        for (start, block) in slots.clone().step_by(BLOCK).zip(self.tree.blocks(leaf)) {
+            let points = (slots.end - start).min(BLOCK);
+            let within = self.walk.bound_points(block, &mut keys) & !(!0 << points);
+            let mut order = [(0.0, 0); BLOCK];
+            let count = sort(within, &keys, &mut order);
+            for &(key, lane) in &order[..count] {
+                let slot = start + lane;
+                if !self.walk.reaches(key) {
+                    break;
+                }
+                if (self.visible)(slot) {
+                    self.walk
+                        .measure_in_block(&self.tree.points, slot, block, lane, key);
+                }
             }
         }
     }
+}
 
-    fn split(&mut self, index: usize, split: Split) {
-        let Split {
-            left_max,
-            right_min,
-            ..
-        } = split;
-        let axis = split.axis as usize;
-        let tree = self.tree;
-        let part = &tree.space.parts()[split.part as usize];
-        let (lo, hi) = (self.cell.lo[axis], self.cell.hi[axis]);
-
-        self.cell.hi[axis] = left_max;
-        let (first, left_term) = self.term(part, axis);
-        self.cell.hi[axis] = hi;
-        self.cell.lo[axis] = right_min;
-        let (_, right_term) = self.term(part, axis);
-        self.cell.lo[axis] = lo;
-
-        let (term, sum) = (self.cell.terms[first], self.cell.sums[part.group]);
-        let left = (index + 1, left_term, (lo, left_max));
-        let right = (split.right as usize, right_term, (right_min, hi));
-        let children = if left_term <= right_term {
-            [left, right]
-        } else {
-            [right, left]
-        };
-        for (child, child_term, cell) in children {
-            self.cell.terms[first] = child_term;
-            self.cell.sums[part.group] = sum + (child_term - term);
-            if !self.walk.skips(self.bound()) {
-                (self.cell.lo[axis], self.cell.hi[axis]) = cell;
-                self.node(child);
-                (self.cell.lo[axis], self.cell.hi[axis]) = (lo, hi);
-            }
+/// Writes the lanes in `within` with their keys, the nearest first, and returns how many there are: what is near soon
+/// makes the rest not worth a look.
+#[inline(always)]
+fn sort<const N: usize>(within: u32, keys: &[f64; N], order: &mut [(f64, usize); N]) -> usize {
+    let mut count = 0;
+    for lane in bits(within) {
+        let mut at = count;
+        while at > 0 && order[at - 1].0 > keys[lane] {
+            order[at] = order[at - 1];
+            at -= 1;
         }
-        self.cell.terms[first] = term;
-        self.cell.sums[part.group] = sum;
+        order[at] = (keys[lane], lane);
+        count += 1;
     }
+    count
+}
 
-    /// The weighted squared distance from the state to the current cell in the part that `axis` belongs to (for a
-    /// vector: along that axis alone), and the axis at which that term stands.
-    fn term(&self, part: &Part, axis: usize) -> (usize, f64) {
-        let state = self.walk.state;
-        let (first, distance_2) = match part.factor {
-            Factor::RealVector(_) => {
-                let d = real_vector::bound(state[axis], self.cell.lo[axis], self.cell.hi[axis]);
-                (axis, d * d)
-            }
-            Factor::SO2 { period } => {
-                let d = so2::bound(state[axis], self.cell.lo[axis], self.cell.hi[axis], period);
-                (axis, d * d)
-            }
-            Factor::SO3 => {
-                let axes = part.offset..part.offset + 4;
-                let d_2 = so3::bound_2(
-                    &state[axes.clone()],
-                    &self.cell.lo[axes.clone()],
-                    &self.cell.hi[axes],
-                );
-                (part.offset, d_2)
-            }
-        };
-        (first, part.weight * distance_2)
-    }
-
-    /// A lower bound on the reported distance of every point of the current cell.
-    fn bound(&self) -> f64 {
-        let lowered = self
-            .cell
-            .sums
-            .iter()
-            .map(|sum| (sum * self.margin - f64::MIN_POSITIVE).max(0.0));
-        self.tree.space.compose(lowered)
-    }
+/// The places of the bits that are set, from the lowest.
+fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let place = mask.trailing_zeros() as usize;
+        (mask != 0).then(|| {
+            mask &= mask - 1;
+            place
+        })
+    })
 }

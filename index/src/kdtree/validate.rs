@@ -1,32 +1,34 @@
 //! The invariants of a tree, for the tests that call this after every step.
 
-use super::{KdTree, Node, Split};
+use super::KdTree;
+use crate::kernel::{BLOCK, CHILDREN};
 
 impl KdTree {
-    /// Checks that the leaves partition the slots in order, that every point lies in its cell, and that the nodes lie
-    /// in preorder.
+    /// Checks that the leaves are reached in order, each once and equally deep, that every point lies in the boxes
+    /// above it, and that the blocks hold the rows.
     ///
     /// # Errors
     /// The first invariant found broken.
     pub fn validate(&self) -> Result<(), String> {
         let mut check = Check {
             tree: self,
-            lo: self.lo.clone(),
-            hi: self.hi.clone(),
-            next_node: 0,
-            next_slot: 0,
+            nodes: 0,
+            next_leaf: 0,
         };
-        check.subtree(0, 0)?;
-        if check.next_node != self.nodes.len() {
+        if self.height > 0 {
+            check.nodes = 1;
+            check.subtree(0, self.height, &mut Vec::new())?;
+        }
+        if check.nodes != self.nodes.len() {
             return Err(format!(
                 "{} nodes are out of reach",
-                self.nodes.len() - check.next_node
+                self.nodes.len() - check.nodes
             ));
         }
-        if check.next_slot != self.len() {
+        if check.next_leaf != self.leaves() {
             return Err(format!(
-                "{} points are in no leaf",
-                self.len() - check.next_slot
+                "{} leaves are out of reach",
+                self.leaves() - check.next_leaf
             ));
         }
         if let Some(newer) = self.points.iter().find(|p| p.revision > self.max_revision) {
@@ -38,68 +40,66 @@ impl KdTree {
 
 struct Check<'a> {
     tree: &'a KdTree,
-    lo: Vec<f64>,
-    hi: Vec<f64>,
-    next_node: usize,
-    next_slot: usize,
+    /// How many nodes have a parent, or are the root.
+    nodes: usize,
+    next_leaf: usize,
 }
 
 impl Check<'_> {
-    /// Checks the subtree of the node `depth` cuts below the root.
-    fn subtree(&mut self, index: usize, depth: usize) -> Result<(), String> {
-        if depth > self.tree.depth {
-            return Err(format!("node {index} is deeper than the tree"));
+    /// Checks the subtree of a node, which lies in the children at `path` of the nodes above it.
+    fn subtree(
+        &mut self,
+        index: usize,
+        height: u32,
+        path: &mut Vec<(usize, usize)>,
+    ) -> Result<(), String> {
+        let node = self.tree.nodes[index];
+        let (first, count) = (node.first as usize, node.count as usize);
+        if !(1..=CHILDREN).contains(&count) {
+            return Err(format!("node {index} has {count} children"));
         }
-        if index != self.next_node {
-            return Err(format!(
-                "node {index} stands where {} belongs",
-                self.next_node
-            ));
+        if height > 1 {
+            self.nodes += count;
         }
-        self.next_node += 1;
-        match self.tree.nodes[index] {
-            Node::Leaf { start, end } => self.leaf(start as usize, end as usize),
-            Node::Split(split) => {
-                let Split {
-                    left_max,
-                    right_min,
-                    ..
-                } = split;
-                let axis = split.axis as usize;
-                let part = &self.tree.space.parts()[split.part as usize];
-                if !(part.offset..part.offset + part.factor.coordinates()).contains(&axis) {
-                    return Err(format!("node {index} cuts an axis of another factor"));
-                }
-                if left_max > right_min {
-                    return Err(format!("the children of node {index} overlap"));
-                }
-                let hi = std::mem::replace(&mut self.hi[axis], left_max);
-                self.subtree(index + 1, depth + 1)?;
-                self.hi[axis] = hi;
-                let lo = std::mem::replace(&mut self.lo[axis], right_min);
-                self.subtree(split.right as usize, depth + 1)?;
-                self.lo[axis] = lo;
-                Ok(())
+        for child in 0..count {
+            path.push((index, child));
+            if height > 1 {
+                self.subtree(first + child, height - 1, path)?;
+            } else {
+                self.leaf(first + child, path)?;
             }
+            path.pop();
         }
+        Ok(())
     }
 
-    fn leaf(&mut self, start: usize, end: usize) -> Result<(), String> {
-        if start != self.next_slot || end < start {
+    fn leaf(&mut self, leaf: usize, path: &[(usize, usize)]) -> Result<(), String> {
+        if leaf != self.next_leaf {
             return Err(format!(
-                "leaf {start}..{end} should start at {}",
-                self.next_slot
+                "leaf {leaf} stands where {} belongs",
+                self.next_leaf
             ));
         }
-        self.next_slot = end;
-        for slot in start..end {
-            let point = self.tree.points.get(slot);
+        self.next_leaf += 1;
+        let slots = self.tree.slots(leaf);
+        let blocks: Vec<&[f64]> = self.tree.blocks(leaf).collect();
+        for slot in slots.clone() {
+            let (point, place) = (self.tree.points.get(slot), slot - slots.start);
             for (axis, &x) in point.row.iter().enumerate() {
-                if !(self.lo[axis]..=self.hi[axis]).contains(&x) {
+                if blocks[place / BLOCK][axis * BLOCK + place % BLOCK].to_bits() != x.to_bits() {
                     return Err(format!(
-                        "point {} is outside its cell in axis {axis}",
+                        "axis {axis} of point {} differs in its block",
                         point.id
                     ));
+                }
+                for &(node, child) in path {
+                    let ends = &self.tree.boxes(node)[axis * 2 * CHILDREN..];
+                    if !(ends[child]..=ends[CHILDREN + child]).contains(&x) {
+                        return Err(format!(
+                            "point {} is outside node {node} in axis {axis}",
+                            point.id
+                        ));
+                    }
                 }
             }
         }

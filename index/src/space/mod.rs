@@ -13,14 +13,15 @@
 
 mod error;
 mod presets;
-pub(crate) mod real_vector;
-pub(crate) mod so2;
-pub(crate) mod so3;
+mod real_vector;
+mod so2;
+mod so3;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod text;
 
 pub use error::{SpaceError, StateError, StateProblem};
+pub(crate) use so3::SERIES as SO3_SERIES;
 
 use std::f64::consts::TAU;
 use std::fmt;
@@ -133,6 +134,8 @@ pub(crate) struct Part {
     pub(crate) weight: f64,
     /// The index of its group.
     pub(crate) group: usize,
+    /// Whether it is the last of its group.
+    pub(crate) ends_group: bool,
 }
 
 impl Part {
@@ -252,13 +255,15 @@ impl Space {
         for (g, group) in groups.iter_mut().enumerate() {
             // Adding 0.0 makes −0.0, a valid weight, 0.0, which is what it prints as.
             group.weight += 0.0;
-            for term in &mut group.terms {
+            let last = group.terms.len() - 1;
+            for (t, term) in group.terms.iter_mut().enumerate() {
                 term.weight += 0.0;
                 parts.push(Part {
                     factor: term.factor,
                     offset,
                     weight: if group.weight > 0.0 { term.weight } else { 0.0 },
                     group: g,
+                    ends_group: t == last,
                 });
                 offset += term.factor.coordinates();
             }
@@ -355,21 +360,14 @@ impl Space {
         total > limit
     }
 
+    /// Whether a factor is a rotation.
+    pub(crate) fn has_rotations(&self) -> bool {
+        self.has_rotations
+    }
+
     /// The factors of all groups, in row order.
     pub(crate) fn parts(&self) -> &[Part] {
         &self.parts
-    }
-
-    /// The distance that the groups' weighted sums of squares make: `distance`, but for the factors.
-    ///
-    /// It does not decrease when a sum grows, so lower bounds of the sums make a lower bound of the distance.
-    #[inline]
-    pub(crate) fn compose(&self, sums_2: impl Iterator<Item = f64>) -> f64 {
-        let mut total = 0.0;
-        for (group, sum_2) in self.groups.iter().zip(sums_2) {
-            total += group.weight * sum_2.sqrt();
-        }
-        total
     }
 }
 

@@ -5,7 +5,9 @@ use std::collections::HashSet;
 use crate::common::{
     SHAPES, SPACES, Shape, assert_same, brute_force, rng, searches, states, table,
 };
-use wayfold_index::{Answer, Forest, ForestOptions, KdTree, Linear, Points, Search, Space};
+use wayfold_index::{
+    Answer, Forest, ForestOptions, KdTree, Kernels, Linear, Points, Search, Snapshot, Space,
+};
 
 const ROWS: usize = 150;
 const QUERIES: usize = 12;
@@ -23,10 +25,11 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
     for leaf_rows in [1, 2, 5, 1000] {
         let tree = KdTree::new(space.clone(), points.clone(), leaf_rows);
         tree.validate().unwrap();
-        all.push((
-            format!("kdtree/{leaf_rows}"),
-            Box::new(move |q, s| tree.search(q, s)),
-        ));
+        for kernels in Kernels::available() {
+            let tree = tree.clone();
+            let name = format!("kdtree/{leaf_rows}/{}", kernels.name());
+            all.push((name, Box::new(move |q, s| tree.search_with(kernels, q, s))));
+        }
     }
 
     for (buffer_rows, leaf_rows) in [(1, 1), (4, 2), (7, 3), (1000, 4)] {
@@ -37,7 +40,7 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
         for settled in [true, false] {
             let forest = grown(space, options, points, settled);
             let name = format!("forest/{buffer_rows}/{leaf_rows}/{settled}");
-            all.push((name, Box::new(move |q, s| forest.search(q, s))));
+            all.extend(with_every_kernel(&name, &forest.snapshot()));
         }
         let mut bulk = Forest::new(space.clone(), options);
         bulk.apply(1, points, &[]);
@@ -52,6 +55,19 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
         all.push((name, Box::new(move |q, s| bulk.search(q, s))));
     }
     all
+}
+
+/// A snapshot, searched with the kernels of each instruction set that this processor has.
+fn with_every_kernel(name: &str, snapshot: &Snapshot) -> Vec<Structure> {
+    let with = |kernels: &'static Kernels| -> Structure {
+        let snapshot = snapshot.clone();
+        let name = format!("{name}/{}", kernels.name());
+        (
+            name,
+            Box::new(move |q, s| snapshot.search_with(kernels, q, s)),
+        )
+    };
+    Kernels::available().iter().map(with).collect()
 }
 
 /// One insert a revision, each twice where that replaces something, and a stray point that is removed again.

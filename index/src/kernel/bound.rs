@@ -1,0 +1,146 @@
+//! Lower bounds of the distance from a state to eight boxes, or to a block of points, side by side, as keys of the
+//! space (see `limit`).
+//!
+//! The space is read as it is, a loop over groups and factors around the lanes. **Rounding:** every term is computed by
+//! the operations of [`Space::distance`], in their order, on operands that are the same (a point's) or no greater (a
+//! box's), and rounding is monotone: so no term exceeds its counterpart, but for a rotation's, which may by 1e-14 of it.
+//! No key is NaN: coordinates are small enough for their squares to have a finite sum, and weights for one another.
+
+use super::lanes::Lanes;
+use crate::{
+    Factor, Space,
+    space::{Part, SO3_SERIES},
+};
+
+/// How many children a node has at most: the lanes of a box kernel.
+pub(crate) const CHILDREN: usize = 8;
+
+/// How many points a block has at most: the lanes of a point kernel.
+pub(crate) const BLOCK: usize = 16;
+
+/// What the kernels bound the distance to, `N` side by side: by its squared distance in each factor. (Not a closure:
+/// one that is called from two places would be compiled by itself, for the oldest processor.)
+trait Terms<const N: usize> {
+    /// A lower bound of the squared distances in the factor `part`.
+    fn term(&self, part: &Part) -> Lanes<N>;
+}
+
+/// Boxes: coordinate by coordinate the lower ends, and then the upper ends of all of them.
+pub(super) struct Boxes<'a> {
+    pub(super) state: &'a [f64],
+    pub(super) ends: &'a [f64],
+}
+
+/// Points: coordinate by coordinate the numbers of all of them.
+pub(super) struct Points<'a> {
+    pub(super) state: &'a [f64],
+    pub(super) columns: &'a [f64],
+}
+
+impl Terms<CHILDREN> for Boxes<'_> {
+    #[inline(always)]
+    fn term(&self, part: &Part) -> Lanes<CHILDREN> {
+        box_term(part, self.state, self.ends)
+    }
+}
+
+impl Terms<BLOCK> for Points<'_> {
+    #[inline(always)]
+    fn term(&self, part: &Part) -> Lanes<BLOCK> {
+        point_term(part, self.state, self.columns)
+    }
+}
+
+/// The keys that the squared distances in each factor make.
+#[inline(always)]
+#[expect(private_bounds, reason = "the two that there are lie beside it")]
+pub(super) fn keys<const N: usize>(space: &Space, of: &impl Terms<N>) -> Lanes<N> {
+    // One loop over the factors, so that the terms are compiled once.
+    let one_group = space.groups().len() == 1;
+    let (mut total, mut sum_2) = (Lanes::splat(0.0), Lanes::splat(0.0));
+    for part in space.parts() {
+        sum_2 = sum_2 + Lanes::splat(part.weight) * of.term(part);
+        if !one_group && part.ends_group {
+            total = total + Lanes::splat(space.groups()[part.group].weight) * sum_2.sqrt();
+            sum_2 = Lanes::splat(0.0);
+        }
+    }
+    if one_group { sum_2 } else { total }
+}
+
+#[inline(always)]
+fn box_term(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<CHILDREN> {
+    let axes = part.offset..part.offset + part.factor.coordinates();
+    let state = &state[axes.clone()];
+    let ends = &ends[axes.start * 2 * CHILDREN..axes.end * 2 * CHILDREN];
+    match part.factor {
+        Factor::RealVector(_) => to_boxes_2(state, 1.0, ends),
+        Factor::SO2 { period } => {
+            let (x, zero) = (Lanes::splat(state[0]), Lanes::splat(0.0));
+            let (lo, hi) = (Lanes::load(ends), Lanes::load(&ends[CHILDREN..]));
+            // Outside the interval one of hi − x and x − lo is the arc to the farther end, and the other negative.
+            let direct = (lo - x).max(x - hi).max(zero);
+            let across = (Lanes::splat(period) - (hi - x).max(x - lo)).max(zero);
+            let d = direct.min(across);
+            d * d
+        }
+        Factor::SO3 => angle_2(to_boxes_2(state, 1.0, ends).min(to_boxes_2(state, -1.0, ends))),
+    }
+}
+
+/// The squared Euclidean distances from the point `sign · state` to the boxes.
+#[inline(always)]
+fn to_boxes_2(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<CHILDREN> {
+    let zero = Lanes::splat(0.0);
+    let mut sum_2 = zero;
+    for (&x, ends) in state.iter().zip(ends.chunks_exact(2 * CHILDREN)) {
+        let x = Lanes::splat(sign * x);
+        let (lo, hi) = (Lanes::load(ends), Lanes::load(&ends[CHILDREN..]));
+        let d = (lo - x).max(x - hi).max(zero);
+        sum_2 = sum_2 + d * d;
+    }
+    sum_2
+}
+
+#[inline(always)]
+fn point_term(part: &Part, state: &[f64], columns: &[f64]) -> Lanes<BLOCK> {
+    let zero = Lanes::splat(0.0);
+    let axes = part.offset..part.offset + part.factor.coordinates();
+    let state = &state[axes.clone()];
+    let columns = &columns[axes.start * BLOCK..axes.end * BLOCK];
+    match part.factor {
+        Factor::RealVector(_) => {
+            let mut sum_2 = zero;
+            for (&x, column) in state.iter().zip(columns.chunks_exact(BLOCK)) {
+                let d = Lanes::splat(x) - Lanes::load(column);
+                sum_2 = sum_2 + d * d;
+            }
+            sum_2
+        }
+        Factor::SO2 { period } => {
+            let direct = (Lanes::splat(state[0]) - Lanes::load(columns)).abs();
+            let d = direct.min(Lanes::splat(period) - direct).max(zero);
+            d * d
+        }
+        Factor::SO3 => {
+            let mut cosine = zero;
+            for (&x, column) in state.iter().zip(columns.chunks_exact(BLOCK)) {
+                cosine = cosine + Lanes::splat(x) * Lanes::load(column);
+            }
+            let cosine = cosine.abs();
+            angle_2((Lanes::splat(2.0 - COSINE_SLACK) - (cosine + cosine)).max(zero))
+        }
+    }
+}
+
+/// How far the squared chord min(|x − y|², |x + y|²) may lie below 2 − 2·|x·y| as it is computed: squared norms are off
+/// from 1 by 12u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: less than 40u in all.
+/// What is lost is the pruning among rotations nearer than 1e-7 to each other; what is saved is half of the kernel.
+const COSINE_SLACK: f64 = 32.0 * f64::EPSILON;
+
+/// A lower bound of the squared angle that belongs to the squared chord `s`: the first terms of its series.
+#[inline(always)]
+fn angle_2<const N: usize>(s: Lanes<N>) -> Lanes<N> {
+    let [c1, c2, c3] = SO3_SERIES.map(Lanes::splat);
+    s * (Lanes::splat(1.0) + s * (c1 + s * (c2 + s * c3)))
+}

@@ -1,0 +1,181 @@
+//! Each kernel against the distance itself, and against its portable twin, in random spaces.
+
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{BLOCK, CHILDREN, Kernels, Scale};
+use crate::{Factor, Group, Space, Term, space::tests::cases};
+
+const WEIGHTS: [f64; 6] = [1.0, 0.15, 15.0, 1e-3, 0.0, 2.0];
+
+/// A space of one to three groups of one to three factors.
+fn space(rng: &mut ChaCha8Rng) -> Space {
+    let group = |rng: &mut ChaCha8Rng| Group {
+        weight: WEIGHTS[rng.random_range(0..6)],
+        terms: (0..rng.random_range(1..=3))
+            .map(|_| Term {
+                factor: match rng.random_range(0..4) {
+                    0 => Factor::so2(),
+                    1 => Factor::SO2 { period: 1.0 },
+                    2 => Factor::SO3,
+                    _ => Factor::RealVector(rng.random_range(1..5)),
+                },
+                weight: WEIGHTS[rng.random_range(0..6)],
+            })
+            .collect(),
+    };
+    let mut groups: Vec<Group> = (0..rng.random_range(1..=3)).map(|_| group(rng)).collect();
+    (groups[0].weight, groups[0].terms[0].weight) = (1.0, 0.7);
+    Space::new(groups).unwrap()
+}
+
+/// A canonical state, or one that lies `near` so far from another: across seams and signs too.
+fn state(space: &Space, near: Option<(&[f64], f64)>, rng: &mut ChaCha8Rng) -> Vec<f64> {
+    let mut row = Vec::new();
+    for part in space.parts() {
+        let at = row.len();
+        let axes = part.factor.coordinates();
+        row.extend((0..axes).map(|_| rng.random_range(-1.0..1.0)));
+        if let Some((centre, spread)) = near {
+            for (x, c) in row[at..].iter_mut().zip(&centre[at..]) {
+                *x = c + spread * *x;
+            }
+        }
+        match part.factor {
+            Factor::RealVector(_) => {}
+            Factor::SO2 { period } if near.is_none() => {
+                // The seam is where an interval is wrong about a circle.
+                row[at] *= period * if rng.random() { 0.5 } else { 0.500_01 };
+            }
+            Factor::SO2 { .. } => {}
+            Factor::SO3 => {
+                if near.is_none() && rng.random() {
+                    row[at + 3] *= 1e-3; // where signs change
+                }
+                let norm = row[at..].iter().map(|x| x * x).sum::<f64>().sqrt();
+                row[at..].iter_mut().for_each(|x| *x /= norm);
+            }
+        }
+    }
+    space.canonicalize(&mut row).unwrap();
+    row
+}
+
+/// A state, and `count` canonical rows, together or apart, some of them as far from it as the distance can tell.
+fn scene(space: &Space, count: usize, rng: &mut ChaCha8Rng) -> (Vec<f64>, Vec<Vec<f64>>) {
+    let query = state(space, None, rng);
+    let other = state(space, None, rng);
+    let centre = if rng.random() { &query } else { &other };
+    let spread = [1.0, 0.1, 1e-3, 1e-6, 1e-9, 1e-15, 0.0][rng.random_range(0..7)];
+    let rows = (0..count)
+        .map(|_| state(space, Some((centre, spread)), rng))
+        .collect();
+    (query, rows)
+}
+
+fn columns(rows: &[Vec<f64>]) -> Vec<f64> {
+    let axes = 0..rows[0].len();
+    axes.flat_map(|axis| (0..BLOCK).map(move |lane| rows[lane][axis]))
+        .collect()
+}
+
+proptest! {
+    #![proptest_config(cases(4000))]
+
+    #[test]
+    fn no_point_is_beyond_its_distance(seed: u64) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let space = space(&mut rng);
+        let scale = Scale::new(&space);
+        let (query, rows) = scene(&space, BLOCK, &mut rng);
+        let columns = columns(&rows);
+        let mut portable = None;
+        for kernels in Kernels::available() {
+            let mut keys = [0.0; BLOCK];
+            let within = (kernels.points)(&space, &query, &columns, f64::INFINITY, &mut keys);
+            prop_assert_eq!(within, (1 << BLOCK) - 1);
+            prop_assert_eq!(keys.map(f64::to_bits), *portable.get_or_insert(keys.map(f64::to_bits)));
+            for (lane, row) in rows.iter().enumerate() {
+                let distance = space.distance(&query, row);
+                prop_assert!(keys[lane] <= scale.limit(distance), "{} {} {}", space, keys[lane], distance);
+                // Not so low that it would be no bound: what is lost is a rotation's slack and the end of its series.
+                prop_assert!(keys[lane] >= scale.limit(0.99 * distance - 1e-5), "{} {} {}", space, keys[lane], distance);
+                if let Some(exact) = scale.distance(keys[lane]) {
+                    prop_assert_eq!(exact.to_bits(), distance.to_bits());
+                }
+            }
+            for limit in keys {
+                let within = (kernels.points)(&space, &query, &columns, limit, &mut keys);
+                let expected = (0..BLOCK).filter(|&lane| keys[lane] <= limit);
+                prop_assert_eq!(within, expected.map(|lane| 1 << lane).sum::<u32>());
+            }
+        }
+    }
+
+    #[test]
+    fn no_box_is_beyond_its_points(seed: u64, points in 1..5usize) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let space = space(&mut rng);
+        let scale = Scale::new(&space);
+        let (query, rows) = scene(&space, CHILDREN * points, &mut rng);
+        let children: Vec<&[Vec<f64>]> = rows.chunks(points).collect();
+        let end = |axis: usize, start: f64, pick: fn(f64, f64) -> f64| {
+            let end = move |rows: &[Vec<f64>]| rows.iter().map(|row| row[axis]).fold(start, pick);
+            children.iter().map(|rows| end(rows)).collect::<Vec<f64>>()
+        };
+        let mut ends = Vec::new();
+        for axis in 0..space.coordinates() {
+            ends.extend(end(axis, f64::INFINITY, f64::min));
+            ends.extend(end(axis, f64::NEG_INFINITY, f64::max));
+        }
+        let mut portable = None;
+        for kernels in Kernels::available() {
+            let mut keys = [0.0; CHILDREN];
+            let within = (kernels.boxes)(&space, &query, &ends, f64::INFINITY, &mut keys);
+            prop_assert_eq!(within, (1 << CHILDREN) - 1);
+            prop_assert_eq!(keys.map(f64::to_bits), *portable.get_or_insert(keys.map(f64::to_bits)));
+            for (child, rows) in children.iter().enumerate() {
+                for row in *rows {
+                    let distance = space.distance(&query, row);
+                    prop_assert!(keys[child] <= scale.limit(distance), "{} {} {}", space, keys[child], distance);
+                    if points == 1 {
+                        prop_assert!(keys[child] >= scale.limit(0.99 * distance - 1e-12), "{} {} {}", space, keys[child], distance);
+                    }
+                }
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(50_000))]
+
+    /// No distance is beyond itself, also where a weight makes the sum a few units of the least number, whose errors
+    /// are not relative: here about half a unit decides.
+    #[test]
+    fn no_point_is_beyond_its_distance_among_the_least_numbers(
+        units in 1..20u32,
+        nudge in -4..=4i64,
+        step in -9.0..-4.0_f64,
+        seed: u64,
+    ) {
+        let space_of = |weight| {
+            Space::product(vec![Term { factor: Factor::SO3, weight }]).unwrap()
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let a = state(&space_of(1.0), None, &mut rng);
+        let b = state(&space_of(1.0), Some((&a, 10f64.powf(step))), &mut rng);
+        let chord_2: f64 = a.iter().zip(&b).map(|(x, y)| (x - y) * (x - y)).sum();
+        prop_assume!(chord_2 > 0.0 && chord_2 < 1e-3);
+        let weight = (f64::from(units) + 0.5) * 2f64.powi(-537) / chord_2 * 2f64.powi(-537);
+        let space = space_of(f64::from_bits(weight.to_bits().saturating_add_signed(nudge)));
+        let limit = Scale::new(&space).limit(space.distance(&a, &b));
+        let mut keys = [0.0; CHILDREN];
+        let ends: Vec<f64> = b.iter().flat_map(|&x| [x; 2 * CHILDREN]).collect();
+        prop_assert_eq!((Kernels::default().boxes)(&space, &a, &ends, limit, &mut keys), 255);
+        let mut keys = [0.0; BLOCK];
+        let columns: Vec<f64> = b.iter().flat_map(|&x| [x; BLOCK]).collect();
+        prop_assert_eq!((Kernels::default().points)(&space, &a, &columns, limit, &mut keys), 65_535);
+    }
+}
