@@ -132,16 +132,6 @@ impl<'a> Walk<'a> {
         self.search.filter.since_revision
     }
 
-    /// Measures a point, unless it is surely too far, and keeps it if it passes the filter and is near enough.
-    pub(crate) fn consider(&mut self, point: PointRef<'_>) {
-        if !self
-            .space
-            .is_beyond(self.state, point.row, self.nearest.worst())
-        {
-            self.measure(point);
-        }
-    }
-
     /// Measures a point, and keeps it if it passes the filter and is near enough.
     pub(crate) fn measure(&mut self, point: PointRef<'_>) {
         if !self.search.filter.admits(point.tag, point.revision) {
@@ -151,32 +141,49 @@ impl<'a> Walk<'a> {
         self.offer(distance, || point.id);
     }
 
-    /// Measures the point that stands in a slot of `points` and in a lane of a block, where it has this key, as
-    /// [`Walk::measure`]: whatever can be is read from the block, which is at hand.
-    #[inline]
-    pub(crate) fn measure_in_block(
+    /// Measures the points in the first `lanes` of a block, unless they are surely too far, and keeps those that are
+    /// `visible`, pass the filter and are near enough. Each stands in a `slot` of the `table`.
+    pub(crate) fn scan(
         &mut self,
-        points: &Points,
-        slot: usize,
-        columns: &[f64],
-        lane: usize,
-        key: f64,
+        block: &[f64],
+        lanes: usize,
+        table: &impl Table,
+        slot: impl Fn(usize) -> usize,
+        visible: impl Fn(usize) -> bool,
     ) {
-        let filter = &self.search.filter;
-        if *filter != Filter::default() && !filter.admits(points.tag(slot), points.revision(slot)) {
-            return;
-        }
-        let distance = self.scale.distance(key).unwrap_or_else(|| {
-            for (x, &y) in self
-                .row
-                .iter_mut()
-                .zip(columns[lane..].iter().step_by(BLOCK))
-            {
-                *x = y;
+        let mut keys = [0.0; BLOCK];
+        let points = self.kernels.points;
+        let within = points(self.space, self.state, block, self.limit, &mut keys);
+        let filter = self.search.filter;
+        for (key, lane) in Order::new(within & !(!0 << lanes), &keys) {
+            if !self.reaches(key) {
+                break;
             }
-            self.space.distance(self.state, &self.row)
-        });
-        self.offer(distance, || points.id(slot));
+            let slot = slot(lane);
+            if !visible(slot)
+                || filter != Filter::default()
+                    && !filter.admits(table.tag(slot), table.revision(slot))
+            {
+                continue;
+            }
+            // From the block, which is at hand, and not from the table.
+            let distance = self.scale.distance(key).unwrap_or_else(|| {
+                for (x, &y) in self.row.iter_mut().zip(block[lane..].iter().step_by(BLOCK)) {
+                    *x = y;
+                }
+                self.space.distance(self.state, &self.row)
+            });
+            self.offer(distance, || table.id(slot));
+        }
+    }
+
+    /// The children of a node that are within reach, the nearest first.
+    #[inline]
+    pub(crate) fn order(&self, boxes: &[f64], children: usize) -> Order<CHILDREN> {
+        let mut keys = [0.0; CHILDREN];
+        let kernel = self.kernels.boxes;
+        let within = kernel(self.space, self.state, boxes, self.limit, &mut keys);
+        Order::new(within & !(!0 << children), &keys)
     }
 
     /// Keeps what is at this distance, if it is near enough.
@@ -204,22 +211,10 @@ impl<'a> Walk<'a> {
         };
     }
 
-    /// The keys of a node's boxes, and the bits of those that are within reach.
-    #[inline]
-    pub(crate) fn bound_boxes(&self, boxes: &[f64], keys: &mut [f64; CHILDREN]) -> u32 {
-        (self.kernels.boxes)(self.space, self.state, boxes, self.limit, keys)
-    }
-
-    /// The keys of a block's points, and the bits of those that are within reach.
-    #[inline]
-    pub(crate) fn bound_points(&self, columns: &[f64], keys: &mut [f64; BLOCK]) -> u32 {
-        (self.kernels.points)(self.space, self.state, columns, self.limit, keys)
-    }
-
     /// Whether what has this key, or more, may still matter. What may be *at* the worst distance does: a point may win
     /// by its id.
     #[inline]
-    pub(crate) fn reaches(&self, key: f64) -> bool {
+    fn reaches(&self, key: f64) -> bool {
         key <= self.limit
     }
 
@@ -257,5 +252,70 @@ impl<'a> Walk<'a> {
             neighbors: self.nearest.into_sorted(),
             exact: self.exact,
         }
+    }
+}
+
+/// What a search needs to know of a point besides its state, by its slot in whatever stores it.
+pub(crate) trait Table {
+    fn id(&self, slot: usize) -> u64;
+    fn tag(&self, slot: usize) -> u64;
+    fn revision(&self, slot: usize) -> u64;
+}
+
+impl Table for Points {
+    fn id(&self, slot: usize) -> u64 {
+        self.id(slot)
+    }
+
+    fn tag(&self, slot: usize) -> u64 {
+        self.tag(slot)
+    }
+
+    fn revision(&self, slot: usize) -> u64 {
+        self.revision(slot)
+    }
+}
+
+/// Lanes by ascending key: what is near soon makes the rest not worth a look.
+pub(crate) struct Order<const N: usize> {
+    lanes: [(f64, usize); N],
+    count: usize,
+    next: usize,
+}
+
+impl<const N: usize> Order<N> {
+    /// Those of the set bits of `within`.
+    #[inline(always)]
+    fn new(mut within: u32, keys: &[f64; N]) -> Self {
+        let mut lanes = [(0.0, 0); N];
+        let mut count = 0;
+        while within != 0 {
+            let lane = within.trailing_zeros() as usize;
+            within &= within - 1;
+            let mut at = count;
+            while at > 0 && lanes[at - 1].0 > keys[lane] {
+                lanes[at] = lanes[at - 1];
+                at -= 1;
+            }
+            lanes[at] = (keys[lane], lane);
+            count += 1;
+        }
+        Self {
+            lanes,
+            count,
+            next: 0,
+        }
+    }
+}
+
+impl<const N: usize> Iterator for Order<N> {
+    type Item = (f64, usize);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<(f64, usize)> {
+        (self.next < self.count).then(|| {
+            self.next += 1;
+            self.lanes[self.next - 1]
+        })
     }
 }

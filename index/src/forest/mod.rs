@@ -10,6 +10,7 @@
 //! [`Merge::run`] does the work, [`Forest::finish_merge`] swaps the result in, while mutations and searches go on. No
 //! call of the forest but [`Forest::settle`] does more than its own share of work.
 
+mod buffer;
 mod level;
 mod merge;
 mod policy;
@@ -20,6 +21,7 @@ mod validate;
 use std::sync::Arc;
 
 use crate::{Answer, KdTree, PointRef, Points, Search, Space};
+use buffer::Buffer;
 use level::Level;
 use merge::Running;
 pub use merge::{Merge, Merged};
@@ -74,7 +76,7 @@ impl Forest {
             buffer_rows: options.buffer_rows.max(1),
             leaf_rows: options.leaf_rows.max(1),
         };
-        let buffer = Points::new(space.coordinates());
+        let buffer = Buffer::new(space.coordinates());
         let head = Snapshot {
             space: Arc::new(space),
             revision: 0,
@@ -159,8 +161,9 @@ impl Forest {
     /// Removes the point with this id as of `revision`; false if there is none.
     fn remove(&mut self, id: u64, revision: u64) -> bool {
         let head = &mut self.head;
-        if let Some(slot) = head.buffer.ids().iter().position(|&held| held == id) {
-            Arc::make_mut(&mut head.buffer).swap_remove(slot);
+        let buffered = head.buffer.points().ids();
+        if let Some(slot) = buffered.iter().position(|&held| held == id) {
+            writable(&mut head.buffer, self.options.buffer_rows).swap_remove(slot);
         } else if let Some((at, slot)) = head.find_in_levels(id) {
             let level = &head.levels[at];
             level.bury(slot, revision);
@@ -183,16 +186,11 @@ impl Forest {
             return;
         }
         for point in rows.iter() {
-            if Arc::get_mut(&mut self.head.buffer).is_none() {
-                // A snapshot holds it. A plain copy would have no room, and be copied again by the push.
-                let copy = self.head.buffer.copy_with_room(self.options.buffer_rows);
-                self.head.buffer = Arc::new(copy);
-            }
-            let buffer = Arc::make_mut(&mut self.head.buffer);
-            buffer.push_point(point);
-            if buffer.len() >= self.options.buffer_rows {
-                let empty = Points::new(buffer.coordinates());
-                let full = std::mem::replace(buffer, empty);
+            let buffer = writable(&mut self.head.buffer, self.options.buffer_rows);
+            buffer.push(point);
+            if buffer.points().len() >= self.options.buffer_rows {
+                let empty = Buffer::new(rows.coordinates());
+                let full = std::mem::replace(buffer, empty).into_points();
                 self.add_level(Level::unbuilt(Arc::clone(&self.head.space), full));
             }
         }
@@ -263,4 +261,12 @@ impl Forest {
             self.finish_merge(merge.run());
         }
     }
+}
+
+/// The buffer, made the forest's own if a snapshot holds it, with room for `rows` rows.
+fn writable(buffer: &mut Arc<Buffer>, rows: usize) -> &mut Buffer {
+    if Arc::get_mut(buffer).is_none() {
+        *buffer = Arc::new(buffer.copy_with_room(rows));
+    }
+    Arc::get_mut(buffer).expect("no one else holds it")
 }

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::level::Level;
-use crate::{Answer, Kernels, PointRef, Points, Search, Space, search::Walk};
+use super::{buffer::Buffer, level::Level};
+use crate::{Answer, Kernels, PointRef, Search, Space, search::Walk};
 
 /// A forest as it stood at one revision, for as long as it is held.
 ///
@@ -18,7 +18,7 @@ pub struct Snapshot {
     /// Largest first: the first answers tighten the search in the rest.
     pub(super) levels: Arc<Vec<Arc<Level>>>,
     /// The points that are in no level yet, all alive.
-    pub(super) buffer: Arc<Points>,
+    pub(super) buffer: Arc<Buffer>,
 }
 
 impl Snapshot {
@@ -53,16 +53,15 @@ impl Snapshot {
         for level in self.levels.iter() {
             level.visit(&mut walk, self.revision);
         }
-        for point in self.buffer.iter() {
-            walk.consider(point);
-        }
+        self.buffer.visit(&mut walk);
         walk.finish()
     }
 
     /// The point with this id.
     pub fn get(&self, id: u64) -> Option<PointRef<'_>> {
-        if let Some(slot) = self.buffer.ids().iter().position(|&held| held == id) {
-            return Some(self.buffer.get(slot));
+        let recent = self.buffer.points();
+        if let Some(slot) = recent.ids().iter().position(|&held| held == id) {
+            return Some(recent.get(slot));
         }
         let (level, slot) = self.find_in_levels(id)?;
         Some(self.levels[level].get(slot))
@@ -80,6 +79,7 @@ impl Snapshot {
     pub fn points_after(&self, after: Option<u64>) -> impl Iterator<Item = PointRef<'_>> {
         let mut recent: Vec<PointRef<'_>> = self
             .buffer
+            .points()
             .iter()
             .filter(|point| after.is_none_or(|after| point.id > after))
             .collect();

@@ -12,11 +12,13 @@ impl Forest {
     /// The first invariant found broken.
     pub fn validate(&self) -> Result<(), String> {
         let head = &self.head;
-        if head.buffer.len() >= self.options.buffer_rows {
-            return Err(format!("{} rows lie in the buffer", head.buffer.len()));
+        let buffered = head.buffer.points();
+        if buffered.len() >= self.options.buffer_rows {
+            return Err(format!("{} rows lie in the buffer", buffered.len()));
         }
+        head.buffer.validate()?;
         let mut alive: HashSet<u64> = HashSet::with_capacity(head.live);
-        for &id in head.buffer.ids() {
+        for &id in buffered.ids() {
             if !alive.insert(id) {
                 return Err(format!("id {id} stands twice in the buffer"));
             }

@@ -9,6 +9,7 @@ use std::{ops::Range, sync::Arc};
 use super::{KdTree, Node};
 use crate::{
     Points, Space,
+    blocks::Blocks,
     kernel::{BLOCK, CHILDREN},
 };
 
@@ -53,7 +54,7 @@ impl KdTree {
         boxes.shrink_to_fit();
         let points = points.in_order(&slots);
         Self {
-            columns: columns(&points, leaf_rows),
+            blocks: blocks(&points, leaf_rows),
             max_revision: points.iter().map(|point| point.revision).max().unwrap_or(0),
             space,
             points,
@@ -95,20 +96,16 @@ fn scales(space: &Space) -> Vec<f64> {
     scales
 }
 
-/// The rows of each leaf, column by column, in blocks; the last block is filled up with zeros.
-fn columns(points: &Points, leaf_rows: usize) -> Vec<f64> {
-    let width = points.coordinates();
+/// The rows of each leaf, which begins a block.
+fn blocks(points: &Points, leaf_rows: usize) -> Blocks {
+    let places = |rows: usize| rows.next_multiple_of(BLOCK);
     let leaves = points.len().div_ceil(leaf_rows);
-    let blocks = leaf_rows.div_ceil(BLOCK);
-    let mut columns = vec![0.0; leaves * blocks * width * BLOCK];
+    let mut blocks = Blocks::with_capacity(points.coordinates(), leaves * places(leaf_rows));
     for slot in 0..points.len() {
         let (leaf, place) = (slot / leaf_rows, slot % leaf_rows);
-        let block = &mut columns[(leaf * blocks + place / BLOCK) * width * BLOCK..];
-        for (axis, &x) in points.row(slot).iter().enumerate() {
-            block[axis * BLOCK + place % BLOCK] = x;
-        }
+        blocks.write(leaf * places(leaf_rows) + place, points.row(slot));
     }
-    columns
+    blocks
 }
 
 struct Build<'a> {

@@ -17,6 +17,7 @@ use std::sync::Arc;
 
 use crate::{
     Answer, Kernels, PointRef, Points, Search, Space,
+    blocks::Blocks,
     kernel::{BLOCK, CHILDREN},
     search::Walk,
 };
@@ -55,8 +56,8 @@ pub struct KdTree {
     nodes: Vec<Node>,
     /// For each node and coordinate the lower ends of its children's boxes, then the upper ends.
     boxes: Vec<f64>,
-    /// For each block of a leaf and coordinate the points' numbers.
-    columns: Vec<f64>,
+    /// The rows of each leaf, which begins a block.
+    blocks: Blocks,
     /// The newest state of the tree, so that a search for newer ones can skip it whole.
     max_revision: u64,
 }
@@ -109,7 +110,8 @@ impl KdTree {
     pub(crate) fn memory_bytes(&self) -> usize {
         self.points.memory_bytes()
             + self.nodes.capacity() * size_of::<Node>()
-            + 8 * (self.boxes.capacity() + self.columns.capacity())
+            + 8 * self.boxes.capacity()
+            + self.blocks.memory_bytes()
     }
 
     /// How many leaves there are.
@@ -130,12 +132,9 @@ impl KdTree {
     }
 
     /// The blocks of a leaf, as [`Kernels`] take them: each of `BLOCK` points, the last of what is left.
-    fn blocks(&self, leaf: usize) -> impl Iterator<Item = &[f64]> {
-        let width = self.space.coordinates() * BLOCK;
-        let blocks = self.leaf_rows.div_ceil(BLOCK);
+    fn leaf_blocks(&self, leaf: usize) -> impl Iterator<Item = &[f64]> {
+        let first = leaf * self.leaf_rows.div_ceil(BLOCK);
         let used = self.slots(leaf).len().div_ceil(BLOCK);
-        self.columns[leaf * blocks * width..]
-            .chunks_exact(width)
-            .take(used)
+        (first..first + used).map(|at| self.blocks.block(at))
     }
 }

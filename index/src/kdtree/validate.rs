@@ -82,7 +82,7 @@ impl Check<'_> {
         }
         self.next_leaf += 1;
         let slots = self.tree.slots(leaf);
-        let blocks: Vec<&[f64]> = self.tree.blocks(leaf).collect();
+        let blocks: Vec<&[f64]> = self.tree.leaf_blocks(leaf).collect();
         for slot in slots.clone() {
             let (point, place) = (self.tree.points.get(slot), slot - slots.start);
             for (axis, &x) in point.row.iter().enumerate() {

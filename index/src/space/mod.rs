@@ -146,18 +146,6 @@ impl Part {
         self.factor
             .distance_2(&a[coordinates.clone()], &b[coordinates])
     }
-
-    /// `distance_2`, or for a rotation a lower bound of it: see [`so3::chord_2`].
-    #[inline]
-    fn distance_2_bound(&self, a: &[f64], b: &[f64]) -> f64 {
-        match self.factor {
-            Factor::SO3 => {
-                let axes = self.offset..self.offset + 4;
-                so3::angle_2_bound(so3::chord_2(&a[axes.clone()], &b[axes]))
-            }
-            Factor::RealVector(_) | Factor::SO2 { .. } => self.distance_2(a, b),
-        }
-    }
 }
 
 /// A configuration space: what a row of numbers means, and how far two rows are apart.
@@ -333,31 +321,6 @@ impl Space {
             parts = others;
         }
         total
-    }
-
-    /// Whether the distance of two canonical rows is surely above `limit`, told without a transcendental. False is no
-    /// answer.
-    ///
-    /// The squared angle of each rotation is replaced by its lower bound, and the sums are lowered by more than that
-    /// bound's rounding, and by the least normal number besides, below which errors are not relative; everything else
-    /// is computed as in `distance`, and is monotone in what was lowered.
-    pub(crate) fn is_beyond(&self, a: &[f64], b: &[f64], limit: f64) -> bool {
-        if !self.has_rotations {
-            return false;
-        }
-        const MARGIN: f64 = 1.0 - 1e-13;
-        let (mut total, mut parts) = (0.0, self.parts.as_slice());
-        for group in &self.groups {
-            let (own, others) = parts.split_at(group.terms.len());
-            let mut sum_2 = 0.0;
-            for part in own {
-                sum_2 += part.weight * part.distance_2_bound(a, b);
-            }
-            let lowered = (sum_2 * MARGIN - f64::MIN_POSITIVE).max(0.0);
-            total += group.weight * lowered.sqrt();
-            parts = others;
-        }
-        total > limit
     }
 
     /// Whether a factor is a rotation.

@@ -28,7 +28,7 @@ fn angle(a: &[f64], b: &[f64]) -> f64 {
 
 /// The squared chord: the smaller of |a − b|² and |a + b|².
 #[inline]
-pub(super) fn chord_2(a: &[f64], b: &[f64]) -> f64 {
+fn chord_2(a: &[f64], b: &[f64]) -> f64 {
     let (mut minus_2, mut plus_2) = (0.0, 0.0);
     for (x, y) in a.iter().zip(b) {
         let (minus, plus) = (x - y, x + y);
@@ -43,16 +43,9 @@ pub(super) fn chord_2(a: &[f64], b: &[f64]) -> f64 {
 /// > θ² = s·(1 + s/12 + s²/90 + s³/560 + …)
 ///
 /// has only positive terms, so that leaving out the rest bounds it from below. These are the coefficients after 1.
+/// Against a computed angle such a bound may be too high by some units in the last place (less than 1e-14 of it), and
+/// who prunes on it leaves that margin.
 pub(crate) const SERIES: [f64; 3] = [1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0];
-
-/// A lower bound of the squared angle that belongs to the squared chord `s`, by the first terms of [`SERIES`]. Against
-/// a computed angle it may be too high by some units in the last place (less than 1e-14 of it), and who prunes on it
-/// leaves that margin.
-#[inline]
-pub(crate) fn angle_2_bound(s: f64) -> f64 {
-    let [c1, c2, c3] = SERIES;
-    s * (1.0 + s * (c1 + s * (c2 + s * c3)))
-}
 
 /// Checks the quaternion, normalises it, and chooses its sign: w > 0, or w = 0 and the first non-zero of x, y, z
 /// positive.
@@ -99,7 +92,9 @@ mod tests {
         for i in 0..=2000 {
             let s = f64::from(i) / 1000.0; // up to 2, where the angle is π/2
             let theta = 2.0 * libm::asin(s.sqrt() / 2.0);
-            assert!(angle_2_bound(s) <= theta * theta * (1.0 + 1e-15), "{s}");
+            let [c1, c2, c3] = SERIES;
+            let bound = s * (1.0 + s * (c1 + s * (c2 + s * c3)));
+            assert!(bound <= theta * theta * (1.0 + 1e-15), "{s}");
         }
     }
 }
