@@ -69,7 +69,14 @@ impl Collector {
         self.worst
     }
 
-    /// Whether the neighbour has made the worst distance smaller.
+    pub(crate) fn len(&self) -> usize {
+        match &self.held {
+            Held::Ascending(held) => held.len(),
+            Held::Heap(held) => held.len(),
+        }
+    }
+
+    /// Keeps a neighbour, if it is near enough; whether that has made the worst distance smaller.
     pub(crate) fn offer(&mut self, neighbor: Neighbor) -> bool {
         if self.k == 0 || neighbor.distance > self.worst {
             return false;

@@ -81,7 +81,7 @@ pub struct Answer {
 }
 
 /// How many leaves are visited between two looks at the clock, each of which takes about a tenth of a leaf's time.
-const LEAVES_A_LOOK: u32 = 32;
+const LEAVES_A_LOOK: usize = 32;
 
 /// One search under way, carried through every tree and table that takes part in it.
 pub(crate) struct Walk<'a> {
@@ -96,7 +96,7 @@ pub(crate) struct Walk<'a> {
     /// ... and above this so far that `epsilon` gives them up.
     relaxed_limit: f64,
     leaves_left: usize,
-    leaves_entered: u32,
+    leaves_entered: usize,
     exact: bool,
     /// Room for a row.
     row: Vec<f64>,
@@ -231,6 +231,24 @@ impl<'a> Walk<'a> {
         false
     }
 
+    /// How many leaves were visited.
+    pub(crate) fn leaves_entered(&self) -> usize {
+        self.leaves_entered
+    }
+
+    /// How many neighbours are held.
+    pub(crate) fn found(&self) -> usize {
+        self.nearest.len()
+    }
+
+    /// Whether all points are searched, exactly: then how far that reaches tells what the next such search will need.
+    pub(crate) fn is_plain(&self) -> bool {
+        let search = self.search;
+        search.epsilon == 0.0
+            && search.max_leaves == usize::MAX
+            && search.filter == Filter::default()
+    }
+
     /// Counts a leaf about to be visited; false if the search has visited as many as it may.
     pub(crate) fn enters_leaf(&mut self) -> bool {
         if self.leaves_left == 0 {
@@ -238,11 +256,12 @@ impl<'a> Walk<'a> {
             return false;
         }
         self.leaves_left -= 1;
-        if let Some(until) = self.search.until {
-            self.leaves_entered += 1;
-            if self.leaves_entered.is_multiple_of(LEAVES_A_LOOK) && Instant::now() >= until {
-                self.leaves_left = 0;
-            }
+        self.leaves_entered += 1;
+        if let Some(until) = self.search.until
+            && self.leaves_entered.is_multiple_of(LEAVES_A_LOOK)
+            && Instant::now() >= until
+        {
+            self.leaves_left = 0;
         }
         true
     }

@@ -6,7 +6,7 @@
 
 use std::{ops::Range, sync::Arc};
 
-use super::{KdTree, Node};
+use super::{KdTree, Node, reach::Reach};
 use crate::{
     Points, Space,
     blocks::Blocks,
@@ -62,6 +62,7 @@ impl KdTree {
             height,
             nodes,
             boxes,
+            reach: Reach::default(),
         }
     }
 

@@ -11,6 +11,7 @@
 
 mod build;
 mod query;
+mod reach;
 mod validate;
 
 use std::sync::Arc;
@@ -21,6 +22,7 @@ use crate::{
     kernel::{BLOCK, CHILDREN},
     search::Walk,
 };
+use reach::Reach;
 
 /// Where a node's children are: that many, one after the other, among the nodes or, at the bottom, among the leaves.
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +62,7 @@ pub struct KdTree {
     blocks: Blocks,
     /// The newest state of the tree, so that a search for newer ones can skip it whole.
     max_revision: u64,
+    reach: Reach,
 }
 
 impl KdTree {

@@ -3,6 +3,9 @@
 use super::KdTree;
 use crate::{kernel::BLOCK, search::Walk};
 
+/// A search that has found no more neighbours should have reached but a part of a tree.
+const FEW: usize = 100;
+
 struct Descent<'t, 'w, 'a, V> {
     tree: &'t KdTree,
     walk: &'w mut Walk<'a>,
@@ -23,7 +26,18 @@ impl KdTree {
             walk,
             visible,
         };
+        let plain = descent.walk.is_plain() && self.height > 2;
+        if plain && self.reach.is_far() {
+            (0..self.leaves()).for_each(|leaf| descent.leaf(leaf));
+            return;
+        }
+        let entered = descent.walk.leaves_entered();
         descent.node(0, self.height);
+        // Who finds many points must have looked at many.
+        if plain && walk.found() <= FEW {
+            let reached = walk.leaves_entered() - entered;
+            self.reach.report(reached, self.leaves());
+        }
     }
 }
 

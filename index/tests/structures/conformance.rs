@@ -305,3 +305,20 @@ fn a_search_that_gives_up_says_so() {
     let answer = tree.search(query, &capped);
     assert!(!answer.exact && answer.neighbors.len() <= 3 * 8);
 }
+
+/// Where searches reach most of a tree, it is read from end to end instead: with the same answers.
+#[test]
+fn in_many_dimensions_answers_stay_the_same() {
+    let space: Space = "(R3*SO3:0.15)^8".parse().unwrap();
+    let mut rng = rng(8);
+    let points = table(&space, &states(&space, Shape::Uniform, 3000, &mut rng));
+    let tree = KdTree::new(space.clone(), points.clone(), 8);
+    for query in states(&space, Shape::Uniform, 150, &mut rng) {
+        for search in [Search::nearest_k(1), Search::nearest_k(10)] {
+            let expected = brute_force(&space, points.iter(), &query, &search);
+            let answer = tree.search(&query, &search);
+            assert!(answer.exact);
+            assert_same(&answer.neighbors, &expected, "eight bodies");
+        }
+    }
+}
