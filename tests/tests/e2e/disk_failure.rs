@@ -8,7 +8,8 @@ mod start;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tonic::{Code, Status};
-use wayfold_tests::{Refusal, ServerProcess, Signal};
+use wayfold_proto::v1::CreateIndexRequest;
+use wayfold_tests::{Refusal, ServerProcess, Signal, Stubs};
 
 use self::disk::Disk;
 use crate::clients::{Clients, Load, Moment};
@@ -94,6 +95,19 @@ impl Scene {
         assert!(refused.is_empty(), "{refused:?}");
     }
 
+    /// Who writes is told what the disk says.
+    async fn check_reason(&self, reason: &str) {
+        let mut stubs = Stubs::connect(self.server.uri()).await;
+        let request = CreateIndexRequest {
+            name: "other".into(),
+            space_text: "R1".into(),
+            ..Default::default()
+        };
+        let refused = stubs.indexes.create_index(request).await.unwrap_err();
+        assert!(refused.message().contains(reason), "{refused:?}");
+        check_refusals(&[refused]);
+    }
+
     /// The disk comes back. While the store is opened anew reads of what it keeps are to be asked for again.
     async fn recover(&mut self) {
         let disk = &self.disk;
@@ -133,6 +147,8 @@ async fn a_disk_without_the_room_that_the_store_needs_is_waited_for() {
     let mut scene = Scene::new(HEAVY).await;
     for _ in 0..failures() {
         scene.fail("large 28 8000000").await;
+        scene.server.log_until("cannot be opened anew yet");
+        scene.check_reason("No space left on device").await;
         scene.look().await;
         scene.recover().await;
     }

@@ -75,8 +75,9 @@ impl Engine {
         // What is there is on disk now, also what was never acknowledged: whoever is shown it may count on it.
         write_marks(&mut marks, &found.indexes).map_err(shut)?;
         let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
-        let sweeper = Sweeper::start(Arc::clone(&store), sweeping).map_err(shut)?;
         let failure = Arc::new(Failure::default());
+        let sweeper = Sweeper::start(Arc::clone(&store), sweeping, Arc::clone(&failure));
+        let sweeper = sweeper.map_err(shut)?;
         let syncer = match durability {
             Durability::Fsync => {
                 let failure = Arc::clone(&failure);
@@ -121,9 +122,14 @@ impl Engine {
         self.failure.get()
     }
 
-    /// Takes note of an error, after which, if it is one of the store, nothing is written any more.
-    pub(super) fn note(&self, error: &LogError) {
-        self.failure.note(error);
+    /// As [`Failure::note`].
+    pub(super) fn note(&self, error: LogError) -> LogError {
+        self.failure.note(error)
+    }
+
+    /// As [`Failure::explain`].
+    pub(super) fn explain(&self, why: &LogError) {
+        self.failure.explain(why);
     }
 
     fn writable(&self) -> Result<(), LogError> {
@@ -159,7 +165,7 @@ impl Engine {
             stored.map_err(storage)
         });
         drop(handles);
-        stored.inspect_err(|error| self.note(error))?;
+        stored.map_err(|error| self.note(error))?;
         self.written(index, mark);
         self.wait()
     }
@@ -249,7 +255,7 @@ impl Engine {
         let appended = index.append(&self.store, expected, effects, |mark| {
             self.written(&index, mark);
         });
-        appended.inspect_err(|error| self.note(error))
+        appended.map_err(|error| self.note(error))
     }
 
     pub(super) fn synced(

@@ -250,7 +250,12 @@ impl Log for FjallLog {
         };
         // It begins by moving these, and fails at once if it cannot.
         let unmoved = failed.as_ref().map_or(0, |failed| failed.unmoved());
-        self.directory.probe(STORE, unmoved).map_err(unwritable)?;
+        if let Err(why) = self.directory.probe(STORE, unmoved).map_err(unwritable) {
+            if let Some(failed) = failed {
+                failed.explain(&why);
+            }
+            return Err(why);
+        }
         if let Some(failed) = failed {
             *self.opened.write() = Opened::Not(LogError::Closed, BTreeMap::new());
             failed.shut();

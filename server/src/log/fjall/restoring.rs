@@ -44,7 +44,7 @@ impl Copy {
 
     fn write(&self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
         let result = self.try_write(points, finished);
-        result.inspect_err(|error| self.engine.note(error))
+        result.map_err(|error| self.engine.note(error))
     }
 
     /// Writes points and the entry in one batch, and, if it is `finished`, where the index begins.

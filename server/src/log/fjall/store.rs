@@ -16,6 +16,9 @@ const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 const MEMTABLES_THAT_HALT: usize = 4;
 const RUNS_THAT_STALL: usize = 20;
 
+/// What is told of a failure of which fjall only says that there was one.
+pub(super) const UNTOLD: &str = "an earlier failure to write";
+
 /// How often to look whether the store has caught up, of which it gives no signal.
 const CATCHING_UP: Duration = Duration::from_millis(2);
 
@@ -130,7 +133,7 @@ pub(super) fn not_readable(what: String) -> LogError {
 pub(super) fn told(error: fjall::Error) -> String {
     match error {
         fjall::Error::Io(error) | fjall::Error::Storage(LsmError::Io(error)) => error.to_string(),
-        fjall::Error::Poisoned => "an earlier failure to write".into(),
+        fjall::Error::Poisoned => UNTOLD.into(),
         error => error.to_string(),
     }
 }

@@ -11,10 +11,12 @@ use std::{
     thread::JoinHandle,
 };
 
+use fjall::OwnedWriteBatch;
 use parking_lot::Mutex;
 use tracing::warn;
 
 use super::{
+    failure::Failure,
     layout::{Number, entry_key, head_key, operation_key, point_key, record_key},
     marks::Marks,
     store::{Store, storage},
@@ -36,7 +38,11 @@ pub(super) struct Sweeper {
 
 impl Sweeper {
     /// Starts the thread.
-    pub(super) fn start(store: Arc<Store>, mut marks: Marks) -> std::io::Result<Self> {
+    pub(super) fn start(
+        store: Arc<Store>,
+        mut marks: Marks,
+        failure: Arc<Failure>,
+    ) -> std::io::Result<Self> {
         let (deleted, work) = mpsc::channel();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
@@ -44,7 +50,7 @@ impl Sweeper {
             .name("wayfold-sweep".into())
             .spawn(move || {
                 for number in work {
-                    if let Err(error) = sweep(&store, number, &mut marks, &stopped) {
+                    if let Err(error) = sweep((&store, &failure), number, &mut marks, &stopped) {
                         warn!(
                             number,
                             error, "cannot remove what is left of a deleted index"
@@ -85,7 +91,7 @@ impl Drop for Sweeper {
 }
 
 fn sweep(
-    store: &Store,
+    (store, failure): (&Store, &Failure),
     number: Number,
     marks: &mut Marks,
     stop: &AtomicBool,
@@ -93,7 +99,7 @@ fn sweep(
     for key in [point_key, record_key, operation_key] {
         let mut after = Bound::Included(key(number, 0));
         let last = Bound::Included(key(number, u64::MAX));
-        while let Some(removed) = remove_some(store, (after, last)).map_err(text)? {
+        while let Some(removed) = remove_some((store, failure), (after, last)).map_err(text)? {
             // Not from the start again: what was removed is passed over one by one.
             after = Bound::Excluded(removed);
             if stop.load(Ordering::Relaxed) {
@@ -107,7 +113,13 @@ fn sweep(
     let mut batch = handles.database.batch();
     batch.remove(&handles.keyspace, entry_key(number));
     batch.remove(&handles.keyspace, head_key(number));
-    batch.commit().map_err(text)
+    commit(batch, failure).map_err(text)
+}
+
+/// What fails here has failed for all who write: they are told the reason too, and not only that there was one.
+fn commit(batch: OwnedWriteBatch, failure: &Failure) -> Result<(), LogError> {
+    let committed = batch.commit();
+    committed.map_err(|error| failure.note(storage(error)))
 }
 
 fn text(error: impl Display) -> String {
@@ -115,7 +127,10 @@ fn text(error: impl Display) -> String {
 }
 
 /// Removes the first few keys of a range, and says which was the last of them; None if there were none.
-fn remove_some(store: &Store, range: Range) -> Result<Option<[u8; 13]>, LogError> {
+fn remove_some(
+    (store, failure): (&Store, &Failure),
+    range: Range,
+) -> Result<Option<[u8; 13]>, LogError> {
     let handles = store.handles()?;
     handles.wait_for_room()?;
     let mut batch = handles.database.batch();
@@ -125,6 +140,6 @@ fn remove_some(store: &Store, range: Range) -> Result<Option<[u8; 13]>, LogError
         last = key.first_chunk().copied();
         batch.remove(&handles.keyspace, key);
     }
-    batch.commit().map_err(storage)?;
+    commit(batch, failure)?;
     Ok(last)
 }

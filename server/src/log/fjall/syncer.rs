@@ -172,9 +172,8 @@ impl Shared {
                     self.tell_blocked();
                 }
                 Err(what) => {
-                    let failed = LogError::Storage { what };
                     // Before anybody is told, who might write on.
-                    self.failure.note(&failed);
+                    let failed = self.failure.note(LogError::Storage { what });
                     self.synced
                         .send_modify(|synced| synced.failed = Some(failed));
                     self.tell_blocked();
