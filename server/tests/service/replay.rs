@@ -53,12 +53,13 @@ async fn a_restart_changes_nothing() {
         let response = before.insert(&CALL, operation.clone()).await.unwrap();
         assert_eq!(response.ids, [501]);
 
-        let crashed = copied(directory.path());
-        let after = if on_disk {
-            let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
-            restarted(Arc::new(log))
-        } else {
-            restarted(log)
+        let crashed = on_disk.then(|| copied(directory.path()));
+        let after = match &crashed {
+            Some(crashed) => {
+                let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
+                restarted(Arc::new(log))
+            }
+            None => restarted(log),
         };
         let same = |index: v1::Index| v1::Index {
             memory_bytes: 0,
