@@ -30,8 +30,8 @@ pub(super) enum Failure {
     #[error("{what}")]
     Disagreement { what: String },
     #[error(
-        "{damaged} of {all} indices cannot be read: the list says why, and what helps; `wayfold delete NAME` frees a name \
-         for `wayfold restore NAME FILE`"
+        "{damaged} of {all} indices cannot be read: the list says why, and what helps; `wayfold delete NAME` frees a \
+         name for `wayfold restore NAME FILE`"
     )]
     Damaged { damaged: usize, all: usize },
     #[error("{what}")]
