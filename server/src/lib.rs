@@ -8,11 +8,13 @@ pub mod log;
 pub mod registry;
 pub mod service;
 
+mod capacity;
 mod cli;
 mod grpc;
 mod lifecycle;
 mod observe;
 mod run;
+mod status;
 
 pub use cli::main;
 pub use grpc::GrpcError;

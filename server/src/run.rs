@@ -11,8 +11,9 @@ use tokio_util::sync::CancellationToken;
 use tracing::{info, warn};
 
 use crate::{
+    capacity::Capacity,
     config::{Config, DataConfig},
-    grpc::{self, Capacity, GrpcError},
+    grpc::{self, GrpcError},
     lifecycle::{Lifecycle, Phase},
     log::{FjallLog, Log, MemoryLog, OpenError},
     registry::{Registry, RegistryError, RegistryOptions},

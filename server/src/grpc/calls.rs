@@ -6,51 +6,21 @@ use std::{
     convert::Infallible,
     panic::AssertUnwindSafe,
     pin::Pin,
-    sync::Arc,
     task::{Context, Poll},
     time::Instant,
 };
 
 use futures_util::FutureExt;
 use http::{Request, Response};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tonic::{Status, body::Body};
+use tonic::body::Body;
 use tower::{Layer, Service};
 use tracing::Instrument;
 
 use super::{body::CallBody, deadline, refusals};
-use crate::{observe::CallRecord, service::Call};
+use crate::{capacity::Capacity, observe::CallRecord, service::Call};
 
 /// The calls that this layer is for.
 const OURS: &str = "/wayfold.v1.";
-
-/// How many calls may be under way, and how many are.
-#[derive(Clone, Debug)]
-pub(crate) struct Capacity {
-    limit: usize,
-    free: Arc<Semaphore>,
-}
-
-impl Capacity {
-    /// Room for `limit` calls.
-    pub(crate) fn new(limit: usize) -> Self {
-        let limit = limit.min(Semaphore::MAX_PERMITS);
-        Self {
-            limit,
-            free: Arc::new(Semaphore::new(limit)),
-        }
-    }
-
-    /// How many calls are under way.
-    pub(crate) fn in_use(&self) -> usize {
-        self.limit - self.free.available_permits()
-    }
-
-    fn take(&self) -> Result<OwnedSemaphorePermit, Box<Status>> {
-        let place = self.free.clone().try_acquire_owned();
-        place.map_err(|_| Box::new(refusals::busy(self.limit)))
-    }
-}
 
 /// The deadline of a call, which the layer leaves in the request's extensions for the handler.
 #[derive(Clone, Copy, Debug)]
@@ -116,7 +86,11 @@ where
         let mut record = CallRecord::begin(rpc, started);
         let admitted = deadline::read(request.headers(), started)
             .map_err(|problem| Box::new(refusals::malformed_timeout(&problem)))
-            .and_then(|deadline| Ok((deadline, self.settings.capacity.take()?)));
+            .and_then(|deadline| {
+                let capacity = &self.settings.capacity;
+                let busy = || Box::new(refusals::busy(capacity.limit()));
+                Ok((deadline, capacity.take().ok_or_else(busy)?))
+            });
         let (deadline, place) = match admitted {
             Ok(admitted) => admitted,
             Err(status) => {
@@ -156,7 +130,7 @@ fn our_rpc(path: &str) -> Option<&str> {
 mod tests {
     use futures_util::stream;
     use http_body::Body as HttpBody;
-    use tonic::Code;
+    use tonic::{Code, Status};
     use tonic_types::StatusExt;
 
     use super::*;

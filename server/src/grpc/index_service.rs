@@ -4,11 +4,8 @@ use futures_util::{StreamExt, stream, stream::BoxStream};
 use tonic::{Request, Response, Status, Streaming};
 use wayfold_proto::v1::{self, index_service_server::IndexService};
 
-use super::{calls::call_of, refusals, status};
-use crate::{
-    observe,
-    service::{Listing, Service},
-};
+use super::{calls::call_of, refusals};
+use crate::{observe, service::Service, status};
 
 /// The gRPC face of the indices.
 #[derive(Clone)]
@@ -44,7 +41,7 @@ impl IndexService for IndexFace {
     ) -> Result<Response<v1::ListIndexesResponse>, Status> {
         let (call, message) = (call_of(&request), request.into_inner());
         let listed = self.service.list_indexes(&call, message).await;
-        status::respond(listed.map(listing))
+        status::respond(listed.map(status::listing))
     }
 
     async fn delete_index(
@@ -109,18 +106,5 @@ impl IndexService for IndexFace {
             ))
         });
         Ok(Response::new(answers.boxed()))
-    }
-}
-
-fn listing(listing: Listing) -> v1::ListIndexesResponse {
-    let damaged = listing.damaged.into_iter().map(|damaged| v1::DamagedIndex {
-        error: Some(status::to_message(&status::describing(&damaged.error))),
-        name: damaged.name,
-        uid: damaged.uid,
-    });
-    v1::ListIndexesResponse {
-        indexes: listing.indexes,
-        next_page_token: listing.next_page_token,
-        damaged: damaged.collect(),
     }
 }

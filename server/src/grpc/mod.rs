@@ -8,7 +8,6 @@ mod health;
 mod index_service;
 mod point_service;
 mod refusals;
-mod status;
 mod stream_knn;
 
 use std::{io, time::Duration};
@@ -21,13 +20,12 @@ use tonic_health::pb::health_server::HealthServer;
 use wayfold_proto::v1::{self, index_service_server::IndexServiceServer};
 
 use calls::CallsLayer;
-pub(crate) use calls::Capacity;
 use health::HealthFace;
 use index_service::IndexFace;
 use point_service::{PointFace, TolerantPointServer};
 use stream_knn::KnnStreams;
 
-use crate::{config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
+use crate::{capacity::Capacity, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
 
 /// Why the gRPC face could not be served.
 #[derive(Debug, Error)]

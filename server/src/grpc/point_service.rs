@@ -15,10 +15,9 @@ use wayfold_proto::v1::{
 
 use super::{
     calls::call_of,
-    status,
     stream_knn::{Answers, KnnStreams},
 };
-use crate::{observe, service::Service};
+use crate::{observe, service::Service, status};
 
 /// The gRPC face of the points.
 #[derive(Clone)]

@@ -8,11 +8,11 @@ use std::fmt::Display;
 use http::{HeaderMap, Response};
 use tonic::{Code, Status, body::Body};
 
-use super::{
-    deadline::{self, MalformedTimeout},
+use super::deadline::{self, MalformedTimeout};
+use crate::{
+    service::{Error, Unavailability, Violation},
     status,
 };
-use crate::service::{Error, Unavailability, Violation};
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
 /// What to do with a message that is too large.

@@ -21,10 +21,11 @@ use tracing::Instrument;
 
 use wayfold_proto::v1;
 
-use super::{calls::call_of, refusals, status};
+use super::{calls::call_of, refusals};
 use crate::{
     lifecycle::PhaseWatch,
     service::{Call, Service},
+    status,
 };
 
 /// Answers to the requests of one stream, in their order.

@@ -71,6 +71,20 @@ pub(crate) fn to_message(status: &Status) -> v1::Status {
     }
 }
 
+/// A page of the indices, with a status for each that cannot be read.
+pub(crate) fn listing(listing: service::Listing) -> v1::ListIndexesResponse {
+    let damaged = listing.damaged.into_iter().map(|damaged| v1::DamagedIndex {
+        error: Some(to_message(&describing(&damaged.error))),
+        name: damaged.name,
+        uid: damaged.uid,
+    });
+    v1::ListIndexesResponse {
+        indexes: listing.indexes,
+        next_page_token: listing.next_page_token,
+        damaged: damaged.collect(),
+    }
+}
+
 fn code_of(code: service::Code) -> Code {
     match code {
         service::Code::InvalidArgument => Code::InvalidArgument,
