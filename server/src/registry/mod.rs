@@ -21,7 +21,7 @@ mod writer;
 use std::{collections::BTreeMap, ops::Bound, sync::Arc, time::Duration};
 
 use parking_lot::{Mutex, RwLock};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, watch};
 use tracing::info;
 use wayfold_index::{Forest, ForestOptions, Space};
 
@@ -62,6 +62,8 @@ pub struct Registry {
     indexes: RwLock<BTreeMap<String, Place>>,
     /// Held by who creates, deletes, restores or recovers indices, so that readers need not wait for the log meanwhile.
     changing: Mutex<()>,
+    /// Told of every change of what the names stand for.
+    changed: watch::Sender<()>,
 }
 
 /// What a name stands for.
@@ -116,6 +118,7 @@ impl Registry {
             }),
             indexes: RwLock::default(),
             changing: Mutex::new(()),
+            changed: watch::Sender::new(()),
         }
     }
 
@@ -125,7 +128,7 @@ impl Registry {
         let entries = self.host.log.indexes()?;
         for (done, entry) in entries.iter().enumerate() {
             let place = replay::replayed(&self.host, entry);
-            self.indexes.write().insert(entry.name.clone(), place);
+            self.change(|indexes| indexes.insert(entry.name.clone(), place));
             if (done + 1).is_multiple_of(1000) {
                 info!(done = done + 1, of = entries.len(), "replaying");
             }
@@ -135,11 +138,25 @@ impl Registry {
         Ok(())
     }
 
+    /// Tells of every change of what the names stand for from now on.
+    pub fn changes(&self) -> watch::Receiver<()> {
+        self.changed.subscribe()
+    }
+
+    /// Changes what the names stand for.
+    fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<String, Place>) -> T) -> T {
+        let changed = change(&mut self.indexes.write());
+        self.changed.send_replace(());
+        changed
+    }
+
     /// Takes note of the indices of which nothing is left, unless their names stand for others.
     fn take_gone(&self) {
         for gone in self.host.log.gone() {
             let damaged = Place::Damaged(gone.uid, RegistryError::Log(gone.why));
-            self.indexes.write().entry(gone.name).or_insert(damaged);
+            self.change(|indexes| {
+                indexes.entry(gone.name).or_insert(damaged);
+            });
         }
     }
 
@@ -214,7 +231,7 @@ impl Registry {
         let view = self.host.log.points(entry.uid)?;
         let hosted = Hosted::new(&self.host, &entry, Writer::new(forest, view));
         let place = Place::Hosted(Arc::clone(&hosted));
-        self.indexes.write().insert(entry.name, place);
+        self.change(|indexes| indexes.insert(entry.name, place));
         info!(index = name, uid = %entry.uid, space = %entry.space, "created an index");
         Ok((hosted, true))
     }
@@ -232,7 +249,7 @@ impl Registry {
             return Err(RegistryError::OtherUid { found });
         }
         self.host.log.delete(found)?;
-        self.indexes.write().remove(name);
+        self.change(|indexes| indexes.remove(name));
         if let Some(Place::Hosted(hosted)) = place {
             hosted.close(RegistryError::Deleted);
         }

@@ -67,7 +67,7 @@ impl Registry {
         let hosted = Hosted::new(&host, &entry, Writer::new(forest, view));
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points = points.len(), "restored an index");
         let place = Place::Hosted(Arc::clone(&hosted));
-        self.indexes.write().insert(entry.name, place);
+        self.change(|indexes| indexes.insert(entry.name, place));
         Ok(hosted)
     }
 

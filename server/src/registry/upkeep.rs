@@ -77,7 +77,7 @@ impl Registry {
         for (name, place) in &places {
             let left = entries.iter().any(|entry| entry.name == *name);
             if !left {
-                self.indexes.write().remove(name);
+                self.change(|indexes| indexes.remove(name));
                 if let Place::Hosted(hosted) = place {
                     hosted.close(RegistryError::Deleted);
                 }
@@ -85,7 +85,7 @@ impl Registry {
         }
         for entry in &entries {
             let place = self.taken(places.get(&entry.name), entry);
-            self.indexes.write().insert(entry.name.clone(), place);
+            self.change(|indexes| indexes.insert(entry.name.clone(), place));
         }
         self.take_gone();
         info!(indexes = entries.len(), "the log is written again");
@@ -95,16 +95,17 @@ impl Registry {
     /// What a start would find: nothing of the log can be read any more.
     fn give_up(&self, why: &LogError) {
         let gone = self.host.log.gone();
-        let mut indexes = self.indexes.write();
-        for (name, place) in indexes.iter_mut() {
-            if let Place::Hosted(hosted) = place {
-                let told = gone.iter().find(|gone| gone.name == *name);
-                let why = told.map_or(why, |gone| &gone.why).clone();
-                let uid = hosted.uid();
-                hosted.close(RegistryError::Log(why.clone()));
-                *place = Place::Damaged(uid, RegistryError::Log(why));
+        self.change(|indexes| {
+            for (name, place) in indexes.iter_mut() {
+                if let Place::Hosted(hosted) = place {
+                    let told = gone.iter().find(|gone| gone.name == *name);
+                    let why = told.map_or(why, |gone| &gone.why).clone();
+                    let uid = hosted.uid();
+                    hosted.close(RegistryError::Log(why.clone()));
+                    *place = Place::Damaged(uid, RegistryError::Log(why));
+                }
             }
-        }
+        });
     }
 
     /// What an index is after the log was opened anew.

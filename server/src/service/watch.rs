@@ -96,6 +96,14 @@ impl Watch {
         Some(message)
     }
 
+    /// The same with messages of about so many bytes. A message has less than a payload more.
+    pub(super) fn with_message_bytes(self, message_bytes: usize) -> Self {
+        Self {
+            message_bytes,
+            ..self
+        }
+    }
+
     fn message(&self) -> v1::WatchResponse {
         v1::WatchResponse {
             uid: self.hosted.uid_text().into(),

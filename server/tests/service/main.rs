@@ -19,6 +19,7 @@ mod indexes;
 mod insert;
 mod lifecycle;
 mod limits;
+mod log;
 mod merging;
 mod model;
 mod operations;

@@ -1,0 +1,51 @@
+//! `log`: the mutations after a revision in one answer, for whoever was told of some and missed others.
+
+use wayfold_proto::v1;
+
+use super::{Call, Error, Limits, Service, Watch};
+
+impl Service {
+    /// The mutations after `request.after_revision` that can be read now: as many as an answer holds, whole. What more
+    /// there is, is asked for after the last of them; `revision` in the answer says how far there is to go. A mutation
+    /// that no answer holds is [`Error::LimitExceeded`].
+    pub async fn log(
+        &self,
+        call: &Call,
+        request: v1::WatchRequest,
+    ) -> Result<v1::WatchResponse, Error> {
+        let after = request.after_revision.unwrap_or(u64::MAX);
+        let watch = self.watch(call, request).await?;
+        let mut watch = watch.with_message_bytes(message_bytes(self.limits()));
+        let head = told(&mut watch).await?;
+        if head.reset() != v1::ResetReason::Unspecified || after >= head.revision {
+            return Ok(head);
+        }
+        let mut answer = told(&mut watch).await?;
+        let cut = answer.mutations.pop_if(|last| last.continued);
+        if cut.is_some() && answer.mutations.is_empty() {
+            let value = self.limits().answer_bytes as u64;
+            return Err(Error::LimitExceeded {
+                limit: "answer_bytes",
+                value,
+                asked: value + 1,
+                advice: "follow the index with Watch, which tells a large mutation in pieces, or start from its points",
+            });
+        }
+        Ok(answer)
+    }
+}
+
+/// So many that a message, with the payload that it may have more, stays within the limit of an answer.
+fn message_bytes(limits: &Limits) -> usize {
+    let most = limits
+        .answer_bytes
+        .saturating_sub(limits.payload_bytes + 1024);
+    most.max(limits.answer_bytes / 2)
+}
+
+async fn told(watch: &mut Watch) -> Result<v1::WatchResponse, Error> {
+    let message = watch.next().await.ok_or_else(|| Error::Internal {
+        what: "a watch ended before it told anything".into(),
+    });
+    message?
+}

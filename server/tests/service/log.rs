@@ -1,0 +1,147 @@
+//! Who missed mutations asks for them, and gets what a watch would have told.
+
+use std::sync::Arc;
+
+use prost::Message;
+use wayfold_proto::v1::{self, ResetReason};
+use wayfold_server::{
+    log::MemoryLog,
+    service::{Code, Limits, Service},
+};
+
+use crate::support::*;
+
+fn after(uid: &str, revision: u64) -> v1::WatchRequest {
+    v1::WatchRequest {
+        index: "arm".into(),
+        uid: uid.into(),
+        after_revision: Some(revision),
+        payloads: true,
+    }
+}
+
+/// What a watch tells up to `revision`.
+async fn watched(service: &Service, uid: &str, revision: u64) -> Vec<v1::Mutation> {
+    let mut watch = service.watch(&CALL, after(uid, 0)).await.unwrap();
+    let mut mutations: Vec<v1::Mutation> = Vec::new();
+    while mutations
+        .last()
+        .is_none_or(|last| last.revision < revision || last.continued)
+    {
+        mutations.extend(watch.next().await.unwrap().unwrap().mutations);
+    }
+    mutations
+}
+
+#[tokio::test]
+async fn answers_that_fit_amount_to_what_a_watch_tells() {
+    let limits = Limits {
+        answer_bytes: 8_000,
+        payload_bytes: 100,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    let uid = create(&service, "arm", "R3").await;
+    for seed in 0..40 {
+        let request = v1::InsertRequest {
+            payloads: vec![vec![seed as u8; 100].into(); 9],
+            ..insertion(&cube(seed, 9), &[])
+        };
+        service.insert(&CALL, request).await.unwrap();
+        if seed % 3 == 0 {
+            service.remove(&CALL, removal(&[seed * 9])).await.unwrap();
+        }
+    }
+    let last = info(&service, "arm").await.revision;
+    let mut told: Vec<v1::Mutation> = Vec::new();
+    let mut answers = 0;
+    loop {
+        let from = told.last().map_or(0, |mutation| mutation.revision);
+        let answer = service.log(&CALL, after(&uid, from)).await.unwrap();
+        assert_eq!((&answer.uid, answer.revision), (&uid, last));
+        assert!(answer.encoded_len() <= 8_000, "{}", answer.encoded_len());
+        if answer.mutations.is_empty() {
+            break;
+        }
+        answers += 1;
+        told.extend(answer.mutations);
+    }
+    assert!(answers > 3, "{answers}");
+    assert!(told.iter().all(|mutation| !mutation.continued));
+    assert_eq!(told, watched(&service, &uid, last).await);
+}
+
+#[tokio::test]
+async fn it_waits_for_nothing_and_says_when_it_can_not_tell() {
+    let (service, uid) = arm("R1").await;
+    let newest = v1::WatchRequest {
+        after_revision: None,
+        ..after("", 0)
+    };
+    let head = service.log(&CALL, newest.clone()).await.unwrap();
+    assert_eq!((&head.uid, head.revision), (&uid, 0));
+    let request = insertion(&[[1.0]], &[3]);
+    service.insert(&CALL, request).await.unwrap();
+    for (request, mutations) in [
+        (newest, 0),
+        (after(&uid, 0), 1),
+        (after(&uid, 1), 0),
+        (after(&uid, 9), 0),
+    ] {
+        let answer = service.log(&CALL, request).await.unwrap();
+        assert_eq!((answer.revision, answer.mutations.len()), (1, mutations));
+    }
+    let strange = service.log(&CALL, after("strange", 0)).await.unwrap();
+    assert_eq!(strange.reset(), ResetReason::UidChanged);
+    assert_eq!(strange.uid, uid);
+    let unnamed = service.log(&CALL, after("", 0)).await;
+    assert_eq!(
+        refusal(unnamed),
+        (Code::InvalidArgument, "REQUIRED", "uid".into())
+    );
+}
+
+#[tokio::test]
+async fn a_mutation_that_no_answer_holds_is_refused_and_not_cut() {
+    let limits = Limits {
+        answer_bytes: 4_000,
+        payload_bytes: 100,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    let uid = create(&service, "arm", "R3").await;
+    for rows in [1, 100, 1] {
+        let request = insertion(&cube(rows, rows as usize), &[]);
+        service.insert(&CALL, request).await.unwrap();
+    }
+    let before = service.log(&CALL, after(&uid, 0)).await.unwrap();
+    assert_eq!(before.mutations.len(), 1);
+    let refused = refusal(service.log(&CALL, after(&uid, 1)).await);
+    assert_eq!(
+        (refused.0, refused.1),
+        (Code::ResourceExhausted, "LIMIT_EXCEEDED")
+    );
+    let behind = service.log(&CALL, after(&uid, 2)).await.unwrap();
+    assert_eq!(behind.mutations[0].revision, 3);
+}
+
+#[tokio::test]
+async fn whoever_follows_which_indices_are_served_is_told_of_each_change() {
+    let service = service();
+    let mut served = service.served().unwrap();
+    assert!(served.changed().await.unwrap().is_empty());
+    let uid = create(&service, "arm", "R1").await;
+    let now = served.changed().await.unwrap();
+    assert_eq!(
+        now.into_iter().collect::<Vec<_>>(),
+        [("arm".to_owned(), uid.clone())]
+    );
+    let deletion = v1::DeleteIndexRequest {
+        name: "arm".into(),
+        ..Default::default()
+    };
+    service.delete_index(&CALL, deletion).await.unwrap();
+    let other = create(&service, "arm", "R1").await;
+    assert_ne!(uid, other);
+    assert_eq!(served.changed().await.unwrap()["arm"], other);
+}
