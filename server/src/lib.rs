@@ -1,7 +1,7 @@
 //! The Wayfold server: shared nearest-neighbour indices for motion planners.
 //!
-//! Direction of dependencies: `log ← registry ← service ← grpc ← run ← cli`. The [`service`] knows no transport; the
-//! gRPC face translates and holds no policy; the mutation [`log`] is the only truth about an index's past.
+//! Direction of dependencies: `log ← registry ← service ← grpc, zenoh ← run ← cli`. The [`service`] knows no transport;
+//! the faces translate and hold no policy; the mutation [`log`] is the only truth about an index's past.
 
 pub mod config;
 pub mod log;
@@ -15,11 +15,13 @@ mod lifecycle;
 mod observe;
 mod run;
 mod status;
+mod zenoh;
 
 pub use cli::main;
 pub use grpc::GrpcError;
 pub use observe::{LogFormat, LoggingError};
 pub use run::{ServerError, run};
+pub use zenoh::ZenohError;
 
 #[cfg(test)]
 mod testing {

@@ -18,6 +18,7 @@ use crate::{
     log::{FjallLog, Log, MemoryLog, OpenError},
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
+    zenoh::{ZenohError, ZenohFace},
 };
 
 /// How long connections without calls are waited for once the server stops. A peer that lives says goodbye at once,
@@ -36,6 +37,9 @@ pub enum ServerError {
     /// gRPC could not be served.
     #[error(transparent)]
     Grpc(#[from] GrpcError),
+    /// Zenoh could not be served.
+    #[error(transparent)]
+    Zenoh(#[from] ZenohError),
     /// The data directory could not be opened.
     #[error(transparent)]
     Data(#[from] OpenError),
@@ -58,7 +62,14 @@ pub enum ServerError {
     },
 }
 
-/// Serves on `listener` until `shutdown` ends, finishes what was accepted, and returns.
+/// Where a server listens.
+pub(crate) struct Addresses {
+    pub(crate) grpc: SocketAddr,
+    /// Zenoh's locators; none if it is off.
+    pub(crate) zenoh: Vec<String>,
+}
+
+/// Serves on `listener`, and over Zenoh as the settings say, until `shutdown` ends, finishes what was accepted, and returns.
 pub async fn run(
     config: Config,
     listener: TcpListener,
@@ -67,12 +78,12 @@ pub async fn run(
     serve(config, listener, shutdown, |_| ()).await
 }
 
-/// As [`run`], and calls `ready` with the address once calls are answered.
+/// As [`run`], and calls `ready` with the addresses once calls are answered.
 pub(crate) async fn serve(
     config: Config,
     listener: TcpListener,
     shutdown: impl Future<Output = ()>,
-    ready: impl FnOnce(SocketAddr),
+    ready: impl FnOnce(&Addresses),
 ) -> Result<(), ServerError> {
     let address = listener.local_addr()?;
     if !address.ip().is_loopback() {
@@ -86,6 +97,14 @@ pub(crate) async fn serve(
     let lifecycle = Lifecycle::starting();
     let capacity = Capacity::new(config.grpc.max_calls);
     let cut = CancellationToken::new();
+    let mut zenoh = ZenohFace::open(&config.zenoh, service.clone()).await?;
+    let addresses = Addresses {
+        grpc: address,
+        zenoh: match &zenoh {
+            Some(face) => face.locators().await,
+            None => Vec::new(),
+        },
+    };
     let mut serving = pin!(grpc::serve(
         &config.grpc,
         service.clone(),
@@ -106,7 +125,10 @@ pub(crate) async fn serve(
             lifecycle.advance(Phase::Serving);
             info!(%address, "serving");
         }
-        ready(address);
+        if let Some(face) = &mut zenoh {
+            face.announce();
+        }
+        ready(&addresses);
         registry
             .look_after(|| lifecycle.advance(Phase::Serving))
             .await;
@@ -122,18 +144,28 @@ pub(crate) async fn serve(
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
     let grace_ms = config.shutdown.grace_ms;
+    let faces: Vec<Capacity> = [capacity]
+        .into_iter()
+        .chain(zenoh.as_ref().map(ZenohFace::capacity))
+        .collect();
     info!(
-        calls = capacity.in_use(),
+        calls = in_use(&faces),
         grace_ms, "stopping: finishing what was accepted"
     );
     let grace_end = Instant::now() + Duration::from_millis(grace_ms);
+    let zenoh_stopped = async {
+        if let Some(face) = zenoh {
+            face.stop().await;
+        }
+    };
+    let mut stopped = pin!(async { tokio::join!(serving, zenoh_stopped).0 });
     let calls = tokio::select! {
-        drained = &mut serving => {
+        drained = &mut stopped => {
             info!("stopped");
             return drained.map_err(ServerError::from);
         }
-        () = quiet(&capacity) => 0,
-        () = sleep_until(grace_end) => capacity.in_use(),
+        () = quiet(&faces) => 0,
+        () = sleep_until(grace_end) => in_use(&faces),
     };
     if calls > 0 {
         warn!(calls, grace_ms, "cutting what is not done");
@@ -142,7 +174,7 @@ pub(crate) async fn serve(
     }
     cut.cancel();
     // It ends or it does not; either way this server has said what there is to say.
-    let _ = timeout(CUT_WAIT, serving).await;
+    let _ = timeout(CUT_WAIT, stopped).await;
     if calls > 0 {
         return Err(ServerError::Cut { calls, grace_ms });
     }
@@ -150,13 +182,18 @@ pub(crate) async fn serve(
     Ok(())
 }
 
+/// How many calls are under way.
+fn in_use(faces: &[Capacity]) -> usize {
+    faces.iter().map(Capacity::in_use).sum()
+}
+
 /// Returns once no call has been under way for [`QUIET_WAIT`].
-async fn quiet(capacity: &Capacity) {
+async fn quiet(faces: &[Capacity]) {
     let mut ticks = interval(QUIET_WAIT / 10);
     let mut since = Instant::now();
     loop {
         let now = ticks.tick().await;
-        if capacity.in_use() > 0 {
+        if in_use(faces) > 0 {
             since = now;
         } else if now.saturating_duration_since(since) >= QUIET_WAIT {
             return;

@@ -54,12 +54,13 @@ impl Process {
         Self::spawn(Command::new(program.as_ref()).args(arguments))
     }
 
-    /// Starts a command.
+    /// Starts a command. A server speaks Zenoh only if it is told to by a flag: its usual port may be another's.
     ///
     /// # Panics
     /// If it cannot be started.
     pub fn spawn(command: &mut Command) -> Self {
         let mut child = command
+            .env("WAYFOLD_ZENOH__LISTEN", "off")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -268,6 +269,16 @@ impl ServerProcess {
         let uri = uri.unwrap_or_else(|| panic!("the server said {line:?} and not that it listens"));
         let uri = uri.to_owned();
         Self { process, uri }
+    }
+
+    /// Where it listens for Zenoh, `tcp/127.0.0.1:PORT`: the second line that it says, which is read here.
+    ///
+    /// # Panics
+    /// If it does not listen, or was asked before.
+    pub fn zenoh(&mut self) -> String {
+        let line = self.process.line().unwrap_or_default();
+        let locator = line.strip_prefix("listening on ");
+        locator.expect("a server that speaks Zenoh").to_owned()
     }
 
     /// Where it listens: `http://127.0.0.1:PORT`.

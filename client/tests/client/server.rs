@@ -4,7 +4,7 @@ use std::net::TcpListener;
 
 use tokio::sync::oneshot;
 use wayfold_client::{Client, IndexHandle};
-use wayfold_server::config::{Config, DataConfig};
+use wayfold_server::config::{Config, DataConfig, ZenohConfig};
 
 /// Stops when it is dropped, which nobody waits for: the connections to close may belong to the thread that drops it.
 pub(crate) struct Server {
@@ -21,6 +21,7 @@ impl Server {
     pub(crate) fn with(adapt: impl FnOnce(&mut Config)) -> Server {
         let mut config = Config::default();
         config.data.dir = DataConfig::MEMORY.into();
+        config.zenoh.listen = ZenohConfig::OFF.into();
         adapt(&mut config);
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         listener.set_nonblocking(true).unwrap();

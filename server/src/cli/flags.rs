@@ -14,8 +14,9 @@ const ABOUT: &str = "\
 Wayfold: shared nearest-neighbour indices for sampling-based motion planners.
 
 The server holds named indices, one for each configuration space. Planners, in
-many processes and on many machines, insert states into them over gRPC and ask
-for the neighbours of states. Answers are exact: they equal brute force.";
+many processes and on many machines, insert states into them over gRPC or
+Zenoh and ask for the neighbours of states. Answers are exact: they equal brute
+force.";
 
 const AFTER: &str = "\
 Settings:
@@ -29,6 +30,7 @@ Settings:
 Examples:
   wayfold-server                             this machine only, port 50051
   wayfold-server --grpc 127.0.0.1:0          any free port; the first line says it
+  wayfold-server --zenoh off                 gRPC only
   wayfold-server --data /var/lib/wayfold     indices are kept there
   wayfold-server --data memory               and here they are gone with the server
   wayfold-server --grpc 0.0.0.0:50051        every network; no authentication yet
@@ -41,8 +43,8 @@ Examples:
   wayfold knn arm --state 0,0,0,0,0,0,1 -k 10
 
 Output:
-  Standard output gets one line `listening on http://ADDRESS` once calls are
-  answered, and then what to type next. Log lines go to standard error.
+  Standard output gets a line `listening on http://ADDRESS` once calls are
+  answered, one `listening on tcp/ADDRESS` for Zenoh, and then what to type next. Log lines go to standard error.
 
 Data:
   Indices are kept in ./wayfold-data, and every mutation that was acknowledged is
@@ -86,6 +88,9 @@ pub(super) struct Flags {
     /// Address to listen on [default: 127.0.0.1:50051]
     #[arg(long, value_name = "ADDR")]
     grpc: Option<String>,
+    /// Zenoh locator to listen on, or off [default: tcp/127.0.0.1:7448]
+    #[arg(long, value_name = "LOCATOR")]
+    zenoh: Option<String>,
     /// Directory for the indices, or memory for none [default: ./wayfold-data]
     #[arg(long, value_name = "DIR")]
     data: Option<String>,
@@ -117,6 +122,7 @@ impl Flags {
         });
         [
             ("grpc.listen", self.grpc.clone()),
+            ("zenoh.listen", self.zenoh.clone()),
             ("data.dir", self.data.clone()),
             ("log.filter", self.log.clone()),
             ("log.format", format),
@@ -142,7 +148,12 @@ mod tests {
     fn the_defaults_that_help_names_are_the_defaults() {
         let help = Flags::command().render_help().to_string();
         let config = Config::default();
-        for default in [&config.grpc.listen, &config.log.filter, &config.data.dir] {
+        for default in [
+            &config.grpc.listen,
+            &config.zenoh.listen,
+            &config.log.filter,
+            &config.data.dir,
+        ] {
             assert!(help.contains(&format!("[default: {default}]")), "{default}");
         }
         assert_eq!(config.log.format, LogFormat::Text);

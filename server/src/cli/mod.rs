@@ -17,7 +17,7 @@ use tokio::{net::TcpListener, runtime};
 use crate::{
     config::{Config, DEFAULTS},
     observe,
-    run::{self, ServerError},
+    run::{self, Addresses, ServerError},
 };
 use flags::Flags;
 
@@ -74,7 +74,7 @@ async fn listen_and_serve(config: Config) -> Result<(), Box<dyn Error>> {
         .await
         .map_err(|error| cannot_listen(&listen, &error))?;
     let directory = config.data.directory().map(Path::to_owned);
-    let ready = move |address| welcome::print(address, directory.as_deref());
+    let ready = move |addresses: &Addresses| welcome::print(addresses, directory.as_deref());
     run::serve(config, listener, shutdown, ready)
         .await
         .map_err(|error: ServerError| error.into())

@@ -7,11 +7,13 @@ use std::{
     path::Path,
 };
 
+use crate::run::Addresses;
+
 /// Where the client looks for a server unless it is told otherwise.
 const DEFAULT_PORT: u16 = 50051;
 
 /// Prints the welcome to standard output.
-pub(super) fn print(address: SocketAddr, directory: Option<&Path>) {
+pub(super) fn print(addresses: &Addresses, directory: Option<&Path>) {
     // Cargo tells what it runs where it is; somebody who built it just now has no `wayfold` on the path.
     let client = match env::var_os("CARGO_MANIFEST_DIR") {
         Some(_) => "cargo run --release -p wayfold-client --",
@@ -19,11 +21,16 @@ pub(super) fn print(address: SocketAddr, directory: Option<&Path>) {
     };
     let mut out = io::stdout().lock();
     // A server whose output nobody reads goes on all the same.
-    let _ = out.write_all(text(address, directory, client).as_bytes());
+    let _ = out.write_all(text(addresses, directory, client).as_bytes());
     let _ = out.flush();
 }
 
-fn text(address: SocketAddr, directory: Option<&Path>, client: &str) -> String {
+fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String {
+    let address = addresses.grpc;
+    let zenoh = addresses.zenoh.iter();
+    let zenoh: String = zenoh
+        .map(|locator| format!("listening on {locator}\n"))
+        .collect();
     let kept = match directory {
         Some(directory) => format!("Indices are kept in {}.", directory.display()),
         None => "Indices live in memory and are gone when the server stops (Ctrl-C).".to_owned(),
@@ -35,6 +42,7 @@ fn text(address: SocketAddr, directory: Option<&Path>, client: &str) -> String {
     };
     format!(
         "listening on http://{address}\n\
+         {zenoh}\
          \n\
          {kept} Next, in another terminal:\n\
          \x20 {client} create arm --space 'R3*SO3:0.15'\n\
@@ -60,12 +68,24 @@ fn reachable(mut address: SocketAddr) -> SocketAddr {
 mod tests {
     use super::*;
 
+    fn at(grpc: &str, zenoh: &[&str]) -> Addresses {
+        Addresses {
+            grpc: grpc.parse().unwrap(),
+            zenoh: zenoh.iter().map(ToString::to_string).collect(),
+        }
+    }
+
     #[test]
-    fn the_first_line_is_the_address_alone() {
-        let text = text("127.0.0.1:50051".parse().unwrap(), None, "wayfold");
+    fn the_first_lines_are_the_addresses_alone() {
+        let addresses = at("127.0.0.1:50051", &["tcp/127.0.0.1:7448"]);
+        let text = text(&addresses, None, "wayfold");
+        let lines: Vec<&str> = text.lines().take(2).collect();
         assert_eq!(
-            text.lines().next(),
-            Some("listening on http://127.0.0.1:50051")
+            lines,
+            [
+                "listening on http://127.0.0.1:50051",
+                "listening on tcp/127.0.0.1:7448"
+            ]
         );
         assert!(text.contains("\n  wayfold create arm "));
     }
@@ -73,7 +93,7 @@ mod tests {
     #[test]
     fn commands_reach_a_server_that_is_not_at_the_default_port() {
         let directory = Some(Path::new("data"));
-        let text = text("0.0.0.0:4000".parse().unwrap(), directory, "wayfold");
+        let text = text(&at("0.0.0.0:4000", &[]), directory, "wayfold");
         assert!(text.contains("\nIndices are kept in data. Next"));
         assert!(text.starts_with("listening on http://0.0.0.0:4000\n"));
         assert!(text.contains("  wayfold --server http://127.0.0.1:4000 create arm "));

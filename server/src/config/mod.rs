@@ -21,6 +21,8 @@ pub const DEFAULTS: &str = include_str!("../default.toml");
 pub struct Config {
     /// The gRPC face.
     pub grpc: GrpcConfig,
+    /// The Zenoh face.
+    pub zenoh: ZenohConfig,
     /// What a call may ask for.
     pub limits: Limits,
     /// The structure of the indices.
@@ -54,6 +56,31 @@ pub struct GrpcConfig {
     pub keepalive_interval_ms: u64,
     /// How long a probed connection may take to answer, in milliseconds.
     pub keepalive_timeout_ms: u64,
+}
+
+/// `[zenoh]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct ZenohConfig {
+    /// The locator to listen on, as `tcp/host:port`, or [`ZenohConfig::OFF`].
+    pub listen: String,
+    /// With what every key begins.
+    pub prefix: String,
+    /// Most queries under way.
+    pub max_calls: usize,
+    /// The largest payload of a query in bytes.
+    pub max_message_bytes: usize,
+    /// What else Zenoh has to set, in JSON5.
+    pub config: String,
+}
+
+impl ZenohConfig {
+    /// In the place of a locator: there is no Zenoh face.
+    pub const OFF: &str = "off";
+
+    /// Whether there is no Zenoh face.
+    pub(crate) fn is_off(&self) -> bool {
+        self.listen == Self::OFF
+    }
 }
 
 /// `[index]`

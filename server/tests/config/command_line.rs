@@ -27,6 +27,8 @@ fn help_is_a_page_that_answers() {
         "--config <FILE>",
         "--grpc <ADDR>",
         "[default: 127.0.0.1:50051]",
+        "--zenoh <LOCATOR>",
+        "[default: tcp/127.0.0.1:7448]",
         "--data <DIR>",
         "--log <FILTER>",
         "--log-format <FORMAT>",

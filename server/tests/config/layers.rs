@@ -41,6 +41,7 @@ fn the_defaults_protect() {
     let config = Config::default();
     assert_eq!(config.grpc.listen, "127.0.0.1:50051");
     assert_eq!(config.grpc.max_message_bytes, 16 << 20);
+    assert_eq!(config.zenoh.listen, "tcp/127.0.0.1:7448");
     assert_eq!(config.data.dir, "./wayfold-data");
     assert_eq!(config.data.durability, Durability::Fsync);
     // What stock gRPC clients take.

@@ -16,7 +16,7 @@ use wayfold_proto::v1::{
 };
 use wayfold_server::{
     ServerError,
-    config::{Config, DataConfig},
+    config::{Config, DataConfig, ZenohConfig},
 };
 
 /// A running server.
@@ -32,6 +32,7 @@ impl TestServer {
     pub async fn start(adapt: impl FnOnce(&mut Config)) -> Self {
         let mut config = Config::default();
         config.data.dir = DataConfig::MEMORY.into();
+        config.zenoh.listen = ZenohConfig::OFF.into();
         adapt(&mut config);
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();

@@ -27,6 +27,7 @@ impl Server {
             .args(arguments)
             .env("WAYFOLD_GRPC__LISTEN", "127.0.0.1:0")
             .env("WAYFOLD_DATA__DIR", "memory")
+            .env("WAYFOLD_ZENOH__LISTEN", "off")
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -155,6 +156,7 @@ fn refused(arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
         .args(arguments)
         .env("WAYFOLD_DATA__DIR", "memory")
+        .env("WAYFOLD_ZENOH__LISTEN", "off")
         .output()
         .unwrap();
     assert!(output.stdout.is_empty());

@@ -14,7 +14,7 @@ use wayfold_proto::v1::{
 };
 use wayfold_server::{
     ServerError,
-    config::Config,
+    config::{Config, ZenohConfig},
     log::{Durability, OpenError},
 };
 
@@ -33,6 +33,7 @@ async fn calls_are_told_to_come_again_until_the_indices_are_read() {
             .success()
     );
     let mut config = Config::default();
+    config.zenoh.listen = ZenohConfig::OFF.into();
     config.data.dir = directory.path().to_str().unwrap().into();
     assert_eq!(config.data.durability, Durability::Fsync);
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();

@@ -339,7 +339,7 @@ fn help_is_for_people() {
     }
     let help = Process::start(env!("CARGO_BIN_EXE_server-process"), &["--help"]);
     let help = succeeded(help.finish()).join("\n");
-    for flag in ["--config", "--grpc", "--data"] {
+    for flag in ["--config", "--grpc", "--zenoh", "--data"] {
         assert!(help.contains(flag), "{flag} is missing from\n{help}");
     }
 }

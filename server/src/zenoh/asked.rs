@@ -1,0 +1,98 @@
+//! What a query asks: its key, its parameters, its payload and the payload's encoding, as one request.
+
+use std::{
+    borrow::Cow,
+    time::{Duration, Instant},
+};
+
+use zenoh::query::Query;
+
+use super::{
+    codec::{Form, invalid},
+    message::{Named, Request},
+    verb::Verb,
+};
+use crate::{
+    observe,
+    service::{Call, Error},
+};
+
+/// The parameter that says how long the caller waits.
+const TIMEOUT: &str = "timeout_ms";
+
+/// A query, taken apart.
+pub(super) struct Asked<'a> {
+    /// In which form it is asked, and so answered.
+    pub(super) form: Form,
+    /// The index that the key names.
+    index: &'a str,
+    parameters: Vec<(&'a str, &'a str)>,
+    payload: Cow<'a, [u8]>,
+}
+
+impl<'a> Asked<'a> {
+    /// Takes apart a query that arrived at `arrived`, and is about `index`.
+    pub(super) fn of(
+        query: &'a Query,
+        form: Form,
+        index: &'a str,
+        arrived: Instant,
+    ) -> Result<(Self, Call), Error> {
+        let mut deadline = None;
+        let mut parameters = Vec::new();
+        for (name, value) in query.parameters().iter() {
+            if name == TIMEOUT {
+                deadline = read_timeout(value, arrived)?;
+            } else if !name.starts_with('_') {
+                // What begins so is Zenoh's own.
+                parameters.push((name, value));
+            }
+        }
+        let payload = query.payload().map(|payload| payload.to_bytes());
+        let asked = Self {
+            form,
+            index,
+            parameters,
+            payload: payload.unwrap_or_default(),
+        };
+        Ok((asked, Call { deadline }))
+    }
+
+    /// Refuses a mutation without a payload.
+    pub(super) fn check(&self, verb: Verb) -> Result<(), Error> {
+        if verb.is_mutation() && self.payload.is_empty() {
+            let text = format!("{} is asked with a payload, be it {{}}", verb.name());
+            return Err(invalid("payload", "REQUIRED", text));
+        }
+        Ok(())
+    }
+
+    /// The request, about the index that the key names.
+    pub(super) fn request<R: Request>(&self) -> Result<R, Error> {
+        let mut request: R = self.of_server()?;
+        let index = request.index_mut();
+        if index.is_empty() {
+            index.push_str(self.index);
+        } else if index != self.index {
+            let text = format!("the payload names {index:?}, the key {:?}", self.index);
+            return Err(invalid("index", "CONFLICT", text));
+        }
+        observe::index(self.index);
+        observe::rows(request.rows());
+        Ok(request)
+    }
+
+    /// The request where the key names no index.
+    pub(super) fn of_server<R: Named>(&self) -> Result<R, Error> {
+        self.form.read(R::NAME, &self.payload, &self.parameters)
+    }
+}
+
+fn read_timeout(text: &str, arrived: Instant) -> Result<Option<Instant>, Error> {
+    let timeout = text.parse().map_err(|_| {
+        let text = format!("{text:?} is not a number of milliseconds");
+        invalid(TIMEOUT, "MALFORMED_TIMEOUT", text)
+    })?;
+    // What lies beyond the clock's range is no deadline.
+    Ok(arrived.checked_add(Duration::from_millis(timeout)))
+}

@@ -1,0 +1,122 @@
+//! Messages as they travel over Zenoh: in Protocol Buffers, or in JSON for people.
+//!
+//! JSON is the messages field by field, under their own names, in plain numbers; what is different is made so for people.
+//! States are rows, `[[0.1, 0.2], [0.3, 0.4]]`, or one row, `[0.1, 0.2]`; what is found of each state is a row of its own
+//! (`"ids": [[3, 7], [1]]`), without counts; values of enumerations go without their prefix (`"REPLACE"`); payloads are
+//! Base64. Integers from 2^53 up, which JavaScript and many others would round, are written as strings; both are read.
+//! Numbers that JSON has not are the strings "NaN", "Infinity" and "-Infinity".
+
+mod parameters;
+mod path;
+mod read;
+mod schema;
+mod write;
+
+use prost::Message;
+use prost_reflect::DynamicMessage;
+use zenoh::bytes::Encoding;
+
+use crate::service::{Error, Violation};
+
+/// In which form messages travel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Form {
+    /// Their encoding in Protocol Buffers.
+    Protobuf,
+    /// JSON.
+    Json,
+}
+
+impl Form {
+    /// The form that an encoding names. What names none is taken for JSON.
+    pub(crate) fn of(encoding: Option<&Encoding>) -> Result<Self, Error> {
+        let Some(encoding) = encoding else {
+            return Ok(Form::Json);
+        };
+        let text = encoding.to_string();
+        // A schema may follow the name.
+        let name = text.split(';').next().unwrap_or_default();
+        match name {
+            "application/protobuf" => Ok(Form::Protobuf),
+            "application/json" | "text/json" | "text/plain" | "zenoh/string" | "zenoh/bytes" => {
+                Ok(Form::Json)
+            }
+            _ => Err(invalid(
+                "encoding",
+                "UNKNOWN_ENCODING",
+                format!("{text:?} is neither application/protobuf nor application/json"),
+            )),
+        }
+    }
+
+    /// The encoding that names it.
+    pub(crate) fn encoding(self) -> Encoding {
+        match self {
+            Form::Protobuf => Encoding::APPLICATION_PROTOBUF,
+            Form::Json => Encoding::APPLICATION_JSON,
+        }
+    }
+
+    /// A request that arrived in this form, `type_name` of `wayfold.v1`, with what the selector's parameters say besides.
+    pub(crate) fn read<M: Message + Default>(
+        self,
+        type_name: &str,
+        payload: &[u8],
+        parameters: &[(&str, &str)],
+    ) -> Result<M, Error> {
+        if self == Form::Protobuf && parameters.is_empty() {
+            return M::decode(payload).map_err(malformed);
+        }
+        let descriptor = schema::message(type_name)?;
+        let mut message = match self {
+            Form::Protobuf => DynamicMessage::decode(descriptor, payload).map_err(malformed)?,
+            Form::Json if payload.is_empty() => DynamicMessage::new(descriptor),
+            Form::Json => read::message(descriptor, payload)?,
+        };
+        parameters::apply(&mut message, parameters)?;
+        message.transcode_to().map_err(|error| Error::Internal {
+            what: format!("a {type_name} that was read does not encode: {error}"),
+        })
+    }
+
+    /// A message in this form, `type_name` of `wayfold.v1`.
+    pub(crate) fn write(self, type_name: &str, message: &impl Message) -> Result<Vec<u8>, Error> {
+        let encoded = message.encode_to_vec();
+        match self {
+            Form::Protobuf => Ok(encoded),
+            Form::Json => {
+                let message = DynamicMessage::decode(schema::message(type_name)?, &*encoded);
+                let message = message.map_err(|error| Error::Internal {
+                    what: format!("a {type_name} does not decode: {error}"),
+                })?;
+                Ok(write::json(&message).into_bytes())
+            }
+        }
+    }
+}
+
+fn malformed(problem: impl std::fmt::Display) -> Error {
+    invalid(
+        "request",
+        "MALFORMED_MESSAGE",
+        format!("the message cannot be read: {problem}"),
+    )
+}
+
+/// The refusal of a query of which one part is wrong.
+pub(super) fn invalid(
+    field: impl Into<String>,
+    reason: &'static str,
+    description: impl Into<String>,
+) -> Error {
+    Error::InvalidArgument {
+        violations: vec![Violation {
+            field: field.into(),
+            reason,
+            description: description.into(),
+        }],
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,59 @@
+//! What the messages are made of, as their descriptors say.
+
+use std::sync::LazyLock;
+
+use prost_reflect::{DescriptorError, DescriptorPool, EnumDescriptor, MessageDescriptor};
+use wayfold_proto::v1;
+
+use crate::service::Error;
+
+static POOL: LazyLock<Result<DescriptorPool, DescriptorError>> = LazyLock::new(|| {
+    let mut pool = DescriptorPool::new();
+    pool.decode_file_descriptor_set(v1::FILE_DESCRIPTOR_SET)?;
+    // The details of errors.
+    pool.decode_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)?;
+    Ok(pool)
+});
+
+/// The message `type_name` of `wayfold.v1`.
+pub(super) fn message(type_name: &str) -> Result<MessageDescriptor, Error> {
+    let unknown = |why: String| Error::Internal {
+        what: format!("no descriptor of {type_name}: {why}"),
+    };
+    let pool = POOL.as_ref().map_err(|error| unknown(error.to_string()))?;
+    let found = pool.get_message_by_name(&format!("wayfold.v1.{type_name}"));
+    found.ok_or_else(|| unknown("there is no such message".into()))
+}
+
+/// The message that a `google.protobuf.Any` names, if it is one of an error's details.
+pub(super) fn detail(type_url: &str) -> Option<MessageDescriptor> {
+    let (_, name) = type_url.rsplit_once('/')?;
+    POOL.as_ref().ok()?.get_message_by_name(name)
+}
+
+/// With what the names of an enumeration's values begin: `ON_CONFLICT_` for `OnConflict`.
+pub(super) fn prefix(descriptor: &EnumDescriptor) -> String {
+    let mut prefix = String::new();
+    for letter in descriptor.name().chars() {
+        if letter.is_ascii_uppercase() && !prefix.is_empty() {
+            prefix.push('_');
+        }
+        prefix.push(letter.to_ascii_uppercase());
+    }
+    prefix.push('_');
+    prefix
+}
+
+/// The messages that JSON has in another form than their fields.
+pub(super) mod special {
+    /// Rows of coordinates.
+    pub(crate) const STATES: &str = "wayfold.v1.States";
+    /// Columns by state.
+    pub(crate) const NEIGHBORS: &str = "wayfold.v1.Neighbors";
+    /// Columns of which some may be left out.
+    pub(crate) const POINTS: &str = "wayfold.v1.Points";
+    /// A message of any type.
+    pub(crate) const ANY: &str = "google.protobuf.Any";
+    /// Answers that are their neighbours, with a few words on them.
+    pub(crate) const FOUND: [&str; 2] = ["wayfold.v1.KnnResponse", "wayfold.v1.QueryResponse"];
+}

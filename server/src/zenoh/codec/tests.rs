@@ -1,0 +1,291 @@
+use proptest::{collection::vec, prelude::*};
+use wayfold_proto::v1;
+
+use super::*;
+use crate::{service::Code, testing};
+
+fn read<M: Message + Default>(name: &str, json: &str) -> M {
+    let read = Form::Json.read(name, json.as_bytes(), &[]);
+    read.unwrap_or_else(|error| panic!("{json}: {error}"))
+}
+
+fn write(name: &str, message: &impl Message) -> String {
+    String::from_utf8(Form::Json.write(name, message).unwrap()).unwrap()
+}
+
+/// The field and the reason of a refusal.
+fn refused(name: &str, json: &str, parameters: &[(&str, &str)]) -> (String, &'static str) {
+    let read = Form::Json.read::<v1::KnnRequest>(name, json.as_bytes(), parameters);
+    let error = read.unwrap_err();
+    assert_eq!(error.code(), Code::InvalidArgument, "{error}");
+    let Error::InvalidArgument { violations } = error else {
+        panic!("{error}");
+    };
+    (violations[0].field.clone(), violations[0].reason)
+}
+
+fn states(rows: u32, coordinates: &[f64]) -> Option<v1::States> {
+    Some(v1::States {
+        rows,
+        coordinates: coordinates.into(),
+    })
+}
+
+#[test]
+fn states_are_rows_or_one_row_or_the_message() {
+    let two = v1::KnnRequest {
+        states: states(2, &[1.0, 2.0, 3.0, 4.5]),
+        k: 10,
+        ..Default::default()
+    };
+    for json in [
+        r#"{"states": [[1, 2], [3, 4.5]], "k": 10}"#,
+        r#"{"states": {"rows": 2, "coordinates": [1, 2, 3, 4.5]}, "k": 10}"#,
+    ] {
+        assert_eq!(read::<v1::KnnRequest>("KnnRequest", json), two);
+    }
+    let one = v1::KnnRequest {
+        states: states(1, &[1.0, 2.0]),
+        ..Default::default()
+    };
+    for json in ["[1, 2]", "[[1, 2]]", r#"{"states": [1, 2]}"#] {
+        assert_eq!(read::<v1::KnnRequest>("KnnRequest", json), one);
+    }
+    for (json, rows) in [("[]", 0), ("[[]]", 1), ("[[], []]", 2)] {
+        let request: v1::KnnRequest = read("KnnRequest", json);
+        assert_eq!(request.states, states(rows, &[]), "{json}");
+    }
+}
+
+#[test]
+fn what_json_has_not_is_written_as_text() {
+    let request: v1::InsertRequest = read(
+        "InsertRequest",
+        r#"{"states": [["NaN", "-Infinity"]], "ids": [9007199254740991, "9223372036854775807"],
+            "payloads": ["AP8=", ""], "on_conflict": "REPLACE",
+            "neighbors": {"radius": "Infinity", "filter": {"tag_mask": "18446744073709551615"}}}"#,
+    );
+    let coordinates = request.states.unwrap().coordinates;
+    assert!(coordinates[0].is_nan() && coordinates[1] == f64::NEG_INFINITY);
+    assert_eq!(request.ids, [(1 << 53) - 1, (1 << 63) - 1]);
+    assert_eq!(request.payloads, [&[0, 255][..], &[]]);
+    assert_eq!(request.on_conflict, 1);
+    let neighbors = request.neighbors.unwrap();
+    assert_eq!((neighbors.k, neighbors.radius), (None, Some(f64::INFINITY)));
+    assert_eq!(neighbors.filter.unwrap().tag_mask, u64::MAX);
+    for (json, value) in [(r#""ON_CONFLICT_REPLACE""#, 1), ("0", 0), ("7", 7)] {
+        let json = format!(r#"{{"on_conflict": {json}}}"#);
+        let request: v1::InsertRequest = read("InsertRequest", &json);
+        assert_eq!(request.on_conflict, value);
+    }
+}
+
+#[test]
+fn answers_are_rows_under_the_names_of_the_message() {
+    let answer = v1::KnnResponse {
+        neighbors: Some(v1::Neighbors {
+            counts: vec![2, 0, 1],
+            ids: vec![3, 1 << 53, 4],
+            distances: vec![0.1, f64::INFINITY, 0.0],
+            states: states(3, &[1.0, -0.0, 0.3, 4.0, 5.0, 6.0]),
+            payloads: vec![vec![0, 255].into(), vec![].into(), vec![].into()],
+            ..Default::default()
+        }),
+        exact: true,
+        revision: 7,
+        uid: "a\"b".into(),
+    };
+    assert_eq!(
+        write("KnnResponse", &answer),
+        concat!(
+            r#"{"ids":[[3,"9007199254740992"],[],[4]],"distances":[[0.1,"Infinity"],[],[0.0]],"#,
+            r#""states":[[[1.0,-0.0],[0.3,4.0]],[],[[5.0,6.0]]],"payloads":[["AP8=",""],[],[""]],"#,
+            r#""exact":true,"revision":7,"uid":"a\"b"}"#,
+        )
+    );
+    let answer = v1::InsertResponse {
+        outcomes: vec![1, 4],
+        ids: vec![5, 6],
+        ..Default::default()
+    };
+    assert_eq!(
+        write("InsertResponse", &answer),
+        r#"{"outcomes":["INSERTED","TOO_CLOSE"],"ids":[5,6],"revision":0,"uid":""}"#
+    );
+    let answer = v1::WatchResponse {
+        mutations: vec![v1::Mutation {
+            revision: 2,
+            stored: Some(v1::Points {
+                ids: vec![1],
+                states: states(1, &[0.5]),
+                tags: vec![u64::MAX],
+                revisions: vec![2],
+                payloads: vec![],
+            }),
+            ..Default::default()
+        }],
+        reset: 2,
+        ..Default::default()
+    };
+    assert_eq!(
+        write("WatchResponse", &answer),
+        concat!(
+            r#"{"uid":"","revision":0,"mutations":[{"revision":2,"time_ms":0,"stored":{"ids":[1],"states":[[0.5]],"#,
+            r#""tags":["18446744073709551615"],"revisions":[2]},"removed_ids":[],"continued":false}],"#,
+            r#""reset":"WINDOW_PASSED"}"#,
+        )
+    );
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    for (json, field, reason) in [
+        ("{", "request", "MALFORMED_MESSAGE"),
+        ("7", "request", "TYPE"),
+        (r#"{"states": [[1, 2], [3]]}"#, "states[1]", "WIDTH"),
+        (r#"{"states": [[1, 2], 3]}"#, "states[1]", "TYPE"),
+        (r#"{"states": [[1, "2"]]}"#, "states[0].coords[1]", "TYPE"),
+        (r#"{"k": -1}"#, "k", "TYPE"),
+        (r#"{"k": 4294967296}"#, "k", "TYPE"),
+        (r#"{"k": 1.5}"#, "k", "TYPE"),
+        (r#"{"K": 1}"#, "K", "UNKNOWN_FIELD"),
+        (r#"{"filter": {"mask": 1}}"#, "filter.mask", "UNKNOWN_FIELD"),
+        (r#"{"filter": 3}"#, "filter", "TYPE"),
+        (r#"{"include": {"tags": 1}}"#, "include.tags", "TYPE"),
+    ] {
+        let found = refused("KnnRequest", json, &[]);
+        assert_eq!((&*found.0, found.1), (field, reason), "{json}");
+    }
+    for (name, json, field, reason) in [
+        (
+            "InsertRequest",
+            r#"{"on_conflict": "KEEP"}"#,
+            "on_conflict",
+            "UNKNOWN_VALUE",
+        ),
+        (
+            "InsertRequest",
+            r#"{"payloads": ["?"]}"#,
+            "payloads[0]",
+            "TYPE",
+        ),
+        ("GetRequest", r#"{"ids": [1, "x"]}"#, "ids[1]", "TYPE"),
+        ("GetRequest", "[1]", "request", "TYPE"),
+        (
+            "CreateIndexRequest",
+            r#"{"space": {"so2": {}, "so3": {}}}"#,
+            "space.so3",
+            "AMBIGUOUS",
+        ),
+    ] {
+        let found = refused(name, json, &[]);
+        assert_eq!((&*found.0, found.1), (field, reason), "{json}");
+    }
+}
+
+#[test]
+fn parameters_say_what_the_message_does_not() {
+    let parameters = [("k", "10"), ("r", "0.5"), ("eps", "0"), ("max_leaves", "3")];
+    let expected = v1::KnnRequest {
+        states: states(1, &[1.0]),
+        k: 10,
+        radius: Some(0.5),
+        max_leaves: 3,
+        ..Default::default()
+    };
+    let protobuf = v1::KnnRequest {
+        states: states(1, &[1.0]),
+        ..Default::default()
+    }
+    .encode_to_vec();
+    for (form, payload) in [(Form::Json, &b"[1]"[..]), (Form::Protobuf, &protobuf)] {
+        let request: v1::KnnRequest = form.read("KnnRequest", payload, &parameters).unwrap();
+        assert_eq!(request, expected);
+        let again = form.write("KnnRequest", &expected).unwrap();
+        let repeated: v1::KnnRequest = form.read("KnnRequest", &again, &parameters).unwrap();
+        assert_eq!(repeated, expected);
+    }
+    let get: v1::GetRequest = Form::Json
+        .read(
+            "GetRequest",
+            b"",
+            &[("ids", "3,9223372036854775807"), ("payloads", "")],
+        )
+        .unwrap();
+    assert_eq!((get.ids, get.payloads), (vec![3, (1 << 63) - 1], true));
+    for (parameters, field, reason) in [
+        (&[("k", "5")][..], "k", "CONFLICT"),
+        (&[("r", "1"), ("radius", "2")], "radius", "CONFLICT"),
+        (&[("r", "far")], "radius", "TYPE"),
+        (&[("k", "-1")], "k", "TYPE"),
+        (&[("kk", "1")], "kk", "UNKNOWN_PARAMETER"),
+        (&[("index", "arm")], "index", "UNKNOWN_PARAMETER"),
+        (&[("filter", "1")], "filter", "UNKNOWN_PARAMETER"),
+    ] {
+        let found = refused("KnnRequest", r#"{"k": 10}"#, parameters);
+        assert_eq!((&*found.0, found.1), (field, reason), "{parameters:?}");
+    }
+}
+
+#[test]
+fn the_encoding_names_the_form() {
+    for (name, form) in [
+        ("application/protobuf", Some(Form::Protobuf)),
+        (
+            "application/protobuf;wayfold.v1.KnnRequest",
+            Some(Form::Protobuf),
+        ),
+        ("application/json", Some(Form::Json)),
+        ("text/json", Some(Form::Json)),
+        ("zenoh/string", Some(Form::Json)),
+        ("zenoh/bytes", Some(Form::Json)),
+        ("image/png", None),
+        ("application/protobuffer", None),
+    ] {
+        assert_eq!(Form::of(Some(&Encoding::from(name))).ok(), form, "{name}");
+    }
+    assert_eq!(Form::of(None).ok(), Some(Form::Json));
+}
+
+#[test]
+fn details_of_errors_are_written_out() {
+    let error = invalid("k", "TOO_SMALL", "0");
+    let status = crate::status::to_message(&crate::status::from_error(&error));
+    let json: serde_json::Value = serde_json::from_str(&write("Status", &status)).unwrap();
+    assert_eq!(json["code"], 3);
+    assert_eq!(json["details"][0]["reason"], "TOO_SMALL");
+    let field = &json["details"][1];
+    assert_eq!(field["@type"], "type.googleapis.com/google.rpc.BadRequest");
+    assert_eq!(field["field_violations"][0]["field"], "k");
+}
+
+proptest! {
+    #![proptest_config(testing::cases(200))]
+
+    #[test]
+    fn no_bit_is_lost(
+        coordinates in vec(any::<f64>().prop_filter("a bit pattern of its own", |c| !c.is_nan()), 0..20),
+        ids in vec(any::<u64>(), 0..20),
+        payload in vec(any::<u8>(), 0..20),
+        k in any::<u32>(),
+    ) {
+        let request = v1::InsertRequest {
+            index: "ä\n\u{0}".into(),
+            states: states(coordinates.len() as u32, &coordinates),
+            ids,
+            payloads: vec![payload.into()],
+            neighbors: Some(v1::NeighborQuery { k: Some(k), ..Default::default() }),
+            ..Default::default()
+        };
+        let json = Form::Json.write("InsertRequest", &request).unwrap();
+        let back: v1::InsertRequest = Form::Json.read("InsertRequest", &json, &[]).unwrap();
+        prop_assert_eq!(back.encode_to_vec(), request.encode_to_vec());
+    }
+
+    #[test]
+    fn no_text_brings_it_down(text in vec(any::<u8>(), 0..60)) {
+        for form in [Form::Json, Form::Protobuf] {
+            let _ = form.read::<v1::InsertRequest>("InsertRequest", &text, &[]);
+        }
+    }
+}

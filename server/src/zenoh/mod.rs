@@ -1,0 +1,164 @@
+//! The Zenoh face: translates queries to calls of the service and back, publishes what `Watch` tells, and holds no policy
+//! of its own.
+//!
+//! Under the prefix, `wayfold/v1` unless set: `<index>/<verb>` and `<verb>` are asked (`verb`), with the selector's
+//! parameters and a payload (`asked`) in Protocol Buffers or JSON (`codec`), and answered once each (`queries`,
+//! `perform`, `answer`); a query with a wildcard reaches only what tells of the indices (`wild`). `<index>/events` and
+//! `<index>/@alive` are announced (`feed`).
+
+mod answer;
+mod asked;
+mod codec;
+mod feed;
+mod message;
+mod perform;
+mod queries;
+mod session;
+mod verb;
+mod wild;
+
+use std::{sync::Arc, time::Duration};
+
+use tokio::{runtime::Handle, time::interval};
+use tokio_util::{
+    sync::CancellationToken,
+    task::{AbortOnDropHandle, TaskTracker},
+};
+use tracing::{debug, info, warn};
+use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
+
+pub use session::ZenohError;
+
+use crate::{capacity::Capacity, config::ZenohConfig, service::Service};
+use feed::Announcer;
+use queries::Queries;
+
+/// How long links stay open after the last answer. Zenoh closes a link there and then; a peer that has not read its answer
+/// yet loses it when what it sends meanwhile finds nobody.
+const LINGER: Duration = Duration::from_secs(1);
+
+/// The face, open.
+pub(crate) struct ZenohFace {
+    session: Session,
+    queryable: Queryable<()>,
+    queries: Arc<Queries>,
+    announcing: Option<AbortOnDropHandle<()>>,
+}
+
+impl ZenohFace {
+    /// Opens the face, unless the settings say that there is none. Queries are answered from now on: UNAVAILABLE until
+    /// the service serves.
+    pub(crate) async fn open(
+        config: &ZenohConfig,
+        service: Service,
+    ) -> Result<Option<Self>, ZenohError> {
+        if config.is_off() {
+            return Ok(None);
+        }
+        check_prefix(&config.prefix)?;
+        let session = session::open(config).await?;
+        let queries = Arc::new(Queries {
+            service,
+            prefix: config.prefix.clone(),
+            capacity: Capacity::new(config.max_calls),
+            max_message_bytes: config.max_message_bytes,
+            stopping: CancellationToken::new(),
+            runtime: Handle::current(),
+            under_way: TaskTracker::new(),
+        });
+        let taking = Arc::clone(&queries);
+        let queryable = session
+            .declare_queryable(format!("{}/**", config.prefix))
+            .callback(move |query| taking.take(query))
+            .await
+            .map_err(ZenohError::declare)?;
+        let face = Self {
+            session,
+            queryable,
+            queries,
+            announcing: None,
+        };
+        face.warn_beyond_this_machine().await;
+        Ok(Some(face))
+    }
+
+    /// Where it listens, as locators: `tcp/127.0.0.1:7448`.
+    pub(crate) async fn locators(&self) -> Vec<String> {
+        let locators = self.session.info().locators().await;
+        locators.iter().map(ToString::to_string).collect()
+    }
+
+    /// How many queries may be under way, and how many are.
+    pub(crate) fn capacity(&self) -> Capacity {
+        self.queries.capacity.clone()
+    }
+
+    /// Begins to announce the indices, which the service must have by now.
+    pub(crate) fn announce(&mut self) {
+        let announcer = Announcer {
+            service: self.queries.service.clone(),
+            session: self.session.clone(),
+            prefix: self.queries.prefix.clone(),
+            stopping: self.queries.stopping.clone(),
+        };
+        self.announcing = Some(AbortOnDropHandle::new(tokio::spawn(announcer.run())));
+    }
+
+    /// Refuses what is asked from now on, answers what was accepted, leaves those who asked a moment to take the answers,
+    /// and closes the session.
+    pub(crate) async fn stop(self) {
+        self.queries.stopping.cancel();
+        drop(self.announcing);
+        self.queries.under_way.close();
+        self.queries.under_way.wait().await;
+        if let Err(error) = self.queryable.undeclare().await {
+            debug!(%error, "the queryable was gone already");
+        }
+        linger(&self.session).await;
+        if let Err(error) = self.session.close().await {
+            warn!(%error, "the Zenoh session did not close well");
+        }
+    }
+
+    async fn warn_beyond_this_machine(&self) {
+        let locators = self.locators().await;
+        let is_here = |locator: &String| {
+            let address = locator.split_once('/').map_or(&**locator, |(_, rest)| rest);
+            address.starts_with("127.") || address.starts_with("[::1]")
+        };
+        if !locators.iter().all(is_here) {
+            warn!(
+                ?locators,
+                "Zenoh listens beyond this machine: unless zenoh.config sets TLS and access control, whoever reaches \
+                 this address can read and change every index"
+            );
+        }
+        info!(?locators, prefix = self.queries.prefix, "Zenoh is open");
+    }
+}
+
+/// Returns after [`LINGER`], or once nobody is left.
+async fn linger(session: &Session) {
+    let gone = async {
+        let mut ticks = interval(LINGER / 50);
+        while session.info().transports().await.next().is_some() {
+            ticks.tick().await;
+        }
+    };
+    // Whoever has not left by then has had the time.
+    let _ = tokio::time::timeout(LINGER, gone).await;
+}
+
+fn check_prefix(prefix: &str) -> Result<(), ZenohError> {
+    let wrong = |problem: String| ZenohError::Prefix {
+        prefix: prefix.to_owned(),
+        problem,
+    };
+    let key = KeyExpr::try_from(prefix).map_err(|error| wrong(error.to_string()))?;
+    if key.is_wild() || prefix.contains(['@', '$']) {
+        return Err(wrong(
+            "it has a wildcard, or a part that wildcards do not reach".into(),
+        ));
+    }
+    Ok(())
+}

@@ -1,0 +1,44 @@
+//! A verb becomes a call of the service, and its answer a payload. No policy is here.
+
+use super::{
+    asked::Asked,
+    message::Named,
+    verb::{IndexVerb, PointVerb, Verb},
+};
+use crate::{
+    service::{Call, Error, Service},
+    status,
+};
+
+/// What `verb` answers to what is asked, in the form in which it is asked.
+pub(super) async fn perform(
+    service: &Service,
+    call: &Call,
+    verb: Verb,
+    asked: &Asked<'_>,
+) -> Result<Vec<u8>, Error> {
+    match verb {
+        Verb::OfIndex(verb) => match verb {
+            PointVerb::Knn => told(asked, service.knn(call, asked.request()?).await),
+            PointVerb::Query => told(asked, service.query(call, asked.request()?).await),
+            PointVerb::Insert => told(asked, service.insert(call, asked.request()?).await),
+            PointVerb::Update => told(asked, service.update(call, asked.request()?).await),
+            PointVerb::Remove => told(asked, service.remove(call, asked.request()?).await),
+            PointVerb::Get => told(asked, service.get(call, asked.request()?).await),
+            PointVerb::Info => told(asked, service.get_index(call, asked.request()?).await),
+            PointVerb::Log => told(asked, service.log(call, asked.request()?).await),
+        },
+        Verb::OfServer(verb) => match verb {
+            IndexVerb::Create => told(asked, service.create_index(call, asked.of_server()?).await),
+            IndexVerb::List => {
+                let listed = service.list_indexes(call, asked.of_server()?).await;
+                told(asked, listed.map(status::listing))
+            }
+            IndexVerb::Delete => told(asked, service.delete_index(call, asked.of_server()?).await),
+        },
+    }
+}
+
+fn told<M: Named>(asked: &Asked<'_>, answer: Result<M, Error>) -> Result<Vec<u8>, Error> {
+    asked.form.write(M::NAME, &answer?)
+}

@@ -1,0 +1,156 @@
+//! Opens the session as the settings say.
+
+use serde_json::{Value, json};
+use thiserror::Error;
+use zenoh::{Config, Session};
+
+use crate::config::ZenohConfig;
+
+/// After how long a peer that does not take its answers is cut off, in microseconds.
+const WAIT_FOR_PEER_US: u64 = 1_000_000;
+
+/// How much larger than the largest payload a message may be before Zenoh drops it without a word.
+const REFUSED_IN_WORDS: usize = 4;
+
+/// Why the Zenoh face could not be served.
+#[derive(Debug, Error)]
+pub enum ZenohError {
+    /// `zenoh.config` is no configuration.
+    #[error("zenoh.config: {problem}")]
+    Config {
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// `zenoh.prefix` cannot be the beginning of keys.
+    #[error("zenoh.prefix: {prefix:?} is no key: {problem}; an example: wayfold/v1")]
+    Prefix {
+        /// The prefix.
+        prefix: String,
+        /// Why not.
+        problem: String,
+    },
+    /// The session could not be opened.
+    #[error(
+        "cannot open the Zenoh session on {listen}: {problem}\n  \
+         perhaps another program listens there, such as another wayfold-server: stop it, or choose another port; \
+         --zenoh tcp/127.0.0.1:0 takes any free one, --zenoh off does without"
+    )]
+    Open {
+        /// Where it was to listen.
+        listen: String,
+        /// Why.
+        problem: String,
+    },
+    /// What the face declares could not be declared.
+    #[error("Zenoh: {problem}")]
+    Declare {
+        /// Why.
+        problem: String,
+    },
+}
+
+impl ZenohError {
+    pub(super) fn declare(problem: zenoh::Error) -> Self {
+        ZenohError::Declare {
+            problem: problem.to_string(),
+        }
+    }
+}
+
+/// Opens the session.
+pub(super) async fn open(config: &ZenohConfig) -> Result<Session, ZenohError> {
+    let opened = zenoh::open(settings(config)?).await;
+    opened.map_err(|error| ZenohError::Open {
+        listen: config.listen.clone(),
+        problem: error.to_string(),
+    })
+}
+
+/// The settings of this face, and over them `zenoh.config`, whatever Zenoh has to set.
+fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
+    let wrong = |problem: String| ZenohError::Config { problem };
+    let mut settings = json!({
+        "mode": "peer",
+        "listen": { "endpoints": [config.listen], "exit_on_failure": true, "timeout_ms": 0 },
+        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+        "transport": { "link": {
+            "rx": { "max_message_size": REFUSED_IN_WORDS.saturating_mul(config.max_message_bytes) },
+            "tx": { "queue": { "congestion_control": { "block": { "wait_before_close": WAIT_FOR_PEER_US } } } },
+        } },
+    });
+    let over: Value = json5::from_str(&config.config).map_err(|error| wrong(error.to_string()))?;
+    if !over.is_object() {
+        return Err(wrong("it is not an object: { … }".into()));
+    }
+    lay_over(&mut settings, over);
+    Config::from_json5(&settings.to_string()).map_err(|error| wrong(error.to_string()))
+}
+
+/// Puts one value over another; objects are merged.
+fn lay_over(under: &mut Value, over: Value) {
+    match (under, over) {
+        (Value::Object(under), Value::Object(over)) => {
+            for (name, value) in over {
+                lay_over(under.entry(name).or_insert(Value::Null), value);
+            }
+        }
+        (under, over) => *under = over,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with(config: &str) -> Result<Config, ZenohError> {
+        settings(&ZenohConfig {
+            config: config.into(),
+            ..crate::config::Config::default().zenoh
+        })
+    }
+
+    fn at(config: &Config, key: &str) -> Value {
+        serde_json::from_str(&config.get_json(key).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn nothing_is_scouted_for_and_loopback_is_listened_on() {
+        let config = with("{}").unwrap();
+        assert_eq!(at(&config, "scouting/multicast/enabled"), json!(false));
+        assert_eq!(at(&config, "scouting/gossip/enabled"), json!(false));
+        assert_eq!(
+            at(&config, "listen/endpoints"),
+            json!(["tcp/127.0.0.1:7448"])
+        );
+    }
+
+    #[test]
+    fn what_zenoh_has_to_set_can_be_set() {
+        let config = with(
+            "{ mode: 'client', /* a robot's */ connect: { endpoints: ['tcp/127.0.0.1:7447'] },
+               scouting: { gossip: { enabled: true } } }",
+        )
+        .unwrap();
+        assert_eq!(at(&config, "mode"), json!("client"));
+        assert_eq!(
+            at(&config, "connect/endpoints"),
+            json!(["tcp/127.0.0.1:7447"])
+        );
+        assert_eq!(at(&config, "scouting/gossip/enabled"), json!(true));
+        assert_eq!(at(&config, "scouting/multicast/enabled"), json!(false));
+    }
+
+    #[test]
+    fn what_is_no_configuration_is_refused() {
+        for config in [
+            "",
+            "[]",
+            "{ mode",
+            "{ mode: 'king' }",
+            "{ no_such_setting: 1 }",
+        ] {
+            let error = with(config).unwrap_err().to_string();
+            assert!(error.starts_with("zenoh.config: "), "{config}: {error}");
+        }
+    }
+}

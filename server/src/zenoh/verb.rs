@@ -1,0 +1,161 @@
+//! What can be asked over Zenoh, and the keys it is asked under.
+
+use zenoh::key_expr::keyexpr;
+
+use super::codec::invalid;
+use crate::service::Error;
+
+/// What is asked of one index: `<prefix>/<index>/<verb>`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PointVerb {
+    Knn,
+    Query,
+    Insert,
+    Update,
+    Remove,
+    Get,
+    Info,
+    Log,
+}
+
+/// What is asked of the server: `<prefix>/<verb>`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum IndexVerb {
+    Create,
+    List,
+    Delete,
+}
+
+/// What is asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verb {
+    OfIndex(PointVerb),
+    OfServer(IndexVerb),
+}
+
+impl PointVerb {
+    const ALL: [(&str, Self); 8] = [
+        ("knn", Self::Knn),
+        ("query", Self::Query),
+        ("insert", Self::Insert),
+        ("update", Self::Update),
+        ("remove", Self::Remove),
+        ("get", Self::Get),
+        ("info", Self::Info),
+        ("log", Self::Log),
+    ];
+}
+
+impl IndexVerb {
+    const ALL: [(&str, Self); 3] = [
+        ("create", Self::Create),
+        ("list", Self::List),
+        ("delete", Self::Delete),
+    ];
+}
+
+impl Verb {
+    /// Whether it may change something: then it is asked with a payload, so that nothing is changed by a key alone.
+    pub(super) fn is_mutation(self) -> bool {
+        match self {
+            Verb::OfIndex(verb) => match verb {
+                PointVerb::Insert | PointVerb::Update | PointVerb::Remove => true,
+                PointVerb::Knn
+                | PointVerb::Query
+                | PointVerb::Get
+                | PointVerb::Info
+                | PointVerb::Log => false,
+            },
+            Verb::OfServer(verb) => match verb {
+                IndexVerb::Create | IndexVerb::Delete => true,
+                IndexVerb::List => false,
+            },
+        }
+    }
+
+    /// Its name in the key.
+    pub(super) fn name(self) -> &'static str {
+        let name = match self {
+            Verb::OfIndex(verb) => PointVerb::ALL.iter().find(|(_, v)| *v == verb).map(|v| v.0),
+            Verb::OfServer(verb) => IndexVerb::ALL.iter().find(|(_, v)| *v == verb).map(|v| v.0),
+        };
+        name.unwrap_or_default()
+    }
+}
+
+/// A literal key, taken apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Target<'a> {
+    /// The index; empty for what is asked of the server.
+    pub(super) index: &'a str,
+    pub(super) verb: Verb,
+}
+
+impl<'a> Target<'a> {
+    /// Takes apart a key under `prefix`.
+    pub(super) fn of(prefix: &str, key: &'a keyexpr) -> Result<Self, Error> {
+        let rest = key.as_str().strip_prefix(prefix).unwrap_or_default();
+        let rest = rest.strip_prefix('/').unwrap_or_default();
+        let known = |(index, verb): (&'a str, &str)| {
+            let found = PointVerb::ALL.iter().find(|(name, _)| *name == verb)?;
+            Some((index, Verb::OfIndex(found.1)))
+        };
+        let of_server = || {
+            let found = IndexVerb::ALL.iter().find(|(name, _)| *name == rest)?;
+            Some(("", Verb::OfServer(found.1)))
+        };
+        match rest.split_once('/').map_or_else(of_server, known) {
+            Some((index, verb)) => Ok(Self { index, verb }),
+            None => Err(unknown(prefix, key)),
+        }
+    }
+}
+
+fn unknown(prefix: &str, key: &keyexpr) -> Error {
+    let names = |all: &[&str]| all.join(", ");
+    let text = format!(
+        "nothing is asked under {key}: under {prefix}/INDEX/ there are {}, and under {prefix}/ {}",
+        names(&PointVerb::ALL.map(|(name, _)| name)),
+        names(&IndexVerb::ALL.map(|(name, _)| name)),
+    );
+    invalid("key", "UNKNOWN_KEY", text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_taken_apart() {
+        let key = |text: &'static str| {
+            let target = Target::of("wayfold/v1", keyexpr::new(text).unwrap());
+            target.map(|target| (target.index, target.verb)).ok()
+        };
+        let knn = Verb::OfIndex(PointVerb::Knn);
+        assert_eq!(key("wayfold/v1/arm/knn"), Some(("arm", knn)));
+        assert_eq!(key("wayfold/v1/list/knn"), Some(("list", knn)));
+        let list = Verb::OfServer(IndexVerb::List);
+        assert_eq!(key("wayfold/v1/list"), Some(("", list)));
+        for other in [
+            "wayfold/v1",
+            "wayfold/v1/arm",
+            "wayfold/v1/knn",
+            "wayfold/v1/arm/list",
+            "wayfold/v1/arm/events",
+            "wayfold/v1/arm/knn/more",
+            "wayfold/v12/list",
+            "another",
+        ] {
+            assert_eq!(key(other), None, "{other}");
+        }
+    }
+
+    #[test]
+    fn verbs_have_names_of_their_own() {
+        let of_index = PointVerb::ALL.map(|(name, verb)| (name, Verb::OfIndex(verb)));
+        let of_server = IndexVerb::ALL.map(|(name, verb)| (name, Verb::OfServer(verb)));
+        for (name, verb) in of_index.into_iter().chain(of_server) {
+            assert_eq!(verb.name(), name);
+        }
+    }
+}

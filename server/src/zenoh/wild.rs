@@ -1,0 +1,68 @@
+//! Queries with a wildcard: they reach `info` of every index, and `list`, and nothing else.
+
+use wayfold_proto::v1;
+use zenoh::key_expr::{KeyExpr, OwnedKeyExpr, keyexpr};
+
+use super::{
+    codec::{Form, invalid},
+    message::Named,
+    queries::Replies,
+};
+use crate::{
+    service::{Call, Error, Service},
+    status,
+};
+
+/// How many indices are described at a time.
+const PAGE: u32 = 1000;
+
+/// The answers to a query for `asked`, which has a wildcard.
+pub(super) async fn answer(
+    service: &Service,
+    call: &Call,
+    prefix: &str,
+    asked: &keyexpr,
+    form: Form,
+) -> Result<Replies, Error> {
+    let list = key(format!("{prefix}/list"))?;
+    let lists = asked.intersects(&list);
+    if !lists && !asked.intersects(&key(format!("{prefix}/*/info"))?) {
+        let text = format!(
+            "a wildcard reaches only {prefix}/list and {prefix}/INDEX/info: name the index and the verb"
+        );
+        return Err(invalid("key", "WILDCARD", text));
+    }
+    let mut replies = Replies::new();
+    if lists {
+        let listed = service.list_indexes(call, v1::ListIndexesRequest::default());
+        let listed = status::listing(listed.await?);
+        let payload = form.write(v1::ListIndexesResponse::NAME, &listed)?;
+        replies.push((list.into(), payload));
+    }
+    let mut request = v1::ListIndexesRequest {
+        page_size: PAGE,
+        ..Default::default()
+    };
+    loop {
+        let page = service.list_indexes(call, request.clone()).await?;
+        for index in page.indexes {
+            let info = key(format!("{prefix}/{}/info", index.name))?;
+            if asked.intersects(&info) {
+                let told = v1::GetIndexResponse { index: Some(index) };
+                let payload = form.write(v1::GetIndexResponse::NAME, &told)?;
+                replies.push((KeyExpr::from(info), payload));
+            }
+        }
+        request.page_token = page.next_page_token;
+        if request.page_token.is_empty() {
+            return Ok(replies);
+        }
+    }
+}
+
+/// A key under the prefix, which was found to be one when the face was opened; names are letters and digits.
+fn key(text: String) -> Result<OwnedKeyExpr, Error> {
+    OwnedKeyExpr::try_from(text).map_err(|error| Error::Internal {
+        what: format!("a key of ours is none: {error}"),
+    })
+}
