@@ -1,0 +1,207 @@
+//! The face begins and ends with its server.
+
+use std::env;
+
+use serde_json::{Value, json};
+use tokio::task::JoinSet;
+use wayfold_tests::{Process, Signal};
+use zenoh::{bytes::Encoding, query::ConsolidationMode};
+
+use crate::robot::{PATIENCE, Robot, reason, server, server_with};
+
+/// How often a server is stopped; more with `ZENOH_STOPS`.
+fn stops() -> usize {
+    env::var("ZENOH_STOPS").map_or(3, |count| count.parse().unwrap())
+}
+
+/// Queries that the server works on for a while.
+const ACCEPTED: usize = 12;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn accepted_queries_are_finished_and_later_ones_refused() {
+    for stop in 0..stops() {
+        println!("stop {stop}");
+        stopped_under_load().await;
+    }
+}
+
+async fn stopped_under_load() {
+    let (mut server, locator) = server();
+    let robot = Robot::connect(&locator).await;
+    let space = json!({ "name": "arm", "space_text": "R3" });
+    robot.json("create", space).await.unwrap();
+    let rows: Vec<Value> = (0..1500)
+        .map(|i| json!([i % 10, i / 10 % 10, f64::from(i) / 150.0]))
+        .collect();
+    let rows = json!({ "states": rows });
+    robot.json("arm/insert", rows.clone()).await.unwrap();
+
+    let mut accepted = JoinSet::new();
+    let payload = rows.to_string();
+    for _ in 0..ACCEPTED {
+        let replies = robot
+            .session
+            .get("wayfold/v1/arm/knn?k=5")
+            .payload(payload.clone())
+            .consolidation(ConsolidationMode::None)
+            .timeout(PATIENCE)
+            .await
+            .unwrap();
+        accepted.spawn(async move {
+            let mut told = Vec::new();
+            while let Ok(reply) = replies.recv_async().await {
+                told.push(reply.into_result());
+            }
+            told
+        });
+    }
+    // The queries of a session arrive in their order: with the answer to this one, the server has all of them.
+    robot.json("arm/info", Value::Null).await.unwrap();
+
+    server.process().signal(Signal::Terminate);
+    server.log_until("stopping: finishing what was accepted");
+    // Whoever goes on asking must not cost anybody the answer.
+    let mut later = JoinSet::new();
+    for _ in 0..200 {
+        let replies = robot
+            .session
+            .get("wayfold/v1/arm/info")
+            .consolidation(ConsolidationMode::None)
+            .timeout(PATIENCE)
+            .await;
+        // A session that has lost its only link has nobody to ask.
+        let Ok(replies) = replies else { break };
+        later.spawn(async move { replies.into_recv_async().await });
+    }
+
+    let mut finished = 0;
+    while let Some(told) = accepted.join_next().await {
+        let mut told = told.unwrap();
+        assert_eq!(told.len(), 1, "an answer was lost: {told:?}");
+        match told.remove(0) {
+            Ok(told) => {
+                let told: Value = serde_json::from_slice(&told.payload().to_bytes()).unwrap();
+                assert_eq!(told["ids"].as_array().unwrap().len(), 1500);
+                finished += 1;
+            }
+            // Taken, but not begun.
+            Err(told) => {
+                let told = serde_json::from_slice(&told.payload().to_bytes()).unwrap();
+                assert_eq!(reason(&told), (14, "STOPPING"));
+            }
+        }
+    }
+    println!("{finished} finished");
+    while let Some(told) = later.join_next().await {
+        if let Ok(reply) = told.unwrap() {
+            let refusal = reply.into_result().unwrap_err();
+            let refusal = serde_json::from_slice(&refusal.payload().to_bytes()).unwrap();
+            assert_eq!(reason(&refusal), (14, "STOPPING"));
+        }
+    }
+    let ended = tokio::task::spawn_blocking(|| server.finish())
+        .await
+        .unwrap();
+    assert!(ended.status.success(), "{}", ended.stderr);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_not_done_in_time_is_cut_and_shows_in_the_exit_status() {
+    let (mut server, locator) = server_with(&[], &[("WAYFOLD_SHUTDOWN__GRACE_MS", "1")]);
+    let robot = Robot::connect(&locator).await;
+    let space = json!({ "name": "arm", "space_text": "R3" });
+    let created = robot.json("create", space).await.unwrap();
+    // It waits for what will never come.
+    let at = json!({ "uid": created["index"]["uid"], "min_revision": 1 });
+    let get = json!({ "ids": [1], "at": at }).to_string();
+    let replies = robot
+        .session
+        .get("wayfold/v1/arm/get?timeout_ms=600000")
+        .payload(get)
+        .timeout(PATIENCE)
+        .await
+        .unwrap();
+    robot.json("arm/info", Value::Null).await.unwrap();
+    server.process().signal(Signal::Terminate);
+    server.log_until("cutting what is not done");
+    let ended = tokio::task::spawn_blocking(|| server.finish())
+        .await
+        .unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{}", ended.stderr);
+    assert!(
+        ended.stderr.contains("1 calls were cut"),
+        "{}",
+        ended.stderr
+    );
+    assert!(replies.recv_async().await.is_err());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_busy_port_is_named_and_off_is_off() {
+    let (first, locator) = server();
+    let program = env!("CARGO_BIN_EXE_server-process");
+    let start = |zenoh: &str| {
+        let arguments = [
+            "--grpc",
+            "127.0.0.1:0",
+            "--data",
+            "memory",
+            "--zenoh",
+            zenoh,
+        ];
+        Process::start(program, &arguments)
+    };
+    let refused = start(&locator).finish();
+    assert_eq!(refused.status.code(), Some(1));
+    let address = locator.strip_prefix("tcp/").unwrap();
+    assert!(refused.stderr.contains(address), "{}", refused.stderr);
+    assert!(refused.stderr.contains("--zenoh off"), "{}", refused.stderr);
+
+    let mut without = start("off");
+    assert!(without.line().unwrap().starts_with("listening on http://"));
+    assert_eq!(without.line().as_deref(), Some(""));
+    drop(first);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_wrong_with_the_settings_is_named() {
+    for (name, value, part) in [
+        ("WAYFOLD_ZENOH__CONFIG", "{ mode: 'king' }", "zenoh.config"),
+        ("WAYFOLD_ZENOH__PREFIX", "robots/*", "zenoh.prefix"),
+        ("WAYFOLD_ZENOH__PREFIX", "/robots", "zenoh.prefix"),
+    ] {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_server-process"));
+        command
+            .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
+            .args(["--zenoh", "tcp/127.0.0.1:0"])
+            .env(name, value);
+        let finished = Process::spawn(&mut command).finish();
+        assert_eq!(finished.status.code(), Some(1));
+        assert!(finished.stderr.contains(part), "{}", finished.stderr);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_robots_with_prefixes_of_their_own_share_a_router() {
+    let router = crate::robot::session("router", &["tcp/127.0.0.1:0"], &[]).await;
+    let at = router.info().locators().await[0].to_string();
+    let behind = json!({ "mode": "client", "connect": { "endpoints": [at] } }).to_string();
+    let servers = ["one/wayfold", "two/wayfold"].map(|prefix| {
+        let settings = [
+            ("WAYFOLD_ZENOH__PREFIX", prefix),
+            ("WAYFOLD_ZENOH__CONFIG", &behind),
+        ];
+        (prefix, server_with(&[], &settings))
+    });
+    let robot = Robot::connect(&at).await;
+    for (prefix, _) in &servers {
+        let create = json!({ "name": "arm", "space_text": "R1" }).to_string();
+        let create_key = format!("{prefix}/create");
+        let told = robot.ask(&create_key, create.into_bytes(), Encoding::APPLICATION_JSON);
+        assert_eq!(told.await.unwrap().json()["created"], true);
+    }
+    let both = robot
+        .all("*/wayfold/arm/info", Vec::new(), Encoding::APPLICATION_JSON)
+        .await;
+    assert_eq!(both.len(), 2, "{both:?}");
+}

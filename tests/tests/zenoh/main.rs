@@ -1,0 +1,11 @@
+//! The Zenoh face from outside: servers in processes of their own, and sessions over loopback.
+
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test says what went wrong by where it panics"
+)]
+
+mod life;
+mod parity;
+mod robot;
+mod talk;

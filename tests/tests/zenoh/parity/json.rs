@@ -1,0 +1,354 @@
+//! Requests as somebody writes them in JSON, and what the answers in JSON say: by hand, field for field.
+
+use serde_json::{Map, Value, json};
+use wayfold_proto::v1;
+
+use super::{script::Op, target::Answer};
+
+fn float(value: f64) -> Value {
+    match value {
+        _ if value.is_nan() => json!("NaN"),
+        f64::INFINITY => json!("Infinity"),
+        f64::NEG_INFINITY => json!("-Infinity"),
+        _ => json!(value),
+    }
+}
+
+/// As a program writes it that cares for readers with doubles only.
+fn integer(value: &u64) -> Value {
+    match *value {
+        large if large >= 1 << 53 => json!(large.to_string()),
+        value => json!(value),
+    }
+}
+
+fn integers(values: &[u64]) -> Value {
+    values.iter().map(integer).collect()
+}
+
+fn payloads<B: AsRef<[u8]>>(values: &[B]) -> Value {
+    values
+        .iter()
+        .map(|bytes| json!(to_base64(bytes.as_ref())))
+        .collect()
+}
+
+fn states(states: &v1::States) -> Value {
+    let numbers: Vec<Value> = states.coordinates.iter().copied().map(float).collect();
+    let rows = states.rows as usize;
+    if rows == 0 && numbers.is_empty() {
+        return json!([]);
+    }
+    if rows == 0 || !numbers.len().is_multiple_of(rows) || numbers.is_empty() {
+        return json!({ "rows": rows, "coordinates": numbers });
+    }
+    numbers
+        .chunks(numbers.len() / rows)
+        .map(|row| json!(row))
+        .collect()
+}
+
+fn filter(filter: &v1::Filter) -> Value {
+    json!({
+        "tag_mask": integer(&filter.tag_mask),
+        "tag_value": integer(&filter.tag_value),
+        "since_revision": integer(&filter.since_revision),
+    })
+}
+
+fn include(it: &v1::Include) -> Value {
+    json!({ "states": it.states, "tags": it.tags, "revisions": it.revisions, "payloads": it.payloads })
+}
+
+fn at(at: &v1::ReadAt) -> Value {
+    json!({ "uid": at.uid, "min_revision": integer(&at.min_revision) })
+}
+
+/// The fields that are set.
+fn object<const N: usize>(fields: [(&str, Option<Value>); N]) -> Value {
+    let set = fields.into_iter();
+    let set = set.filter_map(|(name, value)| Some((name.to_owned(), value?)));
+    Value::Object(set.collect::<Map<_, _>>())
+}
+
+/// A request without the name of the index, which is in the key, unless it is asked of the server.
+pub(super) fn request(op: &Op) -> Value {
+    match op {
+        Op::Create(it) => object([
+            ("name", Some(json!(it.name))),
+            (
+                "space_text",
+                (!it.space_text.is_empty()).then(|| json!(it.space_text)),
+            ),
+            ("space", it.space.as_ref().map(|_| json!({ "so3": {} }))),
+        ]),
+        Op::Info(_) => json!({}),
+        Op::List(it) => json!({ "page_size": it.page_size, "page_token": it.page_token }),
+        Op::Delete(it) => json!({ "name": it.name, "uid": it.uid }),
+        Op::Insert(it) => object([
+            ("states", it.states.as_ref().map(states)),
+            ("ids", Some(integers(&it.ids))),
+            ("tags", Some(integers(&it.tags))),
+            ("payloads", Some(payloads(&it.payloads))),
+            (
+                "on_conflict",
+                Some(if it.on_conflict == 1 {
+                    json!("REPLACE")
+                } else {
+                    json!(it.on_conflict)
+                }),
+            ),
+            ("min_separation", Some(float(it.min_separation))),
+            (
+                "neighbors",
+                it.neighbors.as_ref().map(|it| {
+                    object([
+                        ("k", it.k.map(|k| json!(k))),
+                        ("radius", it.radius.map(float)),
+                        ("filter", it.filter.as_ref().map(filter)),
+                        ("include", it.include.as_ref().map(include)),
+                    ])
+                }),
+            ),
+            ("operation_id", Some(json!(it.operation_id))),
+            ("uid", Some(json!(it.uid))),
+        ]),
+        Op::Update(it) => object([
+            ("ids", Some(integers(&it.ids))),
+            ("tags", Some(integers(&it.tags))),
+            ("tag_mask", it.tag_mask.as_ref().map(integer)),
+            ("payloads", Some(payloads(&it.payloads))),
+            ("if_revision", it.if_revision.as_ref().map(integer)),
+            ("operation_id", Some(json!(it.operation_id))),
+            ("uid", Some(json!(it.uid))),
+        ]),
+        Op::Remove(it) => json!({
+            "ids": integers(&it.ids), "operation_id": it.operation_id, "uid": it.uid
+        }),
+        Op::Get(it) => object([
+            ("ids", Some(integers(&it.ids))),
+            ("payloads", Some(json!(it.payloads))),
+            ("at", it.at.as_ref().map(at)),
+        ]),
+        Op::Knn(it) => object([
+            ("states", it.states.as_ref().map(states)),
+            ("k", Some(json!(it.k))),
+            ("radius", it.radius.map(float)),
+            ("epsilon", Some(float(it.epsilon))),
+            ("max_leaves", Some(json!(it.max_leaves))),
+            ("filter", it.filter.as_ref().map(filter)),
+            ("include", it.include.as_ref().map(include)),
+            ("at", it.at.as_ref().map(at)),
+        ]),
+        Op::Query(it) => object([
+            ("states", it.states.as_ref().map(states)),
+            ("radius", it.radius.map(float)),
+            ("epsilon", Some(float(it.epsilon))),
+            ("max_leaves", Some(json!(it.max_leaves))),
+            ("filter", it.filter.as_ref().map(filter)),
+            ("include", it.include.as_ref().map(include)),
+            ("at", it.at.as_ref().map(at)),
+        ]),
+        Op::Log(it) => object([
+            ("uid", Some(json!(it.uid))),
+            ("after_revision", it.after_revision.as_ref().map(integer)),
+            ("payloads", Some(json!(it.payloads))),
+        ]),
+    }
+}
+
+fn read_integer(value: &Value) -> u64 {
+    let number = value.as_u64();
+    let number = number.inspect(|number| assert!(*number < 1 << 53, "{number} loses bits"));
+    number.unwrap_or_else(|| value.as_str().unwrap().parse().unwrap())
+}
+
+fn read_float(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| match value.as_str() {
+        Some("Infinity") => f64::INFINITY,
+        other => panic!("{other:?}"),
+    })
+}
+
+fn text(value: &Value) -> String {
+    value.as_str().unwrap().to_owned()
+}
+
+/// The elements of an array; none of what is not there.
+fn list<T>(value: &Value, read: impl Fn(&Value) -> T) -> Vec<T> {
+    value.as_array().into_iter().flatten().map(read).collect()
+}
+
+fn read_rows(rows: &[&Value]) -> v1::States {
+    v1::States {
+        rows: rows.len() as u32,
+        coordinates: rows.iter().flat_map(|row| list(row, read_float)).collect(),
+    }
+}
+
+fn read_states(value: &Value) -> Option<v1::States> {
+    let rows: Vec<&Value> = value.as_array()?.iter().collect();
+    Some(read_rows(&rows))
+}
+
+fn read_neighbors(it: &Value) -> v1::Neighbors {
+    fn flat<T>(column: &Value, read: impl Fn(&Value) -> T) -> Vec<T> {
+        let rows = column.as_array().into_iter().flatten();
+        rows.flat_map(|row| list(row, &read)).collect()
+    }
+    let states = it["states"].as_array().map(|groups| {
+        let rows: Vec<&Value> = groups
+            .iter()
+            .flat_map(|rows| rows.as_array().unwrap())
+            .collect();
+        read_rows(&rows)
+    });
+    v1::Neighbors {
+        counts: list(&it["ids"], |row| row.as_array().unwrap().len() as u32),
+        ids: flat(&it["ids"], read_integer),
+        distances: flat(&it["distances"], read_float),
+        states,
+        tags: flat(&it["tags"], read_integer),
+        revisions: flat(&it["revisions"], read_integer),
+        payloads: flat(&it["payloads"], |it| {
+            from_base64(it.as_str().unwrap()).into()
+        }),
+    }
+}
+
+fn read_points(it: &Value) -> v1::Points {
+    v1::Points {
+        ids: list(&it["ids"], read_integer),
+        states: read_states(&it["states"]),
+        tags: list(&it["tags"], read_integer),
+        revisions: list(&it["revisions"], read_integer),
+        payloads: list(&it["payloads"], |it| {
+            from_base64(it.as_str().unwrap()).into()
+        }),
+    }
+}
+
+fn read_index(it: &Value) -> v1::Index {
+    // The message of a space is told apart from its text in another test.
+    let space: wayfold_index::Space = text(&it["space_text"]).parse().unwrap();
+    assert!(it["space"].is_object());
+    v1::Index {
+        name: text(&it["name"]),
+        space: Some(wayfold_proto::space::to_message(&space)),
+        space_text: text(&it["space_text"]),
+        uid: text(&it["uid"]),
+        revision: read_integer(&it["revision"]),
+        points: read_integer(&it["points"]),
+        coordinates: read_integer(&it["coordinates"]) as u32,
+        dimension: read_integer(&it["dimension"]) as u32,
+        memory_bytes: 0,
+    }
+}
+
+/// What an answer says.
+pub(super) fn answer(op: &Op, it: &Value) -> Answer {
+    let revision = || read_integer(&it["revision"]);
+    let uid = || text(&it["uid"]);
+    match op {
+        Op::Create(_) => Answer::Create(v1::CreateIndexResponse {
+            index: Some(read_index(&it["index"])),
+            created: it["created"].as_bool().unwrap(),
+        }),
+        Op::Info(_) => Answer::Info(v1::GetIndexResponse {
+            index: Some(read_index(&it["index"])),
+        }),
+        Op::List(_) => Answer::List(v1::ListIndexesResponse {
+            indexes: list(&it["indexes"], read_index),
+            next_page_token: text(&it["next_page_token"]),
+            damaged: Vec::new(),
+        }),
+        Op::Delete(_) => Answer::Delete(v1::DeleteIndexResponse { uid: uid() }),
+        Op::Insert(_) => Answer::Insert(v1::InsertResponse {
+            outcomes: list(&it["outcomes"], |it| {
+                let name = format!("OUTCOME_{}", it.as_str().unwrap());
+                v1::Outcome::from_str_name(&name).unwrap().into()
+            }),
+            ids: list(&it["ids"], read_integer),
+            neighbors: it.get("neighbors").map(read_neighbors),
+            revision: revision(),
+            uid: uid(),
+        }),
+        Op::Update(_) => Answer::Update(v1::UpdateResponse {
+            updated: read_integer(&it["updated"]),
+            unchanged: read_integer(&it["unchanged"]),
+            revision: revision(),
+            uid: uid(),
+        }),
+        Op::Remove(_) => Answer::Remove(v1::RemoveResponse {
+            removed: read_integer(&it["removed"]),
+            missing: read_integer(&it["missing"]),
+            revision: revision(),
+            uid: uid(),
+        }),
+        Op::Get(_) => Answer::Get(v1::GetResponse {
+            points: Some(read_points(&it["points"])),
+            revision: revision(),
+            uid: uid(),
+        }),
+        Op::Knn(_) => Answer::Knn(v1::KnnResponse {
+            neighbors: Some(read_neighbors(it)),
+            exact: it["exact"].as_bool().unwrap(),
+            revision: revision(),
+            uid: uid(),
+        }),
+        Op::Query(_) => Answer::Query(v1::QueryResponse {
+            neighbors: Some(read_neighbors(it)),
+            exact: it["exact"].as_bool().unwrap(),
+            revision: revision(),
+            uid: uid(),
+        }),
+        Op::Log(_) => Answer::Log(v1::WatchResponse {
+            uid: uid(),
+            revision: revision(),
+            mutations: list(&it["mutations"], |it| v1::Mutation {
+                revision: read_integer(&it["revision"]),
+                time_ms: read_integer(&it["time_ms"]),
+                stored: it.get("stored").map(read_points),
+                removed_ids: list(&it["removed_ids"], read_integer),
+                continued: it["continued"].as_bool().unwrap(),
+            }),
+            reset: it.get("reset").map_or(0, |it| {
+                let name = format!("RESET_REASON_{}", it.as_str().unwrap());
+                v1::ResetReason::from_str_name(&name).unwrap().into()
+            }),
+        }),
+    }
+}
+
+const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+
+/// RFC 4648, section 4.
+fn to_base64(bytes: &[u8]) -> String {
+    let mut text = String::new();
+    for chunk in bytes.chunks(3) {
+        let mut block = [0; 4];
+        block[1..=chunk.len()].copy_from_slice(chunk);
+        let bits = u32::from_be_bytes(block);
+        for digit in 0..4 {
+            let index = (bits >> (18 - 6 * digit)) as usize % 64;
+            let is_there = digit <= chunk.len();
+            text.push(if is_there { DIGITS[index] as char } else { '=' });
+        }
+    }
+    text
+}
+
+fn from_base64(text: &str) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for block in text.as_bytes().chunks(4) {
+        let digits = block.iter().filter(|digit| **digit != b'=');
+        let digits: Vec<usize> = digits
+            .map(|digit| DIGITS.iter().position(|it| it == digit).unwrap())
+            .collect();
+        let bits = (0..4).fold(0, |bits, at| {
+            bits << 6 | digits.get(at).copied().unwrap_or(0)
+        });
+        bytes.extend(&(bits as u32).to_be_bytes()[1..digits.len()]);
+    }
+    bytes
+}

@@ -1,0 +1,59 @@
+//! One script of operations, good and bad, through the service, gRPC, Zenoh with Protocol Buffers and Zenoh with JSON:
+//! the answers are the same to the bit, and the refusals to the word.
+
+mod json;
+mod outcome;
+mod script;
+mod target;
+
+use outcome::Outcome;
+use script::{Op, Script};
+use target::Target;
+
+const SEED: u64 = 20;
+const RANDOM: usize = 480;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_faces_answer_alike() {
+    println!("seed {SEED}");
+    let mut recorded: Vec<(Op, Outcome)> = Vec::new();
+    let mut service = Target::service();
+    let mut script = Script::new(SEED, RANDOM);
+    while let Some(op) = script.next() {
+        let outcome = service.perform(&op).await;
+        script.learn(&outcome);
+        recorded.push((op, outcome));
+    }
+    let good = recorded.iter().filter(|(_, it)| it.is_ok()).count();
+    let bad = recorded.len() - good;
+    assert!(good > 200 && bad > 100, "{good} good, {bad} bad");
+    let mut reasons: Vec<String> = recorded.iter().filter_map(|(_, it)| it.reason()).collect();
+    reasons.sort();
+    reasons.dedup();
+    assert!(reasons.len() >= 20, "{reasons:?}");
+
+    let mut said: Vec<Vec<Outcome>> = Vec::new();
+    let [grpc, protobuf, json] = Target::faces().await;
+    for mut target in [grpc, protobuf, json] {
+        let mut outcomes = Vec::new();
+        for (at, (op, expected)) in recorded.iter().enumerate() {
+            // A watch is the log's sibling over gRPC.
+            if !target.has(op) {
+                outcomes.push(expected.clone());
+                continue;
+            }
+            let outcome = target.perform(op).await;
+            let name = target.name();
+            assert_eq!(outcome.core(), expected.core(), "{name}, {at}: {op:?}");
+            outcomes.push(outcome);
+        }
+        said.push(outcomes);
+    }
+    // What a status says beyond the service's error, its words and all details, is the same on each face.
+    for (at, (op, _)) in recorded.iter().enumerate() {
+        assert_eq!(said[1][at], said[2][at], "{at}: {op:?}");
+        if !matches!(op, Op::Log(_)) {
+            assert_eq!(said[0][at], said[1][at], "{at}: {op:?}");
+        }
+    }
+}

@@ -1,0 +1,424 @@
+//! The script: operations drawn from a seed, from few values, so that ties and conflicts are common; and by hand, whatever
+//! can be wrong with one.
+
+use std::collections::VecDeque;
+
+use prost::Message;
+use rand::{RngExt, SeedableRng, seq::IndexedRandom};
+use rand_chacha::ChaCha8Rng;
+use wayfold_proto::v1;
+
+use super::outcome::{Outcome, UID};
+
+/// One call.
+#[derive(Clone, Debug)]
+pub(crate) enum Op {
+    Create(v1::CreateIndexRequest),
+    Info(v1::GetIndexRequest),
+    List(v1::ListIndexesRequest),
+    Delete(v1::DeleteIndexRequest),
+    Insert(v1::InsertRequest),
+    Update(v1::UpdateRequest),
+    Remove(v1::RemoveRequest),
+    Get(v1::GetRequest),
+    Knn(v1::KnnRequest),
+    Query(v1::QueryRequest),
+    Log(v1::WatchRequest),
+}
+
+impl Op {
+    /// Where it is asked over Zenoh, under the prefix.
+    pub(crate) fn key(&self) -> String {
+        match self {
+            Op::Create(_) => "create".into(),
+            Op::Info(it) => format!("{}/info", it.name),
+            Op::List(_) => "list".into(),
+            Op::Delete(_) => "delete".into(),
+            Op::Insert(it) => format!("{}/insert", it.index),
+            Op::Update(it) => format!("{}/update", it.index),
+            Op::Remove(it) => format!("{}/remove", it.index),
+            Op::Get(it) => format!("{}/get", it.index),
+            Op::Knn(it) => format!("{}/knn", it.index),
+            Op::Query(it) => format!("{}/query", it.index),
+            Op::Log(it) => format!("{}/log", it.index),
+        }
+    }
+
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        match self {
+            Op::Create(it) => it.encode_to_vec(),
+            Op::Info(it) => it.encode_to_vec(),
+            Op::List(it) => it.encode_to_vec(),
+            Op::Delete(it) => it.encode_to_vec(),
+            Op::Insert(it) => it.encode_to_vec(),
+            Op::Update(it) => it.encode_to_vec(),
+            Op::Remove(it) => it.encode_to_vec(),
+            Op::Get(it) => it.encode_to_vec(),
+            Op::Knn(it) => it.encode_to_vec(),
+            Op::Query(it) => it.encode_to_vec(),
+            Op::Log(it) => it.encode_to_vec(),
+        }
+    }
+
+    /// Where it says the uid.
+    pub(crate) fn uids(&mut self) -> Vec<&mut String> {
+        match self {
+            Op::Create(_) | Op::Info(_) | Op::List(_) => Vec::new(),
+            Op::Delete(it) => vec![&mut it.uid],
+            Op::Insert(it) => vec![&mut it.uid],
+            Op::Update(it) => vec![&mut it.uid],
+            Op::Remove(it) => vec![&mut it.uid],
+            Op::Get(it) => it.at.iter_mut().map(|at| &mut at.uid).collect(),
+            Op::Knn(it) => it.at.iter_mut().map(|at| &mut at.uid).collect(),
+            Op::Query(it) => it.at.iter_mut().map(|at| &mut at.uid).collect(),
+            Op::Log(it) => vec![&mut it.uid],
+        }
+    }
+}
+
+/// The operations, one by one: what is asked depends on the revision that was reached.
+pub(crate) struct Script {
+    random: ChaCha8Rng,
+    by_hand: VecDeque<Op>,
+    left: usize,
+    revision: u64,
+}
+
+impl Script {
+    pub(crate) fn new(seed: u64, random: usize) -> Self {
+        Self {
+            random: ChaCha8Rng::seed_from_u64(seed),
+            by_hand: by_hand().into(),
+            left: random,
+            revision: 0,
+        }
+    }
+
+    /// What came of the last operation.
+    pub(crate) fn learn(&mut self, outcome: &Outcome) {
+        if let Outcome::Told { revision, .. } = outcome {
+            self.revision = self.revision.max(*revision);
+        }
+    }
+
+    pub(crate) fn next(&mut self) -> Option<Op> {
+        // The index is there first, and deleted last.
+        if self.left > 0 && self.by_hand.len() == AFTER {
+            self.left -= 1;
+            return Some(self.draw());
+        }
+        self.by_hand.pop_front()
+    }
+
+    fn pick<T: Copy>(&mut self, of: &[T]) -> T {
+        *of.choose(&mut self.random).unwrap()
+    }
+
+    fn chance(&mut self, probability: f64) -> bool {
+        self.random.random_bool(probability)
+    }
+
+    fn draw(&mut self) -> Op {
+        match self.random.random_range(0..100) {
+            0..35 => Op::Insert(self.insert()),
+            35..45 => Op::Update(self.update()),
+            45..55 => Op::Remove(v1::RemoveRequest {
+                ids: self.ids(4),
+                operation_id: self.operation_id(),
+                uid: self.uid(),
+                index: self.index(),
+            }),
+            55..65 => Op::Get(v1::GetRequest {
+                ids: self.ids(2),
+                payloads: self.chance(0.5),
+                at: self.at(),
+                index: self.index(),
+            }),
+            // Nothing that costs exactness: what else is found depends on how the trees were merged.
+            65..80 => Op::Knn(v1::KnnRequest {
+                states: self.states(3),
+                k: self.pick(&[1, 2, 3, 4, 5, 9, 40, 50, 0, 20_000]),
+                radius: self.radius(),
+                epsilon: self.pick(&[0.0, 0.0, 0.0, 1e-300, 1e-300, 0.0, 0.0, -1.0]),
+                max_leaves: self.pick(&[0, 0, 1_000_000]),
+                filter: self.filter(),
+                include: self.include(),
+                at: self.at(),
+                index: self.index(),
+            }),
+            80..90 => Op::Query(v1::QueryRequest {
+                states: self.states(3),
+                radius: self.radius(),
+                epsilon: self.pick(&[0.0, 0.0, 0.0, 0.0, 0.0, 1e-300, f64::INFINITY]),
+                max_leaves: 0,
+                filter: self.filter(),
+                include: self.include(),
+                at: self.at(),
+                index: self.index(),
+            }),
+            90..95 => Op::Log(v1::WatchRequest {
+                uid: self.uid(),
+                after_revision: self.revision_or_none(),
+                payloads: self.chance(0.5),
+                index: self.index(),
+            }),
+            95..98 => Op::Info(v1::GetIndexRequest { name: self.index() }),
+            _ => Op::List(v1::ListIndexesRequest {
+                page_size: self.pick(&[0, 1]),
+                page_token: String::new(),
+            }),
+        }
+    }
+
+    fn insert(&mut self) -> v1::InsertRequest {
+        let states = self.states(5);
+        let rows = states.as_ref().map_or(0, |states| states.rows as usize);
+        let mut column = |most: u64| -> Vec<u64> {
+            let length = match self.random.random_range(0..50) {
+                0..25 => 0,
+                25..49 => rows,
+                _ => rows + 1,
+            };
+            (0..length)
+                .map(|_| self.random.random_range(0..most))
+                .collect()
+        };
+        let (ids, tags) = (column(25), column(u64::MAX));
+        let payloads = (0..column(2).len()).map(|_| self.payload()).collect();
+        let neighbors = self.chance(0.4).then(|| v1::NeighborQuery {
+            k: self.pick(&[None, Some(1), Some(4), Some(4), Some(9), Some(0)]),
+            radius: self.radius(),
+            filter: self.filter(),
+            include: self.include(),
+        });
+        v1::InsertRequest {
+            states,
+            ids,
+            tags,
+            payloads,
+            on_conflict: self.pick(&[0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 7]),
+            min_separation: self.pick(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.3, f64::NAN]),
+            neighbors,
+            operation_id: self.operation_id(),
+            uid: self.uid(),
+            index: self.index(),
+        }
+    }
+
+    fn update(&mut self) -> v1::UpdateRequest {
+        let ids = self.ids(3);
+        let tags: Vec<u64> = match self.random.random_range(0..3) {
+            0 => vec![],
+            1 => vec![self.random.random_range(0..8)],
+            _ => ids.iter().map(|id| id % 8).collect(),
+        };
+        let payloads = match self.chance(0.4) {
+            true => ids.iter().map(|_| self.payload()).collect(),
+            false => vec![],
+        };
+        v1::UpdateRequest {
+            tag_mask: self.pick(&[None, None, None, None, None, Some(7), Some(u64::MAX)]),
+            ids,
+            tags,
+            payloads,
+            if_revision: if self.chance(0.2) {
+                self.revision_or_none()
+            } else {
+                None
+            },
+            operation_id: self.operation_id(),
+            uid: self.uid(),
+            index: self.index(),
+        }
+    }
+
+    fn row(&mut self) -> [f64; 5] {
+        let [x, angle, z] = [(); 3].map(|()| self.pick(&[0.0, -0.0, 0.1, 1.0 / 3.0, 7.5, 1e-300]));
+        let [a, b] = self.pick(&[[0.0, 1.0], [0.6, 0.8], [0.8, -0.6]]);
+        [x, angle + z, z, a, b]
+    }
+
+    /// States of R1*SO2*R3, mostly.
+    fn states(&mut self, most: u32) -> Option<v1::States> {
+        let rows = self.random.random_range(1..=most);
+        let mut coordinates: Vec<f64> = (0..rows).flat_map(|_| self.row()).collect();
+        match self.random.random_range(0..40) {
+            0 => return None,
+            1 => drop(coordinates.pop()),
+            2 => coordinates[3] = f64::NAN,
+            3 => coordinates[0] = f64::NEG_INFINITY,
+            4 => coordinates[4] = 1e200,
+            5 => return Some(v1::States::default()),
+            6 => coordinates.extend(std::iter::repeat_n(0.5, rows as usize)),
+            _ => {}
+        }
+        Some(v1::States { rows, coordinates })
+    }
+
+    fn ids(&mut self, most: usize) -> Vec<u64> {
+        let count = self.random.random_range(1..=most);
+        (0..count)
+            .map(|_| match self.random.random_range(0..60) {
+                0 => self.pick(&[1 << 53, (1 << 53) - 1, (1 << 63) - 1, 1 << 63, u64::MAX]),
+                _ => self.random.random_range(0..14),
+            })
+            .collect()
+    }
+
+    fn payload(&mut self) -> prost::bytes::Bytes {
+        let length = self.random.random_range(0..6);
+        (0..length)
+            .map(|_| self.random.random::<u8>())
+            .collect::<Vec<_>>()
+            .into()
+    }
+
+    fn radius(&mut self) -> Option<f64> {
+        self.pick(&[None, Some(0.0), Some(0.4), Some(2.0), Some(f64::INFINITY)])
+    }
+
+    fn include(&mut self) -> Option<v1::Include> {
+        self.chance(0.4).then(|| v1::Include {
+            states: self.chance(0.5),
+            tags: self.chance(0.5),
+            revisions: self.chance(0.5),
+            payloads: self.chance(0.5),
+        })
+    }
+
+    fn filter(&mut self) -> Option<v1::Filter> {
+        self.chance(0.3).then(|| {
+            let (tag_mask, tag_value) = self.pick(&[
+                (0, 0),
+                (1, 1),
+                (3, 2),
+                (1, 1),
+                (3, 1),
+                (1, 2),
+                (1 << 63, 1 << 63),
+            ]);
+            let since_revision = if self.chance(0.3) {
+                self.revision / 2
+            } else {
+                0
+            };
+            v1::Filter {
+                tag_mask,
+                tag_value,
+                since_revision,
+            }
+        })
+    }
+
+    /// A revision that there is, or one that is about to come, which no read waits for.
+    fn revision_or_none(&mut self) -> Option<u64> {
+        let most = self.revision + 3;
+        self.chance(0.8).then(|| self.random.random_range(0..=most))
+    }
+
+    fn at(&mut self) -> Option<v1::ReadAt> {
+        self.chance(0.6).then(|| v1::ReadAt {
+            uid: self.uid(),
+            min_revision: self.pick(&[0, self.revision, self.revision / 2]),
+        })
+    }
+
+    fn uid(&mut self) -> String {
+        let uid = if self.chance(0.97) { UID } else { "another" };
+        if self.chance(0.8) { uid } else { "" }.to_owned()
+    }
+
+    fn index(&mut self) -> String {
+        let name = if self.chance(0.97) { "arm" } else { "leg" };
+        name.to_owned()
+    }
+
+    /// Of few, so that some come back, with another request or a twin.
+    fn operation_id(&mut self) -> String {
+        match self.random.random_range(0..20) {
+            0 if self.chance(0.3) => "x".repeat(65),
+            1..4 => format!("op-{}", self.random.random_range(0..12)),
+            _ => String::new(),
+        }
+    }
+}
+
+/// How many of those by hand come after the random ones.
+const AFTER: usize = 8;
+
+fn by_hand() -> Vec<Op> {
+    let create = |name: &str, space: &str| {
+        Op::Create(v1::CreateIndexRequest {
+            name: name.into(),
+            space_text: space.into(),
+            space: None,
+        })
+    };
+    let so3 = |name: &str, text: &str| {
+        let so3 = v1::space::Kind::So3(v1::So3 {});
+        Op::Create(v1::CreateIndexRequest {
+            name: name.into(),
+            space: Some(v1::Space { kind: Some(so3) }),
+            space_text: text.into(),
+        })
+    };
+    let list = |page_size, page_token: &str| {
+        Op::List(v1::ListIndexesRequest {
+            page_size,
+            page_token: page_token.into(),
+        })
+    };
+    let delete = |name: &str, uid: &str| {
+        Op::Delete(v1::DeleteIndexRequest {
+            name: name.into(),
+            uid: uid.into(),
+        })
+    };
+    let info = |name: &str| Op::Info(v1::GetIndexRequest { name: name.into() });
+    let insert = |ids: &[u64], operation_id: &str, payload: usize| {
+        Op::Insert(v1::InsertRequest {
+            index: "arm".into(),
+            states: Some(v1::States {
+                rows: 1,
+                coordinates: vec![0.1, 0.2, 0.3, 0.6, 0.8],
+            }),
+            ids: ids.into(),
+            payloads: vec![vec![7; payload].into()],
+            operation_id: operation_id.into(),
+            ..Default::default()
+        })
+    };
+    vec![
+        info("arm"),
+        list(0, ""),
+        create("arm", "R1*SO2*R3:0.5"),
+        create("arm", "R1*SO2*R3:0.5"),
+        create("arm", "R5"),
+        create("Arm", "R5"),
+        create("hand", "R0"),
+        create("hand", ""),
+        create("hand", "nonsense"),
+        so3("hand", "SO3"),
+        so3("hand", ""),
+        create("foot", "sum(R2, SO2[1]:0.5)"),
+        list(1, ""),
+        list(2, "61726d"),
+        list(0, "no token"),
+        insert(&[50], "first", 3),
+        insert(&[50], "first", 3),
+        insert(&[51], "first", 3),
+        insert(&[50], "", 4),
+        insert(&[1 << 63], "", 0),
+        insert(&[], "", 65_537),
+        insert(&[], &"ä".repeat(33), 0),
+        // From here on after the random ones.
+        insert(&[(1 << 63) - 1], "", 0),
+        insert(&[], "", 0),
+        info("arm"),
+        list(0, ""),
+        delete("arm", "another"),
+        delete("hand", ""),
+        delete("arm", UID),
+        delete("arm", UID),
+    ]
+}

@@ -1,0 +1,139 @@
+//! One who asks over Zenoh.
+
+use std::{process::Command, time::Duration};
+
+use serde_json::{Value, json};
+use wayfold_tests::{Process, ServerProcess};
+use zenoh::{Config, Session, bytes::Encoding, query::ConsolidationMode};
+
+/// How long an answer may take before a test gives up on it.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A server with Zenoh on a free port of loopback, in memory.
+pub(crate) fn server() -> (ServerProcess, String) {
+    server_with(&[], &[])
+}
+
+/// The same with more arguments, and settings by environment.
+pub(crate) fn server_with(
+    arguments: &[&str],
+    settings: &[(&str, &str)],
+) -> (ServerProcess, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"])
+        .env("WAYFOLD_DATA__DIR", "memory")
+        .envs(settings.iter().copied())
+        .args(arguments);
+    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let locator = server.zenoh();
+    (server, locator)
+}
+
+/// A session that finds nobody by itself.
+pub(crate) async fn session(mode: &str, listen: &[&str], connect: &[&str]) -> Session {
+    let config = json!({
+        "mode": mode,
+        "listen": { "endpoints": listen },
+        "connect": { "endpoints": connect, "retry": { "period_init_ms": 20, "period_max_ms": 100 } },
+        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+    });
+    let config = Config::from_json5(&config.to_string()).unwrap();
+    zenoh::open(config).await.unwrap()
+}
+
+/// A session with the server at `locator`.
+pub(crate) struct Robot {
+    pub(crate) session: Session,
+}
+
+/// One answer.
+#[derive(Clone, Debug)]
+pub(crate) struct Told {
+    /// Its key; that of a refusal is empty.
+    pub(crate) key: String,
+    pub(crate) encoding: String,
+    pub(crate) payload: Vec<u8>,
+}
+
+impl Told {
+    pub(crate) fn json(&self) -> Value {
+        assert_eq!(self.encoding, "application/json");
+        serde_json::from_slice(&self.payload).unwrap()
+    }
+}
+
+impl Robot {
+    pub(crate) async fn connect(locator: &str) -> Self {
+        let session = session("client", &[], &[locator]).await;
+        Self { session }
+    }
+
+    /// All answers and refusals to a query, in their order.
+    pub(crate) async fn all(
+        &self,
+        selector: &str,
+        payload: Vec<u8>,
+        encoding: Encoding,
+    ) -> Vec<Result<Told, Told>> {
+        let replies = self
+            .session
+            .get(selector)
+            .payload(payload)
+            .encoding(encoding)
+            .consolidation(ConsolidationMode::None)
+            .timeout(PATIENCE)
+            .await
+            .unwrap();
+        let mut told = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            told.push(match reply.into_result() {
+                Ok(sample) => Ok(Told {
+                    key: sample.key_expr().to_string(),
+                    encoding: sample.encoding().to_string(),
+                    payload: sample.payload().to_bytes().into_owned(),
+                }),
+                Err(refusal) => Err(Told {
+                    key: String::new(),
+                    encoding: refusal.encoding().to_string(),
+                    payload: refusal.payload().to_bytes().into_owned(),
+                }),
+            });
+        }
+        told
+    }
+
+    /// The one answer to a query.
+    pub(crate) async fn ask(
+        &self,
+        selector: &str,
+        payload: Vec<u8>,
+        encoding: Encoding,
+    ) -> Result<Told, Told> {
+        let mut told = self.all(selector, payload, encoding).await;
+        assert_eq!(told.len(), 1, "{selector}: {told:?}");
+        told.remove(0)
+    }
+
+    /// The same in JSON, of a key under the usual prefix; a null is no payload.
+    pub(crate) async fn json(&self, selector: &str, body: Value) -> Result<Value, Value> {
+        let payload = match body {
+            Value::Null => Vec::new(),
+            body => body.to_string().into_bytes(),
+        };
+        let selector = format!("wayfold/v1/{selector}");
+        let told = self.ask(&selector, payload, Encoding::APPLICATION_JSON);
+        match told.await {
+            Ok(told) => Ok(told.json()),
+            Err(told) => Err(told.json()),
+        }
+    }
+}
+
+/// The code and the reason of a refusal in JSON.
+pub(crate) fn reason(refusal: &Value) -> (i64, &str) {
+    let mut details = refusal["details"].as_array().unwrap().iter();
+    let info = details.find(|detail| detail["domain"] == "wayfold");
+    let reason = info.unwrap()["reason"].as_str().unwrap();
+    (refusal["code"].as_i64().unwrap(), reason)
+}
