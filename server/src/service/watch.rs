@@ -97,7 +97,7 @@ impl Watch {
     }
 
     /// The same with messages of about so many bytes. A message has less than a payload more.
-    pub(super) fn with_message_bytes(self, message_bytes: usize) -> Self {
+    pub fn with_message_bytes(self, message_bytes: usize) -> Self {
         Self {
             message_bytes,
             ..self

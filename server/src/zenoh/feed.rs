@@ -4,14 +4,14 @@
 //! Publications are dropped where a subscriber's link is full, so that none of them holds up the server or fills its
 //! memory. Each message says the uid, and each mutation its revision: a subscriber sees a gap, and asks `log` for it.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use tokio::{sync::watch, time::timeout};
 use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 use tracing::{debug, warn};
 use wayfold_proto::v1;
 use zenoh::{
-    Session, key_expr::KeyExpr, liveliness::LivelinessToken, matching::MatchingListener,
+    Session, Wait, key_expr::KeyExpr, liveliness::LivelinessToken, matching::MatchingListener,
     pubsub::Publisher, qos::CongestionControl,
 };
 
@@ -20,6 +20,10 @@ use crate::service::{Call, Code, Error, Served, Service, Unavailability};
 
 /// How long to leave an index alone of which the log could not be read.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(1);
+
+/// About how many bytes a publication has: one that is larger than a batch of Zenoh's is cut up, and is lost with any
+/// of its parts.
+const MESSAGE_BYTES: usize = 48 * 1024;
 
 /// The forms in which mutations are published, and the last part of the key for each.
 const FEEDS: [(Form, &str); 2] = [(Form::Protobuf, "events"), (Form::Json, "events/json")];
@@ -173,6 +177,7 @@ struct Feed {
 impl Feed {
     /// Ends with the index, or with the server.
     async fn run(self, publisher: Publisher<'static>) {
+        let publisher = Arc::new(publisher);
         // The newest revision that was read whole; what comes after is published, at first what is new from now on.
         let mut after = None;
         while let Err(error) = self.publish(&publisher, &mut after).await {
@@ -190,7 +195,7 @@ impl Feed {
     /// Publishes until there is a failure.
     async fn publish(
         &self,
-        publisher: &Publisher<'static>,
+        publisher: &Arc<Publisher<'static>>,
         after: &mut Option<u64>,
     ) -> Result<(), Error> {
         let request = v1::WatchRequest {
@@ -199,7 +204,8 @@ impl Feed {
             after_revision: *after,
             payloads: true,
         };
-        let mut watch = self.service.watch(&Call::default(), request).await?;
+        let watch = self.service.watch(&Call::default(), request).await?;
+        let mut watch = watch.with_message_bytes(MESSAGE_BYTES);
         while let Some(message) = watch.next().await {
             let message = message?;
             if publisher
@@ -208,9 +214,7 @@ impl Feed {
                 .is_ok_and(|it| it.matching())
             {
                 let payload = self.form.write(v1::WatchResponse::NAME, &message)?;
-                if let Err(error) = publisher.put(payload).await {
-                    debug!(index = self.index, %error, "mutations could not be published");
-                }
+                self.put(publisher, payload).await;
             }
             let whole = message.mutations.iter().rfind(|last| !last.continued);
             *after = match whole {
@@ -228,5 +232,14 @@ impl Feed {
         Err(Error::Unavailable {
             why: Unavailability::Starting,
         })
+    }
+
+    async fn put(&self, publisher: &Arc<Publisher<'static>>, payload: Vec<u8>) {
+        let publisher = Arc::clone(publisher);
+        // Before it drops a publication, Zenoh waits a moment for room, and keeps the thread meanwhile.
+        let put = tokio::task::spawn_blocking(move || publisher.put(payload).wait());
+        if let Ok(Err(error)) = put.await {
+            debug!(index = self.index, %error, "mutations could not be published");
+        }
     }
 }

@@ -9,6 +9,9 @@ use crate::config::ZenohConfig;
 /// After how long a peer that does not take its answers is cut off, in microseconds.
 const WAIT_FOR_PEER_US: u64 = 1_000_000;
 
+/// For how long a publication waits for room on a link before it is dropped, in microseconds.
+const WAIT_FOR_ROOM_US: u64 = 10_000;
+
 /// How much larger than the largest payload a message may be before Zenoh drops it without a word.
 const REFUSED_IN_WORDS: usize = 4;
 
@@ -75,7 +78,10 @@ fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
         "transport": { "link": {
             "rx": { "max_message_size": REFUSED_IN_WORDS.saturating_mul(config.max_message_bytes) },
-            "tx": { "queue": { "congestion_control": { "block": { "wait_before_close": WAIT_FOR_PEER_US } } } },
+            "tx": { "queue": { "congestion_control": {
+                "block": { "wait_before_close": WAIT_FOR_PEER_US },
+                "drop": { "wait_before_drop": WAIT_FOR_ROOM_US },
+            } } },
         } },
     });
     let over: Value = json5::from_str(&config.config).map_err(|error| wrong(error.to_string()))?;

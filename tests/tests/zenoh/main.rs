@@ -5,6 +5,8 @@
     reason = "a test says what went wrong by where it panics"
 )]
 
+mod feed;
+mod follower;
 mod life;
 mod parity;
 mod robot;

@@ -1,0 +1,346 @@
+//! What is published: the mutations of an index, whole and in order, and which indices there are.
+
+use std::{
+    fs,
+    sync::{Mutex, mpsc},
+};
+
+use prost::Message;
+use serde_json::{Value, json};
+use wayfold_proto::v1::{self, ResetReason};
+use wayfold_tests::{Content, Stubs, row_states};
+use zenoh::{
+    handlers::FifoChannelHandler,
+    pubsub::Subscriber,
+    sample::{Sample, SampleKind},
+};
+
+use crate::{
+    follower::Follower,
+    robot::{Robot, server, server_with},
+};
+
+type Events = Subscriber<FifoChannelHandler<Sample>>;
+
+pub(crate) async fn subscribe(robot: &Robot) -> Events {
+    let events = robot.session.declare_subscriber("wayfold/v1/arm/events");
+    events.await.unwrap()
+}
+
+pub(crate) async fn next(events: &Events) -> v1::WatchResponse {
+    let sample = events.recv_async().await.unwrap();
+    assert_eq!(sample.encoding().to_string(), "application/protobuf");
+    v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap()
+}
+
+pub(crate) fn insertion(ids: &[u64], payload: usize) -> v1::InsertRequest {
+    let rows: Vec<f64> = ids.iter().flat_map(|id| [*id as f64, 0.5]).collect();
+    v1::InsertRequest {
+        index: "arm".into(),
+        states: Some(row_states(&rows, 2)),
+        ids: ids.into(),
+        tags: ids.iter().map(|id| id % 3).collect(),
+        payloads: vec![vec![7; payload].into(); ids.len()],
+        on_conflict: v1::OnConflict::Replace.into(),
+        ..Default::default()
+    }
+}
+
+/// Inserts, updates and removals: so many mutations, from `first` on.
+async fn mutate(stubs: &mut Stubs, first: u64, count: u64) {
+    for step in first..first + count {
+        match step % 4 {
+            0 | 1 => drop(
+                stubs
+                    .insert(insertion(&[step, step / 2 + 1_000], step as usize % 50))
+                    .await,
+            ),
+            2 => {
+                let update = v1::UpdateRequest {
+                    index: "arm".into(),
+                    ids: vec![step - 1],
+                    tags: vec![step],
+                    ..Default::default()
+                };
+                stubs.points.update(update).await.unwrap();
+            }
+            _ => {
+                let removal = v1::RemoveRequest {
+                    index: "arm".into(),
+                    ids: vec![step - 3],
+                    ..Default::default()
+                };
+                stubs.points.remove(removal).await.unwrap();
+            }
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn events_are_what_a_watch_tells() {
+    let (server, locator) = server();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("arm", "R2").await.uid;
+    let robot = Robot::connect(&locator).await;
+    let events = subscribe(&robot).await;
+    let mut follower = Follower::new(&robot, &uid);
+    // The first says how far the index is, once somebody follows it.
+    follower.take(next(&events).await).await;
+    let watched = v1::WatchRequest {
+        index: "arm".into(),
+        uid,
+        after_revision: Some(0),
+        payloads: true,
+    };
+    let mut watch = stubs.points.watch(watched).await.unwrap().into_inner();
+
+    mutate(&mut stubs, 0, 200).await;
+    // Larger than a message of the feed.
+    stubs
+        .insert(insertion(&(5_000..5_020).collect::<Vec<_>>(), 40_000))
+        .await;
+    catch_up(&mut follower, &events, &mut stubs).await;
+    assert_eq!(
+        follower.content,
+        Content::read(&stubs, "arm").await.unwrap()
+    );
+    let mut told = Vec::new();
+    while told.last().map(|last: &v1::Mutation| last.revision) < Some(follower.content.revision) {
+        told.extend(watch.message().await.unwrap().unwrap().mutations);
+    }
+    assert_eq!(whole(told), whole(follower.mutations));
+}
+
+/// Takes publications until the follower is where the index is. Any may have been dropped, also the last, and it is the
+/// next that shows it: so there is always one more.
+async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs: &mut Stubs) {
+    loop {
+        let made = stubs.insert(insertion(&[9_999], 1)).await.revision;
+        while let Ok(Some(sample)) = events.try_recv() {
+            let told = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
+            follower.take(told).await;
+        }
+        let removed = v1::RemoveRequest {
+            index: "arm".into(),
+            ids: vec![9_999],
+            ..Default::default()
+        };
+        stubs.points.remove(removed).await.unwrap();
+        if follower.content.revision >= made {
+            follower.repair(made + 1).await;
+            return;
+        }
+    }
+}
+
+/// The same mutations, each in one piece.
+fn whole(pieces: Vec<v1::Mutation>) -> Vec<v1::Mutation> {
+    let mut whole: Vec<v1::Mutation> = Vec::new();
+    for piece in pieces {
+        match whole.last_mut().filter(|last| last.continued) {
+            Some(last) => {
+                // Fields that are set again are added to: as in the encoding, one after the other.
+                let continued = piece.continued;
+                let mut bytes = last.encode_to_vec();
+                let more = piece.stored.clone().unwrap_or_default();
+                let states = last.stored.as_mut().and_then(|it| it.states.as_mut());
+                let rows = states.map_or(0, |it| it.rows) + more.states.map_or(0, |it| it.rows);
+                bytes.extend(piece.encode_to_vec());
+                *last = v1::Mutation::decode(&*bytes).unwrap();
+                last.continued = continued;
+                if let Some(states) = last.stored.as_mut().and_then(|it| it.states.as_mut()) {
+                    states.rows = rows;
+                }
+            }
+            None => whole.push(piece),
+        }
+    }
+    whole
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_gap_is_seen_and_repaired_from_the_log() {
+    let (server, locator) = server();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("arm", "R2").await.uid;
+    // Before anybody follows.
+    mutate(&mut stubs, 0, 20).await;
+    let robot = Robot::connect(&locator).await;
+    let events = subscribe(&robot).await;
+    let mut follower = Follower::new(&robot, &uid);
+    follower.take(next(&events).await).await;
+    assert_eq!((follower.content.revision, follower.repairs), (20, 1));
+    for round in 0..20 {
+        // One at a time, so that each has a publication of its own; every third is lost.
+        mutate(&mut stubs, 20 + round, 1).await;
+        let told = next(&events).await;
+        if round % 3 > 0 {
+            follower.take(told).await;
+        }
+    }
+    // The last that was lost shows only when there is another.
+    mutate(&mut stubs, 40, 1).await;
+    follower.take(next(&events).await).await;
+    assert_eq!(
+        follower.content,
+        Content::read(&stubs, "arm").await.unwrap()
+    );
+    assert!(follower.repairs >= 7, "{}", follower.repairs);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn events_come_in_json_too() {
+    let (_server, locator) = server();
+    let robot = Robot::connect(&locator).await;
+    let create = json!({ "name": "arm", "space_text": "R2" });
+    let uid = robot.json("create", create).await.unwrap()["index"]["uid"].clone();
+    let events = robot.session.declare_subscriber("wayfold/v1/*/events/json");
+    let events = events.await.unwrap();
+    let next = async || -> Value {
+        let sample = events.recv_async().await.unwrap();
+        assert_eq!(sample.key_expr().as_str(), "wayfold/v1/arm/events/json");
+        assert_eq!(sample.encoding().to_string(), "application/json");
+        serde_json::from_slice(&sample.payload().to_bytes()).unwrap()
+    };
+    assert_eq!(
+        next().await,
+        json!({ "uid": uid, "revision": 0, "mutations": [] })
+    );
+    let insert = json!({ "states": [[1, 2]], "ids": [7], "tags": [3] });
+    robot.json("arm/insert", insert).await.unwrap();
+    let mut told = next().await;
+    let time_ms = told["mutations"][0]["time_ms"].take();
+    assert!(time_ms.as_u64().unwrap() > 0);
+    let stored = json!({
+        "ids": [7], "states": [[1.0, 2.0]], "tags": [3], "revisions": [1], "payloads": [""]
+    });
+    let mutation = json!({
+        "revision": 1, "time_ms": null, "stored": stored, "removed_ids": [], "continued": false
+    });
+    assert_eq!(
+        told,
+        json!({ "uid": uid, "revision": 1, "mutations": [mutation] })
+    );
+    let selector = format!("arm/log?from=0;uid={}", uid.as_str().unwrap());
+    let told = robot.json(&selector, Value::Null).await.unwrap();
+    assert_eq!(told["mutations"][0]["removed_ids"], json!([]));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
+    let (server, locator) = server();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let old = stubs.create("arm", "R2").await.uid;
+    let robot = Robot::connect(&locator).await;
+    let liveliness = robot.session.liveliness();
+    let alive = liveliness
+        .declare_subscriber("wayfold/v1/*/@alive")
+        .history(true);
+    let alive = alive.await.unwrap();
+    let next_token = async || {
+        let sample = alive.recv_async().await.unwrap();
+        (sample.kind(), sample.key_expr().to_string())
+    };
+    let token = |name: &str| format!("wayfold/v1/{name}/@alive");
+    assert_eq!(next_token().await, (SampleKind::Put, token("arm")));
+    stubs.create("leg", "R2").await;
+    assert_eq!(next_token().await, (SampleKind::Put, token("leg")));
+    stubs.delete("leg").await;
+    assert_eq!(next_token().await, (SampleKind::Delete, token("leg")));
+
+    let events = subscribe(&robot).await;
+    let mut follower = Follower::new(&robot, &old);
+    follower.take(next(&events).await).await;
+    mutate(&mut stubs, 0, 2).await;
+    while follower.content.revision < 2 {
+        follower.take(next(&events).await).await;
+    }
+    stubs.delete("arm").await;
+    let new = stubs.create("arm", "R2").await.uid;
+    mutate(&mut stubs, 0, 3).await;
+    assert_eq!(next_token().await, (SampleKind::Delete, token("arm")));
+    assert_eq!(next_token().await, (SampleKind::Put, token("arm")));
+    // What it knows is of another past: it is told so, here and there.
+    let told = next(&events).await;
+    assert_eq!(told.uid, new);
+    let reset = follower.log().await;
+    assert_eq!((reset.reset(), &reset.uid), (ResetReason::UidChanged, &new));
+    let mut follower = Follower::new(&robot, &new);
+    follower.take(told).await;
+    follower.repair(3).await;
+    assert_eq!(
+        follower.content,
+        Content::read(&stubs, "arm").await.unwrap()
+    );
+}
+
+/// A publication that its link has no room for is dropped; the subscriber hears from the log that it is too late.
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_anew() {
+    const PAYLOAD: usize = 60_000;
+    let settings = [("WAYFOLD_INDEX__WINDOW_BYTES", "1000000")];
+    let (server, locator) = server_with(&[], &settings);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("arm", "R2").await.uid;
+    let slow = Robot::connect(&locator).await;
+    // Shut for as long as `open` is not dropped.
+    let (open, gate) = mpsc::channel::<()>();
+    let gate = Mutex::new(gate);
+    let (tell, mut told) = tokio::sync::mpsc::unbounded_channel();
+    // Zenoh calls it on the thread that reads the link, and so reads no more.
+    let events = slow
+        .session
+        .declare_subscriber("wayfold/v1/arm/events")
+        .callback(move |sample| {
+            let message = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
+            let _ = tell.send(message.mutations.first().map(|first| first.revision));
+            let _ = gate.lock().unwrap().recv();
+        });
+    let events = events.await.unwrap();
+    assert_eq!(told.recv().await, Some(None));
+
+    let resident = || -> u64 {
+        let status = fs::read_to_string(format!("/proc/{}/status", server.process().id())).unwrap();
+        let line = status
+            .lines()
+            .find(|line| line.starts_with("VmRSS:"))
+            .unwrap();
+        line.split_whitespace().nth(1).unwrap().parse().unwrap()
+    };
+    stubs.insert(insertion(&[1], PAYLOAD)).await;
+    let before = resident();
+    const WRITES: u64 = 2_000;
+    for write in 0..WRITES {
+        let tags = vec![write + 10];
+        let moved = v1::InsertRequest {
+            tags,
+            ..insertion(&[1], PAYLOAD)
+        };
+        stubs.insert(moved).await;
+    }
+    let grown = resident().saturating_sub(before);
+    let published = WRITES * PAYLOAD as u64 / 1024;
+    assert!(grown < published / 2, "{grown} KiB of {published}");
+
+    // Others are answered meanwhile.
+    let robot = Robot::connect(&locator).await;
+    let info = robot.json("arm/info", Value::Null).await.unwrap();
+    assert_eq!(info["index"]["revision"], WRITES + 1);
+    let follower = Follower::new(&robot, &uid);
+    assert_eq!(follower.log().await.reset(), ResetReason::WindowPassed);
+
+    drop(open);
+    // Once it reads again, what is new comes through, and shows what was dropped.
+    let mut last = 0;
+    for more in 2.. {
+        if last > WRITES + 1 {
+            break;
+        }
+        stubs.insert(insertion(&[more], 1)).await;
+        while let Ok(revision) = told.try_recv() {
+            last = last.max(revision.unwrap_or_default());
+        }
+    }
+    events.undeclare().await.unwrap();
+}

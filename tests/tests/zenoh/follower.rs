@@ -1,0 +1,127 @@
+//! One who follows an index by its publications, and asks the log for what it missed.
+
+use std::collections::BTreeMap;
+
+use prost::Message;
+use wayfold_proto::v1::{self, ResetReason};
+use wayfold_tests::{Content, StoredPoint, bits};
+use zenoh::bytes::Encoding;
+
+use crate::robot::Robot;
+
+/// What it knows of the index "arm".
+pub(crate) struct Follower<'a> {
+    robot: &'a Robot,
+    pub(crate) content: Content,
+    /// The mutations, each whole.
+    pub(crate) mutations: Vec<v1::Mutation>,
+    /// The pieces of the next one.
+    pieces: Vec<v1::Mutation>,
+    /// How often it asked for what it missed.
+    pub(crate) repairs: usize,
+}
+
+impl<'a> Follower<'a> {
+    /// One who knows the index from its beginning.
+    pub(crate) fn new(robot: &'a Robot, uid: &str) -> Self {
+        let content = Content {
+            uid: uid.to_owned(),
+            revision: 0,
+            points: BTreeMap::new(),
+        };
+        Self {
+            robot,
+            content,
+            mutations: Vec::new(),
+            pieces: Vec::new(),
+            repairs: 0,
+        }
+    }
+
+    /// Takes a publication, and asks for what it shows to be missing.
+    pub(crate) async fn take(&mut self, told: v1::WatchResponse) {
+        assert_eq!(told.uid, self.content.uid);
+        assert_eq!(told.reset(), ResetReason::Unspecified);
+        let expected = match self.pieces.last() {
+            Some(piece) => piece.revision,
+            None => self.content.revision + 1,
+        };
+        match told.mutations.first().map(|first| first.revision) {
+            Some(first) if first > expected => self.repair(first - 1).await,
+            Some(_) => {}
+            None => self.repair(told.revision).await,
+        }
+        for mutation in told.mutations {
+            self.apply(mutation);
+        }
+    }
+
+    /// Asks the log up to a revision.
+    pub(crate) async fn repair(&mut self, to: u64) {
+        self.pieces.clear();
+        while self.content.revision < to {
+            let told = self.log().await;
+            assert_eq!(told.reset(), ResetReason::Unspecified);
+            assert!(!told.mutations.is_empty());
+            self.repairs += 1;
+            for mutation in told.mutations {
+                self.apply(mutation);
+            }
+        }
+    }
+
+    /// What the log tells after the newest revision that is known.
+    pub(crate) async fn log(&self) -> v1::WatchResponse {
+        let request = v1::WatchRequest {
+            uid: self.content.uid.clone(),
+            payloads: true,
+            ..Default::default()
+        };
+        let selector = format!("wayfold/v1/arm/log?from={}", self.content.revision);
+        let payload = request.encode_to_vec();
+        let told = self
+            .robot
+            .ask(&selector, payload, Encoding::APPLICATION_PROTOBUF);
+        v1::WatchResponse::decode(&*told.await.unwrap().payload).unwrap()
+    }
+
+    fn apply(&mut self, mutation: v1::Mutation) {
+        // After a repair, what was asked for may be published once more.
+        if mutation.revision <= self.content.revision {
+            return;
+        }
+        assert_eq!(mutation.revision, self.content.revision + 1);
+        let continued = mutation.continued;
+        self.pieces.push(mutation);
+        if continued {
+            return;
+        }
+        self.content.revision += 1;
+        let pieces = std::mem::take(&mut self.pieces);
+        for piece in &pieces {
+            for id in &piece.removed_ids {
+                assert!(self.content.points.remove(id).is_some());
+            }
+            if let Some(stored) = &piece.stored {
+                self.store(stored);
+            }
+        }
+        self.mutations.extend(pieces);
+    }
+
+    fn store(&mut self, stored: &v1::Points) {
+        let states = stored.states.as_ref().unwrap();
+        let rows = states
+            .coordinates
+            .chunks(states.coordinates.len() / states.rows as usize);
+        for (slot, row) in rows.enumerate() {
+            let point = StoredPoint {
+                state: bits(row),
+                tag: stored.tags[slot],
+                revision: stored.revisions[slot],
+                payload: stored.payloads[slot].to_vec(),
+            };
+            self.content.points.insert(stored.ids[slot], point);
+        }
+    }
+}
