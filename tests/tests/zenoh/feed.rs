@@ -20,7 +20,7 @@ use crate::{
     robot::{Robot, server, server_with},
 };
 
-type Events = Subscriber<FifoChannelHandler<Sample>>;
+pub(crate) type Events = Subscriber<FifoChannelHandler<Sample>>;
 
 pub(crate) async fn subscribe(robot: &Robot) -> Events {
     let events = robot.session.declare_subscriber("wayfold/v1/arm/events");
@@ -113,7 +113,7 @@ async fn events_are_what_a_watch_tells() {
 
 /// Takes publications until the follower is where the index is. Any may have been dropped, also the last, and it is the
 /// next that shows it: so there is always one more.
-async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs: &mut Stubs) {
+pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs: &mut Stubs) {
     loop {
         let made = stubs.insert(insertion(&[9_999], 1)).await.revision;
         while let Ok(Some(sample)) = events.try_recv() {

@@ -19,9 +19,18 @@ pub(crate) fn server_with(
     arguments: &[&str],
     settings: &[(&str, &str)],
 ) -> (ServerProcess, String) {
+    server_at("tcp/127.0.0.1:0", arguments, settings)
+}
+
+/// The same at a locator.
+pub(crate) fn server_at(
+    locator: &str,
+    arguments: &[&str],
+    settings: &[(&str, &str)],
+) -> (ServerProcess, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
     command
-        .args(["--grpc", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"])
+        .args(["--grpc", "127.0.0.1:0", "--zenoh", locator])
         .env("WAYFOLD_DATA__DIR", "memory")
         .envs(settings.iter().copied())
         .args(arguments);

@@ -1,0 +1,120 @@
+//! Servers and routers are killed and come back: whoever asks and follows goes on, and is told nothing wrong.
+
+use serde_json::json;
+use wayfold_proto::v1;
+use wayfold_tests::{Content, Process, Signal, Stubs};
+use zenoh::{
+    bytes::Encoding,
+    handlers::FifoChannelHandler,
+    pubsub::Subscriber,
+    sample::{Sample, SampleKind},
+};
+
+use crate::{
+    feed::{catch_up, insertion, next, subscribe},
+    follower::Follower,
+    robot::{Robot, server_at, server_with},
+};
+
+type Tokens = Subscriber<FifoChannelHandler<Sample>>;
+
+async fn tokens(robot: &Robot) -> Tokens {
+    let liveliness = robot.session.liveliness();
+    let tokens = liveliness.declare_subscriber("wayfold/v1/arm/@alive");
+    tokens.history(true).await.unwrap()
+}
+
+/// Waits until the index is served, or is not.
+async fn until(tokens: &Tokens, kind: SampleKind) {
+    while tokens.recv_async().await.unwrap().kind() != kind {}
+}
+
+async fn compare(follower: &Follower<'_>, stubs: &Stubs) {
+    let content = Content::read(stubs, "arm").await.unwrap();
+    assert_eq!(follower.content, content);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_that_is_killed_and_comes_back_is_found_again_with_its_past() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let data = ["--data", data.to_str().unwrap()];
+    let (mut server, locator) = server_with(&data, &[]);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("arm", "R2").await.uid;
+    let robot = Robot::connect(&locator).await;
+    let tokens = tokens(&robot).await;
+    until(&tokens, SampleKind::Put).await;
+    let events = subscribe(&robot).await;
+    let mut follower = Follower::new(&robot, &uid);
+    for round in 1..4 {
+        catch_up(&mut follower, &events, &mut stubs).await;
+        compare(&follower, &stubs).await;
+        // Killed in the middle of a batch, or of its publication.
+        let request = v1::InsertRequest {
+            tags: vec![round; 400],
+            ..insertion(&(1_000..1_400).collect::<Vec<_>>(), 500)
+        };
+        let mut writer = stubs.clone();
+        let writing = tokio::spawn(async move { writer.points.insert(request).await });
+        stubs.insert(insertion(&[round], 20)).await;
+        next(&events).await;
+        server.stop(Signal::Kill);
+        // Whether it was stored is unknown, and either is right.
+        let _ = writing.await.unwrap();
+        until(&tokens, SampleKind::Delete).await;
+
+        server = server_at(&locator, &data, &[]).0;
+        until(&tokens, SampleKind::Put).await;
+        stubs = Stubs::connect(server.uri()).await;
+        assert_eq!(stubs.describe("arm").await.uid, uid);
+    }
+    catch_up(&mut follower, &events, &mut stubs).await;
+    compare(&follower, &stubs).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
+    let program = env!("CARGO_BIN_EXE_router-process");
+    let mut router = Process::start(program, &["tcp/127.0.0.1:0"]);
+    let at = router.line().unwrap();
+    let retry = json!({ "period_init_ms": 20, "period_max_ms": 100 });
+    let behind = json!({ "mode": "client", "connect": { "endpoints": [at], "retry": retry } });
+    let behind = behind.to_string();
+    let (server, _) = server_with(&[], &[("WAYFOLD_ZENOH__CONFIG", &behind)]);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("arm", "R2").await.uid;
+    let robot = Robot::connect(&at).await;
+    let tokens = tokens(&robot).await;
+    until(&tokens, SampleKind::Put).await;
+    let events = subscribe(&robot).await;
+    let mut follower = Follower::new(&robot, &uid);
+    for round in 1..4 {
+        catch_up(&mut follower, &events, &mut stubs).await;
+        compare(&follower, &stubs).await;
+        // Asked, and perhaps never answered: then the same again takes effect once.
+        let operation = format!("operation-{round}");
+        let request =
+            json!({ "states": [[round, 7]], "ids": [70 + round], "operation_id": operation });
+        let insert = async || {
+            let payload = request.to_string().into_bytes();
+            let key = "wayfold/v1/arm/insert";
+            robot.all(key, payload, Encoding::APPLICATION_JSON).await
+        };
+        let (first, ()) = tokio::join!(insert(), async {
+            router.stop(Signal::Kill);
+        });
+        until(&tokens, SampleKind::Delete).await;
+        router = Process::start(program, &[&at]);
+        assert_eq!(router.line().as_ref(), Some(&at));
+        until(&tokens, SampleKind::Put).await;
+        let again = insert().await.remove(0).unwrap().json();
+        assert_eq!(again["outcomes"], json!(["INSERTED"]));
+        // What is no answer of the server is Zenoh's word that there will be none.
+        for told in first.into_iter().flatten() {
+            assert_eq!(told.json(), again);
+        }
+    }
+    catch_up(&mut follower, &events, &mut stubs).await;
+    compare(&follower, &stubs).await;
+}
