@@ -1,0 +1,184 @@
+"""Drives the server over Zenoh: `tests/zenoh/run` is the way to start it."""
+
+import argparse
+import json
+import queue
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import zenoh
+
+from faces import PREFIX, Json, Protobuf, Refused, connect, only
+from planner import entry
+from processes import PATIENCE_S, Server, generate_stubs, load_stubs
+
+ROUNDS = 120
+ROWS = [[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]]
+
+
+def expect(found, expected):
+    if found != expected:
+        raise AssertionError(f"{found!r} is not {expected!r}")
+
+
+def refused(code: int, reason: str, ask):
+    try:
+        ask()
+    except Refused as refusal:
+        expect((refusal.code, refusal.reason), (code, reason))
+    else:
+        raise AssertionError(f"{reason} was expected")
+
+
+def drive(face, index_pb, pb):
+    """Every operation, on an index of its own."""
+    name = face.name
+    create = index_pb.CreateIndexRequest(name=name, space_text="R2")
+    created = face.ask("create", create, index_pb.CreateIndexResponse)
+    expect((created.created, created.index.space.real_vector.dimensions), (True, 2))
+    uid = created.index.uid
+    expect(face.ask("create", create, index_pb.CreateIndexResponse).created, False)
+
+    told = queue.Queue()
+    events = face.session.declare_subscriber(f"{PREFIX}/{name}/{face.events}", told.put)
+
+    def event():
+        return face.read(told.get(timeout=PATIENCE_S), pb.WatchResponse)
+
+    expect((event().uid, uid), (uid, uid))
+
+    states = pb.States(rows=3, coordinates=[number for row in ROWS for number in row])
+    insert = pb.InsertRequest(
+        index=name,
+        states=states,
+        ids=[1, 2, 2**60],
+        tags=[0, 1, 2**64 - 1],
+        payloads=[b"", b"\x00\xff", b"x"],
+        neighbors=pb.NeighborQuery(k=1, include=pb.Include(states=True)),
+        operation_id="once",
+    )
+    inserted = face.ask(f"{name}/insert", insert, pb.InsertResponse)
+    expect(list(inserted.outcomes), [pb.OUTCOME_INSERTED] * 3)
+    expect((inserted.revision, list(inserted.neighbors.counts)), (1, [0, 1, 1]))
+    expect(list(inserted.neighbors.distances), [5.0, 5.0])
+    expect(list(inserted.neighbors.states.coordinates), [0.0, 0.0, 3.0, 4.0])
+    expect(face.ask(f"{name}/insert", insert, pb.InsertResponse), inserted)
+    published = event().mutations
+    expect([list(mutation.stored.ids) for mutation in published], [[1, 2, 2**60]])
+    expect(list(published[0].stored.payloads), [b"", b"\x00\xff", b"x"])
+
+    update = pb.UpdateRequest(index=name, ids=[1, 2], tags=[7], tag_mask=7)
+    updated = face.ask(f"{name}/update", update, pb.UpdateResponse)
+    expect((updated.updated, updated.revision), (2, 2))
+    get = face.ask(f"{name}/get", pb.GetRequest(index=name, ids=[2, 2**60], payloads=True), pb.GetResponse)
+    expect(list(get.points.tags), [7, 2**64 - 1])
+    expect(list(get.points.payloads), [b"\x00\xff", b"x"])
+    expect(list(get.points.states.coordinates), [3.0, 4.0, 6.0, 8.0])
+
+    knn = pb.KnnRequest(index=name, states=states, k=2, filter=pb.Filter(tag_mask=1, tag_value=1))
+    nearest = face.ask(f"{name}/knn", knn, pb.KnnResponse)
+    expect((list(nearest.neighbors.counts), nearest.exact), ([2, 2, 2], True))
+    expect(list(nearest.neighbors.ids), [1, 2, 2, 1, 2**60, 2])
+    near = face.ask(f"{name}/query", pb.QueryRequest(index=name, states=states, radius=5.0), pb.QueryResponse)
+    expect(list(near.neighbors.ids), [1, 2, 2, 1, 2**60, 2**60, 2])
+
+    removed = face.ask(f"{name}/remove", pb.RemoveRequest(index=name, ids=[1, 99]), pb.RemoveResponse)
+    expect((removed.removed, removed.missing, removed.revision), (1, 1, 3))
+    log = face.ask(f"{name}/log?from=1", pb.WatchRequest(index=name, uid=uid), pb.WatchResponse)
+    expect([mutation.revision for mutation in log.mutations], [2, 3])
+    expect(list(log.mutations[1].removed_ids), [1])
+    described = face.ask(f"{name}/info", index_pb.GetIndexRequest(name=name), index_pb.GetIndexResponse)
+    expect((described.index.points, described.index.revision), (2, 3))
+    listed = face.ask("list", index_pb.ListIndexesRequest(), index_pb.ListIndexesResponse)
+    expect(name in [index.name for index in listed.indexes], True)
+
+    wrong = pb.KnnRequest(index=name, states=pb.States(rows=1, coordinates=[1.0, 2.0, 3.0]), k=1)
+    refused(3, "WIDTH", lambda: face.ask(f"{name}/knn", wrong, pb.KnnResponse))
+    refused(5, "INDEX_NOT_FOUND", lambda: face.ask("nobody/info", index_pb.GetIndexRequest(), None))
+    refused(3, "CONFLICT", lambda: face.ask(f"{name}/knn?k=9", knn, pb.KnnResponse))
+    other = pb.RemoveRequest(index=name, ids=[2], uid="another")
+    refused(9, "UID_MISMATCH", lambda: face.ask(f"{name}/remove", other, pb.RemoveResponse))
+
+    tokens = face.session.liveliness().get(f"{PREFIX}/{name}/@alive", timeout=PATIENCE_S)
+    expect([str(token.ok.key_expr) for token in tokens], [f"{PREFIX}/{name}/@alive"])
+    deleted = face.ask("delete", index_pb.DeleteIndexRequest(name=name, uid=uid), index_pb.DeleteIndexResponse)
+    expect(deleted.uid, uid)
+    events.undeclare()
+    print(f"every operation, {name}: as expected")
+
+
+def by_hand(session: zenoh.Session):
+    """JSON as people write it."""
+
+    def ask(key: str, body=None):
+        payload = None if body is None else json.dumps(body)
+        reply = only(session, key, payload=payload)
+        return json.loads(reply.ok.payload.to_string())
+
+    ask("create", {"name": "hand", "space_text": "R2"})
+    expect(ask("hand/insert", {"states": ROWS})["ids"], [0, 1, 2])
+    nearest = ask("hand/knn", {"states": ROWS, "k": 1})
+    expect((nearest["ids"], nearest["distances"]), ([[0], [1], [2]], [[0.0], [0.0], [0.0]]))
+    expect(ask("hand/knn?k=2;r=4", [0.0, 1.0])["ids"], [[0]])
+    expect(ask("hand/get?ids=1")["points"]["states"], [[3.0, 4.0]])
+    infos = [str(reply.ok.key_expr) for reply in session.get(f"{PREFIX}/*/info")]
+    expect(infos, [f"{PREFIX}/hand/info"])
+    print("JSON by hand: as expected")
+
+
+def share(server: Server, programs: Path, directory: str, face: Protobuf, pb):
+    """Two planners over Zenoh and two over gRPC share an index; each of their answers equals brute force."""
+    only(face.session, "create", payload=json.dumps({"name": "roadmap", "space_text": "R3*SO3:0.15"}))
+    # Assigned ids run above this one, those that the planners give below.
+    pose = pb.States(rows=1, coordinates=[5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0])
+    root = pb.InsertRequest(index="roadmap", states=pose, ids=[1 << 48])
+    rooted = face.ask("roadmap/insert", root, pb.InsertResponse)
+    Path(directory, "root.ledger").write_bytes(entry(0, root, rooted))
+    ledgers = [f"{directory}/{planner}.ledger" for planner in range(4)]
+    planner = Path(__file__).with_name("planner.py")
+    commands = [
+        [programs / "planner-process", server.uri, "roadmap", str(seed), str(ROUNDS), ledgers[seed]]
+        for seed in range(2)
+    ] + [
+        [sys.executable, planner, server.locator, "roadmap", form, str(seed), str(ROUNDS), ledgers[seed], directory]
+        for seed, form in ((2, "json"), (3, "protobuf"))
+    ]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    planners = [subprocess.Popen(command, **pipes) for command in commands]
+    try:
+        for process in planners:
+            expect(process.stdout.readline().strip(), "ready")
+        for process in planners:
+            process.stdin.write("go\n")
+            process.stdin.flush()
+        for process in planners:
+            expect(process.wait(PATIENCE_S), 0)
+    finally:
+        for process in planners:
+            process.kill()
+    check = [programs / "ledger-check", server.uri, "roadmap", f"{directory}/root.ledger", *ledgers]
+    subprocess.run(check, check=True, timeout=PATIENCE_S)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--programs", type=Path, required=True, help="the directory of the suites' programs")
+    programs = parser.parse_args().programs.resolve()
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as directory, Server(programs / "server-process") as server:
+        generate_stubs(directory)
+        index_pb, pb = load_stubs(directory)
+        session = connect(server.locator)
+        for face in (Json(session), Protobuf(session, pb.Status)):
+            drive(face, index_pb, pb)
+        by_hand(session)
+        share(server, programs, directory, Protobuf(session, pb.Status), pb)
+        session.close()
+    print(f"done in {time.monotonic() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
