@@ -15,6 +15,9 @@ from faces import PREFIX, Json, Protobuf, Refused, connect, only
 from planner import entry
 from processes import PATIENCE_S, Server, generate_stubs, load_stubs
 
+README = Path(__file__).resolve().parents[2] / "README.md"
+# Where the server listens in the README.
+USUAL = "tcp/127.0.0.1:7448"
 ROUNDS = 120
 ROWS = [[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]]
 
@@ -129,6 +132,16 @@ def by_hand(session: zenoh.Session):
     print("JSON by hand: as expected")
 
 
+def readme(session: zenoh.Session, server: Server):
+    """The example of the README does what it says."""
+    text = README.read_text()
+    example = text.split("```python\n")[1].split("```")[0]
+    expect(example.count(USUAL), 1)
+    exec(example.replace(USUAL, server.locator), {})
+    reply = only(session, "arm/info")
+    expect(json.loads(reply.ok.payload.to_string())["index"]["points"], 2)
+
+
 def share(server: Server, programs: Path, directory: str, face: Protobuf, pb):
     """Two planners over Zenoh and two over gRPC share an index; each of their answers equals brute force."""
     only(face.session, "create", payload=json.dumps({"name": "roadmap", "space_text": "R3*SO3:0.15"}))
@@ -175,6 +188,7 @@ def main():
         for face in (Json(session), Protobuf(session, pb.Status)):
             drive(face, index_pb, pb)
         by_hand(session)
+        readme(session, server)
         share(server, programs, directory, Protobuf(session, pb.Status), pb)
         session.close()
     print(f"done in {time.monotonic() - began:.0f} s")
