@@ -1,0 +1,130 @@
+//! Asks for ten neighbours of one state, over and over.
+
+use std::time::{Duration, Instant};
+
+use prost::Message;
+use serde_json::{Value, json};
+use tokio::task::JoinSet;
+use wayfold_index::Space;
+use wayfold_proto::v1::{KnnRequest, KnnResponse};
+use wayfold_tests::{States, figures::processor_seconds, row_states};
+use zenoh::{Session, bytes::Encoding};
+
+use crate::{INDEX, K, WIDTH};
+
+/// How long a measurement lasts.
+const DURATION: Duration = Duration::from_secs(2);
+/// And how many queries each asker makes at most.
+const QUERIES: usize = 1_000_000;
+/// Queries made in advance.
+const POOL: usize = 5_000;
+const IN_FLIGHT: usize = 64;
+
+/// In which form to ask.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Form {
+    Protobuf,
+    Json,
+}
+
+/// How long each answer took, in order.
+pub(crate) struct One(pub(crate) Vec<Duration>);
+
+/// What many in flight reach.
+pub(crate) struct Many {
+    /// Answers a second.
+    pub(crate) rate: f64,
+    /// Processor time of the process that answers, for each answer.
+    pub(crate) processor_us: f64,
+}
+
+/// Asks in one form, about states of its own.
+#[derive(Clone)]
+pub(crate) struct Asker {
+    form: Form,
+    payloads: Vec<Vec<u8>>,
+}
+
+impl Asker {
+    pub(crate) fn new(space: &Space, form: Form, seed: u64) -> Self {
+        let rows = States::new(space.clone(), 100 + seed).rows(POOL);
+        let payloads = rows.chunks(WIDTH).map(|row| match form {
+            Form::Protobuf => KnnRequest {
+                index: INDEX.into(),
+                states: Some(row_states(row, WIDTH)),
+                k: K,
+                ..Default::default()
+            }
+            .encode_to_vec(),
+            Form::Json => json!({ "states": [row], "k": K }).to_string().into_bytes(),
+        });
+        Self {
+            form,
+            payloads: payloads.collect(),
+        }
+    }
+
+    /// With one in flight.
+    pub(crate) async fn one(&self, session: &Session) -> One {
+        let mut taken = self.ask(session, 0, Instant::now()).await;
+        taken.sort();
+        One(taken)
+    }
+
+    /// With 64 in flight; `process` answers.
+    pub(crate) async fn many(&self, session: &Session, process: u32) -> Many {
+        let before = processor_seconds(process);
+        let started = Instant::now();
+        let mut askers = JoinSet::new();
+        for i in 0..IN_FLIGHT {
+            let (asker, session) = (self.clone(), session.clone());
+            let first = i * POOL / IN_FLIGHT;
+            askers.spawn(async move { asker.ask(&session, first, started).await.len() });
+        }
+        let answered: usize = askers.join_all().await.into_iter().sum();
+        let elapsed = started.elapsed().as_secs_f64();
+        let taken = processor_seconds(process).zip(before);
+        let taken = taken.map_or(f64::NAN, |(after, before)| after - before);
+        Many {
+            rate: answered as f64 / elapsed,
+            processor_us: taken * 1e6 / answered as f64,
+        }
+    }
+
+    async fn ask(&self, session: &Session, first: usize, started: Instant) -> Vec<Duration> {
+        let key = format!("wayfold/v1/{INDEX}/knn");
+        let mut taken = Vec::new();
+        for at in first..first + QUERIES {
+            let began = Instant::now();
+            if began - started >= DURATION {
+                break;
+            }
+            let query = session.get(&key).payload(self.payloads[at % POOL].clone());
+            let replies = match self.form {
+                Form::Protobuf => query.encoding(Encoding::APPLICATION_PROTOBUF),
+                Form::Json => query.encoding(Encoding::APPLICATION_JSON),
+            };
+            let reply = replies.await.expect("a query").into_recv_async().await;
+            let sample = reply.expect("a reply").into_result().expect("an answer");
+            taken.push(began.elapsed());
+            self.check(&sample.payload().to_bytes());
+        }
+        taken
+    }
+
+    /// Looks at the answer as a planner does, outside of what is measured.
+    fn check(&self, payload: &[u8]) {
+        match self.form {
+            Form::Protobuf => {
+                let answer = KnnResponse::decode(payload).expect("an answer");
+                let neighbors = answer.neighbors.expect("neighbours");
+                assert_eq!(neighbors.ids.len(), K as usize);
+            }
+            Form::Json => {
+                let answer: Value = serde_json::from_slice(payload).expect("JSON");
+                let ids = answer["ids"][0].as_array().expect("neighbours");
+                assert_eq!(ids.len(), K as usize);
+            }
+        }
+    }
+}
