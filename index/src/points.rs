@@ -60,6 +60,21 @@ impl Points {
         self.rows.extend_from_slice(row);
     }
 
+    /// As [`Points::push`], for a row whose numbers do not lie side by side.
+    pub(crate) fn push_numbers(
+        &mut self,
+        id: u64,
+        tag: u64,
+        revision: u64,
+        row: impl Iterator<Item = f64>,
+    ) {
+        self.ids.push(id);
+        self.tags.push(tag);
+        self.revisions.push(revision);
+        self.rows.extend(row);
+        debug_assert_eq!(self.rows.len(), self.ids.len() * self.coordinates);
+    }
+
     /// Appends a copy of a point.
     ///
     /// # Panics
@@ -143,11 +158,14 @@ impl Points {
         self.rows.truncate(last);
     }
 
-    /// The same points in the order of `slots`.
-    pub(crate) fn in_order(&self, slots: &[u32]) -> Self {
-        let mut ordered = Self::with_capacity(self.coordinates, slots.len());
+    /// The same ids, tags and revisions in the order of `slots`, with rows of no numbers.
+    pub(crate) fn labels_in_order(&self, slots: &[u32]) -> Self {
+        let mut ordered = Self::with_capacity(0, slots.len());
         for &slot in slots {
-            ordered.push_point(self.get(slot as usize));
+            ordered.push_point(PointRef {
+                row: &[],
+                ..self.get(slot as usize)
+            });
         }
         ordered
     }

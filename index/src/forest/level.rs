@@ -28,7 +28,7 @@ impl Level {
     }
 
     fn over(tree: KdTree, built: bool) -> Self {
-        let ids = tree.points().ids();
+        let ids = tree.ids();
         let mut by_id: Vec<u32> = (0..ids.len() as u32).collect();
         by_id.sort_unstable_by_key(|&slot| ids[slot as usize]);
         Self {
@@ -57,13 +57,22 @@ impl Level {
         self.tree.get(slot)
     }
 
+    pub(super) fn id(&self, slot: usize) -> u64 {
+        self.tree.ids()[slot]
+    }
+
+    /// Appends a copy of the point in `slot` to `points`.
+    pub(super) fn copy_to(&self, slot: usize, points: &mut Points) {
+        self.tree.copy_to(slot, points);
+    }
+
     pub(super) fn sees(&self, slot: usize, revision: u64) -> bool {
         self.tombstones.sees(slot, revision)
     }
 
     /// The slot of the point with this id, if a reader at `revision` sees it.
     pub(super) fn find(&self, id: u64, revision: u64) -> Option<usize> {
-        let ids = self.tree.points().ids();
+        let ids = self.tree.ids();
         let (&first, &last) = (self.by_id.first()?, self.by_id.last()?);
         if id < ids[first as usize] || id > ids[last as usize] {
             return None;
@@ -78,7 +87,7 @@ impl Level {
 
     /// The slots in the order of their ids, from the first id above `after`.
     pub(super) fn slots_after(&self, after: Option<u64>) -> &[u32] {
-        let ids = self.tree.points().ids();
+        let ids = self.tree.ids();
         let start = after.map_or(0, |after| {
             self.by_id
                 .partition_point(|&slot| ids[slot as usize] <= after)
@@ -107,7 +116,7 @@ impl Level {
 
     pub(super) fn validate(&self) -> Result<(), String> {
         self.tree.validate()?;
-        let ids = self.tree.points().ids();
+        let ids = self.tree.ids();
         if self.by_id.len() != ids.len() {
             return Err("the ids of a level are not all in order".into());
         }

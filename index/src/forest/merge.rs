@@ -35,7 +35,7 @@ impl Merge {
         let mut points = Points::with_capacity(self.space.coordinates(), self.rows());
         for source in &self.sources {
             for slot in (0..source.rows()).filter(|&slot| source.sees(slot, self.revision)) {
-                points.push_point(source.get(slot));
+                source.copy_to(slot, &mut points);
             }
         }
         let level = (!points.is_empty()).then(|| Level::built(self.space, points, self.leaf_rows));

@@ -26,7 +26,7 @@ impl Forest {
         for level in head.levels.iter() {
             level.validate()?;
             for slot in (0..level.rows()).filter(|&slot| level.sees(slot, head.revision)) {
-                let id = level.get(slot).id;
+                let id = level.id(slot);
                 if !alive.insert(id) {
                     return Err(format!("id {id} is alive twice"));
                 }

@@ -6,7 +6,7 @@
 
 use std::{ops::Range, sync::Arc};
 
-use super::{KdTree, Node, reach::Reach};
+use super::{KdTree, Node, reach::Reach, rows::Rows};
 use crate::{
     Points, Space,
     blocks::Blocks,
@@ -52,12 +52,12 @@ impl KdTree {
         } = build;
         nodes.shrink_to_fit();
         boxes.shrink_to_fit();
-        let points = points.in_order(&slots);
         Self {
-            blocks: blocks(&points, leaf_rows),
+            labels: points.labels_in_order(&slots),
+            blocks: blocks(&points, &slots, leaf_rows),
+            rows: Rows::new(leaves * leaf_rows.div_ceil(BLOCK)),
             max_revision: points.iter().map(|point| point.revision).max().unwrap_or(0),
             space,
-            points,
             leaf_rows,
             height,
             nodes,
@@ -98,13 +98,14 @@ fn scales(space: &Space) -> Vec<f64> {
 }
 
 /// The rows of each leaf, which begins a block.
-fn blocks(points: &Points, leaf_rows: usize) -> Blocks {
-    let places = |rows: usize| rows.next_multiple_of(BLOCK);
-    let leaves = points.len().div_ceil(leaf_rows);
-    let mut blocks = Blocks::with_capacity(points.coordinates(), leaves * places(leaf_rows));
-    for slot in 0..points.len() {
-        let (leaf, place) = (slot / leaf_rows, slot % leaf_rows);
-        blocks.write(leaf * places(leaf_rows) + place, points.row(slot));
+fn blocks(points: &Points, slots: &[u32], leaf_rows: usize) -> Blocks {
+    let places = leaf_rows.next_multiple_of(BLOCK);
+    let leaves = slots.chunks(leaf_rows);
+    let mut blocks = Blocks::with_capacity(points.coordinates(), leaves.len() * places);
+    for (leaf, slots) in leaves.enumerate() {
+        for (place, &slot) in slots.iter().enumerate() {
+            blocks.write(leaf * places + place, points.row(slot as usize));
+        }
     }
     blocks
 }

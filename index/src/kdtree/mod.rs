@@ -12,6 +12,7 @@
 mod build;
 mod query;
 mod reach;
+mod rows;
 mod validate;
 
 use std::sync::Arc;
@@ -23,6 +24,7 @@ use crate::{
     search::Walk,
 };
 use reach::Reach;
+use rows::Rows;
 
 /// Where a node's children are: that many, one after the other, among the nodes or, at the bottom, among the leaves.
 #[derive(Clone, Copy, Debug)]
@@ -48,8 +50,8 @@ struct Node {
 #[derive(Clone, Debug)]
 pub struct KdTree {
     space: Arc<Space>,
-    /// In the order of the leaves.
-    points: Points,
+    /// Ids, tags and revisions in the order of the leaves, without rows.
+    labels: Points,
     /// Every leaf but the last has as many.
     leaf_rows: usize,
     /// Nodes on the way from the root to a leaf, the same for all leaves; 0 without points.
@@ -60,6 +62,7 @@ pub struct KdTree {
     boxes: Vec<f64>,
     /// The rows of each leaf, which begins a block.
     blocks: Blocks,
+    rows: Rows,
     /// The newest state of the tree, so that a search for newer ones can skip it whole.
     max_revision: u64,
     reach: Reach,
@@ -89,32 +92,64 @@ impl KdTree {
         walk.finish()
     }
 
-    /// The points, in the order of the leaves.
-    pub fn points(&self) -> &Points {
-        &self.points
+    /// The point in `slot`, in the order of the leaves.
+    pub fn get(&self, slot: usize) -> PointRef<'_> {
+        let (place, width) = (self.place(slot), self.space.coordinates());
+        let rows = self.rows.of_block(place / BLOCK, || {
+            let first = place - place % BLOCK;
+            let places = first..first + BLOCK;
+            places.flat_map(|place| self.blocks.row(place)).collect()
+        });
+        PointRef {
+            row: &rows[place % BLOCK * width..][..width],
+            ..self.labels.get(slot)
+        }
     }
 
-    /// The point in `slot` of [`KdTree::points`].
-    pub fn get(&self, slot: usize) -> PointRef<'_> {
-        self.points.get(slot)
+    /// Appends a copy of the point in `slot` to `points`.
+    pub(crate) fn copy_to(&self, slot: usize, points: &mut Points) {
+        let label = self.labels.get(slot);
+        points.push_numbers(label.id, label.tag, label.revision, self.row(slot));
+    }
+
+    /// The row in `slot`.
+    fn row(&self, slot: usize) -> impl Iterator<Item = f64> {
+        self.blocks.row(self.place(slot))
+    }
+
+    /// The place in the blocks of what stands in `slot`.
+    fn place(&self, slot: usize) -> usize {
+        let (leaf, place) = (slot / self.leaf_rows, slot % self.leaf_rows);
+        leaf * self.leaf_rows.next_multiple_of(BLOCK) + place
+    }
+
+    /// All points, in the order of the leaves.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = PointRef<'_>> {
+        (0..self.len()).map(|slot| self.get(slot))
+    }
+
+    /// The ids, by slot.
+    pub(crate) fn ids(&self) -> &[u64] {
+        self.labels.ids()
     }
 
     /// How many points there are.
     pub fn len(&self) -> usize {
-        self.points.len()
+        self.labels.len()
     }
 
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.points.is_empty()
+        self.labels.is_empty()
     }
 
     /// The bytes the tree holds.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.points.memory_bytes()
+        self.labels.memory_bytes()
             + self.nodes.capacity() * size_of::<Node>()
             + 8 * self.boxes.capacity()
             + self.blocks.memory_bytes()
+            + self.rows.memory_bytes()
     }
 
     /// How many leaves there are.
@@ -136,7 +171,7 @@ impl KdTree {
 
     /// The blocks of a leaf, as [`Kernels`] take them: each of `BLOCK` points, the last of what is left.
     fn leaf_blocks(&self, leaf: usize) -> impl Iterator<Item = &[f64]> {
-        let first = leaf * self.leaf_rows.div_ceil(BLOCK);
+        let first = self.place(leaf * self.leaf_rows) / BLOCK;
         let used = self.slots(leaf).len().div_ceil(BLOCK);
         (first..first + used).map(|at| self.blocks.block(at))
     }

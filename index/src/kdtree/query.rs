@@ -70,9 +70,9 @@ impl<V: Fn(usize) -> bool> Descent<'_, '_, '_, V> {
             .zip(self.tree.leaf_blocks(leaf))
         {
             let lanes = (slots.end - start).min(BLOCK);
-            let points = &self.tree.points;
+            let labels = &self.tree.labels;
             self.walk
-                .scan(block, lanes, points, |lane| start + lane, &self.visible);
+                .scan(block, lanes, labels, |lane| start + lane, &self.visible);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The invariants of a tree, for the tests that call this after every step.
 
 use super::KdTree;
-use crate::kernel::{BLOCK, CHILDREN};
+use crate::kernel::CHILDREN;
 
 impl KdTree {
     /// Checks that the leaves are reached in order, each once and equally deep, that every point lies in the boxes
@@ -31,7 +31,7 @@ impl KdTree {
                 self.leaves() - check.next_leaf
             ));
         }
-        if let Some(newer) = self.points.iter().find(|p| p.revision > self.max_revision) {
+        if let Some(newer) = self.labels.iter().find(|p| p.revision > self.max_revision) {
             return Err(format!("point {} is newer than its tree", newer.id));
         }
         Ok(())
@@ -81,17 +81,12 @@ impl Check<'_> {
             ));
         }
         self.next_leaf += 1;
-        let slots = self.tree.slots(leaf);
-        let blocks: Vec<&[f64]> = self.tree.leaf_blocks(leaf).collect();
-        for slot in slots.clone() {
-            let (point, place) = (self.tree.points.get(slot), slot - slots.start);
+        for slot in self.tree.slots(leaf) {
+            let point = self.tree.get(slot);
+            if !self.tree.row(slot).eq(point.row.iter().copied()) {
+                return Err(format!("point {} differs in its block", point.id));
+            }
             for (axis, &x) in point.row.iter().enumerate() {
-                if blocks[place / BLOCK][axis * BLOCK + place % BLOCK].to_bits() != x.to_bits() {
-                    return Err(format!(
-                        "axis {axis} of point {} differs in its block",
-                        point.id
-                    ));
-                }
                 for &(node, child) in path {
                     let ends = &self.tree.boxes(node)[axis * 2 * CHILDREN..];
                     if !(ends[child]..=ends[CHILDREN + child]).contains(&x) {
