@@ -50,6 +50,8 @@ impl Merge {
 #[derive(Debug)]
 pub(super) struct Running {
     pub(super) token: u64,
+    /// At which it began.
+    pub(super) revision: u64,
     pub(super) sources: Vec<Arc<Level>>,
     /// Points of the sources that died since it began, and when.
     pub(super) buried: Vec<(u64, u64)>,

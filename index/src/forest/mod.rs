@@ -1,8 +1,8 @@
 //! The dynamic structure: a forest of static trees, by the logarithmic method.
 //!
 //! New points go to a small buffer, searched from end to end. A full buffer becomes a *level*, and levels are merged
-//! into ones of doubling size ([`policy`]), which builds their trees and drops their dead. Removing a point of a level
-//! marks it with a *tombstone*; replacing one removes it and stores it anew.
+//! into ones of doubling size, and into a single one when writes pause ([`policy`]), which builds their trees and drops
+//! their dead. Removing a point of a level marks it with a *tombstone*; replacing one removes it and stores it anew.
 //!
 //! One owner writes; any number of [`Snapshot`]s read, each at its own revision, and neither waits for the other:
 //! levels are immutable and shared by count, tombstones are judged by revision, and the buffer is copied if a snapshot
@@ -67,6 +67,8 @@ pub struct Forest {
     head: Snapshot,
     running: Vec<Running>,
     next_token: u64,
+    /// The revision during which a whole merge has passed: whoever writes makes a pause of about that length.
+    quiet_at: Option<u64>,
 }
 
 impl Forest {
@@ -89,6 +91,7 @@ impl Forest {
             head,
             running: Vec::new(),
             next_token: 0,
+            quiet_at: None,
         }
     }
 
@@ -203,34 +206,48 @@ impl Forest {
     }
 
     /// The next merge that is due, or None. The forest works on as before until it is finished; further merges may
-    /// begin meanwhile, of other levels.
+    /// begin meanwhile, of other levels. While no one writes, levels are merged until one is left.
     pub fn begin_merge(&mut self) -> Option<Merge> {
-        let shapes: Vec<policy::Shape> = self
-            .head
-            .levels
-            .iter()
-            .map(|level| policy::Shape {
-                rows: level.rows(),
-                dead: level.dead(),
-                built: level.is_built(),
-                busy: self.running.iter().any(|running| running.has(level)),
-            })
-            .collect();
-        let due = policy::next_merge(&shapes, self.options.buffer_rows, KdTree::MAX_POINTS)?;
+        let shapes = self.shapes();
+        let due = self.due(&shapes).or_else(|| {
+            let quiet = self.quiet_at == Some(self.head.revision);
+            quiet
+                .then(|| policy::next_while_quiet(&shapes, KdTree::MAX_POINTS))
+                .flatten()
+        })?;
+        Some(self.begin(&due))
+    }
+
+    fn due(&self, shapes: &[policy::Shape]) -> Option<Vec<usize>> {
+        policy::next_merge(shapes, self.options.buffer_rows, KdTree::MAX_POINTS)
+    }
+
+    fn shapes(&self) -> Vec<policy::Shape> {
+        let shape = |level: &Arc<Level>| policy::Shape {
+            rows: level.rows(),
+            dead: level.dead(),
+            built: level.is_built(),
+            busy: self.running.iter().any(|running| running.has(level)),
+        };
+        self.head.levels.iter().map(shape).collect()
+    }
+
+    fn begin(&mut self, due: &[usize]) -> Merge {
         let sources: Vec<Arc<Level>> = due.iter().map(|&at| self.head.levels[at].clone()).collect();
         self.next_token += 1;
         self.running.push(Running {
             token: self.next_token,
+            revision: self.head.revision,
             sources: sources.clone(),
             buried: Vec::new(),
         });
-        Some(Merge {
+        Merge {
             token: self.next_token,
             space: Arc::clone(&self.head.space),
             leaf_rows: self.options.leaf_rows,
             revision: self.head.revision,
             sources,
-        })
+        }
     }
 
     /// Swaps a merged level in for its sources, in time proportional to what was removed from them meanwhile.
@@ -244,6 +261,9 @@ impl Forest {
             return;
         };
         let running = self.running.swap_remove(at);
+        if running.revision == self.head.revision {
+            self.quiet_at = Some(running.revision);
+        }
         Arc::make_mut(&mut self.head.levels).retain(|level| !running.has(level));
         if let Some(level) = merged.level {
             for (id, revision) in running.buried {
@@ -257,7 +277,8 @@ impl Forest {
 
     /// Runs every merge that is due, here and now.
     pub fn settle(&mut self) {
-        while let Some(merge) = self.begin_merge() {
+        while let Some(due) = self.due(&self.shapes()) {
+            let merge = self.begin(&due);
             self.finish_merge(merge.run());
         }
     }

@@ -39,8 +39,7 @@ pub(super) fn next_merge(
     buffer_rows: usize,
     max_rows: usize,
 ) -> Option<Vec<usize>> {
-    let mut idle: Vec<usize> = (0..shapes.len()).filter(|&i| !shapes[i].busy).collect();
-    idle.sort_by_key(|&i| shapes[i].live());
+    let idle = idle(shapes);
     carry(shapes, &idle, buffer_rows, max_rows).or_else(|| {
         let alone = |wanted: fn(&Shape) -> bool| idle.iter().copied().find(|&i| wanted(&shapes[i]));
         alone(|shape| !shape.built)
@@ -49,25 +48,44 @@ pub(super) fn next_merge(
     })
 }
 
-/// How much larger than a carry a level may be that it takes along.
-const GREED: usize = 3;
+/// What to merge when nothing is due and no one writes, on the way to one level: the least two levels, with what is not
+/// much larger. Small steps, so that a writer who comes back finds little undone.
+pub(super) fn next_while_quiet(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
+    gather(shapes, &idle(shapes), 2, max_rows)
+}
 
-/// `idle` by ascending size: the least that share a tier, and every next one no greater than [`GREED`] times what they
-/// amount to.
+/// The levels that no merge has, by ascending size.
+fn idle(shapes: &[Shape]) -> Vec<usize> {
+    let mut idle: Vec<usize> = (0..shapes.len()).filter(|&i| !shapes[i].busy).collect();
+    idle.sort_by_key(|&i| shapes[i].live());
+    idle
+}
+
+/// `idle` by ascending size: those that share the lowest tier that more than one has, and what joins them.
 fn carry(
     shapes: &[Shape],
     idle: &[usize],
     buffer_rows: usize,
     max_rows: usize,
 ) -> Option<Vec<usize>> {
-    let tier = |at: usize| shapes[idle[at]].tier(buffer_rows);
-    let start = (1..idle.len()).find(|&at| tier(at - 1) == tier(at))? - 1;
+    let tier = |i: usize| shapes[i].tier(buffer_rows);
+    let start = (1..idle.len()).find(|&at| tier(idle[at - 1]) == tier(idle[at]))? - 1;
+    let idle = &idle[start..];
+    let share = idle.iter().take_while(|&&i| tier(i) == tier(idle[0]));
+    gather(shapes, idle, share.count(), max_rows)
+}
+
+/// How much larger than a carry a level may be that it takes along.
+const GREED: usize = 3;
+
+/// The `first` of `idle`, which has them by ascending size, and every next one no greater than [`GREED`] times what
+/// they amount to. None if that is not at least two.
+fn gather(shapes: &[Shape], idle: &[usize], first: usize, max_rows: usize) -> Option<Vec<usize>> {
     let mut total = 0;
     let mut taken = Vec::new();
-    for &i in &idle[start..] {
+    for &i in idle {
         let live = shapes[i].live();
-        let joins =
-            taken.len() < 2 || shapes[i].tier(buffer_rows) == tier(start) || live <= GREED * total;
+        let joins = taken.len() < first || live <= GREED * total;
         if !joins || total + live > max_rows {
             break;
         }
@@ -141,6 +159,25 @@ mod tests {
         assert_eq!(next_merge(&[level(600), level(600)], 100, 1000), None);
         let shapes = [level(600), level(300), level(300)];
         assert_eq!(next_merge(&shapes, 100, 1000), Some(vec![1, 2]));
+    }
+
+    #[test]
+    fn while_no_one_writes_all_levels_become_one() {
+        let mut shapes = vec![level(100_000), level(9000), level(2000), level(100)];
+        let mut steps = Vec::new();
+        while let Some(merge) = next_while_quiet(&shapes, usize::MAX) {
+            let rows = merge.iter().map(|&i| shapes[i].rows).sum();
+            steps.push(rows);
+            let mut at = 0..;
+            shapes.retain(|_| at.next().is_some_and(|at| !merge.contains(&at)));
+            shapes.push(level(rows));
+        }
+        assert_eq!(steps, [2100, 11_100, 111_100]);
+        let busy = Shape {
+            busy: true,
+            ..level(100)
+        };
+        assert_eq!(next_while_quiet(&[level(200), busy], usize::MAX), None);
     }
 
     /// At rest after any number of sealed buffers there are few levels, and few rebuilds of a row have led to them.

@@ -5,8 +5,8 @@ use std::sync::{
     atomic::{AtomicUsize, Ordering::Relaxed},
 };
 
-/// The rows of the blocks that were asked for a point, from then on: few, where planners search much and look up little.
-/// To keep those of all blocks would take as much memory again as the blocks.
+/// The rows of the blocks that were asked for a point, from then on: few, where planners search much and look up
+/// little. To keep those of all blocks would take as much memory again as the blocks.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rows {
     blocks: Box<[OnceLock<Box<[f64]>>]>,

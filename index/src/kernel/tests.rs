@@ -100,7 +100,8 @@ proptest! {
                 let distance = space.distance(&query, row);
                 prop_assert!(keys[lane] <= scale.limit(distance), "{} {} {}", space, keys[lane], distance);
                 // Not so low that it would be no bound: what is lost is a rotation's slack and the end of its series.
-                prop_assert!(keys[lane] >= scale.limit(0.99 * distance - 1e-5), "{} {} {}", space, keys[lane], distance);
+                let low = scale.limit(0.99 * distance - 1e-5);
+                prop_assert!(keys[lane] >= low, "{} {} {}", space, keys[lane], distance);
                 if let Some(exact) = scale.distance(keys[lane]) {
                     prop_assert_eq!(exact.to_bits(), distance.to_bits());
                 }
@@ -140,7 +141,8 @@ proptest! {
                     let distance = space.distance(&query, row);
                     prop_assert!(keys[child] <= scale.limit(distance), "{} {} {}", space, keys[child], distance);
                     if points == 1 {
-                        prop_assert!(keys[child] >= scale.limit(0.99 * distance - 1e-12), "{} {} {}", space, keys[child], distance);
+                        let low = scale.limit(0.99 * distance - 1e-12);
+                        prop_assert!(keys[child] >= low, "{} {} {}", space, keys[child], distance);
                     }
                 }
             }

@@ -206,6 +206,39 @@ fn memory_of_removed_points_comes_back() {
     forest.validate().unwrap();
 }
 
+/// A forest that is left alone merges until nothing is left to merge, also what came before as single points.
+#[test]
+fn merges_end_in_one_level() {
+    let space: Space = "R2".parse().unwrap();
+    let options = ForestOptions {
+        buffer_rows: 4,
+        leaf_rows: 2,
+    };
+    let mut forest = Forest::new(space.clone(), options);
+    let row = |id: u64| vec![(id % 31) as f64, (id % 17) as f64];
+    let mut merges = 0;
+    for id in 1..=1024u64 {
+        let mut points = Points::new(2);
+        points.push(id, 0, id, &row(id));
+        forest.apply(id, &points, &[]);
+        if let Some(merge) = forest.begin_merge() {
+            forest.finish_merge(merge.run());
+        }
+    }
+    while let Some(merge) = forest.begin_merge() {
+        forest.finish_merge(merge.run());
+        forest.validate().unwrap();
+        merges += 1;
+    }
+    assert!((1..12).contains(&merges), "{merges}");
+    // As many leaves as one tree has.
+    let leaves = Search {
+        max_leaves: 1024 / 2,
+        ..Search::nearest_r(f64::INFINITY)
+    };
+    assert!(forest.search(&[0.0; 2], &leaves).exact);
+}
+
 /// Readers on other threads see whole revisions while the owner writes and merges.
 #[test]
 fn snapshots_are_never_torn() {
