@@ -1,4 +1,5 @@
-//! The forest's own curves: building, growing by single inserts, and asking, at 50,000 points.
+//! The index's own curves: building, growing by single inserts, and asking the forest as it is after the last of these
+//! and one tree of all (for the nearest, for ten, and for all within a radius that holds about ten), at 50,000 points.
 //!
 //! Coordinates are uniform in [0, 1), angles and rotations uniform. Times of one machine do not carry to another:
 //! compare rows of one run.
@@ -11,7 +12,20 @@ use rand_chacha::ChaCha8Rng;
 use wayfold_index::{Factor, Forest, ForestOptions, KdTree, Points, Search, Space};
 
 const POINTS: usize = 50_000;
-const SPACES: [&str; 5] = ["R3", "R6", "SO3", "R2*SO2", "R3*SO3:0.15"];
+const SPACES: [&str; 12] = [
+    "R3",
+    "R6",
+    "R12",
+    "SO2^3",
+    "SO2^6",
+    "SO3",
+    "R2*SO2",
+    "R3*SO3:0.15",
+    "sum(R3, SO3)",
+    "(R3*SO3:0.15)^2",
+    "(R3*SO3:0.15)^4",
+    "(R3*SO3:0.15)^8",
+];
 
 fn uniform(space: &Space, rows: usize, rng: &mut ChaCha8Rng) -> Vec<Vec<f64>> {
     let mut row = || {
@@ -47,6 +61,14 @@ fn table(space: &Space, rows: &[Vec<f64>]) -> Points {
     points
 }
 
+/// The distance of the tenth neighbour, at the median of some queries.
+fn tenth_nearest(tree: &KdTree, queries: &[Vec<f64>]) -> f64 {
+    let tenth = |query: &Vec<f64>| tree.search(query, &Search::nearest_k(10)).neighbors[9].distance;
+    let mut distances: Vec<f64> = queries.iter().take(99).map(tenth).collect();
+    distances.sort_by(f64::total_cmp);
+    distances[distances.len() / 2]
+}
+
 /// A forest as it is right after the last of many single inserts, its merges run as they fell due.
 fn grown(space: &Space, rows: &[Vec<f64>]) -> Forest {
     let mut forest = Forest::new(space.clone(), ForestOptions::default());
@@ -80,19 +102,21 @@ fn structures(criterion: &mut Criterion) {
         });
         let forest = grown(&space, &rows);
         let rest = KdTree::new(space.clone(), table(&space, &rows), 16);
-        for k in [1, 10] {
-            let search = Search::nearest_k(k);
+        let mut searches = vec![("1", Search::nearest_k(1)), ("10", Search::nearest_k(10))];
+        let radius = tenth_nearest(&rest, &queries);
+        searches.push(("radius", Search::nearest_r(radius)));
+        for (name, search) in &searches {
             let mut next = queries.iter().cycle();
-            group.bench_function(BenchmarkId::new("forest", k), |bencher| {
+            group.bench_function(BenchmarkId::new("forest", name), |bencher| {
                 bencher.iter(|| {
                     let query = next.next().expect("a cycle does not end");
-                    black_box(forest.search(query, &search))
+                    black_box(forest.search(query, search))
                 });
             });
-            group.bench_function(BenchmarkId::new("tree", k), |bencher| {
+            group.bench_function(BenchmarkId::new("tree", name), |bencher| {
                 bencher.iter(|| {
                     let query = next.next().expect("a cycle does not end");
-                    black_box(rest.search(query, &search))
+                    black_box(rest.search(query, search))
                 });
             });
         }
