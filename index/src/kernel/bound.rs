@@ -78,7 +78,8 @@ fn box_term(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<CHILDREN> {
         Factor::SO2 { period } => {
             let (x, zero) = (Lanes::splat(state[0]), Lanes::splat(0.0));
             let (lo, hi) = (Lanes::load(ends), Lanes::load(&ends[CHILDREN..]));
-            // Outside the interval one of hi − x and x − lo is the arc to the farther end, and the other negative.
+            // Outside the interval the nearer end bounds the direct arc, and the farther end the arc across the seam:
+            // of hi − x and x − lo the one that is not negative is the arc to it.
             let direct = (lo - x).max(x - hi).max(zero);
             let across = (Lanes::splat(period) - (hi - x).max(x - lo)).max(zero);
             let d = direct.min(across);
