@@ -98,7 +98,7 @@ pub(crate) struct Walk<'a> {
     leaves_left: usize,
     leaves_entered: usize,
     exact: bool,
-    /// Room for a row.
+    /// Room for a row, where keys alone do not tell distances.
     row: Vec<f64>,
 }
 
@@ -121,7 +121,11 @@ impl<'a> Walk<'a> {
             leaves_left: search.max_leaves,
             leaves_entered: 0,
             exact: true,
-            row: vec![0.0; space.coordinates()],
+            row: if space.has_rotations() {
+                vec![0.0; space.coordinates()]
+            } else {
+                Vec::new()
+            },
         };
         walk.tighten();
         walk
@@ -155,7 +159,8 @@ impl<'a> Walk<'a> {
         let points = self.kernels.points;
         let within = points(self.space, self.state, block, self.limit, &mut keys);
         let filter = self.search.filter;
-        for (key, lane) in Order::new(within & !(!0 << lanes), &keys) {
+        let left = within & !(!0 << lanes);
+        for (key, lane) in (Order { keys, left }) {
             if !self.reaches(key) {
                 break;
             }
@@ -183,7 +188,10 @@ impl<'a> Walk<'a> {
         let mut keys = [0.0; CHILDREN];
         let kernel = self.kernels.boxes;
         let within = kernel(self.space, self.state, boxes, self.limit, &mut keys);
-        Order::new(within & !(!0 << children), &keys)
+        Order {
+            keys,
+            left: within & !(!0 << children),
+        }
     }
 
     /// Keeps what is at this distance, if it is near enough.
@@ -295,36 +303,11 @@ impl Table for Points {
     }
 }
 
-/// Lanes by ascending key: what is near soon makes the rest not worth a look.
+/// Lanes by ascending key, each sought when it is asked for: what is near soon makes the rest not worth a look.
 pub(crate) struct Order<const N: usize> {
-    lanes: [(f64, usize); N],
-    count: usize,
-    next: usize,
-}
-
-impl<const N: usize> Order<N> {
-    /// Those of the set bits of `within`.
-    #[inline(always)]
-    fn new(mut within: u32, keys: &[f64; N]) -> Self {
-        let mut lanes = [(0.0, 0); N];
-        let mut count = 0;
-        while within != 0 {
-            let lane = within.trailing_zeros() as usize;
-            within &= within - 1;
-            let mut at = count;
-            while at > 0 && lanes[at - 1].0 > keys[lane] {
-                lanes[at] = lanes[at - 1];
-                at -= 1;
-            }
-            lanes[at] = (keys[lane], lane);
-            count += 1;
-        }
-        Self {
-            lanes,
-            count,
-            next: 0,
-        }
-    }
+    keys: [f64; N],
+    /// The bits of the lanes that are left.
+    left: u32,
 }
 
 impl<const N: usize> Iterator for Order<N> {
@@ -332,9 +315,18 @@ impl<const N: usize> Iterator for Order<N> {
 
     #[inline(always)]
     fn next(&mut self) -> Option<(f64, usize)> {
-        (self.next < self.count).then(|| {
-            self.next += 1;
-            self.lanes[self.next - 1]
-        })
+        let mut left = self.left;
+        let mut lane = left.trailing_zeros() as usize;
+        let mut least = *self.keys.get(lane)?;
+        left &= left - 1;
+        while left != 0 {
+            let other = left.trailing_zeros() as usize % N;
+            left &= left - 1;
+            let key = self.keys[other];
+            lane = if key < least { other } else { lane };
+            least = if key < least { key } else { least };
+        }
+        self.left &= !(1 << lane);
+        Some((least, lane))
     }
 }
