@@ -3,8 +3,9 @@
     target_arch = "x86_64",
     expect(
         unsafe_code,
-        reason = "calling a function compiled for instructions that not every processor has; each such kernel is only \
-                  handed out once the processor was asked for them. It makes a search several times as fast"
+        reason = "functions compiled for instructions that not every processor has: each is handed out only once the \
+                  processor was asked for them, and makes a search several times as fast; and a prefetch, which makes \
+                  one of a million points a tenth faster"
     )
 )]
 
@@ -106,6 +107,27 @@ compiled_for!(
     super::masks::within_avx512,
     "avx512f,avx512vl,avx512dq"
 );
+
+/// Asks for the beginning of `numbers` to be brought near, while something else is computed. Of what is longer, the
+/// processor fetches the rest by itself once it is read in order.
+#[inline]
+pub(crate) fn prefetch(numbers: &[f64]) {
+    #[cfg(target_arch = "x86_64")]
+    for line in numbers.chunks(8).take(PREFETCH_LINES) {
+        // SAFETY: a prefetch reads nothing that could be seen, and every x86-64 processor has it.
+        unsafe {
+            std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(
+                line.as_ptr().cast(),
+            )
+        };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = numbers;
+}
+
+/// How many lines of eight numbers are asked for.
+#[cfg(target_arch = "x86_64")]
+const PREFETCH_LINES: usize = 16;
 
 /// The kernels that this processor can run, the best last.
 pub(super) fn available() -> Vec<Kernels> {

@@ -15,6 +15,7 @@ use std::sync::OnceLock;
 
 use crate::Space;
 pub(crate) use bound::{BLOCK, CHILDREN};
+pub(crate) use compiled::prefetch;
 pub(crate) use limit::Scale;
 
 /// Bounds `N` boxes or points: from the space, the state, their coordinates and a limit it makes their keys, and the
