@@ -37,14 +37,10 @@ impl Blocks {
             .truncate(rows.div_ceil(BLOCK) * self.width * BLOCK);
     }
 
-    /// The number that the row in a place has in a coordinate.
-    pub(crate) fn get(&self, place: usize, axis: usize) -> f64 {
-        self.block(place / BLOCK)[axis * BLOCK + place % BLOCK]
-    }
-
     /// The row in a place.
     pub(crate) fn row(&self, place: usize) -> impl Iterator<Item = f64> {
-        (0..self.width).map(move |axis| self.get(place, axis))
+        let block = &self.block(place / BLOCK)[place % BLOCK..];
+        block.iter().step_by(BLOCK).copied()
     }
 
     /// A block: of each coordinate `BLOCK` numbers.
