@@ -47,7 +47,7 @@ pub(crate) fn only_gone(log: &FjallLog, entry: &Entry) -> LogError {
 pub(crate) struct Journal<'a> {
     directory: &'a Path,
     /// In the directory.
-    name: PathBuf,
+    pub(crate) name: PathBuf,
     /// How much of it is written.
     pub(crate) used: u64,
 }
@@ -88,16 +88,16 @@ impl<'a> Journal<'a> {
     }
 }
 
-/// A store that can be taken away from its directory, and comes back.
-pub(crate) struct Store {
+/// A part of a directory that can be taken away, and comes back.
+pub(crate) struct Part {
     path: PathBuf,
     away: PathBuf,
 }
 
-impl Store {
-    pub(crate) fn of(directory: &Path) -> Self {
+impl Part {
+    pub(crate) fn of(directory: &Path, name: impl AsRef<Path>) -> Self {
         Self {
-            path: directory.join("store"),
+            path: directory.join(name),
             away: directory.join("away"),
         }
     }

@@ -8,7 +8,7 @@ use wayfold_server::log::{Log, LogError, Origin, StoredPoint};
 use super::{
     all_points,
     copied::copied,
-    disk::{Journal, Store, append, append_synced, only_gone, open},
+    disk::{Journal, Part, append, append_synced, only_gone, open},
     effects, entry,
 };
 
@@ -87,7 +87,7 @@ fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
     log.create(arm.clone()).unwrap();
     append_synced(&log, uid, 1);
     drop(log);
-    let store = Store::of(directory.path());
+    let store = Part::of(directory.path(), "store");
     store.take_away();
     let log = open(directory.path());
     let why = only_gone(&log, &arm).to_string();
@@ -104,6 +104,59 @@ fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
     log.reopen().unwrap();
     assert_eq!(log.points(uid).unwrap().revision(), 1);
     assert_eq!(log.gone(), []);
+}
+
+/// What fjall does not find it makes anew, over what is left.
+#[test]
+fn whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    append_synced(&log, arm.uid, 1);
+    let whole = all_points(&*log.points(arm.uid).unwrap());
+    drop(log);
+    let journal = Journal::of(directory.path()).name;
+    for part in [
+        "store/version",
+        "store/keyspaces",
+        "store/keyspaces/0",
+        "store/keyspaces/0/current",
+        "store/keyspaces/1",
+        "store/keyspaces/1/current",
+        journal.to_str().unwrap(),
+    ] {
+        println!("{part}");
+        let part_of = Part::of(directory.path(), part);
+        part_of.take_away();
+        let log = open(directory.path());
+        for _ in 0..2 {
+            let why = only_gone(&log, &arm).to_string();
+            assert!(why.contains(" is missing"), "{why}");
+            assert!(log.reopen().is_err());
+        }
+        part_of.bring_back();
+        log.reopen().unwrap();
+        assert_eq!(all_points(&*log.points(arm.uid).unwrap()), whole);
+    }
+}
+
+/// fjall would end the process.
+#[test]
+fn what_does_not_belong_to_a_store_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    drop(log);
+    let strange = directory.path().join("store/keyspaces/abc");
+    std::fs::create_dir(&strange).unwrap();
+    let log = open(directory.path());
+    let why = only_gone(&log, &arm).to_string();
+    assert!(why.contains("keyspaces/abc is not its"), "{why}");
+    std::fs::remove_dir(strange).unwrap();
+    log.reopen().unwrap();
+    assert_eq!(log.points(arm.uid).unwrap().revision(), 0);
 }
 
 /// An index of which the creation was synced and then cut off is named, keeps its number, and can be deleted.

@@ -20,7 +20,7 @@ use super::{MARKS, STORE};
 
 const MARKER: &str = "wayfold-data";
 const FORM: &str = "wayfold-server data, version ";
-const VERSION: &str = "2";
+const VERSION: &str = "3";
 
 const PROBE: &str = "probe";
 /// Enough for the store to begin anew with, beside what it has yet to move out of its journal.

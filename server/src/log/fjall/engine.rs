@@ -12,7 +12,7 @@ use super::{
     failure::Failure,
     index::{Index, State},
     journal::{self, Journal},
-    layout::{Named, Number, Stage, entry_key},
+    layout::{Named, Number, Stage, Sum, entry_key},
     loose, manifest,
     marks::{Mark, Marks},
     recovery,
@@ -174,7 +174,7 @@ impl Engine {
         let mut next = self.next.lock();
         self.untaken(entry.uid)?;
         let number = *next;
-        let index = Index::new(number, entry, State::new(Origin::START));
+        let index = Index::new(number, entry, State::new(Origin::START, Sum::default()));
         *next += 1;
         self.put(&index, Stage::Whole, index.here())?;
         self.indexes.write().insert(index.entry.uid, index);

@@ -13,7 +13,9 @@ use fjall::{OwnedWriteBatch, Readable};
 use parking_lot::{Mutex, MutexGuard};
 
 use super::{
-    layout::{Head, Number, head_key, last_of, operation_key, point_key, record_key, seal, unseal},
+    layout::{
+        Head, Number, Sum, head_key, last_of, operation_key, point_key, record_key, seal, unseal,
+    },
     marks::Mark,
     point::PointForm,
     store::{Handles, Store, storage, unreadable},
@@ -51,10 +53,10 @@ pub(super) struct State {
 }
 
 impl State {
-    /// Of an index that begins here.
-    pub(super) fn new(origin: Origin) -> Self {
+    /// Of an index that begins here, with such points.
+    pub(super) fn new(origin: Origin, sum: Sum) -> Self {
         Self {
-            head: Head::at(&origin),
+            head: Head::at(&origin, sum),
             window: Window::default(),
             operations: VecDeque::new(),
             forgotten: Vec::new(),
@@ -158,17 +160,18 @@ impl Index {
         let now = time_ms(SystemTime::now());
         let record = Record::new(expected + 1, state.head.digest, now, effects);
         let highest = record.effects().stored().iter().map(|point| point.id).max();
+        let handles = store.handles()?;
+        handles.wait_for_room()?;
+        let Handles { database, keyspace } = &*handles;
+        let mut batch = database.batch();
+        let sum = self.put(&handles, &mut batch, &record, &state.head)?;
         let head = Head {
             revision: record.revision(),
             next_id: state.head.next_id.max(highest.map_or(0, |id| id + 1)),
             trimmed: state.head.trimmed,
             digest: *record.digest(),
+            sum,
         };
-        let handles = store.handles()?;
-        handles.wait_for_room()?;
-        let Handles { database, keyspace } = &*handles;
-        let mut batch = database.batch();
-        self.put(&handles, &mut batch, &record);
         for trimmed in state.removed + 1..=head.trimmed {
             batch.remove(keyspace, record_key(self.number, trimmed));
         }
@@ -188,11 +191,32 @@ impl Index {
         Ok(Arc::new(record))
     }
 
-    fn put(&self, handles: &Handles, batch: &mut OwnedWriteBatch, record: &Record) {
+    /// Puts a record and what it does into a batch; returns the sum of the points as they are then.
+    fn put(
+        &self,
+        handles: &Handles,
+        batch: &mut OwnedWriteBatch,
+        record: &Record,
+        before: &Head,
+    ) -> Result<Sum, LogError> {
         let effects = record.effects();
         let keyspace = &handles.keyspace;
+        let mut sum = before.sum;
+        let mut forget = |id| {
+            // Most are new, and then there is nothing to look for.
+            if id < before.next_id {
+                let old = keyspace.get(point_key(self.number, id));
+                let old = old.map_err(|error| unreadable(self.entry.uid, error))?;
+                old.iter().for_each(|old| sum.subtract(old));
+            }
+            Ok::<_, LogError>(())
+        };
         for &id in effects.removed() {
+            forget(id)?;
             batch.remove(keyspace, point_key(self.number, id));
+        }
+        for point in effects.stored().iter() {
+            forget(point.id)?;
         }
         for (slot, point) in effects.stored().iter().enumerate() {
             let form = PointForm {
@@ -203,6 +227,7 @@ impl Index {
                 payload: &effects.payload(slot),
             };
             let value = form.encode(self.number, point.id);
+            sum.add(&value);
             batch.insert(keyspace, point_key(self.number, point.id), value);
         }
         if let Some(operation) = effects.operation() {
@@ -214,6 +239,7 @@ impl Index {
             record_key(self.number, record.revision()),
             record.encode(),
         );
+        Ok(sum)
     }
 
     pub(super) fn tail(

@@ -22,7 +22,7 @@ use fjall::PersistMode;
 use super::store::{Store, told};
 
 /// The ending of its files' names.
-const ENDING: &str = "jnl";
+const ENDING: &str = ".jnl";
 /// Bytes to write again at a time.
 const PIECE: usize = 128 * 1024;
 
@@ -95,16 +95,19 @@ impl Journal {
         }
         let mut newest = None;
         for file in fs::read_dir(&self.directory)? {
-            let name = file?.file_name();
-            let name = name.to_str().and_then(|name| name.strip_suffix(".jnl"));
-            newest = newest.max(name.and_then(|name| name.parse::<u64>().ok()));
+            newest = newest.max(file?.file_name().to_str().and_then(number));
         }
         newest.ok_or_else(|| io::Error::other("it has no file"))
     }
 
     fn file(&self, number: u64) -> PathBuf {
-        self.directory.join(format!("{number}.jnl"))
+        self.directory.join(format!("{number}{ENDING}"))
     }
+}
+
+/// The number of a file of the journal, by its name; None for any other.
+pub(super) fn number(name: &str) -> Option<u64> {
+    name.strip_suffix(ENDING)?.parse().ok()
 }
 
 /// Writes what the journal in `directory` holds once more, to where it is, and syncs it. To be called before the store is

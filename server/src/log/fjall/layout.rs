@@ -4,7 +4,7 @@
 //! | key | value |
 //! |---|---|
 //! | `e`, index | [`Named`]: its [`Stage`], its uid, its name, its space as text |
-//! | `h`, index | [`Head`]: revision, next id, how many records were trimmed, the newest record's digest |
+//! | `h`, index | [`Head`]: revision, next id, how many records were trimmed, the newest record's digest, the [`Sum`] of the points |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
 //! | `o`, index, revision | the record's operation once more: it is kept for longer than the record, or less long |
@@ -14,6 +14,8 @@
 //! All of it is in one keyspace of fjall, on purpose. A keyspace moves from memory to its files by itself, whether or
 //! not the journal was synced that far; with several, a crash could leave one of them ahead of the others, and a
 //! mutation there by half.
+
+use std::ops::RangeInclusive;
 
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -53,6 +55,11 @@ pub(super) fn record_key(number: Number, revision: u64) -> [u8; 13] {
 /// The key of an operation.
 pub(super) fn operation_key(number: Number, revision: u64) -> [u8; 13] {
     key(b'o', number, revision)
+}
+
+/// The keys of all points of an index.
+pub(super) fn point_keys(number: Number) -> RangeInclusive<[u8; 13]> {
+    point_key(number, 0)..=point_key(number, u64::MAX)
 }
 
 /// The key of a point.
@@ -140,6 +147,33 @@ impl Named {
     }
 }
 
+/// How many points an index has, and the sum of their checksums: some that are missing, or back, do not go unnoticed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Sum {
+    count: u64,
+    checksums: u64,
+}
+
+impl Sum {
+    /// Adds a point as it is stored.
+    pub(super) fn add(&mut self, sealed: &[u8]) {
+        self.count = self.count.wrapping_add(1);
+        self.checksums = self.checksums.wrapping_add(checksum_of(sealed));
+    }
+
+    /// Takes away a point that was added.
+    pub(super) fn subtract(&mut self, sealed: &[u8]) {
+        self.count = self.count.wrapping_sub(1);
+        self.checksums = self.checksums.wrapping_sub(checksum_of(sealed));
+    }
+}
+
+/// What a value ends with; 0 if it is too short for that, which none is that was sealed.
+fn checksum_of(sealed: &[u8]) -> u64 {
+    let last = sealed.last_chunk();
+    last.map_or(0, |checksum| u64::from_le_bytes(*checksum))
+}
+
 /// How far the log of an index has come.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Head {
@@ -149,25 +183,31 @@ pub(super) struct Head {
     pub(super) trimmed: u64,
     /// Of the record of `revision`.
     pub(super) digest: Digest,
+    /// Of the points.
+    pub(super) sum: Sum,
 }
 
 impl Head {
-    /// The head of an index that begins here.
-    pub(super) fn at(origin: &Origin) -> Self {
+    /// The head of an index that begins here, with such points.
+    pub(super) fn at(origin: &Origin, sum: Sum) -> Self {
         Self {
             revision: origin.revision,
             next_id: origin.next_id,
             trimmed: origin.revision,
             digest: origin.digest,
+            sum,
         }
     }
 
     pub(super) fn encode(&self, number: Number) -> Vec<u8> {
-        let mut value = Vec::with_capacity(64);
+        let mut value = Vec::with_capacity(80);
         for part in [self.revision, self.next_id, self.trimmed] {
             value.extend_from_slice(&part.to_le_bytes());
         }
         value.extend_from_slice(&self.digest);
+        for part in [self.sum.count, self.sum.checksums] {
+            value.extend_from_slice(&part.to_le_bytes());
+        }
         seal(&head_key(number), value)
     }
 
@@ -178,6 +218,10 @@ impl Head {
             next_id: cursor.u64()?,
             trimmed: cursor.u64()?,
             digest: cursor.array()?,
+            sum: Sum {
+                count: cursor.u64()?,
+                checksums: cursor.u64()?,
+            },
         };
         cursor.is_empty().then_some(head)
     }
@@ -206,6 +250,10 @@ mod tests {
             next_id: 2,
             trimmed: 3,
             digest: [4; 32],
+            sum: Sum {
+                count: 5,
+                checksums: 6,
+            },
         };
         assert_eq!(Head::decode(7, &head.encode(7)), Some(head));
         assert_eq!(Head::decode(8, &head.encode(7)), None);

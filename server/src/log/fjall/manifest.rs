@@ -1,44 +1,85 @@
-//! Whether the store's lists of its tables are what it wrote. fjall 3 does not look itself: a damaged one makes it panic,
-//! even to the end of the process, or take tables for leftovers that are to be removed.
+//! Whether the store's files are all there, and its lists of its tables what it wrote. fjall 3 does not look itself: a
+//! damaged list makes it panic, even to the end of the process, or take tables for leftovers that are to be removed; and
+//! what is missing it makes anew, over what is left.
 //!
-//! Each tree of the store, a directory in `keyspaces`, has its lists in files `v0`, `v1` and so on, and a file `current`
-//! of 25 bytes: the number of the list that counts (u64), the XXH3 of that file (128 bits), and 0 for the kind of this
-//! checksum. Numbers are little-endian.
+//! Beside the file `version` and the journal, files `N.jnl`, there is a directory `keyspaces` with two trees, `0` and `1`:
+//! what fjall knows of its keyspaces, and the only one. Each has its lists in files `v0`, `v1` and so on, and a file
+//! `current` of 25 bytes: the number of the list that counts (u64), the XXH3 of that file (128 bits), and 0 for the kind of
+//! this checksum. Numbers are little-endian. A store takes its name once it is whole, so none of these is missing because
+//! a start was cut short.
 
-use std::{fs, io, path::Path};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
 
 use xxhash_rust::xxh3::xxh3_128;
 
-use super::store::{not_readable, shut};
+use super::{
+    journal,
+    store::{not_readable, shut},
+};
 use crate::log::{LogError, cursor::Cursor};
 
-/// Fails if the lists of a store are damaged, or the disk does not let them be read, before it is opened.
+/// The trees that there are.
+const TREES: [&str; 2] = ["0", "1"];
+
+/// Fails if a file of a store is missing, its lists are damaged, or the disk does not let them be read, before it is
+/// opened.
 pub(super) fn check(store: &Path) -> Result<(), LogError> {
+    read(&store.join("version"))?;
     let trees = store.join("keyspaces");
-    let unreadable = |path: &Path, error| match shut(error) {
+    for name in names(&trees)? {
+        if !TREES.contains(&&*name) {
+            let strange = trees.join(name);
+            return Err(not_readable(format!("{} is not its", strange.display())));
+        }
+    }
+    for tree in TREES {
+        check_tree(&trees.join(tree))?;
+    }
+    let mut journal = names(store)?;
+    journal.retain(|name| journal::number(name).is_some());
+    if journal.is_empty() {
+        let path = store.join("*.jnl");
+        return Err(not_readable(format!("{} is missing", path.display())));
+    }
+    Ok(())
+}
+
+/// Fails if the list of a tree that counts is missing or damaged.
+fn check_tree(tree: &Path) -> Result<(), LogError> {
+    let damaged = |path: PathBuf| not_readable(format!("{} is damaged", path.display()));
+    let path = tree.join("current");
+    let (number, sum) = decode(&read(&path)?).ok_or_else(|| damaged(path))?;
+    let path = tree.join(format!("v{number}"));
+    if xxh3_128(&read(&path)?).to_le_bytes() != sum {
+        return Err(damaged(path));
+    }
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, LogError> {
+    fs::read(path).map_err(|error| unreadable(path, error))
+}
+
+/// The names in a directory; those that are no text as well as can be.
+fn names(directory: &Path) -> Result<Vec<String>, LogError> {
+    let names = fs::read_dir(directory).and_then(|entries| {
+        let name =
+            |entry: io::Result<fs::DirEntry>| Ok(entry?.file_name().to_string_lossy().into());
+        entries.map(name).collect()
+    });
+    names.map_err(|error| unreadable(directory, error))
+}
+
+fn unreadable(path: &Path, error: io::Error) -> LogError {
+    match shut(error) {
         LogError::Shut { what } => LogError::Shut {
             what: format!("{}: {what}", path.display()),
         },
         _ => not_readable(format!("{} is missing", path.display())),
-    };
-    let damaged = |path: &Path| not_readable(format!("{} is damaged", path.display()));
-    for tree in fs::read_dir(&trees).map_err(|error| unreadable(&trees, error))? {
-        let tree = tree.map_err(|error| unreadable(&trees, error))?.path();
-        let path = tree.join("current");
-        let current = match fs::read(&path) {
-            Ok(current) => current,
-            // A tree that was not finished: the store removes it.
-            Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
-            Err(error) => return Err(unreadable(&path, error)),
-        };
-        let (number, sum) = decode(&current).ok_or_else(|| damaged(&path))?;
-        let path = tree.join(format!("v{number}"));
-        let list = fs::read(&path).map_err(|error| unreadable(&path, error))?;
-        if xxh3_128(&list).to_le_bytes() != sum {
-            return Err(damaged(&path));
-        }
     }
-    Ok(())
 }
 
 fn decode(current: &[u8]) -> Option<(u64, [u8; 16])> {

@@ -6,7 +6,10 @@ use tracing::{error, warn};
 
 use super::{
     index::{Index, State},
-    layout::{Head, Named, Number, Stage, entry_key, head_key, number_of_entry, record_key},
+    layout::{
+        Head, Named, Number, Stage, Sum, entry_key, head_key, number_of_entry, point_keys,
+        record_key,
+    },
     marks::Mark,
     store::{Handles, not_readable, unopened, unreadable},
 };
@@ -107,7 +110,11 @@ fn open(
         stored.map_err(unopened)?;
         warn!(index = named.entry.name, old = %uid, new = %named.entry.uid, "mutations may have been lost: new uid");
     }
-    let index = Index::new(number, named.entry, State::new(Origin::START));
+    let index = Index::new(
+        number,
+        named.entry,
+        State::new(Origin::START, Sum::default()),
+    );
     match state(handles, &index, mark.filter(|mark| mark.uid == uid)) {
         Ok(state) => index.restore(state),
         // Of the disk, not of this index.
@@ -132,7 +139,7 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
         let value = handles.keyspace.get(key);
         value.map_err(|error| unreadable(uid, error))
     };
-    let mut state = State::new(Origin::START);
+    let mut state = State::new(Origin::START, Sum::default());
     let marked = mark.as_ref().map_or(0, |mark| mark.revision);
     if let Some(stored) = get(&head_key(number))? {
         state.head = Head::decode(number, &stored)
@@ -167,20 +174,47 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
     for (revision, operation) in index.stored_operations(handles)? {
         state.held_operation(revision, &operation);
     }
-    Ok(state)
+    // A part of the journal that fjall leaves out without a word may have held points of which nothing else tells.
+    let mut sum = Sum::default();
+    for point in handles.keyspace.range(point_keys(number)) {
+        let value = point.value().map_err(|error| unreadable(uid, error))?;
+        sum.add(&value);
+    }
+    match sum == head.sum {
+        true => Ok(state),
+        false => Err(damaged(
+            head.revision,
+            "some of its points are missing, or are not those of this revision",
+        )),
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use bytes::Bytes;
+    use wayfold_index::PointRef;
+
     use super::{
-        super::{Durability, store::Store},
+        super::{Durability, layout::point_key, point::PointForm, store::Store},
         *,
     };
-    use crate::log::{Effects, Entry, Record};
+    use crate::log::{Effects, Entry, Outcome, Record};
 
-    fn effects(id: u64) -> Effects {
+    /// Of the revision after `head`: it stores a point, changes one, and removes another.
+    fn effects(head: u64) -> Effects {
         let mut effects = Effects::new(1);
-        effects.remove(id);
+        for id in [2 * head, 1] {
+            let point = PointRef {
+                id,
+                tag: head,
+                revision: head + 1,
+                row: &[0.5],
+            };
+            effects.store(point, Outcome::Inserted, Bytes::from_static(b"grasp"));
+        }
+        if head > 0 {
+            effects.remove(2 * (head - 1));
+        }
         effects
     }
 
@@ -193,7 +227,7 @@ mod tests {
             name: "arm".into(),
             space: "R1".parse().unwrap(),
         };
-        let index = Index::new(0, entry, State::new(Origin::START));
+        let index = Index::new(0, entry, State::new(Origin::START, Sum::default()));
         let append = |head| index.append(&store, head, effects(head), |_| ()).unwrap();
         let records: Vec<_> = (0..3).map(append).collect();
         let handles = store.handles().unwrap();
@@ -234,5 +268,39 @@ mod tests {
             handles.keyspace.remove(record_key(0, 2)).unwrap();
         });
         assert!(missing.is_some_and(|error| error.contains("it is missing")));
+    }
+
+    /// As where fjall has left out a part of its journal, and the records of that part were trimmed before.
+    #[test]
+    fn points_that_are_missing_or_back_or_older_are_noticed() {
+        type Damage = fn(&Handles);
+        let damages: [(&str, Damage); 3] = [
+            ("missing", |handles| {
+                handles.keyspace.remove(point_key(0, 1)).unwrap();
+            }),
+            ("back", |handles| {
+                let point = handles.keyspace.get(point_key(0, 1)).unwrap().unwrap();
+                handles.keyspace.insert(point_key(0, 0), point).unwrap();
+            }),
+            ("older", |handles| {
+                let form = PointForm {
+                    revision: 1,
+                    modified: 1,
+                    tag: 0,
+                    state: &[0.5],
+                    payload: b"grasp",
+                };
+                let value = form.encode(0, 1);
+                handles.keyspace.insert(point_key(0, 1), value).unwrap();
+            }),
+        ];
+        for (what, damage) in damages {
+            let told = found(|handles, _| damage(handles));
+            let told = told.unwrap_or_default();
+            assert!(
+                told.contains("revision 3 is damaged: some of its points"),
+                "{what}: {told}"
+            );
+        }
     }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::{
     engine::Engine,
     index::{Index, State},
-    layout::{Head, Named, Number, Stage, entry_key, head_key, point_key},
+    layout::{Head, Named, Number, Stage, Sum, entry_key, head_key, point_key},
     point::PointForm,
     store::storage,
 };
@@ -20,6 +20,8 @@ pub(super) struct Copy {
     number: Number,
     entry: Entry,
     origin: Origin,
+    /// Of what was added.
+    sum: Sum,
     finished: bool,
 }
 
@@ -31,25 +33,27 @@ impl Copy {
         entry: Entry,
         origin: Origin,
     ) -> Result<Self, LogError> {
-        let copy = Self {
+        let mut copy = Self {
             engine,
             number,
             entry,
             origin,
+            sum: Sum::default(),
             finished: false,
         };
         copy.write(&[], false)?;
         Ok(copy)
     }
 
-    fn write(&self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
+    fn write(&mut self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
         let result = self.try_write(points, finished);
         result.map_err(|error| self.engine.note(error))
     }
 
     /// Writes points and the entry in one batch, and, if it is `finished`, where the index begins.
-    fn try_write(&self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
+    fn try_write(&mut self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
         let number = self.number;
+        let mut sum = self.sum;
         let handles = self.engine.store.handles()?;
         handles.wait_for_room()?;
         let keyspace = &handles.keyspace;
@@ -63,10 +67,11 @@ impl Copy {
                 payload: &point.payload,
             };
             let value = form.encode(number, point.id);
+            sum.add(&value);
             batch.insert(keyspace, point_key(number, point.id), value);
         }
         if finished {
-            let head = Head::at(&self.origin);
+            let head = Head::at(&self.origin, sum);
             batch.insert(keyspace, head_key(number), head.encode(number));
         }
         let named = Named {
@@ -77,7 +82,9 @@ impl Copy {
             },
         };
         batch.insert(keyspace, entry_key(number), named.encode(number));
-        batch.commit().map_err(storage)
+        batch.commit().map_err(storage)?;
+        self.sum = sum;
+        Ok(())
     }
 }
 
@@ -90,7 +97,11 @@ impl Restoring for Copy {
         self.write(&[], true)?;
         // From here on it is there, or not, as the next start finds it.
         self.finished = true;
-        let index = Index::new(self.number, self.entry.clone(), State::new(self.origin));
+        let index = Index::new(
+            self.number,
+            self.entry.clone(),
+            State::new(self.origin, self.sum),
+        );
         self.engine.add(index)
     }
 }

@@ -115,12 +115,21 @@ pub(super) fn unopened(error: fjall::Error) -> LogError {
     }
 }
 
-/// As [`unopened`]. A file that is missing, or ends too early, is no trouble of the disk.
+/// As [`unopened`]. A file that is missing, ends too early, or stands where none should be is no trouble of the disk, nor
+/// is an offset that no file has.
 pub(super) fn shut(error: io::Error) -> LogError {
+    use io::ErrorKind::{
+        AlreadyExists, DirectoryNotEmpty, InvalidInput, IsADirectory, NotADirectory, NotFound,
+    };
     let what = error.to_string();
-    match error.raw_os_error() {
-        Some(_) if error.kind() != io::ErrorKind::NotFound => LogError::Shut { what },
-        _ => not_readable(what),
+    match (error.raw_os_error(), error.kind()) {
+        (None, _)
+        | (
+            Some(_),
+            AlreadyExists | DirectoryNotEmpty | InvalidInput | IsADirectory | NotADirectory
+            | NotFound,
+        ) => not_readable(what),
+        (Some(_), _) => LogError::Shut { what },
     }
 }
 
