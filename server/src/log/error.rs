@@ -79,8 +79,9 @@ pub enum LogError {
     },
     /// The store as a whole cannot be read.
     #[error(
-        "the store cannot be opened ({what}): what it holds cannot be read{}; put back a copy of the data directory, or \
-         name another one with --data",
+        "the store cannot be opened ({what}): what it holds cannot be read{}; put back the file as it was last, or name \
+         another directory with --data and restore the indices from snapshots (an older copy of the directory would pass \
+         for the present one)",
         match revision {
             0 => String::new(),
             revision => format!(", among it the revisions 1 to {revision} of this index"),
@@ -103,11 +104,12 @@ pub enum LogError {
     },
     /// Revisions that were synced, and so acknowledged, are not there any more.
     #[error(
-        "{} stored and gone: the files of the log were cut short or replaced; put them back from a copy, restore the index \
-         from a snapshot, or delete it and start anew ({uid})",
-        match first == last {
-            true => format!("revision {first} was"),
-            false => format!("the revisions {first} to {last} were"),
+        "{} stored and gone: the files of the log were cut short or replaced; put them back as they were last, restore \
+         the index from a snapshot, or delete it and start anew ({uid})",
+        match last.checked_sub(*first) {
+            None => "its creation was".to_owned(),
+            Some(0) => format!("revision {first} was"),
+            Some(_) => format!("the revisions {first} to {last} were"),
         }
     )]
     Lost {
@@ -115,7 +117,7 @@ pub enum LogError {
         uid: Uid,
         /// The first revision that is missing.
         first: u64,
-        /// The last revision that is known to have been synced.
+        /// The last revision that is known to have been synced; before the first where that was the creation.
         last: u64,
     },
     /// The store failed: nothing more is written until it is opened anew.

@@ -182,10 +182,13 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
     }
     match sum == head.sum {
         true => Ok(state),
-        false => Err(damaged(
-            head.revision,
-            "some of its points are missing, or are not those of this revision",
-        )),
+        false => Err(LogError::Unreadable {
+            uid,
+            what: format!(
+                "points are missing, or are not those of revision {}",
+                head.revision
+            ),
+        }),
     }
 }
 
@@ -298,7 +301,7 @@ mod tests {
             let told = found(|handles, _| damage(handles));
             let told = told.unwrap_or_default();
             assert!(
-                told.contains("revision 3 is damaged: some of its points"),
+                told.contains("points are missing, or are not those of revision 3"),
                 "{what}: {told}"
             );
         }
