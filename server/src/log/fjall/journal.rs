@@ -117,12 +117,10 @@ pub(super) fn number(name: &str) -> Option<u64> {
 /// from memory, as if it were on disk, and no later sync writes it.
 pub(super) fn write_again(directory: &Path) -> io::Result<()> {
     for file in fs::read_dir(directory)? {
-        let path = file?.path();
-        if path
-            .extension()
-            .is_some_and(|extension| extension == ENDING)
-        {
-            write_file_again(&mut File::options().read(true).write(true).open(path)?)?;
+        let file = file?;
+        if file.file_name().to_str().and_then(number).is_some() {
+            let mut file = File::options().read(true).write(true).open(file.path())?;
+            write_file_again(&mut file)?;
         }
     }
     Ok(())
