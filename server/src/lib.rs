@@ -8,6 +8,7 @@ pub mod log;
 pub mod registry;
 pub mod service;
 
+mod background;
 mod capacity;
 mod cli;
 mod grpc;

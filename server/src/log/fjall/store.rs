@@ -1,12 +1,15 @@
 //! The store of a directory, which can be closed while others still know it.
 
-use std::{io, panic, path::Path, time::Duration};
+use std::{io, path::Path, time::Duration};
 
 use fjall::{Database, Keyspace, KeyspaceCreateOptions, LsmError, PersistMode};
 use parking_lot::{MappedRwLockReadGuard, RwLock, RwLockReadGuard};
 
 use super::Durability;
-use crate::log::{LogError, Uid};
+use crate::{
+    background,
+    log::{LogError, Uid},
+};
 
 /// Most bytes of journal before the store moves points out of it: what a restart reads again at most.
 const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
@@ -35,8 +38,8 @@ pub(super) struct Handles {
 impl Store {
     /// Opens the store in a directory, or makes it there.
     pub(super) fn open(directory: &Path, durability: Durability) -> fjall::Result<Self> {
-        // On files that it did not expect fjall may panic.
-        let opened = panic::catch_unwind(|| -> fjall::Result<Handles> {
+        // The threads that it starts yield as this one does. On files that it did not expect fjall may panic.
+        let opened = background::run("wayfold-open", || -> fjall::Result<Handles> {
             let database = Database::builder(directory)
                 .max_journaling_size(JOURNAL_BYTES)
                 // The syncer hands batches on to the operating system, or nobody does.
@@ -45,7 +48,11 @@ impl Store {
             let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
             Ok(Handles { database, keyspace })
         });
-        let handles = opened.unwrap_or(Err(LsmError::Unrecoverable.into()))?;
+        let handles = opened.unwrap_or_else(|error| match error.raw_os_error() {
+            // There was no thread to be had.
+            Some(_) => Err(error.into()),
+            None => Err(LsmError::Unrecoverable.into()),
+        })?;
         Ok(Self(RwLock::new(Some(handles))))
     }
 
