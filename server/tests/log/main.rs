@@ -13,6 +13,7 @@ mod flips;
 mod kept;
 mod lost;
 mod model;
+mod remade;
 mod suite;
 
 use std::{collections::BTreeMap, sync::Arc, time::SystemTime};

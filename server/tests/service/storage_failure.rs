@@ -22,9 +22,14 @@ struct Failing {
 
 impl Failing {
     fn new() -> Self {
-        let directory = tempfile::tempdir().unwrap();
+        Self::at(tempfile::tempdir().unwrap())
+    }
+
+    /// Over what another service left.
+    fn at(directory: tempfile::TempDir) -> Self {
         let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
         let registry = Arc::new(Registry::new(Arc::new(log), options()));
+        registry.replay().unwrap();
         let service = Service::starting(Limits::default());
         service.set_registry(Arc::clone(&registry));
         service.set_ready();
@@ -179,6 +184,64 @@ async fn damage_that_is_found_on_the_way_is_named_for_every_call() {
     let listed = service.list_indexes(&CALL, v1::ListIndexesRequest::default());
     let listed = listed.await.unwrap();
     assert_eq!((listed.indexes.len(), &*listed.damaged[0].name), (0, "arm"));
+}
+
+/// A block of a table, which is found to be damaged when the store is opened anew: what was in it is gone, and the rest is
+/// written on.
+#[tokio::test]
+async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+    let service = service_with(Arc::new(log), Limits::default());
+    for name in ["arm", "base"] {
+        create(&service, name, "R1").await;
+    }
+    // Each fills blocks of its own; what leads to them is in the first.
+    for id in 1..4 {
+        let mut insert = insertion(&[[1.0]], &[id]);
+        insert.payloads = vec![vec![id as u8; 20_000].into()];
+        service.insert(&CALL, insert).await.unwrap();
+    }
+    drop(service);
+    let tables = directory.path().join("store/keyspaces/1/tables");
+    let database = fjall::Database::builder(directory.path().join("store"));
+    let database = database.open().unwrap();
+    let keyspace = database.keyspace("wayfold", fjall::KeyspaceCreateOptions::default);
+    keyspace.unwrap().rotate_memtable_and_wait().unwrap();
+    drop(database);
+
+    let failing = Failing::at(directory);
+    let service = &failing.service;
+    let base = |id: u64| v1::InsertRequest {
+        index: "base".into(),
+        ..operation(id)
+    };
+    service.insert(&CALL, base(1)).await.unwrap();
+    failing.fail();
+    unavailable(service.insert(&CALL, base(2)).await);
+    failing.mend();
+    let flipped = std::fs::read_dir(tables).unwrap().map(|table| {
+        let path = table.unwrap().path();
+        let mut bytes = std::fs::read(&path).unwrap();
+        let found = bytes.windows(20_000).position(|bytes| bytes == [3; 20_000]);
+        found.is_some_and(|at| {
+            bytes[at] ^= 1;
+            std::fs::write(path, bytes).unwrap();
+            true
+        })
+    });
+    assert_eq!(flipped.filter(|flipped| *flipped).count(), 1);
+    failing.recover().await.unwrap();
+    assert_eq!(
+        refusal(service.knn(&CALL, knn(&[[3.1]], 2)).await).0,
+        Code::DataLoss
+    );
+    assert_eq!(
+        refusal(service.insert(&CALL, operation(3)).await).0,
+        Code::DataLoss
+    );
+    let inserted = service.insert(&CALL, base(3)).await.unwrap();
+    assert_eq!(info(service, "base").await.revision, inserted.revision);
 }
 
 /// Below fsync no mark names what there is: then no call is answered as if there were nothing.

@@ -4,6 +4,8 @@
 //! |---|---|
 //! | `wayfold-data` | one line that names the program and the version of the form; locked while a server runs |
 //! | `store/` | what fjall keeps: see [`layout`](super::layout) |
+//! | `store.new/`, `store.remade/` | a store in the making, and one that is whole and has yet to take its place: see [`making`](super::making) |
+//! | `store.damaged/` | a store that was damaged, from before it was made anew; nothing reads it |
 //! | `marks` | how far each index was synced: see [`marks`](super::marks) |
 //! | `unsynced` | there while a server runs that does not sync: see [`loose`](super::loose) |
 //! | `probe` | there for a moment while it is tried whether the disk can be written |
@@ -137,6 +139,28 @@ impl Directory {
         written.and(removed)
     }
 
+    /// Fails if fewer bytes than these are free, which a copy of the store needs that leaves out what is damaged.
+    pub(super) fn has_room(&self, needed: u64) -> io::Result<()> {
+        if needed > 0 && self.room()? < needed {
+            return Err(io::Error::other(format!(
+                "it is damaged, and to make it anew without what is, {needed} bytes must be free"
+            )));
+        }
+        Ok(())
+    }
+
+    /// How many bytes are free on its disk.
+    pub(super) fn room(&self) -> io::Result<u64> {
+        #[cfg(unix)]
+        {
+            let disk = rustix::fs::statvfs(&self.path)?;
+            Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+        }
+        // Where it is not known it is tried.
+        #[cfg(not(unix))]
+        Ok(u64::MAX)
+    }
+
     /// The path of a file or directory in it.
     pub(super) fn join(&self, name: &str) -> PathBuf {
         self.path.join(name)
@@ -246,6 +270,19 @@ mod tests {
         let refused = Directory::take(path).err().unwrap();
         assert!(refused.to_string().contains(&*path.to_string_lossy()));
         refused.to_string()
+    }
+
+    #[test]
+    fn room_is_asked_for_only_where_it_is_needed() {
+        let directory = tempfile::tempdir().unwrap();
+        let taken = Directory::take(directory.path()).unwrap();
+        taken.has_room(0).unwrap();
+        taken.has_room(1).unwrap();
+        let refused = taken.has_room(u64::MAX).unwrap_err().to_string();
+        assert!(
+            refused.contains("18446744073709551615 bytes must be free"),
+            "{refused}"
+        );
     }
 
     #[test]

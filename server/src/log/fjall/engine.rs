@@ -32,6 +32,8 @@ pub(super) struct Engine {
     /// The number of the next index; who holds it creates or deletes one.
     next: Mutex<Number>,
     failure: Arc<Failure>,
+    /// Something of its indices could not be read: the store may be damaged.
+    pub(super) unreadable: bool,
     pub(super) store: Arc<Store>,
     directory: Arc<Directory>,
 }
@@ -88,6 +90,7 @@ impl Engine {
         for &number in &found.deleted {
             sweeper.sweep(number);
         }
+        let unreadable = found.unreadable;
         let indexes = found.indexes.into_iter();
         Ok(Self {
             syncer,
@@ -96,6 +99,7 @@ impl Engine {
             gone: Mutex::new(found.gone),
             next: Mutex::new(found.next),
             failure,
+            unreadable,
             store,
             directory: Arc::clone(directory),
         })

@@ -35,10 +35,15 @@ impl Failure {
     /// Takes what the disk says for the reason, if the store has not told any.
     pub(super) fn explain(&self, why: &LogError) {
         let mut first = self.0.lock();
-        if matches!(&*first, Some(LogError::Storage { what }) if what == UNTOLD) {
+        if first.as_ref().is_some_and(is_untold) {
             *first = Some(why.clone());
         }
     }
+}
+
+/// Whether nobody has told what failed.
+pub(super) fn is_untold(error: &LogError) -> bool {
+    matches!(error, LogError::Storage { what } | LogError::Shut { what } if what == UNTOLD)
 }
 
 #[cfg(test)]

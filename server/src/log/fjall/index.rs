@@ -97,6 +97,11 @@ impl Index {
         }
     }
 
+    /// Why it may not be used.
+    pub(super) fn closed(&self) -> Option<LogError> {
+        self.state.lock().closed.clone()
+    }
+
     /// The newest revision that is known to be on disk.
     pub(super) fn durable(&self) -> u64 {
         self.durable.load(Ordering::Acquire)

@@ -113,6 +113,8 @@ pub(super) enum Stage {
     Deleted,
     /// A copy that is not finished. As nobody was told that it is there, it is as good as deleted.
     Copied,
+    /// There, and nothing else of it: the rest could not be read when the store was made anew.
+    Unreadable,
 }
 
 impl Named {
@@ -121,6 +123,7 @@ impl Named {
             Stage::Whole => 0,
             Stage::Deleted => 1,
             Stage::Copied => 2,
+            Stage::Unreadable => 3,
         }];
         value.extend_from_slice(self.entry.uid.as_bytes());
         value.extend_from_slice(&(self.entry.name.len() as u64).to_le_bytes());
@@ -135,6 +138,7 @@ impl Named {
             [0] => Stage::Whole,
             [1] => Stage::Deleted,
             [2] => Stage::Copied,
+            [3] => Stage::Unreadable,
             _ => return None,
         };
         let uid = Uid::from_bytes(cursor.array()?);

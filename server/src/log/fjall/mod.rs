@@ -7,8 +7,8 @@
 //! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` (before
 //! it is opened), `layout` and `point` (what it holds, byte for byte), `index` (one index's writer), `view` (its points,
 //! pinned), `restoring` (an index made from a copy), `journal`, `syncer` and `marks` (what is on disk for certain),
-//! `failure` (why nothing more is written), `recovery`, `loose` (after a server that does not sync), `sweeper` (what
-//! deleted indices leave).
+//! `failure` (why nothing more is written), `recovery`, `making` (a store that is damaged is made anew), `loose` (after a
+//! server that does not sync), `sweeper` (what deleted indices leave).
 //!
 //! A store that has failed takes nothing any more and is read still. It is closed and opened anew as a whole
 //! ([`Log::reopen`]), by the same way as at the start: there is no other that leads from the files to the state.
@@ -22,6 +22,7 @@ mod index;
 mod journal;
 mod layout;
 mod loose;
+mod making;
 mod manifest;
 mod marks;
 mod point;
@@ -32,7 +33,7 @@ mod sweeper;
 mod syncer;
 mod view;
 
-use std::{collections::BTreeMap, fs, io, path::Path, sync::Arc};
+use std::{collections::BTreeMap, io, path::Path, sync::Arc};
 
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Mutex, RwLock};
@@ -44,16 +45,20 @@ pub use directory::OpenError;
 use super::{
     Effects, Entry, Gone, Keep, Log, LogError, Operation, Origin, Record, Restoring, Uid, View,
 };
-use directory::{Directory, sync_directories, sync_directory};
+use directory::Directory;
 use engine::Engine;
-use journal::Journal;
+use failure::is_untold;
 use layout::Number;
+use making::Remade;
 use marks::{Mark, Marks};
-use store::{Store, shut};
+use store::shut;
 
 const STORE: &str = "store";
 /// A store in the making: it takes its name once it is whole.
 const NEW_STORE: &str = "store.new";
+/// A store that was made anew, and is about to replace the damaged one.
+const REMADE_STORE: &str = "store.remade";
+const DAMAGED_STORE: &str = "store.damaged";
 const MARKS: &str = "marks";
 
 /// What an acknowledged mutation survives.
@@ -87,8 +92,8 @@ impl TryFrom<String> for Durability {
 pub struct FjallLog {
     // Dropped before the directory is given up.
     opened: RwLock<Opened>,
-    /// Held by who opens the store anew.
-    reopening: Mutex<()>,
+    /// Held by who opens the store anew: how many bytes must be free for that.
+    reopening: Mutex<u64>,
     durability: Durability,
     directory: Arc<Directory>,
 }
@@ -110,25 +115,30 @@ impl FjallLog {
             path: path.into(),
             source,
         };
-        make_store(&directory).map_err(|source| failed(directory.path(), source))?;
+        making::finish(&directory)
+            .and_then(|()| making::make_first(&directory))
+            .map_err(|source| failed(directory.path(), source))?;
         let path = directory.join(MARKS);
-        let (marks, marked) = Marks::open(&path).map_err(|source| failed(&path, source))?;
-        let opened = match Engine::open(&directory, durability, (marks, &marked)) {
+        let (_, marked) = Marks::open(&path).map_err(|source| failed(&path, source))?;
+        let log = Self {
+            opened: RwLock::new(Opened::Not(LogError::Closed, BTreeMap::new())),
+            reopening: Mutex::new(0),
+            durability,
+            directory,
+        };
+        let directory = log.directory.path().display();
+        let opened = match log.open_whole(&mut log.reopening.lock(), false) {
             Ok(engine) => {
-                info!(directory = %directory.path().display(), "opened the log");
+                info!(%directory, "opened the log");
                 Opened::Open(Arc::new(engine))
             }
             Err(why) => {
-                error!(directory = %directory.path().display(), error = %why, "every call will say so");
+                error!(%directory, error = %why, "every call will say so");
                 Opened::Not(why, marked)
             }
         };
-        Ok(Self {
-            opened: RwLock::new(opened),
-            reopening: Mutex::new(()),
-            durability,
-            directory,
-        })
+        *log.opened.write() = opened;
+        Ok(log)
     }
 
     fn engine(&self) -> Result<Arc<Engine>, LogError> {
@@ -138,9 +148,33 @@ impl FjallLog {
         }
     }
 
-    fn try_reopen(&self) -> Result<Engine, LogError> {
+    fn open_as_it_is(&self) -> Result<Engine, LogError> {
         let (marks, marked) = Marks::open(&self.directory.join(MARKS)).map_err(shut)?;
         Engine::open(&self.directory, self.durability, (marks, &marked))
+    }
+
+    /// Opens the store, after making it anew if it is damaged, for which `needed` bytes must be free; of one that is
+    /// `suspect` the parts are looked at too that nobody asks for.
+    fn open_whole(&self, needed: &mut u64, suspect: bool) -> Result<Engine, LogError> {
+        *needed = 0;
+        making::finish(&self.directory).map_err(shut)?;
+        let opened = self.open_as_it_is();
+        let suspect = match &opened {
+            Ok(engine) => engine.unreadable || suspect,
+            Err(why) => is_untold(why),
+        };
+        if !suspect {
+            return opened;
+        }
+        if let Ok(engine) = &opened {
+            engine.shut();
+        }
+        match making::remake(&self.directory) {
+            Ok(Remade::Whole | Remade::Anew) => {}
+            Ok(Remade::NoRoom(bytes)) => *needed = bytes,
+            Err(why) => error!(error = %why, "the store cannot be made anew"),
+        }
+        self.open_as_it_is()
     }
 }
 
@@ -236,10 +270,11 @@ impl Log for FjallLog {
     }
 
     fn reopen(&self) -> Result<(), LogError> {
-        let _alone = self.reopening.lock();
-        if self.failure().is_none() {
+        let mut needed = self.reopening.lock();
+        let Some(failure) = self.failure() else {
             return Ok(());
-        }
+        };
+        let suspect = *needed > 0 || is_untold(&failure);
         // While it cannot be written the failed store is better than none: it can be read.
         let failed = self.engine().ok();
         let unwritable = |error: io::Error| match &failed {
@@ -250,7 +285,9 @@ impl Log for FjallLog {
         };
         // It begins by moving these, and fails at once if it cannot.
         let unmoved = failed.as_ref().map_or(0, |failed| failed.unmoved());
-        if let Err(why) = self.directory.probe(STORE, unmoved).map_err(unwritable) {
+        let probed = self.directory.probe(STORE, unmoved);
+        let probed = probed.and_then(|()| self.directory.has_room(*needed));
+        if let Err(why) = probed.map_err(unwritable) {
             if let Some(failed) = failed {
                 failed.explain(&why);
             }
@@ -260,7 +297,7 @@ impl Log for FjallLog {
             *self.opened.write() = Opened::Not(LogError::Closed, BTreeMap::new());
             failed.shut();
         }
-        let (opened, outcome) = match self.try_reopen() {
+        let (opened, outcome) = match self.open_whole(&mut needed, suspect) {
             Ok(engine) => {
                 info!("opened the log anew");
                 (Opened::Open(Arc::new(engine)), Ok(()))
@@ -285,29 +322,4 @@ fn why_gone(why: &LogError, mark: &Mark) -> LogError {
         },
         why => why.clone(),
     }
-}
-
-/// Makes the store, unless there is one, or was: beside the file of marks, one that is missing is not to be taken for
-/// one that holds nothing. A start that is cut short leaves none, or a whole one.
-fn make_store(directory: &Directory) -> io::Result<()> {
-    let (store, new) = (directory.join(STORE), directory.join(NEW_STORE));
-    if store.try_exists()? || directory.join(MARKS).try_exists()? {
-        return Ok(());
-    }
-    if new.try_exists()? {
-        fs::remove_dir_all(&new)?;
-    }
-    let made = Store::open(&new, Durability::Fsync).map_err(io::Error::other)?;
-    let made = Arc::new(made);
-    let synced = Journal::new(Arc::clone(&made), new.clone()).sync();
-    synced.map_err(io::Error::other)?;
-    made.close();
-    // fjall leaves it to the file system whether the names of its directories are durable.
-    sync_directories(&new)?;
-    fs::rename(&new, &store)?;
-    fs::File::options()
-        .append(true)
-        .create(true)
-        .open(directory.join(MARKS))?;
-    sync_directory(directory.path())
 }

@@ -5,6 +5,7 @@ use std::{collections::BTreeMap, ops::RangeInclusive, sync::Arc};
 use tracing::{error, warn};
 
 use super::{
+    DAMAGED_STORE,
     index::{Index, State},
     layout::{
         Head, Named, Number, Stage, Sum, entry_key, head_key, number_of_entry, point_keys,
@@ -13,12 +14,14 @@ use super::{
     marks::Mark,
     store::{Handles, not_readable, unopened, unreadable},
 };
-use crate::log::{Gone, LogError, Origin, Uid};
+use crate::log::{Entry, Gone, LogError, Origin, Uid};
 
 /// What a store holds.
 pub(super) struct Found {
     /// The indices; those that are damaged are closed.
     pub(super) indexes: Vec<Arc<Index>>,
+    /// Something of them could not be read.
+    pub(super) unreadable: bool,
     /// Indices of which only the mark is left.
     pub(super) gone: BTreeMap<Number, Gone>,
     /// Indices that were deleted, of which there may be something left.
@@ -35,6 +38,7 @@ pub(super) fn recover(
 ) -> Result<Found, LogError> {
     let mut found = Found {
         indexes: Vec::new(),
+        unreadable: false,
         gone: BTreeMap::new(),
         deleted: Vec::new(),
         // The number of one that is gone stays taken.
@@ -60,7 +64,7 @@ pub(super) fn recover(
         match named.stage {
             // It is told of below.
             Stage::Copied if mark.is_some() && !was_deleted => continue,
-            Stage::Whole if was_deleted => {
+            Stage::Whole | Stage::Unreadable if was_deleted => {
                 warn!(
                     index = named.entry.name,
                     "the journal was cut short: an index is back that was deleted, and is deleted again"
@@ -70,8 +74,10 @@ pub(super) fn recover(
             Stage::Deleted | Stage::Copied => found.deleted.push(number),
             Stage::Whole => {
                 let index = open(handles, number, named, mark.cloned(), renamed)?;
+                found.unreadable |= matches!(index.closed(), Some(LogError::Unreadable { .. }));
                 found.indexes.push(index);
             }
+            Stage::Unreadable => found.indexes.push(left_out(number, named.entry, mark)),
         }
         left.remove(&number);
     }
@@ -90,7 +96,8 @@ pub(super) fn recover(
     Ok(found)
 }
 
-fn entries() -> RangeInclusive<[u8; 5]> {
+/// The keys of all entries.
+pub(super) fn entries() -> RangeInclusive<[u8; 5]> {
     entry_key(0)..=entry_key(Number::MAX)
 }
 
@@ -125,6 +132,25 @@ fn open(
         }
     }
     Ok(index)
+}
+
+/// An index of which a store that was made anew holds the entry alone.
+fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
+    let revisions = match mark.map_or(0, |mark| mark.revision) {
+        0 => String::new(),
+        last => format!(" of the revisions 1 to {last}"),
+    };
+    let why = LogError::Unreadable {
+        uid: entry.uid,
+        what: format!(
+            "a block{revisions} could not be read, and the store was made anew without this index: {DAMAGED_STORE} in the \
+             data directory is the store as it was then"
+        ),
+    };
+    error!(index = entry.name, error = %why, "an index is damaged: every call for it will say so");
+    let index = Index::new(number, entry, State::new(Origin::START, Sum::default()));
+    index.close(why);
+    index
 }
 
 /// The state of an index, if all that a writer needs to know of it is whole.
@@ -201,7 +227,7 @@ mod tests {
         super::{Durability, layout::point_key, point::PointForm, store::Store},
         *,
     };
-    use crate::log::{Effects, Entry, Outcome, Record};
+    use crate::log::{Effects, Outcome, Record};
 
     /// Of the revision after `head`: it stores a point, changes one, and removes another.
     fn effects(head: u64) -> Effects {

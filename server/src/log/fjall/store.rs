@@ -82,6 +82,11 @@ impl Handles {
             || self.keyspace.l0_table_count() >= RUNS_THAT_STALL
     }
 
+    /// About how many bytes a copy of it takes on disk at most.
+    pub(super) fn room_for_copy(&self) -> u64 {
+        self.keyspace.disk_space() + 2 * JOURNAL_BYTES
+    }
+
     /// Waits until the store has caught up so far that a batch does not wait inside, or says that it has failed.
     pub(super) fn wait_for_room(&self) -> Result<(), LogError> {
         while self.keyspace.sealed_memtable_count() + 1 >= MEMTABLES_THAT_HALT {
@@ -102,14 +107,19 @@ pub(super) fn storage(error: fjall::Error) -> LogError {
 
 /// A failure to read what belongs to an index: a disk that does not answer, or what it answers is not what was stored.
 pub(super) fn unreadable(uid: Uid, error: fjall::Error) -> LogError {
+    match damage(error) {
+        Ok(what) => LogError::Unreadable { uid, what },
+        Err(error) => error,
+    }
+}
+
+/// What is damaged, where something could not be read; a disk that does not answer is an error.
+pub(super) fn damage(error: fjall::Error) -> Result<String, LogError> {
     match error {
         fjall::Error::Io(_) | fjall::Error::Poisoned | fjall::Error::Storage(LsmError::Io(_)) => {
-            storage(error)
+            Err(storage(error))
         }
-        error => LogError::Unreadable {
-            uid,
-            what: told(error),
-        },
+        error => Ok(told(error)),
     }
 }
 

@@ -1,0 +1,201 @@
+//! A store of which a block is not what was written: it costs the indices that had something in that block, and nobody
+//! else a write.
+
+use std::{
+    fs::{self, File},
+    io::{Seek, SeekFrom, Write},
+    path::{Path, PathBuf},
+    slice,
+};
+
+use bytes::Bytes;
+use fjall::{Database, Keyspace, KeyspaceCreateOptions};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wayfold_index::PointRef;
+use wayfold_server::log::{Effects, Entry, FjallLog, Log, LogError, Outcome, Uid};
+
+use super::{
+    all_points,
+    disk::{append_synced, open, synced},
+    entry,
+};
+
+/// Bytes of a payload: several blocks, and so many that fjall soon begins another table.
+const PAYLOAD: usize = 32 * 1024;
+const MUCH: usize = 1024 * 1024;
+
+/// The payload of a point, which no compression makes shorter.
+fn payload(id: u64) -> Bytes {
+    let mut bytes = vec![0; PAYLOAD];
+    ChaCha8Rng::seed_from_u64(id).fill_bytes(&mut bytes);
+    bytes.into()
+}
+
+/// Stores the point with the id of the revision.
+fn grow(log: &FjallLog, uid: Uid, revision: u64, payload: Bytes) -> Result<(), LogError> {
+    let mut effects = Effects::new(1);
+    let point = PointRef {
+        id: revision,
+        tag: 0,
+        revision,
+        row: &[0.5],
+    };
+    effects.store(point, Outcome::Inserted, payload);
+    log.append(uid, revision - 1, effects)?;
+    synced(log, uid, revision).map(|_| ())
+}
+
+/// The store of a closed log.
+fn store(directory: &Path) -> (Database, Keyspace) {
+    let database = Database::builder(directory.join("store")).open().unwrap();
+    let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default);
+    let keyspace = keyspace.unwrap();
+    (database, keyspace)
+}
+
+/// Two indices of which all is in tables: `arm` with 20 points with payloads, `base` with one revision. With the next
+/// table or two fjall will rewrite them.
+fn fill(directory: &Path) -> [Entry; 2] {
+    let entries = [entry("arm"), entry("base")];
+    let log = open(directory);
+    for entry in &entries {
+        log.create(entry.clone()).unwrap();
+    }
+    append_synced(&log, entries[1].uid, 1);
+    drop(log);
+    for revisions in [1..=10, 11..=15, 16..=20] {
+        let log = open(directory);
+        for revision in revisions {
+            grow(&log, entries[0].uid, revision, payload(revision)).unwrap();
+        }
+        drop(log);
+        store(directory).1.rotate_memtable_and_wait().unwrap();
+    }
+    entries
+}
+
+fn tables(directory: &Path) -> Vec<PathBuf> {
+    let tables = fs::read_dir(directory.join("store/keyspaces/1/tables")).unwrap();
+    tables.map(|table| table.unwrap().path()).collect()
+}
+
+/// Flips a bit in the middle of the payload of point 10 of `arm`, wherever it is in a table: where the files are, so that who has
+/// them open comes upon it too.
+fn damage(directory: &Path) {
+    let middle = &payload(10)[PAYLOAD / 2..][..32];
+    let mut found = 0;
+    for table in tables(directory) {
+        let bytes = fs::read(&table).unwrap();
+        let mut file = File::options().write(true).open(table).unwrap();
+        let windows = bytes.windows(middle.len()).enumerate();
+        for (at, _) in windows.filter(|(_, window)| *window == middle) {
+            file.seek(SeekFrom::Start(at as u64)).unwrap();
+            file.write_all(&[bytes[at] ^ 1]).unwrap();
+            found += 1;
+        }
+    }
+    assert!(found > 0);
+}
+
+fn damaged(log: &FjallLog, entry: &Entry) {
+    for error in [
+        log.points(entry.uid).err().unwrap(),
+        log.append(entry.uid, 20, Effects::new(0)).unwrap_err(),
+    ] {
+        assert!(matches!(error, LogError::Unreadable { .. }), "{error}");
+    }
+}
+
+/// Nothing of the store keeps fjall from rewriting all of its files.
+fn can_be_rewritten(directory: &Path) {
+    store(directory).1.major_compact().unwrap();
+}
+
+#[test]
+fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
+    let directory = tempfile::tempdir().unwrap();
+    let [arm, base] = fill(directory.path());
+    damage(directory.path());
+    for revision in 2..4 {
+        let log = open(directory.path());
+        damaged(&log, &arm);
+        append_synced(&log, base.uid, revision);
+        assert_eq!(
+            all_points(&*log.points(base.uid).unwrap()).len(),
+            revision as usize
+        );
+        drop(log);
+        can_be_rewritten(directory.path());
+        assert!(directory.path().join("store.damaged").exists());
+    }
+    let log = open(directory.path());
+    let why = log.points(arm.uid).err().unwrap().to_string();
+    for part in ["revisions 1 to 20", "store.damaged", "restore the index"] {
+        assert!(why.contains(part), "{why}");
+    }
+    log.delete(arm.uid).unwrap();
+    drop(log);
+    assert_eq!(open(directory.path()).indexes().unwrap(), [base]);
+}
+
+/// fjall comes upon it while the log is written, whether or not anybody would ask for what was there.
+#[test]
+fn a_block_that_is_damaged_while_the_log_is_open_costs_its_index_once_the_log_is_opened_anew() {
+    for deleted in [false, true] {
+        let directory = tempfile::tempdir().unwrap();
+        let [arm, base] = fill(directory.path());
+        let log = open(directory.path());
+        if deleted {
+            log.delete(arm.uid).unwrap();
+        }
+        damage(directory.path());
+        let mut revision = 1;
+        let much = Bytes::from(vec![0; MUCH]);
+        let failure = loop {
+            assert!(revision < 500, "the block was never rewritten");
+            match grow(&log, base.uid, revision + 1, much.clone()) {
+                Ok(()) => revision += 1,
+                Err(error) => break error,
+            }
+        };
+        println!("after {revision} revisions: {failure}");
+        assert_eq!(log.failure(), Some(failure));
+        let points = || all_points(&*log.points(base.uid).unwrap()).len() as u64;
+        assert!(points() >= revision);
+
+        log.reopen().unwrap();
+        match deleted {
+            true => assert_eq!(log.indexes().unwrap(), slice::from_ref(&base)),
+            false => damaged(&log, &arm),
+        }
+        let head = log.points(base.uid).unwrap().revision();
+        assert!(head >= revision);
+        grow(&log, base.uid, head + 1, much).unwrap();
+        assert_eq!(points(), head + 1);
+        drop(log);
+        can_be_rewritten(directory.path());
+    }
+}
+
+/// Power is lost when the new store is whole: before the damaged one was moved away, or after that.
+#[test]
+fn a_store_that_was_made_anew_takes_its_place_at_the_next_start() {
+    let directory = tempfile::tempdir().unwrap();
+    let [arm, base] = fill(directory.path());
+    damage(directory.path());
+    drop(open(directory.path()));
+    let [store, remade, kept] =
+        ["store", "store.remade", "store.damaged"].map(|name| directory.path().join(name));
+    let is_whole = || {
+        let log = open(directory.path());
+        damaged(&log, &arm);
+        assert_eq!(log.points(base.uid).unwrap().revision(), 1);
+        assert!(kept.exists() && !remade.exists());
+    };
+    fs::rename(&store, &remade).unwrap();
+    is_whole();
+    fs::rename(&store, &remade).unwrap();
+    fs::rename(&kept, &store).unwrap();
+    is_whole();
+}
