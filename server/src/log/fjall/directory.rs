@@ -142,9 +142,10 @@ impl Directory {
     /// Fails if fewer bytes than these are free, which a copy of the store needs that leaves out what is damaged.
     pub(super) fn has_room(&self, needed: u64) -> io::Result<()> {
         if needed > 0 && self.room()? < needed {
-            return Err(io::Error::other(format!(
-                "it is damaged, and to make it anew without what is, {needed} bytes must be free"
-            )));
+            let what = format!(
+                "a part of it is damaged, and {needed} bytes must be free to make it anew without that part"
+            );
+            return Err(io::Error::new(io::ErrorKind::StorageFull, what));
         }
         Ok(())
     }

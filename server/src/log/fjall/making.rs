@@ -72,18 +72,30 @@ pub(super) enum Remade {
     NoRoom(u64),
 }
 
+/// How many bytes must be free for a store to be made anew, if it is damaged and fewer are.
+pub(super) fn missing_room(directory: &Directory, store: &Store) -> Result<Option<u64>, LogError> {
+    let handles = store.handles()?;
+    let needed = handles.room_for_copy();
+    if directory.room().map_err(shut)? >= needed {
+        return Ok(None);
+    }
+    let damage = damage_in(handles.keyspace.iter())?;
+    Ok(damage.map(|damage| {
+        error!(damage, needed, "no room to make the store anew");
+        needed
+    }))
+}
+
 /// Reads a store, which is closed, from end to end, and makes it anew if it is damaged.
 pub(super) fn remake(directory: &Directory) -> Result<Remade, LogError> {
     let old = Store::open(&directory.join(STORE), Durability::Fsync).map_err(unopened)?;
+    if let Some(needed) = missing_room(directory, &old)? {
+        return Ok(Remade::NoRoom(needed));
+    }
     let handles = old.handles()?;
     let Some(damage) = damage_in(handles.keyspace.iter())? else {
         return Ok(Remade::Whole);
     };
-    let needed = handles.room_for_copy();
-    if directory.room().map_err(shut)? < needed {
-        error!(damage, needed, "no room to make the store anew");
-        return Ok(Remade::NoRoom(needed));
-    }
     warn!(
         damage,
         kept = %directory.join(DAMAGED_STORE).display(),

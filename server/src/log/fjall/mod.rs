@@ -174,7 +174,11 @@ impl FjallLog {
             Ok(Remade::NoRoom(bytes)) => *needed = bytes,
             Err(why) => error!(error = %why, "the store cannot be made anew"),
         }
-        self.open_as_it_is()
+        // fjall may have come upon the damage already.
+        self.open_as_it_is().map_err(|why| match is_untold(&why) {
+            true => self.directory.has_room(*needed).err().map_or(why, shut),
+            false => why,
+        })
     }
 }
 
@@ -285,8 +289,13 @@ impl Log for FjallLog {
         };
         // It begins by moving these, and fails at once if it cannot.
         let unmoved = failed.as_ref().map_or(0, |failed| failed.unmoved());
-        let probed = self.directory.probe(STORE, unmoved);
-        let probed = probed.and_then(|()| self.directory.has_room(*needed));
+        let mut probed = self.directory.probe(STORE, unmoved);
+        probed = probed.and_then(|()| self.directory.has_room(*needed));
+        if let (true, Some(failed)) = (probed.is_ok() && suspect, &failed) {
+            let missing = making::missing_room(&self.directory, &failed.store)?;
+            *needed = missing.unwrap_or_default();
+            probed = self.directory.has_room(*needed);
+        }
         if let Err(why) = probed.map_err(unwritable) {
             if let Some(failed) = failed {
                 failed.explain(&why);

@@ -137,9 +137,11 @@ pub(super) fn unopened(error: fjall::Error) -> LogError {
 pub(super) fn shut(error: io::Error) -> LogError {
     use io::ErrorKind::{
         AlreadyExists, DirectoryNotEmpty, InvalidInput, IsADirectory, NotADirectory, NotFound,
+        StorageFull,
     };
     let what = error.to_string();
     match (error.raw_os_error(), error.kind()) {
+        (_, StorageFull) => LogError::Shut { what },
         (None, _)
         | (
             Some(_),
