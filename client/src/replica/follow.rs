@@ -4,7 +4,7 @@ use std::{pin::Pin, sync::Arc, time::Duration};
 
 use tokio::time::Instant;
 
-use super::{ReplicaStatus, ReplicaView, grove::Grove, load::load, shared::Shared};
+use super::{ReplicaStatus, ReplicaView, grove::Grove, load::load, shared::Shared, source::Source};
 use crate::{Client, Code, Error, IndexHandle, Reset, ResetReason, Watch, WatchEvent};
 
 pub(super) struct Follower {
@@ -13,6 +13,7 @@ pub(super) struct Follower {
     index: IndexHandle,
     uid: Arc<str>,
     grove: Grove,
+    source: Source,
     heartbeat: Duration,
     missing_for: Duration,
     /// When the connection was lost.
@@ -50,6 +51,7 @@ impl Follower {
         client: Client,
         shared: Arc<Shared>,
         grove: Grove,
+        source: Source,
         heartbeat: Duration,
         missing_for: Duration,
     ) -> Follower {
@@ -60,6 +62,7 @@ impl Follower {
             index,
             shared,
             grove,
+            source,
             heartbeat,
             missing_for,
             lost: None,
@@ -97,11 +100,13 @@ impl Follower {
     async fn follow_watch(&mut self) -> Result<std::convert::Infallible, Stop> {
         let asked = Instant::now();
         let after = self.grove.revision();
-        let mut watch = self.index.watch().after(after).await?;
-        // A reset may be all that it tells.
+        let watch = self.source.watch(&self.index, after, self.heartbeat);
+        let mut watch = watch.await?;
+        // A reset may be all that it tells, and there may be mutations already.
         while let Some(event) = watch.ready() {
             self.apply(event)?;
         }
+        self.publish();
         let mut word = Some(Word {
             asked,
             revision: watch.newest(),

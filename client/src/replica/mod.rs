@@ -1,15 +1,18 @@
 //! An index followed and searched in this process: see [`Replica`].
 //!
-//! One task follows the server: it loads all points at a revision (`load`), applies the mutations that the watch tells
-//! to a forest of its own (`grove`), and publishes frozen revisions of it (`view`), which readers search without ever
+//! One task follows the server: it loads all points at a revision (`load`), applies the mutations that it is told of
+//! (`source`: by a watch, or by `publications` over Zenoh) to a forest of its own (`grove`), and publishes frozen revisions of it (`view`), which readers search without ever
 //! waiting for it. What it knows of its own state it tells in `status`.
 
 mod follow;
 mod grove;
 mod load;
+#[cfg(feature = "zenoh")]
+mod publications;
 mod refused;
 mod request;
 mod shared;
+mod source;
 mod status;
 mod view;
 mod write;

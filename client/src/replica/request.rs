@@ -5,7 +5,7 @@ use std::time::Duration;
 use futures_util::future::BoxFuture;
 use tokio::time::Instant;
 
-use super::{Replica, follow::Follower, grove::Grove, load::load, shared::Shared};
+use super::{Replica, follow::Follower, grove::Grove, load::load, shared::Shared, source::Source};
 use crate::{Client, Error};
 
 /// Begins a replica; await it to read all points. From then on it answers, and follows.
@@ -16,6 +16,7 @@ pub struct ReplicaRequest {
     name: String,
     max_staleness: Option<Duration>,
     missing_for: Duration,
+    source: Source,
 }
 
 impl ReplicaRequest {
@@ -25,7 +26,18 @@ impl ReplicaRequest {
             name: name.to_owned(),
             max_staleness: None,
             missing_for: Duration::from_secs(5),
+            source: Source::Server,
         }
+    }
+
+    /// Hears of mutations over Zenoh instead: what the index publishes as `PREFIX/NAME/events`, and its log for what was
+    /// lost on the way. The session must reach the server, directly or through routers; `wayfold/v1` is the prefix of
+    /// a server with its own settings. All points are read from the client's server, which says too how fresh they are.
+    #[cfg(feature = "zenoh")]
+    pub fn over_zenoh(mut self, session: zenoh::Session, prefix: &str) -> ReplicaRequest {
+        let publications = super::publications::Publications::new(session, prefix);
+        self.source = Source::Zenoh(publications);
+        self
     }
 
     /// Reads fail with [`Error::Stale`] where the server may have published, longer ago than this, what the replica has
@@ -53,6 +65,7 @@ impl ReplicaRequest {
             self.client,
             shared.clone(),
             grove,
+            self.source,
             heartbeat(self.max_staleness),
             self.missing_for,
         );

@@ -2,12 +2,12 @@
 
 use std::{
     collections::VecDeque,
+    fmt,
     time::{Duration, SystemTime},
 };
 
-use futures_util::{Stream, stream};
+use futures_util::{Stream, StreamExt, stream, stream::BoxStream};
 use tokio::time::timeout;
-use tonic::Streaming;
 use wayfold_proto::v1;
 
 use super::awaitable;
@@ -47,20 +47,22 @@ pub struct WatchRequest {
 ///
 /// The server sends no faster than the events are taken. Who takes them too slowly, so that the server forgets what
 /// comes next, is told a reset.
-#[derive(Debug)]
 pub struct Watch {
     index: IndexHandle,
     payloads: bool,
-    messages: Streaming<v1::WatchResponse>,
+    messages: Messages,
     /// What came and was not taken.
     ready: VecDeque<WatchEvent>,
-    /// The beginning of a mutation of which the rest is to come.
-    piece: Option<Mutation>,
+    /// The beginning of a mutation of which the rest is to come, and which piece comes next.
+    begun: Option<(Mutation, u32)>,
     /// The newest revision that came whole.
     after: u64,
     newest: u64,
     over: bool,
 }
+
+/// What a server tells who watches: each message after the one before, without a gap.
+pub(crate) type Messages = BoxStream<'static, Result<v1::WatchResponse, Error>>;
 
 /// What a watch tells.
 #[derive(Clone, Debug, PartialEq)]
@@ -145,27 +147,10 @@ impl WatchRequest {
         };
         let waited = self.index.timeout();
         let messages = client.call(CALL, waited, attempt).await?;
-        let mut watch = Watch {
-            messages,
-            ready: VecDeque::new(),
-            piece: None,
-            after: 0,
-            newest: 0,
-            over: false,
-            payloads: self.payloads,
-            index: self.index,
-        };
-        // Which comes at once, also where nothing is mutated.
-        let first = timeout(waited, watch.messages.message()).await;
-        let first = first.map_err(|_| Error::Timeout {
-            call: CALL,
-            timeout: waited,
-        })?;
-        let first = first.map_err(|status| watch.failed(status))?;
-        let first = first.ok_or_else(|| protocol("a watch without any message"))?;
-        watch.after = self.after.unwrap_or(first.revision);
-        watch.take(first)?;
-        Ok(watch)
+        let uri = client.uri().to_owned();
+        let messages = messages
+            .map(move |told| told.map_err(|status| Error::from_status(CALL, &uri, waited, status)));
+        Watch::of(self, Box::pin(messages)).await
     }
 
     fn message(&self) -> v1::WatchRequest {
@@ -179,6 +164,30 @@ impl WatchRequest {
 }
 
 impl Watch {
+    /// What is told by messages to a request, of which the first comes at once, also where nothing is mutated.
+    pub(crate) async fn of(request: WatchRequest, messages: Messages) -> Result<Watch, Error> {
+        let waited = request.index.timeout();
+        let mut watch = Watch {
+            messages,
+            ready: VecDeque::new(),
+            begun: None,
+            after: 0,
+            newest: 0,
+            over: false,
+            payloads: request.payloads,
+            index: request.index,
+        };
+        let first = timeout(waited, watch.messages.next()).await;
+        let first = first.map_err(|_| Error::Timeout {
+            call: CALL,
+            timeout: waited,
+        })?;
+        let first = first.ok_or_else(|| protocol("a watch without any message"))??;
+        watch.after = request.after.unwrap_or(first.revision);
+        watch.take(first)?;
+        Ok(watch)
+    }
+
     /// The newest revision that the server told of. How far the mutations are behind it is how far the caller is.
     pub fn newest(&self) -> u64 {
         self.newest
@@ -197,15 +206,15 @@ impl Watch {
             if self.over {
                 return Ok(None);
             }
-            let received = match self.messages.message().await {
-                Ok(Some(message)) => self.take(message),
+            let received = match self.messages.next().await {
+                Some(Ok(message)) => self.take(message),
                 // A watch has no end of its own but a reset.
-                Ok(None) => Err(Error::Connection {
+                None => Err(Error::Connection {
                     call: CALL,
                     uri: self.index.client().uri().to_owned(),
                     source: "the server ended the stream".into(),
                 }),
-                Err(status) => Err(self.failed(status)),
+                Some(Err(error)) => Err(error),
             };
             if let Err(error) = received {
                 self.over = true;
@@ -238,7 +247,7 @@ impl Watch {
         if let Some(reason) = reason {
             self.over = true;
             // What was begun is never told.
-            self.piece = None;
+            self.begun = None;
             self.ready.push_back(WatchEvent::Reset(Reset {
                 reason,
                 uid: message.uid,
@@ -271,35 +280,42 @@ impl Watch {
             self.index.coordinates(),
             self.payloads,
         )?;
-        let mutation = match self.piece.take() {
-            None => Mutation {
+        let mutation = match (self.begun.take(), message.piece) {
+            // Also where it was begun before, and begins anew.
+            (_, 0) => Mutation {
                 revision,
                 time: SystemTime::UNIX_EPOCH + Duration::from_millis(message.time_ms),
                 stored,
                 removed: message.removed_ids,
             },
-            Some(mut begun) => {
+            (Some((mut begun, next)), piece) if next == piece => {
                 begun.stored.append(stored);
                 begun.removed.extend(message.removed_ids);
                 begun
             }
+            (_, piece) => {
+                return Err(protocol(&format!(
+                    "piece {piece} of revision {revision} without those before"
+                )));
+            }
         };
         if message.continued {
-            self.piece = Some(mutation);
+            self.begun = Some((mutation, message.piece + 1));
         } else {
             self.after = revision;
             self.ready.push_back(WatchEvent::Mutation(mutation));
         }
         Ok(())
     }
+}
 
-    fn failed(&self, status: tonic::Status) -> Error {
-        Error::from_status(
-            CALL,
-            self.index.client().uri(),
-            self.index.timeout(),
-            status,
-        )
+impl fmt::Debug for Watch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Watch")
+            .field("index", &self.index)
+            .field("after", &self.after)
+            .field("newest", &self.newest)
+            .finish_non_exhaustive()
     }
 }
 

@@ -58,14 +58,14 @@ async fn a_stream_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
     fake.scan_answers(scanned(3, &[(1, 0.0), (2, 10.0)]));
     fake.watch_tells(vec![
         Ok(message(5, vec![])),
-        Ok(message(5, vec![piece(4, &[(3, 5.0)], &[], false)])),
-        Ok(message(5, vec![piece(5, &[(4, 6.0)], &[], true)])),
+        Ok(message(5, vec![piece(4, &[(3, 5.0)], &[], (0, false))])),
+        Ok(message(5, vec![piece(5, &[(4, 6.0)], &[], (0, true))])),
         Err(Status::unavailable("the server is stopping")),
     ]);
     fake.watch_tells(vec![
         Ok(message(5, vec![])),
-        Ok(message(5, vec![piece(5, &[(4, 6.0)], &[], true)])),
-        Ok(message(5, vec![piece(5, &[], &[3], false)])),
+        Ok(message(5, vec![piece(5, &[(4, 6.0)], &[], (0, true))])),
+        Ok(message(5, vec![piece(5, &[], &[3], (1, false))])),
     ]);
     let replica = request(&fake).await.await.unwrap();
     assert_eq!(replica.at_least(5).await.unwrap().len(), 3);
@@ -90,16 +90,16 @@ async fn a_gap_and_a_repeat_are_not_applied_but_asked_for_again() {
     fake.scan_answers(scanned(3, &[(1, 0.0)]));
     fake.watch_tells(vec![
         Ok(message(5, vec![])),
-        Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], false)])),
+        Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], (0, false))])),
     ]);
     fake.watch_tells(vec![
         Ok(message(5, vec![])),
-        Ok(message(5, vec![piece(4, &[(4, 4.0)], &[], false)])),
-        Ok(message(5, vec![piece(4, &[(4, 9.0)], &[1], false)])),
+        Ok(message(5, vec![piece(4, &[(4, 4.0)], &[], (0, false))])),
+        Ok(message(5, vec![piece(4, &[(4, 9.0)], &[1], (0, false))])),
     ]);
     fake.watch_tells(vec![
         Ok(message(5, vec![])),
-        Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], false)])),
+        Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], (0, false))])),
     ]);
     let replica = request(&fake).await.await.unwrap();
     let view = replica.at_least(5).await.unwrap();
@@ -115,7 +115,7 @@ async fn after_a_reset_all_points_are_read_anew() {
     fake.scan_answers(scanned(3, &[(1, 0.0)]));
     fake.watch_tells(vec![
         Ok(message(9, vec![])),
-        Ok(message(9, vec![piece(4, &[(2, 1.0)], &[], true)])),
+        Ok(message(9, vec![piece(4, &[(2, 1.0)], &[], (0, true))])),
         Ok(reset(v1::ResetReason::WindowPassed, 9)),
     ]);
     // The first scan tells of more points than come.

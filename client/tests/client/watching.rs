@@ -28,7 +28,7 @@ pub(crate) fn piece(
     revision: u64,
     stored: &[(u64, f64)],
     removed: &[u64],
-    continued: bool,
+    (piece, continued): (u32, bool),
 ) -> v1::Mutation {
     let stored = (!stored.is_empty()).then(|| points(revision, stored));
     v1::Mutation {
@@ -37,6 +37,7 @@ pub(crate) fn piece(
         stored,
         removed_ids: removed.to_vec(),
         continued,
+        piece,
     }
 }
 
@@ -74,12 +75,12 @@ async fn pieces_are_put_together() {
         Ok(message(
             5,
             vec![
-                piece(4, &[(1, 0.5)], &[], false),
-                piece(5, &[(2, 1.0)], &[], true),
+                piece(4, &[(1, 0.5)], &[], (0, false)),
+                piece(5, &[(2, 1.0)], &[], (0, true)),
             ],
         )),
-        Ok(message(6, vec![piece(5, &[(3, 2.0)], &[7], true)])),
-        Ok(message(6, vec![piece(5, &[], &[8, 9], false)])),
+        Ok(message(6, vec![piece(5, &[(3, 2.0)], &[7], (1, true))])),
+        Ok(message(6, vec![piece(5, &[], &[8, 9], (2, false))])),
     ]);
     let mut watch = watch(&fake).await;
     assert_eq!(mutation(&mut watch).await.revision, 4);
@@ -101,11 +102,17 @@ async fn what_is_no_next_mutation_ends_the_watch() {
     };
     let wrong = [
         // A gap, a repeat, another mutation in the middle of one, and another uid.
-        vec![message(9, vec![piece(5, &[(1, 0.0)], &[], false)])],
-        vec![message(9, vec![piece(3, &[(1, 0.0)], &[], false)])],
+        vec![message(9, vec![piece(5, &[(1, 0.0)], &[], (0, false))])],
+        vec![message(9, vec![piece(3, &[(1, 0.0)], &[], (0, false))])],
         vec![
-            message(9, vec![piece(4, &[(1, 0.0)], &[], true)]),
-            message(9, vec![piece(5, &[(1, 0.0)], &[], false)]),
+            message(9, vec![piece(4, &[(1, 0.0)], &[], (0, true))]),
+            message(9, vec![piece(5, &[(1, 0.0)], &[], (0, false))]),
+        ],
+        // A piece without the one before it.
+        vec![message(9, vec![piece(4, &[(1, 0.0)], &[], (1, false))])],
+        vec![
+            message(9, vec![piece(4, &[(1, 0.0)], &[], (0, true))]),
+            message(9, vec![piece(4, &[(1, 0.0)], &[], (2, false))]),
         ],
         vec![other_uid],
     ];
@@ -125,7 +132,7 @@ async fn a_stream_that_breaks_tells_nothing_of_what_it_began() {
     let fake = Fake::start().await;
     fake.watch_tells(vec![
         Ok(message(4, vec![])),
-        Ok(message(4, vec![piece(4, &[(1, 0.0)], &[], true)])),
+        Ok(message(4, vec![piece(4, &[(1, 0.0)], &[], (0, true))])),
         Err(Status::unavailable("the server is stopping")),
     ]);
     let mut watch = watch(&fake).await;
@@ -141,7 +148,7 @@ async fn a_reset_is_the_last_event() {
     reset.set_reset(v1::ResetReason::WindowPassed);
     fake.watch_tells(vec![
         Ok(message(4, vec![])),
-        Ok(message(4, vec![piece(4, &[(1, 0.0)], &[], true)])),
+        Ok(message(4, vec![piece(4, &[(1, 0.0)], &[], (0, true))])),
         Ok(reset),
     ]);
     let mut watch = watch(&fake).await;

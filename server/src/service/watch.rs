@@ -25,8 +25,8 @@ pub struct Watch {
     from_newest: bool,
     /// What comes next, as far as it was read.
     next: VecDeque<Arc<Record>>,
-    /// How many points, and removed ids, of the first of these were sent.
-    sent: usize,
+    /// How many points and removed ids of the first of these were sent, and in how many pieces.
+    sent: (usize, u32),
     payloads: bool,
     message_bytes: usize,
     state: State,
@@ -60,7 +60,7 @@ impl Service {
             after: request.after_revision.unwrap_or_default(),
             from_newest: request.after_revision.is_none(),
             next: VecDeque::new(),
-            sent: 0,
+            sent: (0, 0),
             payloads: request.payloads,
             message_bytes: MESSAGE_BYTES.min(self.limits().answer_bytes / 2),
             state: match is_strange {
@@ -137,11 +137,13 @@ impl Watch {
         while left > 0
             && let Some(record) = self.next.front().cloned()
         {
-            let (piece, sent) = piece(&record, self.sent, self.payloads, &mut left);
-            self.sent = sent;
+            let (sent, pieces) = self.sent;
+            let (mut piece, sent) = piece(&record, sent, self.payloads, &mut left);
+            piece.piece = pieces;
+            self.sent = (sent, pieces + 1);
             if !piece.continued {
                 self.after = record.revision();
-                self.sent = 0;
+                self.sent = (0, 0);
                 self.next.pop_front();
             }
             message.mutations.push(piece);
@@ -201,6 +203,7 @@ fn piece(record: &Record, sent: usize, payloads: bool, left: &mut usize) -> (v1:
         stored: (!points.ids.is_empty()).then_some(points),
         removed_ids,
         continued: at < effects.len(),
+        piece: 0,
     };
     (mutation, at)
 }

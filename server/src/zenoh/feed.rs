@@ -2,7 +2,8 @@
 //! follows, read from the log as `Watch` reads it.
 //!
 //! Publications are dropped where a subscriber's link is full, so that none of them holds up the server or fills its
-//! memory. Each message says the uid, and each mutation its revision: a subscriber sees a gap, and asks `log` for it.
+//! memory. Each message says the uid, and each mutation its revision and, where it is told in pieces, which piece it is: a
+//! subscriber sees a gap, and asks `log` for it.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 

@@ -14,26 +14,14 @@ use std::{
     time::Duration,
 };
 
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use wayfold_client::{
-    Client, Code, Error, Replica, ReplicaStatus, ResetReason, RetryPolicy, WatchEvent,
-};
+use wayfold_client::{Code, Error, ReplicaStatus, ResetReason, WatchEvent};
 use wayfold_index::{Linear, Space};
-use wayfold_tests::{Process, ServerProcess, Signal, States, bits, server};
+use wayfold_tests::{Process, ServerProcess, Signal, States, server};
 
-use past::{Answered, Past};
+use past::{Answered, Past, client, compare};
 use proxy::Proxy;
 
 const SPACE: &str = "R2*SO2*SO3:0.15";
-
-/// A client that waits for its server, however long that is away.
-async fn client(uri: &str) -> Client {
-    let patient = Client::builder()
-        .timeout(Duration::from_secs(120))
-        .retry(RetryPolicy::until_deadline());
-    patient.connect(uri).await.unwrap()
-}
 
 /// A server on disk, with so small a first tree that there is hardly a moment without a merge.
 fn start(data: &Path) -> ServerProcess {
@@ -43,42 +31,6 @@ fn start(data: &Path) -> ServerProcess {
         .arg(data)
         .env("WAYFOLD_INDEX__BUFFER_ROWS", "8");
     ServerProcess::ready(Process::spawn(&mut command))
-}
-
-/// Asks on until it is told to stop; keeps at most one answer for each revision that it saw.
-fn ask(replica: &Replica, space: Space, seed: u64, stop: &AtomicBool) -> Vec<Answered> {
-    let mut states = States::new(space, 1_000 + seed);
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut answers: Vec<Answered> = Vec::new();
-    while !stop.load(Ordering::Relaxed) {
-        let state = states.row();
-        let search = past::question(&mut random, replica.revision());
-        let found = replica.search(&state[..], &search).unwrap();
-        let last = answers.last().map(|last| last.found.revision);
-        assert!(last <= Some(found.revision), "it went back from {last:?}");
-        if last != Some(found.revision) {
-            answers.push(Answered {
-                state,
-                search,
-                found,
-            });
-        }
-    }
-    answers
-}
-
-/// A replica has the points that there are, and no others.
-fn compare(replica: &Replica, points: &Linear) {
-    let view = replica.view().unwrap();
-    assert_eq!(view.len(), points.len());
-    for expected in points.iter() {
-        let point = view.get(expected.id).unwrap();
-        assert_eq!(bits(point.row), bits(expected.row));
-        assert_eq!(
-            (point.tag, point.revision),
-            (expected.tag, expected.revision)
-        );
-    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -99,7 +51,7 @@ async fn every_answer_is_brute_forces_through_kills_and_cuts() {
     let stop = Arc::new(AtomicBool::new(false));
     let readers = [0, 1, 2].map(|seed| {
         let (replica, space, stop) = (replica.clone(), space.clone(), stop.clone());
-        std::thread::spawn(move || ask(&replica, space, seed, &stop))
+        std::thread::spawn(move || past::ask(&replica, space, seed, &stop))
     });
     let writers = [1, 2].map(|name| tokio::spawn(past::write(index.clone(), name, CALLS)));
     for revision in (25..2 * CALLS).step_by(25) {

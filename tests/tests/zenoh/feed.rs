@@ -147,7 +147,7 @@ fn whole(pieces: Vec<v1::Mutation>) -> Vec<v1::Mutation> {
                 let rows = states.map_or(0, |it| it.rows) + more.states.map_or(0, |it| it.rows);
                 bytes.extend(piece.encode_to_vec());
                 *last = v1::Mutation::decode(&*bytes).unwrap();
-                last.continued = continued;
+                (last.continued, last.piece) = (continued, 0);
                 if let Some(states) = last.stored.as_mut().and_then(|it| it.states.as_mut()) {
                     states.rows = rows;
                 }
@@ -189,6 +189,40 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_piece_that_is_missing_is_seen() {
+    let (server, locator) = server();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("arm", "R2").await.uid;
+    let robot = Robot::connect(&locator).await;
+    let events = subscribe(&robot).await;
+    let mut follower = Follower::new(&robot, &uid);
+    follower.take(next(&events).await).await;
+    // Any of three, and what comes after it is told of the same mutation.
+    for lost in 0..3 {
+        let ids: Vec<_> = (lost * 100..lost * 100 + 60).collect();
+        let made = stubs.insert(insertion(&ids, 5_000)).await.revision;
+        let mut publications = 0;
+        loop {
+            let told = next(&events).await;
+            let is_last = told.mutations.iter().any(|told| !told.continued);
+            if publications != lost {
+                follower.take(told).await;
+            }
+            publications += 1;
+            if is_last {
+                break;
+            }
+        }
+        assert!(publications > 3);
+        follower.repair(made).await;
+        assert_eq!(
+            follower.content,
+            Content::read(&stubs, "arm").await.unwrap()
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn events_come_in_json_too() {
     let (_server, locator) = server();
     let robot = Robot::connect(&locator).await;
@@ -215,7 +249,7 @@ async fn events_come_in_json_too() {
         "ids": [7], "states": [[1.0, 2.0]], "tags": [3], "revisions": [1], "payloads": [""]
     });
     let mutation = json!({
-        "revision": 1, "time_ms": null, "stored": stored, "removed_ids": [], "continued": false
+        "revision": 1, "time_ms": null, "stored": stored, "removed_ids": [], "continued": false, "piece": 0
     });
     assert_eq!(
         told,

@@ -43,11 +43,16 @@ impl<'a> Follower<'a> {
         assert_eq!(told.uid, self.content.uid);
         assert_eq!(told.reset(), ResetReason::Unspecified);
         let expected = match self.pieces.last() {
-            Some(piece) => piece.revision,
-            None => self.content.revision + 1,
+            Some(last) => (last.revision, last.piece + 1),
+            None => (self.content.revision + 1, 0),
         };
-        match told.mutations.first().map(|first| first.revision) {
-            Some(first) if first > expected => self.repair(first - 1).await,
+        let first = told.mutations.first();
+        match first.map(|first| (first.revision, first.piece)) {
+            Some(first) if first > expected => {
+                // A mutation of which pieces came before is asked for as a whole.
+                let before = first.0 - u64::from(first.1 == 0);
+                self.repair(before).await;
+            }
             Some(_) => {}
             None => self.repair(told.revision).await,
         }

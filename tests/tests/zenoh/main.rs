@@ -10,5 +10,6 @@ mod feed;
 mod follower;
 mod life;
 mod parity;
+mod replica;
 mod robot;
 mod talk;

@@ -131,7 +131,7 @@ fn answers_are_rows_under_the_names_of_the_message() {
         write("WatchResponse", &answer),
         concat!(
             r#"{"uid":"","revision":0,"mutations":[{"revision":2,"time_ms":0,"stored":{"ids":[1],"states":[[0.5]],"#,
-            r#""tags":["18446744073709551615"],"revisions":[2]},"removed_ids":[],"continued":false}],"#,
+            r#""tags":["18446744073709551615"],"revisions":[2]},"removed_ids":[],"continued":false,"piece":0}],"#,
             r#""reset":"WINDOW_PASSED"}"#,
         )
     );

@@ -1,12 +1,16 @@
 //! Writers, and what they did at each revision: what every answer of a replica is compared with.
 
-use std::collections::BTreeMap;
+use std::{
+    collections::BTreeMap,
+    sync::atomic::{AtomicBool, Ordering},
+    time::Duration,
+};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold_client::{Found, IndexHandle, Search};
+use wayfold_client::{Client, Found, IndexHandle, Replica, RetryPolicy, Search};
 use wayfold_index::{Filter, Linear, PointRef, Space};
-use wayfold_tests::States;
+use wayfold_tests::{States, bits};
 
 /// What one mutation did.
 pub(super) enum Change {
@@ -32,6 +36,14 @@ pub(super) struct Answered {
     pub(super) state: Vec<f64>,
     pub(super) search: Search<'static>,
     pub(super) found: Found,
+}
+
+/// A client that waits for its server, however long that is away.
+pub(super) async fn client(uri: &str) -> Client {
+    let patient = Client::builder()
+        .timeout(Duration::from_secs(120))
+        .retry(RetryPolicy::until_deadline());
+    patient.connect(uri).await.unwrap()
 }
 
 /// Makes so many mutations, each of which changes something, of points of its own.
@@ -104,6 +116,42 @@ pub(super) fn question(random: &mut ChaCha8Rng, revision: u64) -> Search<'static
     search
 }
 
+/// Asks on until it is told to stop; keeps at most one answer for each revision that it saw.
+pub(super) fn ask(replica: &Replica, space: Space, seed: u64, stop: &AtomicBool) -> Vec<Answered> {
+    let mut states = States::new(space, 1_000 + seed);
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut answers: Vec<Answered> = Vec::new();
+    while !stop.load(Ordering::Relaxed) {
+        let state = states.row();
+        let search = question(&mut random, replica.revision());
+        let found = replica.search(&state[..], &search).unwrap();
+        let last = answers.last().map(|last| last.found.revision);
+        assert!(last <= Some(found.revision), "it went back from {last:?}");
+        if last != Some(found.revision) {
+            answers.push(Answered {
+                state,
+                search,
+                found,
+            });
+        }
+    }
+    answers
+}
+
+/// A replica has the points that there are, and no others.
+pub(super) fn compare(replica: &Replica, points: &Linear) {
+    let view = replica.view().unwrap();
+    assert_eq!(view.len(), points.len());
+    for expected in points.iter() {
+        let point = view.get(expected.id).unwrap();
+        assert_eq!(bits(point.row), bits(expected.row));
+        assert_eq!(
+            (point.tag, point.revision),
+            (expected.tag, expected.revision)
+        );
+    }
+}
+
 /// Replays the past and compares each answer with brute force at its revision. Returns what is there in the end.
 pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> Linear {
     answers.sort_by_key(|answered| answered.found.revision);
@@ -114,14 +162,14 @@ pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> L
             let mut state = answered.state;
             space.canonicalize(&mut state).unwrap();
             let expected = points.search(&state, &answered.search).neighbors;
-            let bits = |found: &[wayfold_index::Neighbor]| {
+            let pairs = |found: &[wayfold_index::Neighbor]| {
                 let pairs = found.iter().map(|n| (n.id, n.distance.to_bits()));
                 pairs.collect::<Vec<_>>()
             };
             let found = &answered.found.neighbors;
             assert_eq!(
-                bits(found),
-                bits(&expected),
+                pairs(found),
+                pairs(&expected),
                 "{:?} at {revision}",
                 answered.search
             );

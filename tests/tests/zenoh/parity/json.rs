@@ -311,6 +311,7 @@ pub(super) fn answer(op: &Op, it: &Value) -> Answer {
                 stored: it.get("stored").map(read_points),
                 removed_ids: list(&it["removed_ids"], read_integer),
                 continued: it["continued"].as_bool().unwrap(),
+                piece: u32::try_from(read_integer(&it["piece"])).unwrap(),
             }),
             reset: it.get("reset").map_or(0, |it| {
                 let name = format!("RESET_REASON_{}", it.as_str().unwrap());

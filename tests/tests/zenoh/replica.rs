@@ -1,0 +1,171 @@
+//! A replica that hears of mutations over Zenoh: its answers are brute force's, whatever happens to the server and to the
+//! router between them.
+
+#[path = "../e2e/replica/past.rs"]
+mod past;
+#[path = "../e2e/replica/proxy.rs"]
+mod proxy;
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+
+use serde_json::json;
+use wayfold_client::{Client, Replica};
+use wayfold_index::{Linear, PointRef, Space};
+use wayfold_tests::{Process, ServerProcess, Signal, States};
+
+use crate::robot::{Robot, server_with};
+use past::{Answered, Past, client, compare};
+use proxy::Proxy;
+
+const SPACE: &str = "R2*SO2*SO3:0.15";
+
+/// A router at a locator.
+fn router(at: &str) -> (Process, String) {
+    let mut router = Process::start(env!("CARGO_BIN_EXE_router-process"), &[at]);
+    let at = router.line().unwrap();
+    (router, at)
+}
+
+/// A server that reaches others through the router at `at`, and is reached through none else over Zenoh.
+fn server_behind(at: &str, data: &[&str], setting: (&str, &str)) -> ServerProcess {
+    let retry = json!({ "period_init_ms": 20, "period_max_ms": 100 });
+    let behind = json!({ "mode": "client", "connect": { "endpoints": [at], "retry": retry } });
+    let behind = behind.to_string();
+    server_with(data, &[("WAYFOLD_ZENOH__CONFIG", &behind), setting]).0
+}
+
+async fn replica(client: &Client, robot: &Robot) -> Replica {
+    let request = client
+        .replica("arm")
+        .over_zenoh(robot.session.clone(), "wayfold/v1");
+    request.await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_answer_is_brute_forces_through_kills_of_server_and_router() {
+    const CALLS: u64 = 150;
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let data = ["--data", data.to_str().unwrap()];
+    let (mut router_process, at) = router("tcp/127.0.0.1:0");
+    let start = || server_behind(&at, &data, ("WAYFOLD_INDEX__BUFFER_ROWS", "8"));
+    let mut server = start();
+    let way = Proxy::to(server.uri()).await;
+    let space: Space = SPACE.parse().unwrap();
+    let client = client(&way.uri).await;
+    let index = client.create_index("arm", &space).await.unwrap();
+    let robot = Robot::connect(&at).await;
+    let replica = replica(&client, &robot).await;
+
+    let stop = Arc::new(AtomicBool::new(false));
+    let readers = [0, 1].map(|seed| {
+        let (replica, space, stop) = (replica.clone(), space.clone(), stop.clone());
+        std::thread::spawn(move || past::ask(&replica, space, seed, &stop))
+    });
+    let writers = [1, 2].map(|name| tokio::spawn(past::write(index.clone(), name, CALLS)));
+    for revision in (25..2 * CALLS).step_by(25) {
+        replica.at_least(revision).await.unwrap();
+        match revision % 75 {
+            25 => {
+                router_process.stop(Signal::Kill);
+                router_process = router(&at).0;
+            }
+            50 => {
+                server.stop(Signal::Kill);
+                server = start();
+                way.lead_to(server.uri());
+            }
+            _ => {}
+        }
+    }
+    let mut past = Past::new();
+    for writer in writers {
+        past.extend(writer.await.unwrap());
+    }
+    replica.at_least(2 * CALLS).await.unwrap();
+    stop.store(true, Ordering::Relaxed);
+    let answers = readers
+        .into_iter()
+        .flat_map(|reader| reader.join().unwrap());
+    let answers: Vec<Answered> = answers.collect();
+    println!("{} answers", answers.len());
+    let points = past::check(&space, &past, answers);
+    compare(&replica, &points);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_the_log_has_no_more_is_read_anew() {
+    let (mut router_process, at) = router("tcp/127.0.0.1:0");
+    let server = server_behind(&at, &[], ("WAYFOLD_INDEX__WINDOW_BYTES", "1000"));
+    let client = client(server.uri()).await;
+    let space: Space = SPACE.parse().unwrap();
+    let index = client.create_index("arm", &space).await.unwrap();
+    let robot = Robot::connect(&at).await;
+    let replica = replica(&client, &robot).await;
+    let mut states = States::new(space.clone(), 5);
+    let mut points = Linear::new(space.clone());
+    for round in 0..3 {
+        router_process.stop(Signal::Kill);
+        for _ in 0..20 {
+            let mut rows = states.rows(20);
+            let first = points.len() as u64;
+            let ids: Vec<u64> = (first..first + 20).collect();
+            let insert = index.insert(rows.chunks(space.coordinates()));
+            let revision = insert.ids(ids.clone()).await.unwrap().revision;
+            for (id, row) in ids.into_iter().zip(rows.chunks_mut(space.coordinates())) {
+                space.canonicalize(row).unwrap();
+                let tag = 0;
+                points.insert(PointRef {
+                    id,
+                    tag,
+                    revision,
+                    row,
+                });
+            }
+        }
+        let newest = index.info().await.unwrap().revision;
+        assert!(replica.revision() < newest, "in round {round}");
+        router_process = router(&at).0;
+        replica.at_least(newest).await.unwrap();
+        compare(&replica, &points);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_index_made_anew_is_noticed_by_its_uid() {
+    let (server, locator) = server_with(&[], &[]);
+    let client = client(server.uri()).await;
+    let line = client
+        .create_index("arm", &"R1".parse().unwrap())
+        .await
+        .unwrap();
+    line.insert([[0.0], [1.0]]).await.unwrap();
+    let robot = Robot::connect(&locator).await;
+    let replica = replica(&client, &robot).await;
+    assert_eq!(replica.nearest([0.9]).unwrap().neighbors[0].id, 1);
+    for round in 0..5 {
+        client.delete_index("arm").await.unwrap();
+        let plane = client
+            .create_index("arm", &"R2".parse().unwrap())
+            .await
+            .unwrap();
+        let inserted = plane.insert([[5.0, f64::from(round)]]).await.unwrap();
+        replica
+            .status_where(|_| replica.index().uid() == plane.uid())
+            .await;
+        replica.at_least(inserted.revision).await.unwrap();
+        let found = replica.nearest([5.0, 0.0]).unwrap();
+        assert_eq!(
+            (&*found.uid, found.neighbors[0].distance),
+            (plane.uid(), f64::from(round))
+        );
+    }
+    let made = replica.write(replica.index().insert([[1.0, 0.0]]));
+    let made = made.await.unwrap();
+    let found = replica.nearest([0.0, 0.0]).unwrap();
+    assert!(found.revision >= made.revision);
+    assert_eq!(found.neighbors[0].distance, 1.0);
+}
