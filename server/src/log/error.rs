@@ -66,6 +66,17 @@ pub enum LogError {
         /// What is wrong with it.
         what: &'static str,
     },
+    /// Points are not there, or not those that were written last.
+    #[error(
+        "points are missing, or are not those of revision {revision}; restore the index from a snapshot, or delete it and \
+         start anew ({uid})"
+    )]
+    Incomplete {
+        /// The index.
+        uid: Uid,
+        /// The revision that they should be of.
+        revision: u64,
+    },
     /// What the store read is not what was written.
     #[error(
         "a part of its stored records and points is damaged ({what}); restore the index from a snapshot, or delete it and \
@@ -104,7 +115,7 @@ pub enum LogError {
     },
     /// Revisions that were synced, and so acknowledged, are not there any more.
     #[error(
-        "{} stored and gone: the files of the log were cut short or replaced; put them back as they were last, restore \
+        "{} stored and gone: the files of the log were cut short, damaged or replaced; put them back as they were last, restore \
          the index from a snapshot, or delete it and start anew ({uid})",
         match last.checked_sub(*first) {
             None => "its creation was".to_owned(),

@@ -50,6 +50,7 @@ impl From<LogError> for RegistryError {
             | LogError::Damaged { .. }
             | LogError::DamagedPoint { .. }
             | LogError::Lost { .. }
+            | LogError::Incomplete { .. }
             | LogError::Unreadable { .. }
             | LogError::Unopened { .. }
             | LogError::Shut { .. }

@@ -101,6 +101,7 @@ fn told(what: String, error: LogError) -> Error {
         LogError::Damaged { .. }
         | LogError::DamagedPoint { .. }
         | LogError::Lost { .. }
+        | LogError::Incomplete { .. }
         | LogError::Unreadable { .. }
         | LogError::Unopened { .. }
         | LogError::Trimmed { .. } => Error::DataLoss { what },

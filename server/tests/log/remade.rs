@@ -6,6 +6,7 @@ use std::{
     io::{Seek, SeekFrom, Write},
     path::{Path, PathBuf},
     slice,
+    sync::Arc,
 };
 
 use bytes::Bytes;
@@ -13,12 +14,15 @@ use fjall::{Database, Keyspace, KeyspaceCreateOptions};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_index::PointRef;
-use wayfold_server::log::{Effects, Entry, FjallLog, Log, LogError, Outcome, Uid};
+use wayfold_server::log::{
+    Durability, Effects, Entry, FjallLog, Log, LogError, Operation, Outcome, Uid,
+};
 
 use super::{
     all_points,
-    disk::{append_synced, open, synced},
-    entry,
+    copied::copied,
+    disk::{append_synced, open, open_at, synced},
+    effects, entry, keep,
 };
 
 /// Bytes of a payload: several blocks, and so many that fjall soon begins another table.
@@ -80,22 +84,38 @@ fn tables(directory: &Path) -> Vec<PathBuf> {
     tables.map(|table| table.unwrap().path()).collect()
 }
 
-/// Flips a bit in the middle of the payload of point 10 of `arm`, wherever it is in a table: where the files are, so that who has
-/// them open comes upon it too.
+/// Flips a bit in the middle of the payload of point 10 of `arm`, wherever it is in a table, in the point and in the
+/// record: where the files are, so that who has them open comes upon it too.
 fn damage(directory: &Path) {
+    for (table, at) in found(directory) {
+        flip(&table, at);
+    }
+}
+
+/// The same in the record alone, which comes after the point.
+fn damage_last(directory: &Path) {
+    let (table, at) = found(directory).pop().unwrap();
+    flip(&table, at);
+}
+
+fn found(directory: &Path) -> Vec<(PathBuf, usize)> {
     let middle = &payload(10)[PAYLOAD / 2..][..32];
-    let mut found = 0;
+    let mut found = Vec::new();
     for table in tables(directory) {
         let bytes = fs::read(&table).unwrap();
-        let mut file = File::options().write(true).open(table).unwrap();
         let windows = bytes.windows(middle.len()).enumerate();
-        for (at, _) in windows.filter(|(_, window)| *window == middle) {
-            file.seek(SeekFrom::Start(at as u64)).unwrap();
-            file.write_all(&[bytes[at] ^ 1]).unwrap();
-            found += 1;
-        }
+        let here = windows.filter(|(_, window)| *window == middle);
+        found.extend(here.map(|(at, _)| (table.clone(), at)));
     }
-    assert!(found > 0);
+    assert_eq!(found.len(), 2);
+    found
+}
+
+fn flip(file: &Path, at: usize) {
+    let byte = fs::read(file).unwrap()[at];
+    let mut file = File::options().write(true).open(file).unwrap();
+    file.seek(SeekFrom::Start(at as u64)).unwrap();
+    file.write_all(&[byte ^ 1]).unwrap();
 }
 
 fn damaged(log: &FjallLog, entry: &Entry) {
@@ -127,11 +147,12 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
         );
         drop(log);
         can_be_rewritten(directory.path());
-        assert!(directory.path().join("store.damaged").exists());
+        assert!(directory.path().join("store.damaged-1").exists());
+        assert!(!directory.path().join("store.damaged-2").exists());
     }
     let log = open(directory.path());
     let why = log.points(arm.uid).err().unwrap().to_string();
-    for part in ["revisions 1 to 20", "store.damaged", "restore the index"] {
+    for part in ["revisions 1 to 20", "store.damaged-N", "restore the index"] {
         assert!(why.contains(part), "{why}");
     }
     log.delete(arm.uid).unwrap();
@@ -139,17 +160,36 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
     assert_eq!(open(directory.path()).indexes().unwrap(), [base]);
 }
 
+/// What is in the block that is damaged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Held {
+    /// A point of `arm`.
+    Point,
+    /// A record of `arm` that was trimmed since.
+    Past,
+    /// What an index left that was deleted.
+    Deleted,
+}
+
 /// fjall comes upon it while the log is written, whether or not anybody would ask for what was there.
 #[test]
-fn a_block_that_is_damaged_while_the_log_is_open_costs_its_index_once_the_log_is_opened_anew() {
-    for deleted in [false, true] {
+fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_log_is_opened_anew() {
+    for held in [Held::Point, Held::Past, Held::Deleted] {
         let directory = tempfile::tempdir().unwrap();
         let [arm, base] = fill(directory.path());
         let log = open(directory.path());
-        if deleted {
-            log.delete(arm.uid).unwrap();
+        match held {
+            Held::Point => {}
+            Held::Past => {
+                log.trim(arm.uid, &keep(0)).unwrap();
+                append_synced(&log, arm.uid, 21);
+            }
+            Held::Deleted => log.delete(arm.uid).unwrap(),
         }
-        damage(directory.path());
+        match held {
+            Held::Past => damage_last(directory.path()),
+            Held::Point | Held::Deleted => damage(directory.path()),
+        }
         let mut revision = 1;
         let much = Bytes::from(vec![0; MUCH]);
         let failure = loop {
@@ -159,22 +199,96 @@ fn a_block_that_is_damaged_while_the_log_is_open_costs_its_index_once_the_log_is
                 Err(error) => break error,
             }
         };
-        println!("after {revision} revisions: {failure}");
+        println!("{held:?}, after {revision} revisions: {failure}");
         assert_eq!(log.failure(), Some(failure));
-        let points = || all_points(&*log.points(base.uid).unwrap()).len() as u64;
-        assert!(points() >= revision);
+        let points = |entry: &Entry| all_points(&*log.points(entry.uid).unwrap()).len() as u64;
+        assert!(points(&base) >= revision);
 
         log.reopen().unwrap();
-        match deleted {
-            true => assert_eq!(log.indexes().unwrap(), slice::from_ref(&base)),
-            false => damaged(&log, &arm),
+        match held {
+            Held::Point => damaged(&log, &arm),
+            Held::Past => assert_eq!(points(&arm), 21),
+            Held::Deleted => assert_eq!(log.indexes().unwrap(), slice::from_ref(&base)),
         }
         let head = log.points(base.uid).unwrap().revision();
         assert!(head >= revision);
         grow(&log, base.uid, head + 1, much).unwrap();
-        assert_eq!(points(), head + 1);
+        assert_eq!(points(&base), head + 1);
         drop(log);
         can_be_rewritten(directory.path());
+    }
+}
+
+/// Wherever in a table the bit is, but at its very end: some indices are lost, and the others live on.
+#[test]
+fn no_block_of_a_table_costs_all_indices() {
+    const INDICES: u64 = 120;
+    const REVISIONS: u64 = 3;
+    for durability in [Durability::Fsync, Durability::Os] {
+        let directory = tempfile::tempdir().unwrap();
+        let log = open_at(directory.path(), durability);
+        let entries: Vec<_> = (0..INDICES)
+            .map(|at| entry(&format!("index-{at}")))
+            .collect();
+        for entry in &entries {
+            log.create(entry.clone()).unwrap();
+            for revision in 1..=REVISIONS {
+                let mut effects = effects(revision, &[revision], &[]);
+                effects.set_operation(Some(Arc::new(Operation {
+                    id: format!("operation {revision}"),
+                    fingerprint: [7; 32],
+                    response: Bytes::new(),
+                })));
+                log.append(entry.uid, revision - 1, effects).unwrap();
+            }
+        }
+        drop(log);
+        store(directory.path())
+            .1
+            .rotate_memtable_and_wait()
+            .unwrap();
+        let tables = tables(directory.path());
+        let name = tables[0].strip_prefix(directory.path()).unwrap();
+        let bytes = fs::read(&tables[0]).unwrap();
+        let (mut all_lost, flips) = (Vec::new(), 8);
+        for at in (0..flips).map(|flip| bytes.len() * flip / flips) {
+            let copy = copied(directory.path());
+            flip(&copy.path().join(name), at);
+            let log = open_at(copy.path(), durability);
+            let lost: Vec<_> = entries
+                .iter()
+                .filter(|entry| log.points(entry.uid).is_err())
+                .collect();
+            println!(
+                "{durability:?}, byte {at} of {}: {} lost",
+                bytes.len(),
+                lost.len()
+            );
+            for lost in &lost {
+                let listed = log.indexes().unwrap_or_default().contains(lost);
+                let gone = log.gone().iter().any(|gone| gone.uid == lost.uid);
+                assert!(
+                    listed || gone || log.failure().is_some(),
+                    "nothing tells of it"
+                );
+            }
+            if lost.len() == entries.len() {
+                all_lost.push(at);
+                continue;
+            }
+            let new = entry("new");
+            log.create(new.clone()).unwrap();
+            drop(log);
+            let log = open_at(copy.path(), durability);
+            assert_eq!(log.points(new.uid).unwrap().revision(), 0);
+            for entry in entries.iter().filter(|entry| !lost.contains(entry)) {
+                let points = all_points(&*log.points(entry.uid).unwrap());
+                assert_eq!(points.len() as u64, REVISIONS);
+            }
+        }
+        // Without what stands at its end fjall opens no table.
+        let end = bytes.len() * 9 / 10;
+        assert!(all_lost.iter().all(|at| *at > end), "{all_lost:?}");
     }
 }
 
@@ -186,7 +300,7 @@ fn a_store_that_was_made_anew_takes_its_place_at_the_next_start() {
     damage(directory.path());
     drop(open(directory.path()));
     let [store, remade, kept] =
-        ["store", "store.remade", "store.damaged"].map(|name| directory.path().join(name));
+        ["store", "store.remade", "store.damaged-1"].map(|name| directory.path().join(name));
     let is_whole = || {
         let log = open(directory.path());
         damaged(&log, &arm);

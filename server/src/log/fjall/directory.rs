@@ -5,7 +5,7 @@
 //! | `wayfold-data` | one line that names the program and the version of the form; locked while a server runs |
 //! | `store/` | what fjall keeps: see [`layout`](super::layout) |
 //! | `store.new/`, `store.remade/` | a store in the making, and one that is whole and has yet to take its place: see [`making`](super::making) |
-//! | `store.damaged/` | a store that was damaged, from before it was made anew; nothing reads it |
+//! | `store.damaged-N/` | a store that was damaged, from before it was made anew; nothing reads it |
 //! | `marks` | how far each index was synced: see [`marks`](super::marks) |
 //! | `unsynced` | there while a server runs that does not sync: see [`loose`](super::loose) |
 //! | `probe` | there for a moment while it is tried whether the disk can be written |

@@ -58,7 +58,8 @@ const STORE: &str = "store";
 const NEW_STORE: &str = "store.new";
 /// A store that was made anew, and is about to replace the damaged one.
 const REMADE_STORE: &str = "store.remade";
-const DAMAGED_STORE: &str = "store.damaged";
+/// With a number after it: stores that were damaged, as they were before they were made anew.
+const DAMAGED_STORE: &str = "store.damaged-";
 const MARKS: &str = "marks";
 
 /// What an acknowledged mutation survives.
@@ -92,10 +93,19 @@ impl TryFrom<String> for Durability {
 pub struct FjallLog {
     // Dropped before the directory is given up.
     opened: RwLock<Opened>,
-    /// Held by who opens the store anew: how many bytes must be free for that.
-    reopening: Mutex<u64>,
+    /// Held by who opens the store anew.
+    reopening: Mutex<Suspicion>,
     durability: Durability,
     directory: Arc<Directory>,
+}
+
+/// What a store that failed may have failed of.
+#[derive(Default)]
+struct Suspicion {
+    /// Nobody told of the disk: it may be that a part of it cannot be read, also one that nobody asks for.
+    is_there: bool,
+    /// How many bytes must be free for it to be made anew; 0 if it need not be, or has not been tried.
+    room: u64,
 }
 
 enum Opened {
@@ -122,12 +132,12 @@ impl FjallLog {
         let (_, marked) = Marks::open(&path).map_err(|source| failed(&path, source))?;
         let log = Self {
             opened: RwLock::new(Opened::Not(LogError::Closed, BTreeMap::new())),
-            reopening: Mutex::new(0),
+            reopening: Mutex::default(),
             durability,
             directory,
         };
         let directory = log.directory.path().display();
-        let opened = match log.open_whole(&mut log.reopening.lock(), false) {
+        let opened = match log.open_whole(&mut log.reopening.lock()) {
             Ok(engine) => {
                 info!(%directory, "opened the log");
                 Opened::Open(Arc::new(engine))
@@ -153,30 +163,62 @@ impl FjallLog {
         Engine::open(&self.directory, self.durability, (marks, &marked))
     }
 
-    /// Opens the store, after making it anew if it is damaged, for which `needed` bytes must be free; of one that is
-    /// `suspect` the parts are looked at too that nobody asks for.
-    fn open_whole(&self, needed: &mut u64, suspect: bool) -> Result<Engine, LogError> {
-        *needed = 0;
+    /// Whether the disk would let the store be opened anew; `failed` is the store, if it is open still.
+    fn probe(&self, failed: Option<&Engine>, suspicion: &mut Suspicion) -> Result<(), LogError> {
+        let told = |error: io::Error| match failed {
+            Some(_) => LogError::Storage {
+                what: error.to_string(),
+            },
+            None => shut(error),
+        };
+        // It begins by moving these, and fails at once if it cannot.
+        let unmoved = failed.map_or(0, Engine::unmoved);
+        self.directory.probe(STORE, unmoved).map_err(told)?;
+        self.directory.has_room(suspicion.room).map_err(told)?;
+        if let (true, Some(failed)) = (suspicion.is_there, failed) {
+            // A disk that cannot be read would make it fail again.
+            suspicion.room = making::missing_room(&self.directory, &failed.store)?;
+            self.directory.has_room(suspicion.room).map_err(told)?;
+        }
+        Ok(())
+    }
+
+    /// Opens the store, after making it anew if a part of it cannot be read.
+    fn open_whole(&self, suspicion: &mut Suspicion) -> Result<Engine, LogError> {
         making::finish(&self.directory).map_err(shut)?;
         let opened = self.open_as_it_is();
-        let suspect = match &opened {
-            Ok(engine) => engine.unreadable || suspect,
-            Err(why) => is_untold(why),
+        let unreadable = match &opened {
+            Ok(engine) => {
+                if !engine.unreadable && !suspicion.is_there {
+                    return opened;
+                }
+                engine.shut();
+                engine.unreadable
+            }
+            // The entries of indices may be what cannot be read.
+            Err(LogError::Unopened { .. }) => false,
+            Err(why) if is_untold(why) => false,
+            Err(_) => return opened,
         };
-        if !suspect {
-            return opened;
-        }
-        if let Ok(engine) = &opened {
-            engine.shut();
-        }
-        match making::remake(&self.directory) {
-            Ok(Remade::Whole | Remade::Anew) => {}
-            Ok(Remade::NoRoom(bytes)) => *needed = bytes,
-            Err(why) => error!(error = %why, "the store cannot be made anew"),
-        }
+        drop(opened);
+        let remade = making::remake(&self.directory, unreadable);
+        // With one that was made anew beside it, this one is not to be written to any more.
+        making::finish(&self.directory).map_err(shut)?;
+        suspicion.room = match remade {
+            Ok(Remade::NoRoom(needed)) => needed,
+            Ok(Remade::Whole | Remade::Anew) => 0,
+            Err(why) => {
+                error!(error = %why, "the store cannot be made anew");
+                0
+            }
+        };
         // fjall may have come upon the damage already.
         self.open_as_it_is().map_err(|why| match is_untold(&why) {
-            true => self.directory.has_room(*needed).err().map_or(why, shut),
+            true => self
+                .directory
+                .has_room(suspicion.room)
+                .err()
+                .map_or(why, shut),
             false => why,
         })
     }
@@ -274,29 +316,14 @@ impl Log for FjallLog {
     }
 
     fn reopen(&self) -> Result<(), LogError> {
-        let mut needed = self.reopening.lock();
+        let mut suspicion = self.reopening.lock();
         let Some(failure) = self.failure() else {
             return Ok(());
         };
-        let suspect = *needed > 0 || is_untold(&failure);
+        suspicion.is_there |= is_untold(&failure);
         // While it cannot be written the failed store is better than none: it can be read.
         let failed = self.engine().ok();
-        let unwritable = |error: io::Error| match &failed {
-            Some(_) => LogError::Storage {
-                what: error.to_string(),
-            },
-            None => shut(error),
-        };
-        // It begins by moving these, and fails at once if it cannot.
-        let unmoved = failed.as_ref().map_or(0, |failed| failed.unmoved());
-        let mut probed = self.directory.probe(STORE, unmoved);
-        probed = probed.and_then(|()| self.directory.has_room(*needed));
-        if let (true, Some(failed)) = (probed.is_ok() && suspect, &failed) {
-            let missing = making::missing_room(&self.directory, &failed.store)?;
-            *needed = missing.unwrap_or_default();
-            probed = self.directory.has_room(*needed);
-        }
-        if let Err(why) = probed.map_err(unwritable) {
+        if let Err(why) = self.probe(failed.as_deref(), &mut suspicion) {
             if let Some(failed) = failed {
                 failed.explain(&why);
             }
@@ -306,8 +333,9 @@ impl Log for FjallLog {
             *self.opened.write() = Opened::Not(LogError::Closed, BTreeMap::new());
             failed.shut();
         }
-        let (opened, outcome) = match self.open_whole(&mut needed, suspect) {
+        let (opened, outcome) = match self.open_whole(&mut suspicion) {
             Ok(engine) => {
+                *suspicion = Suspicion::default();
                 info!("opened the log anew");
                 (Opened::Open(Arc::new(engine)), Ok(()))
             }

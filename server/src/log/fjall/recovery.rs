@@ -20,7 +20,7 @@ use crate::log::{Entry, Gone, LogError, Origin, Uid};
 pub(super) struct Found {
     /// The indices; those that are damaged are closed.
     pub(super) indexes: Vec<Arc<Index>>,
-    /// Something of them could not be read.
+    /// Something of them is not what the store wrote.
     pub(super) unreadable: bool,
     /// Indices of which only the mark is left.
     pub(super) gone: BTreeMap<Number, Gone>,
@@ -143,8 +143,8 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     let why = LogError::Unreadable {
         uid: entry.uid,
         what: format!(
-            "a block{revisions} could not be read, and the store was made anew without this index: {DAMAGED_STORE} in the \
-             data directory is the store as it was then"
+            "a block{revisions} could not be read, and the store was made anew without this index; as it was then it is \
+             kept in the data directory, as one of {DAMAGED_STORE}N"
         ),
     };
     error!(index = entry.name, error = %why, "an index is damaged: every call for it will say so");
@@ -208,12 +208,9 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
     }
     match sum == head.sum {
         true => Ok(state),
-        false => Err(LogError::Unreadable {
+        false => Err(LogError::Incomplete {
             uid,
-            what: format!(
-                "points are missing, or are not those of revision {}",
-                head.revision
-            ),
+            revision: head.revision,
         }),
     }
 }

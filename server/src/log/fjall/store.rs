@@ -19,6 +19,9 @@ const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 const MEMTABLES_THAT_HALT: usize = 4;
 const RUNS_THAT_STALL: usize = 20;
 
+/// More than the files take of a store that holds next to nothing.
+const SMALL_FILES: u64 = 1024 * 1024;
+
 /// What is told of a failure of which fjall only says that there was one.
 pub(super) const UNTOLD: &str = "an earlier failure to write";
 
@@ -84,7 +87,8 @@ impl Handles {
 
     /// About how many bytes a copy of it takes on disk at most.
     pub(super) fn room_for_copy(&self) -> u64 {
-        self.keyspace.disk_space() + 2 * JOURNAL_BYTES
+        let bytes = self.keyspace.disk_space() + self.unmoved();
+        bytes + bytes.min(2 * JOURNAL_BYTES) + SMALL_FILES
     }
 
     /// Waits until the store has caught up so far that a batch does not wait inside, or says that it has failed.
