@@ -1,0 +1,35 @@
+//! Compiles the peers that are written in C++, for this CPU, and links their libraries.
+
+use std::{env, fs, path::PathBuf};
+
+fn main() {
+    println!("cargo::rerun-if-changed=cpp");
+    println!("cargo::rerun-if-env-changed=PEERS_PORTABLE");
+    let mut build = cc::Build::new();
+    build
+        .cpp(true)
+        .std("c++17")
+        .opt_level(3)
+        .define("NDEBUG", None)
+        .force_frame_pointer(false)
+        .files(["peer", "nanoflann", "ann", "gnat"].map(|name| format!("cpp/{name}.cpp")))
+        .flag("-isystem")
+        .flag("/usr/include/eigen3");
+    // A portable build says what ours loses; the peers are not measured in it.
+    if env::var_os("PEERS_PORTABLE").is_none() {
+        build.flag("-march=native");
+    }
+    for folder in ompl_headers() {
+        build.flag("-isystem").flag(folder);
+    }
+    build.compile("peers");
+    println!("cargo::rustc-link-lib=ompl");
+    println!("cargo::rustc-link-lib=ann");
+}
+
+/// Debian has the headers in a folder that is named by their version.
+fn ompl_headers() -> Vec<PathBuf> {
+    let folders = fs::read_dir("/usr/include").into_iter().flatten().flatten();
+    let is_ompl = |path: &PathBuf| path.join("ompl/config.h").exists();
+    folders.map(|entry| entry.path()).filter(is_ompl).collect()
+}

@@ -1,0 +1,49 @@
+// The narrow face behind which a library in C++ is measured: what foreign.rs declares, and nothing more.
+//
+// Points have the ids 0, 1, 2, … in the order in which they came. What a structure found last stays where it is until it
+// is asked again. Nothing here throws to the caller but what ends the process: the libraries throw only out of memory.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+// What is held of a search. With `reach`, a bound in the structure's own measure: what lies farther cannot change the
+// answer (infinity as long as too few are held).
+struct Found {
+    const std::uint32_t *ids;
+    std::size_t count;
+    double reach;
+};
+
+class Peer {
+public:
+    virtual ~Peer() = default;
+
+    // Only of structures that are made empty.
+    virtual void insert(const double *row) = 0;
+
+    // The k nearest; with `more`, the k nearest to this query and to those since the last without `more`.
+    virtual Found nearest(const double *query, std::size_t k, bool more) = 0;
+
+    // All within a radius (the squared one, of structures that measure squares); `more` as above.
+    virtual Found within(const double *query, double radius, bool more) = 0;
+};
+
+extern "C" {
+// Each holds a copy of the n rows of `width` numbers. The first two measure squared Euclidean distances.
+Peer *nanoflann_static(std::size_t width, const double *rows, std::size_t n);
+Peer *ann_static(std::size_t width, const double *rows, std::size_t n);
+// With room for `room` points, and no more.
+Peer *nanoflann_dynamic(std::size_t width, std::size_t room);
+// Rows are `repeats` times the coordinates of a cell; `weight` is that of its rotation. Cells: see gnat.cpp.
+// With n rows, and room for `room` in all; measures distances, not squared.
+Peer *ompl_gnat(int cell, std::size_t repeats, double weight, const double *rows, std::size_t n, std::size_t room);
+
+void peer_insert(Peer *peer, const double *row);
+Found peer_nearest(Peer *peer, const double *query, std::size_t k, bool more);
+Found peer_within(Peer *peer, const double *query, double radius, bool more);
+void peer_free(Peer *peer);
+
+// The bytes in use of the process's heap, whoever asked for them.
+std::size_t heap_bytes();
+}

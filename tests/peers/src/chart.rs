@@ -1,0 +1,122 @@
+//! How a structure that knows Euclidean space alone can answer exactly in a space with circles, or in the rotations.
+//!
+//! A state is placed at its coordinates, each times √μ, and an answer is what lies nearest to any *image* of the query.
+//! An angle θ has the image θ ± P, on the other side of the interval that the stored angles lie in; a quaternion q has
+//! −q, while all that are stored have w ≥ 0. So an image is outside the region of the stored points, and the *gap*
+//! between the two bounds from below all that can be found from there: an image beyond what is needed is not asked.
+//!
+//! Products of a rotation with anything else have no such chart: the chord orders rotations as the angle does, but sums
+//! of squares of chords are not ordered as sums of squares of angles.
+
+use wayfold_index::{Factor, Space};
+
+/// What a space looks like in Euclidean coordinates.
+#[derive(Clone, Debug)]
+pub struct Chart {
+    /// √μ of each coordinate.
+    scales: Vec<f64>,
+    /// The coordinates that are angles, and half of the period of each, scaled.
+    circles: Vec<(usize, f64)>,
+    is_rotation: bool,
+}
+
+impl Chart {
+    /// The chart of a space that has one.
+    pub fn of(space: &Space) -> Option<Chart> {
+        let [group] = space.groups() else {
+            return None;
+        };
+        if group.weight != 1.0 {
+            return None;
+        }
+        let mut chart = Chart {
+            scales: Vec::new(),
+            circles: Vec::new(),
+            is_rotation: false,
+        };
+        for term in &group.terms {
+            let scale = term.weight.sqrt();
+            match term.factor {
+                Factor::RealVector(_) => {}
+                Factor::SO2 { period } => {
+                    let at = chart.scales.len();
+                    chart.circles.push((at, scale * period / 2.0));
+                }
+                Factor::SO3 if group.terms.len() == 1 && scale == 1.0 => chart.is_rotation = true,
+                Factor::SO3 => return None,
+            }
+            let coordinates = chart.scales.len() + term.factor.coordinates();
+            chart.scales.resize(coordinates, scale);
+        }
+        Some(chart)
+    }
+
+    /// How many coordinates a place has.
+    pub fn width(&self) -> usize {
+        self.scales.len()
+    }
+
+    /// Where a state lies.
+    pub fn place(&self, state: &[f64], place: &mut [f64]) {
+        for ((at, x), scale) in place.iter_mut().zip(state).zip(&self.scales) {
+            *at = x * scale;
+        }
+    }
+
+    /// The squared Euclidean distance that belongs to a distance in the space.
+    pub fn reach_2(&self, radius: f64) -> f64 {
+        let chord = if self.is_rotation {
+            2.0 * (radius.min(std::f64::consts::FRAC_PI_2) / 2.0).sin()
+        } else {
+            radius
+        };
+        chord * chord
+    }
+
+    /// Asks from each image of `place` that may see something within `reach_2`; `ask` returns what is left of that.
+    ///
+    /// No point can be found twice as long as the reach stays below half of each period, and below the chord of a right
+    /// angle: who checks answers for points that come twice will see it.
+    pub fn images(&self, place: &mut [f64], reach_2: f64, mut ask: impl FnMut(&[f64], f64) -> f64) {
+        if self.is_rotation {
+            let w = place[3];
+            if w * w <= reach_2 {
+                for x in place.iter_mut() {
+                    *x = -*x;
+                }
+                ask(place, reach_2);
+            }
+        } else if !self.circles.is_empty() {
+            turn(&self.circles, place, 0.0, false, reach_2, &mut ask);
+        }
+    }
+}
+
+/// Asks from all images that differ from `place` in some of these circles, or, if it is one itself, in none.
+/// Leaves `place` as it was, and returns what is left of the reach.
+fn turn(
+    circles: &[(usize, f64)],
+    place: &mut [f64],
+    gap_2: f64,
+    is_image: bool,
+    reach_2: f64,
+    ask: &mut impl FnMut(&[f64], f64) -> f64,
+) -> f64 {
+    let Some((&(at, half), rest)) = circles.split_first() else {
+        return if is_image {
+            ask(place, reach_2)
+        } else {
+            reach_2
+        };
+    };
+    let mut left_2 = turn(rest, place, gap_2, is_image, reach_2, ask);
+    let angle = place[at];
+    let gap = half - angle.abs();
+    let gap_2 = gap_2 + gap * gap;
+    if gap_2 <= left_2 {
+        place[at] = angle - (2.0 * half).copysign(angle);
+        left_2 = turn(rest, place, gap_2, true, left_2, ask);
+        place[at] = angle;
+    }
+    left_2
+}

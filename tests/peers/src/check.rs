@@ -1,0 +1,155 @@
+//! Brute force, which every structure must equal before it is timed.
+
+use wayfold_index::{Linear, Neighbor, PointRef, Search, Space};
+
+use crate::{
+    data::{Data, Rows},
+    problem::Problem,
+    structures::{Kind, Structure},
+};
+
+/// How many neighbours `knn10` asks for; a radius is chosen to hold about as many.
+pub const MANY: usize = 10;
+
+/// How far distances may differ, relatively, where a structure computes them in another way than we do.
+const TOLERANCE: f64 = 1e-9;
+
+/// The points and queries of one row of the table, and what is true of them.
+pub struct Case<'a> {
+    /// The space, by name.
+    pub name: &'a str,
+    /// The space.
+    pub space: &'a Space,
+    /// The data's name.
+    pub data: Data,
+    /// What is stored.
+    pub points: &'a Rows,
+    /// What is asked.
+    pub queries: &'a Rows,
+    /// The radius that `radius` asks for.
+    pub radius: f64,
+    /// Of the first queries, what brute force finds: the nearest ones, and those within the radius.
+    truth: Vec<(Vec<Neighbor>, Vec<Neighbor>)>,
+}
+
+impl<'a> Case<'a> {
+    /// Asks brute force about the first `checked` of the queries.
+    pub fn new(
+        name: &'a str,
+        space: &'a Space,
+        data: Data,
+        (points, queries): (&'a Rows, &'a Rows),
+        checked: usize,
+    ) -> Self {
+        let mut linear = Linear::new(space.clone());
+        for (id, row) in points.iter().enumerate() {
+            linear.insert(PointRef {
+                id: id as u64,
+                tag: 0,
+                revision: 1,
+                row,
+            });
+        }
+        // Enough that few radii hold more.
+        let search = Search::nearest_k(8 * MANY);
+        let nearest: Vec<Vec<Neighbor>> = queries
+            .iter()
+            .take(checked)
+            .map(|query| linear.search(query, &search).neighbors)
+            .collect();
+        let mut tenth: Vec<f64> = nearest.iter().map(|near| near[MANY - 1].distance).collect();
+        tenth.sort_by(f64::total_cmp);
+        // A little more, so that no point lies on the sphere itself, where roundings decide.
+        let radius = tenth[tenth.len() / 2] * (1.0 + 1e-6);
+        let truth = nearest
+            .into_iter()
+            .zip(queries.iter())
+            .map(|(mut nearest, query)| {
+                let is_whole = nearest.last().is_some_and(|last| last.distance > radius);
+                let mut within = if is_whole {
+                    nearest.clone()
+                } else {
+                    linear.search(query, &Search::nearest_r(radius)).neighbors
+                };
+                within.retain(|near| near.distance <= radius);
+                nearest.truncate(MANY);
+                (nearest, within)
+            })
+            .collect();
+        Case {
+            name,
+            space,
+            data,
+            points,
+            queries,
+            radius,
+            truth,
+        }
+    }
+
+    /// Compares all answers that brute force has given too.
+    ///
+    /// # Errors
+    /// One that differs.
+    pub fn check(&self, kind: Kind, structure: &mut dyn Structure) -> Result<(), Problem> {
+        let mut found = Vec::new();
+        for (at, (nearest, within)) in self.truth.iter().enumerate() {
+            let query = self.queries.row(at);
+            structure.nearest(query, 1, &mut found);
+            self.compare(kind, "knn1", at, &nearest[..1], &found)?;
+            structure.nearest(query, MANY, &mut found);
+            self.compare(kind, "knn10", at, nearest, &found)?;
+            structure.within(query, self.radius, &mut found);
+            self.compare(kind, "radius", at, within, &found)?;
+        }
+        Ok(())
+    }
+
+    fn compare(
+        &self,
+        kind: Kind,
+        op: &'static str,
+        at: usize,
+        expected: &[Neighbor],
+        found: &[u32],
+    ) -> Result<(), Problem> {
+        let differs = |difference: String| Problem::Mismatch {
+            structure: kind.name(),
+            space: self.name.to_owned(),
+            n: self.points.len(),
+            data: self.data.name(),
+            op,
+            query: at,
+            difference,
+        };
+        if found.len() != expected.len() {
+            return Err(differs(format!(
+                "{} neighbours instead of {}",
+                found.len(),
+                expected.len()
+            )));
+        }
+        let query = self.queries.row(at);
+        let mut near: Vec<Neighbor> = found
+            .iter()
+            .map(|&id| Neighbor {
+                distance: self.space.distance(query, self.points.row(id as usize)),
+                id: u64::from(id),
+            })
+            .collect();
+        if kind.is_ours() && near != expected {
+            return Err(differs(format!("{near:?} instead of {expected:?}")));
+        }
+        near.sort_unstable();
+        if let Some(twice) = near.windows(2).find(|pair| pair[0].id == pair[1].id) {
+            return Err(differs(format!("point {} twice", twice[0].id)));
+        }
+        let wrong = near.iter().zip(expected).find(|(near, expected)| {
+            (near.distance - expected.distance).abs() > TOLERANCE * expected.distance
+        });
+        match wrong {
+            Some((near, expected)) => Err(differs(format!("{near:?} instead of {expected:?}"))),
+            None => Ok(()),
+        }
+    }
+}

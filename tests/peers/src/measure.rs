@@ -1,0 +1,197 @@
+//! Timing in turns: every structure once, then every structure again, and the median of all rounds, so that what else
+//! the machine does meanwhile falls on all of them alike.
+
+use std::hint::black_box;
+use std::time::Duration;
+
+use rustix::time::{ClockId, clock_gettime};
+use wayfold_index::Space;
+
+use crate::{
+    check::{Case, MANY},
+    data::Rows,
+    problem::Problem,
+    report::{Op, Report},
+    structures::{Kind, Structure, heap_bytes},
+};
+
+/// How long one timing of queries takes at least, ...
+const WINDOW: Duration = Duration::from_millis(50);
+/// ... unless fewer queries than this take longer.
+const LEAST_QUERIES: usize = 20;
+
+/// How much is measured of a case.
+#[derive(Clone, Copy, Debug)]
+pub struct Effort {
+    /// How often each timing is repeated.
+    pub rounds: usize,
+    /// Whether structures are also built, grown and grown while they are asked.
+    pub growth: bool,
+    /// What would take longer than this, a round, is left out.
+    pub most: Duration,
+}
+
+/// Measures these structures, as far as they do not refuse the space.
+///
+/// # Errors
+/// A structure does not equal brute force.
+pub fn measure(
+    case: &Case<'_>,
+    kinds: &[Kind],
+    effort: Effort,
+    report: &mut Report,
+) -> Result<(), Problem> {
+    let mut structures: Vec<(Kind, Box<dyn Structure>)> = Vec::new();
+    for &kind in kinds {
+        if let Some(reason) = kind.refuses(case.space) {
+            report.refused(kind, case.name, reason);
+            continue;
+        }
+        let before = heap_bytes();
+        let mut structure = kind.of(case.space, case.points);
+        let held = heap_bytes().saturating_sub(before);
+        case.check(kind, structure.as_mut())?;
+        report.add(
+            case,
+            kind,
+            Op::Memory,
+            held as f64 / case.points.len() as f64,
+        );
+        structures.push((kind, structure));
+    }
+    let mut nearest_takes = Vec::new();
+    for op in [Op::Knn1, Op::Knn10, Op::Radius] {
+        let takes = time_queries(case, op, effort.rounds, &mut structures);
+        for (&(kind, _), &takes) in structures.iter().zip(&takes) {
+            report.add(case, kind, op, takes.as_secs_f64() * 1e6);
+            if op == Op::Knn1 {
+                nearest_takes.push((kind, takes));
+            }
+        }
+    }
+    drop(structures);
+    if effort.growth {
+        time_growth(case, &nearest_takes, effort, report);
+    }
+    Ok(())
+}
+
+/// The time of one query of each structure.
+fn time_queries(
+    case: &Case<'_>,
+    op: Op,
+    rounds: usize,
+    structures: &mut [(Kind, Box<dyn Structure>)],
+) -> Vec<Duration> {
+    let counts: Vec<usize> = structures
+        .iter_mut()
+        .map(|(_, structure)| {
+            let one = ask(case, op, structure.as_mut(), 0, LEAST_QUERIES);
+            let fit = WINDOW.as_secs_f64() / one.as_secs_f64();
+            (fit.ceil() as usize).max(LEAST_QUERIES)
+        })
+        .collect();
+    let mut times = vec![Vec::new(); structures.len()];
+    for round in 0..rounds {
+        for (at, (_, structure)) in structures.iter_mut().enumerate() {
+            let count = counts[at];
+            times[at].push(ask(case, op, structure.as_mut(), round * count, count));
+        }
+    }
+    times.into_iter().map(median).collect()
+}
+
+/// The time of each of `count` queries, from the `first` on.
+fn ask(
+    case: &Case<'_>,
+    op: Op,
+    structure: &mut dyn Structure,
+    first: usize,
+    count: usize,
+) -> Duration {
+    let queries = case.queries;
+    let mut found = Vec::with_capacity(4 * MANY);
+    let mut at = first % queries.len();
+    let begin = processor_time();
+    for _ in 0..count {
+        let query = queries.row(at);
+        match op {
+            Op::Knn1 => structure.nearest(query, 1, &mut found),
+            Op::Knn10 => structure.nearest(query, MANY, &mut found),
+            _ => structure.within(query, case.radius, &mut found),
+        }
+        black_box(&found);
+        at += 1;
+        if at == queries.len() {
+            at = 0;
+        }
+    }
+    (processor_time() - begin) / count as u32
+}
+
+/// Times what builds, what grows, and what is asked while it grows.
+fn time_growth(
+    case: &Case<'_>,
+    nearest_takes: &[(Kind, Duration)],
+    effort: Effort,
+    report: &mut Report,
+) {
+    let n = case.points.len();
+    let mut times = vec![[const { Vec::new() }; 3]; nearest_takes.len()];
+    for _ in 0..effort.rounds.min(3) {
+        for ((kind, nearest), times) in nearest_takes.iter().zip(&mut times) {
+            if kind.builds() {
+                let begin = processor_time();
+                black_box(kind.built(case.space, case.points));
+                times[0].push(processor_time() - begin);
+            }
+            if kind.grows() {
+                times[1].push(grow(*kind, case.space, case.points, false));
+                // Half of all points are there when the average one is asked.
+                if *nearest * n as u32 / 2 <= effort.most {
+                    times[2].push(grow(*kind, case.space, case.points, true));
+                }
+            }
+        }
+    }
+    let a_point = |time: Duration| time.as_secs_f64() * 1e9 / n as f64;
+    for (&(kind, _), [build, insert, rrt]) in nearest_takes.iter().zip(times) {
+        if !build.is_empty() {
+            report.add(case, kind, Op::Build, a_point(median(build)));
+        }
+        if !insert.is_empty() && kind != Kind::SimdScan {
+            report.add(case, kind, Op::Insert, a_point(median(insert)));
+        }
+        if !rrt.is_empty() {
+            report.add(case, kind, Op::Rrt, median(rrt).as_secs_f64() * 1e3);
+        }
+    }
+}
+
+/// Inserts all rows one by one; asks for the nearest of each before, if it is to be as a random tree does.
+fn grow(kind: Kind, space: &Space, rows: &Rows, is_asked: bool) -> Duration {
+    let mut found = Vec::with_capacity(MANY);
+    let begin = processor_time();
+    let mut structure = kind.empty(space, rows.len());
+    for (at, row) in rows.iter().enumerate() {
+        if is_asked && at > 0 {
+            structure.nearest(row, 1, &mut found);
+            black_box(&found);
+        }
+        structure.insert(row);
+    }
+    let taken = processor_time() - begin;
+    black_box(structure);
+    taken
+}
+
+/// The time that this thread has spent on a processor: what other programs take of a shared machine is not in it.
+fn processor_time() -> Duration {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
+}
+
+fn median(mut times: Vec<Duration>) -> Duration {
+    times.sort_unstable();
+    times[times.len() / 2]
+}

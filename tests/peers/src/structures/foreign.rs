@@ -1,0 +1,295 @@
+//! The peers in C++, behind the narrow face that `cpp/peer.h` declares.
+//!
+//! This is the one place with `unsafe` code: calls into C++, and what they return.
+#![expect(unsafe_code, reason = "the peers are libraries in C++")]
+
+use std::ptr::NonNull;
+
+use wayfold_index::{Factor, Space};
+
+use super::Structure;
+use crate::{chart::Chart, data::Rows};
+
+#[repr(C)]
+struct Found {
+    ids: *const u32,
+    count: usize,
+    reach: f64,
+}
+
+/// A `Peer` of C++, of which only pointers are known.
+#[repr(C)]
+struct Opaque {
+    _private: [u8; 0],
+}
+
+unsafe extern "C" {
+    fn nanoflann_static(width: usize, rows: *const f64, n: usize) -> *mut Opaque;
+    fn ann_static(width: usize, rows: *const f64, n: usize) -> *mut Opaque;
+    fn nanoflann_dynamic(width: usize, room: usize) -> *mut Opaque;
+    fn ompl_gnat(
+        cell: i32,
+        repeats: usize,
+        weight: f64,
+        rows: *const f64,
+        n: usize,
+        room: usize,
+    ) -> *mut Opaque;
+    fn peer_insert(peer: *mut Opaque, row: *const f64);
+    fn peer_nearest(peer: *mut Opaque, query: *const f64, k: usize, more: bool) -> Found;
+    fn peer_within(peer: *mut Opaque, query: *const f64, radius: f64, more: bool) -> Found;
+    fn peer_free(peer: *mut Opaque);
+    #[link_name = "heap_bytes"]
+    safe fn peer_heap_bytes() -> usize;
+}
+
+/// The bytes in use of the process's heap, whoever asked for them: Rust's allocator and C++'s are the same one here.
+pub fn heap_bytes() -> usize {
+    peer_heap_bytes()
+}
+
+/// A structure that lives in C++, and is freed with this. Rows and queries have `width` numbers.
+struct Handle {
+    peer: NonNull<Opaque>,
+    width: usize,
+    /// Points that fit; C++ holds pointers into the room for them.
+    room: usize,
+    points: usize,
+}
+
+impl Handle {
+    fn new(peer: *mut Opaque, width: usize, points: usize, room: usize) -> Self {
+        Handle {
+            peer: NonNull::new(peer).expect("C++'s new does not return null"),
+            width,
+            room,
+            points,
+        }
+    }
+
+    fn insert(&mut self, row: &[f64]) {
+        assert!(row.len() == self.width && self.points < self.room);
+        self.points += 1;
+        // SAFETY: the peer lives as long as `self`, reads `width` numbers of the row, and there is room.
+        unsafe { peer_insert(self.peer.as_ptr(), row.as_ptr()) }
+    }
+
+    fn nearest(&mut self, query: &[f64], k: usize, more: bool) -> (&[u32], f64) {
+        assert_eq!(query.len(), self.width);
+        // SAFETY: as in `insert`; what it found stays in place until it is asked again, which borrows `self`.
+        unsafe { held(peer_nearest(self.peer.as_ptr(), query.as_ptr(), k, more)) }
+    }
+
+    fn within(&mut self, query: &[f64], radius: f64, more: bool) -> (&[u32], f64) {
+        assert_eq!(query.len(), self.width);
+        // SAFETY: as in `nearest`.
+        unsafe {
+            held(peer_within(
+                self.peer.as_ptr(),
+                query.as_ptr(),
+                radius,
+                more,
+            ))
+        }
+    }
+}
+
+impl Drop for Handle {
+    fn drop(&mut self) {
+        // SAFETY: it was made by C++'s new, and no one else has it.
+        unsafe { peer_free(self.peer.as_ptr()) }
+    }
+}
+
+/// What a peer found, and how far it reaches.
+///
+/// # Safety
+/// The ids must stay in place for as long as the caller makes the borrow last.
+unsafe fn held<'a>(found: Found) -> (&'a [u32], f64) {
+    if found.count == 0 {
+        return (&[], found.reach);
+    }
+    // SAFETY: C++ returns a pointer to so many ids; that they stay is the caller's promise.
+    let ids = unsafe { std::slice::from_raw_parts(found.ids, found.count) };
+    (ids, found.reach)
+}
+
+/// A tree over Euclidean coordinates, asked from each image of a query.
+pub struct Charted {
+    chart: Chart,
+    place: Vec<f64>,
+    handle: Handle,
+}
+
+impl Charted {
+    /// nanoflann's static tree.
+    pub fn nanoflann(chart: Chart, rows: &Rows) -> Self {
+        Self::built(chart, rows, nanoflann_static)
+    }
+
+    /// ANN's tree.
+    pub fn ann(chart: Chart, rows: &Rows) -> Self {
+        Self::built(chart, rows, ann_static)
+    }
+
+    fn built(
+        chart: Chart,
+        rows: &Rows,
+        make: unsafe extern "C" fn(usize, *const f64, usize) -> *mut Opaque,
+    ) -> Self {
+        let (width, n) = (chart.width(), rows.len());
+        let mut placed = vec![0.0; n * width];
+        for (place, row) in placed.chunks_exact_mut(width).zip(rows.iter()) {
+            chart.place(row, place);
+        }
+        // SAFETY: it copies n rows of that width.
+        let peer = unsafe { make(width, placed.as_ptr(), n) };
+        Charted {
+            place: vec![0.0; width],
+            handle: Handle::new(peer, width, n, n),
+            chart,
+        }
+    }
+
+    /// nanoflann's forest, empty.
+    pub fn nanoflann_dynamic(chart: Chart, room: usize) -> Self {
+        let width = chart.width();
+        // SAFETY: it takes numbers alone.
+        let peer = unsafe { nanoflann_dynamic(width, room) };
+        Charted {
+            place: vec![0.0; width],
+            handle: Handle::new(peer, width, 0, room),
+            chart,
+        }
+    }
+}
+
+impl Structure for Charted {
+    fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
+        let Charted {
+            chart,
+            place,
+            handle,
+        } = self;
+        chart.place(query, place);
+        found.clear();
+        let (ids, reach_2) = handle.nearest(place, k, false);
+        found.extend_from_slice(ids);
+        chart.images(place, reach_2, |image, _| {
+            let (ids, reach_2) = handle.nearest(image, k, true);
+            found.clear();
+            found.extend_from_slice(ids);
+            reach_2
+        });
+    }
+
+    fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
+        let Charted {
+            chart,
+            place,
+            handle,
+        } = self;
+        chart.place(query, place);
+        let reach_2 = chart.reach_2(radius);
+        found.clear();
+        found.extend_from_slice(handle.within(place, reach_2, false).0);
+        chart.images(place, reach_2, |image, _| {
+            let (ids, _) = handle.within(image, reach_2, true);
+            found.clear();
+            found.extend_from_slice(ids);
+            reach_2
+        });
+    }
+
+    fn insert(&mut self, row: &[f64]) {
+        self.chart.place(row, &mut self.place);
+        self.handle.insert(&self.place);
+    }
+}
+
+/// What OMPL's GNAT is compiled for: a cell of `cpp/gnat.cpp`, how often it stands in a row, and the weight of its
+/// rotation.
+#[derive(Clone, Copy)]
+pub struct Shape {
+    cell: i32,
+    repeats: usize,
+    weight: f64,
+}
+
+impl Shape {
+    /// The shape of a space that has one.
+    pub fn of(space: &Space) -> Option<Shape> {
+        let shape = |cell, repeats, weight| Shape {
+            cell,
+            repeats,
+            weight,
+        };
+        let radians = Factor::so2();
+        let [group] = space.groups() else {
+            let [straight, rotation] = space.groups() else {
+                return None;
+            };
+            let is_sum = straight.weight == 1.0
+                && straight.terms == [Factor::RealVector(3).into()]
+                && rotation.terms == [Factor::SO3.into()];
+            return is_sum.then(|| shape(5, 1, rotation.weight));
+        };
+        if group.weight != 1.0 {
+            return None;
+        }
+        let terms = group.terms.as_slice();
+        match terms.iter().map(|term| (term.factor, term.weight)).next()? {
+            (Factor::RealVector(n), 1.0) if terms.len() == 1 => Some(shape(0, n, 1.0)),
+            (factor, 1.0) if factor == radians && terms.iter().all(|term| *term == terms[0]) => {
+                Some(shape(1, terms.len(), 1.0))
+            }
+            (Factor::SO3, weight) if terms.len() == 1 => Some(shape(2, 1, weight)),
+            (Factor::RealVector(2), 1.0) if terms[1..] == [radians.into()] => {
+                Some(shape(3, 1, 1.0))
+            }
+            (Factor::RealVector(3), 1.0) if terms.len() % 2 == 0 => {
+                let is_body = |pair: &[wayfold_index::Term]| {
+                    pair[0] == terms[0] && pair[1] == terms[1] && pair[1].factor == Factor::SO3
+                };
+                let are_bodies = terms.chunks_exact(2).all(is_body);
+                are_bodies.then(|| shape(4, terms.len() / 2, terms[1].weight))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// OMPL's GNAT.
+pub struct Gnat(Handle);
+
+impl Gnat {
+    /// With these rows, and room for so many in all.
+    pub fn new(shape: Shape, width: usize, rows: &[f64], room: usize) -> Self {
+        let n = rows.len() / width;
+        assert!(n <= room);
+        let Shape {
+            cell,
+            repeats,
+            weight,
+        } = shape;
+        // SAFETY: it copies n rows of the width that the shape has, into room for more.
+        let peer = unsafe { ompl_gnat(cell, repeats, weight, rows.as_ptr(), n, room) };
+        Gnat(Handle::new(peer, width, n, room))
+    }
+}
+
+impl Structure for Gnat {
+    fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
+        found.clear();
+        found.extend_from_slice(self.0.nearest(query, k, false).0);
+    }
+
+    fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
+        found.clear();
+        found.extend_from_slice(self.0.within(query, radius, false).0);
+    }
+
+    fn insert(&mut self, row: &[f64]) {
+        self.0.insert(row);
+    }
+}

@@ -1,0 +1,187 @@
+//! What is measured: ours and the peers', behind one face.
+
+mod foreign;
+mod kiddo;
+mod scan;
+mod wayfold;
+
+use wayfold_index::Space;
+
+use crate::{chart::Chart, data::Rows};
+pub use foreign::heap_bytes;
+use foreign::{Charted, Gnat, Shape};
+
+/// A structure that holds rows under the ids 0, 1, 2, … in the order in which they came.
+///
+/// Answers are ids alone: what a distance is measured in is each library's own, and none is asked to convert it. All
+/// borrow themselves mutably, so that each can keep its buffers from query to query.
+pub trait Structure {
+    /// The `k` nearest, into `found`.
+    fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>);
+
+    /// All within a radius, into `found`, in any order.
+    fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>);
+
+    /// Stores one more row. Only what [`Kind::empty`] made can.
+    fn insert(&mut self, row: &[f64]);
+}
+
+/// The structures there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The forest right after the last of many single inserts.
+    Wayfold,
+    /// The forest merged to one tree.
+    WayfoldRest,
+    /// kiddo's immutable tree.
+    Kiddo,
+    /// kiddo's mutable tree, grown by single inserts.
+    KiddoMutable,
+    /// nanoflann's static tree.
+    Nanoflann,
+    /// nanoflann's forest of static trees, grown by single inserts.
+    NanoflannDynamic,
+    /// ANN's static tree.
+    Ann,
+    /// OMPL's GNAT, grown by single inserts.
+    OmplGnat,
+    /// Every point, bounded side by side.
+    SimdScan,
+}
+
+const NO_CHART: &str =
+    "it knows Euclidean coordinates alone, and none order products with rotations";
+
+impl Kind {
+    /// All, ours first.
+    pub const ALL: [Kind; 9] = [
+        Kind::Wayfold,
+        Kind::WayfoldRest,
+        Kind::Kiddo,
+        Kind::KiddoMutable,
+        Kind::Nanoflann,
+        Kind::NanoflannDynamic,
+        Kind::Ann,
+        Kind::OmplGnat,
+        Kind::SimdScan,
+    ];
+
+    /// As tables call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::Wayfold => "wayfold",
+            Kind::WayfoldRest => "wayfold-rest",
+            Kind::Kiddo => "kiddo",
+            Kind::KiddoMutable => "kiddo-mutable",
+            Kind::Nanoflann => "nanoflann",
+            Kind::NanoflannDynamic => "nanoflann-dynamic",
+            Kind::Ann => "ann",
+            Kind::OmplGnat => "ompl-gnat",
+            Kind::SimdScan => "simd-scan",
+        }
+    }
+
+    /// Whether it is one of ours.
+    pub fn is_ours(self) -> bool {
+        matches!(self, Kind::Wayfold | Kind::WayfoldRest)
+    }
+
+    /// Why it is not measured in this space, if it is not.
+    pub fn refuses(self, space: &Space) -> Option<&'static str> {
+        match self {
+            Kind::Wayfold | Kind::WayfoldRest | Kind::SimdScan => None,
+            Kind::Kiddo | Kind::KiddoMutable => {
+                if Chart::of(space).is_none() {
+                    Some(NO_CHART)
+                } else if !kiddo::has_width(space.coordinates()) {
+                    Some("a tree of so many coordinates is not compiled in")
+                } else {
+                    None
+                }
+            }
+            Kind::Nanoflann | Kind::NanoflannDynamic | Kind::Ann => {
+                Chart::of(space).is_none().then_some(NO_CHART)
+            }
+            Kind::OmplGnat => Shape::of(space)
+                .is_none()
+                .then_some("its distance is not compiled in"),
+        }
+    }
+
+    /// Whether it takes points one by one.
+    pub fn grows(self) -> bool {
+        match self {
+            Kind::Wayfold
+            | Kind::KiddoMutable
+            | Kind::NanoflannDynamic
+            | Kind::OmplGnat
+            | Kind::SimdScan => true,
+            Kind::WayfoldRest | Kind::Kiddo | Kind::Nanoflann | Kind::Ann => false,
+        }
+    }
+
+    /// Whether it has another way to take all points at once.
+    pub fn builds(self) -> bool {
+        !self.grows() || self == Kind::OmplGnat
+    }
+
+    /// An empty one, to be grown up to so many points.
+    ///
+    /// # Panics
+    /// If it does not grow, or refuses the space.
+    pub fn empty(self, space: &Space, room: usize) -> Box<dyn Structure> {
+        match self {
+            Kind::Wayfold => Box::new(wayfold::Growing::new(space)),
+            Kind::KiddoMutable => kiddo::growing(chart(space)),
+            Kind::NanoflannDynamic => Box::new(Charted::nanoflann_dynamic(chart(space), room)),
+            Kind::OmplGnat => Box::new(Gnat::new(shape(space), space.coordinates(), &[], room)),
+            Kind::SimdScan => Box::new(scan::Scan::new(space)),
+            Kind::WayfoldRest | Kind::Kiddo | Kind::Nanoflann | Kind::Ann => {
+                unreachable!("{} does not grow", self.name())
+            }
+        }
+    }
+
+    /// One that holds all these rows, which it was given at once.
+    ///
+    /// # Panics
+    /// If it has no way to take them at once, or refuses the space.
+    pub fn built(self, space: &Space, rows: &Rows) -> Box<dyn Structure> {
+        match self {
+            Kind::WayfoldRest => Box::new(wayfold::Resting::new(space, rows)),
+            Kind::Kiddo => kiddo::built(chart(space), rows),
+            Kind::Nanoflann => Box::new(Charted::nanoflann(chart(space), rows)),
+            Kind::Ann => Box::new(Charted::ann(chart(space), rows)),
+            Kind::OmplGnat => {
+                let width = space.coordinates();
+                Box::new(Gnat::new(shape(space), width, rows.numbers(), rows.len()))
+            }
+            Kind::Wayfold | Kind::KiddoMutable | Kind::NanoflannDynamic | Kind::SimdScan => {
+                unreachable!("{} takes one point at a time", self.name())
+            }
+        }
+    }
+
+    /// One that holds these rows, grown if it is one that grows.
+    ///
+    /// # Panics
+    /// If it refuses the space.
+    pub fn of(self, space: &Space, rows: &Rows) -> Box<dyn Structure> {
+        if !self.grows() {
+            return self.built(space, rows);
+        }
+        let mut grown = self.empty(space, rows.len());
+        for row in rows.iter() {
+            grown.insert(row);
+        }
+        grown
+    }
+}
+
+fn chart(space: &Space) -> Chart {
+    Chart::of(space).expect("only spaces that are not refused")
+}
+
+fn shape(space: &Space) -> Shape {
+    Shape::of(space).expect("only spaces that are not refused")
+}

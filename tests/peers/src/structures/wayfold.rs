@@ -1,0 +1,69 @@
+//! Ours: the forest as it grows, and at rest.
+
+use wayfold_index::{Answer, Forest, ForestOptions, Points, Search, Space};
+
+use super::Structure;
+use crate::data::Rows;
+
+/// Grown by single inserts, each a mutation of its own, merges run as they fall due.
+pub struct Growing(Forest);
+
+impl Growing {
+    pub fn new(space: &Space) -> Self {
+        Growing(Forest::new(space.clone(), ForestOptions::default()))
+    }
+}
+
+/// Merged to one tree, as a forest is once writes have paused.
+pub struct Resting(Forest);
+
+impl Resting {
+    pub fn new(space: &Space, rows: &Rows) -> Self {
+        let mut forest = Forest::new(space.clone(), ForestOptions::default());
+        let mut points = Points::with_capacity(space.coordinates(), rows.len());
+        for (id, row) in rows.iter().enumerate() {
+            points.push(id as u64, 0, 1, row);
+        }
+        forest.apply(1, &points, &[]);
+        drop(points);
+        forest.settle();
+        Resting(forest)
+    }
+}
+
+fn report(answer: &Answer, found: &mut Vec<u32>) {
+    found.clear();
+    found.extend(answer.neighbors.iter().map(|neighbor| neighbor.id as u32));
+}
+
+impl Structure for Growing {
+    fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
+        report(&self.0.search(query, &Search::nearest_k(k)), found);
+    }
+
+    fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
+        report(&self.0.search(query, &Search::nearest_r(radius)), found);
+    }
+
+    fn insert(&mut self, row: &[f64]) {
+        let id = self.0.revision();
+        let mut point = Points::with_capacity(row.len(), 1);
+        point.push(id, 0, id + 1, row);
+        self.0.apply(id + 1, &point, &[]);
+        self.0.settle();
+    }
+}
+
+impl Structure for Resting {
+    fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
+        report(&self.0.search(query, &Search::nearest_k(k)), found);
+    }
+
+    fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
+        report(&self.0.search(query, &Search::nearest_r(radius)), found);
+    }
+
+    fn insert(&mut self, _: &[f64]) {
+        unreachable!("it is at rest");
+    }
+}
