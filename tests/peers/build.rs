@@ -12,6 +12,8 @@ fn main() {
         .opt_level(3)
         .define("NDEBUG", None)
         .force_frame_pointer(false)
+        // Of nanoflann's forest, which copies empty trees.
+        .flag_if_supported("-Wno-maybe-uninitialized")
         .files(["peer", "nanoflann", "ann", "gnat"].map(|name| format!("cpp/{name}.cpp")))
         .flag("-isystem")
         .flag("/usr/include/eigen3");

@@ -23,10 +23,9 @@ double arc(double a, double b) {
     return std::min(d, 2 * M_PI - d);
 }
 
-// As OMPL's SO3StateSpace::distance.
+// As OMPL's SO3StateSpace::distance, but that small angles do not count as 0.
 double angle(State a, State b) {
-    const double dot = std::fabs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]);
-    return dot > 1 - 1e-9 ? 0 : std::acos(dot);
+    return std::acos(std::min(std::fabs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]), 1.0));
 }
 
 double straight_2(State a, State b, int n) {

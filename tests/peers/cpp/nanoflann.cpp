@@ -49,7 +49,7 @@ public:
         if (!more) {
             ids.clear();
         }
-        // The library's radius is open; ours is so by less than what any structure is tested with.
+        // The library's radius is open. The radii that are asked for have no point on them.
         Within inside(radius, pairs);
         tree().findNeighbors(inside, query, unsorted);
         for (const auto &pair : pairs) {

@@ -5,6 +5,8 @@ mod chart;
 mod check;
 mod data;
 mod measure;
+mod paper;
+mod portable;
 mod problem;
 mod report;
 mod spaces;
@@ -18,16 +20,22 @@ use check::Case;
 use data::Data;
 use measure::Effort;
 use problem::Problem;
-use report::Report;
+use report::{Op, Report};
 use spaces::{SETTINGS, Setting};
 use structures::Kind;
 
 /// Measures the index beside its peers and prints a table.
 #[derive(Debug, Parser)]
 struct Options {
-    /// Fewer spaces, 50,000 points, uniform data: some minutes instead of an hour
+    /// Fewer spaces, 50,000 points, and little but uniform data: some minutes instead of an hour
     #[arg(long)]
     quick: bool,
+    /// Figures 5, 6 and 7 of the paper again, instead of the table
+    #[arg(long, conflicts_with = "quick")]
+    paper: bool,
+    /// What a build that is not for this CPU alone loses, instead of the table (`run` fills in the program)
+    #[arg(long, value_name = "PROGRAM", conflicts_with = "paper")]
+    portable: Option<PathBuf>,
     /// Writes the figures to this file too
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -42,8 +50,16 @@ struct Options {
     rounds: u8,
 }
 
-/// Points of a case, unless it is one of the large.
+/// Points of a case ...
 const POINTS: usize = 50_000;
+/// ... and of a large one.
+const MANY_POINTS: usize = 1_000_000;
+
+/// So many that a tree's part which they touch does not stay in the caches more than a planner's would.
+const QUERIES: usize = 10_000;
+
+/// Spaces that `--quick` measures with some data that is not uniform.
+const QUICK_UNEVEN: [&str; 2] = ["R3", "SE3"];
 
 fn main() -> ExitCode {
     match run(&Options::parse()) {
@@ -56,21 +72,20 @@ fn main() -> ExitCode {
 }
 
 fn run(options: &Options) -> Result<(), Problem> {
-    let settings = named("space", &SETTINGS, |setting| setting.name, &options.spaces)?;
-    let kinds = named(
-        "structure",
-        &Kind::ALL,
-        |kind| kind.name(),
-        &options.structures,
-    )?;
     let mut report = Report::default();
-    for setting in &settings {
-        if options.quick && !setting.quick {
-            continue;
+    if options.paper {
+        print!("{}", paper::run(usize::from(options.rounds), &mut report)?);
+    } else {
+        let settings = named("space", &SETTINGS, |setting| setting.name, &options.spaces)?;
+        let is_meant = |setting: &Setting| setting.quick || !options.quick;
+        let settings: Vec<Setting> = settings.into_iter().filter(is_meant).collect();
+        if let Some(program) = &options.portable {
+            print!("{}", portable::run(program, &settings, &mut report)?);
+        } else {
+            compare(&settings, options, &mut report)?;
+            print!("{}", report.table());
         }
-        measure(setting, Data::Uniform, POINTS, &kinds, options, &mut report)?;
     }
-    print!("{}", report.table());
     match &options.json {
         Some(path) => report.write(path),
         None => Ok(()),
@@ -98,29 +113,72 @@ fn named<T: Clone>(
     names.iter().map(find).collect()
 }
 
+fn compare(settings: &[Setting], options: &Options, report: &mut Report) -> Result<(), Problem> {
+    let mut kinds = named(
+        "structure",
+        &Kind::ALL,
+        |kind| kind.name(),
+        &options.structures,
+    )?;
+    if options.structures.is_empty() {
+        // The paper's, and thousands of times as slow in most spaces.
+        kinds.retain(|kind| !matches!(kind, Kind::CoverTree | Kind::Brute));
+    }
+    let rounds = usize::from(options.rounds);
+    let effort = Effort {
+        rounds,
+        searches: &[Op::Knn1, Op::Knn10, Op::Radius],
+        growth_rounds: rounds.min(3),
+        longest_rrt: Duration::from_secs(if options.quick { 4 } else { 30 }),
+    };
+    let brief = Effort {
+        rounds: rounds.min(3),
+        growth_rounds: 1,
+        longest_rrt: Duration::ZERO,
+        ..effort
+    };
+    let ours: Vec<Kind> = kinds
+        .iter()
+        .copied()
+        .filter(|kind| kind.is_ours())
+        .collect();
+    for setting in settings {
+        measure(setting, Data::Uniform, POINTS, &kinds, effort, report)?;
+        if options.quick {
+            if QUICK_UNEVEN.contains(&setting.name) {
+                for data in [Data::Sorted, Data::Clusters] {
+                    measure(setting, data, POINTS, &ours, brief, report)?;
+                }
+            }
+            continue;
+        }
+        if setting.uneven {
+            for data in Data::UNEVEN {
+                measure(setting, data, POINTS, &kinds, brief, report)?;
+            }
+        }
+        if setting.million {
+            measure(setting, Data::Uniform, MANY_POINTS, &kinds, brief, report)?;
+        }
+    }
+    Ok(())
+}
+
 fn measure(
     setting: &Setting,
     data: Data,
     points: usize,
     kinds: &[Kind],
-    options: &Options,
+    effort: Effort,
     report: &mut Report,
 ) -> Result<(), Problem> {
     let begin = Instant::now();
     let space = spaces::parse(setting.text)?;
-    let (points, queries) = data::generate(&space, data, points, 10_000)?;
+    let (points, queries) = data::generate(&space, data, points, QUERIES)?;
     // Brute force takes milliseconds for each.
-    let checked = if space.coordinates() > 14 || points.len() > POINTS {
-        100
-    } else {
-        500
-    };
+    let is_slow = space.coordinates() > 14 || points.len() > POINTS;
+    let checked = if is_slow { 100 } else { 500 };
     let case = Case::new(setting.name, &space, data, (&points, &queries), checked);
-    let effort = Effort {
-        rounds: usize::from(options.rounds),
-        growth: true,
-        most: Duration::from_secs(if options.quick { 5 } else { 60 }),
-    };
     measure::measure(&case, kinds, effort, report)?;
     eprintln!(
         "{} {} {}: {:.0} s",

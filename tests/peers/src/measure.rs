@@ -25,10 +25,24 @@ const LEAST_QUERIES: usize = 20;
 pub struct Effort {
     /// How often each timing is repeated.
     pub rounds: usize,
-    /// Whether structures are also built, grown and grown while they are asked.
-    pub growth: bool,
-    /// What would take longer than this, a round, is left out.
-    pub most: Duration,
+    /// The searches that are measured.
+    pub searches: &'static [Op],
+    /// How often they are built and grown at most.
+    pub growth_rounds: usize,
+    /// A random tree that would take longer than this is left out.
+    pub longest_rrt: Duration,
+}
+
+/// What takes longer to make than this is made once.
+const LONG_TO_MAKE: Duration = Duration::from_secs(5);
+
+/// A structure that is measured.
+struct Measured {
+    kind: Kind,
+    /// What it took to make, in the way that is its own.
+    made: Duration,
+    /// What the nearest takes.
+    nearest: Duration,
 }
 
 /// Measures these structures, as far as they do not refuse the space.
@@ -41,6 +55,7 @@ pub fn measure(
     effort: Effort,
     report: &mut Report,
 ) -> Result<(), Problem> {
+    let mut measured = Vec::new();
     let mut structures: Vec<(Kind, Box<dyn Structure>)> = Vec::new();
     for &kind in kinds {
         if let Some(reason) = kind.refuses(case.space) {
@@ -48,7 +63,9 @@ pub fn measure(
             continue;
         }
         let before = heap_bytes();
+        let begin = processor_time();
         let mut structure = kind.of(case.space, case.points);
+        let made = processor_time() - begin;
         let held = heap_bytes().saturating_sub(before);
         case.check(kind, structure.as_mut())?;
         report.add(
@@ -58,21 +75,23 @@ pub fn measure(
             held as f64 / case.points.len() as f64,
         );
         structures.push((kind, structure));
+        measured.push(Measured {
+            kind,
+            made,
+            nearest: Duration::MAX,
+        });
     }
-    let mut nearest_takes = Vec::new();
-    for op in [Op::Knn1, Op::Knn10, Op::Radius] {
+    for &op in effort.searches {
         let takes = time_queries(case, op, effort.rounds, &mut structures);
-        for (&(kind, _), &takes) in structures.iter().zip(&takes) {
-            report.add(case, kind, op, takes.as_secs_f64() * 1e6);
+        for (measured, takes) in measured.iter_mut().zip(takes) {
+            report.add(case, measured.kind, op, takes.as_secs_f64() * 1e6);
             if op == Op::Knn1 {
-                nearest_takes.push((kind, takes));
+                measured.nearest = takes;
             }
         }
     }
     drop(structures);
-    if effort.growth {
-        time_growth(case, &nearest_takes, effort, report);
-    }
+    time_growth(case, &measured, effort, report);
     Ok(())
 }
 
@@ -130,40 +149,40 @@ fn ask(
 }
 
 /// Times what builds, what grows, and what is asked while it grows.
-fn time_growth(
-    case: &Case<'_>,
-    nearest_takes: &[(Kind, Duration)],
-    effort: Effort,
-    report: &mut Report,
-) {
+fn time_growth(case: &Case<'_>, measured: &[Measured], effort: Effort, report: &mut Report) {
     let n = case.points.len();
-    let mut times = vec![[const { Vec::new() }; 3]; nearest_takes.len()];
-    for _ in 0..effort.rounds.min(3) {
-        for ((kind, nearest), times) in nearest_takes.iter().zip(&mut times) {
-            if kind.builds() {
+    let mut times = vec![[const { Vec::new() }; 3]; measured.len()];
+    for round in 0..effort.growth_rounds {
+        for (one, [build, insert, rrt]) in measured.iter().zip(&mut times) {
+            let (kind, is_first) = (one.kind, round == 0);
+            if is_first && kind.builds() && !kind.grows() {
+                build.push(one.made);
+            } else if kind.builds() && (is_first || one.made < LONG_TO_MAKE) {
                 let begin = processor_time();
                 black_box(kind.built(case.space, case.points));
-                times[0].push(processor_time() - begin);
+                build.push(processor_time() - begin);
             }
-            if kind.grows() {
-                times[1].push(grow(*kind, case.space, case.points, false));
-                // Half of all points are there when the average one is asked.
-                if *nearest * n as u32 / 2 <= effort.most {
-                    times[2].push(grow(*kind, case.space, case.points, true));
-                }
+            if is_first && kind.grows() {
+                insert.push(one.made);
+            } else if kind.grows() && one.made < LONG_TO_MAKE {
+                insert.push(grow(kind, case.space, case.points, false));
+            }
+            // Half of all points are there when the average one is asked.
+            if kind.grows() && one.nearest.saturating_mul(n as u32 / 2) <= effort.longest_rrt {
+                rrt.push(grow(kind, case.space, case.points, true));
             }
         }
     }
     let a_point = |time: Duration| time.as_secs_f64() * 1e9 / n as f64;
-    for (&(kind, _), [build, insert, rrt]) in nearest_takes.iter().zip(times) {
+    for (one, [build, insert, rrt]) in measured.iter().zip(times) {
         if !build.is_empty() {
-            report.add(case, kind, Op::Build, a_point(median(build)));
+            report.add(case, one.kind, Op::Build, a_point(median(build)));
         }
-        if !insert.is_empty() && kind != Kind::SimdScan {
-            report.add(case, kind, Op::Insert, a_point(median(insert)));
+        if !insert.is_empty() && !one.kind.appends() {
+            report.add(case, one.kind, Op::Insert, a_point(median(insert)));
         }
         if !rrt.is_empty() {
-            report.add(case, kind, Op::Rrt, median(rrt).as_secs_f64() * 1e3);
+            report.add(case, one.kind, Op::Rrt, median(rrt).as_secs_f64() * 1e3);
         }
     }
 }

@@ -56,6 +56,14 @@ pub enum Problem {
         /// The names there are.
         known: String,
     },
+    /// A program that cannot be run, or failed.
+    #[error("cannot measure with {program}: {source}", program = program.display())]
+    Run {
+        /// The program.
+        program: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
     /// A file that cannot be written.
     #[error("cannot write {path}: {source}", path = path.display())]
     Write {

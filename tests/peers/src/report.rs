@@ -109,9 +109,17 @@ impl Report {
         }
     }
 
-    /// The figures, in the order in which they were measured.
-    pub fn figures(&self) -> &[Figure] {
-        &self.figures
+    /// Adds figures that were measured elsewhere.
+    pub fn extend(&mut self, figures: impl IntoIterator<Item = Figure>) {
+        self.figures.extend(figures);
+    }
+
+    /// The first figure of a structure in a space.
+    pub fn value(&self, space: &str, kind: Kind, op: Op) -> Option<f64> {
+        let is_it = |row: &&Figure| {
+            row.space == space && row.structure == kind.name() && row.op == op.name()
+        };
+        self.figures.iter().find(is_it).map(|row| row.value)
     }
 
     /// Writes the figures, one a line.
@@ -159,6 +167,7 @@ impl Report {
             }
         }
         let mut text = aligned(&lines);
+        text.push('\n');
         for (kind, reason, spaces) in &self.refused {
             let _ = writeln!(
                 text,
@@ -166,6 +175,42 @@ impl Report {
                 kind.name(),
                 spaces.join(", ")
             );
+        }
+        text + &self.uneven()
+    }
+
+    /// What our searches take where data is not uniform, against what they take where it is.
+    fn uneven(&self) -> String {
+        let mut text = String::new();
+        for row in self.figures.iter().filter(|row| row.data != "uniform") {
+            let is_same = |other: &&Figure| {
+                let key = |row: &Figure| {
+                    (
+                        row.space.clone(),
+                        row.n,
+                        row.structure.clone(),
+                        row.op.clone(),
+                    )
+                };
+                other.data == "uniform" && key(other) == key(row)
+            };
+            let is_ours = Kind::ALL
+                .iter()
+                .any(|kind| kind.is_ours() && kind.name() == row.structure);
+            if let Some(uniform) = self.figures.iter().find(is_same)
+                && is_ours
+                && row.op != Op::Memory.name()
+            {
+                let _ = writeln!(
+                    text,
+                    "{} in {}, {}, {}: {:.2} times what it takes with uniform data",
+                    row.structure,
+                    row.space,
+                    row.data,
+                    row.op,
+                    row.value / uniform.value
+                );
+            }
         }
         text
     }

@@ -1,5 +1,7 @@
 //! What is measured: ours and the peers', behind one face.
 
+mod brute;
+mod cover;
 mod foreign;
 mod kiddo;
 mod scan;
@@ -47,6 +49,10 @@ pub enum Kind {
     OmplGnat,
     /// Every point, bounded side by side.
     SimdScan,
+    /// smartcore's cover tree.
+    CoverTree,
+    /// Every point, measured one after the other.
+    Brute,
 }
 
 const NO_CHART: &str =
@@ -54,7 +60,7 @@ const NO_CHART: &str =
 
 impl Kind {
     /// All, ours first.
-    pub const ALL: [Kind; 9] = [
+    pub const ALL: [Kind; 11] = [
         Kind::Wayfold,
         Kind::WayfoldRest,
         Kind::Kiddo,
@@ -64,6 +70,17 @@ impl Kind {
         Kind::Ann,
         Kind::OmplGnat,
         Kind::SimdScan,
+        Kind::CoverTree,
+        Kind::Brute,
+    ];
+
+    /// What the paper's tables are measured with.
+    pub const PAPER: [Kind; 5] = [
+        Kind::Wayfold,
+        Kind::WayfoldRest,
+        Kind::SimdScan,
+        Kind::CoverTree,
+        Kind::Brute,
     ];
 
     /// As tables call it.
@@ -78,7 +95,14 @@ impl Kind {
             Kind::Ann => "ann",
             Kind::OmplGnat => "ompl-gnat",
             Kind::SimdScan => "simd-scan",
+            Kind::CoverTree => "cover-tree",
+            Kind::Brute => "brute",
         }
+    }
+
+    /// Whether it only appends, so that what an insertion takes says nothing.
+    pub fn appends(self) -> bool {
+        matches!(self, Kind::SimdScan | Kind::Brute)
     }
 
     /// Whether it is one of ours.
@@ -89,7 +113,9 @@ impl Kind {
     /// Why it is not measured in this space, if it is not.
     pub fn refuses(self, space: &Space) -> Option<&'static str> {
         match self {
-            Kind::Wayfold | Kind::WayfoldRest | Kind::SimdScan => None,
+            Kind::Wayfold | Kind::WayfoldRest | Kind::SimdScan | Kind::CoverTree | Kind::Brute => {
+                None
+            }
             Kind::Kiddo | Kind::KiddoMutable => {
                 if Chart::of(space).is_none() {
                     Some(NO_CHART)
@@ -115,8 +141,11 @@ impl Kind {
             | Kind::KiddoMutable
             | Kind::NanoflannDynamic
             | Kind::OmplGnat
-            | Kind::SimdScan => true,
-            Kind::WayfoldRest | Kind::Kiddo | Kind::Nanoflann | Kind::Ann => false,
+            | Kind::SimdScan
+            | Kind::Brute => true,
+            Kind::WayfoldRest | Kind::Kiddo | Kind::Nanoflann | Kind::Ann | Kind::CoverTree => {
+                false
+            }
         }
     }
 
@@ -136,7 +165,8 @@ impl Kind {
             Kind::NanoflannDynamic => Box::new(Charted::nanoflann_dynamic(chart(space), room)),
             Kind::OmplGnat => Box::new(Gnat::new(shape(space), space.coordinates(), &[], room)),
             Kind::SimdScan => Box::new(scan::Scan::new(space)),
-            Kind::WayfoldRest | Kind::Kiddo | Kind::Nanoflann | Kind::Ann => {
+            Kind::Brute => Box::new(brute::Brute::new(space)),
+            Kind::WayfoldRest | Kind::Kiddo | Kind::Nanoflann | Kind::Ann | Kind::CoverTree => {
                 unreachable!("{} does not grow", self.name())
             }
         }
@@ -156,7 +186,12 @@ impl Kind {
                 let width = space.coordinates();
                 Box::new(Gnat::new(shape(space), width, rows.numbers(), rows.len()))
             }
-            Kind::Wayfold | Kind::KiddoMutable | Kind::NanoflannDynamic | Kind::SimdScan => {
+            Kind::CoverTree => Box::new(cover::Cover::new(space, rows)),
+            Kind::Wayfold
+            | Kind::KiddoMutable
+            | Kind::NanoflannDynamic
+            | Kind::SimdScan
+            | Kind::Brute => {
                 unreachable!("{} takes one point at a time", self.name())
             }
         }
@@ -184,4 +219,35 @@ fn chart(space: &Space) -> Chart {
 
 fn shape(space: &Space) -> Shape {
     Shape::of(space).expect("only spaces that are not refused")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Kind;
+    use crate::{
+        check::Case,
+        data::{self, Data},
+        problem::Problem,
+        spaces::{self, SETTINGS},
+    };
+
+    #[test]
+    fn every_structure_equals_brute_force_in_every_space_and_data() -> Result<(), Problem> {
+        for setting in SETTINGS {
+            let space = spaces::parse(setting.text)?;
+            for data in Data::UNEVEN.into_iter().chain([Data::Uniform]) {
+                let (points, queries) = data::generate(&space, data, 3000, 40)?;
+                let case = Case::new(setting.name, &space, data, (&points, &queries), 40);
+                for kind in Kind::ALL {
+                    if kind.refuses(&space).is_none() {
+                        case.check(kind, kind.of(&space, &points).as_mut())?;
+                    }
+                    if kind.refuses(&space).is_none() && kind.builds() {
+                        case.check(kind, kind.built(&space, &points).as_mut())?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
 }

@@ -117,17 +117,27 @@ fn keys(space: &Space, is_squared: bool, query: &[f64], block: &[Lanes]) -> Lane
     total
 }
 
+/// a·b + c, rounded once.
+#[inline(always)]
+#[expect(
+    clippy::disallowed_methods,
+    reason = "only bounds, which have a margin"
+)]
+fn fused(a: f64, b: f64, c: f64) -> f64 {
+    a.mul_add(b, c)
+}
+
 #[inline]
 fn add_straight(sum_2: &mut Lanes, weight: f64, query: &[f64], block: &[Lanes]) {
     let mut own = [0.0; LANES];
     for (q, column) in query.iter().zip(block) {
         for (sum, x) in own.iter_mut().zip(column) {
             let d = x - q;
-            *sum += d * d;
+            *sum = fused(d, d, *sum);
         }
     }
     for (sum, own) in sum_2.iter_mut().zip(&own) {
-        *sum += weight * own;
+        *sum = fused(weight, *own, *sum);
     }
 }
 
@@ -136,7 +146,7 @@ fn add_arc(sum_2: &mut Lanes, weight: f64, period: f64, q: f64, column: &Lanes) 
     for (sum, x) in sum_2.iter_mut().zip(column) {
         let d = (x - q).abs();
         let arc = if d < period - d { d } else { period - d };
-        *sum += weight * (arc * arc);
+        *sum = fused(weight * arc, arc, *sum);
     }
 }
 
@@ -145,15 +155,16 @@ fn add_rotation(sum_2: &mut Lanes, weight: f64, query: &[f64], block: &[Lanes]) 
     let mut dot = [0.0; LANES];
     for (q, column) in query.iter().zip(block) {
         for (dot, x) in dot.iter_mut().zip(column) {
-            *dot += x * q;
+            *dot = fused(*x, *q, *dot);
         }
     }
     let [c1, c2, c3] = SERIES;
     for (sum, dot) in sum_2.iter_mut().zip(&dot) {
         // |a ∓ b|² = 2 − 2|a·b|.
-        let s = 2.0 - CHORD_MARGIN - 2.0 * dot.abs();
+        let s = fused(-2.0, dot.abs(), 2.0 - CHORD_MARGIN);
         let s = if s > 0.0 { s } else { 0.0 };
-        *sum += weight * (s * (1.0 + s * (c1 + s * (c2 + s * c3))));
+        let series = fused(s, fused(s, fused(s, c3, c2), c1), 1.0);
+        *sum = fused(weight * s, series, *sum);
     }
 }
 
