@@ -66,7 +66,6 @@ public:
 
     Gnat(std::size_t width, const Distance &distance, const double *rows, std::size_t n, std::size_t room)
         : width(width) {
-        seed();
         tree.setDistanceFunction(distance);
         // States must stay where they are: the structure holds pointers to them.
         states.reserve(room * width);
@@ -98,12 +97,6 @@ public:
     }
 
 private:
-    // The same pivots in every run; the library complains of a second seed.
-    static void seed() {
-        static const bool once = (ompl::RNG::setSeed(1), true);
-        static_cast<void>(once);
-    }
-
     Found report() {
         ids.clear();
         for (State state : found) {
@@ -136,6 +129,9 @@ Peer *product(std::size_t repeats, double weight, const double *rows, std::size_
 
 extern "C" Peer *ompl_gnat(int cell, std::size_t repeats, double weight, const double *rows, std::size_t n,
                            std::size_t room) {
+    // The same pivots in every run. The library takes one seed, before its first structure is made.
+    static const bool once = (ompl::RNG::setSeed(1), true);
+    static_cast<void>(once);
     switch (cell) {
     case 0:
         return product<Line>(repeats, weight, rows, n, room);

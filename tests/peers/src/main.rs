@@ -129,7 +129,7 @@ fn compare(settings: &[Setting], options: &Options, report: &mut Report) -> Resu
         rounds,
         searches: &[Op::Knn1, Op::Knn10, Op::Radius],
         growth_rounds: rounds.min(3),
-        longest_rrt: Duration::from_secs(if options.quick { 4 } else { 30 }),
+        longest_rrt: Duration::from_secs(if options.quick { 6 } else { 30 }),
     };
     let brief = Effort {
         rounds: rounds.min(3),

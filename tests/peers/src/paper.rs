@@ -9,7 +9,7 @@ use crate::{
     data::{self, Data},
     measure::{self, Effort},
     problem::Problem,
-    report::{Op, Report, aligned},
+    report::{Op, Report, aligned, none},
     spaces,
     structures::Kind,
 };
@@ -136,7 +136,6 @@ fn construction_header() -> Vec<Vec<String>> {
 
 /// A line of each table.
 fn lines(line: &Line, report: &Report) -> [Vec<String>; 2] {
-    let none = || String::from("–");
     let query = |kind| report.value(&line.space, kind, Op::Knn1);
     let brute = query(Kind::Brute).unwrap_or(f64::NAN);
     let first = [

@@ -179,40 +179,43 @@ impl Report {
         text + &self.uneven()
     }
 
-    /// What our searches take where data is not uniform, against what they take where it is.
+    /// What ours take where data is not uniform, in times of what they take where it is.
     fn uneven(&self) -> String {
-        let mut text = String::new();
+        let ops = [Op::Knn1, Op::Knn10, Op::Radius, Op::Insert, Op::Build];
+        let mut header = ["data / uniform", "n", "data"].map(str::to_owned).to_vec();
+        header.push("structure".to_owned());
+        header.extend(ops.map(|op| op.name().to_owned()));
+        let mut lines = vec![header];
+        let mut seen = Vec::new();
         for row in self.figures.iter().filter(|row| row.data != "uniform") {
-            let is_same = |other: &&Figure| {
-                let key = |row: &Figure| {
-                    (
-                        row.space.clone(),
-                        row.n,
-                        row.structure.clone(),
-                        row.op.clone(),
-                    )
+            let key = (&row.space, row.n, &row.data, &row.structure);
+            let is_ours = |kind: &Kind| kind.is_ours() && kind.name() == row.structure;
+            if seen.contains(&key) || !Kind::ALL.iter().any(is_ours) {
+                continue;
+            }
+            seen.push(key);
+            let value = |data: &str, op: Op| {
+                let is_it = |other: &&Figure| {
+                    (&other.space, other.n, &other.structure) == (&row.space, row.n, &row.structure)
+                        && other.data == data
+                        && other.op == op.name()
                 };
-                other.data == "uniform" && key(other) == key(row)
+                self.figures.iter().find(is_it).map(|row| row.value)
             };
-            let is_ours = Kind::ALL
-                .iter()
-                .any(|kind| kind.is_ours() && kind.name() == row.structure);
-            if let Some(uniform) = self.figures.iter().find(is_same)
-                && is_ours
-                && row.op != Op::Memory.name()
-            {
-                let _ = writeln!(
-                    text,
-                    "{} in {}, {}, {}: {:.2} times what it takes with uniform data",
-                    row.structure,
-                    row.space,
-                    row.data,
-                    row.op,
-                    row.value / uniform.value
+            let mut line = vec![row.space.clone(), row.n.to_string(), row.data.clone()];
+            line.push(row.structure.clone());
+            for op in ops {
+                let ratio = value(&row.data, op).zip(value("uniform", op));
+                line.push(
+                    ratio.map_or_else(none, |(uneven, uniform)| format!("{:.2}", uneven / uniform)),
                 );
             }
+            lines.push(line);
         }
-        text
+        if lines.len() == 1 {
+            return String::new();
+        }
+        format!("\n{}", aligned(&lines))
     }
 
     fn line(&self, case: (&str, usize, &str), op: Op, columns: &[Kind]) -> Option<Vec<String>> {
@@ -235,7 +238,7 @@ impl Report {
             .min_by(|a, b| a.1.total_cmp(&b.1));
         let ratio = |ours: Kind| match (value(&ours), best) {
             (Some(own), Some((_, peer))) => format!("{:.2}", peer / own),
-            _ => String::from("–"),
+            _ => none(),
         };
         let (space, n, data) = case;
         let mut line = vec![
@@ -248,13 +251,18 @@ impl Report {
         line.extend(
             values
                 .iter()
-                .map(|value| value.map_or(String::from("–"), three_digits)),
+                .map(|value| value.map_or_else(none, three_digits)),
         );
-        line.push(best.map_or(String::from("–"), |(kind, _)| kind.name().to_owned()));
+        line.push(best.map_or_else(none, |(kind, _)| kind.name().to_owned()));
         line.push(ratio(Kind::Wayfold));
         line.push(ratio(Kind::WayfoldRest));
         Some(line)
     }
+}
+
+/// What stands where nothing was measured.
+pub fn none() -> String {
+    String::from("–")
 }
 
 fn header(columns: &[Kind]) -> Vec<String> {
