@@ -13,9 +13,9 @@ use crate::{
     structures::Kind,
 };
 
-const TURNS: usize = 3;
+const TURNS: usize = 5;
 
-/// Runs both in turns, and prints the medians of both and their ratios.
+/// Runs both in turns, and prints the medians of both, and of their ratios in each turn.
 ///
 /// # Errors
 /// One of the two cannot be run, or fails.
@@ -29,7 +29,7 @@ pub fn run(program: &Path, settings: &[Setting], report: &mut Report) -> Result<
         runs[0].push(figures_of(&own, settings)?);
         runs[1].push(figures_of(program, settings)?);
     }
-    let [native, portable] = runs.map(medians);
+    let [natives, portables] = &runs;
     let header = [
         "space",
         "op",
@@ -40,15 +40,20 @@ pub fn run(program: &Path, settings: &[Setting], report: &mut Report) -> Result<
         "portable/native",
     ];
     let mut lines = vec![header.map(str::to_owned).to_vec()];
-    for (native, portable) in native.iter().zip(&portable) {
-        let ratio = portable.value / native.value;
+    let (mut native, mut portable) = (natives[0].clone(), portables[0].clone());
+    for at in 0..native.len() {
+        // Of the two runs of a turn, which had the same machine beside them.
+        let turns = natives.iter().zip(portables);
+        let ratio = median(turns.map(|(native, portable)| portable[at].value / native[at].value));
+        native[at].value = median(natives.iter().map(|run| run[at].value));
+        portable[at].value = median(portables.iter().map(|run| run[at].value));
         lines.push(vec![
-            native.space.clone(),
-            native.op.clone(),
-            native.unit.clone(),
-            native.structure.clone(),
-            format!("{:.2}", native.value),
-            format!("{:.2}", portable.value),
+            native[at].space.clone(),
+            native[at].op.clone(),
+            native[at].unit.clone(),
+            native[at].structure.clone(),
+            format!("{:.2}", native[at].value),
+            format!("{:.2}", portable[at].value),
             format!("{ratio:.2}"),
         ]);
     }
@@ -85,17 +90,13 @@ fn figures_of(program: &Path, settings: &[Setting]) -> Result<Vec<Figure>, Probl
     fs::remove_file(&json).map_err(failed)?;
     let mut figures: Vec<Figure> =
         serde_json::from_str(&text).map_err(|error| failed(error.into()))?;
-    figures.retain(|figure| figure.data == "uniform" && figure.op != "memory");
+    figures
+        .retain(|figure| figure.data == "uniform" && figure.op != "memory" && figure.op != "rrt");
     Ok(figures)
 }
 
-/// The median of each figure over runs that measured the same ones.
-fn medians(runs: Vec<Vec<Figure>>) -> Vec<Figure> {
-    let mut medians = runs[0].clone();
-    for (at, median) in medians.iter_mut().enumerate() {
-        let mut values: Vec<f64> = runs.iter().map(|run| run[at].value).collect();
-        values.sort_by(f64::total_cmp);
-        median.value = values[values.len() / 2];
-    }
-    medians
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }
