@@ -9,6 +9,7 @@ pub mod registry;
 pub mod service;
 
 mod background;
+mod brevity;
 mod capacity;
 mod cli;
 mod grpc;

@@ -10,10 +10,10 @@ use wayfold_proto::v1;
 
 /// Sends an answer under `key`. Blocks while the caller's link is full of answers that it does not take, until Zenoh
 /// gives the link up.
-pub(super) fn reply(query: &Query, key: &KeyExpr<'_>, form: Form, payload: Vec<u8>) {
+pub(super) fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
     let sent = query.reply(key, payload).encoding(form.encoding()).wait();
     if let Err(error) = sent {
-        debug!(%key, %error, "an answer could not be sent");
+        debug!(key = %query.key_expr(), %error, "an answer could not be sent");
     }
 }
 

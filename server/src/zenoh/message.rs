@@ -20,6 +20,24 @@ pub(super) trait Request: Named {
     }
 }
 
+/// A request for neighbours.
+pub(super) trait SearchRequest: Request {
+    /// What is to be told of each neighbour.
+    fn include(&self) -> Option<v1::Include>;
+}
+
+impl SearchRequest for v1::KnnRequest {
+    fn include(&self) -> Option<v1::Include> {
+        self.include
+    }
+}
+
+impl SearchRequest for v1::QueryRequest {
+    fn include(&self) -> Option<v1::Include> {
+        self.include
+    }
+}
+
 macro_rules! named {
     ($($message:ident),* $(,)?) => {
         $(impl Named for v1::$message {

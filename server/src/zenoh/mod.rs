@@ -2,7 +2,7 @@
 //! of its own.
 //!
 //! Under the prefix, `wayfold/v1` unless set: `<index>/<verb>` and `<verb>` are asked (`verb`), with the selector's
-//! parameters and a payload (`asked`) in Protocol Buffers or JSON (`codec`), and answered once each (`queries`,
+//! parameters and a payload (`asked`) in Protocol Buffers or JSON (`codec`), and answered once each (`queries`, `here`,
 //! `perform`, `answer`); a query with a wildcard reaches only what tells of the indices (`wild`). `<index>/events` and
 //! `<index>/@alive` are announced (`feed`).
 
@@ -10,6 +10,7 @@ mod answer;
 mod asked;
 mod codec;
 mod feed;
+mod here;
 mod message;
 mod perform;
 mod queries;
@@ -31,6 +32,7 @@ pub use session::ZenohError;
 
 use crate::{capacity::Capacity, config::ZenohConfig, service::Service};
 use feed::Announcer;
+use here::Here;
 use queries::Queries;
 
 /// How long links stay open after the last answer. Zenoh closes a link there and then; a peer that has not read its answer
@@ -64,6 +66,7 @@ impl ZenohFace {
             max_message_bytes: config.max_message_bytes,
             stopping: CancellationToken::new(),
             runtime: Handle::current(),
+            here: Here::new(),
             under_way: TaskTracker::new(),
         });
         let taking = Arc::clone(&queries);

@@ -2,7 +2,7 @@
 
 use super::{
     asked::Asked,
-    message::Named,
+    message::{Named, SearchRequest},
     verb::{IndexVerb, PointVerb, Verb},
 };
 use crate::{
@@ -19,8 +19,8 @@ pub(super) async fn perform(
 ) -> Result<Vec<u8>, Error> {
     match verb {
         Verb::OfIndex(verb) => match verb {
-            PointVerb::Knn => told(asked, service.knn(call, asked.request()?).await),
-            PointVerb::Query => told(asked, service.query(call, asked.request()?).await),
+            PointVerb::Knn => told(asked, service.knn(call, search(asked).await?).await),
+            PointVerb::Query => told(asked, service.query(call, search(asked).await?).await),
             PointVerb::Insert => told(asked, service.insert(call, asked.request()?).await),
             PointVerb::Update => told(asked, service.update(call, asked.request()?).await),
             PointVerb::Remove => told(asked, service.remove(call, asked.request()?).await),
@@ -37,6 +37,16 @@ pub(super) async fn perform(
             IndexVerb::Delete => told(asked, service.delete_index(call, asked.of_server()?).await),
         },
     }
+}
+
+/// A request for neighbours. With payloads, which the store may have to read from a disk, it lets others on first: it is
+/// no search then that could be answered where it arrived.
+async fn search<R: SearchRequest>(asked: &Asked<'_>) -> Result<R, Error> {
+    let request: R = asked.request()?;
+    if request.include().is_some_and(|include| include.payloads) {
+        tokio::task::yield_now().await;
+    }
+    Ok(request)
 }
 
 fn told<M: Named>(asked: &Asked<'_>, answer: Result<M, Error>) -> Result<Vec<u8>, Error> {

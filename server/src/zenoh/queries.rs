@@ -1,10 +1,13 @@
 //! Queries as they arrive: bounded, each answered once, refused with a reason where it can not be.
 
-use std::{panic::AssertUnwindSafe, sync::Arc, time::Instant};
+use std::{panic::AssertUnwindSafe, sync::Arc, task::Poll, time::Instant};
 
 use futures_util::FutureExt;
 use tokio::{runtime::Handle, sync::OwnedSemaphorePermit};
-use tokio_util::{sync::CancellationToken, task::TaskTracker};
+use tokio_util::{
+    sync::CancellationToken,
+    task::{TaskTracker, task_tracker::TaskTrackerToken},
+};
 use tonic::{Code, Status};
 use tracing::Instrument;
 use zenoh::{
@@ -16,6 +19,7 @@ use super::{
     answer::{refuse, reply},
     asked::Asked,
     codec::Form,
+    here::{self, Here},
     perform::perform,
     verb::Target,
     wild,
@@ -41,10 +45,31 @@ pub(super) struct Queries {
     pub(super) max_message_bytes: usize,
     /// Set once the server stops: from then on every query is refused, and takes no place.
     pub(super) stopping: CancellationToken,
-    /// Where queries are answered. Zenoh's own threads serve all links, and must not be kept.
+    /// Where queries are answered that are not answered here.
     pub(super) runtime: Handle,
+    pub(super) here: Here,
     /// The queries under way.
     pub(super) under_way: TaskTracker,
+}
+
+/// A query that was accepted.
+struct Accepted {
+    query: Query,
+    form: Result<Form, Error>,
+    arrived: Instant,
+    /// Free again once the caller was told.
+    place: OwnedSemaphorePermit,
+    under_way: TaskTrackerToken,
+}
+
+/// A query, and what there is to tell.
+struct Answered {
+    // In the order in which they are dropped: the caller is told that there is no more before the place is free.
+    query: Query,
+    form: Form,
+    told: Result<Replies, Status>,
+    _place: OwnedSemaphorePermit,
+    _under_way: TaskTrackerToken,
 }
 
 impl Queries {
@@ -52,25 +77,65 @@ impl Queries {
     /// refusals that it has to take.
     pub(super) fn take(self: &Arc<Self>, query: Query) {
         let arrived = Instant::now();
-        let form = Form::of(query.encoding()).unwrap_or(Form::Json);
+        let form = Form::of(query.encoding());
+        let refuse_in_form = |status| refuse(&query, *form.as_ref().unwrap_or(&Form::Json), status);
+        // Before it is looked whether the server stops: whoever stops it waits for what is under way.
+        let under_way = self.under_way.token();
         if self.stopping.is_cancelled() {
             let why = Unavailability::Stopping;
-            return refuse(
-                &query,
-                form,
-                &status::from_error(&Error::Unavailable { why }),
-            );
+            return refuse_in_form(&status::from_error(&Error::Unavailable { why }));
         }
-        match self.capacity.take() {
-            Some(place) => {
-                let answered = Arc::clone(self).answer(query, place, arrived);
-                self.under_way.spawn_on(answered, &self.runtime);
+        let Some(place) = self.capacity.take() else {
+            return refuse_in_form(&self.busy());
+        };
+        let is_brief = self.may_be_brief(&query);
+        let mut answering = Box::pin(Arc::clone(self).answer(Accepted {
+            query,
+            form,
+            arrived,
+            place,
+            under_way,
+        }));
+        if is_brief
+            && let Poll::Ready(answered) = self.here.try_answer(&self.runtime, answering.as_mut())
+        {
+            if answered.bytes() <= here::MAX_BYTES {
+                match self.here.try_send(answered, Answered::send) {
+                    Ok(()) => {}
+                    Err(answered) => self.send_elsewhere(answered),
+                }
+            } else {
+                self.send_elsewhere(answered);
             }
-            None => refuse(&query, form, &self.busy()),
+            return;
         }
+        let queries = Arc::clone(self);
+        self.runtime
+            .spawn(async move { queries.send_elsewhere(answering.await) });
     }
 
-    async fn answer(self: Arc<Self>, query: Query, place: OwnedSemaphorePermit, arrived: Instant) {
+    /// Whether it asks for a search, and so little of it that reading it is no work.
+    fn may_be_brief(&self, query: &Query) -> bool {
+        let bytes = query.payload().map_or(0, |payload| payload.len());
+        let target = Target::of(&self.prefix, query.key_expr());
+        bytes <= here::MAX_BYTES && target.is_ok_and(|target| target.verb.is_search())
+    }
+
+    /// Sends an answer from a thread that may wait for room on the caller's link: a link that is full of answers would
+    /// keep any other, and with it the calls of others.
+    fn send_elsewhere(&self, answered: Answered) {
+        self.runtime.spawn_blocking(move || answered.send());
+    }
+
+    async fn answer(self: Arc<Self>, accepted: Accepted) -> Answered {
+        let Accepted {
+            query,
+            form,
+            arrived,
+            place,
+            under_way,
+        } = accepted;
+        let answer_in = *form.as_ref().unwrap_or(&Form::Json);
         let target = Target::of(&self.prefix, query.key_expr());
         let rpc = match &target {
             Ok(target) => target.verb.name(),
@@ -78,36 +143,27 @@ impl Queries {
         };
         let mut record = CallRecord::begin(&format!("Zenoh/{rpc}"), arrived);
         let span = record.span().clone();
-        let asked = AssertUnwindSafe(self.ask(&query, target, arrived)).catch_unwind();
-        let answer = match asked.instrument(span).await {
+        let asked = AssertUnwindSafe(self.ask(&query, form, target, arrived)).catch_unwind();
+        let told = match asked.instrument(span).await {
             Ok(answer) => answer,
             Err(_panic) => Err(status::from_error(&Error::Internal {
                 what: format!("Zenoh/{rpc} panicked"),
             })),
         };
-        record.end(answer.as_ref().err().map_or(Code::Ok, Status::code));
-        let form = Form::of(query.encoding()).unwrap_or(Form::Json);
-        let sending = move || {
-            match answer {
-                Ok(replies) => {
-                    for (key, payload) in replies {
-                        reply(&query, &key, form, payload);
-                    }
-                }
-                Err(status) => refuse(&query, form, &status),
-            }
-            // The caller is told that there is no more before the place is free.
-            drop(query);
-            drop(place);
-        };
-        // A link that is full of answers would keep the thread, and with it the calls of others. It fails to come back
-        // only if it panicked.
-        let _ = tokio::task::spawn_blocking(sending).await;
+        record.end(told.as_ref().err().map_or(Code::Ok, Status::code));
+        Answered {
+            query,
+            form: answer_in,
+            told,
+            _place: place,
+            _under_way: under_way,
+        }
     }
 
     async fn ask(
         &self,
         query: &Query,
+        form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
         arrived: Instant,
     ) -> Result<Replies, Status> {
@@ -115,17 +171,18 @@ impl Queries {
         if bytes > self.max_message_bytes {
             return Err(self.too_large(bytes));
         }
-        let told = self.told(query, target, arrived).await;
+        let told = self.told(query, form, target, arrived).await;
         told.map_err(|error| status::from_error(&error))
     }
 
     async fn told(
         &self,
         query: &Query,
+        form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
         arrived: Instant,
     ) -> Result<Replies, Error> {
-        let form = Form::of(query.encoding())?;
+        let form = form?;
         let key: &keyexpr = query.key_expr();
         let index = target.as_ref().map_or("", |target| target.index);
         let (asked, call) = Asked::of(query, form, index, arrived)?;
@@ -168,5 +225,26 @@ impl Queries {
             MAX_MESSAGE_BYTES,
             limit,
         )
+    }
+}
+
+impl Answered {
+    /// How large what is told is.
+    fn bytes(&self) -> usize {
+        let replies = self.told.iter().flatten();
+        replies.map(|(_, payload)| payload.len()).sum()
+    }
+
+    /// Tells the caller. Blocks while the caller's link is full of answers that it does not take, until Zenoh gives the
+    /// link up.
+    fn send(mut self) {
+        match &mut self.told {
+            Ok(replies) => {
+                for (key, payload) in replies.drain(..) {
+                    reply(&self.query, key, self.form, payload);
+                }
+            }
+            Err(status) => refuse(&self.query, self.form, status),
+        }
     }
 }

@@ -73,6 +73,11 @@ impl Verb {
         }
     }
 
+    /// Whether it asks for neighbours.
+    pub(super) fn is_search(self) -> bool {
+        matches!(self, Verb::OfIndex(PointVerb::Knn | PointVerb::Query))
+    }
+
     /// Its name in the key.
     pub(super) fn name(self) -> &'static str {
         let name = match self {

@@ -9,6 +9,7 @@ mod faults;
 mod feed;
 mod follower;
 mod life;
+mod mute;
 mod parity;
 mod replica;
 mod robot;

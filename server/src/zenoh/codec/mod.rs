@@ -33,6 +33,9 @@ impl Form {
         let Some(encoding) = encoding else {
             return Ok(Form::Json);
         };
+        if *encoding == Encoding::APPLICATION_PROTOBUF {
+            return Ok(Form::Protobuf);
+        }
         let text = encoding.to_string();
         // A schema may follow the name.
         let name = text.split(';').next().unwrap_or_default();

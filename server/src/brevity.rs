@@ -1,0 +1,92 @@
+//! Whether what is asked of late is answered in less time than it takes to hand it to another thread.
+
+use std::{
+    sync::atomic::{AtomicU64, Ordering::Relaxed},
+    time::Duration,
+};
+
+/// What one measurement counts for at most, in limits: a thread that lost its processor for a while says little.
+const CLAMP: u64 = 4;
+/// How many measurements a mean is over, about.
+const MEASUREMENTS: u64 = 8;
+/// In how many steps, about, what is not measured is forgotten.
+const FORGOTTEN: u64 = 64;
+
+/// A running mean of how long answers take, and a limit for it. Shared by threads, each of which may lose what another
+/// measured: that is one measurement of many.
+#[derive(Debug)]
+pub(crate) struct Brevity {
+    limit_ns: u64,
+    mean_ns: AtomicU64,
+}
+
+impl Brevity {
+    /// Nothing is known yet; answers are brief until they were found not to be.
+    pub(crate) const fn new(limit: Duration) -> Self {
+        Self {
+            limit_ns: limit.as_nanos() as u64,
+            mean_ns: AtomicU64::new(0),
+        }
+    }
+
+    /// Whether the next answer is expected to be brief. Where it is not, it is not measured either, and every now and then
+    /// one is expected to be, so that it is found out when times change.
+    pub(crate) fn expected(&self) -> bool {
+        let mean = self.mean_ns.load(Relaxed);
+        if mean <= self.limit_ns {
+            return true;
+        }
+        self.mean_ns.store(mean - mean / FORGOTTEN, Relaxed);
+        false
+    }
+
+    /// Takes note of how long an answer took.
+    pub(crate) fn took(&self, taken: Duration) {
+        let taken = u64::try_from(taken.as_nanos()).unwrap_or(u64::MAX);
+        let taken = taken.min(CLAMP * self.limit_ns);
+        let mean = self.mean_ns.load(Relaxed);
+        let mean = mean - mean / MEASUREMENTS + taken / MEASUREMENTS;
+        self.mean_ns.store(mean, Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: Duration = Duration::from_micros(50);
+
+    #[test]
+    fn brief_answers_stay_so_even_if_one_was_interrupted() {
+        let brevity = Brevity::new(LIMIT);
+        for round in 0..1000 {
+            assert!(brevity.expected(), "{round}");
+            let interrupted = round % 100 == 99;
+            brevity.took(if interrupted { 100 * LIMIT } else { LIMIT / 5 });
+        }
+    }
+
+    #[test]
+    fn long_answers_are_found_out_soon_and_tried_seldom() {
+        let brevity = Brevity::new(LIMIT);
+        let mut expected = 0;
+        for _ in 0..1000 {
+            if brevity.expected() {
+                expected += 1;
+                brevity.took(20 * LIMIT);
+            }
+        }
+        assert!((1..60).contains(&expected), "{expected}");
+    }
+
+    #[test]
+    fn it_is_noticed_when_they_are_brief_again() {
+        let brevity = Brevity::new(LIMIT);
+        while brevity.expected() {
+            brevity.took(20 * LIMIT);
+        }
+        while !brevity.expected() {}
+        brevity.took(LIMIT / 5);
+        assert!(brevity.expected());
+    }
+}
