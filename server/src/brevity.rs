@@ -1,8 +1,10 @@
 //! Whether what is asked of late is answered in less time than it takes to hand it to another thread.
 
 use std::{
+    pin::Pin,
     sync::atomic::{AtomicU64, Ordering::Relaxed},
-    time::Duration,
+    task::{Context, Poll, Waker},
+    time::{Duration, Instant},
 };
 
 /// What one measurement counts for at most, in limits: a thread that lost its processor for a while says little.
@@ -29,9 +31,21 @@ impl Brevity {
         }
     }
 
+    /// The answer, if it is expected to be brief, and has to wait for nothing. Otherwise `answering` is to be awaited, on
+    /// whatever thread: its waker is that of whoever polls it next.
+    pub(crate) fn attempt<F: Future + ?Sized>(&self, answering: Pin<&mut F>) -> Poll<F::Output> {
+        if !self.expected() {
+            return Poll::Pending;
+        }
+        let began = Instant::now();
+        let polled = answering.poll(&mut Context::from_waker(Waker::noop()));
+        self.took(began.elapsed());
+        polled
+    }
+
     /// Whether the next answer is expected to be brief. Where it is not, it is not measured either, and every now and then
     /// one is expected to be, so that it is found out when times change.
-    pub(crate) fn expected(&self) -> bool {
+    fn expected(&self) -> bool {
         let mean = self.mean_ns.load(Relaxed);
         if mean <= self.limit_ns {
             return true;
@@ -41,7 +55,7 @@ impl Brevity {
     }
 
     /// Takes note of how long an answer took.
-    pub(crate) fn took(&self, taken: Duration) {
+    fn took(&self, taken: Duration) {
         let taken = u64::try_from(taken.as_nanos()).unwrap_or(u64::MAX);
         let taken = taken.min(CLAMP * self.limit_ns);
         let mean = self.mean_ns.load(Relaxed);

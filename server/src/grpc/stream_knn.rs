@@ -3,10 +3,10 @@
 //! The generated server would: it takes a message that does not parse for the end of the stream. So this one method
 //! is served here, with a codec that hands such messages on as what they are.
 
-use std::pin::Pin;
+use std::{panic::AssertUnwindSafe, pin::Pin, sync::Arc, task::Poll, time::Duration};
 
 use bytes::Buf;
-use futures_util::{Stream, StreamExt, stream, stream::BoxStream};
+use futures_util::{FutureExt, Stream, StreamExt, stream, stream::BoxStream};
 use http::{Request, Response};
 use prost::{DecodeError, Message};
 use tokio_util::task::AbortOnDropHandle;
@@ -23,6 +23,7 @@ use wayfold_proto::v1;
 
 use super::{calls::call_of, refusals};
 use crate::{
+    brevity::Brevity,
     lifecycle::PhaseWatch,
     service::{Call, Service},
     status,
@@ -33,6 +34,9 @@ pub(crate) type Answers = BoxStream<'static, Result<v1::StreamKnnResponse, Statu
 
 /// One message of a stream: a request, or the reason why it is none.
 pub(crate) type Incoming = Result<v1::StreamKnnRequest, DecodeError>;
+
+/// As long as searches take less of late, they are not worth a task of their own.
+const BRIEF: Duration = Duration::from_micros(20);
 
 /// Serves the streams.
 #[derive(Clone)]
@@ -67,8 +71,9 @@ impl KnnStreams {
             ended: false,
         };
         let service = self.service.clone();
+        let brevity = Arc::new(Brevity::new(BRIEF));
         stream::unfold(reader, Reader::next)
-            .map(move |read| answer_one(service.clone(), call, read))
+            .map(move |read| answer_one(service.clone(), Arc::clone(&brevity), call, read))
             .buffered(self.window)
             .boxed()
     }
@@ -77,6 +82,7 @@ impl KnnStreams {
 /// The answer to what was read; an error ends the stream.
 async fn answer_one(
     service: Service,
+    brevity: Arc<Brevity>,
     call: Call,
     read: Read,
 ) -> Result<v1::StreamKnnResponse, Status> {
@@ -85,18 +91,29 @@ async fn answer_one(
         Read::Bad(status) => return Ok(refused(&status)),
         Read::End(status) => return Err(*status),
     };
-    // A task of its own, so that one stream can keep all cores busy. For the cheapest queries (a few microseconds)
-    // this costs more than it gains, for all others it gains. A stream that is dropped takes its tasks with it.
+    // A stream that always has a request at hand lets others on now and then.
+    tokio::task::consume_budget().await;
     let search = async move { service.knn(&call, request).await };
-    let task = AbortOnDropHandle::new(tokio::spawn(search.in_current_span()));
-    Ok(match task.await {
+    let mut search = Box::pin(AssertUnwindSafe(search).catch_unwind());
+    let answered = match brevity.attempt(search.as_mut()) {
+        Poll::Ready(answered) => answered,
+        Poll::Pending => {
+            // A task of its own, so that one stream can keep all cores busy. A stream that is dropped takes its tasks
+            // with it.
+            let task = AbortOnDropHandle::new(tokio::spawn(search.in_current_span()));
+            match task.await {
+                Ok(answered) => answered,
+                // Only the end of the runtime cancels a task that is waited for.
+                Err(_) => return Err(refusals::stopping()),
+            }
+        }
+    };
+    Ok(match answered {
         Ok(Ok(answer)) => v1::StreamKnnResponse {
             result: Some(v1::stream_knn_response::Result::Knn(answer)),
         },
         Ok(Err(error)) => refused(&status::from_error(&error)),
-        Err(ended) if ended.is_panic() => refused(&refusals::panicked("PointService/StreamKnn")),
-        // Only the end of the runtime cancels a task that is waited for.
-        Err(_) => return Err(refusals::stopping()),
+        Err(_panic) => refused(&refusals::panicked("PointService/StreamKnn")),
     })
 }
 

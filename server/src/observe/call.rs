@@ -16,11 +16,12 @@ pub(crate) struct CallRecord {
 
 impl CallRecord {
     /// A call of `rpc`, such as `PointService/Knn`, that arrived at `started`.
-    pub(crate) fn begin(rpc: &str, started: Instant) -> Self {
+    pub(crate) fn begin(rpc: impl Into<String>, started: Instant) -> Self {
+        let rpc = rpc.into();
         Self {
-            rpc: rpc.to_owned(),
-            started,
             span: info_span!("call", rpc, index = field::Empty, rows = field::Empty),
+            rpc,
+            started,
             code: None,
         }
     }

@@ -1,5 +1,7 @@
 //! Answers on their way: replies, and refusals with the status that a failed gRPC call has.
 
+use tokio::sync::OwnedSemaphorePermit;
+use tokio_util::task::task_tracker::TaskTrackerToken;
 use tonic::Status;
 use tracing::debug;
 use zenoh::{Wait, key_expr::KeyExpr, query::Query};
@@ -8,9 +10,52 @@ use super::{codec::Form, message::Named};
 use crate::status;
 use wayfold_proto::v1;
 
+/// Answers to one query, each under a key of its own.
+pub(super) type Replies = Vec<(KeyExpr<'static>, Vec<u8>)>;
+
+/// A query, and what there is to tell.
+pub(super) struct Answered {
+    pub(super) query: Query,
+    pub(super) form: Form,
+    pub(super) told: Result<Replies, Status>,
+    pub(super) place: OwnedSemaphorePermit,
+    pub(super) under_way: TaskTrackerToken,
+}
+
+impl Answered {
+    /// How large what is told is.
+    pub(super) fn bytes(&self) -> usize {
+        let replies = self.told.iter().flatten();
+        replies.map(|(_, payload)| payload.len()).sum()
+    }
+
+    /// Tells the caller. Blocks as [`reply`] does.
+    pub(super) fn send(self) {
+        let Self {
+            query,
+            form,
+            told,
+            place,
+            under_way,
+        } = self;
+        match told {
+            Ok(replies) => {
+                for (key, payload) in replies {
+                    reply(&query, key, form, payload);
+                }
+            }
+            Err(status) => refuse(&query, form, &status),
+        }
+        // The caller is told that there is no more before the place is free.
+        drop(query);
+        drop(place);
+        drop(under_way);
+    }
+}
+
 /// Sends an answer under `key`. Blocks while the caller's link is full of answers that it does not take, until Zenoh
 /// gives the link up.
-pub(super) fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
+fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
     let sent = query.reply(key, payload).encoding(form.encoding()).wait();
     if let Err(error) = sent {
         debug!(key = %query.key_expr(), %error, "an answer could not be sent");

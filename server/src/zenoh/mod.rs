@@ -65,8 +65,7 @@ impl ZenohFace {
             capacity: Capacity::new(config.max_calls),
             max_message_bytes: config.max_message_bytes,
             stopping: CancellationToken::new(),
-            runtime: Handle::current(),
-            here: Here::new(),
+            here: Arc::new(Here::new(Handle::current())),
             under_way: TaskTracker::new(),
         });
         let taking = Arc::clone(&queries);

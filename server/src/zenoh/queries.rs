@@ -1,22 +1,19 @@
 //! Queries as they arrive: bounded, each answered once, refused with a reason where it can not be.
 
-use std::{panic::AssertUnwindSafe, sync::Arc, task::Poll, time::Instant};
+use std::{panic::AssertUnwindSafe, sync::Arc, time::Instant};
 
 use futures_util::FutureExt;
-use tokio::{runtime::Handle, sync::OwnedSemaphorePermit};
+use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::{
     sync::CancellationToken,
     task::{TaskTracker, task_tracker::TaskTrackerToken},
 };
 use tonic::{Code, Status};
 use tracing::Instrument;
-use zenoh::{
-    key_expr::{KeyExpr, keyexpr},
-    query::Query,
-};
+use zenoh::{key_expr::keyexpr, query::Query};
 
 use super::{
-    answer::{refuse, reply},
+    answer::{Answered, Replies, refuse},
     asked::Asked,
     codec::Form,
     here::{self, Here},
@@ -34,9 +31,6 @@ use crate::{
 const MAX_CALLS: &str = "zenoh.max_calls";
 const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 
-/// Answers to one query, each under a key of its own.
-pub(super) type Replies = Vec<(KeyExpr<'static>, Vec<u8>)>;
-
 /// What answers queries.
 pub(super) struct Queries {
     pub(super) service: Service,
@@ -45,9 +39,7 @@ pub(super) struct Queries {
     pub(super) max_message_bytes: usize,
     /// Set once the server stops: from then on every query is refused, and takes no place.
     pub(super) stopping: CancellationToken,
-    /// Where queries are answered that are not answered here.
-    pub(super) runtime: Handle,
-    pub(super) here: Here,
+    pub(super) here: Arc<Here>,
     /// The queries under way.
     pub(super) under_way: TaskTracker,
 }
@@ -57,19 +49,8 @@ struct Accepted {
     query: Query,
     form: Result<Form, Error>,
     arrived: Instant,
-    /// Free again once the caller was told.
     place: OwnedSemaphorePermit,
     under_way: TaskTrackerToken,
-}
-
-/// A query, and what there is to tell.
-struct Answered {
-    // In the order in which they are dropped: the caller is told that there is no more before the place is free.
-    query: Query,
-    form: Form,
-    told: Result<Replies, Status>,
-    _place: OwnedSemaphorePermit,
-    _under_way: TaskTrackerToken,
 }
 
 impl Queries {
@@ -88,30 +69,19 @@ impl Queries {
         let Some(place) = self.capacity.take() else {
             return refuse_in_form(&self.busy());
         };
-        let is_brief = self.may_be_brief(&query);
-        let mut answering = Box::pin(Arc::clone(self).answer(Accepted {
+        let may_be_brief = self.may_be_brief(&query);
+        let answering = Arc::clone(self).answer(Accepted {
             query,
             form,
             arrived,
             place,
             under_way,
-        }));
-        if is_brief
-            && let Poll::Ready(answered) = self.here.try_answer(&self.runtime, answering.as_mut())
-        {
-            if answered.bytes() <= here::MAX_BYTES {
-                match self.here.try_send(answered, Answered::send) {
-                    Ok(()) => {}
-                    Err(answered) => self.send_elsewhere(answered),
-                }
-            } else {
-                self.send_elsewhere(answered);
-            }
-            return;
+        });
+        if may_be_brief {
+            self.here.answer(answering.boxed());
+        } else {
+            self.here.answer_elsewhere(answering.boxed());
         }
-        let queries = Arc::clone(self);
-        self.runtime
-            .spawn(async move { queries.send_elsewhere(answering.await) });
     }
 
     /// Whether it asks for a search, and so little of it that reading it is no work.
@@ -119,12 +89,6 @@ impl Queries {
         let bytes = query.payload().map_or(0, |payload| payload.len());
         let target = Target::of(&self.prefix, query.key_expr());
         bytes <= here::MAX_BYTES && target.is_ok_and(|target| target.verb.is_search())
-    }
-
-    /// Sends an answer from a thread that may wait for room on the caller's link: a link that is full of answers would
-    /// keep any other, and with it the calls of others.
-    fn send_elsewhere(&self, answered: Answered) {
-        self.runtime.spawn_blocking(move || answered.send());
     }
 
     async fn answer(self: Arc<Self>, accepted: Accepted) -> Answered {
@@ -141,7 +105,7 @@ impl Queries {
             Ok(target) => target.verb.name(),
             Err(_) => "other",
         };
-        let mut record = CallRecord::begin(&format!("Zenoh/{rpc}"), arrived);
+        let mut record = CallRecord::begin(format!("Zenoh/{rpc}"), arrived);
         let span = record.span().clone();
         let asked = AssertUnwindSafe(self.ask(&query, form, target, arrived)).catch_unwind();
         let told = match asked.instrument(span).await {
@@ -155,8 +119,8 @@ impl Queries {
             query,
             form: answer_in,
             told,
-            _place: place,
-            _under_way: under_way,
+            place,
+            under_way,
         }
     }
 
@@ -225,26 +189,5 @@ impl Queries {
             MAX_MESSAGE_BYTES,
             limit,
         )
-    }
-}
-
-impl Answered {
-    /// How large what is told is.
-    fn bytes(&self) -> usize {
-        let replies = self.told.iter().flatten();
-        replies.map(|(_, payload)| payload.len()).sum()
-    }
-
-    /// Tells the caller. Blocks while the caller's link is full of answers that it does not take, until Zenoh gives the
-    /// link up.
-    fn send(mut self) {
-        match &mut self.told {
-            Ok(replies) => {
-                for (key, payload) in replies.drain(..) {
-                    reply(&self.query, key, self.form, payload);
-                }
-            }
-            Err(status) => refuse(&self.query, self.form, status),
-        }
     }
 }

@@ -4,9 +4,9 @@ use wayfold_proto::v1;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr, keyexpr};
 
 use super::{
+    answer::Replies,
     codec::{Form, invalid},
     message::Named,
-    queries::Replies,
 };
 use crate::{
     service::{Call, Error, Service},

@@ -1,13 +1,11 @@
 //! Peers that ask and take none of their answers: they hold up nobody, and are cut off.
 
-use std::thread;
-
 use serde_json::json;
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt, copy},
     net::{TcpListener, TcpSocket},
     sync::oneshot,
-    task::JoinHandle,
+    task::{self, JoinHandle},
 };
 use zenoh::{Session, Wait};
 
@@ -68,11 +66,11 @@ impl Mute {
         }
     }
 
-    /// Takes no answer from now on, and asks. The relay is given back.
-    fn ask(self) -> JoinHandle<()> {
+    /// Takes no answer from now on, and asks. What asks and the relay are given back.
+    fn ask(self) -> (JoinHandle<()>, JoinHandle<()>) {
         self.stop_listening.send(()).unwrap();
-        // Asking waits while the link is full, too.
-        thread::spawn(move || {
+        // It blocks while the link is full.
+        let asking = task::spawn_blocking(move || {
             for _ in 0..QUERIES {
                 let query = self.session.get("wayfold/v1/arm/knn?k=100");
                 let _ = query.payload("[0.05]").timeout(PATIENCE).wait();
@@ -80,7 +78,7 @@ impl Mute {
             // Open until its process ends: it does not say goodbye.
             std::mem::forget(self.session);
         });
-        self.relay
+        (asking, self.relay)
     }
 }
 
@@ -98,7 +96,10 @@ async fn ask_beside_mutes(locator: &str) -> Vec<JoinHandle<()>> {
     for _ in 0..PEERS {
         mutes.push(Mute::connect(locator).await);
     }
-    let relays = mutes.into_iter().map(Mute::ask).collect();
+    let (asking, relays): (Vec<_>, Vec<_>) = mutes.into_iter().map(Mute::ask).unzip();
+    for asking in asking {
+        asking.await.unwrap();
+    }
     for _ in 0..QUERIES {
         let near = robot.json("arm/knn?k=1", json!([0.0])).await.unwrap();
         assert_eq!(near["ids"], json!([[0]]));
