@@ -1,5 +1,7 @@
 //! A verb becomes a call of the service, and its answer a payload. No policy is here.
 
+use std::pin::Pin;
+
 use super::{
     asked::Asked,
     message::{Named, SearchRequest},
@@ -21,20 +23,29 @@ pub(super) async fn perform(
         Verb::OfIndex(verb) => match verb {
             PointVerb::Knn => told(asked, service.knn(call, search(asked).await?).await),
             PointVerb::Query => told(asked, service.query(call, search(asked).await?).await),
-            PointVerb::Insert => told(asked, service.insert(call, asked.request()?).await),
-            PointVerb::Update => told(asked, service.update(call, asked.request()?).await),
-            PointVerb::Remove => told(asked, service.remove(call, asked.request()?).await),
-            PointVerb::Get => told(asked, service.get(call, asked.request()?).await),
-            PointVerb::Info => told(asked, service.get_index(call, asked.request()?).await),
-            PointVerb::Log => told(asked, service.log(call, asked.request()?).await),
+            PointVerb::Insert => told(asked, apart(service.insert(call, asked.request()?)).await),
+            PointVerb::Update => told(asked, apart(service.update(call, asked.request()?)).await),
+            PointVerb::Remove => told(asked, apart(service.remove(call, asked.request()?)).await),
+            PointVerb::Get => told(asked, apart(service.get(call, asked.request()?)).await),
+            PointVerb::Info => told(
+                asked,
+                apart(service.get_index(call, asked.request()?)).await,
+            ),
+            PointVerb::Log => told(asked, apart(service.log(call, asked.request()?)).await),
         },
         Verb::OfServer(verb) => match verb {
-            IndexVerb::Create => told(asked, service.create_index(call, asked.of_server()?).await),
+            IndexVerb::Create => told(
+                asked,
+                apart(service.create_index(call, asked.of_server()?)).await,
+            ),
             IndexVerb::List => {
-                let listed = service.list_indexes(call, asked.of_server()?).await;
+                let listed = apart(service.list_indexes(call, asked.of_server()?)).await;
                 told(asked, listed.map(status::listing))
             }
-            IndexVerb::Delete => told(asked, service.delete_index(call, asked.of_server()?).await),
+            IndexVerb::Delete => told(
+                asked,
+                apart(service.delete_index(call, asked.of_server()?)).await,
+            ),
         },
     }
 }
@@ -47,6 +58,12 @@ async fn search<R: SearchRequest>(asked: &Asked<'_>) -> Result<R, Error> {
         tokio::task::yield_now().await;
     }
     Ok(request)
+}
+
+/// What answers anything but a search is kept apart: the answer to a search is to move about without the room that a
+/// mutation needs.
+fn apart<F: Future>(answering: F) -> Pin<Box<F>> {
+    Box::pin(answering)
 }
 
 fn told<M: Named>(asked: &Asked<'_>, answer: Result<M, Error>) -> Result<Vec<u8>, Error> {

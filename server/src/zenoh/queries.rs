@@ -10,7 +10,7 @@ use tokio_util::{
 };
 use tonic::{Code, Status};
 use tracing::Instrument;
-use zenoh::{key_expr::keyexpr, query::Query};
+use zenoh::{bytes::ZBytes, key_expr::keyexpr, query::Query};
 
 use super::{
     answer::{Answered, Replies, refuse},
@@ -56,7 +56,7 @@ struct Accepted {
 impl Queries {
     /// Takes a query, or refuses it. Called on Zenoh's threads: a caller that asks more than it may is slowed down by the
     /// refusals that it has to take.
-    pub(super) fn take(self: &Arc<Self>, query: Query) {
+    pub(super) fn take(self: &Arc<Self>, mut query: Query) {
         let arrived = Instant::now();
         let form = Form::of(query.encoding());
         let refuse_in_form = |status| refuse(&query, *form.as_ref().unwrap_or(&Form::Json), status);
@@ -70,6 +70,10 @@ impl Queries {
             return refuse_in_form(&self.busy());
         };
         let may_be_brief = self.may_be_brief(&query);
+        if may_be_brief && let Some(payload) = query.payload_mut() {
+            // A few bytes, which would keep the buffer that Zenoh reads into, and have it make another.
+            *payload = ZBytes::from(payload.to_bytes().into_owned());
+        }
         let answering = Arc::clone(self).answer(Accepted {
             query,
             form,
@@ -152,7 +156,8 @@ impl Queries {
         let (asked, call) = Asked::of(query, form, index, arrived)?;
         let answered = async {
             if key.is_wild() {
-                return wild::answer(&self.service, &call, &self.prefix, key, form).await;
+                let told = wild::answer(&self.service, &call, &self.prefix, key, form);
+                return Box::pin(told).await;
             }
             let verb = target?.verb;
             asked.check(verb)?;
