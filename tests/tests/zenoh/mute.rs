@@ -1,12 +1,13 @@
 //! Peers that ask and take none of their answers: they hold up nobody, and are cut off.
 
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt, copy},
     net::{TcpListener, TcpSocket},
     sync::oneshot,
     task::{self, JoinHandle},
 };
+use wayfold_tests::ServerProcess;
 use zenoh::{Session, Wait};
 
 use crate::robot::{PATIENCE, Robot, server_with, session};
@@ -66,53 +67,52 @@ impl Mute {
         }
     }
 
-    /// Takes no answer from now on, and asks. What asks and the relay are given back.
-    fn ask(self) -> (JoinHandle<()>, JoinHandle<()>) {
+    /// Takes no answer from now on, asks, and inserts a point at last. The relay is given back.
+    fn ask(self) -> JoinHandle<()> {
         self.stop_listening.send(()).unwrap();
         // It blocks while the link is full.
-        let asking = task::spawn_blocking(move || {
+        task::spawn_blocking(move || {
+            let send = |selector: &str, payload: &str| {
+                let query = self.session.get(format!("wayfold/v1/{selector}"));
+                // A session that was cut off has nobody to ask.
+                let _ = query.payload(payload).timeout(PATIENCE).wait();
+            };
             for _ in 0..QUERIES {
-                let query = self.session.get("wayfold/v1/arm/knn?k=100");
-                let _ = query.payload("[0.05]").timeout(PATIENCE).wait();
+                send("arm/knn?k=100", "[0.05]");
             }
+            send("done/insert", "[[1]]");
             // Open until its process ends: it does not say goodbye.
             std::mem::forget(self.session);
         });
-        (asking, self.relay)
+        self.relay
     }
 }
 
-/// Has peers ask and not listen, and another ask and listen meanwhile; the relays of the former.
-async fn ask_beside_mutes(locator: &str) -> Vec<JoinHandle<()>> {
+/// Has peers ask that take no answers; another, and the relays of the former.
+async fn beside_mutes(locator: &str) -> (Robot, Vec<JoinHandle<()>>) {
     let robot = Robot::connect(locator).await;
-    let create = json!({ "name": "arm", "space_text": "R1" });
-    robot.json("create", create).await.unwrap();
+    for name in ["arm", "done"] {
+        let create = json!({ "name": name, "space_text": "R1" });
+        robot.json("create", create).await.unwrap();
+    }
     let rows: Vec<[f64; 1]> = (0..1000).map(|row| [f64::from(row) / 7.0]).collect();
-    robot
-        .json("arm/insert", json!({ "states": rows }))
-        .await
-        .unwrap();
+    robot.json("arm/insert", json!(rows)).await.unwrap();
     let mut mutes = Vec::new();
     for _ in 0..PEERS {
         mutes.push(Mute::connect(locator).await);
     }
-    let (asking, relays): (Vec<_>, Vec<_>) = mutes.into_iter().map(Mute::ask).unzip();
-    for asking in asking {
-        asking.await.unwrap();
-    }
-    for _ in 0..QUERIES {
-        let near = robot.json("arm/knn?k=1", json!([0.0])).await.unwrap();
-        assert_eq!(near["ids"], json!([[0]]));
-    }
-    relays
+    (robot, mutes.into_iter().map(Mute::ask).collect())
 }
 
-/// A server with small buffers, that waits so long for a peer to take an answer.
-fn server(wait_us: u64) -> (wayfold_tests::ServerProcess, String) {
-    let link = json!({
-        "tcp": { "so_sndbuf": SMALL_BUFFER },
-        "tx": { "queue": { "congestion_control": { "block": { "wait_before_close": wait_us } } } },
+/// A server with small buffers, that waits so long for a peer to take an answer. No peer gives it up before.
+fn server(wait_us: u64) -> (ServerProcess, String) {
+    let tx = json!({
+        // In an hour, 36,000 signs of life: how long Zenoh tries to send what is left is one of them.
+        "lease": 3_600_000,
+        "keep_alive": 36_000,
+        "queue": { "congestion_control": { "block": { "wait_before_close": wait_us } } },
     });
+    let link = json!({ "tcp": { "so_sndbuf": SMALL_BUFFER }, "tx": tx });
     let config = json!({ "transport": { "link": link } }).to_string();
     server_with(&[], &[("WAYFOLD_ZENOH__CONFIG", &config)])
 }
@@ -121,15 +121,25 @@ fn server(wait_us: u64) -> (wayfold_tests::ServerProcess, String) {
 async fn those_who_take_no_answers_hold_up_nobody() {
     // As long as this test lasts.
     let (_server, locator) = server(3_600_000_000);
-    ask_beside_mutes(&locator).await;
+    let (robot, _relays) = beside_mutes(&locator).await;
+    // The queries of a peer are taken in their order, those of one that a thread waits for not to the last.
+    let mut done = 0;
+    while done < PEERS - 1 {
+        let told = robot.json("done/info", Value::Null).await.unwrap();
+        done = told["index"]["points"].as_u64().unwrap() as usize;
+    }
+    for _ in 0..QUERIES {
+        let near = robot.json("arm/knn?k=1", json!([0.0])).await.unwrap();
+        assert_eq!(near["ids"], json!([[0]]));
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn those_who_take_no_answers_are_cut_off() {
     let (_server, locator) = server(100_000);
-    for relay in ask_beside_mutes(&locator).await {
+    let (robot, relays) = beside_mutes(&locator).await;
+    for relay in relays {
         relay.await.unwrap();
     }
-    let robot = Robot::connect(&locator).await;
-    robot.json("arm/info", json!({})).await.unwrap();
+    robot.json("arm/info", Value::Null).await.unwrap();
 }
