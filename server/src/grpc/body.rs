@@ -13,7 +13,7 @@ use http_body::{Body as HttpBody, Frame, SizeHint};
 use tokio::{sync::OwnedSemaphorePermit, time::Sleep};
 use tonic::{Code, Status, body::Body};
 
-use super::{connection::OneMore, refusals};
+use super::refusals;
 use crate::observe::CallRecord;
 
 /// A call's response body. It holds the call's place in the server's capacity until its end: a client that has heard
@@ -24,18 +24,15 @@ pub(crate) struct CallBody {
     deadline: Option<Instant>,
     /// Set once the body had to wait, which the answer of a unary call never does.
     timer: Option<Pin<Box<Sleep>>>,
-    place: Option<Place>,
+    place: Option<OwnedSemaphorePermit>,
 }
-
-/// What a call takes until its end: of the server, and of its connection.
-type Place = (OwnedSemaphorePermit, Option<OneMore>);
 
 impl CallBody {
     /// `response`, with a body that goes on with `record`.
     pub(crate) fn wrap(
         response: Response<Body>,
         mut record: CallRecord,
-        place: Place,
+        place: OwnedSemaphorePermit,
         deadline: Option<Instant>,
     ) -> Response<Body> {
         if let Some(code) = code_in(response.headers()) {

@@ -16,7 +16,7 @@ use tonic::body::Body;
 use tower::{Layer, Service};
 use tracing::Instrument;
 
-use super::{body::CallBody, connection::UnderWay, deadline, refusals};
+use super::{body::CallBody, deadline, refusals};
 use crate::{capacity::Capacity, observe::CallRecord, service::Call};
 
 /// The calls that this layer is for.
@@ -91,7 +91,6 @@ where
                 let busy = || Box::new(refusals::busy(capacity.limit()));
                 Ok((deadline, capacity.take().ok_or_else(busy)?))
             });
-        let one_more = request.extensions().get().map(UnderWay::begin);
         let (deadline, place) = match admitted {
             Ok(admitted) => admitted,
             Err(status) => {
@@ -116,12 +115,7 @@ where
                 Ok(Err(never)) => match never {},
                 Err(_panic) => refusals::panicked(record.rpc()).into_http(),
             };
-            Ok(CallBody::wrap(
-                response,
-                record,
-                (place, one_more),
-                deadline,
-            ))
+            Ok(CallBody::wrap(response, record, place, deadline))
         };
         Box::pin(answer.instrument(span))
     }

@@ -1,15 +1,9 @@
 //! Accepts TCP connections: not more than allowed, without Nagle's delay, and so that all of them can be cut at once.
-//!
-//! Answers that are ready at the same time, as those that waited for one sync, leave in one write: with many tasks on
-//! few connections, each write costs the server more than all the rest of a call.
 
 use std::{
     io,
     pin::Pin,
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
+    sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
 };
@@ -22,14 +16,11 @@ use tokio::{
     time::{Instant, Sleep, sleep_until, timeout},
 };
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
-use tonic::transport::server::Connected;
+use tonic::transport::server::{Connected, TcpConnectInfo};
 use tracing::{debug, warn};
 
 /// How long to leave the listener alone after it failed, as it does while the process has no file descriptors left.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(1);
-
-/// From so many calls under way on, a connection looks after the others before it writes.
-const MANY: usize = 4;
 
 /// How long a connection that is done waits for its client to hang up.
 const LINGER: Duration = Duration::from_secs(2);
@@ -50,8 +41,6 @@ pub(crate) fn incoming(
             // A token of its own: waiting on the shared one would have all connections contend for its lock.
             cut: Box::pin(cut.child_token().cancelled_owned()),
             lingering: None,
-            under_way: UnderWay::default(),
-            gathering: false,
             _slot: slot,
         };
         Some((Ok(connection), (listener, slots, cut)))
@@ -96,50 +85,10 @@ pub(crate) struct Connection {
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
     /// Set once this side has sent all that it will: when to stop waiting for the other.
     lingering: Option<Pin<Box<Sleep>>>,
-    under_way: UnderWay,
-    /// What is to be written has waited once already.
-    gathering: bool,
     _slot: OwnedSemaphorePermit,
 }
 
-/// How many calls of a connection are under way: all that hold one of these.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct UnderWay(Arc<AtomicUsize>);
-
-/// One call that is under way until this is dropped.
-#[derive(Debug)]
-pub(crate) struct OneMore(Arc<AtomicUsize>);
-
-impl UnderWay {
-    /// Counts a call.
-    pub(crate) fn begin(&self) -> OneMore {
-        self.0.fetch_add(1, Ordering::Relaxed);
-        OneMore(Arc::clone(&self.0))
-    }
-
-    fn count(&self) -> usize {
-        self.0.load(Ordering::Relaxed)
-    }
-}
-
-impl Drop for OneMore {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
 impl Connection {
-    /// Puts what is to be written off once, behind all tasks that are ready to run: they may have more.
-    fn gather(&mut self, context: &mut Context<'_>) -> Poll<()> {
-        if self.gathering || self.under_way.count() < MANY {
-            self.gathering = false;
-            return Poll::Ready(());
-        }
-        self.gathering = true;
-        context.waker().wake_by_ref();
-        Poll::Pending
-    }
-
     fn check(&mut self, context: &mut Context<'_>) -> io::Result<()> {
         if self.cut.as_mut().poll(context).is_ready() {
             return Err(io::Error::new(
@@ -152,10 +101,10 @@ impl Connection {
 }
 
 impl Connected for Connection {
-    type ConnectInfo = UnderWay;
+    type ConnectInfo = TcpConnectInfo;
 
-    fn connect_info(&self) -> UnderWay {
-        self.under_way.clone()
+    fn connect_info(&self) -> TcpConnectInfo {
+        self.socket.connect_info()
     }
 }
 
@@ -178,7 +127,6 @@ impl AsyncWrite for Connection {
     ) -> Poll<io::Result<usize>> {
         // A client that reads no more keeps a connection in here.
         self.check(context)?;
-        ready!(self.gather(context));
         Pin::new(&mut self.socket).poll_write(context, bytes)
     }
 
@@ -188,7 +136,6 @@ impl AsyncWrite for Connection {
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
         self.check(context)?;
-        ready!(self.gather(context));
         Pin::new(&mut self.socket).poll_write_vectored(context, slices)
     }
 
@@ -223,46 +170,5 @@ impl AsyncWrite for Connection {
                 return Poll::Ready(Ok(()));
             }
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::{future::poll_fn, pin::pin};
-
-    use futures_util::StreamExt;
-    use tokio::io::AsyncReadExt;
-
-    use super::*;
-
-    /// How often the task of a write runs in which so many calls are under way.
-    async fn runs(calls: usize) -> usize {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let mut client = TcpStream::connect(listener.local_addr().unwrap())
-            .await
-            .unwrap();
-        let mut accepted = pin!(incoming(listener, 1, CancellationToken::new()));
-        let mut connection = accepted.next().await.unwrap().unwrap();
-        let calls: Vec<_> = (0..calls)
-            .map(|_| connection.connect_info().begin())
-            .collect();
-        let mut runs = 0;
-        let written = poll_fn(|context| {
-            runs += 1;
-            Pin::new(&mut connection).poll_write(context, b"answers")
-        });
-        assert_eq!(written.await.unwrap(), 7);
-        let mut read = [0; 7];
-        client.read_exact(&mut read).await.unwrap();
-        assert_eq!(&read, b"answers");
-        drop(calls);
-        assert_eq!(connection.under_way.count(), 0);
-        runs
-    }
-
-    #[tokio::test]
-    async fn an_answer_waits_once_for_others_where_there_may_be_many() {
-        assert_eq!(runs(MANY - 1).await, 1);
-        assert_eq!(runs(MANY).await, 2);
     }
 }
