@@ -8,7 +8,8 @@ use std::{
 };
 
 use clap::Parser;
-use serde_json::Value;
+use serde_json::{Value, json};
+use zenoh::{Config, Session};
 
 use crate::{Process, ServerProcess, echo};
 
@@ -50,6 +51,29 @@ where
 /// If it does not come up.
 pub fn server(data: &str) -> ServerProcess {
     start("server", &["--grpc", "127.0.0.1:0", "--data", data])
+}
+
+/// The same, which speaks Zenoh, too: [`ServerProcess::zenoh`] tells where.
+///
+/// # Panics
+/// If it does not come up.
+pub fn server_over_zenoh(data: &str) -> ServerProcess {
+    let listen = ["--grpc", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"];
+    start("server", &[&listen[..], &["--data", data]].concat())
+}
+
+/// A Zenoh session with whom is at the locator alone.
+///
+/// # Panics
+/// If nobody is.
+pub async fn connect(locator: &str) -> Session {
+    let config = json!({
+        "mode": "client",
+        "connect": { "endpoints": [locator] },
+        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+    });
+    let config = Config::from_json5(&config.to_string()).expect("a configuration");
+    zenoh::open(config).await.expect("a session")
 }
 
 /// Starts this program as an echo.

@@ -7,7 +7,9 @@ use tokio::sync::{Mutex, watch};
 use tracing::{debug, warn};
 use wayfold_index::{Snapshot, Space};
 
-use super::{Host, OperationWindow, RegistryError, WriteGuard, Writer, recent::Recent};
+use super::{
+    Host, OperationWindow, RegistryError, WriteGuard, Writer, merging::Ran, recent::Recent,
+};
 use crate::log::{Effects, Entry, Keep, LogError, Record, Uid, View};
 
 /// A mutation of more points or more bytes than these is committed on a thread of its own: it would hold up the calls
@@ -34,6 +36,8 @@ pub struct Hosted {
     pub(super) host: Arc<Host>,
     state: watch::Sender<State>,
     writer: Arc<Mutex<Writer>>,
+    /// Merges that are to be swapped in.
+    pub(super) ran: parking_lot::Mutex<Vec<Ran>>,
     unsynced: parking_lot::Mutex<Unsynced>,
     recent: parking_lot::Mutex<Recent>,
 }
@@ -71,6 +75,7 @@ impl Hosted {
             host: Arc::clone(host),
             state: watch::Sender::new(state),
             writer: Arc::new(Mutex::new(writer)),
+            ran: parking_lot::Mutex::default(),
             unsynced: parking_lot::Mutex::default(),
             recent: parking_lot::Mutex::default(),
         })
@@ -144,7 +149,7 @@ impl Hosted {
 
     /// Waits for the writer; those who wait get it in the order in which they came.
     pub async fn write(&self) -> Result<WriteGuard, RegistryError> {
-        let writer = Arc::clone(&self.writer).lock_owned().await;
+        let writer = self.write_closed().await;
         match &self.state.borrow().closed {
             Some(why) => Err(why.clone()),
             None => Ok(writer),
@@ -181,6 +186,7 @@ impl Hosted {
     ) -> Result<u64, RegistryError> {
         let log = &self.host.log;
         let record = log.append(self.uid, writer.head().revision, effects)?;
+        self.swap_in(&mut writer);
         writer.apply(&record, window);
         self.recent.lock().push(record);
         match log.points(self.uid) {
@@ -326,6 +332,6 @@ impl Hosted {
 
     /// Waits for the writer even of an index that is closed.
     pub(super) async fn write_closed(&self) -> WriteGuard {
-        Arc::clone(&self.writer).lock_owned().await
+        Arc::clone(&self.writer).lock_owned().await.into()
     }
 }

@@ -2,10 +2,17 @@
 
 use std::sync::Arc;
 
+use tokio::task::JoinError;
 use tracing::{debug, error};
-use wayfold_index::Merge;
+use wayfold_index::{Merge, Merged};
 
 use super::{Hosted, Writer};
+
+/// What has become of a merge.
+pub(super) struct Ran {
+    rows: usize,
+    merged: Result<Merged, JoinError>,
+}
 
 impl Hosted {
     /// Starts merging if a merge is due. An index has at most as many mergers as there are turns for all indices:
@@ -15,36 +22,43 @@ impl Hosted {
             && let Some(merge) = writer.forest.begin_merge()
         {
             writer.mergers += 1;
-            tokio::spawn(Arc::clone(self).merge_all(merge));
+            tokio::spawn(Arc::clone(self).merge(merge));
         }
     }
 
-    /// Merges until nothing is due. Each merge waits for its turn among those of all indices, runs on a thread for
-    /// blocking work, and is swapped in between two mutations. Goes on also past the end of the index.
-    async fn merge_all(self: Arc<Self>, mut merge: Merge) {
-        loop {
-            let turn = self.host.merges.acquire().await;
-            let rows = merge.rows();
-            let merged = tokio::task::spawn_blocking(move || merge.run()).await;
-            drop(turn);
-            let mut writer = self.write_closed().await;
+    /// Runs a merge, when it is its turn among those of all indices, on a thread for blocking work, and sees to it that
+    /// it is swapped in between two mutations. Goes on also past the end of the index.
+    async fn merge(self: Arc<Self>, merge: Merge) {
+        let turn = self.host.merges.acquire().await;
+        let rows = merge.rows();
+        let merged = tokio::task::spawn_blocking(move || merge.run()).await;
+        drop(turn);
+        self.ran.lock().push(Ran { rows, merged });
+        // Most often a mutation has the writer before, and has swapped it in by then.
+        let mut writer = self.write_closed().await;
+        if self.swap_in(&mut writer) {
+            writer.refresh();
+            self.show(writer.head());
+        }
+        self.start_merging(&mut writer);
+    }
+
+    /// Swaps in the merges that have run; whether there were any. Who writes does so, too: where many wait for the writer,
+    /// a merge that waited behind them all would come late, and searches would visit small levels by the dozen.
+    pub(super) fn swap_in(&self, writer: &mut Writer) -> bool {
+        let ran = std::mem::take(&mut *self.ran.lock());
+        let any = !ran.is_empty();
+        for Ran { rows, merged } in ran {
+            writer.mergers -= 1;
             match merged {
                 Ok(merged) => {
                     writer.forest.finish_merge(merged);
-                    writer.refresh();
-                    self.show(writer.head());
                     debug!(index = self.name(), rows, "merged levels");
                 }
                 // Its levels stay as they are: answers stay right, and take longer.
                 Err(error) => error!(index = self.name(), rows, %error, "a merge stopped"),
             }
-            match writer.forest.begin_merge() {
-                Some(next) => merge = next,
-                None => {
-                    writer.mergers -= 1;
-                    return;
-                }
-            }
         }
+        any
     }
 }

@@ -1,6 +1,10 @@
 //! The one writer of an index: its forest at the head, and what evaluation needs to know of the past.
 
-use std::sync::Arc;
+use std::{
+    ops::{Deref, DerefMut},
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use tokio::sync::OwnedMutexGuard;
 use wayfold_index::Forest;
@@ -12,7 +16,37 @@ use super::{
 use crate::log::{Operation, Record, View};
 
 /// Exclusive hold of an index's writer.
-pub type WriteGuard = OwnedMutexGuard<Writer>;
+pub struct WriteGuard {
+    writer: OwnedMutexGuard<Writer>,
+    since: Instant,
+}
+
+impl From<OwnedMutexGuard<Writer>> for WriteGuard {
+    fn from(writer: OwnedMutexGuard<Writer>) -> Self {
+        let since = Instant::now();
+        Self { writer, since }
+    }
+}
+
+impl Deref for WriteGuard {
+    type Target = Writer;
+
+    fn deref(&self) -> &Writer {
+        &self.writer
+    }
+}
+
+impl DerefMut for WriteGuard {
+    fn deref_mut(&mut self) -> &mut Writer {
+        &mut self.writer
+    }
+}
+
+impl Drop for WriteGuard {
+    fn drop(&mut self) {
+        self.writer.held += self.since.elapsed();
+    }
+}
 
 /// The state that records are applied to. Its head may be ahead of what readers see, where the log is not yet synced.
 pub struct Writer {
@@ -25,6 +59,8 @@ pub struct Writer {
     changed: u64,
     /// What was asked to be remembered last.
     window: OperationWindow,
+    /// By all guards that are gone.
+    held: Duration,
 }
 
 impl Writer {
@@ -43,12 +79,18 @@ impl Writer {
             operations: Operations::default(),
             changed,
             window: EVERY_OPERATION,
+            held: Duration::ZERO,
         }
     }
 
     /// The state that the next mutation is evaluated against.
     pub fn head(&self) -> &Arc<Published> {
         &self.head
+    }
+
+    /// For how long it was held in all: what mutations of one index cannot do side by side.
+    pub fn held(&self) -> Duration {
+        self.held
     }
 
     /// The operation of this id, if it took effect and is remembered.

@@ -1,6 +1,7 @@
 //! Measures a replica that follows a server, beside the same forest in this process, fed at the same rate.
 //!
-//!     cargo run --release -p wayfold-tests --bin follow -- [--points 50000] [--rate 10000] [--rounds 5] [--json FILE]
+//!     cargo run --release -p wayfold-tests --bin follow -- [--points 50000] [--rate 10000] [--rounds 5] [--over-zenoh]
+//!         [--json FILE]
 //!
 //! A server in a process of its own holds SE(3) points (`R3*SO3:0.15`); a writer here inserts more of them at a fixed
 //! rate. One thread asks for ten neighbours on end, in turns a replica and a forest that is fed without the network;
@@ -48,6 +49,9 @@ struct Arguments {
     /// How often each is measured; the medians are reported.
     #[arg(long, default_value_t = 5)]
     rounds: usize,
+    /// The replica hears of mutations over Zenoh, not over gRPC.
+    #[arg(long)]
+    over_zenoh: bool,
     /// Writes the figures to a file, as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -62,7 +66,11 @@ fn main() -> ExitCode {
 }
 
 async fn measure(arguments: &Arguments) -> Report {
-    let (server, echo) = (measuring::server("memory"), measuring::echo());
+    let (mut server, echo) = (measuring::server_over_zenoh("memory"), measuring::echo());
+    let session = match arguments.over_zenoh {
+        true => Some(measuring::connect(&server.zenoh()).await),
+        false => None,
+    };
     let client = Client::connect(server.uri()).await.expect("a server");
     let stubs = Stubs::connect(echo.uri()).await;
     let rounds = arguments.rounds.max(1);
@@ -73,6 +81,7 @@ async fn measure(arguments: &Arguments) -> Report {
         batch: arguments.batch.max(1),
         calls_per_second: (arguments.rate / arguments.batch.max(1)).max(1),
         seconds: arguments.seconds.max(1),
+        session,
     };
     let mut report = Report::new(&setting);
     for round in 0..rounds as u64 {

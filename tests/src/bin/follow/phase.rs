@@ -14,6 +14,7 @@ use tokio::{sync::mpsc, task::JoinSet};
 use wayfold_client::{Client, IndexHandle};
 use wayfold_index::{Forest, ForestOptions, Merged, Points, Search, Snapshot};
 use wayfold_tests::{States, Stubs, figures::thread_time};
+use zenoh::Session;
 
 use crate::{
     K, SPACE, WIDTH,
@@ -31,6 +32,8 @@ pub(crate) struct Setting {
     pub(crate) batch: usize,
     pub(crate) calls_per_second: usize,
     pub(crate) seconds: usize,
+    /// The way on which the replica hears of mutations, if it is Zenoh.
+    pub(crate) session: Option<Session>,
 }
 
 /// How fast one thread was answered.
@@ -70,7 +73,11 @@ pub(crate) async fn replica(
     round: u64,
 ) -> Followed {
     let (index, _) = index(client, setting, format!("replica-{round}")).await;
-    let replica = client.replica(index.name()).await.expect("a replica");
+    let mut request = client.replica(index.name());
+    if let Some(session) = &setting.session {
+        request = request.over_zenoh(session.clone(), "wayfold/v1");
+    }
+    let replica = request.await.expect("a replica");
     let search = {
         let replica = replica.clone();
         move |state: &[f64]| {

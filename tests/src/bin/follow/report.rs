@@ -15,6 +15,8 @@ type Rate = fn(&Asked) -> f64;
 
 /// All that was measured, a value a round.
 pub(crate) struct Report {
+    /// On which way the replica hears of mutations.
+    feed: &'static str,
     points: usize,
     batch: usize,
     rates: Vec<f64>,
@@ -52,6 +54,10 @@ impl Quantiles {
 impl Report {
     pub(crate) fn new(setting: &Setting) -> Report {
         Report {
+            feed: match setting.session {
+                Some(_) => "Zenoh",
+                None => "gRPC",
+            },
             points: setting.points,
             batch: setting.batch,
             rates: Vec::new(),
@@ -91,6 +97,7 @@ impl Report {
             json!({"replica": replica, "forest": forest, "ratio": ratio})
         };
         json!({
+            "feed": self.feed,
             "points": self.points,
             "batch": self.batch,
             "inserts_per_second": median(self.rates.clone()),
@@ -107,10 +114,11 @@ impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{SPACE}, {} points and {:.0} more a second in batches of {}, k = {K}; all on one machine",
+            "{SPACE}, {} points and {:.0} more a second in batches of {}, k = {K}; a replica fed over {}, all on one machine",
             self.points,
             median(self.rates.clone()),
             self.batch,
+            self.feed,
         )?;
         writeln!(
             f,

@@ -6,12 +6,13 @@
 //! and then asks for ten neighbours in four ways: one call in flight, 64 in flight, batches of 1,000 states, and one
 //! pipelined stream. The echo takes the same requests and answers messages of the same size without looking at them:
 //! what it reaches is what the protocol leaves. The same search is done in this process, too: no server can take less
-//! than the echo and that search together.
+//! than the echo and that search together. At last 64 writers insert without the network, and have neighbours told.
 
 mod asking;
 mod growth;
 mod inside;
 mod report;
+mod writers;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -62,7 +63,8 @@ async fn measure(arguments: &Arguments) -> Report {
     server_stubs.create(INDEX, SPACE).await;
 
     let rounds = arguments.rounds.max(1);
-    let steps = arguments.points + rounds * Way::ALL.len() * asking::STEPS;
+    let steps =
+        arguments.points + rounds * (Way::ALL.len() + writers::BATCHES.len()) * asking::STEPS;
     // Drawn to standard error, and only if that is a terminal.
     let style = ProgressStyle::with_template("{msg:24} {wide_bar} {percent:>3} %  {eta}");
     let progress = ProgressBar::new(steps as u64).with_style(style.expect("a template"));
@@ -77,6 +79,7 @@ async fn measure(arguments: &Arguments) -> Report {
     let mut report = Report {
         growth: (server_growth, echo_growth),
         asking: Vec::new(),
+        written: Vec::new(),
         points: described.points,
         memory_bytes: described.memory_bytes,
         resident_bytes: resident_before.zip(resident_after),
@@ -96,6 +99,15 @@ async fn measure(arguments: &Arguments) -> Report {
             progress.inc(asking::STEPS as u64);
         }
         report.add(way, &measured);
+    }
+    for batch in writers::BATCHES {
+        progress.set_message(format!("64 writers, batches of {batch}"));
+        let mut measured = Vec::new();
+        for round in 0..rounds as u64 {
+            measured.push(writers::write(batch, round).await);
+            progress.inc(asking::STEPS as u64);
+        }
+        report.add_written(batch, &measured);
     }
     progress.finish_and_clear();
     report

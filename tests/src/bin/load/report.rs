@@ -9,6 +9,7 @@ use crate::{
     K, SPACE,
     asking::{Asked, Way},
     growth::Growth,
+    writers::{self, WRITERS, Written},
 };
 
 /// What one round found.
@@ -50,6 +51,8 @@ fn middle(asked: impl Iterator<Item = Asked> + Clone) -> Asked {
 pub(crate) struct Report {
     pub(crate) growth: (Growth, Growth),
     pub(crate) asking: Vec<Figures>,
+    /// For each size of a batch, the medians.
+    pub(crate) written: Vec<(usize, Written)>,
     /// How many points the server held.
     pub(crate) points: u64,
     /// What it says that they take.
@@ -68,6 +71,17 @@ impl Report {
             search_us: median(rounds.iter().map(|round| round.search_us).collect()),
             share: median(rounds.iter().map(Round::share).collect()),
         });
+    }
+
+    /// Adds the medians of some measurements of one size of a batch.
+    pub(crate) fn add_written(&mut self, batch: usize, rounds: &[Written]) {
+        let of = |part: fn(&Written) -> f64| median(rounds.iter().map(part).collect());
+        let written = Written {
+            rate: of(|written| written.rate),
+            writer: of(|written| written.writer),
+            processors: of(|written| written.processors),
+        };
+        self.written.push((batch, written));
     }
 
     fn bytes_per_point(&self) -> f64 {
@@ -106,8 +120,17 @@ impl Report {
             });
             (figures.way.key().to_owned(), found)
         });
+        let written = self.written.iter().map(|(batch, written)| {
+            json!({
+                "batch": batch,
+                "states_per_second": written.rate,
+                "writer_held": written.writer,
+                "processors": written.processors,
+            })
+        });
         json!({
             "points": self.points,
+            "inserts_with_neighbors": written.collect::<Vec<_>>(),
             "growth": growth(&self.growth.0),
             "echo_growth": growth(&self.growth.1),
             "asking": Value::Object(asking.collect()),
@@ -174,6 +197,24 @@ impl fmt::Display for Report {
         writeln!(f, "{:<36}{bytes:>10.0}", "bytes a point, by GetIndex")?;
         if let Some(bytes) = self.resident_bytes_per_point() {
             writeln!(f, "{:<36}{bytes:>10.0}", "bytes a point, resident in all")?;
+        }
+        if !self.written.is_empty() {
+            let points = writers::POINTS;
+            writeln!(
+                f,
+                "\n{WRITERS} writers without the network, into {points} points, {K} neighbours told of each state"
+            )?;
+            writeln!(
+                f,
+                "{:<34}{:>12}{:>12}{:>12}",
+                "", "states/s", "writer held", "processors"
+            )?;
+        }
+        for (batch, written) in &self.written {
+            let what = format!("Insert, batches of {batch}");
+            let (rate, held) = (written.rate, 100.0 * written.writer);
+            let processors = written.processors;
+            writeln!(f, "{what:<34}{rate:>12.0}{held:>10.0} %{processors:>12.2}")?;
         }
         Ok(())
     }

@@ -12,15 +12,14 @@ mod bare;
 use std::{env, fmt, process::Command, process::ExitCode};
 
 use clap::Parser;
-use serde_json::json;
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Search, Space};
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{
     Process, ServerProcess, States, Stubs,
     figures::{median, quantile_ms, thread_time},
+    measuring::connect,
     row_states,
 };
-use zenoh::{Config, Session};
 
 use asking::{Asker, Form, Many, One};
 
@@ -73,17 +72,6 @@ fn start(role: &str) -> (ServerProcess, String) {
     let mut server = ServerProcess::ready(Process::spawn(&mut command));
     let locator = server.zenoh();
     (server, locator)
-}
-
-/// A session with whom is at the locator alone.
-async fn connect(locator: &str) -> Session {
-    let config = json!({
-        "mode": "client",
-        "connect": { "endpoints": [locator] },
-        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
-    });
-    let config = Config::from_json5(&config.to_string()).expect("a configuration");
-    zenoh::open(config).await.expect("a session")
 }
 
 async fn measure(arguments: &Arguments) {

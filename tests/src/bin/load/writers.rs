@@ -1,0 +1,104 @@
+//! Inserts that ask for the neighbours of what they insert, 64 at a time, without the network: what the one writer of an
+//! index leaves to be done side by side.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use tokio::task::JoinSet;
+use wayfold_proto::v1::{CreateIndexRequest, InsertRequest, NeighborQuery};
+use wayfold_server::{
+    log::MemoryLog,
+    registry::{Registry, RegistryOptions},
+    service::{Call, Limits, Service},
+};
+use wayfold_tests::{States, row_states};
+
+use crate::{INDEX, K, SPACE, WIDTH};
+
+/// How many insert at a time.
+pub(crate) const WRITERS: usize = 64;
+/// How many states one call inserts.
+pub(crate) const BATCHES: [usize; 2] = [1, 100];
+/// Points that are there before, and as many are inserted.
+pub(crate) const POINTS: usize = 50_000;
+
+/// What one measurement found.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Written {
+    /// States inserted a second.
+    pub(crate) rate: f64,
+    /// The part of the time in which the writer was held by one of them.
+    pub(crate) writer: f64,
+    /// Processors used, on the average.
+    pub(crate) processors: f64,
+}
+
+/// Inserts into an index in memory, `batch` states a call, and has the nearest of each told.
+pub(crate) async fn write(batch: usize, round: u64) -> Written {
+    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+    registry.replay().expect("an empty log");
+    let registry = Arc::new(registry);
+    let service = Service::starting(Limits::default());
+    service.set_registry(Arc::clone(&registry));
+    service.set_ready();
+    let request = CreateIndexRequest {
+        name: INDEX.into(),
+        space_text: SPACE.into(),
+        ..Default::default()
+    };
+    let created = service.create_index(&Call::default(), request).await;
+    created.expect("an index");
+    let mut states = States::new(SPACE.parse().expect("a space"), 50 + round);
+    for _ in 0..POINTS / 1_000 {
+        insert(&service, &states.rows(1_000), false).await;
+    }
+    let of_each: Vec<_> = (0..WRITERS)
+        .map(|_| states.rows(POINTS / WRITERS / batch * batch))
+        .collect();
+    let inserted: usize = of_each.iter().map(|rows| rows.len() / WIDTH).sum();
+
+    let held_before = held(&registry).await;
+    let (started, processor) = (Instant::now(), processor());
+    let mut writers = JoinSet::new();
+    for rows in of_each {
+        let service = service.clone();
+        writers.spawn(async move {
+            for rows in rows.chunks(batch * WIDTH) {
+                insert(&service, rows, true).await;
+            }
+        });
+    }
+    writers.join_all().await;
+    let seconds = started.elapsed().as_secs_f64();
+    Written {
+        rate: inserted as f64 / seconds,
+        writer: (held(&registry).await - held_before).as_secs_f64() / seconds,
+        processors: (self::processor() - processor) / seconds,
+    }
+}
+
+async fn insert(service: &Service, rows: &[f64], with_neighbors: bool) {
+    let request = InsertRequest {
+        index: INDEX.into(),
+        states: Some(row_states(rows, WIDTH)),
+        neighbors: with_neighbors.then(|| NeighborQuery {
+            k: Some(K),
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    let inserted = service.insert(&Call::default(), request).await;
+    assert_eq!(inserted.expect("an insert").ids.len(), rows.len() / WIDTH);
+}
+
+async fn held(registry: &Registry) -> Duration {
+    let hosted = registry.get(INDEX).expect("the index");
+    hosted.write().await.expect("its writer").held()
+}
+
+/// Processor time of this process.
+fn processor() -> f64 {
+    wayfold_tests::figures::processor_seconds(std::process::id()).unwrap_or(f64::NAN)
+}
