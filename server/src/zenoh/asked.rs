@@ -20,6 +20,9 @@ use crate::{
 /// The parameter that says how long the caller waits.
 const TIMEOUT: &str = "timeout_ms";
 
+/// More bytes than these are read and written without others on this thread. Well above what is answered on Zenoh's own.
+const BYTES_IN_PLACE: usize = 64 * 1024;
+
 /// A query, taken apart.
 pub(super) struct Asked<'a> {
     /// In which form it is asked, and so answered.
@@ -42,7 +45,12 @@ impl<'a> Asked<'a> {
         let mut parameters = Vec::new();
         for (name, value) in query.parameters().iter() {
             if name == TIMEOUT {
-                deadline = read_timeout(value, arrived)?;
+                let read = read_timeout(value, arrived)?;
+                if deadline.is_some_and(|before| before != read) {
+                    let text = "it is given twice, and not the same";
+                    return Err(invalid(TIMEOUT, "CONFLICT", text));
+                }
+                deadline = Some(read);
             } else if !name.starts_with('_') {
                 // What begins so is Zenoh's own.
                 parameters.push((name, value));
@@ -55,6 +63,7 @@ impl<'a> Asked<'a> {
             parameters,
             payload: payload.unwrap_or_default(),
         };
+        let deadline = deadline.flatten();
         Ok((asked, Call { deadline }))
     }
 
@@ -84,7 +93,24 @@ impl<'a> Asked<'a> {
 
     /// The request where the key names no index.
     pub(super) fn of_server<R: Named>(&self) -> Result<R, Error> {
-        self.form.read(R::NAME, &self.payload, &self.parameters)
+        let read = || self.form.read(R::NAME, &self.payload, &self.parameters);
+        let parameters = self.parameters.iter().map(|(_, value)| value.len());
+        at_length(self.payload.len() + parameters.sum::<usize>(), read)
+    }
+
+    /// An answer as it is sent.
+    pub(super) fn answer<M: Named>(&self, answer: &M) -> Result<Vec<u8>, Error> {
+        let write = || self.form.write(M::NAME, answer);
+        at_length(answer.encoded_len(), write)
+    }
+}
+
+/// Reads or writes so many bytes. Of many, which takes long in JSON above all, other calls do not wait for it.
+fn at_length<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
+    if bytes > BYTES_IN_PLACE {
+        tokio::task::block_in_place(work)
+    } else {
+        work()
     }
 }
 

@@ -67,5 +67,5 @@ fn apart<F: Future>(answering: F) -> Pin<Box<F>> {
 }
 
 fn told<M: Named>(asked: &Asked<'_>, answer: Result<M, Error>) -> Result<Vec<u8>, Error> {
-    asked.form.write(M::NAME, &answer?)
+    asked.answer(&answer?)
 }

@@ -71,12 +71,16 @@ impl Form {
             return M::decode(payload).map_err(malformed);
         }
         let descriptor = schema::message(type_name)?;
-        let mut message = match self {
-            Form::Protobuf => DynamicMessage::decode(descriptor, payload).map_err(malformed)?,
-            Form::Json if payload.is_empty() => DynamicMessage::new(descriptor),
+        let (mut message, named) = match self {
+            Form::Protobuf => {
+                let message = DynamicMessage::decode(descriptor, payload);
+                // What is as it would be anyway is not there to be seen.
+                (message.map_err(malformed)?, Vec::new())
+            }
+            Form::Json if payload.is_empty() => (DynamicMessage::new(descriptor), Vec::new()),
             Form::Json => read::message(descriptor, payload)?,
         };
-        parameters::apply(&mut message, parameters)?;
+        parameters::apply(&mut message, &named, parameters)?;
         message.transcode_to().map_err(|error| Error::Internal {
             what: format!("a {type_name} that was read does not encode: {error}"),
         })

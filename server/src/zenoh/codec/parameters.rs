@@ -13,11 +13,14 @@ const SHORT: [(&str, &str); 4] = [
     ("space", "space_text"),
 ];
 
-/// Sets the fields that parameters name. What the message says already, they may repeat, but not change.
+/// Sets the fields that parameters name. What the message says already, they may repeat, but not change: the fields that
+/// it has, and those of which it says by name that they are what they would be anyway.
 pub(super) fn apply(
     message: &mut DynamicMessage,
+    named: &[String],
     parameters: &[(&str, &str)],
 ) -> Result<(), Error> {
+    let mut set = Vec::new();
     for (name, text) in parameters {
         let full = SHORT.iter().find(|(short, _)| short == name);
         let full = full.map_or(*name, |(_, full)| full);
@@ -26,11 +29,15 @@ pub(super) fn apply(
             .filter(can_be_set)
             .ok_or_else(|| unknown(message, name))?;
         let value = read(&field, text)?;
-        if message.has_field(&field) && *message.get_field(&field) != value {
+        let is_said = message.has_field(&field)
+            || named.iter().any(|named| named == full)
+            || set.contains(&full);
+        if is_said && *message.get_field(&field) != value {
             let text = format!("the parameter {name}={text} and the rest of the query disagree");
             return Err(invalid(full, "CONFLICT", text));
         }
         message.set_field(&field, value);
+        set.push(full);
     }
     Ok(())
 }

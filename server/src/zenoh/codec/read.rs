@@ -13,19 +13,28 @@ use super::{
 };
 use crate::service::Error;
 
-/// Reads a message. An array stands for the states of a request that has states.
-pub(super) fn message(descriptor: MessageDescriptor, text: &[u8]) -> Result<DynamicMessage, Error> {
+/// Reads a message, and the names of its fields that are told. An array stands for the states of a request that has
+/// states.
+pub(super) fn message(
+    descriptor: MessageDescriptor,
+    text: &[u8],
+) -> Result<(DynamicMessage, Vec<String>), Error> {
     let json: Json = serde_json::from_slice(text).map_err(malformed)?;
     let mut message = DynamicMessage::new(descriptor.clone());
+    let mut named = Vec::new();
     match (json, descriptor.get_field_by_name("states")) {
-        (Json::Object(fields), _) => fill(&mut message, &fields, None)?,
+        (Json::Object(fields), _) => {
+            fill(&mut message, &fields, None)?;
+            let told = fields.into_iter().filter(|(_, json)| !json.is_null());
+            named.extend(told.map(|(name, _)| name));
+        }
         (json @ Json::Array(_), Some(field)) => {
             let states = value(&field.kind(), &json, &Path::of("states"))?;
             message.set_field(&field, states);
         }
         (json, _) => return Err(wrong(&Path::of("request"), "an object", &json)),
     }
-    Ok(message)
+    Ok((message, named))
 }
 
 type Fields = serde_json::Map<String, Json>;

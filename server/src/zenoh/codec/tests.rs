@@ -216,13 +216,20 @@ fn parameters_say_what_the_message_does_not() {
     for (parameters, field, reason) in [
         (&[("k", "5")][..], "k", "CONFLICT"),
         (&[("r", "1"), ("radius", "2")], "radius", "CONFLICT"),
+        (
+            &[("max_leaves", "0"), ("max_leaves", "2")],
+            "max_leaves",
+            "CONFLICT",
+        ),
+        (&[("eps", "0.5")], "epsilon", "CONFLICT"),
+        (&[("timeout_ms", "5")], "timeout_ms", "UNKNOWN_PARAMETER"),
         (&[("r", "far")], "radius", "TYPE"),
         (&[("k", "-1")], "k", "TYPE"),
         (&[("kk", "1")], "kk", "UNKNOWN_PARAMETER"),
         (&[("index", "arm")], "index", "UNKNOWN_PARAMETER"),
         (&[("filter", "1")], "filter", "UNKNOWN_PARAMETER"),
     ] {
-        let found = refused("KnnRequest", r#"{"k": 10}"#, parameters);
+        let found = refused("KnnRequest", r#"{"k": 10, "epsilon": 0}"#, parameters);
         assert_eq!((&*found.0, found.1), (field, reason), "{parameters:?}");
     }
 }
