@@ -77,7 +77,7 @@ impl Hosted {
             writer: Arc::new(Mutex::new(writer)),
             ran: parking_lot::Mutex::default(),
             unsynced: parking_lot::Mutex::default(),
-            recent: parking_lot::Mutex::default(),
+            recent: parking_lot::Mutex::new(Recent::new(host.options.window_bytes)),
         })
     }
 

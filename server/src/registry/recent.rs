@@ -8,20 +8,29 @@ use crate::log::Record;
 const BYTES: usize = 4 * 1024 * 1024;
 
 /// See the module.
-#[derive(Default)]
 pub(super) struct Recent {
     /// Without a gap up to the newest.
     records: VecDeque<Arc<Record>>,
     bytes: usize,
+    most_bytes: usize,
 }
 
 impl Recent {
+    /// Of an index of which the log keeps so many bytes of records.
+    pub(super) fn new(window_bytes: usize) -> Self {
+        Self {
+            records: VecDeque::new(),
+            bytes: 0,
+            most_bytes: window_bytes.min(BYTES),
+        }
+    }
+
     /// Adds the next record.
     pub(super) fn push(&mut self, record: Arc<Record>) {
         self.bytes += record.effects().bytes();
         self.records.push_back(record);
         while self.records.len() > 1
-            && self.bytes > BYTES
+            && self.bytes > self.most_bytes
             && let Some(oldest) = self.records.pop_front()
         {
             self.bytes -= oldest.effects().bytes();
@@ -58,7 +67,7 @@ mod tests {
 
     #[test]
     fn pages_follow_one_another_and_what_is_not_at_hand_is_told() {
-        let mut recent = Recent::default();
+        let mut recent = Recent::new(usize::MAX);
         assert_eq!(revisions(&recent, 0, 9, 1000), None);
         for revision in 5..=9 {
             let record = Record::new(revision, [0; 32], 0, Effects::new(1));
@@ -74,7 +83,7 @@ mod tests {
 
     #[test]
     fn the_oldest_go_and_the_newest_stays_however_large_it_is() {
-        let mut recent = Recent::default();
+        let mut recent = Recent::new(usize::MAX);
         for revision in 1..=3 {
             let mut effects = Effects::new(1);
             (0..BYTES as u64 / 16 * revision).for_each(|id| effects.remove(id));
@@ -82,5 +91,16 @@ mod tests {
         }
         assert_eq!(revisions(&recent, 1, 3, usize::MAX), None);
         assert_eq!(revisions(&recent, 2, 3, 0), Some(vec![3]));
+    }
+
+    #[test]
+    fn no_more_is_kept_than_the_log_keeps() {
+        let mut recent = Recent::new(0);
+        for revision in 1..=3 {
+            let record = Record::new(revision, [0; 32], 0, Effects::new(1));
+            recent.push(Arc::new(record));
+        }
+        assert_eq!(revisions(&recent, 1, 3, usize::MAX), None);
+        assert_eq!(revisions(&recent, 2, 3, usize::MAX), Some(vec![3]));
     }
 }

@@ -13,7 +13,7 @@ use std::sync::{
 };
 
 use serde_json::json;
-use wayfold_client::{Client, Replica};
+use wayfold_client::{Client, Replica, ResetReason, WatchEvent};
 use wayfold_index::{Linear, PointRef, Space};
 use wayfold_tests::{Process, ServerProcess, Signal, States};
 
@@ -128,7 +128,13 @@ async fn what_the_log_has_no_more_is_read_anew() {
             }
         }
         let newest = index.info().await.unwrap().revision;
-        assert!(replica.revision() < newest, "in round {round}");
+        let stopped_at = replica.revision();
+        assert!(stopped_at < newest, "in round {round}");
+        let mut watch = index.watch().after(stopped_at).await.unwrap();
+        let Ok(Some(WatchEvent::Reset(reset))) = watch.next().await else {
+            panic!("the window is wider than thought")
+        };
+        assert_eq!(reset.reason, ResetReason::WindowPassed);
         router_process = router(&at).0;
         replica.at_least(newest).await.unwrap();
         compare(&replica, &points);
