@@ -18,6 +18,7 @@ use crate::{
     config::{Config, DEFAULTS},
     observe,
     run::{self, Addresses, ServerError},
+    zenoh,
 };
 use flags::Flags;
 
@@ -54,11 +55,16 @@ fn fail(error: &dyn Error, status: u8) -> ExitCode {
     ExitCode::from(status)
 }
 
+/// How many threads there may be for the store, merges and all else that blocks: tokio's own number.
+const BLOCKING: usize = 512;
+
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     let mut threads = runtime::Builder::new_multi_thread();
     if config.runtime.workers > 0 {
         threads.worker_threads(config.runtime.workers);
     }
+    let waiting = zenoh::most_senders(&config.zenoh);
+    threads.max_blocking_threads(BLOCKING.saturating_add(waiting));
     let runtime = threads.enable_all().build()?;
     let ended = runtime.block_on(listen_and_serve(config));
     // What still runs belongs to calls that were cut.

@@ -18,7 +18,8 @@ pub(super) struct Answered {
     pub(super) query: Query,
     pub(super) form: Form,
     pub(super) told: Result<Replies, Status>,
-    pub(super) place: OwnedSemaphorePermit,
+    /// None if there was no room for it.
+    pub(super) place: Option<OwnedSemaphorePermit>,
     pub(super) under_way: TaskTrackerToken,
 }
 
@@ -63,7 +64,7 @@ fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
 }
 
 /// Sends a refusal. Blocks as [`reply`] does.
-pub(super) fn refuse(query: &Query, form: Form, status: &Status) {
+fn refuse(query: &Query, form: Form, status: &Status) {
     let message = status::to_message(status);
     let payload = form.write(v1::Status::NAME, &message);
     let payload = payload.unwrap_or_else(|error| error.to_string().into_bytes());

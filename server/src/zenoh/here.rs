@@ -89,6 +89,11 @@ impl Here {
             }
         }
         drop(in_runtime);
+        self.send(all);
+    }
+
+    /// Sends answers from this thread, one of Zenoh's, unless another of them is at it.
+    pub(super) fn send(&self, all: Vec<Answered>) {
         match self.sending.try_lock() {
             Some(_only_one) => send(all),
             None => self.send_elsewhere(all),

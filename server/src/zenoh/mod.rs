@@ -12,6 +12,7 @@ mod codec;
 mod feed;
 mod here;
 mod message;
+mod others;
 mod perform;
 mod queries;
 mod session;
@@ -33,11 +34,20 @@ pub use session::ZenohError;
 use crate::{capacity::Capacity, config::ZenohConfig, service::Service};
 use feed::Announcer;
 use here::Here;
+use others::Alone;
 use queries::Queries;
 
 /// How long links stay open after the last answer. Zenoh closes a link there and then; a peer that has not read its answer
 /// yet loses it when what it sends meanwhile finds nobody.
 const LINGER: Duration = Duration::from_secs(1);
+
+/// How many refusals may wait for links to take them, a thread each, before whoever asks on is not read from.
+const REFUSALS: usize = 256;
+
+/// How many threads may wait for links at once, so that whoever takes no answers leaves the others to whom they are due.
+pub(crate) fn most_senders(config: &ZenohConfig) -> usize {
+    config.max_calls.saturating_add(REFUSALS)
+}
 
 /// The face, open.
 pub(crate) struct ZenohFace {
@@ -45,6 +55,8 @@ pub(crate) struct ZenohFace {
     queryable: Queryable<()>,
     queries: Arc<Queries>,
     announcing: Option<AbortOnDropHandle<()>>,
+    _alone: Alone,
+    _links: Option<AbortOnDropHandle<()>>,
 }
 
 impl ZenohFace {
@@ -58,11 +70,12 @@ impl ZenohFace {
             return Ok(None);
         }
         check_prefix(&config.prefix)?;
-        let session = session::open(config).await?;
+        let (session, connects_to) = session::open(config).await?;
         let queries = Arc::new(Queries {
             service,
             prefix: config.prefix.clone(),
             capacity: Capacity::new(config.max_calls),
+            refused: Capacity::new(REFUSALS),
             max_message_bytes: config.max_message_bytes,
             stopping: CancellationToken::new(),
             here: Arc::new(Here::new(Handle::current())),
@@ -74,11 +87,18 @@ impl ZenohFace {
             .callback(move |query| taking.take(query))
             .await
             .map_err(ZenohError::declare)?;
+        let alone = Alone::watch(&session, &config.prefix).await?;
+        let links = connects_to.map(|endpoints| {
+            let telling = others::tell_links(session.clone(), endpoints);
+            AbortOnDropHandle::new(tokio::spawn(telling))
+        });
         let face = Self {
             session,
             queryable,
             queries,
             announcing: None,
+            _alone: alone,
+            _links: links,
         };
         face.warn_beyond_this_machine().await;
         Ok(Some(face))

@@ -13,7 +13,7 @@ use tracing::Instrument;
 use zenoh::{bytes::ZBytes, key_expr::keyexpr, query::Query};
 
 use super::{
-    answer::{Answered, Replies, refuse},
+    answer::{Answered, Replies},
     asked::Asked,
     codec::Form,
     here::{self, Here},
@@ -36,6 +36,8 @@ pub(super) struct Queries {
     pub(super) service: Service,
     pub(super) prefix: String,
     pub(super) capacity: Capacity,
+    /// Room for refusals on their way.
+    pub(super) refused: Capacity,
     pub(super) max_message_bytes: usize,
     /// Set once the server stops: from then on every query is refused, and takes no place.
     pub(super) stopping: CancellationToken,
@@ -54,20 +56,19 @@ struct Accepted {
 }
 
 impl Queries {
-    /// Takes a query, or refuses it. Called on Zenoh's threads: a caller that asks more than it may is slowed down by the
-    /// refusals that it has to take.
+    /// Takes a query, or refuses it. Called on Zenoh's threads.
     pub(super) fn take(self: &Arc<Self>, mut query: Query) {
         let arrived = Instant::now();
         let form = Form::of(query.encoding());
-        let refuse_in_form = |status| refuse(&query, *form.as_ref().unwrap_or(&Form::Json), status);
         // Before it is looked whether the server stops: whoever stops it waits for what is under way.
         let under_way = self.under_way.token();
         if self.stopping.is_cancelled() {
             let why = Unavailability::Stopping;
-            return refuse_in_form(&status::from_error(&Error::Unavailable { why }));
+            let status = status::from_error(&Error::Unavailable { why });
+            return self.refuse(query, form, under_way, status);
         }
         let Some(place) = self.capacity.take() else {
-            return refuse_in_form(&self.busy());
+            return self.refuse(query, form, under_way, self.busy());
         };
         let may_be_brief = self.may_be_brief(&query);
         if may_be_brief && let Some(payload) = query.payload_mut() {
@@ -85,6 +86,37 @@ impl Queries {
             self.here.answer(answering.boxed());
         } else {
             self.here.answer_elsewhere(answering.boxed());
+        }
+    }
+
+    /// Refuses a query that has no place.
+    fn refuse(
+        &self,
+        mut query: Query,
+        form: Result<Form, Error>,
+        under_way: TaskTrackerToken,
+        status: Status,
+    ) {
+        // Whoever takes no refusals must not fill the memory with what they asked.
+        if let Some(payload) = query.payload_mut() {
+            *payload = ZBytes::new();
+        }
+        let refused = Answered {
+            query,
+            form: form.unwrap_or(Form::Json),
+            told: Err(status),
+            place: None,
+            under_way,
+        };
+        let room = self.refused.take();
+        if room.is_some() {
+            self.here.send(vec![Answered {
+                place: room,
+                ..refused
+            }]);
+        } else {
+            // It is slowed down.
+            refused.send();
         }
     }
 
@@ -123,7 +155,7 @@ impl Queries {
             query,
             form: answer_in,
             told,
-            place,
+            place: Some(place),
             under_way,
         }
     }

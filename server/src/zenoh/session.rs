@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use thiserror::Error;
-use zenoh::{Config, Session};
+use zenoh::{Config, Session, config::EndPoint};
 
 use crate::config::ZenohConfig;
 
@@ -32,11 +32,32 @@ pub enum ZenohError {
         /// Why not.
         problem: String,
     },
+    /// `zenoh.listen` is no address.
+    #[error(
+        "zenoh.listen: {listen:?} is no address to listen on: {problem}; examples: tcp/127.0.0.1:7448, \
+         tls/0.0.0.0:7448, off"
+    )]
+    Listen {
+        /// What it is.
+        listen: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// Something else listens there.
+    #[error(
+        "cannot open the Zenoh session on {listen}: the address is in use\n  \
+         another program listens there, perhaps another wayfold-server: stop it, or choose another port; \
+         --zenoh tcp/127.0.0.1:0 takes any free one, --zenoh off does without"
+    )]
+    InUse {
+        /// Where it was to listen.
+        listen: String,
+    },
     /// The session could not be opened.
     #[error(
         "cannot open the Zenoh session on {listen}: {problem}\n  \
-         perhaps another program listens there, such as another wayfold-server: stop it, or choose another port; \
-         --zenoh tcp/127.0.0.1:0 takes any free one, --zenoh off does without"
+         where it listens is set by zenoh.listen (--zenoh), whom it connects to and all else by zenoh.config; \
+         --zenoh off does without"
     )]
     Open {
         /// Where it was to listen.
@@ -60,13 +81,52 @@ impl ZenohError {
     }
 }
 
-/// Opens the session.
-pub(super) async fn open(config: &ZenohConfig) -> Result<Session, ZenohError> {
-    let opened = zenoh::open(settings(config)?).await;
-    opened.map_err(|error| ZenohError::Open {
-        listen: config.listen.clone(),
-        problem: error.to_string(),
-    })
+/// Opens the session; with it the endpoints that it connects to, if there are any.
+pub(super) async fn open(config: &ZenohConfig) -> Result<(Session, Option<String>), ZenohError> {
+    check_listen(&config.listen)?;
+    let settings = settings(config)?;
+    let connects_to = settings.get_json("connect/endpoints").ok();
+    let connects_to = connects_to.filter(|endpoints| !matches!(&**endpoints, "[]" | "null" | "{}"));
+    let session = zenoh::open(settings).await.map_err(|error| {
+        let listen = config.listen.clone();
+        let problem = without_places(&error.to_string());
+        match problem.contains("in use") {
+            true => ZenohError::InUse { listen },
+            false => ZenohError::Open { listen, problem },
+        }
+    })?;
+    Ok((session, connects_to))
+}
+
+fn check_listen(listen: &str) -> Result<(), ZenohError> {
+    let wrong = |problem: String| ZenohError::Listen {
+        listen: listen.to_owned(),
+        problem,
+    };
+    let endpoint: EndPoint = listen
+        .parse()
+        .map_err(|_| wrong("it is not PROTOCOL/HOST:PORT".into()))?;
+    match endpoint.protocol().as_str() {
+        "tcp" | "tls" => Ok(()),
+        other => Err(wrong(format!(
+            "{other} is not spoken here, but tcp and tls are"
+        ))),
+    }
+}
+
+/// Zenoh's errors tell where in its source they arose: " at /…/orchestrator.rs:447.".
+fn without_places(problem: &str) -> String {
+    let mut told = String::new();
+    let mut rest = problem;
+    while let Some(at) = rest.find(" at /") {
+        let place = &rest[at..];
+        let Some(line) = place.find(".rs:") else {
+            break;
+        };
+        told.push_str(&rest[..at]);
+        rest = place[line + 4..].trim_start_matches(|c: char| c.is_ascii_digit() || c == '.');
+    }
+    told + rest
 }
 
 /// The settings of this face, and over them `zenoh.config`, whatever Zenoh has to set.
@@ -144,6 +204,31 @@ mod tests {
         );
         assert_eq!(at(&config, "scouting/gossip/enabled"), json!(true));
         assert_eq!(at(&config, "scouting/multicast/enabled"), json!(false));
+    }
+
+    #[test]
+    fn what_is_no_address_is_refused_with_one_that_is() {
+        for listen in [
+            "garbage",
+            "OFF",
+            "tcp/",
+            "127.0.0.1:7448",
+            "udp/127.0.0.1:1",
+        ] {
+            let error = check_listen(listen).unwrap_err().to_string();
+            assert!(error.contains("tcp/127.0.0.1:7448"), "{listen}: {error}");
+        }
+        for listen in ["tcp/127.0.0.1:7448", "tls/robot.local:1#iface=eth0"] {
+            check_listen(listen).unwrap();
+        }
+    }
+
+    #[test]
+    fn errors_do_not_tell_where_in_a_source_they_arose() {
+        let problem = "Unable to open: tcp/1:2 at /a/b.rs:12. - Caused by - no at /c d.rs:3.";
+        let told = without_places(problem);
+        assert_eq!(told, "Unable to open: tcp/1:2 - Caused by - no");
+        assert_eq!(without_places("no at /x"), "no at /x");
     }
 
     #[test]

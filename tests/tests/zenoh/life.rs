@@ -205,3 +205,27 @@ async fn two_robots_with_prefixes_of_their_own_share_a_router() {
         .await;
     assert_eq!(both.len(), 2, "{both:?}");
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn servers_that_share_a_prefix_warn_of_each_other() {
+    let mut router = Process::start(env!("CARGO_BIN_EXE_router-process"), &["tcp/127.0.0.1:0"]);
+    let at = router.line().unwrap();
+    let behind = json!({ "mode": "client", "connect": { "endpoints": [at] } }).to_string();
+    let start = |prefix| {
+        let settings = [
+            ("WAYFOLD_ZENOH__CONFIG", &*behind),
+            ("WAYFOLD_ZENOH__PREFIX", prefix),
+        ];
+        server_with(&[], &settings).0
+    };
+    let (other, mut first, mut second) = (start("other"), start("robot"), start("robot"));
+    for server in [&mut first, &mut second] {
+        server.log_until("another server answers under this prefix");
+    }
+    let stopped = other.stop(Signal::Terminate);
+    assert!(
+        !stopped.stderr.contains("another server"),
+        "{}",
+        stopped.stderr
+    );
+}

@@ -10,12 +10,13 @@ use tokio::{
 use wayfold_tests::ServerProcess;
 use zenoh::{Session, Wait};
 
-use crate::robot::{PATIENCE, Robot, server_with, session};
+use crate::robot::{PATIENCE, Robot, reason, server_with, session};
 
 /// More than Zenoh has threads that read links.
 const PEERS: usize = 3;
-/// Their answers are more than a link with small buffers takes.
+/// Their answers are more than a link with small buffers takes; and so are refusals, which are shorter.
 const QUERIES: usize = 200;
+const REFUSED: usize = 4_000;
 const SMALL_BUFFER: u32 = 4096;
 
 /// A peer, and what is between it and the server.
@@ -68,7 +69,7 @@ impl Mute {
     }
 
     /// Takes no answer from now on, asks, and inserts a point at last. The relay is given back.
-    fn ask(self) -> JoinHandle<()> {
+    fn ask(self, queries: usize) -> JoinHandle<()> {
         self.stop_listening.send(()).unwrap();
         // It blocks while the link is full.
         task::spawn_blocking(move || {
@@ -77,7 +78,7 @@ impl Mute {
                 // A session that was cut off has nobody to ask.
                 let _ = query.payload(payload).timeout(PATIENCE).wait();
             };
-            for _ in 0..QUERIES {
+            for _ in 0..queries {
                 send("arm/knn?k=100", "[0.05]");
             }
             send("done/insert", "[[1]]");
@@ -89,7 +90,7 @@ impl Mute {
 }
 
 /// Has peers ask that take no answers; another, and the relays of the former.
-async fn beside_mutes(locator: &str) -> (Robot, Vec<JoinHandle<()>>) {
+async fn beside_mutes(locator: &str, queries: usize) -> (Robot, Vec<JoinHandle<()>>) {
     let robot = Robot::connect(locator).await;
     for name in ["arm", "done"] {
         let create = json!({ "name": name, "space_text": "R1" });
@@ -101,11 +102,15 @@ async fn beside_mutes(locator: &str) -> (Robot, Vec<JoinHandle<()>>) {
     for _ in 0..PEERS {
         mutes.push(Mute::connect(locator).await);
     }
-    (robot, mutes.into_iter().map(Mute::ask).collect())
+    (
+        robot,
+        mutes.into_iter().map(|mute| mute.ask(queries)).collect(),
+    )
 }
 
-/// A server with small buffers, that waits so long for a peer to take an answer. No peer gives it up before.
-fn server(wait_us: u64) -> (ServerProcess, String) {
+/// A server with small buffers, that waits so long for a peer to take an answer, and works on so many calls at a time. No
+/// peer gives it up before.
+fn server(wait_us: u64, max_calls: &str) -> (ServerProcess, String) {
     let tx = json!({
         // In an hour, 36,000 signs of life: how long Zenoh tries to send what is left is one of them.
         "lease": 3_600_000,
@@ -114,14 +119,18 @@ fn server(wait_us: u64) -> (ServerProcess, String) {
     });
     let link = json!({ "tcp": { "so_sndbuf": SMALL_BUFFER }, "tx": tx });
     let config = json!({ "transport": { "link": link } }).to_string();
-    server_with(&[], &[("WAYFOLD_ZENOH__CONFIG", &config)])
+    let settings = [
+        ("WAYFOLD_ZENOH__CONFIG", &*config),
+        ("WAYFOLD_ZENOH__MAX_CALLS", max_calls),
+    ];
+    server_with(&[], &settings)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn those_who_take_no_answers_hold_up_nobody() {
     // As long as this test lasts.
-    let (_server, locator) = server(3_600_000_000);
-    let (robot, _relays) = beside_mutes(&locator).await;
+    let (_server, locator) = server(3_600_000_000, "1024");
+    let (robot, _relays) = beside_mutes(&locator, QUERIES).await;
     // The queries of a peer are taken in their order, those of one that a thread waits for not to the last.
     let mut done = 0;
     while done < PEERS - 1 {
@@ -136,10 +145,29 @@ async fn those_who_take_no_answers_hold_up_nobody() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn those_who_take_no_answers_are_cut_off() {
-    let (_server, locator) = server(100_000);
-    let (robot, relays) = beside_mutes(&locator).await;
+    let (_server, locator) = server(100_000, "1024");
+    let (robot, relays) = beside_mutes(&locator, QUERIES).await;
     for relay in relays {
         relay.await.unwrap();
     }
     robot.json("arm/info", Value::Null).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn those_who_take_no_refusals_are_cut_off() {
+    // Most of what is asked has no place.
+    let (_server, locator) = server(100_000, "4");
+    let (robot, relays) = beside_mutes(&locator, REFUSED).await;
+    for relay in relays {
+        while !relay.is_finished() {
+            match robot.json("arm/knn?k=1", json!([0.0])).await {
+                Ok(near) => assert_eq!(near["ids"], json!([[0]])),
+                Err(refusal) => assert_eq!(reason(&refusal).1, "TOO_MANY_CALLS"),
+            }
+        }
+        relay.await.unwrap();
+    }
+    while let Err(refusal) = robot.json("arm/info", Value::Null).await {
+        assert_eq!(reason(&refusal).1, "TOO_MANY_CALLS");
+    }
 }

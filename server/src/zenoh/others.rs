@@ -1,0 +1,79 @@
+//! Whom the face meets over Zenoh: the routers and peers that it is to connect to, and other servers under its prefix.
+
+use std::time::Duration;
+
+use tokio::time::{Instant, interval_at};
+use tracing::{info, warn};
+use zenoh::{Session, liveliness::LivelinessToken, pubsub::Subscriber, sample::SampleKind};
+
+use super::ZenohError;
+
+/// How often it is looked whether a link is there, until one is.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// A server makes itself known to others that answer under the same prefix, and hears of them. Two that share routers and a
+/// prefix both take what is asked: mutations are applied twice, and answers come from either. Each says so in its log.
+pub(super) struct Alone {
+    _token: LivelinessToken,
+    _others: Subscriber<()>,
+}
+
+impl Alone {
+    /// Warns of every other server, until it is dropped.
+    pub(super) async fn watch(session: &Session, prefix: &str) -> Result<Self, ZenohError> {
+        let own = session.zid().to_string();
+        let token = session
+            .liveliness()
+            .declare_token(format!("{prefix}/@server/{own}"))
+            .await
+            .map_err(ZenohError::declare)?;
+        let under = prefix.to_owned();
+        let others = session
+            .liveliness()
+            .declare_subscriber(format!("{prefix}/@server/*"))
+            .history(true)
+            .callback(move |sample| {
+                let key = sample.key_expr().as_str();
+                let other = key.rsplit('/').next().unwrap_or_default();
+                if sample.kind() == SampleKind::Put && other != own {
+                    warn!(
+                        prefix = under,
+                        other,
+                        "another server answers under this prefix: both take what is asked, and each insert is made \
+                         twice; set a zenoh.prefix for each server that shares routers with another"
+                    );
+                }
+            })
+            .await
+            .map_err(ZenohError::declare)?;
+        Ok(Self {
+            _token: token,
+            _others: others,
+        })
+    }
+}
+
+/// Tells if none of the `endpoints` is reached at once, and when one is. Zenoh itself tries on without a word.
+pub(super) async fn tell_links(session: Session, endpoints: String) {
+    let mut looks = interval_at(Instant::now() + LOOK, LOOK);
+    let mut told = false;
+    loop {
+        looks.tick().await;
+        if session.info().transports().await.next().is_some() {
+            break;
+        }
+        if session.is_closed() {
+            return;
+        }
+        if !told {
+            warn!(
+                endpoints,
+                "no Zenoh router or peer is reached yet, which is tried on: see connect in zenoh.config"
+            );
+            told = true;
+        }
+    }
+    if told {
+        info!(endpoints, "a Zenoh router or peer is reached");
+    }
+}
