@@ -8,8 +8,9 @@
 //! - [`KdTree`], static, built once;
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
-//! Reading order: `space` (the metric), `points`, `neighbor` and `search` (what is stored, found and asked), `kernel`
-//! (bounds of many boxes or points at once), `kdtree`, `forest`. Nothing here does I/O, waits, or starts a thread.
+//! Reading order: `space` (the metric), `points`, `neighbor`, `search` and `scaling` (what is stored, found and asked),
+//! `kernel` (bounds of many boxes or points at once), `kdtree`, `forest`. Nothing here does I/O, waits, or starts a
+//! thread.
 //!
 //! ```
 //! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
@@ -32,6 +33,7 @@ mod kernel;
 mod linear;
 mod neighbor;
 mod points;
+mod scaling;
 mod search;
 mod space;
 
@@ -41,5 +43,6 @@ pub use kernel::Kernels;
 pub use linear::Linear;
 pub use neighbor::Neighbor;
 pub use points::{PointRef, Points};
+pub use scaling::Scaling;
 pub use search::{Answer, Filter, Search};
 pub use space::{Factor, Group, Space, SpaceError, StateError, StateProblem, Term};
