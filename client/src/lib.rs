@@ -49,6 +49,9 @@
 //! **Retries.** A call that finds no server, or one that is starting, is tried again within its timeout
 //! ([`RetryPolicy`]). Mutations carry an operation id, so that they take effect once.
 //!
+//! **PRM\* and RRT\*.** Numbers and radii of neighbours that depend on the size of the index ([`Scaling`]) are evaluated by
+//! the server: [`Knn::k_scaled`], [`Knn::radius_scaled`], [`Query::radius_scaled`], [`NeighborQuery::scaling`].
+//!
 //! **Read-your-writes.** A handle's reads see at least the last revision that the handle was told of.
 
 mod client;
@@ -94,7 +97,7 @@ pub use state::{FromState, State};
 pub use states::States;
 
 pub use tonic::Code;
-pub use wayfold_index::{Factor, Filter, Group, Space, SpaceError, Term};
+pub use wayfold_index::{Factor, Filter, Group, Scaling, Space, SpaceError, Term};
 #[cfg(feature = "replica")]
 pub use wayfold_index::{Neighbor, PointRef, Search};
 pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};

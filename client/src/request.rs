@@ -6,6 +6,7 @@ mod knn;
 mod query;
 mod remove;
 mod restore;
+mod scaling;
 mod scan;
 mod snapshot;
 mod stream_knn;

@@ -25,7 +25,7 @@ pub use write::Write;
 use std::{sync::Arc, time::Duration};
 
 use tokio::task::AbortHandle;
-use wayfold_index::Search;
+use wayfold_index::{Scaling, Search};
 
 use crate::{Error, IndexHandle, State};
 use shared::Shared;
@@ -148,6 +148,33 @@ impl Replica {
     pub fn search<S: State>(&self, state: S, search: &Search<'_>) -> Result<Found, Error> {
         self.shared().check()?;
         self.shared().published().search(state, search)
+    }
+
+    /// Answers a search whose number and radius are scaled by how many points the replica has: what the server answers to
+    /// the same scaling at the same revision. What `scaling` has no factor for is as in `search`.
+    ///
+    /// ```no_run
+    /// # fn example(replica: &wayfold_client::Replica) -> Result<(), wayfold_client::Error> {
+    /// use wayfold_client::{Scaling, Search};
+    ///
+    /// let prm_star = Scaling { k_factor: Some(Scaling::K_FACTOR), ..Scaling::default() };
+    /// let found = replica.search_scaled([0.1, 0.2], prm_star, &Search::nearest_r(0.5))?;
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Replica::search`], and `INVALID_ARGUMENT` naming the factor.
+    pub fn search_scaled<S: State>(
+        &self,
+        state: S,
+        scaling: Scaling,
+        search: &Search<'_>,
+    ) -> Result<Found, Error> {
+        self.shared().check()?;
+        self.shared()
+            .published()
+            .search_scaled(state, scaling, search)
     }
 
     /// Waits until reads see `revision`, of the uid that the replica stands at, or a later one, within the client's

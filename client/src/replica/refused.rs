@@ -1,6 +1,6 @@
 //! Refusing what the server refuses, in its words.
 
-use wayfold_index::{Search, Space, StateProblem};
+use wayfold_index::{Scaling, Search, Space, StateProblem};
 
 use crate::{Code, Error, FieldViolation, Refusal, States};
 
@@ -31,6 +31,14 @@ impl Violations {
         }
     }
 
+    /// A number that is finite and at least 0.
+    fn finite(&mut self, field: &str, number: f64) {
+        self.distance(field, number);
+        if number == f64::INFINITY {
+            self.add(field, "INFINITE", "infinite; it is a finite number");
+        }
+    }
+
     fn finish(self) -> Result<(), Error> {
         if self.fields.is_empty() {
             return Ok(());
@@ -55,10 +63,7 @@ pub(super) fn check(search: &Search<'_>) -> Violations {
         violations.add("k", "ZERO", "k is at least 1");
     }
     violations.distance("radius", search.radius);
-    violations.distance("epsilon", search.epsilon);
-    if search.epsilon == f64::INFINITY {
-        violations.add("epsilon", "INFINITE", "infinite; it is a finite number");
-    }
+    violations.finite("epsilon", search.epsilon);
     let (mask, value) = (search.filter.tag_mask, search.filter.tag_value);
     if value & !mask != 0 {
         let problem =
@@ -66,6 +71,27 @@ pub(super) fn check(search: &Search<'_>) -> Violations {
         violations.add("filter.tag_value", "OUTSIDE_MASK", problem);
     }
     violations
+}
+
+/// What is wrong with factors.
+pub(super) fn check_scaling(scaling: Scaling) -> Result<(), Error> {
+    let mut violations = Violations::default();
+    for (field, factor) in [
+        ("scaling.k_factor", scaling.k_factor),
+        ("scaling.radius_factor", scaling.radius_factor),
+    ] {
+        if let Some(factor) = factor {
+            violations.finite(field, factor);
+        }
+    }
+    if let Some(most) = scaling.radius_max {
+        violations.distance("scaling.radius_max", most);
+        if scaling.radius_factor.is_none() {
+            let problem = "radius_max needs it; a radius that is fixed is radius";
+            violations.add("scaling.radius_factor", "REQUIRED", problem);
+        }
+    }
+    violations.finish()
 }
 
 /// The one state of `states` in canonical form, if nothing is wrong with it nor was before.

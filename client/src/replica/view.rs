@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use wayfold_index::{Neighbor, PointRef, Search, Snapshot};
+use wayfold_index::{Neighbor, PointRef, Scaling, Search, Snapshot};
 
-use super::refused::{canonical, check};
+use super::refused::{canonical, check, check_scaling};
 use crate::{Error, IndexHandle, State, States};
 
 /// One revision of an index, frozen. Clones are cheap.
@@ -85,6 +85,22 @@ impl ReplicaView {
     /// As [`ReplicaView::search`].
     pub fn nearest_r(&self, state: impl State, radius: f64) -> Result<Found, Error> {
         self.search(state, &Search::nearest_r(radius))
+    }
+
+    /// Answers a search whose number and radius are scaled by how many points there are, as the server would.
+    ///
+    /// # Errors
+    /// As [`ReplicaView::search`], and `INVALID_ARGUMENT` naming the factor.
+    pub fn search_scaled<S: State>(
+        &self,
+        state: S,
+        scaling: Scaling,
+        search: &Search<'_>,
+    ) -> Result<Found, Error> {
+        check_scaling(scaling)?;
+        let mut search = *search;
+        scaling.apply(&mut search, self.len(), self.index.space().dimension());
+        self.search(state, &search)
     }
 
     /// Answers any search.

@@ -1,10 +1,13 @@
 //! Inserting states.
 
 use bytes::Bytes;
-use wayfold_index::Filter;
+use wayfold_index::{Filter, Scaling};
 use wayfold_proto::v1;
 
-use super::{awaitable, fresh_operation_id, partial};
+use super::{
+    awaitable, fresh_operation_id, partial,
+    scaling::{most_neighbors, scaling_message},
+};
 use crate::{
     Error, Include, IndexHandle, Neighbors, States,
     limits::{self, MUTATION_ROWS, REQUEST_BYTES},
@@ -33,7 +36,7 @@ pub struct Insert {
 }
 
 /// Which neighbours an insert is to tell of each row: those it had at the moment it was applied, stored by an earlier
-/// mutation or an earlier row. At least one of `k` and `radius` is set.
+/// mutation or an earlier row. At least one of `k`, `radius` and `scaling` is set.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NeighborQuery {
     /// At most so many, at least 1.
@@ -44,6 +47,9 @@ pub struct NeighborQuery {
     pub filter: Filter,
     /// What to tell of each.
     pub include: Include,
+    /// Number and radius by the number of points that the index has when a row is applied; evaluated by the server, so that
+    /// workers need not agree on it. A number is set here or in `k`, a radius here or in `radius`.
+    pub scaling: Scaling,
 }
 
 /// What became of one row of an insert.
@@ -207,17 +213,15 @@ impl Insert {
     /// How many rows' outcomes and neighbours one answer holds.
     fn rows_of_answer(&self) -> usize {
         const OUTCOME_ID_AND_COUNT: usize = 16;
-        let Some(NeighborQuery {
-            k: Some(k),
-            include,
-            ..
-        }) = self.neighbors
-        else {
+        let Some(query) = self.neighbors else {
             return MUTATION_ROWS;
         };
-        let neighbor = include.neighbor_bytes(self.index.coordinates());
+        let Some(k) = most_neighbors(query.k, query.scaling) else {
+            return MUTATION_ROWS;
+        };
+        let neighbor = query.include.neighbor_bytes(self.index.coordinates());
         let row = neighbor
-            .saturating_mul(k as usize)
+            .saturating_mul(k)
             .saturating_add(OUTCOME_ID_AND_COUNT);
         limits::rows_of_answer(self.index.client().max_message_bytes(), row, MUTATION_ROWS)
     }
@@ -255,6 +259,7 @@ impl Insert {
                 radius: query.radius,
                 filter: filter_message(query.filter),
                 include: query.include.to_message(),
+                scaling: scaling_message(query.scaling),
             }),
             operation_id: operation_id.to_owned(),
             uid: self.index.uid().to_owned(),

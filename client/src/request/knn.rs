@@ -2,10 +2,14 @@
 
 use std::ops::Range;
 
-use wayfold_index::Filter;
+use wayfold_index::{Filter, Scaling};
 use wayfold_proto::v1;
 
-use super::{SearchOptions, awaitable, search_options};
+use super::{
+    SearchOptions, awaitable,
+    scaling::{most_neighbors, scaling_message},
+    search_options,
+};
 use crate::{
     Error, Include, IndexHandle, Neighbors, States,
     limits::{self, READ_ROWS},
@@ -24,6 +28,7 @@ pub struct Knn {
     pub(super) states: Result<States, Error>,
     k: u32,
     radius: Option<f64>,
+    scaling: Scaling,
     pub(super) options: SearchOptions,
 }
 
@@ -40,6 +45,7 @@ impl Knn {
             states,
             k: 1,
             radius: None,
+            scaling: Scaling::default(),
             options: SearchOptions::default(),
         }
     }
@@ -47,12 +53,30 @@ impl Knn {
     /// At most so many for each state, at least 1; 1 unless set.
     pub fn k(mut self, k: u32) -> Knn {
         self.k = k;
+        self.scaling.k_factor = None;
+        self
+    }
+
+    /// In the place of `k`: ⌈factor · ln n⌉, for n points at the revision that is read. The server evaluates it, so that
+    /// workers need not agree on n. [`Scaling::K_FACTOR`] is what PRM* takes.
+    pub fn k_scaled(mut self, factor: f64) -> Knn {
+        self.k = 0;
+        self.scaling.k_factor = Some(factor);
         self
     }
 
     /// Only those at this distance or nearer.
     pub fn radius(mut self, radius: f64) -> Knn {
         self.radius = Some(radius);
+        (self.scaling.radius_factor, self.scaling.radius_max) = (None, None);
+        self
+    }
+
+    /// In the place of `radius`: factor · (ln n / n)^(1/d), but at most `radius_max`, for n points at the revision that is
+    /// read; evaluated by the server. See [`Scaling::radius_factor`].
+    pub fn radius_scaled(mut self, factor: f64, radius_max: Option<f64>) -> Knn {
+        self.radius = None;
+        (self.scaling.radius_factor, self.scaling.radius_max) = (Some(factor), radius_max);
         self
     }
 
@@ -87,9 +111,8 @@ impl Knn {
             .options
             .include
             .neighbor_bytes(self.index.coordinates());
-        let row = neighbor
-            .saturating_mul(self.k as usize)
-            .saturating_add(COUNT);
+        let k = most_neighbors(Some(self.k), self.scaling).unwrap_or(usize::MAX);
+        let row = neighbor.saturating_mul(k).saturating_add(COUNT);
         limits::rows_of_answer(self.index.client().max_message_bytes(), row, READ_ROWS)
     }
 
@@ -104,6 +127,7 @@ impl Knn {
             filter: filter_message(self.options.filter),
             include: self.options.include.to_message(),
             at: Some(self.index.read_at()),
+            scaling: scaling_message(self.scaling),
         }
     }
 }

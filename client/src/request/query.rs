@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use wayfold_index::Filter;
+use wayfold_index::{Filter, Scaling};
 use wayfold_proto::v1;
 
-use super::{SearchOptions, awaitable, search_options};
+use super::{SearchOptions, awaitable, scaling::scaling_message, search_options};
 use crate::{
     Error, Include, IndexHandle, Neighbors, States,
     limits::{self, READ_ROWS},
@@ -24,6 +24,7 @@ pub struct Query {
     index: IndexHandle,
     states: Result<States, Error>,
     radius: f64,
+    radius_factor: Option<f64>,
     options: SearchOptions,
 }
 
@@ -39,8 +40,17 @@ impl Query {
             index,
             states,
             radius,
+            radius_factor: None,
             options: SearchOptions::default(),
         }
+    }
+
+    /// Scales the radius: factor · (ln n / n)^(1/d), but at most the radius given, which may be infinite, for n points at the
+    /// revision that is read. The server evaluates it, so that workers need not agree on n. See
+    /// [`Scaling::radius_factor`].
+    pub fn radius_scaled(mut self, factor: f64) -> Query {
+        self.radius_factor = Some(factor);
+        self
     }
 
     async fn send(mut self) -> Result<Neighbors, Error> {
@@ -70,15 +80,21 @@ impl Query {
     }
 
     fn message(&self, states: &States, part: Range<usize>) -> v1::QueryRequest {
+        let scaling = Scaling {
+            radius_factor: self.radius_factor,
+            radius_max: self.radius_factor.and(Some(self.radius)),
+            ..Scaling::default()
+        };
         v1::QueryRequest {
             index: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
-            radius: Some(self.radius),
+            radius: scaling.is_none().then_some(self.radius),
             epsilon: self.options.epsilon,
             max_leaves: self.options.max_leaves,
             filter: filter_message(self.options.filter),
             include: self.options.include.to_message(),
             at: Some(self.index.read_at()),
+            scaling: scaling_message(scaling),
         }
     }
 }

@@ -12,6 +12,8 @@ use crate::registry::{Published, Writer};
 /// excluded, and the rows do not see each other.
 pub(super) struct Ahead {
     revision: u64,
+    /// What neighbours were searched for.
+    neighbors: Option<Search<'static>>,
     /// One a row, as long as there was room for them.
     rows: Vec<Around>,
 }
@@ -28,13 +30,19 @@ impl Ahead {
     pub(super) async fn search(
         head: Arc<Published>,
         rows: &Rows,
-        neighbors: Option<Search<'_>>,
-        nearest: Option<Search<'_>>,
+        neighbors: Option<Search<'static>>,
+        nearest: Option<Search<'static>>,
         most: usize,
         pace: &mut Pace,
     ) -> Result<Self, Error> {
+        let bounded = |search: Search<'static>| Search {
+            k: search.k.min(most + 1),
+            ..search
+        };
+        let (neighbors, nearest) = (neighbors.map(bounded), nearest.map(bounded));
         let mut ahead = Self {
             revision: head.revision,
+            neighbors,
             rows: Vec::new(),
         };
         let mut found = 0;
@@ -43,13 +51,7 @@ impl Ahead {
                 break;
             }
             let search = |search: Option<Search<'_>>| match search {
-                Some(search) => {
-                    let search = Search {
-                        k: search.k.min(most + 1),
-                        ..search
-                    };
-                    head.snapshot.search(row, &search).neighbors
-                }
+                Some(search) => head.snapshot.search(row, &search).neighbors,
                 None => Vec::new(),
             };
             let around = Around {
@@ -66,6 +68,12 @@ impl Ahead {
     /// Whether it is still so at the head of `writer`, but for points that were added since.
     pub(super) fn holds(&self, writer: &Writer) -> bool {
         writer.only_added_since(self.revision)
+    }
+
+    /// Whether neighbours were searched for as far as this search goes, and as many.
+    pub(super) fn reaches(&self, search: &Search<'_>) -> bool {
+        self.neighbors
+            .is_some_and(|found| found.k >= search.k && found.radius >= search.radius)
     }
 
     /// The revision it is from.

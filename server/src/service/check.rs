@@ -240,15 +240,21 @@ pub(super) fn k(
     if k == 0 {
         violations.add(field, "ZERO", "k is at least 1");
     }
-    if k > limits.k {
-        return Err(Error::LimitExceeded {
-            limit: "k",
-            value: limits.k as u64,
-            asked: k as u64,
-            advice: "ask for fewer neighbours, or for all within a radius",
-        });
-    }
+    k_limit(k, limits.k)?;
     Ok(k)
+}
+
+/// How many neighbours, of at most `limit`.
+pub(super) fn k_limit(k: usize, limit: usize) -> Result<(), Error> {
+    if k <= limit {
+        return Ok(());
+    }
+    Err(Error::LimitExceeded {
+        limit: "k",
+        value: limit as u64,
+        asked: k as u64,
+        advice: "ask for fewer neighbours, or for all within a radius",
+    })
 }
 
 /// A filter; `field` is its path, `uid` the request's, which `uid_field` names.

@@ -14,6 +14,7 @@ use super::{
     check::{self, END_OF_IDS, Rows, Violations},
     mutation::{Begun, Claim},
     staging::Staging,
+    wanted::{Said, Wanted},
 };
 use crate::{
     log::{Effects, Outcome},
@@ -31,7 +32,7 @@ struct Insertion {
     payloads: Vec<Bytes>,
     replace: bool,
     min_separation: f64,
-    neighbors: Option<(Search<'static>, Option<v1::Include>)>,
+    neighbors: Option<(Wanted, Option<v1::Include>)>,
 }
 
 impl Service {
@@ -174,14 +175,16 @@ impl<'a> Evaluation<'a> {
     }
 
     fn tell_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
-        let (Some(found), Some((search, _))) = (&mut self.found, &self.insertion.neighbors) else {
+        let (Some(found), Some((wanted, _))) = (&mut self.found, &self.insertion.neighbors) else {
             return Ok(());
         };
+        let search = wanted.among(self.staging.points())?;
         let search = Search {
             k: search.k.min(found.too_many()),
-            ..*search
+            ..search
         };
-        let known = known(self.ahead.as_ref(), at, |around| &around.neighbors);
+        let ahead = self.ahead.as_ref().filter(|ahead| ahead.reaches(&search));
+        let known = known(ahead, at, |around| &around.neighbors);
         found.push(&self.staging, &self.staging.search(row, &search, known))
     }
 
@@ -243,15 +246,10 @@ impl Insertion {
         }
         // More than an answer holds are not asked for by anybody who gets one.
         let most = limits.answer_bytes / 16;
-        let neighbors = self.neighbors.map(|(search, _)| search);
-        let ahead = Ahead::search(
-            hosted.newest(),
-            &self.rows,
-            neighbors,
-            self.nearest(),
-            most,
-            pace,
-        );
+        let head = hosted.newest();
+        let (points, rows) = (head.snapshot.len(), self.rows.len());
+        let neighbors = self.neighbors.map(|(wanted, _)| wanted.ahead(points, rows));
+        let ahead = Ahead::search(head, &self.rows, neighbors, self.nearest(), most, pace);
         ahead.await.map(Some)
     }
 
@@ -280,8 +278,8 @@ impl Insertion {
         check::operation_id(&request.operation_id, &mut violations);
         let neighbors = match request.neighbors {
             Some(query) => {
-                let search = neighbor_search(query, &request.uid, limits, &mut violations)?;
-                Some((search, query.include))
+                let wanted = neighbors_wanted(query, &request.uid, space, limits, &mut violations)?;
+                Some((wanted, query.include))
             }
             None => None,
         };
@@ -308,25 +306,24 @@ impl Insertion {
     }
 }
 
-fn neighbor_search(
+fn neighbors_wanted(
     query: v1::NeighborQuery,
     uid: &str,
+    space: &Space,
     limits: &Limits,
     violations: &mut Violations,
-) -> Result<Search<'static>, Error> {
-    let mut search = Search::nearest_k(usize::MAX);
-    if query.k.is_none() && query.radius.is_none() {
-        violations.add("neighbors", "REQUIRED", "set k, radius or both");
+) -> Result<Wanted, Error> {
+    let said = Said {
+        k: query.k,
+        radius: query.radius,
+        scaling: query.scaling,
+    };
+    if said.k.is_none() && said.radius.is_none() && said.scaling.is_none() {
+        violations.add("neighbors", "REQUIRED", "set k, radius, scaling or several");
     }
-    if let Some(k) = query.k {
-        search.k = check::k("neighbors.k", k, limits, violations)?;
-    }
-    if let Some(radius) = query.radius {
-        check::radius("neighbors.radius", radius, violations);
-        search.radius = radius;
-    }
-    search.filter = check::filter("neighbors.filter", query.filter, ("uid", uid), violations);
-    Ok(search)
+    let mut wanted = Wanted::check("neighbors.", &said, space, limits, violations)?;
+    wanted.fixed.filter = check::filter("neighbors.filter", query.filter, ("uid", uid), violations);
+    Ok(wanted)
 }
 
 /// Whether a stored point has this tag and, bit for bit, this state.

@@ -1,12 +1,12 @@
 //! `Knn`: the k nearest points of each state.
 
-use wayfold_index::Search;
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    check::{self, Violations},
+    check::Violations,
     neighbors::Asked,
+    wanted::{Said, Wanted},
 };
 
 impl Service {
@@ -20,12 +20,15 @@ impl Service {
         let at = request.at.unwrap_or_default();
         let hosted = self.index(&request.index, &at.uid)?;
         let mut violations = Violations::default();
-        let k = check::k("k", request.k, self.limits(), &mut violations)?;
-        let mut wanted = Search::nearest_k(k);
-        if let Some(radius) = request.radius {
-            check::radius("radius", radius, &mut violations);
-            wanted.radius = radius;
-        }
+        let is_scaled = request
+            .scaling
+            .is_some_and(|scaling| scaling.k_factor.is_some());
+        let said = Said {
+            k: (request.k > 0 || !is_scaled).then_some(request.k),
+            radius: request.radius,
+            scaling: request.scaling,
+        };
+        let wanted = Wanted::check("", &said, hosted.space(), self.limits(), &mut violations)?;
         let asked = Asked {
             states: request.states,
             epsilon: request.epsilon,

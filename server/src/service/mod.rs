@@ -4,9 +4,10 @@
 //! translates its calls into these and holds no policy of its own.
 //!
 //! One verb a file; what they share: `check` (requests become canonical rows and searches, or violations), `at`
-//! (which index and which revision), `mutation` (from an evaluated mutation to its acknowledgement), `staging` (rows
-//! that see the rows before them), `ahead` (searching before it is a call's turn to write), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting
-//! others on in between), `error`, `limits`.
+//! (which index and which revision), `wanted` (number and radius, fixed or by the size of the index), `mutation` (from an
+//! evaluated mutation to its acknowledgement), `staging` (rows that see the rows before them), `ahead` (searching before
+//! it is a call's turn to write), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting others
+//! on in between), `error`, `limits`.
 
 mod ahead;
 mod answer;
@@ -32,6 +33,7 @@ mod snapshot;
 mod staging;
 mod update;
 mod verify;
+mod wanted;
 mod watch;
 
 use std::sync::{

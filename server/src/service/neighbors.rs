@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use wayfold_index::Search;
 use wayfold_proto::v1;
 
 use super::{
@@ -10,6 +9,7 @@ use super::{
     answer::{Found, Room, Seen, search},
     at::check_read_at,
     check::{self, Violations},
+    wanted::Wanted,
 };
 use crate::registry::Hosted;
 
@@ -33,13 +33,13 @@ pub(super) struct Told {
 
 impl Service {
     /// Checks the rest of a request, waits for its revision, and searches for every state. `wanted` has the limits of
-    /// number and radius, and `violations` what is wrong with them.
+    /// number and radius, which the size of the index at that revision completes, and `violations` what is wrong with them.
     pub(super) async fn neighbors(
         &self,
         call: &Call,
         hosted: Arc<Hosted>,
         asked: Asked,
-        mut wanted: Search<'static>,
+        mut wanted: Wanted,
         mut violations: Violations,
     ) -> Result<Told, Error> {
         let Asked {
@@ -52,14 +52,16 @@ impl Service {
         } = asked;
         let (limits, space) = (self.limits(), hosted.space());
         let mut pace = call.pace("while searching");
-        check::accuracy(&mut wanted, epsilon, max_leaves, &mut violations);
-        wanted.filter = check::filter("filter", filter, ("at.uid", &at.uid), &mut violations);
+        let fixed = &mut wanted.fixed;
+        check::accuracy(fixed, epsilon, max_leaves, &mut violations);
+        fixed.filter = check::filter("filter", filter, ("at.uid", &at.uid), &mut violations);
         check_read_at(&at, &mut violations);
         let states = check::states(space, states, limits, &mut pace, &mut violations).await?;
         violations.finish()?;
 
-        let since_revision = wanted.filter.since_revision;
+        let since_revision = wanted.fixed.filter.since_revision;
         let published = self.published(call, &hosted, &at, since_revision).await?;
+        let mut wanted = wanted.among(published.snapshot.len())?;
         wanted.until = call.deadline;
         let seen = Seen {
             index: hosted.name(),

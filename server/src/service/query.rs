@@ -1,12 +1,12 @@
 //! `Query`: all points within a radius of each state.
 
-use wayfold_index::Search;
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    check::{self, Violations},
+    check::Violations,
     neighbors::Asked,
+    wanted::{Said, Wanted},
 };
 
 impl Service {
@@ -20,20 +20,27 @@ impl Service {
         let at = request.at.unwrap_or_default();
         let hosted = self.index(&request.index, &at.uid)?;
         let mut violations = Violations::default();
-        let wanted = match request.radius {
-            Some(radius) => {
-                check::radius("radius", radius, &mut violations);
-                Search::nearest_r(radius)
-            }
-            None => {
-                violations.add(
-                    "radius",
-                    "REQUIRED",
-                    "set the radius; infinity asks for all points",
-                );
-                Search::nearest_r(0.0)
-            }
+        let scaling = request.scaling;
+        if request.radius.is_none() && scaling.is_none() {
+            violations.add(
+                "radius",
+                "REQUIRED",
+                "set the radius; infinity asks for all points",
+            );
+        }
+        if scaling.is_some_and(|scaling| scaling.k_factor.is_some()) {
+            violations.add(
+                "scaling.k_factor",
+                "NOT_APPLICABLE",
+                "a Query is for all within a radius; Knn is for a number",
+            );
+        }
+        let said = Said {
+            k: None,
+            radius: request.radius,
+            scaling,
         };
+        let wanted = Wanted::check("", &said, hosted.space(), self.limits(), &mut violations)?;
         let asked = Asked {
             states: request.states,
             epsilon: request.epsilon,

@@ -23,6 +23,8 @@ pub(super) struct Staging<'a> {
     index: &'a str,
     head: Arc<Published>,
     effects: Effects,
+    /// How many of the accepted rows are new points.
+    inserted: usize,
     searched: Option<Searched>,
 }
 
@@ -43,6 +45,7 @@ impl<'a> Staging<'a> {
             index,
             head,
             effects: Effects::new(space.coordinates()),
+            inserted: 0,
             searched: searched.then(|| Searched {
                 forest: Forest::new(space.clone(), ForestOptions::default()),
                 slots: HashMap::new(),
@@ -54,6 +57,11 @@ impl<'a> Staging<'a> {
     /// The revision that the mutation will make.
     pub(super) fn revision(&self) -> u64 {
         self.head.revision + 1
+    }
+
+    /// How many points there are by now.
+    pub(super) fn points(&self) -> usize {
+        self.head.snapshot.len() + self.inserted
     }
 
     /// The point that the head holds under an id.
@@ -84,8 +92,8 @@ impl<'a> Staging<'a> {
         }
     }
 
-    /// What a row finds in the head and in the rows before it. `known` is what the same search, or one for more, found
-    /// in an earlier revision, since which points were only added.
+    /// What a row finds in the head and in the rows before it. `known` is what the same search, or one for more or
+    /// farther ones, found in an earlier revision, since which points were only added.
     pub(super) fn search(
         &self,
         row: &[f64],
@@ -100,7 +108,8 @@ impl<'a> Staging<'a> {
         let mut neighbors = searched.forest.search(row, search).neighbors;
         let mut at_head = *search;
         if let Some((revision, known)) = known {
-            merge(&mut neighbors, known, search.k);
+            let within = known.partition_point(|neighbor| neighbor.distance <= search.radius);
+            merge(&mut neighbors, &known[..within], search.k);
             if revision == self.head.revision {
                 return neighbors;
             }
@@ -134,6 +143,7 @@ impl<'a> Staging<'a> {
             revision: self.revision(),
             row,
         };
+        self.inserted += usize::from(outcome == Outcome::Inserted);
         self.effects.store(point, outcome, payload);
         let accepted = self.effects.stored().len();
         if let Some(searched) = &mut self.searched {
@@ -212,7 +222,7 @@ mod tests {
         #![proptest_config(crate::testing::cases(256))]
 
         /// On a grid, where most distances are ties: as if head and accepted rows were one set, whether or not something
-        /// is known of an earlier head.
+        /// is known of an earlier head, maybe more than is asked for.
         #[test]
         fn a_row_finds_the_nearest_of_the_head_and_the_rows_before_it(
             head in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),
@@ -222,6 +232,8 @@ mod tests {
             asked in 0..8u8,
             k in prop_oneof![1..6usize, Just(usize::MAX)],
             radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
+            more in 0..4usize,
+            farther in 0..3u8,
         ) {
             let space: Space = "R1".parse().unwrap();
             let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
@@ -239,6 +251,11 @@ mod tests {
                 forest.apply(revision, &points, &[]);
                 union.insert(point(id, revision, &[f64::from(at)]));
                 if slot == seen {
+                    let search = Search {
+                        k: k.saturating_add(more),
+                        radius: radius + f64::from(farther),
+                        ..search
+                    };
                     known = (revision, forest.search(&asked, &search).neighbors);
                 }
             }

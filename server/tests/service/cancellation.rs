@@ -22,7 +22,7 @@ fn long_insertion() -> v1::InsertRequest {
 
 /// Polls `long` until it holds the writer: until a short insert has to wait. Returns how many points that stored, and
 /// the one that waits.
-async fn poll_into_evaluation<'a, T>(
+pub(crate) async fn poll_into_evaluation<'a, T>(
     service: &'a Service,
     long: &mut Pin<Box<impl Future<Output = T>>>,
 ) -> (

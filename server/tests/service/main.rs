@@ -28,6 +28,7 @@ mod reads;
 mod refusals;
 mod replay;
 mod restore;
+mod scaling;
 mod scan;
 mod snapshot;
 mod storage_failure;

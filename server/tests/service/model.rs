@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use bytes::Bytes;
-use wayfold_index::Space;
+use wayfold_index::{Factor, Space};
 use wayfold_proto::v1::{self, Outcome};
 
 use crate::support::canonical;
@@ -65,8 +65,7 @@ impl Model {
                 modified: self.revision + 1,
             };
             if let Some(query) = request.neighbors {
-                let k = query.k.map_or(usize::MAX, |k| k as usize);
-                let radius = query.radius.unwrap_or(f64::INFINITY);
+                let (k, radius) = next.bounds(query.k, query.radius, query.scaling);
                 let mut all = next.within(row, radius, query.filter);
                 all.retain(|(_, other)| *other != id);
                 all.truncate(k);
@@ -194,10 +193,10 @@ impl Model {
     pub(crate) fn knn(&self, request: &v1::KnnRequest) -> v1::KnnResponse {
         let rows = canonical(&self.space, &request.states.as_ref().unwrap().coordinates);
         let mut found = Columns::new(request.include);
+        let (k, radius) = self.bounds(Some(request.k), request.radius, request.scaling);
         for row in rows.chunks(self.space.coordinates()) {
-            let radius = request.radius.unwrap_or(f64::INFINITY);
             let mut all = self.within(row, radius, request.filter);
-            all.truncate(request.k as usize);
+            all.truncate(k);
             found.push(self, &all);
         }
         v1::KnnResponse {
@@ -237,6 +236,40 @@ impl Model {
             revision: self.revision,
             uid: self.uid.clone(),
         })
+    }
+
+    /// The number and the radius that a request asks for, as Karaman and Frazzoli scale them by the points of now. The
+    /// radius is no distance of the few states that there are, so its last bit does not matter.
+    fn bounds(
+        &self,
+        k: Option<u32>,
+        radius: Option<f64>,
+        scaling: Option<v1::Scaling>,
+    ) -> (usize, f64) {
+        let mut bounds = (
+            k.map_or(usize::MAX, |k| k as usize),
+            radius.unwrap_or(f64::INFINITY),
+        );
+        let n = self.points.len() as f64;
+        let scaling = scaling.unwrap_or_default();
+        if let Some(factor) = scaling.k_factor {
+            bounds.0 = if n > 1.0 { factor * n.ln() } else { 0.0 }.ceil() as usize;
+            bounds.0 = bounds.0.max(1);
+        }
+        if let Some(factor) = scaling.radius_factor {
+            let terms = self.space.groups().iter().flat_map(|group| &group.terms);
+            let dimensions = terms.map(|term| match term.factor {
+                Factor::RealVector(n) => n,
+                Factor::SO2 { .. } => 1,
+                Factor::SO3 => 3,
+            });
+            let root = 1.0 / dimensions.sum::<usize>() as f64;
+            bounds.1 = scaling.radius_max.unwrap_or(f64::INFINITY);
+            if n > 1.0 {
+                bounds.1 = bounds.1.min(factor * (n.ln() / n).powf(root));
+            }
+        }
+        bounds
     }
 
     /// All points within `radius`, by (distance, id).

@@ -134,11 +134,14 @@ impl Requests {
                 .random_bool(0.6)
                 .then(|| self.random.random_range(1..6));
             let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
+            let radius = (k.is_none() || self.random.random()).then_some(radius);
+            let scaling = self.scaling();
             v1::NeighborQuery {
-                k,
-                radius: (k.is_none() || self.random.random()).then_some(radius),
+                k: k.filter(|_| !scales_k(scaling)),
+                radius: radius.filter(|_| !scales_radius(scaling)),
                 filter: self.filter(revision + 1),
                 include: self.include(),
+                scaling,
             }
         });
         v1::InsertRequest {
@@ -184,13 +187,33 @@ impl Requests {
         }
     }
 
+    /// Number and radius by the size of the index, now and then.
+    fn scaling(&mut self) -> Option<v1::Scaling> {
+        let scaled = v1::Scaling {
+            k_factor: self.pick(&[None, None, Some(0.0), Some(0.7), Some(1.5), Some(5.5)]),
+            radius_factor: self.pick(&[None, None, Some(0.0), Some(0.4), Some(1.1)]),
+            radius_max: self.pick(&[None, Some(0.3), Some(f64::INFINITY)]),
+        };
+        let scaled = v1::Scaling {
+            radius_max: scaled.radius_max.filter(|_| scaled.radius_factor.is_some()),
+            ..scaled
+        };
+        Some(scaled).filter(|scaled| *scaled != v1::Scaling::default())
+    }
+
     pub(crate) fn knn(&mut self, revision: u64) -> v1::KnnRequest {
         let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
+        let radius = self.random.random_bool(0.5).then_some(radius);
+        let scaling = self.scaling();
         v1::KnnRequest {
             index: self.name.clone(),
             states: self.states(2),
-            k: self.random.random_range(1..80),
-            radius: self.random.random_bool(0.5).then_some(radius),
+            k: match scales_k(scaling) {
+                true => 0,
+                false => self.random.random_range(1..80),
+            },
+            radius: radius.filter(|_| !scales_radius(scaling)),
+            scaling,
             filter: self.filter(revision),
             include: self.include(),
             at: self.at(revision),
@@ -219,12 +242,25 @@ impl Requests {
     }
 }
 
+fn scales_k(scaling: Option<v1::Scaling>) -> bool {
+    scaling.is_some_and(|scaling| scaling.k_factor.is_some())
+}
+
+fn scales_radius(scaling: Option<v1::Scaling>) -> bool {
+    scaling.is_some_and(|scaling| scaling.radius_factor.is_some())
+}
+
 /// `Query` is `Knn` without k.
 fn as_query(knn: &v1::KnnRequest) -> v1::QueryRequest {
+    let scaling = knn.scaling.filter(|_| scales_radius(knn.scaling));
     v1::QueryRequest {
         index: knn.index.clone(),
         states: knn.states.clone(),
-        radius: Some(knn.radius.unwrap_or(0.5)),
+        radius: scaling.is_none().then(|| knn.radius.unwrap_or(0.5)),
+        scaling: scaling.map(|scaling| v1::Scaling {
+            k_factor: None,
+            ..scaling
+        }),
         filter: knn.filter,
         include: knn.include,
         at: knn.at.clone(),
@@ -265,6 +301,7 @@ pub(crate) async fn compare(service: &Service, model: &Model, requests: &mut Req
     let unlimited = v1::KnnRequest {
         k: u32::MAX,
         radius: query.radius,
+        scaling: query.scaling,
         ..knn
     };
     let expected = model.knn(&unlimited);

@@ -93,7 +93,7 @@ impl Planner {
             k: Some(rng.random_range(1..=12)),
             radius: rng.random_bool(0.5).then_some(3.0),
             filter: Some(filter),
-            include: None,
+            ..Default::default()
         };
         let min_separation = if rng.random_bool(0.3) { 0.9 } else { 0.0 };
         let ids = match assigned {

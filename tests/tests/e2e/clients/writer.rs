@@ -45,7 +45,7 @@ pub(crate) struct Writer {
 
 #[derive(Clone)]
 enum Request {
-    Insert(InsertRequest),
+    Insert(Box<InsertRequest>),
     Remove(RemoveRequest),
 }
 
@@ -90,7 +90,7 @@ impl Writer {
         };
         let payloads = (0..rows).map(|row| self.payload(&format!("{operation_id}/{row}"), bytes));
         let payloads = payloads.collect();
-        Request::Insert(InsertRequest {
+        Request::Insert(Box::new(InsertRequest {
             index: "arm".into(),
             states: Some(row_states(&self.states.rows(rows), COORDINATES)),
             tags: vec![self.name; rows],
@@ -101,7 +101,7 @@ impl Writer {
             }),
             operation_id,
             ..Default::default()
-        })
+        }))
     }
 
     /// The large points, so that they do not pile up, or another.
@@ -156,8 +156,10 @@ impl Writer {
     async fn send(&mut self, stubs: &mut Stubs, request: Request) -> bool {
         let answered = match &request {
             Request::Insert(insert) => {
-                let answered = stubs.points.insert(insert.clone()).await;
-                answered.map(|response| Entry::Insert(insert.clone(), response.into_inner()))
+                let answered = stubs.points.insert(InsertRequest::clone(insert)).await;
+                answered.map(|response| {
+                    Entry::Insert(InsertRequest::clone(insert), response.into_inner())
+                })
             }
             Request::Remove(remove) => {
                 let answered = stubs.points.remove(remove.clone()).await;

@@ -60,6 +60,14 @@ fn include(it: &v1::Include) -> Value {
     json!({ "states": it.states, "tags": it.tags, "revisions": it.revisions, "payloads": it.payloads })
 }
 
+fn scaling(it: &v1::Scaling) -> Value {
+    object([
+        ("k_factor", it.k_factor.map(float)),
+        ("radius_factor", it.radius_factor.map(float)),
+        ("radius_max", it.radius_max.map(float)),
+    ])
+}
+
 fn at(at: &v1::ReadAt) -> Value {
     json!({ "uid": at.uid, "min_revision": integer(&at.min_revision) })
 }
@@ -107,6 +115,7 @@ pub(super) fn request(op: &Op) -> Value {
                         ("radius", it.radius.map(float)),
                         ("filter", it.filter.as_ref().map(filter)),
                         ("include", it.include.as_ref().map(include)),
+                        ("scaling", it.scaling.as_ref().map(scaling)),
                     ])
                 }),
             ),
@@ -139,6 +148,7 @@ pub(super) fn request(op: &Op) -> Value {
             ("filter", it.filter.as_ref().map(filter)),
             ("include", it.include.as_ref().map(include)),
             ("at", it.at.as_ref().map(at)),
+            ("scaling", it.scaling.as_ref().map(scaling)),
         ]),
         Op::Query(it) => object([
             ("states", it.states.as_ref().map(states)),
@@ -148,6 +158,7 @@ pub(super) fn request(op: &Op) -> Value {
             ("filter", it.filter.as_ref().map(filter)),
             ("include", it.include.as_ref().map(include)),
             ("at", it.at.as_ref().map(at)),
+            ("scaling", it.scaling.as_ref().map(scaling)),
         ]),
         Op::Log(it) => object([
             ("uid", Some(json!(it.uid))),

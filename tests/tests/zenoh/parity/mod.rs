@@ -3,6 +3,7 @@
 
 mod json;
 mod outcome;
+mod scaling;
 mod script;
 mod target;
 
@@ -27,6 +28,10 @@ async fn the_faces_answer_alike() {
     let good = recorded.iter().filter(|(_, it)| it.is_ok()).count();
     let bad = recorded.len() - good;
     assert!(good > 200 && bad > 100, "{good} good, {bad} bad");
+    let scaled = recorded.iter().filter(|(op, _)| scaling::is_scaled(op));
+    let (good, bad): (Vec<_>, Vec<_>) = scaled.partition(|(_, outcome)| outcome.is_ok());
+    let (good, bad) = (good.len(), bad.len());
+    assert!(good > 20 && bad > 20, "{good} good, {bad} bad");
     let mut reasons: Vec<String> = recorded.iter().filter_map(|(_, it)| it.reason()).collect();
     reasons.sort();
     reasons.dedup();

@@ -8,7 +8,10 @@ use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold_proto::v1;
 
-use super::outcome::{Outcome, UID};
+use super::{
+    outcome::{Outcome, UID},
+    scaling,
+};
 
 /// One call.
 #[derive(Clone, Debug)]
@@ -105,7 +108,9 @@ impl Script {
         // The index is there first, and deleted last.
         if self.left > 0 && self.by_hand.len() == AFTER {
             self.left -= 1;
-            return Some(self.draw());
+            let mut op = self.draw();
+            scaling::scale(&mut op, &mut self.random);
+            return Some(op);
         }
         self.by_hand.pop_front()
     }
@@ -145,6 +150,7 @@ impl Script {
                 include: self.include(),
                 at: self.at(),
                 index: self.index(),
+                scaling: None,
             }),
             80..90 => Op::Query(v1::QueryRequest {
                 states: self.states(3),
@@ -155,6 +161,7 @@ impl Script {
                 include: self.include(),
                 at: self.at(),
                 index: self.index(),
+                scaling: None,
             }),
             90..95 => Op::Log(v1::WatchRequest {
                 uid: self.uid(),
@@ -190,6 +197,7 @@ impl Script {
             radius: self.radius(),
             filter: self.filter(),
             include: self.include(),
+            scaling: None,
         });
         v1::InsertRequest {
             states,

@@ -1,0 +1,379 @@
+//! Number and radius by the size of the index: what the random comparison with a model does not reach.
+
+use std::collections::HashSet;
+
+use futures_util::poll;
+use wayfold_index::{Linear, PointRef, Search, Space};
+use wayfold_proto::v1;
+use wayfold_server::service::{Code, Error, Limits};
+
+use crate::{cancellation::poll_into_evaluation, support::*};
+
+fn scaling(k_factor: f64) -> Option<v1::Scaling> {
+    Some(all(Some(k_factor), None, None))
+}
+
+fn all(k_factor: Option<f64>, radius_factor: Option<f64>, radius_max: Option<f64>) -> v1::Scaling {
+    v1::Scaling {
+        k_factor,
+        radius_factor,
+        radius_max,
+    }
+}
+
+/// Inserts that searched ahead of a long one, and come after it: each is evaluated by the size of the index at its turn.
+#[tokio::test]
+async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead() {
+    let (service, _) = arm("R3").await;
+    let first = insertion(&cube(1, 1000), &[]);
+    service.insert(&CALL, first).await.unwrap();
+    // Far away: the neighbours stay those that were found before, and k(n) asks for more of them.
+    let far = cube(2, 10_000).into_iter().map(|[x, y, z]| [x + 5.0, y, z]);
+    let long = v1::InsertRequest {
+        min_separation: 1e-9,
+        ..insertion(&far.collect::<Vec<_>>(), &[])
+    };
+    let mut long = Box::pin(service.insert(&CALL, long));
+    let (_, waiting) = poll_into_evaluation(&service, &mut long).await;
+    let scalings = [
+        all(Some(4.0), None, None),
+        all(None, Some(1.4), Some(0.7)),
+        all(Some(30.0), Some(1.2), None),
+    ];
+    let rows = cube(5, 30);
+    let mut calls = Vec::new();
+    for (row, asked) in rows.iter().zip(scalings.iter().cycle()) {
+        let request = v1::InsertRequest {
+            neighbors: Some(v1::NeighborQuery {
+                scaling: Some(*asked),
+                ..Default::default()
+            }),
+            ..insertion(&[*row], &[])
+        };
+        let mut call = Box::pin(service.insert(&CALL, request));
+        assert!(poll!(&mut call).is_pending());
+        calls.push((row, asked, call));
+    }
+    let (long, waiting) = (long.await.unwrap(), waiting.await.unwrap());
+    assert!(long.revision < waiting.revision);
+    let mut told = Vec::new();
+    for (row, asked, call) in calls {
+        told.push((row, asked, call.await.unwrap()));
+    }
+
+    let mut points = Vec::new();
+    let mut scan = service.scan(&CALL, scanning()).await.unwrap();
+    while let Some(part) = scan.next().await {
+        let part = part.unwrap().points.unwrap();
+        let rows = part.states.unwrap().coordinates;
+        let ids = part.ids.into_iter().zip(part.revisions);
+        let rows = rows.chunks_exact(3).map(<[f64]>::to_vec);
+        points.extend(ids.zip(rows));
+    }
+    for (row, asked, response) in told {
+        assert!(response.revision > long.revision);
+        let mut before = Linear::new("R3".parse().unwrap());
+        for ((id, revision), row) in &points {
+            if *revision < response.revision {
+                before.insert(PointRef {
+                    id: *id,
+                    tag: 0,
+                    revision: *revision,
+                    row,
+                });
+            }
+        }
+        let n = before.len() as f64;
+        let mut search = Search::nearest_k(usize::MAX);
+        if let Some(factor) = asked.k_factor {
+            search.k = (factor * n.ln()).ceil() as usize;
+        }
+        if let Some(factor) = asked.radius_factor {
+            let radius = factor * (n.ln() / n).powf(1.0 / 3.0);
+            search.radius = radius.min(asked.radius_max.unwrap_or(f64::INFINITY));
+        }
+        let expected = before.search(row, &search).neighbors;
+        let expected: Vec<u64> = expected.iter().map(|neighbor| neighbor.id).collect();
+        assert!(!expected.is_empty());
+        let found = response.neighbors.unwrap().ids;
+        assert_eq!(found, expected, "{n} points, {asked:?}");
+    }
+}
+
+/// Rows that are left out or replace a point add none, and a row whose id is stored counts that point, though it does not
+/// find it.
+#[tokio::test]
+async fn rows_count_the_rows_before_them_that_are_new() {
+    let (service, _) = arm("R1").await;
+    let first = insertion(&[[0.0], [1.0], [2.0], [3.0]], &[0, 1, 2, 3]);
+    service.insert(&CALL, first).await.unwrap();
+    // k(n) = ceil(3 ln n): 5 for 4 and 5, 6 for 6 and 7.
+    let request = v1::InsertRequest {
+        on_conflict: v1::OnConflict::Replace.into(),
+        min_separation: 0.5,
+        neighbors: Some(v1::NeighborQuery {
+            scaling: scaling(3.0),
+            ..Default::default()
+        }),
+        ..insertion(
+            &[[3.25], [10.0], [10.25], [11.0], [20.0], [21.0]],
+            &[3, 4, 5, 6, 7, 8],
+        )
+    };
+    let answer = service.insert(&CALL, request).await.unwrap();
+    use v1::Outcome::{Inserted, Replaced, TooClose};
+    let outcomes: Vec<v1::Outcome> = answer.outcomes().collect();
+    assert_eq!(
+        outcomes,
+        [Replaced, Inserted, TooClose, Inserted, Inserted, Inserted]
+    );
+    // There are 4 points, one of them the row's own; then 4, 5, 5, 6 and 7.
+    assert_eq!(answer.neighbors.unwrap().counts, [3, 4, 5, 5, 6, 6]);
+}
+
+#[tokio::test]
+async fn a_filter_does_not_change_how_many_points_there_are() {
+    let (service, uid) = arm("R1").await;
+    let rows: Vec<[f64; 1]> = (0..100).map(|x| [f64::from(x)]).collect();
+    let request = v1::InsertRequest {
+        tags: (0..100).map(|at| at % 2).collect(),
+        ..insertion(&rows, &[])
+    };
+    service.insert(&CALL, request).await.unwrap();
+    service
+        .insert(&CALL, insertion(&[[100.0], [101.0], [102.0]], &[]))
+        .await
+        .unwrap();
+    for (filter, expected) in [
+        // ceil(2 ln 103) = 10
+        (v1::Filter::default(), (0..10).collect::<Vec<u64>>()),
+        (
+            v1::Filter {
+                tag_mask: 1,
+                tag_value: 1,
+                ..Default::default()
+            },
+            (0..10).map(|at| 2 * at + 1).collect(),
+        ),
+        (
+            v1::Filter {
+                since_revision: 1,
+                ..Default::default()
+            },
+            vec![100, 101, 102],
+        ),
+    ] {
+        let request = v1::KnnRequest {
+            filter: Some(filter),
+            scaling: scaling(2.0),
+            at: Some(v1::ReadAt {
+                uid: uid.clone(),
+                min_revision: 0,
+            }),
+            ..knn(&[[0.0]], 0)
+        };
+        let answer = service.knn(&CALL, request).await.unwrap();
+        assert_eq!(answer.neighbors.unwrap().ids, expected, "{filter:?}");
+    }
+}
+
+/// SE(3) has seven coordinates and the dimension 6.
+#[tokio::test]
+async fn the_dimension_is_the_manifolds() {
+    let (service, _) = arm("R3*SO3:0.15").await;
+    let space: Space = "R3*SO3:0.15".parse().unwrap();
+    let rows: Vec<[f64; 7]> = cube(8, 400)
+        .iter()
+        .map(|[x, y, z]| [*x, *y, *z, 0.0, 0.0, 0.0, 1.0])
+        .collect();
+    service.insert(&CALL, insertion(&rows, &[])).await.unwrap();
+    let radius = 0.5 * (400.0_f64.ln() / 400.0).powf(1.0 / 6.0);
+    let query = v1::QueryRequest {
+        index: "arm".into(),
+        states: states(&rows[..20]),
+        scaling: Some(v1::Scaling {
+            radius_factor: Some(0.5),
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    let answer = service.query(&CALL, query).await.unwrap();
+    let counts = rows[..20].iter().map(|row| {
+        let within = rows
+            .iter()
+            .filter(|other| space.distance(row, *other) <= radius);
+        within.count() as u32
+    });
+    let counts: Vec<u32> = counts.collect();
+    assert!(counts.iter().collect::<HashSet<_>>().len() > 1);
+    assert_eq!(answer.neighbors.unwrap().counts, counts);
+}
+
+#[tokio::test]
+async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
+    let limits = Limits {
+        k: 40,
+        answer_bytes: 2000,
+        ..Limits::default()
+    };
+    let log = std::sync::Arc::new(wayfold_server::log::MemoryLog::new());
+    let service = service_with(log, limits);
+    create(&service, "arm", "R3").await;
+    let exceeded = |error: Error| match error {
+        Error::LimitExceeded {
+            limit,
+            value,
+            asked,
+            ..
+        } => (limit, value, asked),
+        other => panic!("{other}"),
+    };
+    for start in [0, 50] {
+        let ids: Vec<u64> = (start..start + 50).collect();
+        service
+            .insert(&CALL, insertion(&cube(start, 50), &ids))
+            .await
+            .unwrap();
+    }
+    let ask = |k_factor, rows: usize| v1::KnnRequest {
+        scaling: scaling(k_factor),
+        ..knn(&cube(7, rows), 0)
+    };
+    // ln 100 = 4.6052: 8.6 of it are 39.6, and 9 are 41.4.
+    let answer = service.knn(&CALL, ask(8.6, 1)).await.unwrap();
+    assert_eq!(answer.neighbors.unwrap().counts, [40]);
+    let error = service.knn(&CALL, ask(9.0, 1)).await.unwrap_err();
+    assert_eq!(exceeded(error), ("k", 40, 42));
+    let error = service.knn(&CALL, ask(f64::MAX, 1)).await.unwrap_err();
+    assert_eq!(exceeded(error), ("k", 40, usize::MAX as u64));
+    let error = service.knn(&CALL, ask(8.6, 3)).await.unwrap_err();
+    assert_eq!(error.code(), Code::ResourceExhausted);
+    assert_eq!(exceeded(error).0, "answer_bytes");
+
+    // An insert is refused before anything is stored, at whichever row: ceil(8.65 ln n) is 40 for 100 and 101, and 41 for
+    // 102.
+    let insert = |k_factor, rows: usize| v1::InsertRequest {
+        neighbors: Some(v1::NeighborQuery {
+            scaling: scaling(k_factor),
+            ..Default::default()
+        }),
+        ..insertion(&cube(9, rows), &[])
+    };
+    let error = service.insert(&CALL, insert(8.65, 4)).await.unwrap_err();
+    assert_eq!(exceeded(error), ("k", 40, 41));
+    let error = service.insert(&CALL, insert(8.0, 4)).await.unwrap_err();
+    assert_eq!(exceeded(error).0, "answer_bytes");
+    let after = info(&service, "arm").await;
+    assert_eq!((after.revision, after.points), (2, 100));
+}
+
+const NAN: Option<f64> = Some(f64::NAN);
+const INFINITE: Option<f64> = Some(f64::INFINITY);
+
+#[tokio::test]
+async fn what_is_wrong_is_named() {
+    let (service, _) = arm("R3").await;
+    service
+        .insert(&CALL, insertion(&[[0.0; 3]], &[]))
+        .await
+        .unwrap();
+    let invalid = |reason, field: String| (Code::InvalidArgument, reason, field);
+    let (two, half, less) = (Some(2.0), Some(0.5), Some(-1.0));
+    for (k, radius, scaling, reason, field) in [
+        (None, None, all(None, None, None), "REQUIRED", ""),
+        (Some(1), None, all(None, None, None), "REQUIRED", ""),
+        (
+            Some(1),
+            None,
+            all(two, None, None),
+            "AMBIGUOUS",
+            ".k_factor",
+        ),
+        (None, None, all(less, None, None), "NEGATIVE", ".k_factor"),
+        (
+            None,
+            None,
+            all(INFINITE, None, None),
+            "INFINITE",
+            ".k_factor",
+        ),
+        (None, None, all(NAN, None, None), "NAN", ".k_factor"),
+        (
+            None,
+            half,
+            all(None, two, None),
+            "AMBIGUOUS",
+            ".radius_factor",
+        ),
+        (
+            Some(1),
+            None,
+            all(None, less, None),
+            "NEGATIVE",
+            ".radius_factor",
+        ),
+        (
+            None,
+            None,
+            all(None, INFINITE, None),
+            "INFINITE",
+            ".radius_factor",
+        ),
+        (None, None, all(two, NAN, None), "NAN", ".radius_factor"),
+        (None, None, all(None, two, less), "NEGATIVE", ".radius_max"),
+        (None, None, all(None, two, NAN), "NAN", ".radius_max"),
+        (
+            None,
+            None,
+            all(two, None, half),
+            "REQUIRED",
+            ".radius_factor",
+        ),
+    ] {
+        let neighbors = v1::NeighborQuery {
+            k,
+            radius,
+            scaling: Some(scaling),
+            ..Default::default()
+        };
+        let request = v1::InsertRequest {
+            neighbors: Some(neighbors),
+            ..insertion(&[[0.0; 3]], &[])
+        };
+        let refused = refusal(service.insert(&CALL, request).await);
+        let expected = invalid(reason, format!("neighbors.scaling{field}"));
+        assert_eq!(refused, expected, "{neighbors:?}");
+
+        // A Knn needs a number, too.
+        let is_scaled = scaling.k_factor.is_some();
+        let request = v1::KnnRequest {
+            radius,
+            scaling: Some(scaling),
+            ..knn(&[[0.0; 3]], k.unwrap_or(if is_scaled { 0 } else { 1 }))
+        };
+        let refused = refusal(service.knn(&CALL, request.clone()).await);
+        let expected = invalid(reason, format!("scaling{field}"));
+        assert_eq!(refused, expected, "{request:?}");
+        if !is_scaled {
+            let none = v1::KnnRequest { k: 0, ..request };
+            let refused = refusal(service.knn(&CALL, none).await);
+            assert_eq!(refused, invalid("ZERO", "k".into()));
+        }
+
+        let query = v1::QueryRequest {
+            index: "arm".into(),
+            states: states(&[[0.0; 3]]),
+            radius,
+            scaling: Some(scaling),
+            ..Default::default()
+        };
+        let refused = refusal(service.query(&CALL, query).await);
+        let expected = if is_scaled {
+            invalid("NOT_APPLICABLE", "scaling.k_factor".into())
+        } else {
+            expected
+        };
+        assert_eq!(refused, expected, "{scaling:?}");
+    }
+    assert_eq!(info(&service, "arm").await.points, 1);
+}
