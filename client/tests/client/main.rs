@@ -15,6 +15,7 @@ mod replica;
 mod requests;
 mod retrying;
 mod revisions;
+mod scaling;
 mod server;
 mod streaming;
 mod typed_states;
