@@ -113,7 +113,7 @@ impl Scaling {
     /// (2(1 + 1/d))^(1/d) · (μ/ζ_d)^(1/d) for a free space of volume μ: above this RRT* is asymptotically optimal.
     ///
     /// K. Solovey and others, "Revisiting the asymptotic optimality of RRT*", ICRA 2020, found a gap in the proof, and prove
-    /// it for the exponent 1/(d + 1): a factor well above the bound is on the safe side.
+    /// it for a radius with the exponent 1/(d + 1), which shrinks more slowly and is not offered here.
     ///
     /// ```
     /// use wayfold_index::Scaling;
