@@ -356,6 +356,7 @@ impl<'a> Life<'a> {
             let knn = v1::KnnRequest {
                 k: 1000,
                 radius: None,
+                scaling: None,
                 filter: None,
                 include: Some(include),
                 ..requests.knn(model.revision)
