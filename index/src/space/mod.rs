@@ -12,6 +12,7 @@
 //! is not correctly rounded by IEEE 754 comes from `libm`. Whatever is reported anywhere was computed by it.
 
 mod error;
+mod geodesic;
 mod presets;
 mod real_vector;
 mod so2;
@@ -84,6 +85,15 @@ impl Factor {
             Factor::RealVector(_) => real_vector::canonicalize(coordinates),
             Factor::SO2 { period } => so2::canonicalize(coordinates, period),
             Factor::SO3 => so3::canonicalize(coordinates),
+        }
+    }
+
+    /// What lies the share `t` of the way from `a` to `b`, strictly between the two; canonical but for the wrapping.
+    fn interpolate(&self, a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
+        match *self {
+            Factor::RealVector(_) => real_vector::interpolate(a, b, t, between),
+            Factor::SO2 { period } => so2::interpolate(a[0], b[0], period, t, between),
+            Factor::SO3 => so3::interpolate(a, b, t, between),
         }
     }
 

@@ -16,6 +16,13 @@ pub(super) fn distance_2(a: &[f64], b: &[f64]) -> f64 {
     sum_2
 }
 
+/// The segment from `a` to `b`.
+pub(super) fn interpolate(a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
+    for ((x, a), b) in between.iter_mut().zip(a).zip(b) {
+        *x = a + t * (b - a);
+    }
+}
+
 /// Checks the coordinates, and turns −0.0 into 0.0.
 pub(super) fn canonicalize(coordinates: &mut [f64]) -> Result<(), StateError> {
     for (i, x) in coordinates.iter_mut().enumerate() {

@@ -24,6 +24,18 @@ fn distance(a: f64, b: f64, period: f64) -> f64 {
     direct.min(period - direct).max(0.0)
 }
 
+/// The shorter arc from `a` to `b`; of two equal ones that which does not cross the seam. It may end beyond the seam:
+/// [`canonicalize`] wraps it.
+pub(super) fn interpolate(a: f64, b: f64, period: f64, t: f64, between: &mut [f64]) {
+    let half = period / 2.0;
+    let b = match b - a {
+        ahead if ahead > half => b - period,
+        ahead if ahead < -half => b + period,
+        _ => b,
+    };
+    between[0] = a + t * (b - a);
+}
+
 /// Checks the angle and wraps it into [−P/2, P/2).
 ///
 /// An angle that lies there is not touched, so wrapping twice changes no bit. Any other is brought there by the IEEE

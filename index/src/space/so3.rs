@@ -38,6 +38,26 @@ fn chord_2(a: &[f64], b: &[f64]) -> f64 {
     f64::min(minus_2, plus_2)
 }
 
+/// The shorter great arc from `a` to `b` or −b (slerp): rotation about a fixed axis at a constant rate. Of two equal
+/// ones that to `b`.
+pub(super) fn interpolate(a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
+    /// Below this the sines equal their angles to the last bit, and their quotients are `1 − t` and `t`.
+    const STRAIGHT: f64 = 1e-8;
+    let dot: f64 = a.iter().zip(b).map(|(x, y)| x * y).sum();
+    let sign = if dot < 0.0 { -1.0 } else { 1.0 };
+    let theta = angle(a, b);
+    let (from, to) = if theta < STRAIGHT {
+        (1.0 - t, t)
+    } else {
+        let sin = libm::sin(theta);
+        let from = libm::sin((1.0 - t) * theta) / sin;
+        (from, libm::sin(t * theta) / sin)
+    };
+    for ((x, a), b) in between.iter_mut().zip(a).zip(b) {
+        *x = from * a + sign * to * b;
+    }
+}
+
 /// The angle belonging to the squared chord s is θ = 2·asin(√s/2), and
 ///
 /// > θ² = s·(1 + s/12 + s²/90 + s³/560 + …)
