@@ -1,0 +1,128 @@
+//! The picture of the maze.
+
+use std::{f64::consts::PI, path::Path};
+
+use plotters::{
+    chart::ChartBuilder,
+    prelude::{PathElement, Polygon, Rectangle},
+    style::{Color, WHITE},
+};
+
+use crate::{
+    planning::{
+        comparison::Comparison,
+        drawing::{
+            self, Area, DARK, DrawingError, LETTERS, PALE, TREES, along, around, branches, letters,
+            write,
+        },
+        error::PlanningError,
+        panels, path,
+        problem::Problem,
+    },
+    scene::Maze,
+};
+
+/// How many bodies are drawn along the path.
+const BODIES: usize = 90;
+
+/// Draws the maze with both trees and the path, the same from the side, and the panels of figures.
+pub fn draw(
+    maze: &Maze,
+    comparison: &Comparison,
+    shown: &[Vec<f64>],
+    file: &Path,
+) -> Result<(), PlanningError> {
+    drawing::picture(file, (3300, 2300), |area| {
+        let (left, right) = area.split_horizontally(2300);
+        let (from_above, from_the_side) = left.split_vertically(1630);
+        above(maze, comparison, shown, &from_above)?;
+        side(maze, comparison, shown, &from_the_side)?;
+        panels::draw(&right.margin(80, 60, 20, 40), comparison)
+    })
+}
+
+fn above(
+    maze: &Maze,
+    comparison: &Comparison,
+    shown: &[Vec<f64>],
+    area: &Area<'_>,
+) -> Result<(), DrawingError> {
+    let [width, height] = [0, 1].map(|axis| maze.bounds()[axis].1);
+    let mut chart = ChartBuilder::on(area)
+        .margin(60)
+        .margin_top(110)
+        .build_cartesian_2d(-0.1..width + 0.1, -0.1..height + 0.1)?;
+    for (tree, color) in comparison.solution.trees.iter().zip(TREES) {
+        let lines = branches(tree, |state| (state[0], state[1]));
+        let style = color.mix(0.55).stroke_width(2);
+        chart.draw_series(lines.into_iter().map(|line| PathElement::new(line, style)))?;
+    }
+    let walls = maze.walls().iter().map(|wall| {
+        let (low, high) = (wall.center - wall.half, wall.center + wall.half);
+        Rectangle::new([(low.x, low.y), (high.x, high.y)], DARK.filled())
+    });
+    chart.draw_series(walls)?;
+    let bodies = path::spread(maze, shown, BODIES);
+    let last = bodies.len().saturating_sub(1).max(1) as f64;
+    for (at, state) in bodies.iter().enumerate() {
+        let outline = maze.outline(state);
+        let fill = along(at as f64 / last).mix(0.8).filled();
+        chart.draw_series([Polygon::new(outline.clone(), fill)])?;
+        let closed = outline.iter().chain(outline.first()).copied();
+        let edge = WHITE.mix(0.7).stroke_width(2);
+        chart.draw_series([PathElement::new(closed.collect::<Vec<_>>(), edge)])?;
+    }
+    let nodes: usize = comparison
+        .solution
+        .trees
+        .iter()
+        .map(|tree| tree.len())
+        .sum();
+    let title = format!("A C-shaped body through a maze: {nodes} nodes in R² × S¹");
+    write(area, title, (80, 60), letters(LETTERS[0], DARK))?;
+    let entries = [
+        ("tree from the start", TREES[0]),
+        ("tree from the goal", TREES[1]),
+    ];
+    drawing::legend(area, &entries, (1420, 60), 420)
+}
+
+/// The same from the side: the angle over the same horizontal place.
+fn side(
+    maze: &Maze,
+    comparison: &Comparison,
+    shown: &[Vec<f64>],
+    area: &Area<'_>,
+) -> Result<(), DrawingError> {
+    let width = maze.bounds()[0].1;
+    let mut chart = ChartBuilder::on(area)
+        .margin_left(60)
+        .margin_right(60)
+        .margin_top(90)
+        .margin_bottom(50)
+        .build_cartesian_2d(-0.1..width + 0.1, -PI..PI)?;
+    for angle in [-PI, -PI / 2.0, 0.0, PI / 2.0, PI] {
+        let line = vec![(0.0, angle), (width, angle)];
+        chart.draw_series([PathElement::new(line, PALE.stroke_width(3))])?;
+    }
+    for (tree, color) in comparison.solution.trees.iter().zip(TREES) {
+        let style = color.mix(0.3).stroke_width(2);
+        for line in branches(tree, |state| (state[0], state[2])) {
+            let parts = around(&line, PI).into_iter();
+            chart.draw_series(parts.map(|part| PathElement::new(part, style)))?;
+        }
+    }
+    let states = path::spread(maze, shown, 1000);
+    let last = states.len().saturating_sub(1).max(1) as f64;
+    for (at, pair) in states.windows(2).enumerate() {
+        let line: Vec<(f64, f64)> = pair.iter().map(|state| (state[0], state[2])).collect();
+        for (style, parts) in [
+            (WHITE.stroke_width(16), around(&line, PI)),
+            (along(at as f64 / last).stroke_width(10), around(&line, PI)),
+        ] {
+            chart.draw_series(parts.into_iter().map(|part| PathElement::new(part, style)))?;
+        }
+    }
+    let title = "The same trees and path from the side: the body's angle, whose upper and lower edge are one";
+    write(area, title, (80, 45), letters(LETTERS[1], DARK))
+}

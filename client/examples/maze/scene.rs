@@ -1,0 +1,263 @@
+//! The maze, the body, and when they collide.
+
+use nalgebra::{UnitComplex, Vector2};
+use parry2d_f64::{
+    math::{Pose, Vector},
+    query::{self, details::intersection_test_cuboid_cuboid},
+    shape::Cuboid,
+};
+use wayfold_client::Space;
+
+use crate::planning::{path::Verify, problem::Problem};
+
+/// Cells of size 1; what is drawn is a wall.
+const MAZE: &str = "\
++--+--+--+--+--+--+--+--+--+--+--+--+
+|  |              |  |              |
++  +--+  +--+--+  +  +  +--+--+  +--+
+|  |     |        |     |     |     |
++  +  +--+  +--+--+--+--+  +  +--+  +
+|  |     |                 |  |     |
++  +--+  +--+--+--+--+--+--+  +  +--+
+|        |        |           |     |
++--+--+--+  +  +--+  +--+--+--+--+  +
+|  |     |  |        |           |  |
++  +  +  +  +--+--+--+--+--+  +  +  +
+|     |  |  |     |           |     |
++--+--+  +  +  +  +  +--+--+--+--+  +
+|        |     |     |        |     |
++  +--+--+--+--+--+--+  +  +--+  +--+
+|                       |           |
++--+--+--+--+--+--+--+--+--+--+--+--+";
+
+/// Half of how thick a wall is.
+const HALF_WALL: f64 = 0.05;
+
+/// The body, a C that opens to the right: its outer width and height, and how thick it is.
+const BODY: (f64, f64, f64) = (0.66, 0.66, 0.16);
+
+/// Positions are in cells, angles in radians. A body that turns by dθ moves each of its points by at most r·dθ, where
+/// r ≈ 0.42 is how far its corners are from its middle. With the weight r² a distance is about the farthest that a point
+/// of the body moves, in turning as in moving on, so that one resolution suits both.
+const SPACE: &str = "R2*SO2:0.18";
+
+/// Motions are checked at states so far apart. Between two of them a point of the body is at most √2 · [`RESOLUTION`] / 2
+/// from where it is in the nearer one (√2, as the parts of a distance in place and angle are added by their squares).
+const RESOLUTION: f64 = 0.02;
+
+/// So the planner checks a body that is so much thicker on all sides, and what it finds free is free also in between.
+const MARGIN: f64 = RESOLUTION * std::f64::consts::FRAC_1_SQRT_2;
+
+/// A box in the plane.
+pub struct Block {
+    /// Its middle.
+    pub center: Vector,
+    /// Half of its sides.
+    pub half: Vector,
+}
+
+impl Block {
+    fn between(low: (f64, f64), high: (f64, f64)) -> Block {
+        Block {
+            center: Vector::new((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0),
+            half: Vector::new((high.0 - low.0) / 2.0, (high.1 - low.1) / 2.0),
+        }
+    }
+
+    fn shape(&self) -> Cuboid {
+        Cuboid::new(self.half)
+    }
+
+    fn with_margin(&self) -> Cuboid {
+        Cuboid::new(self.half + Vector::splat(MARGIN))
+    }
+
+    fn pose(&self) -> Pose {
+        Pose::from_translation(self.center)
+    }
+}
+
+/// The maze and the body in it.
+pub struct Maze {
+    space: Space,
+    bounds: [(f64, f64); 2],
+    start: Vec<f64>,
+    goal: Vec<f64>,
+    walls: Vec<Block>,
+    body: Vec<Block>,
+    /// How far the body reaches from its middle, with its margin.
+    radius: f64,
+}
+
+impl Maze {
+    /// The whole of it, from the upper left to the lower right corner, with a turn.
+    pub fn new() -> Maze {
+        Maze::between((0, 0), (11, 7))
+    }
+
+    /// The way between two cells, each a column and a row.
+    pub fn between(start: (u8, u8), goal: (u8, u8)) -> Maze {
+        let (width, height) = (
+            MAZE.find('\n').unwrap_or_default() / 3,
+            MAZE.lines().count() / 2,
+        );
+        let middle = |(column, row): (u8, u8), angle: f64| {
+            let y = height as f64 - 0.5 - f64::from(row);
+            vec![f64::from(column) + 0.5, y, angle]
+        };
+        let (w, h, thick) = (BODY.0 / 2.0, BODY.1 / 2.0, BODY.2);
+        Maze {
+            space: space(),
+            bounds: [(0.0, width as f64), (0.0, height as f64)],
+            start: middle(start, 0.0),
+            // A canonical angle: the half turn is −π.
+            goal: middle(goal, -std::f64::consts::PI),
+            walls: walls(height),
+            body: vec![
+                Block::between((-w, -h), (thick - w, h)),
+                Block::between((thick - w, h - thick), (w, h)),
+                Block::between((thick - w, -h), (w, thick - h)),
+            ],
+            radius: (w + MARGIN).hypot(h + MARGIN),
+        }
+    }
+
+    /// The walls.
+    pub fn walls(&self) -> &[Block] {
+        &self.walls
+    }
+
+    /// The corners of the body, all the way round, where it stands in a state.
+    pub fn outline(&self, state: &[f64]) -> Vec<(f64, f64)> {
+        let pose = pose(state);
+        let (w, h, thick) = (BODY.0 / 2.0, BODY.1 / 2.0, BODY.2);
+        let corners = [
+            (w, h),
+            (-w, h),
+            (-w, -h),
+            (w, -h),
+            (w, thick - h),
+            (thick - w, thick - h),
+            (thick - w, h - thick),
+            (w, h - thick),
+        ];
+        let place = |(x, y)| pose.transform_point(Vector::new(x, y));
+        corners.map(place).map(|point| (point.x, point.y)).to_vec()
+    }
+
+    /// Whether the circle about the body, in this place, reaches a wall at all.
+    fn is_near(&self, place: Vector, wall: &Block) -> bool {
+        let outside = (place - wall.center).abs() - wall.half;
+        outside.x.max(outside.y) < self.radius
+    }
+}
+
+impl Problem for Maze {
+    fn space(&self) -> &Space {
+        &self.space
+    }
+
+    fn bounds(&self) -> &[(f64, f64)] {
+        &self.bounds
+    }
+
+    fn start(&self) -> &[f64] {
+        &self.start
+    }
+
+    fn goal(&self) -> &[f64] {
+        &self.goal
+    }
+
+    fn is_free(&self, state: &[f64]) -> bool {
+        let pose = pose(state);
+        let near = |wall: &&Block| self.is_near(pose.translation, wall);
+        self.walls.iter().filter(near).all(|wall| {
+            let there = pose.inv_mul(&wall.pose());
+            self.body.iter().all(|part| {
+                let from_part = Pose::from_translation(-part.center) * there;
+                !intersection_test_cuboid_cuboid(&from_part, &part.with_margin(), &wall.shape())
+            })
+        })
+    }
+
+    fn resolution(&self) -> f64 {
+        RESOLUTION
+    }
+
+    fn checks_per_node(&self) -> usize {
+        2
+    }
+}
+
+impl Verify for Maze {
+    /// Interpolated by nalgebra, and free if all distances are above 0, which is another algorithm (GJK) than that of
+    /// the separating axes.
+    fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
+        let (from, to) = (Vector2::new(a[0], a[1]), Vector2::new(b[0], b[1]));
+        let place = from.lerp(&to, t);
+        let turned = UnitComplex::new(a[2]).slerp(&UnitComplex::new(b[2]), t);
+        let pose = Pose::new(Vector::new(place.x, place.y), turned.angle());
+        self.walls.iter().all(|wall| {
+            self.body.iter().all(|part| {
+                let part_pose = pose * part.pose();
+                let apart = query::distance(&part_pose, &part.shape(), &wall.pose(), &wall.shape());
+                apart.is_ok_and(|apart| apart.distance > 0.0)
+            })
+        })
+    }
+}
+
+fn space() -> Space {
+    SPACE.parse().expect("the text of a space")
+}
+
+fn pose(state: &[f64]) -> Pose {
+    Pose::new(Vector::new(state[0], state[1]), state[2])
+}
+
+/// The walls of the maze, each as long as it goes.
+fn walls(height: usize) -> Vec<Block> {
+    let lines: Vec<&[u8]> = MAZE.lines().map(str::as_bytes).collect();
+    let is_wall = |line: usize, column: usize| {
+        let character = lines.get(line).and_then(|line| line.get(column));
+        character.is_some_and(|character| matches!(character, b'-' | b'|'))
+    };
+    let mut walls = Vec::new();
+    let mut add = |x: (usize, usize), y: (usize, usize)| {
+        let place = |at: usize, half: f64| at as f64 + half;
+        let top = height as f64;
+        walls.push(Block::between(
+            (place(x.0, -HALF_WALL), top - place(y.1, HALF_WALL)),
+            (place(x.1, HALF_WALL), top - place(y.0, -HALF_WALL)),
+        ));
+    };
+    let (rows, columns) = (lines.len() / 2, lines[0].len() / 3);
+    for row in 0..=rows {
+        for (first, last) in runs((0..columns).map(|column| is_wall(2 * row, 3 * column + 1))) {
+            add((first, last), (row, row));
+        }
+    }
+    for column in 0..=columns {
+        for (first, last) in runs((0..rows).map(|row| is_wall(2 * row + 1, 3 * column))) {
+            add((column, column), (first, last));
+        }
+    }
+    walls
+}
+
+/// Where runs of true begin and end.
+fn runs(of: impl Iterator<Item = bool>) -> Vec<(usize, usize)> {
+    let (mut runs, mut begun) = (Vec::new(), None);
+    for (at, is) in of.chain([false]).enumerate() {
+        match (is, begun) {
+            (true, None) => begun = Some(at),
+            (false, Some(first)) => {
+                runs.push((first, at));
+                begun = None;
+            }
+            _ => {}
+        }
+    }
+    runs
+}

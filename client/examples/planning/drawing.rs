@@ -1,0 +1,142 @@
+//! What all pictures have in common: colours, lines of a tree, bodies along a path, and the panels of figures.
+
+use std::{fs, io, path::Path};
+
+use plotters::{
+    coord::Shift,
+    prelude::{
+        DrawingArea, DrawingAreaErrorKind, IntoDrawingArea, PathElement, RGBColor, SVGBackend, Text,
+    },
+    style::{
+        Color, IntoFont, TextStyle, WHITE,
+        text_anchor::{HPos, Pos, VPos},
+    },
+};
+
+use super::{error::PlanningError, options::Wanted, rrt::Tree};
+
+/// A part of a picture. Pictures are drawn large, as positions on them are whole numbers.
+pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// What the drawing library may say.
+pub type DrawingError = DrawingAreaErrorKind<io::Error>;
+
+/// Text, walls and axes.
+pub const DARK: RGBColor = RGBColor(38, 43, 56);
+/// What is there for orientation only.
+pub const PALE: RGBColor = RGBColor(222, 226, 232);
+/// The trees from the start and from the goal; by worker, later ones for the others.
+pub const TREES: [RGBColor; 2] = [RGBColor(47, 111, 179), RGBColor(226, 128, 45)];
+
+/// The colour of a source.
+pub fn ink(source: Wanted) -> RGBColor {
+    match source {
+        Wanted::Brute => RGBColor(120, 127, 140),
+        Wanted::Scan => RGBColor(201, 160, 34),
+        Wanted::Forest | Wanted::All => RGBColor(35, 138, 92),
+        Wanted::Server => RGBColor(190, 62, 72),
+        Wanted::Replica => RGBColor(110, 84, 178),
+    }
+}
+
+/// From light to dark along a path, for `share` from 0 to 1.
+pub fn along(share: f64) -> RGBColor {
+    const LIGHT: [f64; 3] = [250.0, 205.0, 226.0];
+    const DEEP: [f64; 3] = [112.0, 16.0, 92.0];
+    let share = share.clamp(0.0, 1.0);
+    let mix = |i: usize| (LIGHT[i] + share * (DEEP[i] - LIGHT[i])).round() as u8;
+    RGBColor(mix(0), mix(1), mix(2))
+}
+
+/// Draws a picture of this size and writes it to `path`.
+pub fn picture(
+    path: &Path,
+    size: (u32, u32),
+    draw: impl FnOnce(&Area<'_>) -> Result<(), DrawingError>,
+) -> Result<(), PlanningError> {
+    let failed = |problem: String| PlanningError::File {
+        path: path.to_owned(),
+        problem,
+    };
+    let mut text = String::new();
+    {
+        let area = SVGBackend::with_string(&mut text, size).into_drawing_area();
+        let drawn = area.fill(&WHITE).and_then(|()| draw(&area));
+        let drawn = drawn.and_then(|()| area.present());
+        drawn.map_err(|error| failed(error.to_string()))?;
+    }
+    fs::write(path, text).map_err(|error| failed(error.to_string()))?;
+    println!("{} is drawn.", path.display());
+    Ok(())
+}
+
+/// How large letters are: in titles, and elsewhere.
+pub const LETTERS: [i32; 2] = [46, 34];
+
+/// A style for letters.
+pub fn letters(size: i32, color: RGBColor) -> TextStyle<'static> {
+    let place = Pos::new(HPos::Left, VPos::Center);
+    ("sans-serif", size).into_font().color(&color).pos(place)
+}
+
+/// Writes at a place of the area.
+pub fn write(
+    area: &Area<'_>,
+    text: impl Into<String>,
+    place: (i32, i32),
+    style: TextStyle<'static>,
+) -> Result<(), DrawingError> {
+    area.draw(&Text::new(text.into(), place, style))
+}
+
+/// A legend in one line: each text behind a stroke of its colour. `spacing` is how far apart they begin.
+pub fn legend(
+    area: &Area<'_>,
+    entries: &[(&str, RGBColor)],
+    (mut x, y): (i32, i32),
+    spacing: i32,
+) -> Result<(), DrawingError> {
+    for (text, color) in entries {
+        let line = vec![(x, y), (x + 50, y)];
+        area.draw(&PathElement::new(line, color.stroke_width(10)))?;
+        write(area, *text, (x + 66, y), letters(LETTERS[1], DARK))?;
+        x += spacing;
+    }
+    Ok(())
+}
+
+/// The edges of a tree as lines, each through as many nodes as follow one another.
+pub fn branches(tree: &Tree, project: impl Fn(&[f64]) -> (f64, f64)) -> Vec<Vec<(f64, f64)>> {
+    let mut lines: Vec<Vec<(f64, f64)>> = Vec::new();
+    for (node, &parent) in tree.parents.iter().enumerate() {
+        let Some(parent) = parent else { continue };
+        let end = project(tree.states.row(node));
+        match lines.last_mut() {
+            Some(line) if parent + 1 == node => line.push(end),
+            _ => lines.push(vec![project(tree.states.row(parent)), end]),
+        }
+    }
+    lines
+}
+
+/// A line whose second coordinate goes round a circle from `-half` to `half`: cut where it crosses the seam, so that
+/// it leaves on one side and comes back on the other.
+pub fn around(line: &[(f64, f64)], half: f64) -> Vec<Vec<(f64, f64)>> {
+    let mut parts = vec![Vec::from_iter(line.first().copied())];
+    for pair in line.windows(2) {
+        let ((x0, y0), (x1, y1)) = (pair[0], pair[1]);
+        if (y1 - y0).abs() > half {
+            let side = half.copysign(y0);
+            let beyond = y1 + 2.0 * side;
+            let x = x0 + (x1 - x0) * (side - y0) / (beyond - y0);
+            if let Some(part) = parts.last_mut() {
+                part.push((x, side));
+            }
+            parts.push(vec![(x, -side)]);
+        }
+        if let Some(part) = parts.last_mut() {
+            part.push((x1, y1));
+        }
+    }
+    parts
+}

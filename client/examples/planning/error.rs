@@ -1,0 +1,49 @@
+//! What can go wrong with a planner.
+
+use std::{io, path::PathBuf};
+
+use thiserror::Error;
+
+/// Why there is no result.
+#[derive(Debug, Error)]
+pub enum PlanningError {
+    /// A source that is reached over the network did not answer.
+    #[error(transparent)]
+    Client(#[from] wayfold_client::Error),
+    /// A server could not be started.
+    #[error("cannot start a server ({0}); --server URI takes one that runs already")]
+    Server(io::Error),
+    /// The trees grew as large as they may without meeting.
+    #[error("no path with {nodes} nodes; try another --seed, or more with --max-nodes")]
+    Unsolved {
+        /// How many nodes there are.
+        nodes: usize,
+    },
+    /// The finer check found a collision.
+    #[error(
+        "the path collides between its states {segment} and {next}: the planner's check is too coarse",
+        next = segment + 1
+    )]
+    Collision {
+        /// The first state of the segment.
+        segment: usize,
+    },
+    /// Two exact sources found different neighbours.
+    #[error("{first} and {other} grew different trees from seed {seed}: one of them is not exact")]
+    Differing {
+        /// The source that was asked first.
+        first: String,
+        /// The source that differs from it.
+        other: String,
+        /// The seed of both runs.
+        seed: u64,
+    },
+    /// A picture could not be drawn or a file not be written.
+    #[error("{}: {problem}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system or the drawing library said.
+        problem: String,
+    },
+}

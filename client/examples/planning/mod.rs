@@ -1,0 +1,23 @@
+//! What the planners share: sampling-based planning against one small trait for where the neighbours come from.
+//!
+//! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (what a scene tells a
+//! planner), `rrt` (the planner), `path` (its result, checked anew), `comparison` (one problem with every source),
+//! `report` (the table and the JSON), `drawing` and `panels` (what all pictures have in
+//! common).
+
+#![allow(dead_code, reason = "each example takes what it needs of this")]
+
+pub mod comparison;
+pub mod drawing;
+pub mod error;
+pub mod local;
+pub mod options;
+pub mod panels;
+pub mod path;
+pub mod problem;
+pub mod remote;
+pub mod report;
+pub mod rrt;
+pub mod sampling;
+pub mod server;
+pub mod source;

@@ -1,0 +1,68 @@
+//! What an example can be told on its command line.
+
+use std::path::PathBuf;
+
+use clap::{Parser, ValueEnum};
+
+/// Solves a motion planning problem, tells where the time went, and draws a picture of it.
+#[derive(Clone, Debug, Parser)]
+pub struct Options {
+    /// Where the neighbours come from
+    #[arg(long, value_enum, default_value_t = Wanted::All)]
+    pub source: Wanted,
+    /// What the random states are drawn from; the next run takes the next one
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// How often to solve the problem with each source; medians are told
+    #[arg(long, default_value_t = 1)]
+    pub runs: u64,
+    /// A server that runs already; one is started for the time of the example unless given
+    #[arg(long, value_name = "URI")]
+    pub server: Option<String>,
+    /// Gives up with so many nodes
+    #[arg(long, default_value_t = 1_000_000)]
+    pub max_nodes: usize,
+    /// Writes the figures of all runs to a file
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// One source, or all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Wanted {
+    /// A scalar loop over all states
+    Brute,
+    /// A SIMD scan of all states
+    Scan,
+    /// The index in this process
+    Forest,
+    /// A server, over gRPC
+    Server,
+    /// A replica that follows a server
+    Replica,
+    /// Each of these, with the same seeds
+    All,
+}
+
+impl Wanted {
+    /// Its sources, brute force first.
+    pub fn sources(self) -> Vec<Wanted> {
+        use Wanted::{All, Brute, Forest, Replica, Scan, Server};
+        match self {
+            All => vec![Brute, Scan, Forest, Server, Replica],
+            one => vec![one],
+        }
+    }
+
+    /// What it is called in tables and pictures.
+    pub fn name(self) -> &'static str {
+        match self {
+            Wanted::Brute => "brute force",
+            Wanted::Scan => "SIMD scan",
+            Wanted::Forest => "forest",
+            Wanted::Server => "server",
+            Wanted::Replica => "replica",
+            Wanted::All => "all",
+        }
+    }
+}

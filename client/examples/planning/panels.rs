@@ -1,0 +1,122 @@
+//! The panels of figures that each picture has: how fast the trees grew, and what share of the time was spent in
+//! search.
+
+use plotters::{
+    chart::ChartBuilder,
+    prelude::{IntoLogRange, PathElement},
+    style::Color,
+};
+
+use super::{
+    comparison::{Comparison, Run},
+    drawing::{Area, DARK, DrawingError, LETTERS, PALE, ink, legend, letters, write},
+    options::Wanted,
+};
+
+/// Draws both panels, one below the other, with their legend.
+pub fn draw(area: &Area<'_>, comparison: &Comparison) -> Result<(), DrawingError> {
+    let (_, height) = area.dim_in_pixel();
+    let (head, panels) = area.split_vertically(190);
+    let names: Vec<_> = comparison
+        .sources
+        .iter()
+        .map(|&source| (source.name(), ink(source)))
+        .collect();
+    for (row, entries) in names.chunks(3).enumerate() {
+        legend(&head, entries, (40, 40 + 56 * row as i32), 310)?;
+    }
+    let (growth, share) = panels.split_vertically((height - 190) / 2);
+    nodes_over_time(&growth, comparison)?;
+    share_over_nodes(&share, comparison)
+}
+
+/// The first run with each source.
+fn first_runs(comparison: &Comparison) -> impl Iterator<Item = (Wanted, &Run)> {
+    let of = |&source| Some((source, comparison.runs_of(source).next()?));
+    comparison.sources.iter().filter_map(of)
+}
+
+fn nodes_over_time(area: &Area<'_>, comparison: &Comparison) -> Result<(), DrawingError> {
+    let points = |run: &Run| -> Vec<(f64, f64)> {
+        let growth = run.growth.iter();
+        growth
+            .map(|moment| (moment.account.total.as_secs_f64(), moment.nodes as f64))
+            .collect()
+    };
+    let nodes = first_runs(comparison).map(|(_, run)| run.nodes);
+    let most = nodes.max().unwrap_or(1) as f64;
+    let ends = || first_runs(comparison).map(|(_, run)| run.account.total.as_secs_f64());
+    let longest = ends().fold(f64::MIN_POSITIVE, f64::max);
+    // Two decades before the end of the shortest run show how they part.
+    let shortest = ends().fold(longest, f64::min);
+    let mut chart = ChartBuilder::on(area)
+        .margin(30)
+        .margin_top(90)
+        .x_label_area_size(90)
+        .y_label_area_size(130)
+        .build_cartesian_2d(
+            (shortest / 100.0..longest * 1.3).log_scale(),
+            0.0..most * 1.05,
+        )?;
+    let labels = letters(LETTERS[1], DARK);
+    chart
+        .configure_mesh()
+        .bold_line_style(PALE.stroke_width(2))
+        .light_line_style(PALE.mix(0.0))
+        .axis_style(DARK.stroke_width(3))
+        .x_labels(5)
+        .y_labels(5)
+        .label_style(labels.clone())
+        .axis_desc_style(labels)
+        .x_desc("seconds")
+        .x_label_formatter(&|seconds| format!("{seconds}"))
+        .y_label_formatter(&|nodes| format!("{nodes:.0}"))
+        .draw()?;
+    for (source, run) in first_runs(comparison) {
+        let line = PathElement::new(points(run), ink(source).stroke_width(7));
+        chart.draw_series([line])?;
+    }
+    write(area, "Nodes over time", (40, 50), letters(LETTERS[0], DARK))
+}
+
+fn share_over_nodes(area: &Area<'_>, comparison: &Comparison) -> Result<(), DrawingError> {
+    let nodes = first_runs(comparison).map(|(_, run)| run.nodes);
+    let most = nodes.max().unwrap_or(1) as f64;
+    let mut chart = ChartBuilder::on(area)
+        .margin(30)
+        .margin_top(90)
+        .x_label_area_size(90)
+        .y_label_area_size(130)
+        .build_cartesian_2d(0.0..most * 1.02, 0.0..100.0)?;
+    let labels = letters(LETTERS[1], DARK);
+    chart
+        .configure_mesh()
+        .bold_line_style(PALE.stroke_width(2))
+        .light_line_style(PALE.mix(0.0))
+        .axis_style(DARK.stroke_width(3))
+        .x_labels(4)
+        .y_labels(5)
+        .label_style(labels.clone())
+        .axis_desc_style(labels)
+        .x_desc("nodes")
+        .x_label_formatter(&|nodes| format!("{nodes:.0}"))
+        .y_label_formatter(&|share| format!("{share:.0} %"))
+        .draw()?;
+    for (source, run) in first_runs(comparison) {
+        // What comes first are too few searches to have a share.
+        let settled = run.growth.iter().filter(|moment| moment.nodes > 100);
+        let points = settled.map(|moment| {
+            let (neighbors, total) = (moment.account.neighbors.time(), moment.account.total);
+            let share = 100.0 * neighbors.as_secs_f64() / total.as_secs_f64();
+            (moment.nodes as f64, share)
+        });
+        let line = PathElement::new(points.collect::<Vec<_>>(), ink(source).stroke_width(7));
+        chart.draw_series([line])?;
+    }
+    write(
+        area,
+        "Time spent in searches and inserts",
+        (40, 50),
+        letters(LETTERS[0], DARK),
+    )
+}

@@ -1,0 +1,84 @@
+//! A path, checked anew and made shorter.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{error::PlanningError, problem::Problem};
+
+/// How much finer than the planner the check is.
+const FINER: f64 = 10.0;
+
+/// A problem that can judge a motion by other means than those that found it.
+pub trait Verify: Problem {
+    /// Whether the state the share `t` of the way from `a` to `b` is free, interpolated and judged by other code than
+    /// [`Problem::is_free`] and the planner use.
+    fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool;
+}
+
+/// Checks a path, ten times as finely as the planner did; tells how many states were checked.
+pub fn verify(problem: &impl Verify, path: &[Vec<f64>]) -> Result<usize, PlanningError> {
+    let mut checked = 0;
+    for (segment, pair) in path.windows(2).enumerate() {
+        let [a, b] = pair else { continue };
+        let distance = problem.space().distance(a, b);
+        let steps = (FINER * distance / problem.resolution()).ceil().max(1.0) as usize;
+        for step in 0..=steps {
+            if !problem.is_free_between(a, b, step as f64 / steps as f64) {
+                return Err(PlanningError::Collision { segment });
+            }
+            checked += 1;
+        }
+    }
+    Ok(checked)
+}
+
+/// Replaces what lies between two random states of a path by the straight motion wherever that is free, `tries` times:
+/// for the eye, and no part of what is measured.
+pub fn shorten(
+    problem: &impl Verify,
+    mut path: Vec<Vec<f64>>,
+    tries: usize,
+    seed: u64,
+) -> Vec<Vec<f64>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    for _ in 0..tries {
+        if path.len() < 3 {
+            break;
+        }
+        let first = rng.random_range(0..path.len() - 2);
+        let last = rng.random_range(first + 2..path.len());
+        if verify(problem, &[path[first].clone(), path[last].clone()]).is_ok() {
+            path.drain(first + 1..last);
+        }
+    }
+    path
+}
+
+/// The length of a path in the metric.
+pub fn length(problem: &impl Problem, path: &[Vec<f64>]) -> f64 {
+    let lengths = path.windows(2).map(|pair| match pair {
+        [a, b] => problem.space().distance(a, b),
+        _ => 0.0,
+    });
+    lengths.sum()
+}
+
+/// States along a path at equal distances, `count` of them and the ends.
+pub fn spread(problem: &impl Problem, path: &[Vec<f64>], count: usize) -> Vec<Vec<f64>> {
+    let space = problem.space();
+    let every = length(problem, path) / (count.max(1) as f64);
+    let (mut states, mut left) = (Vec::new(), 0.0);
+    for pair in path.windows(2) {
+        let [a, b] = pair else { continue };
+        let distance = space.distance(a, b);
+        while left < distance {
+            let mut state = vec![0.0; space.coordinates()];
+            space.interpolate(a, b, left / distance, &mut state);
+            states.push(state);
+            left += every;
+        }
+        left -= distance;
+    }
+    states.extend(path.last().cloned());
+    states
+}

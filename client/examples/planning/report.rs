@@ -1,0 +1,191 @@
+//! Where the time went: one table, and all figures as JSON.
+
+use std::{fmt::Write, fs, path::Path, time::Duration};
+
+use serde_json::{Value, json};
+
+use super::{
+    comparison::{Comparison, Run},
+    error::PlanningError,
+    options::Wanted,
+};
+
+/// Medians over the runs with one source.
+struct Line {
+    source: Wanted,
+    nodes: f64,
+    total: f64,
+    searching: f64,
+    inserting: f64,
+    checking: f64,
+    rest: f64,
+    /// For one search, and one call that inserts, in microseconds.
+    search_us: f64,
+    insert_us: f64,
+}
+
+impl Line {
+    fn of(comparison: &Comparison, source: Wanted) -> Line {
+        let middle = |of: fn(&Run) -> f64| median(comparison.runs_of(source).map(of).collect());
+        Line {
+            source,
+            nodes: middle(|run| run.nodes as f64),
+            total: middle(|run| run.account.total.as_secs_f64()),
+            searching: middle(|run| run.account.neighbors.searching.as_secs_f64()),
+            inserting: middle(|run| run.account.neighbors.inserting.as_secs_f64()),
+            checking: middle(|run| run.account.checking.as_secs_f64()),
+            rest: middle(|run| run.account.rest().as_secs_f64()),
+            search_us: middle(|run| {
+                let used = run.account.neighbors;
+                each_us(used.searching, used.searches)
+            }),
+            insert_us: middle(|run| {
+                let used = run.account.neighbors;
+                each_us(used.inserting, used.inserts)
+            }),
+        }
+    }
+
+    fn neighbors(&self) -> f64 {
+        self.searching + self.inserting
+    }
+}
+
+fn each_us(time: Duration, calls: usize) -> f64 {
+    time.as_secs_f64() * 1e6 / calls.max(1) as f64
+}
+
+/// The middle one, or the lower of the two in the middle; not a number if there is none.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let middle = values.len().saturating_sub(1) / 2;
+    values.get(middle).copied().unwrap_or(f64::NAN)
+}
+
+/// The table. `paper` is by what the paper's planner became faster with the trees of the paper's library, if it says so.
+pub fn table(comparison: &Comparison, paper: Option<f64>) -> String {
+    let lines = comparison
+        .sources
+        .iter()
+        .map(|&source| Line::of(comparison, source));
+    let lines: Vec<Line> = lines.collect();
+    let brute = lines.iter().find(|line| line.source == Wanted::Brute);
+    let runs = comparison.runs.len() / lines.len().max(1);
+    let mut text = format!(
+        "{:<12}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>10}{:>10}{:>8}{:>8}\n{:<12}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>10}{:>10}{:>8}{:>8}\n",
+        "",
+        "nodes",
+        "total",
+        "search",
+        "insert",
+        "checks",
+        "rest",
+        "share",
+        "a search",
+        "an insert",
+        "faster",
+        "faster",
+        "",
+        "",
+        "s",
+        "s",
+        "s",
+        "s",
+        "s",
+        "s+i, %",
+        "µs",
+        "µs",
+        "s+i",
+        "total",
+    );
+    for line in &lines {
+        let share = 100.0 * line.neighbors() / line.total;
+        let _ = write!(
+            text,
+            "{:<12}{:>8}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>8.0}{:>10.2}{:>10.2}",
+            line.source.name(),
+            line.nodes,
+            line.total,
+            line.searching,
+            line.inserting,
+            line.checking,
+            line.rest,
+            share,
+            line.search_us,
+            line.insert_us,
+        );
+        if let Some(brute) = brute {
+            let search = ratio(brute.neighbors() / line.neighbors());
+            let total = ratio(brute.total / line.total);
+            let _ = write!(text, "{search:>8}{total:>8}");
+        }
+        text.push('\n');
+    }
+    let _ = writeln!(
+        text,
+        "Medians of {runs} run{}. An insert is one call for all nodes of a connection. Faster: than scalar brute force.",
+        if runs == 1 { "" } else { "s" }
+    );
+    if let Some(paper) = paper {
+        let _ = writeln!(
+            text,
+            "The paper's planner became {paper}× faster in total (its Fig. 8, its machine, its brute force)."
+        );
+    }
+    network(&lines, &mut text);
+    text
+}
+
+fn ratio(ratio: f64) -> String {
+    if ratio < 10.0 {
+        format!("{ratio:.2}×")
+    } else {
+        format!("{ratio:.0}×")
+    }
+}
+
+/// Says what the network costs, where the same index was used with it and without.
+fn network(lines: &[Line], text: &mut String) {
+    let of = |source| lines.iter().find(|line| line.source == source);
+    let Some(forest) = of(Wanted::Forest) else {
+        return;
+    };
+    for line in [Wanted::Server, Wanted::Replica].into_iter().filter_map(of) {
+        let search = (line.search_us - forest.search_us).max(0.0);
+        let insert = (line.insert_us - forest.insert_us).max(0.0);
+        let eaten = line.neighbors() - forest.neighbors();
+        let _ = writeln!(
+            text,
+            "The {} adds {search:.0} µs to a search and {insert:.0} µs to an insert: {eaten:.2} s, {:.0} % of its total.",
+            line.source.name(),
+            100.0 * eaten / line.total,
+        );
+    }
+}
+
+/// Writes the figures of all runs.
+pub fn write_json(comparison: &Comparison, path: &Path) -> Result<(), PlanningError> {
+    let runs: Vec<Value> = comparison.runs.iter().map(run).collect();
+    let text = format!("{:#}\n", json!({ "runs": runs }));
+    fs::write(path, text).map_err(|error| PlanningError::File {
+        path: path.to_owned(),
+        problem: error.to_string(),
+    })
+}
+
+fn run(run: &Run) -> Value {
+    let (account, used) = (&run.account, &run.account.neighbors);
+    json!({
+        "source": run.source.name(),
+        "seed": run.seed,
+        "nodes": run.nodes,
+        "total_s": account.total.as_secs_f64(),
+        "searching_s": used.searching.as_secs_f64(),
+        "searches": used.searches,
+        "inserting_s": used.inserting.as_secs_f64(),
+        "inserts": used.inserts,
+        "checking_s": account.checking.as_secs_f64(),
+        "checks": account.checks,
+        "rest_s": account.rest().as_secs_f64(),
+    })
+}

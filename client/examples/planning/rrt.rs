@@ -1,0 +1,301 @@
+//! RRTConCon: two rapidly exploring random trees, each of which connects as far as it can, first towards a random state
+//! and then towards the other.
+//!
+//! J. Kuffner, S. M. LaValle, "RRT-Connect: An Efficient Approach to Single-Query Path Planning", ICRA 2000; this
+//! variant is named in S. M. LaValle, J. Kuffner, "Rapidly-Exploring Random Trees: Progress and Prospects", 2001. A
+//! connection asks for one neighbour however far it leads, and what it leaves behind is inserted at once.
+
+use std::{
+    collections::HashMap,
+    time::{Duration, Instant},
+};
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use wayfold_client::States;
+
+use super::{
+    error::PlanningError,
+    problem::Problem,
+    sampling,
+    source::{NeighborSource, Timed, Usage},
+};
+
+/// One tree. A node is a number from 0 up; ids are what its source calls the nodes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tree {
+    /// The nodes' states.
+    pub states: States,
+    /// The nodes' parents; none of the root.
+    pub parents: Vec<Option<usize>>,
+    /// The nodes' ids.
+    pub ids: Vec<u64>,
+    nodes: HashMap<u64, usize>,
+}
+
+impl Tree {
+    fn new(coordinates: usize) -> Tree {
+        Tree {
+            states: States::new(coordinates),
+            parents: Vec::new(),
+            ids: Vec::new(),
+            nodes: HashMap::new(),
+        }
+    }
+
+    /// How many nodes there are.
+    pub fn len(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// Appends states, each the child of the one before it, and the first of them of `parent`.
+    fn append(
+        &mut self,
+        mut parent: Option<usize>,
+        states: &States,
+        ids: Vec<u64>,
+    ) -> Result<(), PlanningError> {
+        for (state, id) in states.iter().zip(ids) {
+            let node = self.len();
+            self.states.push(state)?;
+            self.parents.push(parent);
+            self.ids.push(id);
+            self.nodes.insert(id, node);
+            parent = Some(node);
+        }
+        Ok(())
+    }
+
+    /// The states from the root to a node.
+    fn branch(&self, node: usize) -> Vec<Vec<f64>> {
+        let up = std::iter::successors(Some(node), |&node| self.parents[node]);
+        let mut states: Vec<Vec<f64>> = up.map(|node| self.states.row(node).to_vec()).collect();
+        states.reverse();
+        states
+    }
+}
+
+/// Where a run's time went.
+#[derive(Clone, Copy, Debug)]
+pub struct Account {
+    /// All of it.
+    pub total: Duration,
+    /// What went into the sources.
+    pub neighbors: Usage,
+    /// What went into motions: their states and whether these are free.
+    pub checking: Duration,
+    /// How many states were checked.
+    pub checks: usize,
+}
+
+impl Account {
+    /// What is left: the planner's own.
+    pub fn rest(&self) -> Duration {
+        self.total
+            .saturating_sub(self.neighbors.time() + self.checking)
+    }
+}
+
+/// How far a run was at some moment.
+#[derive(Clone, Copy, Debug)]
+pub struct Growth {
+    /// The nodes of both trees.
+    pub nodes: usize,
+    /// The account until then.
+    pub account: Account,
+}
+
+/// A solved problem.
+pub struct Solution {
+    /// The tree from the start, and that from the goal.
+    pub trees: [Tree; 2],
+    /// From start to goal.
+    pub path: Vec<Vec<f64>>,
+    /// Where the time went.
+    pub account: Account,
+    /// How it came to that, in steps of about the same number of nodes.
+    pub growth: Vec<Growth>,
+}
+
+/// Grows the two trees until they meet. The same seed grows the same trees with any exact source.
+pub fn solve(
+    problem: &impl Problem,
+    sources: [Box<dyn NeighborSource>; 2],
+    seed: u64,
+    max_nodes: usize,
+) -> Result<Solution, PlanningError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut planner = Planner::new(problem, sources)?;
+    let mut growing = 0;
+    loop {
+        let random = sampling::uniform(problem.space(), problem.bounds(), &mut rng);
+        let other = 1 - growing;
+        if let Some(end) = planner.connect(growing, &random)? {
+            let target = planner.trees[growing].states.row(end.node).to_vec();
+            if let Some(met) = planner.connect(other, &target)?
+                && met.reached
+            {
+                let nodes = if growing == 0 {
+                    [end.node, met.node]
+                } else {
+                    [met.node, end.node]
+                };
+                return Ok(planner.finish(nodes));
+            }
+        }
+        planner.record();
+        let nodes = planner.nodes();
+        if nodes >= max_nodes {
+            return Err(PlanningError::Unsolved { nodes });
+        }
+        growing = other;
+    }
+}
+
+/// How many moments of a run are recorded, at least: as many nodes lie between two of them as double with the run.
+const RECORDS: usize = 256;
+
+struct Planner<'a, P> {
+    problem: &'a P,
+    trees: [Tree; 2],
+    sources: [Timed; 2],
+    started: Instant,
+    checking: Duration,
+    checks: usize,
+    growth: Vec<Growth>,
+    record_every: usize,
+}
+
+/// Where a connection ended.
+struct End {
+    node: usize,
+    /// Whether that is the state it was meant for.
+    reached: bool,
+}
+
+impl<'a, P: Problem> Planner<'a, P> {
+    fn new(problem: &'a P, sources: [Box<dyn NeighborSource>; 2]) -> Result<Self, PlanningError> {
+        let coordinates = problem.space().coordinates();
+        let mut planner = Planner {
+            problem,
+            trees: [Tree::new(coordinates), Tree::new(coordinates)],
+            sources: sources.map(Timed::new),
+            started: Instant::now(),
+            checking: Duration::ZERO,
+            checks: 0,
+            growth: Vec::new(),
+            record_every: 1,
+        };
+        for (tree, root) in [problem.start(), problem.goal()].into_iter().enumerate() {
+            let mut states = States::new(coordinates);
+            states.push(root)?;
+            planner.insert(tree, None, &states)?;
+        }
+        Ok(planner)
+    }
+
+    fn insert(
+        &mut self,
+        tree: usize,
+        parent: Option<usize>,
+        states: &States,
+    ) -> Result<(), PlanningError> {
+        let ids = self.sources[tree].insert(states)?;
+        self.trees[tree].append(parent, states, ids)
+    }
+
+    /// Grows a tree from its node nearest to `target` towards it, until it is there or something is in the way; none if
+    /// there is no node to be had.
+    fn connect(&mut self, tree: usize, target: &[f64]) -> Result<Option<End>, PlanningError> {
+        let Some(nearest) = self.sources[tree].nearest(target)? else {
+            return Ok(None);
+        };
+        let near = self.trees[tree].nodes[&nearest.id];
+        let start = Instant::now();
+        let (states, reached) = self.advance(tree, near, target, nearest.distance)?;
+        self.checking += start.elapsed();
+        if states.is_empty() {
+            return Ok(reached.then_some(End {
+                node: near,
+                reached,
+            }));
+        }
+        self.insert(tree, Some(near), &states)?;
+        let node = self.trees[tree].len() - 1;
+        Ok(Some(End { node, reached }))
+    }
+
+    /// The states of the nodes on the way to `target`, and whether all of it is free.
+    fn advance(
+        &mut self,
+        tree: usize,
+        near: usize,
+        target: &[f64],
+        distance: f64,
+    ) -> Result<(States, bool), PlanningError> {
+        let (problem, space) = (self.problem, self.problem.space());
+        let from = self.trees[tree].states.row(near);
+        let mut states = States::new(space.coordinates());
+        let steps = (distance / problem.resolution()).ceil() as usize;
+        let mut state = vec![0.0; space.coordinates()];
+        for step in 1..=steps {
+            space.interpolate(from, target, step as f64 / steps as f64, &mut state);
+            self.checks += 1;
+            if !problem.is_free(&state) {
+                return Ok((states, false));
+            }
+            if step == steps || step % problem.checks_per_node() == 0 {
+                states.push(&state)?;
+            }
+        }
+        Ok((states, true))
+    }
+
+    fn nodes(&self) -> usize {
+        self.trees.iter().map(Tree::len).sum()
+    }
+
+    fn account(&self) -> Account {
+        let [start, goal] = &self.sources;
+        Account {
+            total: self.started.elapsed(),
+            neighbors: start.usage() + goal.usage(),
+            checking: self.checking,
+            checks: self.checks,
+        }
+    }
+
+    /// Remembers this moment, unless the last one is not long ago.
+    fn record(&mut self) {
+        let nodes = self.nodes();
+        let last = self.growth.last().map_or(0, |growth| growth.nodes);
+        if nodes >= last + self.record_every {
+            let account = self.account();
+            self.growth.push(Growth { nodes, account });
+            if self.growth.len() >= 2 * RECORDS {
+                let mut kept = 0;
+                self.growth.retain(|_| {
+                    kept += 1;
+                    kept % 2 == 0
+                });
+                self.record_every = (nodes / RECORDS).max(1);
+            }
+        }
+    }
+
+    /// The solution by the nodes at which the trees meet.
+    fn finish(mut self, [start, goal]: [usize; 2]) -> Solution {
+        let account = self.account();
+        let nodes = self.nodes();
+        self.growth.push(Growth { nodes, account });
+        let mut path = self.trees[0].branch(start);
+        // Both end in the state where they meet.
+        path.extend(self.trees[1].branch(goal).into_iter().rev().skip(1));
+        Solution {
+            trees: self.trees,
+            path,
+            account,
+            growth: self.growth,
+        }
+    }
+}
