@@ -23,7 +23,7 @@ use crate::{
 };
 
 /// How many bodies are drawn along the path.
-const BODIES: usize = 90;
+const BODIES: usize = 80;
 
 /// Draws the maze with both trees and the path, the same from the side, and the panels of figures.
 pub fn draw(
@@ -54,7 +54,7 @@ fn above(
         .build_cartesian_2d(-0.1..width + 0.1, -0.1..height + 0.1)?;
     for (tree, color) in comparison.solution.trees.iter().zip(TREES) {
         let lines = branches(tree, |state| (state[0], state[1]));
-        let style = color.mix(0.55).stroke_width(2);
+        let style = color.mix(0.6).stroke_width(3);
         chart.draw_series(lines.into_iter().map(|line| PathElement::new(line, style)))?;
     }
     let walls = maze.walls().iter().map(|wall| {
@@ -66,10 +66,10 @@ fn above(
     let last = bodies.len().saturating_sub(1).max(1) as f64;
     for (at, state) in bodies.iter().enumerate() {
         let outline = maze.outline(state);
-        let fill = along(at as f64 / last).mix(0.8).filled();
+        let fill = along(at as f64 / last).mix(0.72).filled();
         chart.draw_series([Polygon::new(outline.clone(), fill)])?;
         let closed = outline.iter().chain(outline.first()).copied();
-        let edge = WHITE.mix(0.7).stroke_width(2);
+        let edge = WHITE.mix(0.8).stroke_width(3);
         chart.draw_series([PathElement::new(closed.collect::<Vec<_>>(), edge)])?;
     }
     let nodes: usize = comparison
@@ -114,14 +114,22 @@ fn side(
     }
     let states = path::spread(maze, shown, 1000);
     let last = states.len().saturating_sub(1).max(1) as f64;
-    for (at, pair) in states.windows(2).enumerate() {
-        let line: Vec<(f64, f64)> = pair.iter().map(|state| (state[0], state[2])).collect();
-        for (style, parts) in [
-            (WHITE.stroke_width(16), around(&line, PI)),
-            (along(at as f64 / last).stroke_width(10), around(&line, PI)),
-        ] {
-            chart.draw_series(parts.into_iter().map(|part| PathElement::new(part, style)))?;
+    // All of the light seam before the line in it.
+    for width in [18, 11] {
+        for (at, pair) in states.windows(2).enumerate() {
+            let line: Vec<(f64, f64)> = pair.iter().map(|state| (state[0], state[2])).collect();
+            let style = match width {
+                11 => along(at as f64 / last).stroke_width(width),
+                _ => WHITE.stroke_width(width),
+            };
+            let parts = around(&line, PI).into_iter();
+            chart.draw_series(parts.map(|part| PathElement::new(part, style)))?;
         }
+    }
+    for (name, y) in [("π", 0), ("0", 1), ("−π", 2)] {
+        let (_, height) = area.dim_in_pixel();
+        let y = 90 + y * (height as i32 - 140) / 2;
+        write(area, name, (16, y), letters(LETTERS[1], DARK))?;
     }
     let title = "The same trees and path from the side: the body's angle, whose upper and lower edge are one";
     write(area, title, (80, 45), letters(LETTERS[1], DARK))

@@ -43,7 +43,7 @@ const SPACE: &str = "R2*SO2:0.18";
 
 /// Motions are checked at states so far apart. Between two of them a point of the body is at most √2 · [`RESOLUTION`] / 2
 /// from where it is in the nearer one (√2, as the parts of a distance in place and angle are added by their squares).
-const RESOLUTION: f64 = 0.02;
+const RESOLUTION: f64 = 0.015;
 
 /// So the planner checks a body that is so much thicker on all sides, and what it finds free is free also in between.
 const MARGIN: f64 = RESOLUTION * std::f64::consts::FRAC_1_SQRT_2;

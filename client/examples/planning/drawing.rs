@@ -105,18 +105,33 @@ pub fn legend(
     Ok(())
 }
 
-/// The edges of a tree as lines, each through as many nodes as follow one another.
+/// The edges of a tree as lines, each through as many nodes as follow one another; nodes in the middle of a straight
+/// part are left out.
 pub fn branches(tree: &Tree, project: impl Fn(&[f64]) -> (f64, f64)) -> Vec<Vec<(f64, f64)>> {
     let mut lines: Vec<Vec<(f64, f64)>> = Vec::new();
     for (node, &parent) in tree.parents.iter().enumerate() {
         let Some(parent) = parent else { continue };
         let end = project(tree.states.row(node));
         match lines.last_mut() {
-            Some(line) if parent + 1 == node => line.push(end),
+            Some(line) if parent + 1 == node => {
+                if is_straight(line, end) {
+                    line.pop();
+                }
+                line.push(end);
+            }
             _ => lines.push(vec![project(tree.states.row(parent)), end]),
         }
     }
     lines
+}
+
+/// Whether a line goes straight on to `end`, for the eye.
+fn is_straight(line: &[(f64, f64)], end: (f64, f64)) -> bool {
+    let [.., a, b] = line else { return false };
+    let (before, after) = ((b.0 - a.0, b.1 - a.1), (end.0 - b.0, end.1 - b.1));
+    let cross = before.0 * after.1 - before.1 * after.0;
+    let dot = before.0 * after.0 + before.1 * after.1;
+    dot > 0.0 && cross.abs() < 1e-6 * dot
 }
 
 /// A line whose second coordinate goes round a circle from `-half` to `half`: cut where it crosses the seam, so that

@@ -51,7 +51,7 @@ fn nodes_over_time(area: &Area<'_>, comparison: &Comparison) -> Result<(), Drawi
     let shortest = ends().fold(longest, f64::min);
     let mut chart = ChartBuilder::on(area)
         .margin(30)
-        .margin_top(90)
+        .margin_top(120)
         .x_label_area_size(90)
         .y_label_area_size(130)
         .build_cartesian_2d(
@@ -84,7 +84,7 @@ fn share_over_nodes(area: &Area<'_>, comparison: &Comparison) -> Result<(), Draw
     let most = nodes.max().unwrap_or(1) as f64;
     let mut chart = ChartBuilder::on(area)
         .margin(30)
-        .margin_top(90)
+        .margin_top(120)
         .x_label_area_size(90)
         .y_label_area_size(130)
         .build_cartesian_2d(0.0..most * 1.02, 0.0..100.0)?;

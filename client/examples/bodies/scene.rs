@@ -1,0 +1,220 @@
+//! The room, the eight bodies, and when they collide.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use parry3d_f64::{
+    math::{Pose, Rotation, Vector},
+    query::{self, details::intersection_test_cuboid_cuboid},
+    shape::Cuboid,
+};
+use wayfold_client::Space;
+
+use crate::planning::{path::Verify, problem::Problem};
+
+/// How many bodies there are.
+pub const BODIES: usize = 8;
+
+/// How many numbers the pose of one body has.
+const POSE: usize = 7;
+
+/// The paper's weight of rotations, which are measured by half their angle.
+const ROTATION_WEIGHT: f64 = 0.15;
+
+/// The room's length, width and height.
+pub const ROOM: [f64; 3] = [13.0, 8.0, 6.0];
+
+/// The two bars of a body, crossed into a T: middle and half of the sides.
+const PARTS: [([f64; 3], [f64; 3]); 2] = [
+    ([0.0, 0.0, 0.36], [0.46, 0.12, 0.12]),
+    ([0.0, 0.0, -0.12], [0.12, 0.12, 0.36]),
+];
+
+/// How far a body's farthest corner is from its middle.
+const RADIUS: f64 = 0.68;
+
+/// Motions are checked at states so far apart.
+const RESOLUTION: f64 = 0.08;
+
+/// A box that stands square in the room: its lower and upper corner.
+pub type Obstacle = ([f64; 3], [f64; 3]);
+
+/// Pillars.
+pub const OBSTACLES: [Obstacle; 3] = [
+    ([6.1, 3.6, 0.0], [6.9, 4.4, 6.0]),
+    ([4.0, 0.0, 0.0], [4.6, 0.9, 6.0]),
+    ([8.4, 7.1, 0.0], [9.0, 8.0, 6.0]),
+];
+
+/// Between two states at which a motion is checked, how far a point of a body is at most from where it is in the nearer
+/// one: of half a resolution, what is not spent on going is spent on turning, and a point at the radius r moves by 2r for
+/// each unit of a rotation's distance. The planner checks bodies that are so much thicker on all sides.
+fn margin() -> f64 {
+    let turning = 2.0 * RADIUS / ROTATION_WEIGHT.sqrt();
+    RESOLUTION / 2.0 * 1.0_f64.hypot(turning)
+}
+
+/// The problem: four bodies on each side of the wall change places with those on the other side.
+pub struct Room {
+    space: Space,
+    bounds: Vec<(f64, f64)>,
+    start: Vec<f64>,
+    goal: Vec<f64>,
+    margin: f64,
+}
+
+impl Room {
+    /// With all eight bodies.
+    pub fn new() -> Room {
+        let text = format!("(R3*SO3:{ROTATION_WEIGHT})^{BODIES}");
+        let space: Space = text.parse().expect("the text of a space");
+        let margin = margin();
+        let inside = RADIUS + margin;
+        let bounds = ROOM.map(|side| (inside, side - inside));
+        let place = |body: usize| {
+            let (side, corner) = (body / 4, body % 4);
+            let x = [1.2, ROOM[0] - 1.2][side];
+            let (y, z) = (
+                [1.4, ROOM[1] - 1.4][corner % 2],
+                [1.3, ROOM[2] - 1.3][corner / 2],
+            );
+            [x, y, z]
+        };
+        let row = |other: usize| {
+            let poses = (0..BODIES).flat_map(|body| {
+                let [x, y, z] = place((body + other) % BODIES);
+                // A quarter turn about x on the way.
+                let turned = if other == 0 {
+                    0.0
+                } else {
+                    std::f64::consts::FRAC_1_SQRT_2
+                };
+                [x, y, z, turned, 0.0, 0.0, (1.0 - turned * turned).sqrt()]
+            });
+            let mut row: Vec<f64> = poses.collect();
+            let canonical = space.canonicalize(&mut row);
+            assert!(canonical.is_ok(), "{row:?} is a state");
+            row
+        };
+        Room {
+            bounds: bounds.repeat(BODIES),
+            start: row(0),
+            goal: row(4),
+            space,
+            margin,
+        }
+    }
+
+    /// Whether these poses are free, with bodies so much thicker, as `collide` judges two boxes by their poses.
+    fn are_free(
+        poses: &[Pose],
+        margin: f64,
+        collide: impl Fn(&Pose, &Cuboid, &Pose, &Cuboid) -> bool,
+    ) -> bool {
+        let parts = parts(margin);
+        let reach = RADIUS + margin * 3.0_f64.sqrt();
+        let hits = |pose: &Pose, other: &Pose, shape: &Cuboid| {
+            let mut own = parts.iter();
+            own.any(|(at, part)| collide(&(*pose * *at), part, other, shape))
+        };
+        for (body, pose) in poses.iter().enumerate() {
+            for &(low, high) in &OBSTACLES {
+                let (low, high) = (Vector::from(low), Vector::from(high));
+                let (center, half) = ((low + high) / 2.0, (high - low) / 2.0);
+                let outside = ((pose.translation - center).abs() - half).max(Vector::ZERO);
+                if outside.length() < reach
+                    && hits(pose, &Pose::from_translation(center), &Cuboid::new(half))
+                {
+                    return false;
+                }
+            }
+            for other in &poses[..body] {
+                let near = (pose.translation - other.translation).length() < 2.0 * reach;
+                let hit = |(at, part): &(Pose, Cuboid)| hits(pose, &(*other * *at), part);
+                if near && parts.iter().any(hit) {
+                    return false;
+                }
+            }
+        }
+        true
+    }
+}
+
+/// The bars of a body: where they are in it, and their shapes, so much thicker on all sides.
+pub fn parts(margin: f64) -> [(Pose, Cuboid); 2] {
+    PARTS.map(|(center, half)| {
+        let shape = Cuboid::new(Vector::from(half) + Vector::splat(margin));
+        (Pose::from_translation(Vector::from(center)), shape)
+    })
+}
+
+/// The poses of the bodies in a state.
+pub fn poses(state: &[f64]) -> Vec<Pose> {
+    let poses = state.chunks_exact(POSE);
+    poses
+        .map(|row| {
+            let rotation = Rotation::from_xyzw(row[3], row[4], row[5], row[6]);
+            Pose::from_parts(Vector::new(row[0], row[1], row[2]), rotation)
+        })
+        .collect()
+}
+
+impl Problem for Room {
+    fn space(&self) -> &Space {
+        &self.space
+    }
+
+    fn bounds(&self) -> &[(f64, f64)] {
+        &self.bounds
+    }
+
+    fn start(&self) -> &[f64] {
+        &self.start
+    }
+
+    fn goal(&self) -> &[f64] {
+        &self.goal
+    }
+
+    /// Of walls, floor and ceiling the bounds keep the bodies away.
+    fn is_free(&self, state: &[f64]) -> bool {
+        Room::are_free(&poses(state), self.margin, |a, shape, b, other| {
+            intersection_test_cuboid_cuboid(&a.inv_mul(b), shape, other)
+        })
+    }
+
+    fn resolution(&self) -> f64 {
+        RESOLUTION
+    }
+
+    fn checks_per_node(&self) -> usize {
+        4
+    }
+}
+
+impl Verify for Room {
+    /// Interpolated by nalgebra, and free if all distances are above 0, which is another algorithm (GJK) than that of
+    /// the separating axes.
+    fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
+        let poses: Vec<Pose> = a
+            .chunks_exact(POSE)
+            .zip(b.chunks_exact(POSE))
+            .map(|(a, b)| between(a, b, t))
+            .collect();
+        Room::are_free(&poses, 0.0, |a, shape, b, other| {
+            let apart = query::distance(a, shape, b, other);
+            !apart.is_ok_and(|apart| apart.distance > 0.0)
+        })
+    }
+}
+
+/// The pose the share `t` of the way between two, by nalgebra.
+fn between(a: &[f64], b: &[f64], t: f64) -> Pose {
+    let place = |row: &[f64]| Vector3::new(row[0], row[1], row[2]);
+    let turn = |row: &[f64]| {
+        UnitQuaternion::new_normalize(Quaternion::new(row[6], row[3], row[4], row[5]))
+    };
+    let at = place(a).lerp(&place(b), t);
+    // It has none only between rotations that are as good as equal.
+    let turned = turn(a).try_slerp(&turn(b), t, 1e-9).unwrap_or(turn(a));
+    let rotation = Rotation::from_xyzw(turned.i, turned.j, turned.k, turned.w);
+    Pose::from_parts(Vector::new(at.x, at.y, at.z), rotation)
+}
