@@ -10,6 +10,8 @@ mod lanes;
 mod limit;
 #[cfg(test)]
 mod tests;
+#[cfg(all(target_arch = "x86_64", target_feature = "avx512f"))]
+mod wide;
 
 use std::sync::OnceLock;
 
