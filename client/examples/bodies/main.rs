@@ -9,9 +9,11 @@
 #[path = "../planning/mod.rs"]
 mod planning;
 
+mod picture;
+mod projection;
 mod scene;
 
-use std::process::ExitCode;
+use std::{path::Path, process::ExitCode};
 
 use clap::Parser;
 use planning::{comparison, error::PlanningError, options::Options, path, report, server};
@@ -43,5 +45,6 @@ fn run(options: &Options) -> Result<(), PlanningError> {
     if let Some(file) = &options.json {
         report::write_json(&comparison, file)?;
     }
-    Ok(())
+    let shorter = path::shorten(&room, path.clone(), 2000, options.seed);
+    picture::draw(&room, &comparison, &shorter, Path::new("bodies.svg"))
 }

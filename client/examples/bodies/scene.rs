@@ -24,12 +24,12 @@ pub const ROOM: [f64; 3] = [13.0, 8.0, 6.0];
 
 /// The two bars of a body, crossed into a T: middle and half of the sides.
 const PARTS: [([f64; 3], [f64; 3]); 2] = [
-    ([0.0, 0.0, 0.36], [0.46, 0.12, 0.12]),
-    ([0.0, 0.0, -0.12], [0.12, 0.12, 0.36]),
+    ([0.0, 0.0, 0.31], [0.4, 0.1, 0.1]),
+    ([0.0, 0.0, -0.1], [0.1, 0.1, 0.31]),
 ];
 
 /// How far a body's farthest corner is from its middle.
-const RADIUS: f64 = 0.68;
+const RADIUS: f64 = 0.59;
 
 /// Motions are checked at states so far apart.
 const RESOLUTION: f64 = 0.08;

@@ -116,8 +116,8 @@ fn side(
     let last = states.len().saturating_sub(1).max(1) as f64;
     // All of the light seam before the line in it.
     for width in [18, 11] {
-        for (at, pair) in states.windows(2).enumerate() {
-            let line: Vec<(f64, f64)> = pair.iter().map(|state| (state[0], state[2])).collect();
+        for (at, part) in states.windows(3).enumerate() {
+            let line: Vec<(f64, f64)> = part.iter().map(|state| (state[0], state[2])).collect();
             let style = match width {
                 11 => along(at as f64 / last).stroke_width(width),
                 _ => WHITE.stroke_width(width),

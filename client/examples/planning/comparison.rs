@@ -1,6 +1,6 @@
 //! One problem, solved with several sources from the same seeds.
 
-use std::rc::Rc;
+use std::{io, rc::Rc};
 
 use super::{
     error::PlanningError,
@@ -97,20 +97,22 @@ pub fn compare(problem: &impl Problem, options: &Options) -> Result<Comparison, 
     })
 }
 
-/// An empty source.
-fn open(
+/// An empty source; `remote` is needed for those behind a server.
+pub fn open(
     source: Wanted,
     problem: &impl Problem,
     remote: Option<&Rc<Remote>>,
 ) -> Result<Box<dyn NeighborSource>, PlanningError> {
     let space = problem.space();
-    Ok(match (source, remote) {
-        (Wanted::Brute, _) => Box::new(BruteForce::new(space)),
-        (Wanted::Scan, _) => Box::new(LocalForest::scan(space)),
-        (Wanted::Server, Some(remote)) => Box::new(ServerSource::new(remote, space)?),
-        (Wanted::Replica, Some(remote)) => Box::new(ReplicaSource::new(remote, space)?),
-        (Wanted::Forest | Wanted::All | Wanted::Server | Wanted::Replica, _) => {
-            Box::new(LocalForest::trees(space))
-        }
+    let remote = || {
+        let missing = || PlanningError::Server(io::Error::other("none is known"));
+        remote.ok_or_else(missing)
+    };
+    Ok(match source {
+        Wanted::Brute => Box::new(BruteForce::new(space)),
+        Wanted::Scan => Box::new(LocalForest::scan(space)),
+        Wanted::Forest | Wanted::All => Box::new(LocalForest::trees(space)),
+        Wanted::Server => Box::new(ServerSource::new(remote()?, space)?),
+        Wanted::Replica => Box::new(ReplicaSource::new(remote()?, space)?),
     })
 }

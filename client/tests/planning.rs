@@ -1,0 +1,145 @@
+//! The planners of the examples, in small: with every source of neighbours they grow the same trees, and what they find is
+//! free by other code than theirs.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+#[path = "../examples/maze/scene.rs"]
+#[allow(dead_code, reason = "pictures are not tested")]
+mod maze;
+#[path = "../examples/planning/mod.rs"]
+mod planning;
+#[path = "../examples/bodies/scene.rs"]
+#[allow(dead_code, reason = "pictures are not tested")]
+mod room;
+#[path = "client/server.rs"]
+#[allow(dead_code, reason = "planners make their own indices")]
+mod server;
+
+use planning::{
+    comparison,
+    error::PlanningError,
+    options::Wanted,
+    path::{self, Verify},
+    problem::Problem,
+    remote::Remote,
+    rrt, sampling,
+    source::NeighborSource,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wayfold_client::{Neighbor, Search, States};
+
+/// Two dead ends away from the start.
+fn small() -> maze::Maze {
+    maze::Maze::between((0, 0), (2, 3))
+}
+
+#[test]
+fn all_sources_grow_the_trees_of_brute_force_to_the_bit() {
+    let (problem, server) = (small(), server::Server::start());
+    let remote = Remote::new(&server.uri).unwrap();
+    for seed in [1, 2] {
+        let solve = |source| {
+            let own = || comparison::open(source, &problem, Some(&remote)).unwrap();
+            rrt::solve(&problem, [own(), own()], seed, 100_000).unwrap()
+        };
+        let expected = solve(Wanted::Brute);
+        assert!(expected.trees.iter().all(|tree| tree.len() > 10));
+        path::verify(&problem, &expected.path).unwrap();
+        assert_eq!(expected.path.first().unwrap(), problem.start());
+        assert_eq!(expected.path.last().unwrap(), problem.goal());
+        for source in Wanted::All.sources() {
+            let found = solve(source);
+            assert!(found.trees == expected.trees, "{source:?}, seed {seed}");
+            assert_eq!(found.path, expected.path);
+        }
+    }
+}
+
+#[test]
+fn all_sources_answer_all_searches_alike() {
+    let (problem, server) = (small(), server::Server::start());
+    let remote = Remote::new(&server.uri).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut draw = || sampling::uniform(problem.space(), problem.bounds(), &mut rng);
+    let mut states = States::new(problem.space().coordinates());
+    for _ in 0..300 {
+        states.push(draw()).unwrap();
+    }
+    let asked: Vec<Vec<f64>> = (0..20).map(|_| draw()).collect();
+    let both = Search {
+        radius: 1.5,
+        ..Search::nearest_k(9)
+    };
+    let answers = |source| -> Vec<Vec<Neighbor>> {
+        let mut source = comparison::open(source, &problem, Some(&remote)).unwrap();
+        assert_eq!(source.nearest(&asked[0]).unwrap(), None);
+        source.insert(&states).unwrap();
+        let searches = [Search::nearest_k(1), Search::nearest_k(7), both];
+        let searches = searches.into_iter().chain([Search::nearest_r(1.0)]);
+        let each = searches.flat_map(|search| asked.iter().map(move |state| (state, search)));
+        each.map(|(state, search)| source.search(state, &search).unwrap())
+            .collect()
+    };
+    let expected = answers(Wanted::Brute);
+    for source in Wanted::All.sources() {
+        assert_eq!(answers(source), expected, "{source:?}");
+    }
+}
+
+#[test]
+fn a_tree_that_may_not_grow_gives_up() {
+    let problem = small();
+    let own = || comparison::open(Wanted::Forest, &problem, None).unwrap();
+    let ended = rrt::solve(&problem, [own(), own()], 1, 50);
+    assert!(matches!(ended, Err(PlanningError::Unsolved { nodes }) if nodes >= 50));
+}
+
+#[test]
+fn a_path_through_a_wall_is_found_out() {
+    let problem = maze::Maze::new();
+    let through = [problem.start().to_vec(), problem.goal().to_vec()];
+    let found = path::verify(&problem, &through);
+    assert!(matches!(
+        found,
+        Err(PlanningError::Collision { segment: 0 })
+    ));
+}
+
+/// Whatever the planner takes for free is free, and so is all that is within half a resolution of it.
+fn free_is_free(problem: &impl Verify, states: usize) {
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    let (space, mut free) = (problem.space(), 0);
+    let mut moved = vec![0.0; space.coordinates()];
+    for _ in 0..states {
+        let state = sampling::uniform(space, problem.bounds(), &mut rng);
+        if !problem.is_free(&state) {
+            continue;
+        }
+        free += 1;
+        assert!(problem.is_free_between(&state, &state, 0.0));
+        let far = sampling::uniform(space, problem.bounds(), &mut rng);
+        let share = 0.5 * problem.resolution() / space.distance(&state, &far);
+        space.interpolate(&state, &far, share * rng.random::<f64>().sqrt(), &mut moved);
+        assert!(problem.is_free_between(&moved, &moved, 0.0));
+    }
+    assert!((states / 1000..states).contains(&free), "{free}");
+}
+
+#[test]
+fn what_is_free_in_the_maze_is_free_with_its_surroundings() {
+    let problem = small();
+    assert!(problem.is_free(problem.start()) && problem.is_free(problem.goal()));
+    free_is_free(&problem, 20_000);
+}
+
+#[test]
+fn what_is_free_in_the_room_is_free_with_its_surroundings() {
+    let problem = room::Room::new();
+    assert!(problem.is_free(problem.start()) && problem.is_free(problem.goal()));
+    // The second body in the place of the first.
+    let mut two = problem.start().to_vec();
+    two.copy_within(0..7, 7);
+    assert!(!problem.is_free(&two) && !problem.is_free_between(&two, &two, 0.0));
+    free_is_free(&problem, 3000);
+}
