@@ -23,7 +23,6 @@ use planning::{
     problem::Problem,
     remote::Remote,
     rrt, sampling,
-    source::NeighborSource,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

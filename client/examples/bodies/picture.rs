@@ -12,7 +12,7 @@ use plotters::{
 use crate::{
     planning::{
         comparison::Comparison,
-        drawing::{self, Area, DARK, DrawingError, LETTERS, PALE, TREES, branches, letters, write},
+        drawing::{self, Area, DARK, DrawingError, LETTERS, PALE, TREES, letters, walk, write},
         error::PlanningError,
         panels, path,
     },
@@ -149,8 +149,9 @@ fn solids(room: &Room, shown: &[Vec<f64>], view: &View) -> Vec<Face<(RGBColor, f
         for slice in 0..SLICES {
             let bottom = Vector::new(low[0], low[1], low[2] + height * f64::from(slice));
             let pose = Pose::from_translation(bottom + half);
-            let color = (DARK, 1.0);
-            projection::faces(view, &pose, half, color, &mut faces);
+            // A little over the next one, so that no light comes through between them.
+            let half = half * Vector::new(1.0, 1.0, 1.1);
+            projection::faces(view, &pose, half, (DARK, 1.0), &mut faces);
         }
     }
     let states = path::spread(room, shown, STATES);
@@ -201,13 +202,12 @@ fn flat(
     let room = [(0.0, 0.0), (ROOM[0], ROOM[axis])];
     chart.draw_series([Rectangle::new(room, PALE.mix(0.45).filled())])?;
     for (tree, color) in comparison.solution.trees.iter().zip(TREES) {
-        let style = color.mix(0.16).stroke_width(2);
         for body in 0..BODIES {
-            let lines = branches(tree, |state| {
+            let line = walk(tree, |state| {
                 let place = &state[7 * body..];
                 (place[0], place[axis])
             });
-            chart.draw_series(lines.into_iter().map(|line| PathElement::new(line, style)))?;
+            chart.draw_series([PathElement::new(line, color.mix(0.22).stroke_width(2))])?;
         }
     }
     let pillars = OBSTACLES.iter().map(|(low, high)| {

@@ -12,7 +12,7 @@ use crate::{
     planning::{
         comparison::Comparison,
         drawing::{
-            self, Area, DARK, DrawingError, LETTERS, PALE, TREES, along, around, branches, letters,
+            self, Area, DARK, DrawingError, LETTERS, PALE, TREES, along, around, letters, walk,
             write,
         },
         error::PlanningError,
@@ -53,9 +53,8 @@ fn above(
         .margin_top(110)
         .build_cartesian_2d(-0.1..width + 0.1, -0.1..height + 0.1)?;
     for (tree, color) in comparison.solution.trees.iter().zip(TREES) {
-        let lines = branches(tree, |state| (state[0], state[1]));
-        let style = color.mix(0.6).stroke_width(3);
-        chart.draw_series(lines.into_iter().map(|line| PathElement::new(line, style)))?;
+        let line = walk(tree, |state| (state[0], state[1]));
+        chart.draw_series([PathElement::new(line, color.mix(0.75).stroke_width(3))])?;
     }
     let walls = maze.walls().iter().map(|wall| {
         let (low, high) = (wall.center - wall.half, wall.center + wall.half);
@@ -106,11 +105,10 @@ fn side(
         chart.draw_series([PathElement::new(line, PALE.stroke_width(3))])?;
     }
     for (tree, color) in comparison.solution.trees.iter().zip(TREES) {
-        let style = color.mix(0.3).stroke_width(2);
-        for line in branches(tree, |state| (state[0], state[2])) {
-            let parts = around(&line, PI).into_iter();
-            chart.draw_series(parts.map(|part| PathElement::new(part, style)))?;
-        }
+        let line = walk(tree, |state| (state[0], state[2]));
+        let parts = around(&line, PI).into_iter();
+        let style = color.mix(0.35).stroke_width(2);
+        chart.draw_series(parts.map(|part| PathElement::new(part, style)))?;
     }
     let states = path::spread(maze, shown, 1000);
     let last = states.len().saturating_sub(1).max(1) as f64;

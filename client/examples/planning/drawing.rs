@@ -105,24 +105,26 @@ pub fn legend(
     Ok(())
 }
 
-/// The edges of a tree as lines, each through as many nodes as follow one another; nodes in the middle of a straight
-/// part are left out.
-pub fn branches(tree: &Tree, project: impl Fn(&[f64]) -> (f64, f64)) -> Vec<Vec<(f64, f64)>> {
-    let mut lines: Vec<Vec<(f64, f64)>> = Vec::new();
-    for (node, &parent) in tree.parents.iter().enumerate() {
-        let Some(parent) = parent else { continue };
-        let end = project(tree.states.row(node));
-        match lines.last_mut() {
-            Some(line) if parent + 1 == node => {
-                if is_straight(line, end) {
-                    line.pop();
-                }
-                line.push(end);
-            }
-            _ => lines.push(vec![project(tree.states.row(parent)), end]),
+/// A tree as one line that walks along its edges, there and back: as small in a file as a tree can be, and nowhere
+/// darker for being walked twice. Nodes in the middle of a straight part are left out.
+pub fn walk(tree: &Tree, project: impl Fn(&[f64]) -> (f64, f64)) -> Vec<(f64, f64)> {
+    let mut children = vec![Vec::new(); tree.len()];
+    for (node, parent) in tree.parents.iter().enumerate() {
+        if let Some(parent) = *parent {
+            children[parent].push(node);
         }
     }
-    lines
+    let mut line = Vec::new();
+    let mut next = (!children.is_empty()).then_some(0);
+    while let Some(node) = next {
+        let place = project(tree.states.row(node));
+        if is_straight(&line, place) {
+            line.pop();
+        }
+        line.push(place);
+        next = children[node].pop().or(tree.parents[node]);
+    }
+    line
 }
 
 /// Whether a line goes straight on to `end`, for the eye.
