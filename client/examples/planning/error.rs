@@ -10,6 +10,9 @@ pub enum PlanningError {
     /// A source that is reached over the network did not answer.
     #[error(transparent)]
     Client(#[from] wayfold_client::Error),
+    /// The threads of the client could not be started.
+    #[error("cannot start the threads that talk to a server: {0}")]
+    Threads(io::Error),
     /// A server could not be started.
     #[error("cannot start a server ({0}); --server URI takes one that runs already")]
     Server(io::Error),

@@ -26,8 +26,8 @@ impl Remote {
             .enable_all()
             .build();
         Ok(Rc::new(Remote {
-            calls: calls.map_err(PlanningError::Server)?,
-            following: following.map_err(PlanningError::Server)?,
+            calls: calls.map_err(PlanningError::Threads)?,
+            following: following.map_err(PlanningError::Threads)?,
             uri: uri.to_owned(),
         }))
     }
@@ -74,8 +74,8 @@ impl ServerSource {
 
 impl NeighborSource for ServerSource {
     fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError> {
-        let inserted = self.own.index.insert(states);
-        let inserted = self.remote.calls.block_on(async move { inserted.await })?;
+        let insert = self.own.index.insert(states);
+        let inserted = self.remote.calls.block_on(insert.into_future())?;
         Ok(inserted
             .outcomes
             .iter()

@@ -152,7 +152,7 @@ pub fn solve(
     }
 }
 
-/// How many moments of a run are recorded, at least: as many nodes lie between two of them as double with the run.
+/// How many moments of a long run are kept, at least; of twice as many every other one is dropped.
 const RECORDS: usize = 256;
 
 struct Planner<'a, P> {
