@@ -41,6 +41,28 @@ pub enum PlanningError {
         /// The seed of both runs.
         seed: u64,
     },
+    /// A worker's process failed.
+    #[error("worker {number}: {problem}")]
+    Worker {
+        /// Which.
+        number: usize,
+        /// What happened to it.
+        problem: String,
+    },
+    /// A point of the roadmap has edges that cannot be read, or that lead nowhere.
+    #[error("milestone {id} has a payload that tells no edges; is the index another program's?")]
+    Payload {
+        /// Which.
+        id: u64,
+    },
+    /// The roadmap does not connect two states.
+    #[error("no way {task} with {milestones} milestones; try more with --milestones")]
+    Unconnected {
+        /// From where to where.
+        task: String,
+        /// How many milestones there are.
+        milestones: usize,
+    },
     /// A picture could not be drawn or a file not be written.
     #[error("{}: {problem}", path.display())]
     File {

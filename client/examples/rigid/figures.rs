@@ -1,0 +1,108 @@
+//! The panels of figures below the rooms: how the roadmap grew, and where the workers' time went.
+
+use plotters::{
+    chart::ChartBuilder,
+    prelude::{PathElement, RGBColor, Rectangle},
+    style::Color,
+};
+
+use crate::{
+    build::Built,
+    picture::WORKERS,
+    planning::drawing::{Area, DARK, DrawingError, LETTERS, PALE, legend, letters, write},
+};
+
+/// What the time went into.
+const PARTS: [(&str, RGBColor); 4] = [
+    ("collision checks", RGBColor(120, 130, 148)),
+    ("waiting for inserts and updates", RGBColor(190, 62, 72)),
+    ("searches", RGBColor(110, 84, 178)),
+    ("rest", RGBColor(214, 218, 226)),
+];
+
+/// How many milestones each worker had made, and all of them, over time.
+pub fn growth(area: &Area<'_>, built: &Built) -> Result<(), DrawingError> {
+    let mut own = vec![vec![(0.0, 0.0)]; built.workers];
+    let mut all = vec![(0.0, 0.0)];
+    let mut now = vec![0; built.workers];
+    for told in &built.crew.growth {
+        let at = told.at.as_secs_f64();
+        now[told.worker] = told.milestones;
+        own[told.worker].push((at, told.milestones as f64));
+        all.push((at, now.iter().sum::<u64>() as f64));
+    }
+    let most = now.iter().sum::<u64>().max(1) as f64;
+    let wall = built.crew.wall.as_secs_f64().max(f64::MIN_POSITIVE);
+    let mut chart = ChartBuilder::on(area)
+        .margin_left(40)
+        .margin_right(40)
+        .margin_bottom(20)
+        .margin_top(120)
+        .x_label_area_size(90)
+        .y_label_area_size(130)
+        .build_cartesian_2d(0.0..wall, 0.0..most * 1.05)?;
+    let labels = letters(LETTERS[1], DARK);
+    chart
+        .configure_mesh()
+        .bold_line_style(PALE.stroke_width(2))
+        .light_line_style(PALE.mix(0.0))
+        .axis_style(DARK.stroke_width(3))
+        .x_labels(6)
+        .y_labels(5)
+        .label_style(labels.clone())
+        .axis_desc_style(labels)
+        .x_desc("seconds")
+        .x_label_formatter(&|seconds| format!("{seconds}"))
+        .y_label_formatter(&|milestones| format!("{milestones:.0}"))
+        .draw()?;
+    chart.draw_series([PathElement::new(all, DARK.stroke_width(8))])?;
+    for (worker, line) in own.into_iter().enumerate() {
+        let color = WORKERS[worker % WORKERS.len()];
+        chart.draw_series([PathElement::new(line, color.stroke_width(6))])?;
+    }
+    let title = "Milestones over time: all, and by each worker";
+    write(area, title, (80, 56), letters(LETTERS[0], DARK))
+}
+
+/// A bar a worker: the shares of its time.
+pub fn shares(area: &Area<'_>, built: &Built) -> Result<(), DrawingError> {
+    let (width, height) = area.dim_in_pixel();
+    let title = "Where the workers' time went";
+    write(area, title, (40, 56), letters(LETTERS[0], DARK))?;
+    for (row, parts) in PARTS.chunks(2).enumerate() {
+        legend(area, parts, (40, 130 + 52 * row as i32), 420)?;
+    }
+    let (left, right) = (240.0, f64::from(width) - 150.0);
+    let each = (f64::from(height) - 330.0) / built.workers as f64;
+    for (worker, account) in built.crew.accounts.iter().enumerate() {
+        let total = account.total.as_secs_f64().max(f64::MIN_POSITIVE);
+        let (top, color) = (
+            250.0 + each * worker as f64,
+            WORKERS[worker % WORKERS.len()],
+        );
+        let middle = (top + 0.4 * each) as i32;
+        let name = format!("worker {worker}");
+        write(area, name, (40, middle), letters(LETTERS[1], color))?;
+        let known = [account.checking, account.waiting, account.searching];
+        let known = known.map(|part| part.as_secs_f64() / total);
+        let rest = (1.0 - known.iter().sum::<f64>()).max(0.0);
+        let mut from = left;
+        for (share, (_, color)) in known.into_iter().chain([rest]).zip(PARTS) {
+            let to = from + share * (right - left);
+            let corners = [
+                (from.round() as i32, top.round() as i32),
+                (to.round() as i32, (top + 0.8 * each).round() as i32),
+            ];
+            area.draw(&Rectangle::new(corners, color.filled()))?;
+            from = to;
+        }
+        let share = format!("{:.0} %", 100.0 * known[0]);
+        write(
+            area,
+            share,
+            (right as i32 + 20, middle),
+            letters(LETTERS[1], DARK),
+        )?;
+    }
+    Ok(())
+}

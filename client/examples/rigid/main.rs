@@ -1,0 +1,78 @@
+//! A chair through three rooms, several times, on one roadmap that several processes build together: PRM* for a rigid body
+//! with six degrees of freedom, the kind of experiment of Fig. 10 in A. Yershova, S. M. LaValle, "Improving Motion Planning
+//! Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
+//!
+//!     cargo run --release -p wayfold-client --example rigid -- [--workers 4] [--source server] [--kill]
+//!     cargo run --release -p wayfold-client --example rigid -- --scaling [--runs 5]
+//!
+//! Reading order: `milestone` (what the index keeps), `worker` (the planner), `roadmap` (what all of them made),
+//! `processes` (how they are started), `build` (one roadmap from the start to its paths), `report`, `picture`.
+
+#[path = "../planning/mod.rs"]
+mod planning;
+
+mod account;
+mod build;
+mod figures;
+mod milestone;
+mod options;
+mod picture;
+mod processes;
+mod report;
+mod roadmap;
+mod scene;
+mod solid;
+mod worker;
+
+use std::{path::Path, process::ExitCode};
+
+use clap::Parser;
+use options::{Options, Role};
+use planning::{
+    error::PlanningError,
+    server::{self, ServerProcess},
+};
+use scene::Rooms;
+
+fn main() -> ExitCode {
+    if let Some(ended) = server::serve_if_told() {
+        return ended;
+    }
+    let options = Options::parse();
+    // Calls are made on the main thread, which computes between them; the replica follows on the other.
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build();
+    let ended = match (runtime, &options.role) {
+        (Err(error), _) => Err(PlanningError::Server(error)),
+        (Ok(runtime), Some(Role::Work(job))) => runtime.block_on(processes::work(job)),
+        (Ok(runtime), None) => runtime.block_on(run(&options)),
+    };
+    match ended {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+async fn run(options: &Options) -> Result<(), PlanningError> {
+    let own = match options.server {
+        None => Some(ServerProcess::start()?),
+        Some(_) => None,
+    };
+    let own = own.as_ref().map(ServerProcess::uri);
+    let uri = options.server.as_deref().or(own).unwrap_or_default();
+    let scene = Rooms::new();
+    if options.scaling {
+        let runs = build::compare(&scene, uri, options).await?;
+        print!("{}", report::comparison(&runs));
+        return report::write_json(&runs, options);
+    }
+    let built = build::build(&scene, uri, options, options.seed).await?;
+    print!("{}", report::table(&built));
+    report::write_json(std::slice::from_ref(&built), options)?;
+    picture::draw(&scene, &built, Path::new("rigid.svg"))
+}

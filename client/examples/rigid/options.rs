@@ -1,0 +1,123 @@
+//! What the example can be told on its command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Builds one roadmap by several processes, and answers several questions with it.
+#[derive(Clone, Debug, Parser)]
+pub struct Options {
+    /// The role of this process, if it is not the one that starts the others
+    #[command(subcommand)]
+    pub role: Option<Role>,
+    /// How many processes build the roadmap
+    #[arg(long, default_value_t = 4, value_parser = at_least_one)]
+    pub workers: usize,
+    /// How many milestones the roadmap is to have
+    #[arg(long, default_value_t = 4000)]
+    pub milestones: u64,
+    /// Where the first neighbours of a state come from
+    #[arg(long, value_enum, default_value_t = Kind::Replica)]
+    pub source: Kind,
+    /// Leaves out states that are nearer to a milestone than this
+    #[arg(long, default_value_t = 0.0)]
+    pub min_separation: f64,
+    /// What the random states are drawn from; the next run takes the next one
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// A server that runs already; one is started for the time of the example unless given
+    #[arg(long, value_name = "URI")]
+    pub server: Option<String>,
+    /// Kills one worker when it has half its share
+    #[arg(long)]
+    pub kill: bool,
+    /// Compares 1, 2, 4 and 8 workers with both sources instead; no picture
+    #[arg(long)]
+    pub scaling: bool,
+    /// How often to build each of the roadmaps that are compared; medians are told
+    #[arg(long, default_value_t = 3)]
+    pub runs: u64,
+    /// Writes the figures to a file
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// What a process may be told to be.
+#[derive(Clone, Debug, Subcommand)]
+pub enum Role {
+    /// One worker
+    #[command(hide = true)]
+    Work(Job),
+}
+
+/// What a worker has to know.
+#[derive(Clone, Debug, Args)]
+pub struct Job {
+    /// Where the server is
+    #[arg(long)]
+    pub server: String,
+    /// The index that holds the roadmap
+    #[arg(long)]
+    pub index: String,
+    /// Which worker it is
+    #[arg(long)]
+    pub number: usize,
+    /// What all workers draw from
+    #[arg(long)]
+    pub seed: u64,
+    /// How many milestones the roadmap is to have
+    #[arg(long)]
+    pub milestones: u64,
+    /// Where the first neighbours come from
+    #[arg(long, value_enum)]
+    pub source: Kind,
+    /// Leaves out states that are nearer to a milestone than this
+    #[arg(long)]
+    pub min_separation: f64,
+}
+
+/// Where a worker's first neighbours come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// The server, over gRPC
+    Server,
+    /// A replica in the worker's process
+    Replica,
+}
+
+impl Kind {
+    /// What it is called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::Server => "server",
+            Kind::Replica => "replica",
+        }
+    }
+}
+
+impl Job {
+    /// The arguments that make a process do it.
+    pub fn arguments(&self) -> Vec<String> {
+        let arguments = [
+            ("server", self.server.clone()),
+            ("index", self.index.clone()),
+            ("number", self.number.to_string()),
+            ("seed", self.seed.to_string()),
+            ("milestones", self.milestones.to_string()),
+            ("source", self.source.name().to_owned()),
+            ("min-separation", self.min_separation.to_string()),
+        ];
+        arguments
+            .into_iter()
+            .map(|(name, value)| format!("--{name}={value}"))
+            .collect()
+    }
+}
+
+fn at_least_one(text: &str) -> Result<usize, String> {
+    let number = text.parse::<usize>().map_err(|error| error.to_string())?;
+    match number {
+        0 => Err("at least one process has to build it".to_owned()),
+        number => Ok(number),
+    }
+}

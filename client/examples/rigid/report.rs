@@ -1,0 +1,196 @@
+//! The table and the JSON.
+
+use std::{fmt::Write, fs, time::Duration};
+
+use serde_json::{Value, json};
+
+use crate::{
+    account::Account,
+    build::{Built, WORKERS},
+    options::{Kind, Options},
+    planning::error::PlanningError,
+};
+
+impl Built {
+    /// What all workers did together.
+    fn sum(&self) -> Account {
+        self.crew.accounts.iter().copied().sum()
+    }
+
+    /// The milestones that the workers made in a second.
+    pub fn rate(&self) -> f64 {
+        self.sum().milestones as f64 / self.crew.wall.as_secs_f64()
+    }
+}
+
+/// The share of the workers' time, in percent.
+fn percent(part: Duration, account: &Account) -> f64 {
+    100.0 * part.as_secs_f64() / account.total.as_secs_f64().max(f64::MIN_POSITIVE)
+}
+
+/// The account of one roadmap, worker by worker.
+pub fn table(built: &Built) -> String {
+    let mut text = String::new();
+    let mut row = |name: &str, wall: Duration, account: &Account| {
+        let _ = writeln!(
+            text,
+            "{name:<10} {:>9} {:>10} {:>9} {:>9} {:>8.2} {:>9.1} {:>8.1} {:>8.1} {:>10.0}",
+            account.samples,
+            account.milestones,
+            account.edges,
+            account.meanwhile,
+            wall.as_secs_f64(),
+            percent(account.searching, account),
+            percent(account.checking, account),
+            percent(account.waiting, account),
+            account.milestones as f64 / wall.as_secs_f64().max(f64::MIN_POSITIVE),
+        );
+    };
+    for (number, account) in built.crew.accounts.iter().enumerate() {
+        row(&format!("worker {number}"), account.total, account);
+    }
+    row("all", built.crew.wall, &built.sum());
+    let head = format!(
+        "{:<10} {:>9} {:>10} {:>9} {:>9} {:>8} {:>9} {:>8} {:>8} {:>10}\n",
+        "",
+        "samples",
+        "milestones",
+        "edges",
+        "meanwhile",
+        "wall s",
+        "search %",
+        "check %",
+        "wait %",
+        "per second",
+    );
+    let mut text = head + &text;
+    if let Some((worker, at)) = built.crew.killed {
+        let _ = writeln!(
+            text,
+            "Worker {worker} was killed after {:.2} s.",
+            at.as_secs_f64()
+        );
+    }
+    let _ = writeln!(
+        text,
+        "{} pending milestones were completed in {:.3} s; the roadmap has {} milestones and {} edges.",
+        built.adopted,
+        built.adopting.as_secs_f64(),
+        built.roadmap.len(),
+        built.roadmap.edge_count(),
+    );
+    for answer in &built.paths {
+        let _ = writeln!(
+            text,
+            "The path {} has {} milestones and the length {:.2}, and is free in {} states, by other code.",
+            answer.name,
+            answer.states.len(),
+            answer.length,
+            answer.checked,
+        );
+    }
+    let _ = writeln!(
+        text,
+        "All of them were found in {:.3} s.",
+        built.asking.as_secs_f64()
+    );
+    text
+}
+
+/// Medians by source and number of workers, and their ratios to one worker and to the other source in the same run.
+pub fn comparison(all: &[Built]) -> String {
+    let of = |source, workers| {
+        let wanted = move |one: &&Built| one.source == source && one.workers == workers;
+        all.iter().filter(wanted)
+    };
+    let mut text = format!(
+        "{:<10} {:>8} {:>10} {:>8} {:>10} {:>9} {:>8} {:>8} {:>13} {:>10}\n",
+        "source",
+        "workers",
+        "milestones",
+        "wall s",
+        "per second",
+        "search %",
+        "check %",
+        "wait %",
+        "to one worker",
+        "to server",
+    );
+    for source in [Kind::Replica, Kind::Server] {
+        for workers in WORKERS {
+            let share = |part: fn(&Account) -> Duration| {
+                median(of(source, workers).map(|one| percent(part(&one.sum()), &one.sum())))
+            };
+            // Seed by seed, as both are of the same states where there is one worker, and of one moment.
+            let ratio = |other_source, other_workers| {
+                let pairs = of(source, workers).zip(of(other_source, other_workers));
+                median(pairs.map(|(one, other)| one.rate() / other.rate()))
+            };
+            let _ = writeln!(
+                text,
+                "{:<10} {workers:>8} {:>10.0} {:>8.2} {:>10.0} {:>9.1} {:>8.1} {:>8.1} {:>13.2} {:>10.2}",
+                source.name(),
+                median(of(source, workers).map(|one| one.sum().milestones as f64)),
+                median(of(source, workers).map(|one| one.crew.wall.as_secs_f64())),
+                median(of(source, workers).map(Built::rate)),
+                share(|account| account.searching),
+                share(|account| account.checking),
+                share(|account| account.waiting),
+                ratio(source, 1),
+                ratio(Kind::Server, workers),
+            );
+        }
+    }
+    text
+}
+
+fn median(numbers: impl Iterator<Item = f64>) -> f64 {
+    let mut numbers: Vec<f64> = numbers.collect();
+    numbers.sort_by(f64::total_cmp);
+    let middle = numbers.len() / 2;
+    match numbers.len() {
+        0 => f64::NAN,
+        count if count % 2 == 1 => numbers[middle],
+        _ => (numbers[middle - 1] + numbers[middle]) / 2.0,
+    }
+}
+
+/// Writes the figures of these roadmaps, if they are wanted.
+pub fn write_json(all: &[Built], options: &Options) -> Result<(), PlanningError> {
+    let Some(path) = &options.json else {
+        return Ok(());
+    };
+    let runs: Vec<Value> = all.iter().map(figures).collect();
+    let text = serde_json::to_string_pretty(&json!({ "runs": runs }));
+    let written = text.map_err(std::io::Error::from);
+    let written = written.and_then(|text| fs::write(path, text + "\n"));
+    written.map_err(|error| PlanningError::File {
+        path: path.clone(),
+        problem: error.to_string(),
+    })
+}
+
+fn figures(built: &Built) -> Value {
+    let account = |account: &Account| {
+        json!({
+            "samples": account.samples,
+            "milestones": account.milestones,
+            "edges": account.edges,
+            "meanwhile": account.meanwhile,
+            "checks": account.checks,
+            "seconds": account.total.as_secs_f64(),
+            "searching_seconds": account.searching.as_secs_f64(),
+            "checking_seconds": account.checking.as_secs_f64(),
+            "waiting_seconds": account.waiting.as_secs_f64(),
+        })
+    };
+    let paths = built.paths.iter();
+    json!({
+        "source": built.source.name(),
+        "seed": built.seed,
+        "seconds": built.crew.wall.as_secs_f64(),
+        "adopted": built.adopted,
+        "workers": built.crew.accounts.iter().map(account).collect::<Vec<_>>(),
+        "path_lengths": paths.map(|path| path.length).collect::<Vec<_>>(),
+    })
+}

@@ -1,0 +1,128 @@
+//! The roadmap as a whole: read from the index, and asked for paths.
+
+use std::collections::HashMap;
+
+use petgraph::{
+    algo::astar,
+    graph::{NodeIndex, UnGraph},
+};
+use wayfold_client::{Filter, IndexHandle, Space, States};
+
+use crate::{
+    milestone::{self, PENDING},
+    planning::error::PlanningError,
+    worker::{Pending, Worker},
+};
+
+/// All milestones at one revision, in the order of their ids, and their edges.
+pub struct Roadmap {
+    /// The states.
+    pub states: States,
+    /// The ids.
+    pub ids: Vec<u64>,
+    /// The worker that made each.
+    pub workers: Vec<usize>,
+    /// The revision that stored each.
+    pub revisions: Vec<u64>,
+    /// The edges of each, to positions of milestones before it.
+    pub edges: Vec<Vec<usize>>,
+    /// Whether each is pending.
+    pub pending: Vec<bool>,
+}
+
+impl Roadmap {
+    /// Reads all of it.
+    pub async fn read(index: &IndexHandle) -> Result<Roadmap, PlanningError> {
+        let mut roadmap = Roadmap {
+            states: States::new(index.coordinates()),
+            ids: Vec::new(),
+            workers: Vec::new(),
+            revisions: Vec::new(),
+            edges: Vec::new(),
+            pending: Vec::new(),
+        };
+        let mut kept = Vec::new();
+        let mut scan = index.scan().payloads().await?;
+        while let Some(part) = scan.next_part().await? {
+            for point in part.iter() {
+                let edges = point.payload.and_then(|payload| milestone::edges(payload));
+                kept.push(edges.ok_or(PlanningError::Payload { id: point.id })?);
+                roadmap.states.push(point.state)?;
+                roadmap.ids.push(point.id);
+                roadmap.workers.push(milestone::worker(point.tag));
+                roadmap.revisions.push(point.revision);
+                roadmap.pending.push(point.tag & PENDING != 0);
+            }
+        }
+        let positions: HashMap<u64, usize> = roadmap.ids.iter().copied().zip(0..).collect();
+        for (id, edges) in roadmap.ids.iter().zip(kept) {
+            let to = edges.iter().map(|other| positions.get(other).copied());
+            let to: Option<Vec<usize>> = to.collect();
+            let to = to.ok_or(PlanningError::Payload { id: *id })?;
+            roadmap.edges.push(to);
+        }
+        Ok(roadmap)
+    }
+
+    /// How many milestones there are.
+    pub fn len(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// How many edges there are.
+    pub fn edge_count(&self) -> usize {
+        self.edges.iter().map(Vec::len).sum()
+    }
+
+    /// The shortest path on the roadmap between two milestones.
+    pub fn path(&self, space: &Space, start: u64, goal: u64) -> Option<Vec<Vec<f64>>> {
+        let state = |node: usize| self.states.row(node);
+        let mut graph = UnGraph::<(), f64>::with_capacity(self.len(), self.edge_count());
+        for _ in 0..self.len() {
+            graph.add_node(());
+        }
+        for (node, to) in self.edges.iter().enumerate() {
+            for &other in to {
+                let length = space.distance(state(node), state(other));
+                graph.add_edge(NodeIndex::new(node), NodeIndex::new(other), length);
+            }
+        }
+        let at = |id| self.ids.binary_search(&id).ok().map(NodeIndex::new);
+        let (start, goal) = (at(start)?, at(goal)?);
+        let left = |node: NodeIndex| space.distance(state(node.index()), state(goal.index()));
+        let (_, nodes) = astar(
+            &graph,
+            start,
+            |node| node == goal,
+            |edge| *edge.weight(),
+            left,
+        )?;
+        Some(
+            nodes
+                .iter()
+                .map(|node| state(node.index()).to_vec())
+                .collect(),
+        )
+    }
+}
+
+/// Completes what dead workers left pending: afterwards the roadmap is as if they had lived. Returns how many there were.
+///
+/// Workers that still live lose nothing by it: what they write to complete the same milestones is the same.
+pub async fn adopt(index: &IndexHandle, by: &mut Worker<'_>) -> Result<usize, PlanningError> {
+    let pending = Filter {
+        tag_mask: PENDING,
+        tag_value: PENDING,
+        ..Filter::default()
+    };
+    let mut scan = index.scan().filter(pending).payloads().await?;
+    let mut adopted = 0;
+    while let Some(part) = scan.next_part().await? {
+        for point in part.iter() {
+            let orphan = Pending::found(point).ok_or(PlanningError::Payload { id: point.id })?;
+            by.complete(orphan).await?;
+            adopted += 1;
+        }
+    }
+    Ok(adopted)
+}

@@ -1,0 +1,285 @@
+//! Three rooms, a chair that is carried through them, and when it collides.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use parry3d_f64::{
+    math::{Pose, Rotation, Vector},
+    query::{self, details::intersection_test_cuboid_cuboid},
+    shape::Cuboid,
+};
+use wayfold_client::Space;
+
+use crate::planning::{path::Verify, problem::Problem};
+
+/// The paper's weight of rotations, which are measured by half their angle.
+const ROTATION_WEIGHT: f64 = 0.15;
+
+/// Length, depth and height of all three rooms together.
+pub const SIDES: [f64; 3] = [10.0, 6.0, 4.0];
+
+/// A box: its lower and upper corner.
+pub type Block = ([f64; 3], [f64; 3]);
+
+/// The wall with a door.
+pub const DOOR_WALL: [Block; 3] = [
+    ([3.2, 0.0, 0.0], [3.45, 0.6, 4.0]),
+    ([3.2, 2.6, 0.0], [3.45, 6.0, 4.0]),
+    ([3.2, 0.6, 2.4], [3.45, 2.6, 4.0]),
+];
+
+/// The wall with a window.
+pub const WINDOW_WALL: [Block; 4] = [
+    ([6.6, 0.0, 0.0], [6.85, 3.2, 4.0]),
+    ([6.6, 5.4, 0.0], [6.85, 6.0, 4.0]),
+    ([6.6, 3.2, 0.0], [6.85, 5.4, 1.1]),
+    ([6.6, 3.2, 3.2], [6.85, 5.4, 4.0]),
+];
+
+/// A shelf, a table, a beam and a pillar.
+pub const FURNITURE: [Block; 9] = [
+    ([0.0, 4.9, 0.0], [1.7, 6.0, 2.2]),
+    ([4.4, 3.4, 0.9], [5.7, 5.2, 1.02]),
+    ([4.45, 3.45, 0.0], [4.6, 3.6, 0.9]),
+    ([5.5, 3.45, 0.0], [5.65, 3.6, 0.9]),
+    ([4.45, 5.0, 0.0], [4.6, 5.15, 0.9]),
+    ([5.5, 5.0, 0.0], [5.65, 5.15, 0.9]),
+    ([3.45, 1.3, 3.4], [6.6, 1.6, 3.7]),
+    ([8.1, 2.6, 0.0], [8.5, 3.0, 4.0]),
+    ([9.2, 0.0, 0.0], [10.0, 1.4, 1.2]),
+];
+
+/// Seat, back and legs of the chair: middle and half of the sides.
+const PARTS: [([f64; 3], [f64; 3]); 6] = [
+    ([0.0, 0.0, -0.10], [0.40, 0.40, 0.05]),
+    ([0.0, 0.35, 0.40], [0.40, 0.05, 0.45]),
+    ([-0.35, -0.35, -0.50], [0.05, 0.05, 0.35]),
+    ([0.35, -0.35, -0.50], [0.05, 0.05, 0.35]),
+    ([-0.35, 0.35, -0.50], [0.05, 0.05, 0.35]),
+    ([0.35, 0.35, -0.50], [0.05, 0.05, 0.35]),
+];
+
+/// How far the chair's farthest corner is from its middle.
+const RADIUS: f64 = 1.03;
+
+/// Motions are checked at states so far apart.
+const RESOLUTION: f64 = 0.04;
+
+/// A question to the roadmap: from one state to another.
+pub struct Task {
+    /// What it is called.
+    pub name: &'static str,
+    /// Where it begins, a canonical row.
+    pub start: Vec<f64>,
+    /// Where it ends, a canonical row.
+    pub goal: Vec<f64>,
+}
+
+/// The problem.
+pub struct Rooms {
+    space: Space,
+    bounds: [(f64, f64); 3],
+    obstacles: Vec<(Vector, Cuboid)>,
+    tasks: Vec<Task>,
+    margin: f64,
+}
+
+/// Between two states at which a motion is checked, how far a point of the chair is at most from where it is in the
+/// nearer one: of half a resolution, what is not spent on going is spent on turning, and a point at the radius r moves by
+/// 2r for each unit of a rotation's distance. The planner checks a chair that is so much thicker on all sides.
+fn margin() -> f64 {
+    let turning = 2.0 * RADIUS / ROTATION_WEIGHT.sqrt();
+    RESOLUTION / 2.0 * 1.0_f64.hypot(turning)
+}
+
+impl Rooms {
+    /// The rooms with all that is in them.
+    pub fn new() -> Rooms {
+        let text = format!("R3*SO3:{ROTATION_WEIGHT}");
+        let space: Space = text.parse().expect("the text of a space");
+        // About the axes x, y, z by multiples of a half turn's parts; rows of quaternions are x, y, z, w.
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let upright = [0.0, 0.0, 0.0, 1.0];
+        let turned = [0.0, 0.0, half, half];
+        let upside_down = [1.0, 0.0, 0.0, 0.0];
+        let on_its_back = [half, 0.0, 0.0, half];
+        let places = [
+            ([1.2, 1.4, 1.05], upright),
+            ([9.0, 4.6, 1.05], turned),
+            ([5.0, 4.3, 2.1], upside_down),
+            ([0.85, 5.0, 2.85], on_its_back),
+        ];
+        let row = |place: usize| {
+            let (at, turn) = places[place];
+            let mut row = [&at[..], &turn[..]].concat();
+            let canonical = space.canonicalize(&mut row);
+            assert!(canonical.is_ok(), "{row:?} is a state");
+            row
+        };
+        let task = |name, start, goal| Task {
+            name,
+            start: row(start),
+            goal: row(goal),
+        };
+        let tasks = vec![
+            task("from the front of the first room to the last", 0, 1),
+            task("from the table to the last room", 2, 1),
+            task("from the top of the shelf to the table", 3, 2),
+        ];
+        let blocks = DOOR_WALL.iter().chain(&WINDOW_WALL).chain(&FURNITURE);
+        let obstacles = blocks.map(|&(low, high)| {
+            let (low, high) = (Vector::from(low), Vector::from(high));
+            ((low + high) / 2.0, Cuboid::new((high - low) / 2.0))
+        });
+        Rooms {
+            bounds: SIDES.map(|side| (0.4, side - 0.4)),
+            obstacles: obstacles.collect(),
+            tasks,
+            margin: margin(),
+            space,
+        }
+    }
+
+    /// The questions.
+    pub fn tasks(&self) -> &[Task] {
+        &self.tasks
+    }
+
+    /// Whether a motion between free states is free: a function of the two, in this order, and of nothing else. Adds how
+    /// many states were checked.
+    pub fn is_free_way(&self, a: &[f64], b: &[f64], checks: &mut u64) -> bool {
+        let steps = (self.space.distance(a, b) / RESOLUTION).ceil() as usize;
+        let mut state = vec![0.0; self.space.coordinates()];
+        // The middle first, then the middles of the halves: what is in the way is met early.
+        let mut stride = steps.next_power_of_two() / 2;
+        while stride > 0 {
+            for step in (stride..steps).step_by(2 * stride) {
+                let share = step as f64 / steps as f64;
+                self.space.interpolate(a, b, share, &mut state);
+                *checks += 1;
+                if !self.is_free(&state) {
+                    return false;
+                }
+            }
+            stride /= 2;
+        }
+        true
+    }
+
+    /// Whether the chair is free there, if each of its parts is so much thicker, where `within` judges whether a box is
+    /// inside the outer walls, and `collide` whether it touches another.
+    fn is_free_at(
+        &self,
+        pose: &Pose,
+        margin: f64,
+        within: impl Fn(&Pose, &Cuboid) -> bool,
+        collide: impl Fn(&Pose, &Cuboid, &Pose, &Cuboid) -> bool,
+    ) -> bool {
+        let parts = parts(margin).map(|(at, part)| (*pose * at, part));
+        if !parts.iter().all(|(at, part)| within(at, part)) {
+            return false;
+        }
+        let reach = RADIUS + margin * 3.0_f64.sqrt();
+        self.obstacles.iter().all(|(center, block)| {
+            let outside = (pose.translation - *center).abs() - block.half_extents;
+            let far = outside.max(Vector::ZERO).length() > reach;
+            let place = Pose::from_translation(*center);
+            far || !parts
+                .iter()
+                .any(|(at, part)| collide(at, part, &place, block))
+        })
+    }
+}
+
+/// The parts of the chair: where they are in it, and their shapes, so much thicker on all sides.
+pub fn parts(margin: f64) -> [(Pose, Cuboid); 6] {
+    PARTS.map(|(center, half)| {
+        let shape = Cuboid::new(Vector::from(half) + Vector::splat(margin));
+        (Pose::from_translation(Vector::from(center)), shape)
+    })
+}
+
+/// Where the chair is in a state.
+pub fn pose(row: &[f64]) -> Pose {
+    let rotation = Rotation::from_xyzw(row[3], row[4], row[5], row[6]);
+    Pose::from_parts(Vector::new(row[0], row[1], row[2]), rotation)
+}
+
+/// The corners of a box.
+pub fn corners(at: &Pose, shape: &Cuboid) -> [Vector; 8] {
+    let half = shape.half_extents;
+    std::array::from_fn(|corner| {
+        let side = |axis: usize| if corner >> axis & 1 == 0 { -1.0 } else { 1.0 };
+        at.transform_point(half * Vector::new(side(0), side(1), side(2)))
+    })
+}
+
+impl Problem for Rooms {
+    fn space(&self) -> &Space {
+        &self.space
+    }
+
+    /// Nearer to the outer walls the chair touches them however it is turned, or nearly so.
+    fn bounds(&self) -> &[(f64, f64)] {
+        &self.bounds
+    }
+
+    fn start(&self) -> &[f64] {
+        &self.tasks[0].start
+    }
+
+    fn goal(&self) -> &[f64] {
+        &self.tasks[0].goal
+    }
+
+    /// By the axes that separate two boxes.
+    fn is_free(&self, state: &[f64]) -> bool {
+        let within = |at: &Pose, part: &Cuboid| {
+            let column = |axis: Vector, half: f64| (at.rotation * axis * half).abs();
+            let half = part.half_extents;
+            let reach = column(Vector::X, half.x) + column(Vector::Y, half.y);
+            let reach = reach + column(Vector::Z, half.z);
+            let (low, high) = (at.translation - reach, at.translation + reach);
+            low.min_element() >= 0.0 && (Vector::from(SIDES) - high).min_element() >= 0.0
+        };
+        self.is_free_at(&pose(state), self.margin, within, |a, part, b, block| {
+            intersection_test_cuboid_cuboid(&a.inv_mul(b), part, block)
+        })
+    }
+
+    fn resolution(&self) -> f64 {
+        RESOLUTION
+    }
+
+    /// A roadmap has milestones at the ends of a motion alone.
+    fn checks_per_node(&self) -> usize {
+        usize::MAX
+    }
+}
+
+impl Verify for Rooms {
+    /// Interpolated by nalgebra, and free if all corners are inside and all distances above 0, which is another algorithm
+    /// (GJK) than that of the separating axes.
+    fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
+        let within = |at: &Pose, part: &Cuboid| {
+            corners(at, part)
+                .iter()
+                .all(|corner| (0..3).all(|axis| (0.0..=SIDES[axis]).contains(&corner[axis])))
+        };
+        self.is_free_at(&between(a, b, t), 0.0, within, |a, part, b, block| {
+            let apart = query::distance(a, part, b, block);
+            !apart.is_ok_and(|apart| apart.distance > 0.0)
+        })
+    }
+}
+
+/// The pose the share `t` of the way between two, by nalgebra.
+fn between(a: &[f64], b: &[f64], t: f64) -> Pose {
+    let place = |row: &[f64]| Vector3::new(row[0], row[1], row[2]);
+    let turn = |row: &[f64]| {
+        UnitQuaternion::new_normalize(Quaternion::new(row[6], row[3], row[4], row[5]))
+    };
+    let at = place(a).lerp(&place(b), t);
+    // It has none only between rotations that are as good as equal.
+    let turned = turn(a).try_slerp(&turn(b), t, 1e-9).unwrap_or(turn(a));
+    let rotation = Rotation::from_xyzw(turned.i, turned.j, turned.k, turned.w);
+    Pose::from_parts(Vector::new(at.x, at.y, at.z), rotation)
+}

@@ -1,0 +1,220 @@
+//! A roadmap that several workers build together is the one that a single worker would have built, had it drawn the same
+//! states in the same order: compared with brute force, milestone by milestone. The workers are those of the example
+//! `rigid`.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+#[path = "../examples/rigid/account.rs"]
+mod account;
+#[path = "../examples/rigid/milestone.rs"]
+mod milestone;
+#[path = "../examples/planning/mod.rs"]
+mod planning;
+#[path = "../examples/rigid/roadmap.rs"]
+mod roadmap;
+#[path = "../examples/rigid/scene.rs"]
+mod scene;
+#[path = "client/server.rs"]
+mod server;
+#[path = "../examples/rigid/worker.rs"]
+mod worker;
+
+use std::{collections::BTreeSet, sync::LazyLock};
+
+use planning::{path, problem::Problem};
+use roadmap::Roadmap;
+use scene::Rooms;
+use server::Server;
+use wayfold_client::IndexHandle;
+use wayfold_index::{Linear, PointRef, Search};
+use worker::{Source, Worker};
+
+static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
+const SPACE: &str = "R3*SO3:0.15";
+const SEED: u64 = 7;
+
+/// A worker with a connection of its own.
+async fn worker(server: &Server, number: usize, replica: bool) -> Worker<'static> {
+    let client = server.client().await;
+    let index = client.index("roadmap").await.unwrap();
+    let source = match replica {
+        true => Source::Replica(client.replica("roadmap").await.unwrap()),
+        false => Source::Server,
+    };
+    Worker::new(&SCENE, index, source, number, SEED)
+}
+
+/// The edges of each milestone, had one worker made all of them in the order of their revisions.
+fn replayed(roadmap: &Roadmap) -> Vec<BTreeSet<u64>> {
+    let order: BTreeSet<_> = roadmap.revisions.iter().zip(&roadmap.ids).collect();
+    let order: Vec<u64> = order.iter().map(|(_, id)| **id).collect();
+    assert_eq!(
+        order,
+        (0..roadmap.len() as u64).collect::<Vec<_>>(),
+        "ids in the order of revisions"
+    );
+    let mut before = Linear::new(SPACE.parse().unwrap());
+    let mut edges = Vec::new();
+    for (n, state) in roadmap.states.iter().enumerate() {
+        let k = (2.0 * std::f64::consts::E * (n as f64).ln())
+            .ceil()
+            .max(1.0);
+        let near = before.search(state, &Search::nearest_k(k as usize));
+        let near = near.neighbors.iter().map(|neighbor| neighbor.id);
+        let free = near.filter(|&id| {
+            let other = roadmap.states.row(id as usize);
+            SCENE.is_free_way(state, other, &mut 0)
+        });
+        edges.push(free.collect());
+        before.insert(PointRef {
+            id: n as u64,
+            tag: 0,
+            revision: 1,
+            row: state,
+        });
+    }
+    edges
+}
+
+/// The edges of each milestone, as they are stored.
+fn stored(roadmap: &Roadmap) -> Vec<BTreeSet<u64>> {
+    let edges = roadmap.edges.iter();
+    edges
+        .map(|to| to.iter().map(|&to| roadmap.ids[to]).collect())
+        .collect()
+}
+
+/// Extends the roadmap by workers side by side.
+async fn extend(workers: Vec<Worker<'static>>, milestones: u64) -> u64 {
+    let tasks = workers.into_iter().map(|mut worker| {
+        tokio::spawn(async move {
+            let done = worker.extend(milestones, |_| Ok(())).await;
+            done.map(|()| worker.account().meanwhile)
+        })
+    });
+    let mut meanwhile = 0;
+    for task in tasks.collect::<Vec<_>>() {
+        meanwhile += task.await.unwrap().unwrap();
+    }
+    meanwhile
+}
+
+async fn read(index: &IndexHandle) -> Roadmap {
+    index.info().await.unwrap();
+    Roadmap::read(index).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn four_workers_build_what_one_would() {
+    let server = Server::start();
+    let index = server.index("roadmap", SPACE).await;
+    let mut workers = Vec::new();
+    for number in 0..4 {
+        workers.push(worker(&server, number, number % 2 == 0).await);
+    }
+    let meanwhile = extend(workers, 150).await;
+    assert!(meanwhile > 0, "no two workers ever met");
+
+    let roadmap = read(&index).await;
+    assert!(roadmap.len() >= 150 && !roadmap.pending.contains(&true));
+    assert_eq!(BTreeSet::from_iter(&roadmap.workers).len(), 4);
+    assert_eq!(stored(&roadmap), replayed(&roadmap));
+
+    // It answers, with what a finer check by other code finds free.
+    assert!(roadmap.edge_count() > 300);
+    let last = roadmap.ids[roadmap.len() - 1];
+    let found = roadmap.ids.iter();
+    let found = found.filter_map(|&id| roadmap.path(SCENE.space(), id, last));
+    let longest = found.max_by_key(Vec::len).unwrap();
+    assert!(longest.len() > 3);
+    path::verify(&*SCENE, &longest).unwrap();
+}
+
+#[test]
+fn the_questions_begin_and_end_in_free_states() {
+    for task in SCENE.tasks() {
+        for state in [&task.start, &task.goal] {
+            assert!(SCENE.is_free(state), "{}: {state:?}", task.name);
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
+    let server = Server::start();
+    let index = server.index("roadmap", SPACE).await;
+    let (mut doomed, mut other) = (
+        worker(&server, 0, false).await,
+        worker(&server, 1, true).await,
+    );
+    // Enough that each has the next in its sight, and k(n) grows by the way.
+    for _ in 0..40 {
+        let state = other.sample();
+        other.add(state).await.unwrap().unwrap();
+    }
+    // It dies before it inserts, which leaves nothing.
+    let state = doomed.sample();
+    drop(doomed.look(state).await.unwrap().unwrap());
+    // It dies when it has inserted, and milestones arrived meanwhile, the first of them next to it.
+    let state = doomed.sample();
+    let checked = doomed.look(state.clone()).await.unwrap().unwrap();
+    let mut beside = state.clone();
+    beside[0] += 1e-3;
+    other.add(beside).await.unwrap().unwrap();
+    for _ in 0..20 {
+        let state = other.sample();
+        other.add(state).await.unwrap().unwrap();
+    }
+    drop(doomed.insert(checked).await.unwrap().unwrap());
+    drop(doomed);
+    // The others see it, and go on.
+    let third = worker(&server, 2, false).await;
+    extend(vec![other, third], 90).await;
+
+    let roadmap = read(&index).await;
+    let pending = (0..roadmap.len()).filter(|&at| roadmap.pending[at]);
+    let [id] = pending.collect::<Vec<_>>()[..] else {
+        panic!("one was left pending")
+    };
+    let (mut as_left, serial) = (stored(&roadmap), replayed(&roadmap));
+    assert!(
+        !as_left[id].contains(&(id as u64 - 21)),
+        "the one beside it"
+    );
+    assert!(serial[id].contains(&(id as u64 - 21)));
+    // All that it has is free, and nothing else is missing anywhere.
+    for &to in &as_left[id] {
+        let (state, other) = (roadmap.states.row(id), roadmap.states.row(to as usize));
+        path::verify(&*SCENE, &[state.to_vec(), other.to_vec()]).unwrap();
+    }
+    as_left[id].clone_from(&serial[id]);
+    assert_eq!(as_left, serial);
+
+    let mut heir = worker(&server, 3, false).await;
+    assert_eq!(roadmap::adopt(&index, &mut heir).await.unwrap(), 1);
+    let roadmap = read(&index).await;
+    assert!(!roadmap.pending.contains(&true));
+    assert_eq!(stored(&roadmap), serial);
+    assert_eq!(roadmap::adopt(&index, &mut heir).await.unwrap(), 0);
+}
+
+#[tokio::test]
+async fn a_sparse_roadmap_has_no_two_milestones_too_near_to_each_other() {
+    let server = Server::start();
+    let index = server.index("roadmap", SPACE).await;
+    let (first, second) = (
+        worker(&server, 0, false).await,
+        worker(&server, 1, true).await,
+    );
+    let sparse = [first, second].map(|worker| worker.min_separation(1.2));
+    extend(sparse.into(), 60).await;
+
+    let roadmap = read(&index).await;
+    let states: Vec<&[f64]> = roadmap.states.iter().collect();
+    for (at, a) in states.iter().enumerate() {
+        for b in &states[..at] {
+            assert!(SCENE.space().distance(a, b) >= 1.2);
+        }
+    }
+    assert_eq!(stored(&roadmap), replayed(&roadmap));
+}
