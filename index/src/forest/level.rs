@@ -28,9 +28,7 @@ impl Level {
     }
 
     fn over(tree: KdTree, built: bool) -> Self {
-        let ids = tree.ids();
-        let mut by_id: Vec<u32> = (0..ids.len() as u32).collect();
-        by_id.sort_unstable_by_key(|&slot| ids[slot as usize]);
+        let by_id = by_id(tree.ids());
         Self {
             tree,
             by_id,
@@ -138,5 +136,55 @@ impl Level {
             ));
         }
         Ok(())
+    }
+}
+
+/// Ids that fill less than one in so many of the numbers between the least and the greatest are sorted; others, such as those
+/// that the server assigns, each tell their place.
+const SPARSE: u64 = 4;
+
+/// The slots of distinct `ids`, in the order of the ids.
+fn by_id(ids: &[u64]) -> Vec<u32> {
+    let least = ids.iter().copied().min().unwrap_or_default();
+    let span = ids.iter().map(|id| id - least).max().unwrap_or_default();
+    let slots = 0..ids.len() as u32;
+    if span / SPARSE >= ids.len() as u64 {
+        let mut slots: Vec<u32> = slots.collect();
+        slots.sort_unstable_by_key(|&slot| ids[slot as usize]);
+        return slots;
+    }
+    // No slot: a tree has fewer.
+    const NONE: u32 = u32::MAX;
+    let mut places = vec![NONE; span as usize + 1];
+    for slot in slots {
+        places[(ids[slot as usize] - least) as usize] = slot;
+    }
+    places.retain(|&slot| slot != NONE);
+    places.shrink_to_fit();
+    places
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slots_are_in_the_order_of_their_ids_however_far_apart_these_are() {
+        for (count, step) in [
+            (0, 1),
+            (1, 1),
+            (100, 1),
+            (100, 3),
+            (100, 4),
+            (100, 5),
+            (9, 1 << 59),
+        ] {
+            // 7 and 11 share no divisor with the counts: each id once, in no order.
+            let mixed = |slot: u64| slot * 7 * 11 % count.max(1);
+            let ids: Vec<u64> = (0..count).map(|slot| 5 + mixed(slot) * step).collect();
+            let mut expected: Vec<u32> = (0..count as u32).collect();
+            expected.sort_by_key(|&slot| ids[slot as usize]);
+            assert_eq!(by_id(&ids), expected, "{count} {step}");
+        }
     }
 }
