@@ -42,7 +42,7 @@ const CHAIRS: [[RGBColor; 2]; 3] = [
 ];
 
 /// How far apart the chairs along a path are, in the metric.
-const STRIDE: f64 = 0.85;
+const STRIDE: f64 = 1.05;
 
 /// How many of a milestone's edges are drawn: the shortest.
 const EDGES: usize = 2;

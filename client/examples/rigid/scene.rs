@@ -61,7 +61,7 @@ const PARTS: [([f64; 3], [f64; 3]); 6] = [
 const RADIUS: f64 = 1.03;
 
 /// Motions are checked at states so far apart.
-const RESOLUTION: f64 = 0.04;
+const RESOLUTION: f64 = 0.015;
 
 /// A question to the roadmap: from one state to another.
 pub struct Task {

@@ -9,8 +9,9 @@ use std::time::Instant;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use tokio::task::JoinHandle;
 use wayfold_client::{
-    Filter, Include, IndexHandle, NeighborQuery, Neighbors, Point, Replica, Scaling, Search,
+    Filter, Include, IndexHandle, NeighborQuery, Neighbors, Point, Replica, Scaling, Search, Update,
 };
 
 use crate::{
@@ -154,7 +155,6 @@ impl<'a> Worker<'a> {
         };
         let id = pending.id;
         self.complete(pending).await?;
-        self.account.milestones += 1;
         Ok(Some(id))
     }
 
@@ -178,6 +178,17 @@ impl<'a> Worker<'a> {
 
     /// The second step: stores the state with these edges, and is told of what arrived meanwhile.
     pub async fn insert(&mut self, checked: Checked) -> Result<Option<Pending>, PlanningError> {
+        let start = Instant::now();
+        let pending = self.insertion(checked).await?;
+        self.account.waiting += start.elapsed();
+        Ok(pending)
+    }
+
+    /// The call of the second step, which can be under way while the worker does something else.
+    fn insertion(
+        &self,
+        checked: Checked,
+    ) -> impl Future<Output = Result<Option<Pending>, PlanningError>> + Send + use<> {
         let around = NeighborQuery {
             scaling: SCALING,
             filter: Filter {
@@ -187,35 +198,43 @@ impl<'a> Worker<'a> {
             include: STATES,
             ..NeighborQuery::default()
         };
-        let start = Instant::now();
-        let inserted = self
+        let insert = self
             .index
             .insert([&checked.state])
             .tags([milestone::tag(self.number) | PENDING])
             .payloads([milestone::payload(&checked.edges)])
             .min_separation(self.min_separation)
-            .neighbors(around)
-            .await?;
-        self.account.waiting += start.elapsed();
-        let Some(id) = inserted.outcomes[0].id() else {
-            return Ok(None);
-        };
-        let meanwhile = inserted.neighbors.as_ref().map(candidates);
-        let meanwhile = meanwhile.unwrap_or_default();
-        self.account.meanwhile += meanwhile.len() as u64;
-        Ok(Some(Pending {
-            id,
-            revision: inserted.revision,
-            state: checked.state,
-            earlier: checked.earlier,
-            meanwhile,
-            stored: checked.edges,
-        }))
+            .neighbors(around);
+        async move {
+            let inserted = insert.await?;
+            let Some(id) = inserted.outcomes[0].id() else {
+                return Ok(None);
+            };
+            let meanwhile = inserted.neighbors.as_ref().map(candidates);
+            Ok(Some(Pending {
+                id,
+                revision: inserted.revision,
+                state: checked.state,
+                earlier: checked.earlier,
+                meanwhile: meanwhile.unwrap_or_default(),
+                stored: checked.edges,
+            }))
+        }
     }
 
     /// The last step: checks the ways to what arrived meanwhile, and says that nothing is missing now. Done twice, also by
     /// two workers at once, it does the same.
     pub async fn complete(&mut self, pending: Pending) -> Result<(), PlanningError> {
+        let update = self.completion(pending).await?;
+        let start = Instant::now();
+        update.await?;
+        self.account.waiting += start.elapsed();
+        Ok(())
+    }
+
+    /// The call of the last step, after its checks.
+    async fn completion(&mut self, pending: Pending) -> Result<Update, PlanningError> {
+        self.account.meanwhile += pending.meanwhile.len() as u64;
         // Ids are assigned from 0 on and nothing is ever removed: so many milestones were there before.
         let before = pending.id as usize;
         let k = SCALING.k(before).unwrap_or(usize::MAX);
@@ -242,10 +261,8 @@ impl<'a> Worker<'a> {
         if edges != pending.stored {
             update = update.payloads([milestone::payload(&edges)]);
         }
-        let start = Instant::now();
-        update.tags([0]).tag_mask(PENDING).await?;
-        self.account.waiting += start.elapsed();
-        Ok(())
+        self.account.milestones += 1;
+        Ok(update.tags([0]).tag_mask(PENDING))
     }
 
     /// Checks the ways that are not checked yet; returns where the free ones lead, ascending.
@@ -318,6 +335,9 @@ impl<'a> Worker<'a> {
     }
 
     /// Extends the roadmap until it has so many milestones, telling `progress` of each.
+    ///
+    /// While an insert and an update are under way, the next state is drawn and checked. It does not see the milestone that
+    /// is being inserted, but its own insert will tell of it, as of everybody else's.
     pub async fn extend(
         &mut self,
         milestones: u64,
@@ -325,21 +345,66 @@ impl<'a> Worker<'a> {
     ) -> Result<(), PlanningError> {
         let started = Instant::now();
         let before = self.account.total;
-        loop {
+        let (mut inserting, mut updating) = (UnderWay::default(), UnderWay::default());
+        let mut enough = false;
+        while !enough {
             let state = self.sample();
-            let id = self.add(state).await?;
+            let next = self.look(state).await?;
+            let start = Instant::now();
+            let pending: Option<Pending> = inserting.finish().await?.flatten();
+            self.account.waiting += start.elapsed();
+            enough = pending.as_ref().is_some_and(|one| one.id + 1 >= milestones)
+                || self.is_in_vain(milestones);
+            // What was checked for one milestone too many is left.
+            if let Some(next) = next.filter(|_| !enough) {
+                inserting.begin(self.insertion(next));
+            }
+            if let Some(pending) = pending {
+                let update = self.completion(pending).await?;
+                let start = Instant::now();
+                updating.finish().await?;
+                self.account.waiting += start.elapsed();
+                updating.begin(async move { Ok(update.await?) });
+            }
             self.account.total = before + started.elapsed();
             progress(&self.account)?;
-            if id.is_some_and(|id| id + 1 >= milestones) || self.is_in_vain(milestones) {
-                return Ok(());
-            }
         }
+        let start = Instant::now();
+        updating.finish().await?;
+        self.account.waiting += start.elapsed();
+        self.account.total = before + started.elapsed();
+        Ok(())
     }
 
     /// Whether the space is as good as full at the separation that is wanted.
     fn is_in_vain(&self, milestones: u64) -> bool {
         const TRIES: u64 = 100;
         self.account.samples > TRIES * milestones
+    }
+}
+
+/// A call that may be under way.
+struct UnderWay<T>(Option<JoinHandle<Result<T, PlanningError>>>);
+
+impl<T> Default for UnderWay<T> {
+    fn default() -> UnderWay<T> {
+        UnderWay(None)
+    }
+}
+
+impl<T: Send + 'static> UnderWay<T> {
+    /// Begins one, on the runtime's threads.
+    fn begin(&mut self, call: impl Future<Output = Result<T, PlanningError>> + Send + 'static) {
+        self.0 = Some(tokio::spawn(call));
+    }
+
+    /// Waits for its end, if there is one.
+    async fn finish(&mut self) -> Result<Option<T>, PlanningError> {
+        let Some(call) = self.0.take() else {
+            return Ok(None);
+        };
+        // It fails only if the call panicked, or where the runtime ends and nobody waits.
+        call.await.expect("a call does not panic").map(Some)
     }
 }
 
