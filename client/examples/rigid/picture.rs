@@ -54,7 +54,7 @@ pub fn draw(scene: &Rooms, built: &Built, file: &Path) -> Result<(), PlanningErr
     let paths: Vec<Vec<Vec<f64>>> = built
         .paths
         .iter()
-        .map(|answer| path::shorten(scene, answer.states.clone(), 2000, built.seed))
+        .map(|answer| path::shorten(scene, answer.states.clone(), 150, built.seed))
         .collect();
     drawing::picture(file, SIZE, |area| {
         let (above, below) = area.split_vertically(1940);
