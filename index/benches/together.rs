@@ -1,0 +1,330 @@
+//! What several threads do to each other: readers of one snapshot, bulk inserts side by side, a reader beside a writer, and
+//! the slowest calls while levels merge.
+//!
+//!     cargo bench -p wayfold-index --bench together [-- POINTS]
+//!
+//! In SE(3), `R3*SO3:0.15`, uniform, ten neighbours. Two threads of one process are compared with two processes, in turns:
+//! what the machine does not give to two processes, no structure can give to two threads. The median of the rounds is told.
+
+use std::{
+    env,
+    io::{self, BufRead, BufReader, Write},
+    process::{Child, ChildStdin, ChildStdout, Command, Stdio},
+    sync::{
+        Barrier, Mutex,
+        atomic::{AtomicBool, Ordering::Relaxed},
+        mpsc,
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wayfold_index::{
+    Forest, ForestOptions, Merge, Merged, PointRef, Points, Search, Snapshot, Space,
+};
+
+const WIDTH: usize = 7;
+const K: usize = 10;
+const SEED: u64 = 7;
+/// Points of what is read, and of a bulk insert.
+const POINTS: usize = 50_000;
+/// Points that are inserted one by one while the slowest calls are sought, unless told otherwise.
+const MANY: usize = 1_000_000;
+const ROUNDS: usize = 5;
+const DURATION: Duration = Duration::from_secs(2);
+/// States that are asked about, over and over.
+const ASKED: usize = 4_096;
+/// Which work a process is to do, if it is not the one that measures.
+const ROLE: &str = "TOGETHER_ROLE";
+
+fn main() {
+    match env::var(ROLE) {
+        Ok(role) => work_when_told(&role),
+        Err(_) => measure(),
+    }
+}
+
+fn measure() {
+    let points = env::args().find_map(|argument| argument.parse().ok());
+    println!("R3*SO3:0.15, uniform, k = {K}; medians of {ROUNDS} rounds");
+    for (what, role) in [
+        ("readers of 50,000 points", "read"),
+        ("bulk inserts of 50,000 points", "bulk"),
+    ] {
+        let mut rounds = Vec::new();
+        for _ in 0..ROUNDS {
+            let one = by_threads(role, 1);
+            let threads = by_threads(role, 2);
+            let processes = by_processes(role);
+            rounds.push([one, threads / one, processes / one, threads / processes]);
+        }
+        let [one, threads, processes, ratio] = medians(&rounds);
+        println!(
+            "{what}: one does {one:.0}/s, two threads {threads:.2} times that, two processes {processes:.2}, ratio {ratio:.2}"
+        );
+    }
+    let rounds: Vec<_> = (0..ROUNDS).map(|_| beside_a_writer()).collect();
+    let [alone, beside, ratio, inserts] = medians(&rounds);
+    println!(
+        "a reader beside a writer: {beside:.0}/s of {alone:.0}/s alone, ratio {ratio:.2}; {inserts:.0} inserts/s"
+    );
+    slowest(points.unwrap_or(MANY));
+}
+
+fn medians<const N: usize>(rounds: &[[f64; N]]) -> [f64; N] {
+    std::array::from_fn(|at| {
+        let mut values: Vec<f64> = rounds.iter().map(|round| round[at]).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    })
+}
+
+fn space() -> Space {
+    "R3*SO3:0.15".parse().expect("a space")
+}
+
+/// Canonical rows.
+fn states(rows: usize, seed: u64) -> Vec<f64> {
+    let (space, mut rng) = (space(), ChaCha8Rng::seed_from_u64(seed));
+    let mut states = Vec::with_capacity(rows * WIDTH);
+    while states.len() < rows * WIDTH {
+        let mut row: [f64; WIDTH] = std::array::from_fn(|at| match at {
+            0..3 => rng.random(),
+            _ => rng.random_range(-1.0..1.0),
+        });
+        let norm = row[3..].iter().map(|x| x * x).sum::<f64>().sqrt();
+        if (0.1..=1.0).contains(&norm) {
+            row[3..].iter_mut().for_each(|x| *x /= norm);
+            space.canonicalize(&mut row).expect("a state");
+            states.extend(row);
+        }
+    }
+    states
+}
+
+fn table(states: &[f64], first: u64) -> Points {
+    let mut points = Points::with_capacity(WIDTH, states.len() / WIDTH);
+    for (row, id) in states.chunks(WIDTH).zip(first..) {
+        points.push_point(PointRef {
+            id,
+            tag: 0,
+            revision: id + 1,
+            row,
+        });
+    }
+    points
+}
+
+fn forest(states: &[f64]) -> Forest {
+    let mut forest = Forest::new(space(), ForestOptions::default());
+    let points = table(states, 0);
+    forest.apply(points.len() as u64, &points, &[]);
+    forest.settle();
+    forest
+}
+
+/// Work of one kind, made ready.
+enum Work {
+    Read(Snapshot, Vec<f64>),
+    Bulk(Vec<f64>),
+}
+
+impl Work {
+    fn new(role: &str) -> Self {
+        let stored = states(POINTS, SEED);
+        match role {
+            "bulk" => Work::Bulk(stored),
+            _ => Work::Read(forest(&stored).snapshot(), states(ASKED, SEED + 1)),
+        }
+    }
+
+    /// How often it is done a second.
+    fn rate(&self) -> f64 {
+        let (started, mut done) = (Instant::now(), 0);
+        while started.elapsed() < DURATION {
+            match self {
+                Work::Read(points, asked) => {
+                    asked.chunks(WIDTH).for_each(|row| ask(points, row));
+                    done += ASKED;
+                }
+                Work::Bulk(stored) => {
+                    assert_eq!(forest(stored).len(), POINTS);
+                    done += 1;
+                }
+            }
+        }
+        done as f64 / started.elapsed().as_secs_f64()
+    }
+}
+
+fn ask(points: &Snapshot, row: &[f64]) {
+    let answer = points.search(row, &Search::nearest_k(K));
+    assert_eq!(answer.neighbors.len(), K);
+}
+
+/// What so many threads do a second together.
+fn by_threads(role: &str, count: usize) -> f64 {
+    let (work, start) = (Work::new(role), Barrier::new(count));
+    thread::scope(|scope| {
+        let one = || {
+            start.wait();
+            work.rate()
+        };
+        let threads: Vec<_> = (0..count).map(|_| scope.spawn(one)).collect();
+        let rates = threads
+            .into_iter()
+            .map(|thread| thread.join().expect("no panic"));
+        rates.sum()
+    })
+}
+
+/// Another process that does it.
+struct Worker {
+    child: Child,
+    tell: ChildStdin,
+    told: BufReader<ChildStdout>,
+}
+
+impl Worker {
+    fn start(role: &str) -> Self {
+        let mut child = Command::new(env::current_exe().expect("this program"))
+            .env(ROLE, role)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("a process");
+        let (tell, told) = (child.stdin.take(), child.stdout.take());
+        let told = BufReader::new(told.expect("a pipe"));
+        let mut worker = Self {
+            child,
+            tell: tell.expect("a pipe"),
+            told,
+        };
+        assert_eq!(worker.line(), "ready");
+        worker
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        self.told.read_line(&mut line).expect("a line");
+        line.trim_end().to_owned()
+    }
+}
+
+fn by_processes(role: &str) -> f64 {
+    let mut workers = [Worker::start(role), Worker::start(role)];
+    for worker in &mut workers {
+        writeln!(worker.tell, "go").expect("somebody who reads");
+    }
+    let mut rate = 0.0;
+    for mut worker in workers {
+        rate += worker.line().parse::<f64>().expect("a rate");
+        worker.child.wait().expect("an end");
+    }
+    rate
+}
+
+fn work_when_told(role: &str) {
+    let work = Work::new(role);
+    println!("ready");
+    io::stdin().read_line(&mut String::new()).expect("a line");
+    println!("{}", work.rate());
+}
+
+/// What a reader reaches alone and beside a writer who inserts point by point as fast as it can, and merges itself: alone it
+/// reads what the writer has left, unmerged.
+fn beside_a_writer() -> [f64; 4] {
+    let asked = states(ASKED, SEED + 1);
+    let mut forest = forest(&states(POINTS, SEED));
+    let more = states(20 * POINTS, SEED + 2);
+    let (published, stop) = (Mutex::new(forest.snapshot()), AtomicBool::new(false));
+    let read = |until: &dyn Fn(Instant) -> bool| {
+        let (started, mut done) = (Instant::now(), 0.0);
+        while !until(started) {
+            for row in asked.chunks(WIDTH).take(64) {
+                let points = published.lock().expect("no panic").clone();
+                ask(&points, row);
+                done += 1.0;
+            }
+        }
+        done / started.elapsed().as_secs_f64()
+    };
+    let (beside, inserts) = thread::scope(|scope| {
+        let reader = scope.spawn(|| read(&|_| stop.load(Relaxed)));
+        let (started, mut inserted) = (Instant::now(), 0);
+        for row in more.chunks(WIDTH) {
+            let id = (POINTS + inserted) as u64;
+            forest.apply(id + 1, &table(row, id), &[]);
+            forest.settle();
+            *published.lock().expect("no panic") = forest.snapshot();
+            inserted += 1;
+            if started.elapsed() >= DURATION {
+                break;
+            }
+        }
+        let inserts = inserted as f64 / started.elapsed().as_secs_f64();
+        stop.store(true, Relaxed);
+        (reader.join().expect("no panic"), inserts)
+    });
+    let alone = read(&|started| started.elapsed() >= DURATION);
+    [alone, beside, beside / alone, inserts]
+}
+
+/// The slowest of `count` single inserts, and of queries made between them, while another thread merges.
+fn slowest(count: usize) {
+    let (rows, asked) = (states(count, SEED), states(ASKED, SEED + 1));
+    let mut forest = Forest::new(space(), ForestOptions::default());
+    let (mut inserts, mut queries) = (Vec::with_capacity(count), Vec::with_capacity(count / 10));
+    thread::scope(|scope| {
+        let (to_merge, due) = mpsc::channel::<Merge>();
+        let (ran, merged) = mpsc::channel::<Merged>();
+        scope.spawn(move || {
+            for merge in due {
+                // Who is done does not wait for the last.
+                let _ = ran.send(merge.run());
+            }
+        });
+        let mut merging = false;
+        for (id, row) in rows.chunks(WIDTH).enumerate() {
+            let point = table(row, id as u64);
+            let started = Instant::now();
+            if let Ok(merged) = merged.try_recv() {
+                forest.finish_merge(merged);
+                merging = false;
+            }
+            forest.apply(id as u64 + 1, &point, &[]);
+            if !merging && let Some(merge) = forest.begin_merge() {
+                to_merge.send(merge).expect("a merger");
+                merging = true;
+            }
+            inserts.push(started.elapsed());
+            if id >= K && id % 10 == 0 {
+                let row = &asked[id / 10 % ASKED * WIDTH..][..WIDTH];
+                let started = Instant::now();
+                ask(&forest.snapshot(), row);
+                queries.push(started.elapsed());
+            }
+        }
+        drop(to_merge);
+    });
+    println!(
+        "{count} single inserts, a query after every tenth, merges on another thread; microseconds:"
+    );
+    for (what, mut taken) in [("inserts", inserts), ("queries", queries)] {
+        taken.sort();
+        let quantile = |q: f64| {
+            let at = ((taken.len() - 1) as f64 * q) as usize;
+            taken[at].as_secs_f64() * 1e6
+        };
+        let [median, last, slowest] = [0.5, 0.999, 1.0].map(quantile);
+        let over = taken
+            .iter()
+            .filter(|taken| taken.as_micros() > 1000)
+            .count();
+        println!(
+            "  {what}: median {median:.1}, 99.9 % within {last:.0}, slowest {slowest:.0}, over 1 ms: {over}"
+        );
+    }
+}
