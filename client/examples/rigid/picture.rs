@@ -110,9 +110,12 @@ fn rooms(
     solids.extend(furniture.into_iter().chain(walls).map(standing));
     solid::draw(area, &projection, &solids)?;
 
+    let crew = match built.workers {
+        1 => "one process".to_owned(),
+        workers => format!("{workers} processes"),
+    };
     let title = format!(
-        "A chair through three rooms: one roadmap in R³ × RP³ by {} processes, {} milestones, {} edges",
-        built.workers,
+        "A chair through three rooms: one roadmap in R³ × RP³ by {crew}, {} milestones, {} edges",
         built.roadmap.len(),
         built.roadmap.edge_count(),
     );
@@ -195,9 +198,9 @@ fn edges(
         let color = WORKERS[roadmap.workers[at] % WORKERS.len()];
         for &other in to.iter().take(EDGES) {
             let line = vec![place(at), place(other)];
-            area.draw(&PathElement::new(line, color.mix(0.34).stroke_width(2)))?;
+            area.draw(&PathElement::new(line, color.mix(0.45).stroke_width(2)))?;
         }
-        area.draw(&Circle::new(place(at), 4, color.mix(0.6).filled()))?;
+        area.draw(&Circle::new(place(at), 5, color.mix(0.75).filled()))?;
     }
     Ok(())
 }
