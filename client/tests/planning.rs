@@ -4,15 +4,14 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 #[path = "../examples/maze/scene.rs"]
-#[allow(dead_code, reason = "pictures are not tested")]
+#[expect(dead_code, reason = "pictures are not tested")]
 mod maze;
 #[path = "../examples/planning/mod.rs"]
 mod planning;
 #[path = "../examples/bodies/scene.rs"]
-#[allow(dead_code, reason = "pictures are not tested")]
 mod room;
 #[path = "client/server.rs"]
-#[allow(dead_code, reason = "planners make their own indices")]
+#[expect(dead_code, reason = "planners make their own indices")]
 mod server;
 
 use planning::{

@@ -122,12 +122,7 @@ fn along_the_path(
             chart.draw_series([PathElement::new(round.collect::<Vec<_>>(), edge)])?;
         }
     }
-    let nodes: usize = comparison
-        .solution
-        .trees
-        .iter()
-        .map(|tree| tree.len())
-        .sum();
+    let nodes = comparison.solution.nodes();
     let title = format!(
         "Eight bodies change places, from light to dark: {nodes} nodes in (R³ × RP³)⁸, 48 degrees of freedom"
     );

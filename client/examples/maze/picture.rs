@@ -71,12 +71,7 @@ fn above(
         let edge = WHITE.mix(0.8).stroke_width(3);
         chart.draw_series([PathElement::new(closed.collect::<Vec<_>>(), edge)])?;
     }
-    let nodes: usize = comparison
-        .solution
-        .trees
-        .iter()
-        .map(|tree| tree.len())
-        .sum();
+    let nodes = comparison.solution.nodes();
     let title = format!("A C-shaped body through a maze: {nodes} nodes in R² × S¹");
     write(area, title, (80, 60), letters(LETTERS[0], DARK))?;
     let entries = [

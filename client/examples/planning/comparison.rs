@@ -71,7 +71,7 @@ pub fn compare(problem: &impl Problem, options: &Options) -> Result<Comparison, 
             runs.push(Run {
                 source,
                 seed,
-                nodes: solution.trees.iter().map(rrt::Tree::len).sum(),
+                nodes: solution.nodes(),
                 account: solution.account,
                 growth: solution.growth.clone(),
             });

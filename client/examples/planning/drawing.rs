@@ -3,9 +3,14 @@
 use std::{fs, io, path::Path};
 
 use plotters::{
-    coord::Shift,
+    chart::ChartContext,
+    coord::{
+        Shift,
+        ranged1d::{Ranged, ValueFormatter},
+    },
     prelude::{
-        DrawingArea, DrawingAreaErrorKind, IntoDrawingArea, PathElement, RGBColor, SVGBackend, Text,
+        Cartesian2d, DrawingArea, DrawingAreaErrorKind, IntoDrawingArea, PathElement, RGBColor,
+        SVGBackend, Text,
     },
     style::{
         Color, IntoFont, TextStyle, WHITE,
@@ -37,6 +42,34 @@ pub fn ink(source: Wanted) -> RGBColor {
         Wanted::Server => RGBColor(190, 62, 72),
         Wanted::Replica => RGBColor(110, 84, 178),
     }
+}
+
+/// Draws axes and grid of a panel of figures: about so many labels each way, written as `x` and `y` say.
+pub fn axes<X, Y>(
+    chart: &mut ChartContext<'_, SVGBackend<'_>, Cartesian2d<X, Y>>,
+    labels: (usize, usize),
+    x_name: &str,
+    x: &dyn Fn(&f64) -> String,
+    y: &dyn Fn(&f64) -> String,
+) -> Result<(), DrawingError>
+where
+    X: Ranged<ValueType = f64> + ValueFormatter<f64>,
+    Y: Ranged<ValueType = f64> + ValueFormatter<f64>,
+{
+    let small = letters(LETTERS[1], DARK);
+    chart
+        .configure_mesh()
+        .bold_line_style(PALE.stroke_width(2))
+        .light_line_style(PALE.mix(0.0))
+        .axis_style(DARK.stroke_width(3))
+        .x_labels(labels.0)
+        .y_labels(labels.1)
+        .label_style(small.clone())
+        .axis_desc_style(small)
+        .x_desc(x_name)
+        .x_label_formatter(x)
+        .y_label_formatter(y)
+        .draw()
 }
 
 /// From light to dark along a path, for `share` from 0 to 1.

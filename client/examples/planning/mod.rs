@@ -2,18 +2,20 @@
 //!
 //! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (what a scene tells a
 //! planner), `rrt` (the planner), `path` (its result, checked anew), `comparison` (one problem with every source),
-//! `report` (the table and the JSON), `drawing` and `panels` (what all pictures have in
-//! common).
+//! `example` (all of a program that does so), `report` (the table and the JSON), `drawing` and `panels` (what all pictures
+//! have in common).
 
-#![allow(dead_code, reason = "each example takes what it needs of this")]
+#![expect(dead_code, reason = "each example takes what it needs of this")]
 
 pub mod comparison;
 pub mod drawing;
 pub mod error;
+pub mod example;
 pub mod local;
 pub mod options;
 pub mod panels;
 pub mod path;
+pub mod pose;
 pub mod problem;
 pub mod remote;
 pub mod report;

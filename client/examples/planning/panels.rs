@@ -9,7 +9,7 @@ use plotters::{
 
 use super::{
     comparison::{Comparison, Run},
-    drawing::{Area, DARK, DrawingError, LETTERS, PALE, ink, legend, letters, write},
+    drawing::{Area, DARK, DrawingError, LETTERS, axes, ink, legend, letters, write},
     options::Wanted,
 };
 
@@ -58,20 +58,13 @@ fn nodes_over_time(area: &Area<'_>, comparison: &Comparison) -> Result<(), Drawi
             (shortest / 100.0..longest * 1.3).log_scale(),
             0.0..most * 1.05,
         )?;
-    let labels = letters(LETTERS[1], DARK);
-    chart
-        .configure_mesh()
-        .bold_line_style(PALE.stroke_width(2))
-        .light_line_style(PALE.mix(0.0))
-        .axis_style(DARK.stroke_width(3))
-        .x_labels(5)
-        .y_labels(5)
-        .label_style(labels.clone())
-        .axis_desc_style(labels)
-        .x_desc("seconds")
-        .x_label_formatter(&|seconds| format!("{seconds}"))
-        .y_label_formatter(&|nodes| format!("{nodes:.0}"))
-        .draw()?;
+    axes(
+        &mut chart,
+        (5, 5),
+        "seconds",
+        &|seconds| format!("{seconds}"),
+        &|nodes| format!("{nodes:.0}"),
+    )?;
     for (source, run) in first_runs(comparison) {
         let line = PathElement::new(points(run), ink(source).stroke_width(7));
         chart.draw_series([line])?;
@@ -88,20 +81,13 @@ fn share_over_nodes(area: &Area<'_>, comparison: &Comparison) -> Result<(), Draw
         .x_label_area_size(90)
         .y_label_area_size(130)
         .build_cartesian_2d(0.0..most * 1.02, 0.0..100.0)?;
-    let labels = letters(LETTERS[1], DARK);
-    chart
-        .configure_mesh()
-        .bold_line_style(PALE.stroke_width(2))
-        .light_line_style(PALE.mix(0.0))
-        .axis_style(DARK.stroke_width(3))
-        .x_labels(4)
-        .y_labels(5)
-        .label_style(labels.clone())
-        .axis_desc_style(labels)
-        .x_desc("nodes")
-        .x_label_formatter(&|nodes| format!("{nodes:.0}"))
-        .y_label_formatter(&|share| format!("{share:.0} %"))
-        .draw()?;
+    axes(
+        &mut chart,
+        (4, 5),
+        "nodes",
+        &|nodes| format!("{nodes:.0}"),
+        &|share| format!("{share:.0} %"),
+    )?;
     for (source, run) in first_runs(comparison) {
         // What comes first are too few searches to have a share.
         let settled = run.growth.iter().filter(|moment| moment.nodes > 100);

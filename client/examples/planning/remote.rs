@@ -3,7 +3,7 @@
 use std::rc::Rc;
 
 use tokio::runtime::{Builder, Runtime};
-use wayfold_client::{Client, IndexHandle, Neighbor, Replica, Search, Space, States};
+use wayfold_client::{Client, IndexHandle, Inserted, Neighbor, Replica, Search, Space, States};
 
 use super::{error::PlanningError, source::NeighborSource};
 
@@ -53,6 +53,12 @@ impl Temporary {
     }
 }
 
+/// The ids of the rows that are stored.
+fn ids(inserted: &Inserted) -> Vec<u64> {
+    let rows = inserted.outcomes.iter();
+    rows.filter_map(|row| row.id()).collect()
+}
+
 /// The server: every search and every insert is a call.
 pub struct ServerSource {
     remote: Rc<Remote>,
@@ -76,11 +82,7 @@ impl NeighborSource for ServerSource {
     fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError> {
         let insert = self.own.index.insert(states);
         let inserted = self.remote.calls.block_on(insert.into_future())?;
-        Ok(inserted
-            .outcomes
-            .iter()
-            .filter_map(|row| row.id())
-            .collect())
+        Ok(ids(&inserted))
     }
 
     fn search(
@@ -138,11 +140,7 @@ impl NeighborSource for ReplicaSource {
     fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError> {
         let insert = self.own.index.insert(states);
         let inserted = self.remote.following.block_on(self.replica.write(insert))?;
-        Ok(inserted
-            .outcomes
-            .iter()
-            .filter_map(|row| row.id())
-            .collect())
+        Ok(ids(&inserted))
     }
 
     fn search(

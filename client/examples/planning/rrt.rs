@@ -117,6 +117,13 @@ pub struct Solution {
     pub growth: Vec<Growth>,
 }
 
+impl Solution {
+    /// The nodes of both trees.
+    pub fn nodes(&self) -> usize {
+        self.trees.iter().map(Tree::len).sum()
+    }
+}
+
 /// Grows the two trees until they meet. The same seed grows the same trees with any exact source.
 pub fn solve(
     problem: &impl Problem,

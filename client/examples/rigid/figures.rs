@@ -9,7 +9,7 @@ use plotters::{
 use crate::{
     build::Built,
     picture::WORKERS,
-    planning::drawing::{Area, DARK, DrawingError, LETTERS, PALE, legend, letters, write},
+    planning::drawing::{Area, DARK, DrawingError, LETTERS, axes, legend, letters, write},
 };
 
 /// What the time went into.
@@ -41,20 +41,8 @@ pub fn growth(area: &Area<'_>, built: &Built) -> Result<(), DrawingError> {
         .x_label_area_size(90)
         .y_label_area_size(130)
         .build_cartesian_2d(0.0..wall, 0.0..most * 1.05)?;
-    let labels = letters(LETTERS[1], DARK);
-    chart
-        .configure_mesh()
-        .bold_line_style(PALE.stroke_width(2))
-        .light_line_style(PALE.mix(0.0))
-        .axis_style(DARK.stroke_width(3))
-        .x_labels(6)
-        .y_labels(5)
-        .label_style(labels.clone())
-        .axis_desc_style(labels)
-        .x_desc("seconds")
-        .x_label_formatter(&|seconds| format!("{seconds}"))
-        .y_label_formatter(&|milestones| format!("{milestones:.0}"))
-        .draw()?;
+    let count = |milestones: &f64| format!("{milestones:.0}");
+    axes(&mut chart, (6, 5), "seconds", &f64::to_string, &count)?;
     chart.draw_series([PathElement::new(all, DARK.stroke_width(8))])?;
     for (worker, line) in own.into_iter().enumerate() {
         let color = WORKERS[worker % WORKERS.len()];

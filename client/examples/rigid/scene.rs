@@ -1,6 +1,5 @@
 //! Three rooms, a chair that is carried through them, and when it collides.
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use parry3d_f64::{
     math::{Pose, Rotation, Vector},
     query::{self, details::intersection_test_cuboid_cuboid},
@@ -8,7 +7,7 @@ use parry3d_f64::{
 };
 use wayfold_client::Space;
 
-use crate::planning::{path::Verify, problem::Problem};
+use crate::planning::{path::Verify, pose::between, problem::Problem};
 
 /// The paper's weight of rotations, which are measured by half their angle.
 const ROTATION_WEIGHT: f64 = 0.15;
@@ -269,17 +268,4 @@ impl Verify for Rooms {
             !apart.is_ok_and(|apart| apart.distance > 0.0)
         })
     }
-}
-
-/// The pose the share `t` of the way between two, by nalgebra.
-fn between(a: &[f64], b: &[f64], t: f64) -> Pose {
-    let place = |row: &[f64]| Vector3::new(row[0], row[1], row[2]);
-    let turn = |row: &[f64]| {
-        UnitQuaternion::new_normalize(Quaternion::new(row[6], row[3], row[4], row[5]))
-    };
-    let at = place(a).lerp(&place(b), t);
-    // It has none only between rotations that are as good as equal.
-    let turned = turn(a).try_slerp(&turn(b), t, 1e-9).unwrap_or(turn(a));
-    let rotation = Rotation::from_xyzw(turned.i, turned.j, turned.k, turned.w);
-    Pose::from_parts(Vector::new(at.x, at.y, at.z), rotation)
 }
