@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::{Answer, Kernels, PointRef, Points, Search, Space, search::Walk};
+use crate::{Answer, PointRef, Points, Search, Space, search::Walk};
 
 /// A table of points, searched from end to end.
 ///
@@ -81,8 +81,7 @@ impl Linear {
 
     /// Answers `search` for a canonical `state`; always exact, since it has no leaves to skip.
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
-        let kernels = Kernels::default();
-        let mut walk = Walk::new(&self.space, &kernels, state, search);
+        let mut walk = Walk::new(&self.space, state, search);
         for point in self.points.iter() {
             walk.measure(point);
         }

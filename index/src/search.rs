@@ -3,8 +3,8 @@
 use std::{collections::HashSet, time::Instant};
 
 use crate::{
-    Kernels, Neighbor, PointRef, Points, Space,
-    kernel::{BLOCK, CHILDREN, Scale},
+    Neighbor, PointRef, Points, Space,
+    kernel::{self, BLOCK, CHILDREN, Scale, Set},
     neighbor::Collector,
 };
 
@@ -83,10 +83,29 @@ pub struct Answer {
 /// How many leaves are visited between two looks at the clock, each of which takes about a tenth of a leaf's time.
 const LEAVES_A_LOOK: usize = 32;
 
+/// Where a cell of a tree is: a node or, at height 0, a leaf.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Place {
+    pub(crate) index: u32,
+    pub(crate) height: u32,
+}
+
+/// A cell that is still to be visited, and its key.
+#[derive(Clone, Copy, Debug, Default)]
+struct Ahead {
+    key: f64,
+    place: Place,
+}
+
+/// A tree of as many points as slots can tell is at most so high, with one point a leaf.
+const MOST_HEIGHT: usize = 11;
+
+/// Each node leaves all its children but one behind.
+const MOST_AHEAD: usize = MOST_HEIGHT * (CHILDREN - 1) + 1;
+
 /// One search under way, carried through every tree and table that takes part in it.
 pub(crate) struct Walk<'a> {
     space: &'a Space,
-    kernels: &'a Kernels,
     state: &'a [f64],
     search: &'a Search<'a>,
     nearest: Collector,
@@ -98,20 +117,17 @@ pub(crate) struct Walk<'a> {
     leaves_left: usize,
     leaves_entered: usize,
     exact: bool,
+    /// The cells of a tree that are still to be visited, the nearest of those below one node last.
+    ahead: [Ahead; MOST_AHEAD],
+    ahead_len: usize,
     /// Room for a row, where keys alone do not tell distances.
     row: Vec<f64>,
 }
 
 impl<'a> Walk<'a> {
-    pub(crate) fn new(
-        space: &'a Space,
-        kernels: &'a Kernels,
-        state: &'a [f64],
-        search: &'a Search<'a>,
-    ) -> Self {
+    pub(crate) fn new(space: &'a Space, state: &'a [f64], search: &'a Search<'a>) -> Self {
         let mut walk = Self {
             space,
-            kernels,
             state,
             search,
             nearest: Collector::new(search.k, search.radius),
@@ -121,6 +137,8 @@ impl<'a> Walk<'a> {
             leaves_left: search.max_leaves,
             leaves_entered: 0,
             exact: true,
+            ahead: [Ahead::default(); MOST_AHEAD],
+            ahead_len: 0,
             row: if space.has_rotations() {
                 vec![0.0; space.coordinates()]
             } else {
@@ -147,7 +165,8 @@ impl<'a> Walk<'a> {
 
     /// Measures the points in the first `lanes` of a block, unless they are surely too far, and keeps those that are
     /// `visible`, pass the filter and are near enough. Each stands in a `slot` of the `table`.
-    pub(crate) fn scan(
+    #[inline(always)]
+    pub(crate) fn scan<S: Set>(
         &mut self,
         block: &[f64],
         lanes: usize,
@@ -155,9 +174,7 @@ impl<'a> Walk<'a> {
         slot: impl Fn(usize) -> usize,
         visible: impl Fn(usize) -> bool,
     ) {
-        let mut keys = [0.0; BLOCK];
-        let points = self.kernels.points;
-        let within = points(self.space, self.state, block, self.limit, &mut keys);
+        let (keys, within) = kernel::points::<S>(self.space, self.state, block, self.limit);
         let filter = self.search.filter;
         let left = within & !(!0 << lanes);
         for (key, lane) in (Order { keys, left }) {
@@ -182,16 +199,57 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The children of a node that are within reach, the nearest first.
-    #[inline]
-    pub(crate) fn order(&self, boxes: &[f64], children: usize) -> Order<CHILDREN> {
-        let mut keys = [0.0; CHILDREN];
-        let kernel = self.kernels.boxes;
-        let within = kernel(self.space, self.state, boxes, self.limit, &mut keys);
-        Order {
-            keys,
-            left: within & !(!0 << children),
+    /// Puts the children of a node that are within reach before all that is to be visited, the nearest first.
+    #[inline(always)]
+    pub(crate) fn push_children<S: Set>(
+        &mut self,
+        boxes: &[f64],
+        children: u32,
+        place: impl Fn(u32) -> Place,
+    ) {
+        let (keys, within) = kernel::boxes::<S>(self.space, self.state, boxes, self.limit);
+        // So that no two are equal, and a count tells the place of each. It changes a key by less than the margin of the
+        // limit that it will be compared with.
+        let mut lane = 0;
+        let keys = keys.map(|key| {
+            let distinct = key.to_bits() & !(CHILDREN as u64 - 1) | lane;
+            lane += 1;
+            f64::from_bits(distinct)
+        });
+        let within = within & !(!0 << children);
+        let end = self.ahead_len + within.count_ones() as usize;
+        let mut left = within;
+        while left != 0 {
+            let lane = left.trailing_zeros();
+            left &= left - 1;
+            let key = keys[lane as usize % CHILDREN];
+            let nearer_or_it = (S::within(&keys, key) & within).count_ones() as usize;
+            self.ahead[end - nearer_or_it] = Ahead {
+                key,
+                place: place(lane),
+            };
         }
+        self.ahead_len = end;
+    }
+
+    /// The next cell to visit, if one is left that may matter.
+    #[inline(always)]
+    pub(crate) fn pop(&mut self) -> Option<Place> {
+        while self.ahead_len > 0 {
+            self.ahead_len -= 1;
+            let Ahead { key, place } = self.ahead[self.ahead_len];
+            if !self.skips(key) {
+                return Some(place);
+            }
+        }
+        None
+    }
+
+    /// The cell that comes after it, unless something nearer is found meanwhile.
+    #[inline(always)]
+    pub(crate) fn peek(&self) -> Option<Place> {
+        let last = self.ahead_len.checked_sub(1)?;
+        Some(self.ahead[last].place)
     }
 
     /// Keeps what is at this distance, if it is near enough.
@@ -228,7 +286,7 @@ impl<'a> Walk<'a> {
 
     /// Whether a box of this key is to be skipped.
     #[inline]
-    pub(crate) fn skips(&mut self, key: f64) -> bool {
+    fn skips(&mut self, key: f64) -> bool {
         if !self.reaches(key) {
             return true;
         }
@@ -304,13 +362,13 @@ impl Table for Points {
 }
 
 /// Lanes by ascending key, each sought when it is asked for: what is near soon makes the rest not worth a look.
-pub(crate) struct Order<const N: usize> {
-    keys: [f64; N],
+struct Order {
+    keys: [f64; BLOCK],
     /// The bits of the lanes that are left.
     left: u32,
 }
 
-impl<const N: usize> Iterator for Order<N> {
+impl Iterator for Order {
     type Item = (f64, usize);
 
     #[inline(always)]
@@ -320,7 +378,7 @@ impl<const N: usize> Iterator for Order<N> {
         let mut least = *self.keys.get(lane)?;
         left &= left - 1;
         while left != 0 {
-            let other = left.trailing_zeros() as usize % N;
+            let other = left.trailing_zeros() as usize % BLOCK;
             left &= left - 1;
             let key = self.keys[other];
             lane = if key < least { other } else { lane };

@@ -1,6 +1,11 @@
 //! The newest points, before they become part of a level: few enough to be searched from end to end.
 
-use crate::{PointRef, Points, blocks::Blocks, kernel::BLOCK, search::Walk};
+use crate::{
+    PointRef, Points,
+    blocks::Blocks,
+    kernel::{BLOCK, Set},
+    search::Walk,
+};
 
 /// A small table, all of it alive. It is copied if a snapshot holds it when it changes.
 #[derive(Debug)]
@@ -48,11 +53,12 @@ impl Buffer {
     }
 
     /// Shows `walk` all points.
-    pub(super) fn visit(&self, walk: &mut Walk<'_>) {
+    #[inline(always)]
+    pub(super) fn visit<S: Set>(&self, walk: &mut Walk<'_>) {
         for start in (0..self.points.len()).step_by(BLOCK) {
             let lanes = (self.points.len() - start).min(BLOCK);
             let block = self.blocks.block(start / BLOCK);
-            walk.scan(block, lanes, &self.points, |lane| start + lane, |_| true);
+            walk.scan::<S>(block, lanes, &self.points, |lane| start + lane, |_| true);
         }
     }
 

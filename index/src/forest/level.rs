@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::tombstones::Tombstones;
-use crate::{KdTree, PointRef, Points, Space, search::Walk};
+use crate::{KdTree, PointRef, Points, Space, kernel::Set, search::Walk};
 
 /// Shared by count between the forest, its snapshots and the merges under way. Each id stands in it at most once.
 #[derive(Debug)]
@@ -99,12 +99,13 @@ impl Level {
     }
 
     /// Shows `walk` what a reader at `revision` sees.
-    pub(super) fn visit(&self, walk: &mut Walk<'_>, revision: u64) {
+    #[inline(always)]
+    pub(super) fn visit<S: Set>(&self, walk: &mut Walk<'_>, revision: u64) {
         if self.tombstones.dead() == 0 {
             // No mark at or before the reader's revision can be missed: those were published with it.
-            self.tree.visit(walk, |_| true);
+            self.tree.visit::<S>(walk, |_| true);
         } else {
-            self.tree.visit(walk, |slot| self.sees(slot, revision));
+            self.tree.visit::<S>(walk, |slot| self.sees(slot, revision));
         }
     }
 

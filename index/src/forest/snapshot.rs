@@ -3,7 +3,11 @@
 use std::sync::Arc;
 
 use super::{buffer::Buffer, level::Level};
-use crate::{Answer, Kernels, PointRef, Search, Space, search::Walk};
+use crate::{
+    Answer, Kernels, PointRef, Search, Space,
+    kernel::{Set, Task},
+    search::Walk,
+};
 
 /// A forest as it stood at one revision, for as long as it is held.
 ///
@@ -49,12 +53,11 @@ impl Snapshot {
 
     /// As [`Snapshot::search`], with these kernels.
     pub fn search_with(&self, kernels: &Kernels, state: &[f64], search: &Search<'_>) -> Answer {
-        let mut walk = Walk::new(&self.space, kernels, state, search);
-        for level in self.levels.iter() {
-            level.visit(&mut walk, self.revision);
-        }
-        self.buffer.visit(&mut walk);
-        walk.finish()
+        kernels.run(SearchSnapshot {
+            snapshot: self,
+            state,
+            search,
+        })
     }
 
     /// The point with this id.
@@ -106,6 +109,28 @@ impl Snapshot {
                 .iter()
                 .map(|level| level.memory_bytes())
                 .sum::<usize>()
+    }
+}
+
+/// The search of all levels and the buffer.
+struct SearchSnapshot<'a> {
+    snapshot: &'a Snapshot,
+    state: &'a [f64],
+    search: &'a Search<'a>,
+}
+
+impl Task for SearchSnapshot<'_> {
+    type Output = Answer;
+
+    #[inline(always)]
+    fn run<S: Set>(self) -> Answer {
+        let snapshot = self.snapshot;
+        let mut walk = Walk::new(&snapshot.space, self.state, self.search);
+        for level in snapshot.levels.iter() {
+            level.visit::<S>(&mut walk, snapshot.revision);
+        }
+        snapshot.buffer.visit::<S>(&mut walk);
+        walk.finish()
     }
 }
 

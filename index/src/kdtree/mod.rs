@@ -20,7 +20,7 @@ use std::sync::Arc;
 use crate::{
     Answer, Kernels, PointRef, Points, Search, Space,
     blocks::Blocks,
-    kernel::{BLOCK, CHILDREN},
+    kernel::{BLOCK, CHILDREN, Set, Task},
     search::Walk,
 };
 use reach::Reach;
@@ -87,9 +87,11 @@ impl KdTree {
 
     /// As [`KdTree::search`], with these kernels.
     pub fn search_with(&self, kernels: &Kernels, state: &[f64], search: &Search<'_>) -> Answer {
-        let mut walk = Walk::new(&self.space, kernels, state, search);
-        self.visit(&mut walk, |_| true);
-        walk.finish()
+        kernels.run(SearchTree {
+            tree: self,
+            state,
+            search,
+        })
     }
 
     /// The point in `slot`, in the order of the leaves.
@@ -174,5 +176,23 @@ impl KdTree {
         let first = self.place(leaf * self.leaf_rows) / BLOCK;
         let used = self.slots(leaf).len().div_ceil(BLOCK);
         (first..first + used).map(|at| self.blocks.block(at))
+    }
+}
+
+/// The search of a tree, as a whole.
+struct SearchTree<'a> {
+    tree: &'a KdTree,
+    state: &'a [f64],
+    search: &'a Search<'a>,
+}
+
+impl Task for SearchTree<'_> {
+    type Output = Answer;
+
+    #[inline(always)]
+    fn run<S: Set>(self) -> Answer {
+        let mut walk = Walk::new(&self.tree.space, self.state, self.search);
+        self.tree.visit::<S>(&mut walk, |_| true);
+        walk.finish()
     }
 }

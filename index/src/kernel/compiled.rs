@@ -1,4 +1,4 @@
-//! The kernels, compiled once for each instruction set.
+//! What is compiled once for each instruction set: whole searches, with the kernels inside them.
 #![cfg_attr(
     target_arch = "x86_64",
     expect(
@@ -9,72 +9,101 @@
     )
 )]
 
-use super::{BLOCK, CHILDREN, Kernels, bound};
-use crate::Space;
+use super::Kernels;
 
-/// A bit for each key up to `limit`.
-fn within(keys: &[f64], limit: f64) -> u32 {
-    let mut mask = 0;
-    for (lane, &key) in keys.iter().enumerate() {
-        mask |= u32::from(key <= limit) << lane;
-    }
-    mask
+/// An instruction set: the one operation that the compiler does not make of a loop by itself.
+pub(crate) trait Set {
+    /// A bit for each key up to `limit`. There are eight keys, or a multiple of that.
+    fn within(keys: &[f64], limit: f64) -> u32;
 }
 
-/// A module with the kernels as compiled for the instruction set of these features.
-macro_rules! compiled_for {
-    ($set:ident, $within:path $(, $features:literal)?) => {
-        mod $set {
-            use super::{BLOCK, CHILDREN, Kernels, Space, bound};
+/// Work that is compiled once for each instruction set.
+///
+/// `run`, and all it calls that is to gain by that, must be `inline(always)`: what is called as a function of its own is
+/// compiled for every processor.
+pub(crate) trait Task {
+    type Output;
 
-            $(#[target_feature(enable = $features)])?
-            fn boxes_inner(
-                space: &Space,
-                state: &[f64],
-                ends: &[f64],
-                limit: f64,
-                keys: &mut [f64; CHILDREN],
-            ) -> u32 {
-                *keys = bound::keys(space, &bound::Boxes { state, ends }).0;
-                $within(keys, limit)
-            }
+    fn run<S: Set>(self) -> Self::Output;
+}
 
-            $(#[target_feature(enable = $features)])?
-            fn points_inner(
-                space: &Space,
-                state: &[f64],
-                columns: &[f64],
-                limit: f64,
-                keys: &mut [f64; BLOCK],
-            ) -> u32 {
-                *keys = bound::keys(space, &bound::Points { state, columns }).0;
-                $within(keys, limit)
-            }
+/// The instruction sets that searches are compiled for.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Compiled {
+    Portable,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
 
-            #[allow(unused_unsafe, reason = "the portable kernels need no features")]
-            pub(super) const KERNELS: Kernels = Kernels {
-                name: stringify!($set),
-                // SAFETY: `available` hands these out only where the processor has the features.
-                boxes: |space, state, ends, limit, keys| unsafe { boxes_inner(space, state, ends, limit, keys) },
-                // SAFETY: as above.
-                points: |space, state, columns, limit, keys| unsafe {
-                    points_inner(space, state, columns, limit, keys)
-                },
-            };
+impl Kernels {
+    /// Runs what is compiled for these.
+    #[inline]
+    pub(crate) fn run<T: Task>(&self, task: T) -> T::Output {
+        match self.set {
+            Compiled::Portable => task.run::<Portable>(),
+            // SAFETY: `available` hands these out only where the processor has the instructions.
+            #[cfg(target_arch = "x86_64")]
+            Compiled::Avx2 => unsafe { x86::run_avx2(task) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Compiled::Avx512 => unsafe { x86::run_avx512(task) },
         }
-    };
+    }
 }
 
-compiled_for!(portable, super::within);
+struct Portable;
+
+impl Set for Portable {
+    #[inline(always)]
+    fn within(keys: &[f64], limit: f64) -> u32 {
+        let mut mask = 0;
+        for (lane, &key) in keys.iter().enumerate() {
+            mask |= u32::from(key <= limit) << lane;
+        }
+        mask
+    }
+}
 
 #[cfg(target_arch = "x86_64")]
-mod masks {
-    //! `within` where there is an instruction for it, which the compiler does not find by itself.
-
+mod x86 {
     use std::arch::x86_64::*;
 
+    use super::{Set, Task};
+
+    struct Avx2;
+    struct Avx512;
+
+    impl Set for Avx2 {
+        #[inline(always)]
+        fn within(keys: &[f64], limit: f64) -> u32 {
+            // SAFETY: only `run_avx2` names this set.
+            unsafe { within_avx2(keys, limit) }
+        }
+    }
+
+    impl Set for Avx512 {
+        #[inline(always)]
+        fn within(keys: &[f64], limit: f64) -> u32 {
+            // SAFETY: only `run_avx512` names this set.
+            unsafe { within_avx512(keys, limit) }
+        }
+    }
+
     #[target_feature(enable = "avx2")]
-    pub(super) fn within_avx2(keys: &[f64], limit: f64) -> u32 {
+    pub(super) fn run_avx2<T: Task>(task: T) -> T::Output {
+        task.run::<Avx2>()
+    }
+
+    #[target_feature(enable = "avx512f,avx512vl,avx512dq")]
+    pub(super) fn run_avx512<T: Task>(task: T) -> T::Output {
+        task.run::<Avx512>()
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn within_avx2(keys: &[f64], limit: f64) -> u32 {
         let limit = _mm256_set1_pd(limit);
         let mut mask = 0;
         for (at, keys) in keys.chunks_exact(4).enumerate() {
@@ -86,8 +115,9 @@ mod masks {
         mask
     }
 
+    #[inline]
     #[target_feature(enable = "avx512f")]
-    pub(super) fn within_avx512(keys: &[f64], limit: f64) -> u32 {
+    fn within_avx512(keys: &[f64], limit: f64) -> u32 {
         let limit = _mm512_set1_pd(limit);
         let mut mask = 0;
         for (at, keys) in keys.chunks_exact(8).enumerate() {
@@ -98,15 +128,6 @@ mod masks {
         mask
     }
 }
-
-#[cfg(target_arch = "x86_64")]
-compiled_for!(avx2, super::masks::within_avx2, "avx2");
-#[cfg(target_arch = "x86_64")]
-compiled_for!(
-    avx512,
-    super::masks::within_avx512,
-    "avx512f,avx512vl,avx512dq"
-);
 
 /// Asks for the beginning of `numbers` to be brought near, while something else is computed. Of what is longer, the
 /// processor fetches the rest by itself once it is read in order.
@@ -135,17 +156,26 @@ pub(super) fn available() -> Vec<Kernels> {
         not(target_arch = "x86_64"),
         expect(unused_mut, reason = "only x86-64 has others")
     )]
-    let mut available = vec![portable::KERNELS];
+    let mut available = vec![Kernels {
+        name: "portable",
+        set: Compiled::Portable,
+    }];
     #[cfg(target_arch = "x86_64")]
     {
         if is_x86_feature_detected!("avx2") {
-            available.push(avx2::KERNELS);
+            available.push(Kernels {
+                name: "avx2",
+                set: Compiled::Avx2,
+            });
         }
         if is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512vl")
             && is_x86_feature_detected!("avx512dq")
         {
-            available.push(avx512::KERNELS);
+            available.push(Kernels {
+                name: "avx512",
+                set: Compiled::Avx512,
+            });
         }
     }
     available

@@ -1,7 +1,8 @@
 //! The kernels of a search: bounds of many boxes or points at once, compiled for several instruction sets, of which the
 //! best that the processor has is chosen when the program runs.
 //!
-//! Kernels only bound; what is reported was computed by [`Space::distance`], so every set of them gives the same
+//! A search as a whole is what is compiled several times, with its kernels inside: called as functions, they would take as
+//! long again to be given their operands. Kernels only bound; what is reported was computed by [`Space::distance`], so every set of them gives the same
 //! answers to the bit.
 
 mod bound;
@@ -17,23 +18,42 @@ use std::sync::OnceLock;
 
 use crate::Space;
 pub(crate) use bound::{BLOCK, CHILDREN};
-pub(crate) use compiled::prefetch;
+pub(crate) use compiled::{Set, Task, prefetch};
 pub(crate) use limit::Scale;
 
-/// Bounds `N` boxes or points: from the space, the state, their coordinates and a limit it makes their keys, and the
-/// bits of those up to the limit.
-type Kernel<const N: usize> = fn(&Space, &[f64], &[f64], f64, &mut [f64; N]) -> u32;
+/// The keys of eight boxes, whose lower ends and then upper ends lie side by side, coordinate by coordinate, and the
+/// bits of those up to `limit`.
+#[inline(always)]
+pub(crate) fn boxes<S: Set>(
+    space: &Space,
+    state: &[f64],
+    ends: &[f64],
+    limit: f64,
+) -> ([f64; CHILDREN], u32) {
+    let keys = bound::keys(space, &bound::Boxes { state, ends }).0;
+    (keys, S::within(&keys, limit))
+}
 
-/// The kernels as compiled for one instruction set.
+/// The keys of a block of points, whose numbers lie side by side, coordinate by coordinate, and the bits of those up to
+/// `limit`.
+#[inline(always)]
+pub(crate) fn points<S: Set>(
+    space: &Space,
+    state: &[f64],
+    columns: &[f64],
+    limit: f64,
+) -> ([f64; BLOCK], u32) {
+    let keys = bound::keys(space, &bound::Points { state, columns }).0;
+    (keys, S::within(&keys, limit))
+}
+
+/// The instruction set that a search is compiled for.
 ///
 /// The best that the processor has is the default; others are for tests and measurements.
 #[derive(Clone, Copy, Debug)]
 pub struct Kernels {
     name: &'static str,
-    /// Of a node's children, whose boxes' lower ends and then upper ends lie side by side, coordinate by coordinate.
-    pub(crate) boxes: Kernel<CHILDREN>,
-    /// Of a block of points, whose numbers lie side by side, coordinate by coordinate.
-    pub(crate) points: Kernel<BLOCK>,
+    set: compiled::Compiled,
 }
 
 impl Kernels {

@@ -4,10 +4,32 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{BLOCK, CHILDREN, Kernels, Scale};
+use super::{BLOCK, CHILDREN, Kernels, Scale, Set, Task};
 use crate::{Factor, Group, Space, Term, space::tests::cases};
 
 const WEIGHTS: [f64; 6] = [1.0, 0.15, 15.0, 1e-3, 0.0, 2.0];
+
+/// A state, and the ends of boxes or the columns of a block.
+struct OfBoxes<'a>(&'a Space, &'a [f64], &'a [f64], f64);
+struct OfPoints<'a>(&'a Space, &'a [f64], &'a [f64], f64);
+
+impl Task for OfBoxes<'_> {
+    type Output = ([f64; CHILDREN], u32);
+
+    #[inline(always)]
+    fn run<S: Set>(self) -> Self::Output {
+        super::boxes::<S>(self.0, self.1, self.2, self.3)
+    }
+}
+
+impl Task for OfPoints<'_> {
+    type Output = ([f64; BLOCK], u32);
+
+    #[inline(always)]
+    fn run<S: Set>(self) -> Self::Output {
+        super::points::<S>(self.0, self.1, self.2, self.3)
+    }
+}
 
 /// A space of one to three groups of one to three factors.
 fn space(rng: &mut ChaCha8Rng) -> Space {
@@ -92,8 +114,7 @@ proptest! {
         let columns = columns(&rows);
         let mut portable = None;
         for kernels in Kernels::available() {
-            let mut keys = [0.0; BLOCK];
-            let within = (kernels.points)(&space, &query, &columns, f64::INFINITY, &mut keys);
+            let (keys, within) = kernels.run(OfPoints(&space, &query, &columns, f64::INFINITY));
             prop_assert_eq!(within, (1 << BLOCK) - 1);
             prop_assert_eq!(keys.map(f64::to_bits), *portable.get_or_insert(keys.map(f64::to_bits)));
             for (lane, row) in rows.iter().enumerate() {
@@ -107,7 +128,7 @@ proptest! {
                 }
             }
             for limit in keys {
-                let within = (kernels.points)(&space, &query, &columns, limit, &mut keys);
+                let (_, within) = kernels.run(OfPoints(&space, &query, &columns, limit));
                 let expected = (0..BLOCK).filter(|&lane| keys[lane] <= limit);
                 prop_assert_eq!(within, expected.map(|lane| 1 << lane).sum::<u32>());
             }
@@ -132,8 +153,7 @@ proptest! {
         }
         let mut portable = None;
         for kernels in Kernels::available() {
-            let mut keys = [0.0; CHILDREN];
-            let within = (kernels.boxes)(&space, &query, &ends, f64::INFINITY, &mut keys);
+            let (keys, within) = kernels.run(OfBoxes(&space, &query, &ends, f64::INFINITY));
             prop_assert_eq!(within, (1 << CHILDREN) - 1);
             prop_assert_eq!(keys.map(f64::to_bits), *portable.get_or_insert(keys.map(f64::to_bits)));
             for (child, rows) in children.iter().enumerate() {
@@ -173,11 +193,10 @@ proptest! {
         let weight = (f64::from(units) + 0.5) * 2f64.powi(-537) / chord_2 * 2f64.powi(-537);
         let space = space_of(f64::from_bits(weight.to_bits().saturating_add_signed(nudge)));
         let limit = Scale::new(&space).limit(space.distance(&a, &b));
-        let mut keys = [0.0; CHILDREN];
+        let kernels = Kernels::default();
         let ends: Vec<f64> = b.iter().flat_map(|&x| [x; 2 * CHILDREN]).collect();
-        prop_assert_eq!((Kernels::default().boxes)(&space, &a, &ends, limit, &mut keys), 255);
-        let mut keys = [0.0; BLOCK];
+        prop_assert_eq!(kernels.run(OfBoxes(&space, &a, &ends, limit)).1, 255);
         let columns: Vec<f64> = b.iter().flat_map(|&x| [x; BLOCK]).collect();
-        prop_assert_eq!((Kernels::default().points)(&space, &a, &columns, limit, &mut keys), 65_535);
+        prop_assert_eq!(kernels.run(OfPoints(&space, &a, &columns, limit)).1, 65_535);
     }
 }
