@@ -9,7 +9,7 @@
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
 //! Reading order: `space` (the metric), `points`, `neighbor`, `search` and `scaling` (what is stored, found and asked),
-//! `kernel` (bounds of many boxes or points at once), `kdtree`, `forest`. Nothing here does I/O, waits, or starts a
+//! `candidates`, `kernel` (bounds of many boxes or points at once), `kdtree`, `forest`. Nothing here does I/O, waits, or starts a
 //! thread.
 //!
 //! ```
@@ -27,6 +27,7 @@
 //! ```
 
 mod blocks;
+mod candidates;
 mod forest;
 mod kdtree;
 mod kernel;

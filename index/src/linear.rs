@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::{Answer, PointRef, Points, Search, Space, search::Walk};
+use crate::{Answer, Neighbor, PointRef, Points, Search, Space};
 
 /// A table of points, searched from end to end.
 ///
@@ -81,10 +81,25 @@ impl Linear {
 
     /// Answers `search` for a canonical `state`; always exact, since it has no leaves to skip.
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
-        let mut walk = Walk::new(&self.space, state, search);
-        for point in self.points.iter() {
-            walk.measure(point);
+        let admitted = self.points.iter().filter(|point| {
+            search.filter.admits(point.tag, point.revision)
+                && search.excluded.is_none_or(|ids| !ids.contains(&point.id))
+        });
+        let measured = admitted.map(|point| Neighbor {
+            distance: self.space.distance(state, point.row),
+            id: point.id,
+        });
+        let mut neighbors: Vec<Neighbor> = measured
+            .filter(|neighbor| neighbor.distance <= search.radius)
+            .collect();
+        if search.k < neighbors.len() {
+            neighbors.select_nth_unstable(search.k);
+            neighbors.truncate(search.k);
         }
-        walk.finish()
+        neighbors.sort_unstable();
+        Answer {
+            neighbors,
+            exact: true,
+        }
     }
 }

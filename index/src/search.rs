@@ -3,9 +3,9 @@
 use std::{collections::HashSet, time::Instant};
 
 use crate::{
-    Neighbor, PointRef, Points, Space,
+    Neighbor, Points, Space,
+    candidates::{Candidate, Candidates},
     kernel::{self, BLOCK, CHILDREN, Scale, Set},
-    neighbor::Collector,
 };
 
 /// Limits a search to some of the points. The default admits every point.
@@ -103,16 +103,17 @@ const MOST_HEIGHT: usize = 11;
 /// Each node leaves all its children but one behind.
 const MOST_AHEAD: usize = MOST_HEIGHT * (CHILDREN - 1) + 1;
 
+/// A reach so much greater than the key would let in more than a distance takes to compute.
+const LOOSE: f64 = 1.001;
+
 /// One search under way, carried through every tree and table that takes part in it.
 pub(crate) struct Walk<'a> {
     space: &'a Space,
     state: &'a [f64],
     search: &'a Search<'a>,
-    nearest: Collector,
+    candidates: Candidates<'a>,
     scale: Scale,
-    /// Keys above this lie farther than what is held ...
-    limit: f64,
-    /// ... and above this so far that `epsilon` gives them up.
+    /// Keys above this lie so far that `epsilon` gives them up.
     relaxed_limit: f64,
     leaves_left: usize,
     leaves_entered: usize,
@@ -126,27 +127,22 @@ pub(crate) struct Walk<'a> {
 
 impl<'a> Walk<'a> {
     pub(crate) fn new(space: &'a Space, state: &'a [f64], search: &'a Search<'a>) -> Self {
-        let mut walk = Self {
+        let scale = Scale::new(space);
+        let candidates = Candidates::new(search.k, scale.limit(search.radius));
+        Self {
             space,
             state,
             search,
-            nearest: Collector::new(search.k, search.radius),
-            scale: Scale::new(space),
-            limit: 0.0,
-            relaxed_limit: 0.0,
+            relaxed_limit: scale.relaxed(candidates.limit(), search.epsilon),
+            candidates,
+            scale,
             leaves_left: search.max_leaves,
             leaves_entered: 0,
             exact: true,
             ahead: [Ahead::default(); MOST_AHEAD],
             ahead_len: 0,
-            row: if space.has_rotations() {
-                vec![0.0; space.coordinates()]
-            } else {
-                Vec::new()
-            },
-        };
-        walk.tighten();
-        walk
+            row: Vec::new(),
+        }
     }
 
     /// The revision after which a point's state must have been stored.
@@ -154,31 +150,22 @@ impl<'a> Walk<'a> {
         self.search.filter.since_revision
     }
 
-    /// Measures a point, and keeps it if it passes the filter and is near enough.
-    pub(crate) fn measure(&mut self, point: PointRef<'_>) {
-        if !self.search.filter.admits(point.tag, point.revision) {
-            return;
-        }
-        let distance = self.space.distance(self.state, point.row);
-        self.offer(distance, || point.id);
-    }
-
-    /// Measures the points in the first `lanes` of a block, unless they are surely too far, and keeps those that are
-    /// `visible`, pass the filter and are near enough. Each stands in a `slot` of the `table`.
+    /// Bounds the points in the first `lanes` of a block, and keeps those that are near enough, `visible`, and pass the
+    /// filter. Each stands in a `slot` of the `table`.
     #[inline(always)]
     pub(crate) fn scan<S: Set>(
         &mut self,
-        block: &[f64],
+        block: &'a [f64],
         lanes: usize,
         table: &impl Table,
         slot: impl Fn(usize) -> usize,
         visible: impl Fn(usize) -> bool,
     ) {
-        let (keys, within) = kernel::points::<S>(self.space, self.state, block, self.limit);
+        let (keys, within) = kernel::points::<S>(self.space, self.state, block, self.limit());
         let filter = self.search.filter;
         let left = within & !(!0 << lanes);
         for (key, lane) in (Order { keys, left }) {
-            if !self.reaches(key) {
+            if key > self.limit() {
                 break;
             }
             let slot = slot(lane);
@@ -188,14 +175,17 @@ impl<'a> Walk<'a> {
             {
                 continue;
             }
-            // From the block, which is at hand, and not from the table.
-            let distance = self.scale.distance(key).unwrap_or_else(|| {
-                for (x, &y) in self.row.iter_mut().zip(block[lane..].iter().step_by(BLOCK)) {
-                    *x = y;
-                }
-                self.space.distance(self.state, &self.row)
+            let id = table.id(slot);
+            if self.search.excluded.is_some_and(|ids| ids.contains(&id)) {
+                continue;
+            }
+            self.keep(Candidate {
+                reach: self.scale.reach(key),
+                key,
+                id,
+                lane: &block[lane..],
+                distance: f64::NAN,
             });
-            self.offer(distance, || table.id(slot));
         }
     }
 
@@ -207,7 +197,7 @@ impl<'a> Walk<'a> {
         children: u32,
         place: impl Fn(u32) -> Place,
     ) {
-        let (keys, within) = kernel::boxes::<S>(self.space, self.state, boxes, self.limit);
+        let (keys, within) = kernel::boxes::<S>(self.space, self.state, boxes, self.limit());
         // So that no two are equal, and a count tells the place of each. It changes a key by less than the margin of the
         // limit that it will be compared with.
         let mut lane = 0;
@@ -252,42 +242,63 @@ impl<'a> Walk<'a> {
         Some(self.ahead[last].place)
     }
 
-    /// Keeps what is at this distance, if it is near enough.
-    fn offer(&mut self, distance: f64, id: impl FnOnce() -> u64) {
-        if distance > self.nearest.worst() {
-            return;
-        }
-        let id = id();
-        if self.search.excluded.is_some_and(|ids| ids.contains(&id)) {
-            return;
-        }
-        if self.nearest.offer(Neighbor { distance, id }) {
-            self.tighten();
-        }
+    /// Keys above this lie farther than what is held.
+    #[inline(always)]
+    fn limit(&self) -> f64 {
+        self.candidates.limit()
     }
 
-    /// Sets the limits by the worst distance that is held.
-    fn tighten(&mut self) {
-        let worst = self.nearest.worst();
-        self.limit = self.scale.limit(worst);
-        self.relaxed_limit = if self.search.epsilon > 0.0 {
-            self.scale.limit(worst / (1.0 + self.search.epsilon))
-        } else {
-            self.limit
-        };
-    }
-
-    /// Whether what has this key, or more, may still matter. What may be *at* the worst distance does: a point may win
-    /// by its id.
+    /// Keeps a point that may be an answer.
     #[inline]
-    fn reaches(&self, key: f64) -> bool {
-        key <= self.limit
+    fn keep(&mut self, mut candidate: Candidate<'a>) {
+        if candidate.reach > candidate.key * LOOSE {
+            self.measure(&mut candidate);
+        }
+        let mut is_nearer = self.candidates.offer(candidate);
+        if self.candidates.is_crowded() {
+            is_nearer |= self.thin_out();
+        }
+        if is_nearer {
+            self.relaxed_limit = self.scale.relaxed(self.limit(), self.search.epsilon);
+        }
+    }
+
+    /// Computes a candidate's distance, which makes its reach as little as it can be.
+    fn measure(&mut self, candidate: &mut Candidate<'_>) -> f64 {
+        if !candidate.distance.is_nan() {
+            return candidate.distance;
+        }
+        let distance = self.scale.distance(candidate.key).unwrap_or_else(|| {
+            // From the block, which was at hand lately.
+            self.row.clear();
+            let numbers = candidate.lane.iter().step_by(BLOCK);
+            self.row.extend(numbers.take(self.state.len()));
+            self.space.distance(self.state, &self.row)
+        });
+        candidate.distance = distance;
+        candidate.reach = self.scale.limit(distance);
+        distance
+    }
+
+    /// Measures all candidates and keeps the nearest; whether that has made the limit smaller.
+    #[cold]
+    fn thin_out(&mut self) -> bool {
+        let mut nearest: Vec<Candidate<'_>> = self.candidates.drain().collect();
+        nearest.retain_mut(|candidate| self.measure(candidate) <= self.search.radius);
+        nearest.sort_unstable_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
+        nearest.truncate(self.search.k);
+        let mut is_nearer = false;
+        for candidate in nearest {
+            is_nearer |= self.candidates.offer(candidate);
+        }
+        is_nearer
     }
 
     /// Whether a box of this key is to be skipped.
     #[inline]
     fn skips(&mut self, key: f64) -> bool {
-        if !self.reaches(key) {
+        // What may be *at* the worst distance matters: a point may win by its id.
+        if key > self.limit() {
             return true;
         }
         if self.leaves_left == 0 || key > self.relaxed_limit {
@@ -304,7 +315,7 @@ impl<'a> Walk<'a> {
 
     /// How many neighbours are held.
     pub(crate) fn found(&self) -> usize {
-        self.nearest.len()
+        self.candidates.len()
     }
 
     /// Whether all points are searched, exactly: then how far that reaches tells what the next such search will need.
@@ -332,9 +343,21 @@ impl<'a> Walk<'a> {
         true
     }
 
-    pub(crate) fn finish(self) -> Answer {
+    pub(crate) fn finish(mut self) -> Answer {
+        let mut neighbors = Vec::with_capacity(self.candidates.len());
+        for mut candidate in self.candidates.drain() {
+            let distance = self.measure(&mut candidate);
+            if distance <= self.search.radius {
+                neighbors.push(Neighbor {
+                    distance,
+                    id: candidate.id,
+                });
+            }
+        }
+        neighbors.sort_unstable();
+        neighbors.truncate(self.search.k);
         Answer {
-            neighbors: self.nearest.into_sorted(),
+            neighbors,
             exact: self.exact,
         }
     }

@@ -54,7 +54,7 @@ impl Buffer {
 
     /// Shows `walk` all points.
     #[inline(always)]
-    pub(super) fn visit<S: Set>(&self, walk: &mut Walk<'_>) {
+    pub(super) fn visit<'a, S: Set>(&'a self, walk: &mut Walk<'a>) {
         for start in (0..self.points.len()).step_by(BLOCK) {
             let lanes = (self.points.len() - start).min(BLOCK);
             let block = self.blocks.block(start / BLOCK);

@@ -100,7 +100,7 @@ impl Level {
 
     /// Shows `walk` what a reader at `revision` sees.
     #[inline(always)]
-    pub(super) fn visit<S: Set>(&self, walk: &mut Walk<'_>, revision: u64) {
+    pub(super) fn visit<'a, S: Set>(&'a self, walk: &mut Walk<'a>, revision: u64) {
         if self.tombstones.dead() == 0 {
             // No mark at or before the reader's revision can be missed: those were published with it.
             self.tree.visit::<S>(walk, |_| true);

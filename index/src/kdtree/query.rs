@@ -16,7 +16,11 @@ const FEW: usize = 100;
 impl KdTree {
     /// Shows `walk` every visible point that can matter to it.
     #[inline(always)]
-    pub(crate) fn visit<S: Set>(&self, walk: &mut Walk<'_>, visible: impl Fn(usize) -> bool) {
+    pub(crate) fn visit<'a, S: Set>(
+        &'a self,
+        walk: &mut Walk<'a>,
+        visible: impl Fn(usize) -> bool,
+    ) {
         if self.is_empty()
             || (walk.since_revision() > 0 && self.max_revision <= walk.since_revision())
         {
@@ -58,9 +62,9 @@ impl KdTree {
     }
 
     #[inline(always)]
-    fn visit_leaf<S: Set>(
-        &self,
-        walk: &mut Walk<'_>,
+    fn visit_leaf<'a, S: Set>(
+        &'a self,
+        walk: &mut Walk<'a>,
         leaf: usize,
         visible: &impl Fn(usize) -> bool,
     ) {

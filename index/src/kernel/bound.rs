@@ -6,7 +6,7 @@
 //! box's), and rounding is monotone: so no term exceeds its counterpart, but for a rotation's, which may by 1e-14.
 //! No key is NaN: coordinates are small enough for their squares to have a finite sum, and weights for one another.
 
-use super::lanes::Lanes;
+use super::lanes::{Lanes, Operations};
 use crate::{
     Factor, Space,
     space::{Part, SO3_SERIES},
@@ -22,7 +22,7 @@ pub(crate) const BLOCK: usize = 16;
 /// one that is called from two places would be compiled by itself, for the oldest processor.)
 trait Terms<const N: usize> {
     /// A lower bound of the squared distances in the factor `part`.
-    fn term(&self, part: &Part) -> Lanes<N>;
+    fn term<S: Operations>(&self, part: &Part) -> Lanes<S, N>;
 }
 
 /// Boxes: coordinate by coordinate the lower ends, and then the upper ends of all of them.
@@ -39,14 +39,14 @@ pub(super) struct Points<'a> {
 
 impl Terms<CHILDREN> for Boxes<'_> {
     #[inline(always)]
-    fn term(&self, part: &Part) -> Lanes<CHILDREN> {
+    fn term<S: Operations>(&self, part: &Part) -> Lanes<S, CHILDREN> {
         box_term(part, self.state, self.ends)
     }
 }
 
 impl Terms<BLOCK> for Points<'_> {
     #[inline(always)]
-    fn term(&self, part: &Part) -> Lanes<BLOCK> {
+    fn term<S: Operations>(&self, part: &Part) -> Lanes<S, BLOCK> {
         point_term(part, self.state, self.columns)
     }
 }
@@ -54,7 +54,10 @@ impl Terms<BLOCK> for Points<'_> {
 /// The keys that the squared distances in each factor make.
 #[inline(always)]
 #[expect(private_bounds, reason = "the two that there are lie beside it")]
-pub(super) fn keys<const N: usize>(space: &Space, of: &impl Terms<N>) -> Lanes<N> {
+pub(super) fn keys<S: Operations, const N: usize>(
+    space: &Space,
+    of: &impl Terms<N>,
+) -> Lanes<S, N> {
     // One loop over the factors, so that the terms are compiled once.
     let one_group = space.groups().len() == 1;
     let (mut total, mut sum_2) = (Lanes::splat(0.0), Lanes::splat(0.0));
@@ -69,7 +72,7 @@ pub(super) fn keys<const N: usize>(space: &Space, of: &impl Terms<N>) -> Lanes<N
 }
 
 #[inline(always)]
-fn box_term(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<CHILDREN> {
+fn box_term<S: Operations>(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<S, CHILDREN> {
     let axes = part.offset..part.offset + part.factor.coordinates();
     let state = &state[axes.clone()];
     let ends = &ends[axes.start * 2 * CHILDREN..axes.end * 2 * CHILDREN];
@@ -91,7 +94,7 @@ fn box_term(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<CHILDREN> {
 
 /// The squared Euclidean distances from the point `sign · state` to the boxes.
 #[inline(always)]
-fn to_boxes_2(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<CHILDREN> {
+fn to_boxes_2<S: Operations>(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<S, CHILDREN> {
     let zero = Lanes::splat(0.0);
     let mut sum_2 = zero;
     for (&x, ends) in state.iter().zip(ends.chunks_exact(2 * CHILDREN)) {
@@ -104,7 +107,7 @@ fn to_boxes_2(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<CHILDREN> {
 }
 
 #[inline(always)]
-fn point_term(part: &Part, state: &[f64], columns: &[f64]) -> Lanes<BLOCK> {
+fn point_term<S: Operations>(part: &Part, state: &[f64], columns: &[f64]) -> Lanes<S, BLOCK> {
     let zero = Lanes::splat(0.0);
     let axes = part.offset..part.offset + part.factor.coordinates();
     let state = &state[axes.clone()];
@@ -141,7 +144,7 @@ const COSINE_SLACK: f64 = 32.0 * f64::EPSILON;
 
 /// A lower bound of the squared angle that belongs to the squared chord `s`: the first terms of its series.
 #[inline(always)]
-fn angle_2<const N: usize>(s: Lanes<N>) -> Lanes<N> {
+fn angle_2<S: Operations, const N: usize>(s: Lanes<S, N>) -> Lanes<S, N> {
     let [c1, c2, c3] = SO3_SERIES.map(Lanes::splat);
     s * (Lanes::splat(1.0) + s * (c1 + s * (c2 + s * c3)))
 }

@@ -9,10 +9,12 @@
     )
 )]
 
-use super::Kernels;
+#[cfg(target_arch = "x86_64")]
+use super::wide;
+use super::{Kernels, lanes::Operations};
 
-/// An instruction set: the one operation that the compiler does not make of a loop by itself.
-pub(crate) trait Set {
+/// An instruction set: how it computes with numbers side by side, and compares them.
+pub(crate) trait Set: Operations {
     /// A bit for each key up to `limit`. There are eight keys, or a multiple of that.
     fn within(keys: &[f64], limit: f64) -> u32;
 }
@@ -45,15 +47,17 @@ impl Kernels {
             Compiled::Portable => task.run::<Portable>(),
             // SAFETY: `available` hands these out only where the processor has the instructions.
             #[cfg(target_arch = "x86_64")]
-            Compiled::Avx2 => unsafe { x86::run_avx2(task) },
+            Compiled::Avx2 => unsafe { avx2::run(task) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Compiled::Avx512 => unsafe { x86::run_avx512(task) },
+            Compiled::Avx512 => unsafe { wide::run(task) },
         }
     }
 }
 
 struct Portable;
+
+impl Operations for Portable {}
 
 impl Set for Portable {
     #[inline(always)]
@@ -67,43 +71,35 @@ impl Set for Portable {
 }
 
 #[cfg(target_arch = "x86_64")]
-mod x86 {
+mod avx2 {
+    //! Processors with registers of four numbers, of which the compiler makes good use by itself, but for comparisons.
+
     use std::arch::x86_64::*;
 
-    use super::{Set, Task};
+    use super::{Operations, Set, Task};
 
+    /// Private, so that only [`run`] names it.
     struct Avx2;
-    struct Avx512;
+
+    /// Runs a task compiled for them.
+    #[target_feature(enable = "avx2")]
+    pub(super) fn run<T: Task>(task: T) -> T::Output {
+        task.run::<Avx2>()
+    }
+
+    impl Operations for Avx2 {}
 
     impl Set for Avx2 {
         #[inline(always)]
         fn within(keys: &[f64], limit: f64) -> u32 {
-            // SAFETY: only `run_avx2` names this set.
-            unsafe { within_avx2(keys, limit) }
+            // SAFETY: only `run` names this set.
+            unsafe { within(keys, limit) }
         }
-    }
-
-    impl Set for Avx512 {
-        #[inline(always)]
-        fn within(keys: &[f64], limit: f64) -> u32 {
-            // SAFETY: only `run_avx512` names this set.
-            unsafe { within_avx512(keys, limit) }
-        }
-    }
-
-    #[target_feature(enable = "avx2")]
-    pub(super) fn run_avx2<T: Task>(task: T) -> T::Output {
-        task.run::<Avx2>()
-    }
-
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq")]
-    pub(super) fn run_avx512<T: Task>(task: T) -> T::Output {
-        task.run::<Avx512>()
     }
 
     #[inline]
     #[target_feature(enable = "avx2")]
-    fn within_avx2(keys: &[f64], limit: f64) -> u32 {
+    fn within(keys: &[f64], limit: f64) -> u32 {
         let limit = _mm256_set1_pd(limit);
         let mut mask = 0;
         for (at, keys) in keys.chunks_exact(4).enumerate() {
@@ -111,19 +107,6 @@ mod x86 {
             let keys = unsafe { _mm256_loadu_pd(keys.as_ptr()) };
             let bits = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(keys, limit));
             mask |= (bits as u32) << (4 * at);
-        }
-        mask
-    }
-
-    #[inline]
-    #[target_feature(enable = "avx512f")]
-    fn within_avx512(keys: &[f64], limit: f64) -> u32 {
-        let limit = _mm512_set1_pd(limit);
-        let mut mask = 0;
-        for (at, keys) in keys.chunks_exact(8).enumerate() {
-            // SAFETY: a chunk has eight numbers.
-            let keys = unsafe { _mm512_loadu_pd(keys.as_ptr()) };
-            mask |= u32::from(_mm512_cmp_pd_mask::<_CMP_LE_OQ>(keys, limit)) << (8 * at);
         }
         mask
     }

@@ -1,6 +1,6 @@
 //! How far a search still looks, in the numbers that the kernels compute.
 
-use crate::Space;
+use crate::{Factor, Space};
 
 /// Turns distances of a space into limits of its *keys*: the weighted sum of squares Σ_i μ_i·d_i² in a space of one
 /// group, whose order is that of the distances, and the distance Σ_g w_g·√(Σ_i μ_i·d_i²) itself in a sum of several.
@@ -13,32 +13,94 @@ pub(crate) struct Scale {
     /// The weight of a single group, if the keys of points are exact.
     weight: Option<f64>,
     exact: bool,
+    short: Short,
 }
 
-/// The relative rounding of a key: a rotation's bound may be too high by 1e-14 of it, and there are the roundings of
-/// the limit itself; all else is monotone (see `bound`).
+/// The relative rounding of a key: a rotation's bound may be too high by 1e-14 of it, a box's by the 2e-15 that make it
+/// distinct, and there are the roundings of the limit itself; all else is monotone (see `bound`).
 const MARGIN: f64 = 1.0 + 1e-13;
+
+/// By how much the key of a point may fall short of what its distance makes it, which is not a matter of rounding but of
+/// the bound of rotations.
+#[derive(Clone, Copy, Debug, Default)]
+struct Short {
+    /// What the rest of the series is worth: this times the ninth power of a distance or, in a space of one group, the
+    /// fifth power of its square, ...
+    rest: f64,
+    /// ... and no more than this part of the key.
+    most: f64,
+    /// The slack of the cosine, and what is lost where errors are not relative.
+    slack: f64,
+}
+
+/// The series of a squared angle goes on with s⁵/3150 after what is computed of it, and all that follows is worth less than
+/// 0.65 of that, since s ≤ 2.
+const REST: f64 = 1.7 / 3150.0;
+
+/// The rest in terms of what is computed, at most: at s = 2.
+const MOST_REST: f64 = 0.0069;
+
+/// How far a squared angle may lie above the one of the cosine less its slack, in all: 52ε, times π/2, the greatest slope
+/// of the angle.
+const COSINE_SHORT: f64 = 4e-14;
+
+/// The reach of a key is farther than it by roundings: those of the distance, and three margins.
+const REACH_MARGIN: f64 = 1.0 + 1e-12;
 
 impl Scale {
     pub(crate) fn new(space: &Space) -> Self {
         let groups = space.groups();
         let exact = !space.has_rotations();
         if let [group] = groups {
+            let per_weight = 1.0 / group.weight;
+            // (√K + δ)² ≤ K·(1 + 1e-13) + δ²·(1 + 1e13): what a distance may have lost, in keys.
+            let lost = f64::MIN_POSITIVE * per_weight;
+            let mut short = Short {
+                slack: 2.0 * (lost * lost * 1.1e13 + f64::MIN_POSITIVE),
+                ..Short::default()
+            };
+            for weight in rotations(space, 0) {
+                let square = weight * weight;
+                short.rest += REST / (square * square);
+                short.most = MOST_REST;
+                short.slack += weight * COSINE_SHORT;
+            }
             return Self {
-                per_weight: Some(1.0 / group.weight),
+                per_weight: Some(per_weight),
                 slack: f64::MIN_POSITIVE,
                 weight: Some(group.weight),
                 exact,
+                short,
             };
         }
         // Below the least normal number a square is off by more than its share; a root by the root of that.
         let root = f64::MIN_POSITIVE.sqrt();
         let slack: f64 = groups.iter().map(|group| group.weight * root).sum();
+        let slack = slack + f64::MIN_POSITIVE;
+        let mut short = Short {
+            slack: 4.0 * slack,
+            ..Short::default()
+        };
+        for (at, group) in groups.iter().enumerate() {
+            let (mut rest, mut slack_2) = (0.0, 0.0);
+            for weight in rotations(space, at) {
+                let square = weight * weight;
+                rest += REST / (square * square);
+                slack_2 += weight * COSINE_SHORT;
+            }
+            if rest > 0.0 && group.weight > 0.0 {
+                // √(r² + x) − r is less than √x, and less than x/2r.
+                short.rest += 0.5 * rest / group.weight.powi(8);
+                short.most = MOST_REST / 2.0;
+                short.slack += group.weight * slack_2.sqrt();
+            }
+        }
         Self {
             per_weight: None,
-            slack: slack + f64::MIN_POSITIVE,
+            slack,
             weight: None,
             exact,
+            short,
         }
     }
 
@@ -57,6 +119,32 @@ impl Scale {
         }
     }
 
+    /// A key above this belongs to a greater distance than that of a point of this key: no less than
+    /// [`limit`](Self::limit) of its distance, which need not be known.
+    #[inline]
+    pub(crate) fn reach(&self, key: f64) -> f64 {
+        if self.exact {
+            return (key + self.short.slack) * REACH_MARGIN;
+        }
+        let square = key * key;
+        let fourth = square * square;
+        let power = match self.per_weight {
+            Some(_) => fourth * key,
+            None => fourth * fourth * key,
+        };
+        // `min` passes over the NaN of an endless factor and no power.
+        let short = (self.short.rest * power).min(self.short.most * key) + self.short.slack;
+        (key + short) * REACH_MARGIN
+    }
+
+    /// The limit for those who want nothing but what is nearer by a factor of `1 + epsilon`.
+    pub(crate) fn relaxed(&self, limit: f64, epsilon: f64) -> f64 {
+        match self.per_weight {
+            Some(_) => limit / ((1.0 + epsilon) * (1.0 + epsilon)),
+            None => limit / (1.0 + epsilon),
+        }
+    }
+
     /// The distance of a point of this key, as [`Space::distance`] has it: known where no factor is a rotation, since
     /// all others' terms are those of the distance, computed by the same operations in the same order.
     #[inline]
@@ -66,4 +154,13 @@ impl Scale {
             None => key,
         })
     }
+}
+
+/// The weights of a group's rotations, as far as they weigh anything.
+fn rotations(space: &Space, group: usize) -> impl Iterator<Item = f64> {
+    let parts = space.parts().iter();
+    let of_group = parts.filter(move |part| part.group == group && part.factor == Factor::SO3);
+    of_group
+        .map(|part| part.weight)
+        .filter(|&weight| weight > 0.0)
 }

@@ -11,7 +11,7 @@ mod lanes;
 mod limit;
 #[cfg(test)]
 mod tests;
-#[cfg(all(target_arch = "x86_64", target_feature = "avx512f"))]
+#[cfg(target_arch = "x86_64")]
 mod wide;
 
 use std::sync::OnceLock;
@@ -30,7 +30,7 @@ pub(crate) fn boxes<S: Set>(
     ends: &[f64],
     limit: f64,
 ) -> ([f64; CHILDREN], u32) {
-    let keys = bound::keys(space, &bound::Boxes { state, ends }).0;
+    let keys = bound::keys::<S, _>(space, &bound::Boxes { state, ends }).0;
     (keys, S::within(&keys, limit))
 }
 
@@ -43,7 +43,7 @@ pub(crate) fn points<S: Set>(
     columns: &[f64],
     limit: f64,
 ) -> ([f64; BLOCK], u32) {
-    let keys = bound::keys(space, &bound::Points { state, columns }).0;
+    let keys = bound::keys::<S, _>(space, &bound::Points { state, columns }).0;
     (keys, S::within(&keys, limit))
 }
 

@@ -123,6 +123,11 @@ proptest! {
                 // Not so low that it would be no bound: what is lost is a rotation's slack and the end of its series.
                 let low = scale.limit(0.99 * distance - 1e-5);
                 prop_assert!(keys[lane] >= low, "{} {} {}", space, keys[lane], distance);
+                // Whatever is as near has no greater key than its reach, which is not much farther than it has to be.
+                let reach = scale.reach(keys[lane]);
+                prop_assert!(reach >= scale.limit(distance), "{} {} {}", space, reach, distance);
+                let far = scale.limit(1.01 * distance + 1e-4);
+                prop_assert!(reach <= far, "{} {} {}", space, reach, distance);
                 if let Some(exact) = scale.distance(keys[lane]) {
                     prop_assert_eq!(exact.to_bits(), distance.to_bits());
                 }
@@ -192,11 +197,14 @@ proptest! {
         prop_assume!(chord_2 > 0.0 && chord_2 < 1e-3);
         let weight = (f64::from(units) + 0.5) * 2f64.powi(-537) / chord_2 * 2f64.powi(-537);
         let space = space_of(f64::from_bits(weight.to_bits().saturating_add_signed(nudge)));
-        let limit = Scale::new(&space).limit(space.distance(&a, &b));
+        let scale = Scale::new(&space);
+        let limit = scale.limit(space.distance(&a, &b));
         let kernels = Kernels::default();
         let ends: Vec<f64> = b.iter().flat_map(|&x| [x; 2 * CHILDREN]).collect();
         prop_assert_eq!(kernels.run(OfBoxes(&space, &a, &ends, limit)).1, 255);
         let columns: Vec<f64> = b.iter().flat_map(|&x| [x; BLOCK]).collect();
-        prop_assert_eq!(kernels.run(OfPoints(&space, &a, &columns, limit)).1, 65_535);
+        let (keys, within) = kernels.run(OfPoints(&space, &a, &columns, limit));
+        prop_assert_eq!(within, 65_535);
+        prop_assert!(scale.reach(keys[0]) >= limit);
     }
 }

@@ -1,33 +1,72 @@
-//! The operations of `lanes` in registers of eight numbers, where all of the program is compiled for processors that have
-//! them (`-C target-cpu=native`). Left to itself, the compiler takes such processors to be better off with registers of
-//! four: for these kernels they are not, a search took up to 1.3 times as long.
+//! The operations of `lanes` in registers of eight numbers, said by name. Left to itself, the compiler cuts eight lanes into
+//! unequal parts or, where all of the program is compiled for such processors (`-C target-cpu=native`), into registers of
+//! four: a search took up to 1.3 times as long.
 #![expect(
     unsafe_code,
-    reason = "the instructions are there, since the program is compiled for them, and eight numbers are read and written"
+    reason = "the instructions are there, since only what is compiled for them names this set, and eight numbers are read \
+              and written"
 )]
 
 use std::arch::x86_64::*;
 
+use super::{
+    compiled::{Set, Task},
+    lanes::Operations,
+};
+
 /// The numbers of a register.
 const WIDTH: usize = 8;
 
+/// Processors with registers of eight numbers. Private, so that only [`run`] names it.
+struct Avx512;
+
+/// Runs a task compiled for them.
+#[target_feature(enable = "avx512f,avx512vl,avx512dq")]
+pub(super) fn run<T: Task>(task: T) -> T::Output {
+    task.run::<Avx512>()
+}
+
+impl Set for Avx512 {
+    #[inline(always)]
+    fn within(keys: &[f64], limit: f64) -> u32 {
+        // SAFETY: only `run` names this set.
+        unsafe { within(keys, limit) }
+    }
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn within(keys: &[f64], limit: f64) -> u32 {
+    let limit = _mm512_set1_pd(limit);
+    let mut mask = 0;
+    for (at, keys) in keys.chunks_exact(WIDTH).enumerate() {
+        // SAFETY: a chunk has `WIDTH` numbers.
+        let keys = unsafe { _mm512_loadu_pd(keys.as_ptr()) };
+        mask |= u32::from(_mm512_cmp_pd_mask::<_CMP_LE_OQ>(keys, limit)) << (WIDTH * at);
+    }
+    mask
+}
+
 macro_rules! instructions {
     ($($name:ident: $instruction:ident($x:ident $(, $y:ident)?);)*) => {
-        $(#[inline(always)]
-        pub(crate) fn $name<const N: usize>($x: [f64; N] $(, $y: [f64; N])?) -> [f64; N] {
-            const { assert!(N.is_multiple_of(WIDTH)) };
-            let mut out = $x;
-            for at in (0..N).step_by(WIDTH) {
-                // SAFETY: there are `WIDTH` numbers from `at` on, and this module is compiled only for processors that
-                // have the instructions.
-                unsafe {
-                    let $x = _mm512_loadu_pd($x.as_ptr().add(at));
-                    $(let $y = _mm512_loadu_pd($y.as_ptr().add(at));)?
-                    _mm512_storeu_pd(out.as_mut_ptr().add(at), $instruction($x $(, $y)?));
+        impl Operations for Avx512 {
+            $(
+                #[inline(always)]
+                fn $name<const N: usize>($x: [f64; N] $(, $y: [f64; N])?) -> [f64; N] {
+                    const { assert!(N.is_multiple_of(WIDTH)) };
+                    let mut out = $x;
+                    for at in (0..N).step_by(WIDTH) {
+                        // SAFETY: there are `WIDTH` numbers from `at` on, and only `run` names this set.
+                        unsafe {
+                            let $x = _mm512_loadu_pd($x.as_ptr().add(at));
+                            $(let $y = _mm512_loadu_pd($y.as_ptr().add(at));)?
+                            _mm512_storeu_pd(out.as_mut_ptr().add(at), $instruction($x $(, $y)?));
+                        }
+                    }
+                    out
                 }
-            }
-            out
-        })*
+            )*
+        }
     };
 }
 
@@ -44,10 +83,50 @@ instructions! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kernel::lanes::plain;
+
+    /// The loops.
+    struct Plain;
+
+    impl Operations for Plain {}
+
+    impl Set for Plain {
+        fn within(_: &[f64], _: f64) -> u32 {
+            unreachable!("not compared here")
+        }
+    }
+
+    /// What all operations make of two arrays, as bits.
+    struct All([f64; 16], [f64; 16]);
+
+    impl Task for All {
+        type Output = [[u64; 16]; 7];
+
+        #[inline(always)]
+        fn run<S: Set>(self) -> Self::Output {
+            let Self(x, y) = self;
+            // Infinity less itself has no sign that anybody agreed on.
+            let finite = |lanes: [f64; 16]| lanes.map(|x| if x.is_nan() { 0.0 } else { x });
+            let results = [
+                finite(S::add(x, y)),
+                finite(S::sub(x, y)),
+                finite(S::mul(x, y)),
+                S::max(x, y),
+                S::min(x, y),
+                S::abs(x),
+                S::sqrt(S::abs(x)),
+            ];
+            results.map(|lanes| lanes.map(f64::to_bits))
+        }
+    }
 
     #[test]
     fn lanes_are_what_loops_make_of_them() {
+        if !(is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512dq"))
+        {
+            return;
+        }
         let numbers = [
             0.0,
             -0.0,
@@ -58,19 +137,12 @@ mod tests {
             f64::INFINITY,
             f64::NEG_INFINITY,
         ];
-        let bits = |lanes: [f64; 16]| lanes.map(f64::to_bits);
         for shift in 0..8 {
             let x: [f64; 16] = std::array::from_fn(|lane| numbers[lane % 8]);
             let y: [f64; 16] = std::array::from_fn(|lane| numbers[(lane + shift) % 8]);
-            // Infinity less itself has no sign that anybody agreed on.
-            let finite = |lanes: [f64; 16]| lanes.map(|x| if x.is_nan() { 0.0 } else { x });
-            assert_eq!(bits(finite(add(x, y))), bits(finite(plain::add(x, y))));
-            assert_eq!(bits(finite(sub(x, y))), bits(finite(plain::sub(x, y))));
-            assert_eq!(bits(finite(mul(x, y))), bits(finite(plain::mul(x, y))));
-            assert_eq!(bits(max(x, y)), bits(plain::max(x, y)));
-            assert_eq!(bits(min(x, y)), bits(plain::min(x, y)));
-            assert_eq!(bits(abs(x)), bits(plain::abs(x)));
-            assert_eq!(bits(sqrt(abs(x))), bits(plain::sqrt(plain::abs(x))));
+            // SAFETY: the processor was asked for the instructions.
+            let wide = unsafe { run(All(x, y)) };
+            assert_eq!(wide, All(x, y).run::<Plain>());
         }
     }
 }

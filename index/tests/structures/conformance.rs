@@ -322,3 +322,51 @@ fn in_many_dimensions_answers_stay_the_same() {
         }
     }
 }
+
+/// More than a search cares to hold are equally near: the least ids win.
+#[test]
+fn of_many_that_coincide_the_least_ids_are_told() {
+    for text in ["R3", "SO3", "R3*SO3:0.15", "sum(R1, SO3)"] {
+        let space: Space = text.parse().unwrap();
+        let (mut query, mut state) = (
+            vec![0.3; space.coordinates()],
+            vec![0.5; space.coordinates()],
+        );
+        state[space.coordinates() - 1] = 0.4;
+        let norm = |row: &mut [f64]| {
+            let rotation = row.len().saturating_sub(4);
+            let norm = row[rotation..].iter().map(|x| x * x).sum::<f64>().sqrt();
+            row[rotation..].iter_mut().for_each(|x| *x /= norm);
+        };
+        if text != "R3" {
+            norm(&mut query);
+            norm(&mut state);
+        }
+        space.canonicalize(&mut query).unwrap();
+        space.canonicalize(&mut state).unwrap();
+        let mut points = Points::new(space.coordinates());
+        // 7 and 2000 share no divisor: each id once, in no order.
+        for id in (0..2000).map(|i| i * 7 % 2000) {
+            points.push(id, 0, 1, &state);
+        }
+        let tree = KdTree::new(space.clone(), points, 16);
+        let distance = space.distance(&query, &state);
+        for (k, radius) in [(1, f64::INFINITY), (20, distance), (300, f64::INFINITY)] {
+            let search = Search {
+                radius,
+                ..Search::nearest_k(k)
+            };
+            for kernels in Kernels::available() {
+                let answer = tree.search_with(kernels, &query, &search);
+                let ids: Vec<u64> = answer.neighbors.iter().map(|near| near.id).collect();
+                assert_eq!(ids, (0..k as u64).collect::<Vec<_>>(), "{text} {k}");
+                assert!(
+                    answer
+                        .neighbors
+                        .iter()
+                        .all(|near| near.distance == distance)
+                );
+            }
+        }
+    }
+}
