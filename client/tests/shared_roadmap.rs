@@ -10,6 +10,8 @@ mod account;
 mod milestone;
 #[path = "../examples/planning/mod.rs"]
 mod planning;
+#[path = "../examples/rigid/replay.rs"]
+mod replay;
 #[path = "../examples/rigid/roadmap.rs"]
 mod roadmap;
 #[path = "../examples/rigid/scene.rs"]
@@ -22,11 +24,11 @@ mod worker;
 use std::{collections::BTreeSet, sync::LazyLock};
 
 use planning::{path, problem::Problem};
+use replay::stored;
 use roadmap::Roadmap;
 use scene::Rooms;
 use server::Server;
 use wayfold_client::IndexHandle;
-use wayfold_index::{Linear, PointRef, Search};
 use worker::{Source, Worker};
 
 static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
@@ -46,42 +48,7 @@ async fn worker(server: &Server, number: usize, replica: bool) -> Worker<'static
 
 /// The edges of each milestone, had one worker made all of them in the order of their revisions.
 fn replayed(roadmap: &Roadmap) -> Vec<BTreeSet<u64>> {
-    let order: BTreeSet<_> = roadmap.revisions.iter().zip(&roadmap.ids).collect();
-    let order: Vec<u64> = order.iter().map(|(_, id)| **id).collect();
-    assert_eq!(
-        order,
-        (0..roadmap.len() as u64).collect::<Vec<_>>(),
-        "ids in the order of revisions"
-    );
-    let mut before = Linear::new(SPACE.parse().unwrap());
-    let mut edges = Vec::new();
-    for (n, state) in roadmap.states.iter().enumerate() {
-        let k = (2.0 * std::f64::consts::E * (n as f64).ln())
-            .ceil()
-            .max(1.0);
-        let near = before.search(state, &Search::nearest_k(k as usize));
-        let near = near.neighbors.iter().map(|neighbor| neighbor.id);
-        let free = near.filter(|&id| {
-            let other = roadmap.states.row(id as usize);
-            SCENE.is_free_way(state, other, &mut 0)
-        });
-        edges.push(free.collect());
-        before.insert(PointRef {
-            id: n as u64,
-            tag: 0,
-            revision: 1,
-            row: state,
-        });
-    }
-    edges
-}
-
-/// The edges of each milestone, as they are stored.
-fn stored(roadmap: &Roadmap) -> Vec<BTreeSet<u64>> {
-    let edges = roadmap.edges.iter();
-    edges
-        .map(|to| to.iter().map(|&to| roadmap.ids[to]).collect())
-        .collect()
+    replay::edges(&SCENE, roadmap).unwrap()
 }
 
 /// Extends the roadmap by workers side by side.

@@ -55,6 +55,19 @@ pub enum PlanningError {
         /// Which.
         id: u64,
     },
+    /// Who follows a roadmap is not told of it any more.
+    #[error(
+        "the server has forgotten how the roadmap grew before that was asked for; is it too busy?"
+    )]
+    Unfollowed,
+    /// A milestone is not what it is in a serial replay of the same states.
+    #[error("milestone {id}: {problem}")]
+    Replay {
+        /// Which.
+        id: u64,
+        /// How it differs.
+        problem: String,
+    },
     /// The roadmap does not connect two states.
     #[error("no way {task} with {milestones} milestones; try more with --milestones")]
     Unconnected {

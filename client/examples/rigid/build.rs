@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use wayfold_client::{Client, IndexHandle};
 
 use crate::{
-    options::{Job, Kind, Options},
+    options::{Job, Kind, Options, PROGRESS_MS},
     planning::{error::PlanningError, path, problem::Problem},
     processes::{self, Crew},
     roadmap::{self, Roadmap},
@@ -78,6 +78,7 @@ async fn build_in(
         milestones: options.milestones,
         source: options.source,
         min_separation: options.min_separation,
+        progress_ms: PROGRESS_MS,
     };
     let jobs: Vec<Job> = (0..options.workers).map(job).collect();
     let crew = processes::run(&jobs, options.kill)?;

@@ -4,24 +4,29 @@
 //!
 //!     cargo run --release -p wayfold-client --example rigid -- [--workers 4] [--source server] [--kill]
 //!     cargo run --release -p wayfold-client --example rigid -- --scaling [--runs 5]
+//!     cargo run --release -p wayfold-client --example rigid -- --until-solved [--scaling] [--runs 5]
 //!
 //! Reading order: `milestone` (what the index keeps), `worker` (the planner), `roadmap` (what all of them made),
-//! `processes` (how they are started), `build` (one roadmap from the start to its paths), `report`, `picture`.
+//! `processes` (how they are started), `build` (one roadmap from the start to its paths), `until_solved` (no
+//! further than its paths), `replay` and `audit` (what a roadmap must be), `report`, `picture`.
 
 #[path = "../planning/mod.rs"]
 mod planning;
 
 mod account;
+mod audit;
 mod build;
 mod figures;
 mod milestone;
 mod options;
 mod picture;
 mod processes;
+mod replay;
 mod report;
 mod roadmap;
 mod scene;
 mod solid;
+mod until_solved;
 mod worker;
 
 use std::{path::Path, process::ExitCode};
@@ -47,6 +52,9 @@ fn main() -> ExitCode {
     let ended = match (runtime, &options.role) {
         (Err(error), _) => Err(PlanningError::Server(error)),
         (Ok(runtime), Some(Role::Work(job))) => runtime.block_on(processes::work(job)),
+        (Ok(runtime), Some(Role::Audit(of))) => {
+            runtime.block_on(audit::audit(&of.server, &of.index))
+        }
         (Ok(runtime), None) => runtime.block_on(run(&options)),
     };
     match ended {
@@ -66,6 +74,9 @@ async fn run(options: &Options) -> Result<(), PlanningError> {
     let own = own.as_ref().map(ServerProcess::uri);
     let uri = options.server.as_deref().or(own).unwrap_or_default();
     let scene = Rooms::new();
+    if options.until_solved {
+        return until_solved::run(&scene, uri, options).await;
+    }
     if options.scaling {
         let runs = build::compare(&scene, uri, options).await?;
         print!("{}", report::comparison(&runs));

@@ -34,6 +34,10 @@ pub struct Options {
     /// Compares 1, 2, 4 and 8 workers with both sources instead; no picture
     #[arg(long)]
     pub scaling: bool,
+    /// Ends as soon as all questions are answered, and tells how long that took, --runs times; no picture. With --scaling,
+    /// by 1, 2, 4 and 8 workers
+    #[arg(long)]
+    pub until_solved: bool,
     /// How often to build each of the roadmaps that are compared; medians are told
     #[arg(long, default_value_t = 3)]
     pub runs: u64,
@@ -48,6 +52,20 @@ pub enum Role {
     /// One worker
     #[command(hide = true)]
     Work(Job),
+    /// One that compares a roadmap with a serial replay by brute force
+    #[command(hide = true)]
+    Audit(Audit),
+}
+
+/// What an auditor has to know.
+#[derive(Clone, Debug, Args)]
+pub struct Audit {
+    /// Where the server is
+    #[arg(long)]
+    pub server: String,
+    /// The index that holds the roadmap
+    #[arg(long)]
+    pub index: String,
 }
 
 /// What a worker has to know.
@@ -74,7 +92,13 @@ pub struct Job {
     /// Leaves out states that are nearer to a milestone than this
     #[arg(long)]
     pub min_separation: f64,
+    /// How often it tells its progress, at most
+    #[arg(long, default_value_t = PROGRESS_MS)]
+    pub progress_ms: u64,
 }
+
+/// How often a worker tells its progress, for a picture of it.
+pub const PROGRESS_MS: u64 = 20;
 
 /// Where a worker's first neighbours come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -106,6 +130,7 @@ impl Job {
             ("milestones", self.milestones.to_string()),
             ("source", self.source.name().to_owned()),
             ("min-separation", self.min_separation.to_string()),
+            ("progress-ms", self.progress_ms.to_string()),
         ];
         arguments
             .into_iter()

@@ -5,7 +5,7 @@ use std::{
     env,
     io::{self, BufRead, BufReader, Write},
     process::{Child, ChildStdin, Command, Stdio},
-    sync::mpsc::{self, Receiver, Sender},
+    sync::mpsc::{self, Receiver},
     thread,
     time::{Duration, Instant},
 };
@@ -33,9 +33,6 @@ pub enum Line {
     Done(Account),
 }
 
-/// How often a worker tells its progress.
-const PROGRESS: Duration = Duration::from_millis(20);
-
 /// The role of a worker.
 pub async fn work(job: &Job) -> Result<(), PlanningError> {
     let client = Client::connect(&job.server).await?;
@@ -52,9 +49,10 @@ pub async fn work(job: &Job) -> Result<(), PlanningError> {
     let mut go = String::new();
     let read = io::stdin().lock().read_line(&mut go);
     read.map_err(|problem| lost(job.number, problem))?;
+    let progress = Duration::from_millis(job.progress_ms);
     let mut told = Instant::now();
     let extended = worker.extend(job.milestones, |account| {
-        if told.elapsed() < PROGRESS {
+        if told.elapsed() < progress {
             return Ok(());
         }
         told = Instant::now();
@@ -73,7 +71,8 @@ fn tell(line: &Line) -> Result<(), PlanningError> {
     written.map_err(|problem| lost(0, problem))
 }
 
-fn lost(number: usize, problem: impl ToString) -> PlanningError {
+/// What happened to a worker.
+pub fn lost(number: usize, problem: impl ToString) -> PlanningError {
     PlanningError::Worker {
         number,
         problem: problem.to_string(),
@@ -108,7 +107,8 @@ pub fn run(jobs: &[Job], kill: bool) -> Result<Crew, PlanningError> {
     let (told, lines) = mpsc::channel();
     let mut processes = Vec::with_capacity(jobs.len());
     for job in jobs {
-        processes.push(Process::start(job, told.clone())?);
+        let told = told.clone();
+        processes.push(Process::start(job, move |heard| told.send(heard).is_ok())?);
     }
     drop(told);
     for _ in jobs {
@@ -163,7 +163,7 @@ pub fn run(jobs: &[Job], kill: bool) -> Result<Crew, PlanningError> {
 }
 
 /// A line of a worker, or its end.
-type Heard = (usize, Option<Line>);
+pub type Heard = (usize, Option<Line>);
 
 fn next(lines: &Receiver<Heard>) -> Result<Heard, PlanningError> {
     let line = lines.recv();
@@ -171,14 +171,18 @@ fn next(lines: &Receiver<Heard>) -> Result<Heard, PlanningError> {
 }
 
 /// A worker; killed when it is dropped.
-struct Process {
+pub struct Process {
     number: usize,
     child: Child,
     input: Option<ChildStdin>,
 }
 
 impl Process {
-    fn start(job: &Job, told: Sender<Heard>) -> Result<Process, PlanningError> {
+    /// Starts one that passes on what it hears for as long as `told` takes it.
+    pub fn start(
+        job: &Job,
+        told: impl Fn(Heard) -> bool + Send + 'static,
+    ) -> Result<Process, PlanningError> {
         let number = job.number;
         let failed = |problem: io::Error| lost(number, problem);
         let program = env::current_exe().map_err(failed)?;
@@ -195,12 +199,12 @@ impl Process {
             let lines = output.map(BufReader::new).into_iter();
             for line in lines.flat_map(BufRead::lines).map_while(Result::ok) {
                 let line = serde_json::from_str(&line).ok();
-                if line.is_some() && told.send((number, line)).is_err() {
+                if line.is_some() && !told((number, line)) {
                     return;
                 }
             }
             // Nobody listens when all is over.
-            let _ = told.send((number, None));
+            let _ = told((number, None));
         });
         Ok(Process {
             number,
@@ -209,7 +213,8 @@ impl Process {
         })
     }
 
-    fn begin(&mut self) -> Result<(), PlanningError> {
+    /// Lets it begin.
+    pub fn begin(&mut self) -> Result<(), PlanningError> {
         let Some(input) = &mut self.input else {
             return Ok(());
         };

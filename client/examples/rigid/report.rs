@@ -144,7 +144,8 @@ pub fn comparison(all: &[Built]) -> String {
     text
 }
 
-fn median(numbers: impl Iterator<Item = f64>) -> f64 {
+/// The middle one, or the mean of the two in the middle; not a number if there is none.
+pub fn median(numbers: impl Iterator<Item = f64>) -> f64 {
     let mut numbers: Vec<f64> = numbers.collect();
     numbers.sort_by(f64::total_cmp);
     let middle = numbers.len() / 2;
@@ -157,11 +158,16 @@ fn median(numbers: impl Iterator<Item = f64>) -> f64 {
 
 /// Writes the figures of these roadmaps, if they are wanted.
 pub fn write_json(all: &[Built], options: &Options) -> Result<(), PlanningError> {
+    let runs: Vec<Value> = all.iter().map(figures).collect();
+    write(&json!({ "runs": runs }), options)
+}
+
+/// Writes figures to the file that is wanted, if one is.
+pub fn write(figures: &Value, options: &Options) -> Result<(), PlanningError> {
     let Some(path) = &options.json else {
         return Ok(());
     };
-    let runs: Vec<Value> = all.iter().map(figures).collect();
-    let text = serde_json::to_string_pretty(&json!({ "runs": runs }));
+    let text = serde_json::to_string_pretty(figures);
     let written = text.map_err(std::io::Error::from);
     let written = written.and_then(|text| fs::write(path, text + "\n"));
     written.map_err(|error| PlanningError::File {
