@@ -11,6 +11,7 @@ from pathlib import Path
 
 import zenoh
 
+import mixed
 from faces import PREFIX, Json, Protobuf, Refused, connect, only
 from planner import entry
 from processes import PATIENCE_S, Server, generate_stubs, load_stubs
@@ -19,6 +20,7 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 # Where the server listens in the README.
 USUAL = "tcp/127.0.0.1:7448"
 ROUNDS = 120
+MILESTONES = 150
 ROWS = [[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]]
 
 
@@ -179,7 +181,10 @@ def share(server: Server, programs: Path, directory: str, face: Protobuf, pb):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--programs", type=Path, required=True, help="the directory of the suites' programs")
-    programs = parser.parse_args().programs.resolve()
+    milestones = "how many milestones the roadmap has that planners over Zenoh and gRPC build together"
+    parser.add_argument("--milestones", type=int, default=MILESTONES, help=milestones)
+    arguments = parser.parse_args()
+    programs = arguments.programs.resolve()
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as directory, Server(programs / "server-process") as server:
         generate_stubs(directory)
@@ -190,6 +195,9 @@ def main():
         by_hand(session)
         readme(session, server)
         share(server, programs, directory, Protobuf(session, pb.Status), pb)
+        only(session, "create", payload=json.dumps({"name": mixed.INDEX, "space_text": "R3*SO3:0.15"}))
+        built = mixed.build(server, programs, directory, arguments.milestones)
+        print(f"a roadmap by planners over gRPC and Zenoh, as in a serial replay: {built}")
         session.close()
     print(f"done in {time.monotonic() - began:.0f} s")
 

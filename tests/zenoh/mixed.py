@@ -1,0 +1,99 @@
+"""Planners over gRPC and over Zenoh, in Rust and in Python, build one roadmap: that of a serial replay."""
+
+import json
+import queue
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+from processes import PATIENCE_S, Server
+
+INDEX = "prm"
+SEED = 5
+# Those of the example `rigid`, and where their first neighbours come from.
+SOURCES = ["server", "replica"]
+FORMS = ["protobuf", "json"]
+# How many milestones each worker over Zenoh makes at least.
+LEAST = 15
+
+
+class Planner:
+    """A worker's process, and the lines that it tells."""
+
+    def __init__(self, command):
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        self.process = subprocess.Popen(command, **pipes)
+        self.lines = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.lines.put(json.loads(line))
+        self.lines.put(None)
+
+    def next(self):
+        line = self.lines.get(timeout=PATIENCE_S)
+        if line is None:
+            raise RuntimeError(f"a worker ended early: status {self.process.wait(PATIENCE_S)}")
+        return line
+
+    def begin(self):
+        self.process.stdin.write("go\n")
+        self.process.stdin.flush()
+
+    def account(self, milestones: int):
+        """What it told first with so many milestones of its own, or at its end."""
+        while True:
+            line = self.next()
+            told = line.get("progress", {"milestones": 0})
+            if "done" in line or told["milestones"] >= milestones:
+                return line.get("done", told)
+
+
+def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
+    """Builds a roadmap in the index, which exists, and checks it; returns a summary."""
+    examples = programs / "examples"
+    rigid, worker = examples / "rigid", Path(__file__).with_name("roadmap.py")
+    planners = []
+    try:
+        for number, source in enumerate(SOURCES):
+            job = {"server": server.uri, "index": INDEX, "number": number, "seed": SEED, "milestones": milestones}
+            job |= {"source": source, "min-separation": 0.0, "progress-ms": 0}
+            planners.append(Planner([rigid, "work", *(f"--{name}={value}" for name, value in job.items())]))
+        for number, form in enumerate(FORMS, len(SOURCES)):
+            job = [server.locator, INDEX, form, number, SEED, milestones, LEAST, examples, stubs]
+            planners.append(Planner([sys.executable, worker, *map(str, job)]))
+        for planner in planners:
+            if planner.next() != "ready":
+                raise AssertionError("a worker begins before it is told to")
+        # Those over Zenoh have looked at the empty roadmap. However all are scheduled, they meet milestones of each of the
+        # others when they insert what they looked at.
+        grpc, zenoh = planners[: len(SOURCES)], planners[len(SOURCES) :]
+        for planner in grpc:
+            planner.begin()
+        for planner in grpc:
+            if planner.account(1)["milestones"] < 1:
+                raise AssertionError("a worker over gRPC is done without a milestone")
+        for planner in zenoh:
+            planner.begin()
+        accounts = [planner.account(sys.maxsize) for planner in zenoh]
+        for planner in planners:
+            if planner.process.wait(PATIENCE_S) != 0:
+                raise AssertionError(f"a worker's exit status is {planner.process.returncode}")
+    finally:
+        for planner in planners:
+            planner.process.kill()
+            planner.process.wait(PATIENCE_S)
+
+    audit = [rigid, "audit", f"--server={server.uri}", f"--index={INDEX}"]
+    audited = subprocess.run(audit, check=True, stdout=subprocess.PIPE, text=True, timeout=PATIENCE_S)
+    told = json.loads(audited.stdout)
+    made = {int(number): count for number, count in told["workers"].items()}
+    if sorted(made) != list(range(len(planners))) or told["milestones"] < milestones:
+        raise AssertionError(f"not all workers made milestones, or too few: {told}")
+    for number, account in enumerate(accounts, len(SOURCES)):
+        if account["milestones"] != made[number] or made[number] < LEAST or account["meanwhile"] < 2:
+            raise AssertionError(f"worker {number} says {account}, and made {made[number]}")
+    shares = ", ".join(f"{count} by worker {number}" for number, count in sorted(made.items()))
+    return f"{told['milestones']} milestones ({shares}), {told['edges']} edges"

@@ -1,0 +1,193 @@
+"""A worker of the example `rigid` in Python, over Zenoh:
+roadmap.py LOCATOR INDEX FORM NUMBER SEED MILESTONES LEAST EXAMPLES STUBS.
+
+It keeps what `client/examples/rigid/milestone.rs` says of milestones, and makes those that `worker.rs` would make. It looks
+at its first state, says that it is ready, and waits for a line; then it extends the roadmap until there are so many
+milestones, at least LEAST of them its own. It tells its progress as the example's own workers do.
+"""
+
+import json
+import math
+import random
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from faces import Json, Protobuf, connect
+from processes import load_stubs
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "client" / "examples" / "rigid"))
+from checks import Scene  # noqa: E402
+
+PENDING = 1
+# k(n) of PRM*.
+K_FACTOR = 2.0 * math.e
+# Far more states than it takes until one is free; where it does not suffice, the scene is not what it was.
+TRIES = 10_000
+
+
+@dataclass
+class Candidate:
+    """A milestone that is near enough for an edge."""
+
+    id: int
+    distance: float
+    state: list[float]
+    free: bool | None = None
+
+
+@dataclass
+class Checked:
+    """A free state whose ways to what was there are checked; not stored yet."""
+
+    state: list[float]
+    earlier: list[Candidate]
+    seen: int
+    edges: list[int]
+
+
+class Worker:
+    def __init__(self, face, pb, index: str, uid: str, scene: Scene, number: int, seed: int):
+        self.face, self.pb, self.index, self.uid = face, pb, index, uid
+        self.scene, self.number = scene, number
+        self.random = random.Random(f"{seed}, {number}")
+        self.scaling = pb.Scaling(k_factor=K_FACTOR)
+        # Its reads see what it was told of.
+        self.revision = 0
+        self.account = {"samples": 0, "milestones": 0, "edges": 0, "meanwhile": 0}
+
+    def sample(self) -> list[float]:
+        """A free state."""
+        for _ in range(TRIES):
+            self.account["samples"] += 1
+            position = [self.random.uniform(low, high) for low, high in self.scene.bounds]
+            turn = [self.random.gauss(0.0, 1.0) for _ in range(4)]
+            norm = math.hypot(*turn)
+            state = self.scene.canonical(position + [number / norm for number in turn])
+            if self.scene.is_free(state):
+                return state
+        raise RuntimeError(f"none of {TRIES} states is free")
+
+    def look(self, state: list[float]) -> Checked:
+        """The first step: checks the ways to the k(n) nearest that are there."""
+        earlier, seen = self.nearest(state, scaling=self.scaling)
+        return Checked(state, earlier, seen, self.check(state, earlier))
+
+    def insert(self, checked: Checked):
+        """The second step: stores the state with these edges, and is told of what arrived meanwhile: its id, and that."""
+        around = self.pb.NeighborQuery(
+            scaling=self.scaling,
+            filter=self.pb.Filter(since_revision=checked.seen),
+            include=self.pb.Include(states=True),
+        )
+        request = self.pb.InsertRequest(
+            index=self.index,
+            states=self.one(checked.state),
+            tags=[self.number << 1 | PENDING],
+            payloads=[payload(checked.edges)],
+            neighbors=around,
+            uid=self.uid,
+        )
+        answer = self.face.ask(f"{self.index}/insert", request, self.pb.InsertResponse)
+        assert list(answer.outcomes) == [self.pb.OUTCOME_INSERTED], answer.outcomes
+        self.revision = answer.revision
+        return answer.ids[0], self.candidates(answer.neighbors)
+
+    def complete(self, id: int, checked: Checked, meanwhile: list[Candidate]):
+        """The last step: checks the ways to what arrived meanwhile, and says that nothing is missing now."""
+        self.account["meanwhile"] += len(meanwhile)
+        # Ids are assigned from 0 on and nothing is ever removed: so many milestones were there before.
+        k = max(1, math.ceil(K_FACTOR * math.log(id))) if id > 1 else 1
+        known = checked.earlier + meanwhile
+        if len(checked.earlier) < k and len(known) < id:
+            # k(n) has grown by those that arrived.
+            free = {candidate.id: candidate.free for candidate in known}
+            known = self.nearest_before(checked.state, id, k)
+            for candidate in known:
+                candidate.free = free.get(candidate.id)
+        known.sort(key=lambda candidate: (candidate.distance, candidate.id))
+        edges = self.check(checked.state, known[:k])
+        request = self.pb.UpdateRequest(
+            index=self.index,
+            ids=[id],
+            tags=[0],
+            tag_mask=PENDING,
+            payloads=[payload(edges)] if edges != checked.edges else [],
+            uid=self.uid,
+        )
+        answer = self.face.ask(f"{self.index}/update", request, self.pb.UpdateResponse)
+        self.revision = answer.revision
+        self.account["milestones"] += 1
+        self.account["edges"] += len(edges)
+
+    def check(self, state: list[float], candidates: list[Candidate]) -> list[int]:
+        """Checks the ways that are not checked yet; returns where the free ones lead, ascending."""
+        for candidate in candidates:
+            if candidate.free is None:
+                candidate.free = self.scene.is_free_way(state, candidate.state)
+        return sorted(candidate.id for candidate in candidates if candidate.free)
+
+    def nearest_before(self, state: list[float], id: int, k: int) -> list[Candidate]:
+        """The k nearest of those that were stored before a milestone; there are so many."""
+        asked = 2 * k
+        # The whole roadmap is enough, at the latest.
+        while True:
+            found, _ = self.nearest(state, k=asked)
+            before = [candidate for candidate in found if candidate.id < id]
+            if len(before) >= k or len(found) < asked:
+                return before[:k]
+            asked *= 2
+
+    def nearest(self, state: list[float], **wanted):
+        request = self.pb.KnnRequest(
+            index=self.index,
+            states=self.one(state),
+            include=self.pb.Include(states=True),
+            at=self.pb.ReadAt(uid=self.uid, min_revision=self.revision),
+            **wanted,
+        )
+        answer = self.face.ask(f"{self.index}/knn", request, self.pb.KnnResponse)
+        return self.candidates(answer.neighbors), answer.revision
+
+    def candidates(self, neighbors) -> list[Candidate]:
+        """Those in the answer about one state."""
+        width, numbers = self.scene.coordinates, list(neighbors.states.coordinates)
+        rows = [numbers[at : at + width] for at in range(0, len(numbers), width)]
+        return [Candidate(*near) for near in zip(neighbors.ids, neighbors.distances, rows, strict=True)]
+
+    def one(self, state: list[float]):
+        return self.pb.States(rows=1, coordinates=state)
+
+
+def payload(edges: list[int]) -> bytes:
+    """The payload that keeps these edges."""
+    return b"".join(id.to_bytes(8, "little") for id in edges)
+
+
+def tell(line):
+    print(json.dumps(line), flush=True)
+
+
+def main():
+    locator, index, form, number, seed, milestones, least, examples, stubs = sys.argv[1:]
+    index_pb, pb = load_stubs(stubs)
+    session = connect(locator)
+    face = Json(session) if form == "json" else Protobuf(session, pb.Status)
+    described = face.ask(f"{index}/info", index_pb.GetIndexRequest(name=index), index_pb.GetIndexResponse)
+    worker = Worker(face, pb, index, described.index.uid, Scene(Path(examples)), int(number), int(seed))
+    checked = worker.look(worker.sample())
+    tell("ready")
+    sys.stdin.readline()
+    enough = False
+    while not enough:
+        id, meanwhile = worker.insert(checked)
+        worker.complete(id, checked, meanwhile)
+        enough = id + 1 >= int(milestones) and worker.account["milestones"] >= int(least)
+        if not enough:
+            checked = worker.look(worker.sample())
+    tell({"done": worker.account | {"checks": worker.scene.checks}})
+    session.close()
+
+
+if __name__ == "__main__":
+    main()
