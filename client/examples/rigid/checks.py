@@ -40,6 +40,10 @@ class Scene:
         """How many states were checked since it was made."""
         return self._checks.value
 
+    def row(self, numbers):
+        """A row as the library takes it: where it is asked about more than once, it need not be made again."""
+        return numbers if type(numbers) is self._row else self._row(*numbers)
+
     def canonical(self, row) -> list[float]:
         """The row as the server keeps it."""
         numbers = self._row(*row)
@@ -50,22 +54,26 @@ class Scene:
     def is_free(self, row) -> bool:
         """Whether a state is free."""
         self._checks.value += 1
-        return self._free(self._library.rigid_is_free(self._row(*row), self.coordinates))
+        return self._free(self._library.rigid_is_free(self.row(row), self.coordinates))
 
     def is_free_way(self, a, b) -> bool:
         """Whether the motion between two free states is free: a function of the two, in this order."""
-        a, b = self._row(*a), self._row(*b)
+        a, b = self.row(a), self.row(b)
         return self._free(self._library.rigid_is_free_way(a, b, self.coordinates, self._checks_at))
 
     def distance(self, a, b) -> float:
         """The distance in the space's metric."""
-        return self._library.rigid_distance(self._row(*a), self._row(*b), self.coordinates)
+        return self._library.rigid_distance(self.row(a), self.row(b), self.coordinates)
 
     def is_free_path(self, path) -> bool:
         """Whether a path is free by a finer check and other code, which is not counted."""
         numbers = [number for row in path for number in row]
         rows = (ctypes.c_double * len(numbers))(*numbers)
         return self._free(self._library.rigid_is_free_path(rows, len(path), self.coordinates))
+
+    def nothing(self, row) -> bool:
+        """Calls the library where there is nothing to check: what a call costs by itself."""
+        return self._free(self._library.rigid_is_free_path(self.row(row), 0, self.coordinates))
 
     @staticmethod
     def _free(told: int) -> bool:
