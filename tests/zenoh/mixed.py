@@ -67,8 +67,8 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
         for planner in planners:
             if planner.next() != "ready":
                 raise AssertionError("a worker begins before it is told to")
-        # Those over Zenoh have looked at the empty roadmap. However all are scheduled, they meet milestones of each of the
-        # others when they insert what they looked at.
+        # Those over Zenoh have looked at the empty roadmap. However all are scheduled, they meet milestones of each of
+        # the others when they insert what they looked at.
         grpc, zenoh = planners[: len(SOURCES)], planners[len(SOURCES) :]
         for planner in grpc:
             planner.begin()

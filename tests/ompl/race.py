@@ -1,0 +1,113 @@
+"""OMPL's planners beside the example `rigid`: `tests/ompl/rigid` is the way to start it."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict
+from operator import mul
+from pathlib import Path
+from statistics import median
+
+import problems
+from planners import PLANNERS, Run, Scene, answer, calls_us, grow
+
+HEAD = f"{'':<34}{'time, s (least .. most)':>30}{'nodes':>9}{'checks':>11}{'ns a check':>12}{'calls of Python':>17}"
+NOTE = """\
+Medians of {runs} runs, each with states of its own. OMPL runs in one thread; its collision checks are the library's,
+called from Python. What these calls cost by themselves is told beside, as a share of the time: {state:.1f} µs for a state
+and {motion:.1f} µs for a motion where there is nothing to check. A check is one state; one takes a worker of rigid
+{check:.0f} ns.
+rigid: a process for each worker, a server for all, and the time includes what the network costs; what its workers have
+checked for the milestone at which they are ended, is not counted."""
+
+
+def ours(examples: Path, arguments: list, directory: str) -> dict:
+    """What the example says of one run with each number of workers."""
+    figures = Path(directory, "figures.json")
+    command = [examples / "rigid", *map(str, arguments), "--scaling", "--runs", "1", "--json", figures]
+    subprocess.run(command, check=True, stdout=subprocess.PIPE, cwd=directory)
+    return json.loads(figures.read_text())
+
+
+def line(name: str, runs: list[Run], calls: tuple) -> str:
+    seconds, checks = [run.seconds for run in runs], median(run.checks for run in runs)
+    time = f"{median(seconds):.3f} ({min(seconds):.3f} .. {max(seconds):.3f})"
+    each = median(run.seconds / run.checks for run in runs) * 1e9
+    share = median(sum(map(mul, run.calls, calls)) * 1e-6 / run.seconds for run in runs)
+    python = f"{100 * share:.0f} %" if share > 0 else "-"
+    nodes = median(run.nodes for run in runs)
+    return f"{name:<34}{time:>30}{nodes:>9.0f}{checks:>11.0f}{each:>12.0f}{python:>17}"
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--examples", type=Path, required=True, help="the directory of the client's examples")
+    parser.add_argument("--runs", type=int, default=21, help="how often each planner runs; medians are told")
+    growing = "how many milestones the roadmaps have whose growth is compared too, by --runs / 4 runs; 0 for none"
+    parser.add_argument("--milestones", type=int, default=1500, help=growing)
+    parser.add_argument("--json", type=Path, help="writes all figures to a file")
+    arguments = parser.parse_args()
+    examples, runs = arguments.examples.resolve(), max(arguments.runs, 1)
+    problems.seed()
+    scene = Scene(examples)
+    calls = calls_us(scene)
+
+    solved: dict[str, list[Run]] = {}
+    grown: dict[str, list[Run]] = {}
+    checking: list[float] = []
+    few = max(runs // 4, 1) if arguments.milestones > 0 else 0
+    with tempfile.TemporaryDirectory() as directory:
+        # Not counted, as the example's own first run.
+        for name in PLANNERS:
+            answer(scene, name)
+        # In turns, so that what else the machine does meets all.
+        for seed in range(1, runs + 1):
+            for name in PLANNERS:
+                solved.setdefault(f"OMPL {name}", []).append(answer(scene, name))
+            for one in ours(examples, ["--until-solved", "--seed", seed], directory)["until_solved"]:
+                run = Run(one["seconds"], one["milestones"], one["checks"], (0, 0), one["path_lengths"])
+                solved.setdefault(f"rigid, {workers(one['workers'])}", []).append(run)
+                if one["workers"] == 1:
+                    checking.append(one["checking_seconds"] / one["checks"])
+        for seed in range(1, few + 1):
+            grown.setdefault("OMPL PRM*", []).append(grow(scene, arguments.milestones))
+            for one in ours(examples, ["--milestones", arguments.milestones, "--seed", seed], directory)["runs"]:
+                of = one["workers"]
+                milestones, checks = (sum(worker[figure] for worker in of) for figure in ("milestones", "checks"))
+                name = f"rigid, {workers(len(of))}, {one['source']}"
+                run = Run(one["seconds"], milestones, checks, (0, 0), one["path_lengths"])
+                grown.setdefault(name, []).append(run)
+    check = median(checking) * 1e9
+
+    print(f"Until all {len(scene.tasks)} questions are answered:\n{HEAD}")
+    for name, of in solved.items():
+        print(line(name, of, calls))
+    print(NOTE.format(runs=runs, state=calls[0], motion=calls[1], check=check))
+    if grown:
+        print(f"\nA roadmap of {arguments.milestones} milestones ({few} runs):\n{HEAD}")
+        for name, of in grown.items():
+            print(line(name, of, calls))
+        print("k(n) is e(1 + 1/d) ln n for OMPL's PRM*, with d = 6, and 2e ln n for ours: 1.7 times as many.")
+    if arguments.json:
+        tables = {"solved": solved, "grown": grown}
+        figures = {"calls_us": calls, "check_ns": check}
+        for title, table in tables.items():
+            figures[title] = {name: [asdict(run) for run in of] for name, of in table.items()}
+        arguments.json.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+def workers(count: int) -> str:
+    return f"{count} worker" + ("s" if count > 1 else "")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (AssertionError, RuntimeError, OSError, subprocess.CalledProcessError) as error:
+        sys.exit(f"error: {error}")
+    sys.stdout.flush()
+    # OMPL's bindings report what the interpreter has not freed on the way out.
+    os._exit(0)
