@@ -8,6 +8,8 @@
 mod account;
 #[path = "../examples/rigid/milestone.rs"]
 mod milestone;
+#[path = "../examples/rigid/nearby.rs"]
+mod nearby;
 #[path = "../examples/planning/mod.rs"]
 mod planning;
 #[path = "../examples/rigid/replay.rs"]
@@ -23,17 +25,21 @@ mod worker;
 
 use std::{collections::BTreeSet, sync::LazyLock};
 
+use nearby::Source;
 use planning::{path, problem::Problem};
 use replay::stored;
 use roadmap::Roadmap;
 use scene::Rooms;
 use server::Server;
 use wayfold_client::IndexHandle;
-use worker::{Source, Worker};
+use worker::Worker;
 
 static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
 const SPACE: &str = "R3*SO3:0.15";
 const SEED: u64 = 7;
+
+/// How many milestones each of four workers inserts in one call.
+const BATCHES: [usize; 4] = [1, 3, 1, 3];
 
 /// A worker with a connection of its own.
 async fn worker(server: &Server, number: usize, replica: bool) -> Worker<'static> {
@@ -46,7 +52,8 @@ async fn worker(server: &Server, number: usize, replica: bool) -> Worker<'static
     Worker::new(&SCENE, index, source, number, SEED)
 }
 
-/// The edges of each milestone, had one worker made all of them in the order of their revisions.
+/// The edges of each milestone, had one worker made all of them in the order of their revisions, and of the rows of each
+/// insert.
 fn replayed(roadmap: &Roadmap) -> Vec<BTreeSet<u64>> {
     replay::edges(&SCENE, roadmap).unwrap()
 }
@@ -79,21 +86,30 @@ async fn four_workers_build_what_one_would() {
     for number in 0..4 {
         workers.push(worker(&server, number, number % 2 == 0).await);
     }
-    // Each looks before any inserts, so that all but one are told of another, however they are scheduled later.
+    // Each looks before any inserts, so that all but one are told of another, however they are scheduled later; and the
+    // later of a batch of the earlier.
     let mut looked = Vec::new();
-    for worker in &mut workers {
-        let state = worker.sample();
-        looked.push(worker.look(state).await.unwrap().unwrap());
+    for (worker, batch) in workers.iter_mut().zip(BATCHES) {
+        let states = (0..batch).map(|_| worker.sample()).collect();
+        looked.push(worker.look(states).await.unwrap());
     }
     for (worker, checked) in workers.iter_mut().zip(looked) {
-        let pending = worker.insert(checked).await.unwrap().unwrap();
+        let pending = worker.insert(checked).await.unwrap();
         worker.complete(pending).await.unwrap();
     }
-    let meanwhile = extend(workers, 150).await;
-    assert!(meanwhile >= 3, "no two workers ever met");
+    let first: u64 = BATCHES.iter().sum::<usize>() as u64;
+    let met: u64 = workers.iter().map(|one| one.account().meanwhile).sum();
+    assert!(met >= first - 1, "each but the first has met another");
+    let workers = workers.into_iter().zip(BATCHES);
+    let workers = workers.map(|(worker, batch)| worker.batch(batch));
+    extend(workers.collect(), 150).await;
 
     let roadmap = read(&index).await;
-    assert!(roadmap.len() >= 150 && !roadmap.pending.contains(&true));
+    assert!((150..=158).contains(&roadmap.len()));
+    assert!(!roadmap.pending.contains(&true));
+    let shared = roadmap.revisions.windows(3);
+    let shared = shared.filter(|of| of[0] == of[2]).count();
+    assert!(shared >= 2, "rows of one insert");
     assert_eq!(BTreeSet::from_iter(&roadmap.workers).len(), 4);
     assert_eq!(stored(&roadmap), replayed(&roadmap));
 
@@ -130,45 +146,43 @@ async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
         other.add(state).await.unwrap().unwrap();
     }
     // It dies before it inserts, which leaves nothing.
-    let state = doomed.sample();
-    drop(doomed.look(state).await.unwrap().unwrap());
-    // It dies when it has inserted, and milestones arrived meanwhile, the first of them next to it.
-    let state = doomed.sample();
-    let checked = doomed.look(state.clone()).await.unwrap().unwrap();
-    let mut beside = state.clone();
+    let states = vec![doomed.sample(), doomed.sample()];
+    drop(doomed.look(states).await.unwrap());
+    // It dies when it has inserted a batch, and milestones arrived meanwhile, the first of them next to one of it.
+    let states: Vec<_> = (0..3).map(|_| doomed.sample()).collect();
+    let checked = doomed.look(states.clone()).await.unwrap();
+    let mut beside = states[1].clone();
     beside[0] += 1e-3;
     other.add(beside).await.unwrap().unwrap();
     for _ in 0..20 {
         let state = other.sample();
         other.add(state).await.unwrap().unwrap();
     }
-    drop(doomed.insert(checked).await.unwrap().unwrap());
+    assert_eq!(doomed.insert(checked).await.unwrap().len(), 3);
     drop(doomed);
-    // The others see it, and go on.
+    // The others see them, and go on.
     let third = worker(&server, 2, false).await;
-    extend(vec![other, third], 90).await;
+    extend(vec![other.batch(4), third], 90).await;
 
     let roadmap = read(&index).await;
     let pending = (0..roadmap.len()).filter(|&at| roadmap.pending[at]);
-    let [id] = pending.collect::<Vec<_>>()[..] else {
-        panic!("one was left pending")
-    };
+    let pending: Vec<usize> = pending.collect();
+    assert_eq!(pending, [61, 62, 63], "a batch was left pending");
     let (mut as_left, serial) = (stored(&roadmap), replayed(&roadmap));
-    assert!(
-        !as_left[id].contains(&(id as u64 - 21)),
-        "the one beside it"
-    );
-    assert!(serial[id].contains(&(id as u64 - 21)));
-    // All that it has is free, and nothing else is missing anywhere.
-    for &to in &as_left[id] {
-        let (state, other) = (roadmap.states.row(id), roadmap.states.row(to as usize));
-        path::verify(&*SCENE, &[state.to_vec(), other.to_vec()]).unwrap();
+    assert!(!as_left[62].contains(&40), "the one beside it");
+    assert!(serial[62].contains(&40));
+    // All that they have is free, and nothing else is missing anywhere.
+    for id in pending {
+        for &to in &as_left[id] {
+            let (state, other) = (roadmap.states.row(id), roadmap.states.row(to as usize));
+            path::verify(&*SCENE, &[state.to_vec(), other.to_vec()]).unwrap();
+        }
+        as_left[id].clone_from(&serial[id]);
     }
-    as_left[id].clone_from(&serial[id]);
     assert_eq!(as_left, serial);
 
     let mut heir = worker(&server, 3, false).await;
-    assert_eq!(roadmap::adopt(&index, &mut heir).await.unwrap(), 1);
+    assert_eq!(roadmap::adopt(&index, &mut heir).await.unwrap(), 3);
     let roadmap = read(&index).await;
     assert!(!roadmap.pending.contains(&true));
     assert_eq!(stored(&roadmap), serial);
@@ -183,7 +197,7 @@ async fn a_sparse_roadmap_has_no_two_milestones_too_near_to_each_other() {
         worker(&server, 0, false).await,
         worker(&server, 1, true).await,
     );
-    let sparse = [first, second].map(|worker| worker.min_separation(1.2));
+    let sparse = [first, second.batch(5)].map(|worker| worker.min_separation(1.2));
     extend(sparse.into(), 60).await;
 
     let roadmap = read(&index).await;

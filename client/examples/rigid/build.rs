@@ -5,12 +5,13 @@ use std::time::{Duration, Instant};
 use wayfold_client::{Client, IndexHandle};
 
 use crate::{
+    nearby::Source,
     options::{Job, Kind, Options, PROGRESS_MS},
     planning::{error::PlanningError, path, problem::Problem},
     processes::{self, Crew},
     roadmap::{self, Roadmap},
     scene::Rooms,
-    worker::{Source, Worker},
+    worker::Worker,
 };
 
 /// A roadmap, what its workers did for it, and what it was asked.
@@ -77,6 +78,7 @@ async fn build_in(
         seed,
         milestones: options.milestones,
         source: options.source,
+        batch: options.batch,
         min_separation: options.min_separation,
         progress_ms: PROGRESS_MS,
     };

@@ -6,9 +6,9 @@
 //!     cargo run --release -p wayfold-client --example rigid -- --scaling [--runs 5]
 //!     cargo run --release -p wayfold-client --example rigid -- --until-solved [--scaling] [--runs 5]
 //!
-//! Reading order: `milestone` (what the index keeps), `worker` (the planner), `roadmap` (what all of them made),
-//! `processes` (how they are started), `build` (one roadmap from the start to its paths), `until_solved` (no
-//! further than its paths), `replay` and `audit` (what a roadmap must be), `report`, `picture`.
+//! Reading order: `milestone` (what the index keeps), `nearby` (its candidates), `worker` (the planner), `roadmap` (what all
+//! of them made), `processes` (how they are started), `build` (one roadmap from the start to its paths), `until_solved`
+//! (no further than its paths), `replay` and `audit` (what a roadmap must be), `report`, `picture`.
 
 #[path = "../planning/mod.rs"]
 mod planning;
@@ -18,6 +18,7 @@ mod audit;
 mod build;
 mod figures;
 mod milestone;
+mod nearby;
 mod options;
 mod picture;
 mod processes;

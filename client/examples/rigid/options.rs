@@ -19,6 +19,9 @@ pub struct Options {
     /// Where the first neighbours of a state come from
     #[arg(long, value_enum, default_value_t = Kind::Replica)]
     pub source: Kind,
+    /// How many milestones a worker inserts in one call
+    #[arg(long, default_value_t = 8, value_parser = at_least_one)]
+    pub batch: usize,
     /// Leaves out states that are nearer to a milestone than this
     #[arg(long, default_value_t = 0.0)]
     pub min_separation: f64,
@@ -89,6 +92,9 @@ pub struct Job {
     /// Where the first neighbours come from
     #[arg(long, value_enum)]
     pub source: Kind,
+    /// How many milestones it inserts in one call
+    #[arg(long)]
+    pub batch: usize,
     /// Leaves out states that are nearer to a milestone than this
     #[arg(long)]
     pub min_separation: f64,
@@ -129,6 +135,7 @@ impl Job {
             ("seed", self.seed.to_string()),
             ("milestones", self.milestones.to_string()),
             ("source", self.source.name().to_owned()),
+            ("batch", self.batch.to_string()),
             ("min-separation", self.min_separation.to_string()),
             ("progress-ms", self.progress_ms.to_string()),
         ];
@@ -142,7 +149,7 @@ impl Job {
 fn at_least_one(text: &str) -> Result<usize, String> {
     let number = text.parse::<usize>().map_err(|error| error.to_string())?;
     match number {
-        0 => Err("at least one process has to build it".to_owned()),
+        0 => Err("at least one is needed".to_owned()),
         number => Ok(number),
     }
 }

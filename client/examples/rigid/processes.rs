@@ -15,10 +15,11 @@ use wayfold_client::Client;
 
 use crate::{
     account::Account,
+    nearby::Source,
     options::{Job, Kind},
     planning::error::PlanningError,
     scene::Rooms,
-    worker::{Source, Worker},
+    worker::Worker,
 };
 
 /// What a worker tells.
@@ -43,6 +44,7 @@ pub async fn work(job: &Job) -> Result<(), PlanningError> {
     };
     let scene = Rooms::new();
     let worker = Worker::new(&scene, index, source, job.number, job.seed);
+    let worker = worker.batch(job.batch);
     let mut worker = worker.min_separation(job.min_separation);
 
     tell(&Line::Ready)?;

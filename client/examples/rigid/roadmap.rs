@@ -6,7 +6,7 @@ use petgraph::{
     algo::astar,
     graph::{NodeIndex, UnGraph},
 };
-use wayfold_client::{Filter, IndexHandle, Space, States};
+use wayfold_client::{Filter, IndexHandle, Point, Space, States};
 
 use crate::{
     milestone::{self, PENDING},
@@ -118,11 +118,12 @@ pub async fn adopt(index: &IndexHandle, by: &mut Worker<'_>) -> Result<usize, Pl
     let mut scan = index.scan().filter(pending).payloads().await?;
     let mut adopted = 0;
     while let Some(part) = scan.next_part().await? {
-        for point in part.iter() {
-            let orphan = Pending::found(point).ok_or(PlanningError::Payload { id: point.id })?;
-            by.complete(orphan).await?;
-            adopted += 1;
-        }
+        let found =
+            |point: Point<'_>| Pending::found(point).ok_or(PlanningError::Payload { id: point.id });
+        let orphans: Result<Vec<Pending>, _> = part.iter().map(found).collect();
+        let orphans = orphans?;
+        adopted += orphans.len();
+        by.complete(orphans).await?;
     }
     Ok(adopted)
 }

@@ -18,13 +18,14 @@ use crate::{
     account::Account,
     build::WORKERS,
     milestone::{self, PENDING},
+    nearby::Source,
     options::{Job, Options},
     planning::{error::PlanningError, path, problem::Problem},
     processes::{Heard, Line, Process, lost},
     report,
     roadmap::Roadmap,
     scene::Rooms,
-    worker::{Source, Worker},
+    worker::Worker,
 };
 
 /// A roadmap that answers all questions.
@@ -100,6 +101,8 @@ async fn solve(
             seed,
             milestones: options.milestones,
             source: options.source,
+            // A milestone that answers the last question is to be heard of at once.
+            batch: 1,
             min_separation: options.min_separation,
             // What a solution costs is to be known to a milestone of each.
             progress_ms: 0,

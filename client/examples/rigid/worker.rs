@@ -1,40 +1,28 @@
-//! A worker: PRM*, one milestone after the other, on a roadmap that others extend too.
+//! A worker: PRM*, a batch of milestones after the other, on a roadmap that others extend too.
 //!
 //! The PRM* of S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011, in its
 //! incremental form: a milestone tries the ways to its k(n) nearest among the n that were there before it. Which these
 //! are depends on the order of the milestones alone, so that any number of workers build what one would have built, had it
 //! drawn the same states in that order.
+//!
+//! The milestones of a batch share the calls: one search, one insert, one update. What a call costs both sides is most of
+//! what the service costs; a batch pays it once. Of two milestones of one batch the later is told of the earlier, as of
+//! everybody else's.
 
-use std::time::Instant;
+use std::{collections::HashSet, time::Instant};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use tokio::task::JoinHandle;
-use wayfold_client::{
-    Filter, Include, IndexHandle, NeighborQuery, Neighbors, Point, Replica, Scaling, Search, Update,
-};
+use wayfold_client::{Filter, IndexHandle, NeighborQuery, Point, Update};
 
 use crate::{
     account::Account,
     milestone::{self, PENDING},
+    nearby::{self, Candidate, SCALING, STATES, Source},
     planning::{error::PlanningError, problem::Problem, sampling},
     scene::Rooms,
 };
-
-/// k(n) of PRM*.
-pub const SCALING: Scaling = Scaling {
-    k_factor: Some(Scaling::K_FACTOR),
-    radius_factor: None,
-    radius_max: None,
-};
-
-/// Where a worker's first candidates come from.
-pub enum Source {
-    /// The server, in a call.
-    Server,
-    /// A replica in the worker's own process, as new as it happens to be.
-    Replica(Replica),
-}
 
 /// One that samples, checks and inserts.
 pub struct Worker<'a> {
@@ -43,28 +31,24 @@ pub struct Worker<'a> {
     source: Source,
     number: usize,
     rng: ChaCha8Rng,
+    batch: usize,
     min_separation: f64,
     account: Account,
 }
 
-/// A milestone that is near enough for an edge.
-#[derive(Clone, Debug)]
-struct Candidate {
-    id: u64,
-    distance: f64,
-    state: Vec<f64>,
-    /// Whether the way is free, once it is known.
-    free: Option<bool>,
-}
-
-/// A free state whose ways to what was there are checked; not stored yet.
+/// Free states whose ways to what was there are checked; not stored yet.
 #[derive(Debug)]
 pub struct Checked {
+    states: Vec<CheckedState>,
+    /// A revision up to which no milestone was missed.
+    seen: u64,
+}
+
+#[derive(Debug)]
+struct CheckedState {
     state: Vec<f64>,
     /// The nearest of those that were there.
     earlier: Vec<Candidate>,
-    /// The revision at which that was so.
-    seen: u64,
     /// Where the free ways lead.
     edges: Vec<u64>,
 }
@@ -73,7 +57,6 @@ pub struct Checked {
 #[derive(Debug)]
 pub struct Pending {
     id: u64,
-    revision: u64,
     state: Vec<f64>,
     /// The nearest of those that were there at the first search.
     earlier: Vec<Candidate>,
@@ -88,7 +71,6 @@ impl Pending {
     pub fn found(point: Point<'_>) -> Option<Pending> {
         Some(Pending {
             id: point.id,
-            revision: point.revision,
             state: point.state.to_vec(),
             earlier: Vec::new(),
             meanwhile: Vec::new(),
@@ -114,9 +96,16 @@ impl<'a> Worker<'a> {
             source,
             number,
             rng,
+            batch: 1,
             min_separation: 0.0,
             account: Account::default(),
         }
+    }
+
+    /// Inserts so many milestones in one call, where it extends the roadmap.
+    pub fn batch(mut self, milestones: usize) -> Worker<'a> {
+        self.batch = milestones;
+        self
     }
 
     /// Leaves out what is nearer to a milestone than this.
@@ -147,37 +136,42 @@ impl<'a> Worker<'a> {
 
     /// Makes a free state a milestone, with all its edges; returns its id, or none if it is too near to another.
     pub async fn add(&mut self, state: Vec<f64>) -> Result<Option<u64>, PlanningError> {
-        let Some(checked) = self.look(state).await? else {
-            return Ok(None);
-        };
-        let Some(pending) = self.insert(checked).await? else {
-            return Ok(None);
-        };
-        let id = pending.id;
+        let checked = self.look(vec![state]).await?;
+        let pending = self.insert(checked).await?;
+        let id = pending.first().map(|pending| pending.id);
         self.complete(pending).await?;
-        Ok(Some(id))
+        Ok(id)
     }
 
-    /// The first step: checks the ways to what is there; none if that is too near.
-    pub async fn look(&mut self, state: Vec<f64>) -> Result<Option<Checked>, PlanningError> {
+    /// The first step: checks the ways of free states to what is there, and drops those to which that is too near.
+    pub async fn look(&mut self, states: Vec<Vec<f64>>) -> Result<Checked, PlanningError> {
         let start = Instant::now();
-        let (mut earlier, seen) = self.nearest(&state).await?;
+        let (near, seen) = self.source.nearest(&self.index, &states).await?;
         self.account.searching += start.elapsed();
-        let nearest = earlier.first();
-        if nearest.is_some_and(|nearest| nearest.distance < self.min_separation) {
-            return Ok(None);
+        let mut checked = Vec::with_capacity(states.len());
+        for (state, mut earlier) in states.into_iter().zip(near) {
+            let nearest = earlier.first();
+            if nearest.is_some_and(|nearest| nearest.distance < self.min_separation) {
+                continue;
+            }
+            let edges = self.check(&state, &mut earlier);
+            checked.push(CheckedState {
+                state,
+                earlier,
+                edges,
+            });
         }
-        let edges = self.check(&state, &mut earlier);
-        Ok(Some(Checked {
-            state,
-            earlier,
+        Ok(Checked {
+            states: checked,
             seen,
-            edges,
-        }))
+        })
     }
 
-    /// The second step: stores the state with these edges, and is told of what arrived meanwhile.
-    pub async fn insert(&mut self, checked: Checked) -> Result<Option<Pending>, PlanningError> {
+    /// The second step: stores the states with these edges, and is told of what arrived meanwhile.
+    pub async fn insert(&mut self, checked: Checked) -> Result<Vec<Pending>, PlanningError> {
+        if checked.states.is_empty() {
+            return Ok(Vec::new());
+        }
         let start = Instant::now();
         let pending = self.insertion(checked).await?;
         self.account.waiting += start.elapsed();
@@ -188,7 +182,7 @@ impl<'a> Worker<'a> {
     fn insertion(
         &self,
         checked: Checked,
-    ) -> impl Future<Output = Result<Option<Pending>, PlanningError>> + Send + use<> {
+    ) -> impl Future<Output = Result<Vec<Pending>, PlanningError>> + Send + use<> {
         let around = NeighborQuery {
             scaling: SCALING,
             filter: Filter {
@@ -198,33 +192,42 @@ impl<'a> Worker<'a> {
             include: STATES,
             ..NeighborQuery::default()
         };
+        let states = checked.states;
+        let tag = milestone::tag(self.number) | PENDING;
         let insert = self
             .index
-            .insert([&checked.state])
-            .tags([milestone::tag(self.number) | PENDING])
-            .payloads([milestone::payload(&checked.edges)])
+            .insert(states.iter().map(|one| &one.state))
+            .tags(vec![tag; states.len()])
+            .payloads(states.iter().map(|one| milestone::payload(&one.edges)))
             .min_separation(self.min_separation)
             .neighbors(around);
         async move {
             let inserted = insert.await?;
-            let Some(id) = inserted.outcomes[0].id() else {
-                return Ok(None);
-            };
-            let meanwhile = inserted.neighbors.as_ref().map(candidates);
-            Ok(Some(Pending {
-                id,
-                revision: inserted.revision,
-                state: checked.state,
-                earlier: checked.earlier,
-                meanwhile: meanwhile.unwrap_or_default(),
-                stored: checked.edges,
-            }))
+            let around = inserted.neighbors.iter().flat_map(|near| near.rows());
+            let rows = states.into_iter().zip(inserted.outcomes).zip(around);
+            let pending = rows.filter_map(|((checked, outcome), meanwhile)| {
+                let mut meanwhile = nearby::candidates(meanwhile);
+                // The search may have been of a later revision than the one that all of a batch have seen.
+                let earlier: HashSet<u64> = checked.earlier.iter().map(|one| one.id).collect();
+                meanwhile.retain(|one| !earlier.contains(&one.id));
+                Some(Pending {
+                    id: outcome.id()?,
+                    state: checked.state,
+                    earlier: checked.earlier,
+                    meanwhile,
+                    stored: checked.edges,
+                })
+            });
+            Ok(pending.collect())
         }
     }
 
     /// The last step: checks the ways to what arrived meanwhile, and says that nothing is missing now. Done twice, also by
     /// two workers at once, it does the same.
-    pub async fn complete(&mut self, pending: Pending) -> Result<(), PlanningError> {
+    pub async fn complete(&mut self, pending: Vec<Pending>) -> Result<(), PlanningError> {
+        if pending.is_empty() {
+            return Ok(());
+        }
         let update = self.completion(pending).await?;
         let start = Instant::now();
         update.await?;
@@ -233,8 +236,27 @@ impl<'a> Worker<'a> {
     }
 
     /// The call of the last step, after its checks.
-    async fn completion(&mut self, pending: Pending) -> Result<Update, PlanningError> {
-        self.account.meanwhile += pending.meanwhile.len() as u64;
+    async fn completion(&mut self, pending: Vec<Pending>) -> Result<Update, PlanningError> {
+        let ids: Vec<u64> = pending.iter().map(|one| one.id).collect();
+        let (mut payloads, mut changed) = (Vec::with_capacity(ids.len()), false);
+        for mut one in pending {
+            self.account.meanwhile += one.meanwhile.len() as u64;
+            let stored = std::mem::take(&mut one.stored);
+            let edges = self.edges(one).await?;
+            changed |= edges != stored;
+            self.account.milestones += 1;
+            self.account.edges += edges.len() as u64;
+            payloads.push(milestone::payload(&edges));
+        }
+        let mut update = self.index.update(ids);
+        if changed {
+            update = update.payloads(payloads);
+        }
+        Ok(update.tags([0]).tag_mask(PENDING))
+    }
+
+    /// All edges of a stored milestone.
+    async fn edges(&mut self, pending: Pending) -> Result<Vec<u64>, PlanningError> {
         // Ids are assigned from 0 on and nothing is ever removed: so many milestones were there before.
         let before = pending.id as usize;
         let k = SCALING.k(before).unwrap_or(usize::MAX);
@@ -244,8 +266,8 @@ impl<'a> Worker<'a> {
         if !enough && candidates.len() < before {
             // k(n) has grown by those that arrived, or nothing was known.
             let start = Instant::now();
-            let all = self.nearest_before(&pending.state, pending.revision, k);
-            let known = std::mem::replace(&mut candidates, all.await?);
+            let all = nearby::nearest_before(&self.index, &pending.state, pending.id, k).await?;
+            let known = std::mem::replace(&mut candidates, all);
             for candidate in &mut candidates {
                 let known = known.iter().find(|known| known.id == candidate.id);
                 candidate.free = known.and_then(|known| known.free);
@@ -254,15 +276,7 @@ impl<'a> Worker<'a> {
         }
         candidates.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
         candidates.truncate(k);
-        let edges = self.check(&pending.state, &mut candidates);
-        self.account.edges += edges.len() as u64;
-
-        let mut update = self.index.update([pending.id]);
-        if edges != pending.stored {
-            update = update.payloads([milestone::payload(&edges)]);
-        }
-        self.account.milestones += 1;
-        Ok(update.tags([0]).tag_mask(PENDING))
+        Ok(self.check(&pending.state, &mut candidates))
     }
 
     /// Checks the ways that are not checked yet; returns where the free ones lead, ascending.
@@ -281,63 +295,10 @@ impl<'a> Worker<'a> {
         ids
     }
 
-    /// The k(n) nearest that the source knows, and the revision at which that is so.
-    async fn nearest(&self, state: &[f64]) -> Result<(Vec<Candidate>, u64), PlanningError> {
-        match &self.source {
-            Source::Server => {
-                let found = self.index.knn([state]).k_scaled(Scaling::K_FACTOR);
-                let found = found.include(STATES).await?;
-                Ok((candidates(&found), found.revision()))
-            }
-            Source::Replica(replica) => {
-                let view = replica.view()?;
-                let found = view.search_scaled(state, SCALING, &Search::nearest_k(1))?;
-                let near = found.neighbors.iter().filter_map(|neighbor| {
-                    Some(Candidate {
-                        id: neighbor.id,
-                        distance: neighbor.distance,
-                        state: view.get(neighbor.id)?.row.to_vec(),
-                        free: None,
-                    })
-                });
-                Ok((near.collect(), found.revision))
-            }
-        }
-    }
-
-    /// The k nearest of those that were stored before a revision, which the index has reached.
-    async fn nearest_before(
-        &self,
-        state: &[f64],
-        revision: u64,
-        k: usize,
-    ) -> Result<Vec<Candidate>, PlanningError> {
-        let mut asked = u32::try_from(2 * k).unwrap_or(u32::MAX);
-        loop {
-            let include = Include {
-                revisions: true,
-                ..STATES
-            };
-            let found = self.index.knn([state]).k(asked).include(include).await?;
-            let row = found.row(0);
-            let stored = row.revisions.unwrap_or_default().iter();
-            let mut near: Vec<Candidate> = candidates(&found)
-                .into_iter()
-                .zip(stored)
-                .filter_map(|(candidate, stored)| (*stored < revision).then_some(candidate))
-                .collect();
-            if near.len() >= k || row.len() < asked as usize {
-                near.truncate(k);
-                return Ok(near);
-            }
-            asked = asked.saturating_mul(2);
-        }
-    }
-
-    /// Extends the roadmap until it has so many milestones, telling `progress` of each.
+    /// Extends the roadmap until it has so many milestones, telling `progress` of each batch.
     ///
-    /// While an insert and an update are under way, the next state is drawn and checked. It does not see the milestone that
-    /// is being inserted, but its own insert will tell of it, as of everybody else's.
+    /// While an insert and an update are under way, the next states are drawn and checked. They do not see the milestones
+    /// that are being inserted, but their own insert will tell of these, as of everybody else's.
     pub async fn extend(
         &mut self,
         milestones: u64,
@@ -346,20 +307,22 @@ impl<'a> Worker<'a> {
         let started = Instant::now();
         let before = self.account.total;
         let (mut inserting, mut updating) = (UnderWay::default(), UnderWay::default());
-        let mut enough = false;
-        while !enough {
-            let state = self.sample();
-            let next = self.look(state).await?;
+        // As far as is known here; others may have made more.
+        let mut there_are = 0;
+        while there_are < milestones && !self.is_in_vain(milestones) {
+            let missing = usize::try_from(milestones - there_are).unwrap_or(usize::MAX);
+            let drawn = (0..self.batch.min(missing)).map(|_| self.sample());
+            let drawn = drawn.collect();
+            let next = self.look(drawn).await?;
             let start = Instant::now();
-            let pending: Option<Pending> = inserting.finish().await?.flatten();
+            let pending: Vec<Pending> = inserting.finish().await?.unwrap_or_default();
             self.account.waiting += start.elapsed();
-            enough = pending.as_ref().is_some_and(|one| one.id + 1 >= milestones)
-                || self.is_in_vain(milestones);
-            // What was checked for one milestone too many is left.
-            if let Some(next) = next.filter(|_| !enough) {
+            there_are = pending.last().map_or(there_are, |last| last.id + 1);
+            // What was checked for milestones too many is left.
+            if there_are < milestones && !next.states.is_empty() {
                 inserting.begin(self.insertion(next));
             }
-            if let Some(pending) = pending {
+            if !pending.is_empty() {
                 let update = self.completion(pending).await?;
                 let start = Instant::now();
                 updating.finish().await?;
@@ -370,8 +333,10 @@ impl<'a> Worker<'a> {
             progress(&self.account)?;
         }
         let start = Instant::now();
+        let pending: Vec<Pending> = inserting.finish().await?.unwrap_or_default();
         updating.finish().await?;
         self.account.waiting += start.elapsed();
+        self.complete(pending).await?;
         self.account.total = before + started.elapsed();
         Ok(())
     }
@@ -406,25 +371,4 @@ impl<T: Send + 'static> UnderWay<T> {
         // It fails only if the call panicked, or where the runtime ends and nobody waits.
         call.await.expect("a call does not panic").map(Some)
     }
-}
-
-const STATES: Include = Include {
-    states: true,
-    tags: false,
-    revisions: false,
-    payloads: false,
-};
-
-/// The candidates in the answer about one state.
-fn candidates(found: &Neighbors) -> Vec<Candidate> {
-    let row = found.row(0);
-    let near = row.iter().enumerate().filter_map(|(at, (id, distance))| {
-        Some(Candidate {
-            id,
-            distance,
-            state: row.state(at)?.to_vec(),
-            free: None,
-        })
-    });
-    near.collect()
 }
