@@ -2,9 +2,12 @@
 
 use std::{
     env,
+    ffi::OsStr,
     io::{self, BufRead, BufReader},
     process::{Child, ChildStdout, Command, ExitCode, Stdio},
 };
+
+use tempfile::TempDir;
 
 use super::error::PlanningError;
 
@@ -16,49 +19,83 @@ pub fn serve_if_told() -> Option<ExitCode> {
     (env::var(ROLE).as_deref() == Ok("server")).then(wayfold_server::main)
 }
 
-/// A server in memory on a free port of this machine, killed when it is dropped.
+/// A server on a free port of this machine, killed when it is dropped.
 pub struct ServerProcess {
     child: Child,
     uri: String,
     /// Held, or what the server prints later would meet a closed pipe.
-    _output: BufReader<ChildStdout>,
+    _output: Option<BufReader<ChildStdout>>,
+    /// Where it keeps its indices, unless that is its memory; removed when it is dropped.
+    data: Option<TempDir>,
 }
 
 impl ServerProcess {
-    /// Starts one, and returns once it answers.
+    /// Starts one that keeps its indices in memory, and returns once it answers.
     pub fn start() -> Result<ServerProcess, PlanningError> {
-        let program = env::current_exe().map_err(PlanningError::Server)?;
-        let mut child = Command::new(program)
-            .env(ROLE, "server")
-            .args(["--grpc", "127.0.0.1:0", "--zenoh", "off"])
-            .args(["--data", "memory", "--log", "warn"])
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .spawn()
-            .map_err(PlanningError::Server)?;
+        ServerProcess::listening("127.0.0.1:0", None)
+    }
+
+    /// Starts one that keeps its indices on disk while this exists, and returns once it answers.
+    pub fn durable() -> Result<ServerProcess, PlanningError> {
+        let data = TempDir::new().map_err(PlanningError::Server)?;
+        ServerProcess::listening("127.0.0.1:0", Some(data))
+    }
+
+    fn listening(address: &str, data: Option<TempDir>) -> Result<ServerProcess, PlanningError> {
+        let mut started = ServerProcess {
+            child: spawn(address, data.as_ref())?,
+            uri: String::new(),
+            _output: None,
+            data,
+        };
+        started.listened()?;
+        Ok(started)
+    }
+
+    /// Waits until it says where it listens.
+    fn listened(&mut self) -> Result<(), PlanningError> {
         let mut line = String::new();
-        let output = child.stdout.take().map(BufReader::new);
+        let output = self.child.stdout.take().map(BufReader::new);
         let mut output = output.ok_or_else(|| silent("it has no output"))?;
         output.read_line(&mut line).map_err(PlanningError::Server)?;
-        match line.trim_end().strip_prefix("listening on ") {
-            Some(uri) => Ok(ServerProcess {
-                uri: uri.to_owned(),
-                child,
-                _output: output,
-            }),
-            None => {
-                // It has ended already, or is of no use.
-                let _ = child.kill();
-                let _ = child.wait();
-                Err(silent("it did not say where it listens"))
-            }
-        }
+        let uri = line.trim_end().strip_prefix("listening on ");
+        let uri = uri.ok_or_else(|| silent("it did not say where it listens"))?;
+        self.uri = uri.to_owned();
+        self._output = Some(output);
+        Ok(())
     }
 
     /// Where it listens.
     pub fn uri(&self) -> &str {
         &self.uri
     }
+
+    /// Kills it, and returns once it is gone.
+    pub fn kill(&mut self) -> Result<(), PlanningError> {
+        let killed = self.child.kill().and_then(|()| self.child.wait());
+        killed.map(drop).map_err(PlanningError::Server)
+    }
+
+    /// Starts it again after its end, with the same data and where it listened before; returns once it answers.
+    pub fn start_again(&mut self) -> Result<(), PlanningError> {
+        let address = self.uri.trim_start_matches("http://");
+        self.child = spawn(address, self.data.as_ref())?;
+        self.listened()
+    }
+}
+
+fn spawn(address: &str, data: Option<&TempDir>) -> Result<Child, PlanningError> {
+    let data = data.map_or(OsStr::new("memory"), |data| data.path().as_os_str());
+    let program = env::current_exe().map_err(PlanningError::Server)?;
+    let child = Command::new(program)
+        .env(ROLE, "server")
+        .args(["--grpc", address, "--zenoh", "off", "--log", "warn"])
+        .arg("--data")
+        .arg(data)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn();
+    child.map_err(PlanningError::Server)
 }
 
 fn silent(problem: &str) -> PlanningError {

@@ -7,8 +7,8 @@ use wayfold_client::{Client, IndexHandle};
 use crate::{
     nearby::Source,
     options::{Job, Kind, Options, PROGRESS_MS},
-    planning::{error::PlanningError, path, problem::Problem},
-    processes::{self, Crew},
+    planning::{error::PlanningError, path, problem::Problem, server::ServerProcess},
+    processes::{self, Crew, Incident},
     roadmap::{self, Roadmap},
     scene::Rooms,
     worker::Worker,
@@ -48,17 +48,19 @@ pub struct Answer {
     pub checked: usize,
 }
 
-/// Builds one roadmap as the options say, and asks it all questions.
+/// Builds one roadmap as the options say, and asks it all questions. If it is to be restarted meanwhile, `server` is the one
+/// at `uri`.
 pub async fn build(
     scene: &Rooms,
     uri: &str,
+    server: Option<&mut ServerProcess>,
     options: &Options,
     seed: u64,
 ) -> Result<Built, PlanningError> {
     let client = Client::connect(uri).await?;
     let name = format!("rigid-{}", uuid::Uuid::new_v4());
     let index = client.create_index(&name, scene.space()).await?;
-    let built = build_in(scene, uri, &index, options, seed).await;
+    let built = build_in(scene, uri, server, &index, options, seed).await;
     // What is left behind on a server that is gone, goes with it.
     let _ = client.delete_index(&name).await;
     built
@@ -67,10 +69,18 @@ pub async fn build(
 async fn build_in(
     scene: &Rooms,
     uri: &str,
+    server: Option<&mut ServerProcess>,
     index: &IndexHandle,
     options: &Options,
     seed: u64,
 ) -> Result<Built, PlanningError> {
+    let incident = match server {
+        Some(server) if options.restart => Incident::ServerRestarted(server),
+        _ if options.kill => Incident::WorkerKilled,
+        _ => Incident::None,
+    };
+    let half = (options.kill || options.restart)
+        .then_some(options.milestones / options.workers as u64 / 2);
     let job = |number| Job {
         server: uri.to_owned(),
         index: index.name().to_owned(),
@@ -81,9 +91,10 @@ async fn build_in(
         batch: options.batch,
         min_separation: options.min_separation,
         progress_ms: PROGRESS_MS,
+        halt_at: half.filter(|_| number == 0),
     };
     let jobs: Vec<Job> = (0..options.workers).map(job).collect();
-    let crew = processes::run(&jobs, options.kill)?;
+    let crew = processes::run(&jobs, incident)?;
 
     // Who asks is one more worker: its questions are milestones like all others, and stay for later ones.
     let mut last = Worker::new(scene, index.clone(), Source::Server, options.workers, seed);
@@ -149,7 +160,7 @@ pub async fn compare(
                     source,
                     ..options.clone()
                 };
-                all.push(build(scene, uri, &options, seed).await?);
+                all.push(build(scene, uri, None, &options, seed).await?);
             }
         }
     }

@@ -2,7 +2,7 @@
 //! with six degrees of freedom, the kind of experiment of Fig. 10 in A. Yershova, S. M. LaValle, "Improving Motion Planning
 //! Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
-//!     cargo run --release -p wayfold-client --example rigid -- [--workers 4] [--source server] [--kill]
+//!     cargo run --release -p wayfold-client --example rigid -- [--workers 4] [--source server] [--kill | --restart]
 //!     cargo run --release -p wayfold-client --example rigid -- --scaling [--runs 5]
 //!     cargo run --release -p wayfold-client --example rigid -- --until-solved [--scaling] [--runs 5]
 //!
@@ -68,12 +68,13 @@ fn main() -> ExitCode {
 }
 
 async fn run(options: &Options) -> Result<(), PlanningError> {
-    let own = match options.server {
+    let mut own = match options.server {
+        None if options.restart => Some(ServerProcess::durable()?),
         None => Some(ServerProcess::start()?),
         Some(_) => None,
     };
-    let own = own.as_ref().map(ServerProcess::uri);
-    let uri = options.server.as_deref().or(own).unwrap_or_default();
+    let uri = own.as_ref().map(|own| own.uri().to_owned());
+    let uri = &options.server.clone().or(uri).unwrap_or_default();
     let scene = Rooms::new();
     if options.until_solved {
         return until_solved::run(&scene, uri, options).await;
@@ -83,7 +84,7 @@ async fn run(options: &Options) -> Result<(), PlanningError> {
         print!("{}", report::comparison(&runs));
         return report::write_json(&runs, options);
     }
-    let built = build::build(&scene, uri, options, options.seed).await?;
+    let built = build::build(&scene, uri, own.as_mut(), options, options.seed).await?;
     print!("{}", report::table(&built));
     report::write_json(std::slice::from_ref(&built), options)?;
     picture::draw(&scene, &built, Path::new("rigid.svg"))

@@ -32,8 +32,11 @@ pub struct Options {
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
     /// Kills one worker when it has half its share
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["restart", "scaling"])]
     pub kill: bool,
+    /// Kills the server when one worker has half its share, and starts it again: it keeps the roadmap on disk
+    #[arg(long, conflicts_with_all = ["server", "scaling"])]
+    pub restart: bool,
     /// Compares 1, 2, 4 and 8 workers with both sources instead; no picture
     #[arg(long)]
     pub scaling: bool,
@@ -101,6 +104,9 @@ pub struct Job {
     /// How often it tells its progress, at most
     #[arg(long, default_value_t = PROGRESS_MS)]
     pub progress_ms: u64,
+    /// With so many milestones of its own it says so, its last calls still under way, and waits to be told to go on
+    #[arg(long)]
+    pub halt_at: Option<u64>,
 }
 
 /// How often a worker tells its progress, for a picture of it.
@@ -139,8 +145,10 @@ impl Job {
             ("min-separation", self.min_separation.to_string()),
             ("progress-ms", self.progress_ms.to_string()),
         ];
+        let halt = self.halt_at.map(|own| ("halt-at", own.to_string()));
         arguments
             .into_iter()
+            .chain(halt)
             .map(|(name, value)| format!("--{name}={value}"))
             .collect()
     }

@@ -11,13 +11,13 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-use wayfold_client::Client;
+use wayfold_client::{Client, RetryPolicy};
 
 use crate::{
     account::Account,
     nearby::Source,
     options::{Job, Kind},
-    planning::error::PlanningError,
+    planning::{error::PlanningError, server::ServerProcess},
     scene::Rooms,
     worker::Worker,
 };
@@ -30,13 +30,17 @@ pub enum Line {
     Ready,
     /// What it has done so far.
     Progress(Account),
+    /// What it has done when it was to halt; it waits for a line.
+    Halted(Account),
     /// What it has done at the end.
     Done(Account),
 }
 
 /// The role of a worker.
 pub async fn work(job: &Job) -> Result<(), PlanningError> {
-    let client = Client::connect(&job.server).await?;
+    // A server that is started again is worth a pause.
+    let client = Client::builder().retry(RetryPolicy::until_deadline());
+    let client = client.connect(&job.server).await?;
     let index = client.index(&job.index).await?;
     let source = match job.source {
         Kind::Server => Source::Server,
@@ -48,12 +52,15 @@ pub async fn work(job: &Job) -> Result<(), PlanningError> {
     let mut worker = worker.min_separation(job.min_separation);
 
     tell(&Line::Ready)?;
-    let mut go = String::new();
-    let read = io::stdin().lock().read_line(&mut go);
-    read.map_err(|problem| lost(job.number, problem))?;
+    wait(job)?;
     let progress = Duration::from_millis(job.progress_ms);
-    let mut told = Instant::now();
+    let (mut told, mut halt) = (Instant::now(), job.halt_at);
     let extended = worker.extend(job.milestones, |account| {
+        if halt.is_some_and(|own| account.milestones >= own) {
+            halt = None;
+            tell(&Line::Halted(*account))?;
+            return wait(job);
+        }
         if told.elapsed() < progress {
             return Ok(());
         }
@@ -71,6 +78,16 @@ fn tell(line: &Line) -> Result<(), PlanningError> {
     let written = written.and_then(|()| output.write_all(b"\n"));
     let written = written.and_then(|()| output.flush());
     written.map_err(|problem| lost(0, problem))
+}
+
+/// Waits for a line; fails where nobody can write one any more.
+fn wait(job: &Job) -> Result<(), PlanningError> {
+    let mut line = String::new();
+    let read = io::stdin().lock().read_line(&mut line);
+    match read.map_err(|problem| lost(job.number, problem))? {
+        0 => Err(lost(job.number, "who started it is gone")),
+        _ => Ok(()),
+    }
 }
 
 /// What happened to a worker.
@@ -91,6 +108,28 @@ pub struct Crew {
     pub growth: Vec<Told>,
     /// Which was killed, and when.
     pub killed: Option<(usize, Duration)>,
+    /// When the server was killed, and when it listened again.
+    pub restarted: Option<(Duration, Duration)>,
+}
+
+impl Crew {
+    /// The longest time in which no worker told of more milestones.
+    pub fn longest_pause(&self) -> Duration {
+        let mut told: Vec<Duration> = self.growth.iter().map(|told| told.at).collect();
+        told.sort_unstable();
+        let pauses = told.windows(2).map(|pair| pair[1] - pair[0]);
+        pauses.max().unwrap_or_default()
+    }
+}
+
+/// What happens when a worker halts.
+pub enum Incident<'a> {
+    /// Nothing: it goes on.
+    None,
+    /// It is killed.
+    WorkerKilled,
+    /// This server is killed, and is started again while the worker goes on.
+    ServerRestarted(&'a mut ServerProcess),
 }
 
 /// A worker's progress.
@@ -104,8 +143,8 @@ pub struct Told {
     pub milestones: u64,
 }
 
-/// Runs these jobs side by side, to their end; where `kill` says so, kills the first when it has half its share.
-pub fn run(jobs: &[Job], kill: bool) -> Result<Crew, PlanningError> {
+/// Runs these jobs side by side, to their end, with an incident wherever a worker halts.
+pub fn run(jobs: &[Job], mut incident: Incident<'_>) -> Result<Crew, PlanningError> {
     let (told, lines) = mpsc::channel();
     let mut processes = Vec::with_capacity(jobs.len());
     for job in jobs {
@@ -115,8 +154,8 @@ pub fn run(jobs: &[Job], kill: bool) -> Result<Crew, PlanningError> {
     drop(told);
     for _ in jobs {
         match next(&lines)? {
-            (_, Some(Line::Ready)) => {}
-            (number, _) => return Err(lost(number, "it ended before it was ready")),
+            (_, Some(Line::Ready), _) => {}
+            (number, ..) => return Err(lost(number, "it ended before it was ready")),
         }
     }
     let started = Instant::now();
@@ -128,15 +167,32 @@ pub fn run(jobs: &[Job], kill: bool) -> Result<Crew, PlanningError> {
         wall: Duration::ZERO,
         growth: Vec::new(),
         killed: None,
+        restarted: None,
     };
     let mut done = vec![false; jobs.len()];
     let mut working = jobs.len();
     while working > 0 {
-        let (number, line) = next(&lines)?;
-        let at = started.elapsed();
+        let (number, line, when) = next(&lines)?;
+        let at = when.saturating_duration_since(started);
         let was_killed = crew.killed.is_some_and(|(killed, _)| killed == number);
         let account = match line {
             Some(Line::Progress(account)) => account,
+            Some(Line::Halted(account)) => {
+                match &mut incident {
+                    Incident::None => processes[number].begin()?,
+                    Incident::WorkerKilled => {
+                        processes[number].kill()?;
+                        crew.killed = Some((number, at));
+                    }
+                    Incident::ServerRestarted(server) => {
+                        server.kill()?;
+                        processes[number].begin()?;
+                        server.start_again()?;
+                        crew.restarted = Some((at, started.elapsed()));
+                    }
+                }
+                account
+            }
             Some(Line::Done(account)) => {
                 done[number] = true;
                 account
@@ -155,17 +211,12 @@ pub fn run(jobs: &[Job], kill: bool) -> Result<Crew, PlanningError> {
             worker: number,
             milestones: account.milestones,
         });
-        let share = jobs[number].milestones / jobs.len() as u64;
-        if kill && number == 0 && crew.killed.is_none() && 2 * account.milestones >= share {
-            processes[number].kill()?;
-            crew.killed = Some((number, at));
-        }
     }
     Ok(crew)
 }
 
-/// A line of a worker, or its end.
-pub type Heard = (usize, Option<Line>);
+/// A line of a worker, or its end, and when it was heard.
+pub type Heard = (usize, Option<Line>, Instant);
 
 fn next(lines: &Receiver<Heard>) -> Result<Heard, PlanningError> {
     let line = lines.recv();
@@ -201,12 +252,12 @@ impl Process {
             let lines = output.map(BufReader::new).into_iter();
             for line in lines.flat_map(BufRead::lines).map_while(Result::ok) {
                 let line = serde_json::from_str(&line).ok();
-                if line.is_some() && !told((number, line)) {
+                if line.is_some() && !told((number, line, Instant::now())) {
                     return;
                 }
             }
             // Nobody listens when all is over.
-            let _ = told((number, None));
+            let _ = told((number, None, Instant::now()));
         });
         Ok(Process {
             number,

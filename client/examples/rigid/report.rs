@@ -71,6 +71,15 @@ pub fn table(built: &Built) -> String {
             at.as_secs_f64()
         );
     }
+    if let Some((killed, listened)) = built.crew.restarted {
+        let _ = writeln!(
+            text,
+            "The server was killed after {:.2} s, and listened again after {:.2} s; for {:.2} s no worker told of more milestones.",
+            killed.as_secs_f64(),
+            listened.as_secs_f64(),
+            built.crew.longest_pause().as_secs_f64(),
+        );
+    }
     let _ = writeln!(
         text,
         "{} pending milestones were completed in {:.3} s; the roadmap has {} milestones and {} edges.",

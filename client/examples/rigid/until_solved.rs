@@ -106,6 +106,7 @@ async fn solve(
             min_separation: options.min_separation,
             // What a solution costs is to be known to a milestone of each.
             progress_ms: 0,
+            halt_at: None,
         };
         let told = told.clone();
         crew.push(Process::start(&job, move |heard| told.send(heard).is_ok())?);
@@ -113,9 +114,9 @@ async fn solve(
     drop(told);
     for _ in 0..options.workers {
         match lines.recv().await {
-            Some((_, Some(Line::Ready))) => {}
+            Some((_, Some(Line::Ready), _)) => {}
             heard => {
-                let number = heard.map_or(0, |(number, _)| number);
+                let number = heard.map_or(0, |(number, ..)| number);
                 return Err(lost(number, "it ended before it was ready"));
             }
         }
@@ -148,7 +149,7 @@ async fn solve(
     let wall = start.elapsed();
 
     // What they told before they ended.
-    while let Some((number, line)) = lines.recv().await {
+    while let Some((number, line, _)) = lines.recv().await {
         note(&mut accounts, number, line);
     }
     for path in &paths {
@@ -200,7 +201,7 @@ async fn follow(
                     return Ok(());
                 }
             }
-            Some((number, line)) = lines.recv() => {
+            Some((number, line, _)) = lines.recv() => {
                 if line.is_none() && !done[number] {
                     return Err(lost(number, "it ended early; what it said is above"));
                 }
@@ -222,7 +223,7 @@ fn note(accounts: &mut [Account], number: usize, line: Option<Line>) -> bool {
             accounts[number] = account;
             return true;
         }
-        Some(Line::Ready) | None => {}
+        Some(Line::Ready | Line::Halted(_)) | None => {}
     }
     false
 }

@@ -1,0 +1,161 @@
+//! Processes that build one roadmap together, and what happens to them: a worker or the server is killed in the middle,
+//! and the roadmap is as if it had lived.
+//!
+//! This program is all of them: it starts itself as the workers and as the server, and so has a `main` of its own.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![expect(dead_code, reason = "of the example, only the building is tested here")]
+
+#[path = "../examples/rigid/account.rs"]
+mod account;
+#[path = "../examples/rigid/milestone.rs"]
+mod milestone;
+#[path = "../examples/rigid/nearby.rs"]
+mod nearby;
+#[path = "../examples/rigid/options.rs"]
+mod options;
+#[path = "../examples/planning/mod.rs"]
+mod planning;
+#[path = "../examples/rigid/processes.rs"]
+mod processes;
+#[path = "../examples/rigid/replay.rs"]
+mod replay;
+#[path = "../examples/rigid/roadmap.rs"]
+mod roadmap;
+#[path = "../examples/rigid/scene.rs"]
+mod scene;
+#[path = "../examples/rigid/worker.rs"]
+mod worker;
+
+use std::{collections::BTreeSet, process::ExitCode, sync::LazyLock};
+
+use clap::Parser;
+use libtest_mimic::{Arguments, Trial};
+use nearby::Source;
+use options::{Job, Kind, Options, PROGRESS_MS, Role};
+use planning::{
+    problem::Problem,
+    server::{self, ServerProcess},
+};
+use processes::Incident;
+use roadmap::Roadmap;
+use scene::Rooms;
+use tokio::runtime::{Builder, Runtime};
+use wayfold_client::{Client, IndexHandle};
+use worker::Worker;
+
+static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
+const MILESTONES: u64 = 150;
+/// How many milestones a worker has when something happens.
+const HALF: u64 = 20;
+
+fn main() -> ExitCode {
+    if let Some(ended) = server::serve_if_told() {
+        return ended;
+    }
+    if std::env::args().nth(1).as_deref() == Some("work") {
+        let Some(Role::Work(job)) = Options::parse().role else {
+            panic!("a worker has a job");
+        };
+        runtime().block_on(processes::work(&job)).unwrap();
+        return ExitCode::SUCCESS;
+    }
+    let trial = |name, test: fn()| {
+        Trial::test(name, move || {
+            test();
+            Ok(())
+        })
+    };
+    let trials = vec![
+        trial(
+            "a_killed_worker_changes_nothing_but_speed",
+            a_killed_worker_changes_nothing_but_speed,
+        ),
+        trial(
+            "a_killed_server_costs_a_pause_and_nothing_else",
+            a_killed_server_costs_a_pause_and_nothing_else,
+        ),
+    ];
+    libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
+}
+
+fn runtime() -> Runtime {
+    let mut runtime = Builder::new_multi_thread();
+    runtime.worker_threads(1).enable_all().build().unwrap()
+}
+
+/// Three workers, one of which halts in the middle.
+fn jobs(server: &str, batch: usize) -> Vec<Job> {
+    let job = |number| Job {
+        server: server.to_owned(),
+        index: "roadmap".to_owned(),
+        number,
+        seed: 11,
+        milestones: MILESTONES,
+        source: [Kind::Replica, Kind::Server][number % 2],
+        batch,
+        min_separation: 0.0,
+        progress_ms: PROGRESS_MS,
+        halt_at: (number == 0).then_some(HALF),
+    };
+    (0..3).map(job).collect()
+}
+
+async fn index(server: &str) -> IndexHandle {
+    let client = Client::connect(server).await.unwrap();
+    let created = client.create_index("roadmap", SCENE.space()).await;
+    created.unwrap()
+}
+
+/// The roadmap as it is, and once all of it is complete.
+async fn read(index: &IndexHandle) -> [Roadmap; 2] {
+    index.info().await.unwrap();
+    let as_left = Roadmap::read(index).await.unwrap();
+    let mut heir = Worker::new(&SCENE, index.clone(), Source::Server, 3, 11);
+    roadmap::adopt(index, &mut heir).await.unwrap();
+    [as_left, Roadmap::read(index).await.unwrap()]
+}
+
+/// That it is what one worker would have built, and that nothing is stored twice.
+fn is_serial(roadmap: &Roadmap) {
+    assert!(roadmap.len() as u64 >= MILESTONES && !roadmap.pending.contains(&true));
+    assert_eq!(
+        replay::stored(roadmap),
+        replay::edges(&SCENE, roadmap).unwrap()
+    );
+    let states = roadmap.states.iter();
+    let states = states.map(|state| state.iter().map(|x| x.to_bits()).collect::<Vec<_>>());
+    assert_eq!(states.collect::<BTreeSet<_>>().len(), roadmap.len());
+}
+
+fn a_killed_worker_changes_nothing_but_speed() {
+    let server = ServerProcess::start().unwrap();
+    let runtime = runtime();
+    let index = runtime.block_on(index(server.uri()));
+    let crew = processes::run(&jobs(server.uri(), 4), Incident::WorkerKilled).unwrap();
+    assert!(crew.killed.is_some_and(|(worker, _)| worker == 0));
+
+    let [as_left, roadmap] = runtime.block_on(read(&index));
+    let of_the_dead = as_left.workers.iter().filter(|&&worker| worker == 0);
+    let of_the_dead = of_the_dead.count() as u64;
+    assert!((HALF..MILESTONES / 2).contains(&of_the_dead));
+    // Only it left anything pending, and no more than its last two batches.
+    let pending = (0..as_left.len()).filter(|&at| as_left.pending[at]);
+    let pending: Vec<usize> = pending.collect();
+    assert!(pending.len() <= 8);
+    assert!(pending.iter().all(|&at| as_left.workers[at] == 0));
+    is_serial(&roadmap);
+}
+
+fn a_killed_server_costs_a_pause_and_nothing_else() {
+    let mut server = ServerProcess::durable().unwrap();
+    let (runtime, uri) = (runtime(), server.uri().to_owned());
+    let index = runtime.block_on(index(&uri));
+    let crew = processes::run(&jobs(&uri, 3), Incident::ServerRestarted(&mut server)).unwrap();
+    let (killed, listened) = crew.restarted.unwrap();
+    assert!(killed < listened);
+
+    let [as_left, roadmap] = runtime.block_on(read(&index));
+    assert!(!as_left.pending.contains(&true), "all workers have lived");
+    is_serial(&roadmap);
+}
