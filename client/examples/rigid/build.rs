@@ -30,6 +30,8 @@ pub struct Built {
     pub adopting: Duration,
     /// All of it, with the states that were asked about.
     pub roadmap: Roadmap,
+    /// How near the workers' milestones are to each other at least, and how near they were to be, if that was limited.
+    pub separation: Option<(f64, f64)>,
     /// A path for each question.
     pub paths: Vec<Answer>,
     /// How long these took, to connect their ends with the roadmap and to search it.
@@ -111,6 +113,9 @@ async fn build_in(
         ends.push((last.add(start).await?, last.add(goal).await?));
     }
     let roadmap = Roadmap::read(index).await?;
+    let separation = (options.min_separation > 0.0)
+        .then(|| roadmap.separation(scene.space(), options.workers))
+        .flatten();
     let mut paths = Vec::new();
     for (task, ends) in scene.tasks().iter().zip(ends) {
         let found = match ends {
@@ -136,6 +141,7 @@ async fn build_in(
         adopted,
         adopting,
         roadmap,
+        separation: separation.map(|found| (found, options.min_separation)),
         paths,
         asking: start.elapsed(),
     })

@@ -88,6 +88,12 @@ pub fn table(built: &Built) -> String {
         built.roadmap.len(),
         built.roadmap.edge_count(),
     );
+    if let Some((found, wanted)) = built.separation {
+        let _ = writeln!(
+            text,
+            "The two nearest of the workers' milestones are {found:.3} apart; at least {wanted} was wanted."
+        );
+    }
     for answer in &built.paths {
         let _ = writeln!(
             text,

@@ -74,6 +74,19 @@ impl Roadmap {
         self.edges.iter().map(Vec::len).sum()
     }
 
+    /// How near to each other the two nearest milestones are that workers below this number made; none if there are no two.
+    /// Measures all pairs.
+    pub fn separation(&self, space: &Space, workers: usize) -> Option<f64> {
+        let made = self.states.iter().zip(&self.workers);
+        let made = made.filter(|(_, worker)| **worker < workers);
+        let rows: Vec<&[f64]> = made.map(|(state, _)| state).collect();
+        let pairs = rows
+            .iter()
+            .enumerate()
+            .flat_map(|(at, a)| rows[..at].iter().map(move |b| space.distance(a, b)));
+        pairs.min_by(f64::total_cmp)
+    }
+
     /// The shortest path on the roadmap between two milestones.
     pub fn path(&self, space: &Space, start: u64, goal: u64) -> Option<Vec<Vec<f64>>> {
         let state = |node: usize| self.states.row(node);
