@@ -21,15 +21,60 @@ use planning::{
     path::{self, Verify},
     problem::Problem,
     remote::Remote,
-    rrt, sampling,
+    rrt, rrt_star, sampling,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold_client::{Neighbor, Search, States};
+use wayfold_client::{Neighbor, Search, Space, States};
 
 /// Two dead ends away from the start.
 fn small() -> maze::Maze {
     maze::Maze::between((0, 0), (2, 3))
+}
+
+/// What is small, with no more of the maze to draw states from than it is about.
+struct Corner(maze::Maze, [(f64, f64); 2]);
+
+impl Corner {
+    fn new() -> Corner {
+        Corner(small(), [(0.0, 3.0), (4.0, 8.0)])
+    }
+}
+
+impl Problem for Corner {
+    fn space(&self) -> &Space {
+        self.0.space()
+    }
+
+    fn bounds(&self) -> &[(f64, f64)] {
+        &self.1
+    }
+
+    fn start(&self) -> &[f64] {
+        self.0.start()
+    }
+
+    fn goal(&self) -> &[f64] {
+        self.0.goal()
+    }
+
+    fn is_free(&self, state: &[f64]) -> bool {
+        self.0.is_free(state)
+    }
+
+    fn resolution(&self) -> f64 {
+        self.0.resolution()
+    }
+
+    fn checks_per_node(&self) -> usize {
+        self.0.checks_per_node()
+    }
+}
+
+impl Verify for Corner {
+    fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
+        self.0.is_free_between(a, b, t)
+    }
 }
 
 #[test]
@@ -52,6 +97,59 @@ fn all_sources_grow_the_trees_of_brute_force_to_the_bit() {
             assert_eq!(found.path, expected.path);
         }
     }
+}
+
+#[test]
+fn all_sources_grow_the_tree_of_rrt_star_of_brute_force_to_the_bit() {
+    let (problem, server) = (Corner::new(), server::Server::start());
+    let remote = Remote::new(&server.uri).unwrap();
+    let grow = |source| {
+        let own = comparison::open(source, &problem, Some(&remote)).unwrap();
+        rrt_star::grow(&problem, own, 3, 3000).unwrap()
+    };
+    let expected = grow(Wanted::Brute);
+    assert!(expected.tree.len() > 80);
+    for source in Wanted::All.sources() {
+        let found = grow(source);
+        assert!(found.tree == expected.tree, "{source:?}");
+        assert_eq!(found.goal, expected.goal);
+    }
+}
+
+#[test]
+fn the_way_of_rrt_star_only_becomes_shorter() {
+    let problem = Corner::new();
+    let grow = |samples| {
+        let own = comparison::open(Wanted::Forest, &problem, None).unwrap();
+        rrt_star::grow(&problem, own, 3, samples).unwrap()
+    };
+    let mut costs = Vec::new();
+    for samples in (2000..=12_000).step_by(2000) {
+        let star = grow(samples);
+        // What its nodes know is what the states and parents say.
+        let tree = &star.tree;
+        assert_eq!((tree.parents[0], tree.costs[0]), (None, 0.0));
+        for node in 1..tree.len() {
+            let parent = tree.parents[node].unwrap();
+            let (from, to) = (tree.states.row(parent), tree.states.row(node));
+            assert!((problem.space().distance(from, to) - tree.lengths[node]).abs() < 1e-12);
+            assert_eq!(tree.costs[node], tree.costs[parent] + tree.lengths[node]);
+            assert!(tree.costs[parent] < tree.costs[node], "no circles");
+        }
+        let Some(goal) = star.goal else {
+            assert!(costs.is_empty());
+            continue;
+        };
+        let path = tree.branch(goal);
+        path::verify(&problem, &path).unwrap();
+        assert_eq!(path.first().unwrap(), problem.start());
+        assert_eq!(path.last().unwrap(), problem.goal());
+        assert!((path::length(&problem, &path) - tree.costs[goal]).abs() < 1e-9);
+        assert_eq!(star.progress.last().unwrap().cost, tree.costs[goal]);
+        costs.push(tree.costs[goal]);
+    }
+    assert!(costs.is_sorted_by(|before, after| before >= after));
+    assert!(costs.first().unwrap() > costs.last().unwrap());
 }
 
 #[test]

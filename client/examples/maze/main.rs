@@ -2,6 +2,7 @@
 //! "Improving Motion Planning Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
 //!     cargo run --release -p wayfold-client --example maze -- [--source forest] [--seed 1] [--runs 5]
+//!     cargo run --release -p wayfold-client --example maze -- --rrt-star 500000 --source forest
 //!
 //! The same trees are grown with each source of neighbours, from the same seeds; `maze.svg` shows them.
 

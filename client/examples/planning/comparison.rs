@@ -9,6 +9,7 @@ use super::{
     problem::Problem,
     remote::{Remote, ReplicaSource, ServerSource},
     rrt::{self, Account, Growth, Solution},
+    rrt_star::{self, Star},
     server::ServerProcess,
     source::NeighborSource,
 };
@@ -47,20 +48,7 @@ impl Comparison {
 /// Solves `problem` as the options say. Whatever the source, the same seed has to grow the same trees.
 pub fn compare(problem: &impl Problem, options: &Options) -> Result<Comparison, PlanningError> {
     let sources = options.source.sources();
-    let is_remote = |source: &Wanted| matches!(source, Wanted::Server | Wanted::Replica);
-    let (mut _server, mut remote) = (None, None);
-    if sources.iter().any(is_remote) {
-        let uri = match &options.server {
-            Some(uri) => uri.clone(),
-            None => {
-                let started = ServerProcess::start()?;
-                let uri = started.uri().to_owned();
-                _server = Some(started);
-                uri
-            }
-        };
-        remote = Some(Remote::new(&uri)?);
-    }
+    let (_server, remote) = remote(options)?;
     let (mut runs, mut shown) = (Vec::new(), None);
     for seed in options.seed..options.seed + options.runs.max(1) {
         let mut first: Option<Solution> = None;
@@ -95,6 +83,46 @@ pub fn compare(problem: &impl Problem, options: &Options) -> Result<Comparison, 
         runs,
         solution,
     })
+}
+
+/// Grows the tree of RRT* with each source, from the same seed. It has to be the same tree.
+pub fn grow(
+    problem: &impl Problem,
+    options: &Options,
+    samples: usize,
+) -> Result<Vec<(Wanted, Star)>, PlanningError> {
+    let (_server, remote) = remote(options)?;
+    let mut grown: Vec<(Wanted, Star)> = Vec::new();
+    for source in options.source.sources() {
+        eprintln!("{}, seed {} ...", source.name(), options.seed);
+        let own = open(source, problem, remote.as_ref())?;
+        let star = rrt_star::grow(problem, own, options.seed, samples)?;
+        if let Some((first, known)) = grown.first()
+            && known.tree != star.tree
+        {
+            return Err(PlanningError::Differing {
+                first: first.name().to_owned(),
+                other: source.name().to_owned(),
+                seed: options.seed,
+            });
+        }
+        grown.push((source, star));
+    }
+    Ok(grown)
+}
+
+/// What the options' sources need of a server: one that is started for them, unless one runs already, and its threads.
+fn remote(options: &Options) -> Result<(Option<ServerProcess>, Option<Rc<Remote>>), PlanningError> {
+    let is_remote = |source: &Wanted| matches!(source, Wanted::Server | Wanted::Replica);
+    if !options.source.sources().iter().any(is_remote) {
+        return Ok((None, None));
+    }
+    if let Some(uri) = &options.server {
+        return Ok((None, Some(Remote::new(uri)?)));
+    }
+    let started = ServerProcess::start()?;
+    let remote = Remote::new(started.uri())?;
+    Ok((Some(started), Some(remote)))
 }
 
 /// An empty source; `remote` is needed for those behind a server.

@@ -17,7 +17,9 @@ pub enum PlanningError {
     #[error("cannot start a server ({0}); --server URI takes one that runs already")]
     Server(io::Error),
     /// The trees grew as large as they may without meeting.
-    #[error("no path with {nodes} nodes; try another --seed, or more with --max-nodes")]
+    #[error(
+        "no path with {nodes} nodes; try another --seed, or more of them (--max-nodes, --rrt-star)"
+    )]
     Unsolved {
         /// How many nodes there are.
         nodes: usize,

@@ -46,6 +46,9 @@ fn solve(
     paper: Option<f64>,
     draw: impl FnOnce(&Comparison, &[Vec<f64>]) -> Result<(), PlanningError>,
 ) -> Result<(), PlanningError> {
+    if let Some(samples) = options.rrt_star {
+        return optimize(problem, options, samples);
+    }
     let comparison = comparison::compare(problem, options)?;
     print!("{}", report::table(&comparison, paper));
     let path = &comparison.solution.path;
@@ -59,4 +62,23 @@ fn solve(
     }
     let shorter = path::shorten(problem, path.clone(), SHORTENINGS, options.seed);
     draw(&comparison, &shorter)
+}
+
+/// Grows the tree of RRT* with each source, checks its path by other code, and tells how it became shorter.
+fn optimize(problem: &impl Verify, options: &Options, samples: usize) -> Result<(), PlanningError> {
+    let grown = comparison::grow(problem, options, samples)?;
+    print!("{}", report::progress(&grown));
+    let star = grown.first().map(|(_, star)| star);
+    let Some((star, goal)) = star.and_then(|star| Some((star, star.goal?))) else {
+        let nodes = star.map_or(0, |star| star.tree.len());
+        return Err(PlanningError::Unsolved { nodes });
+    };
+    let path = star.tree.branch(goal);
+    let checked = path::verify(problem, &path)?;
+    println!(
+        "The path has {} states and the length {:.3}, and is free in {checked} states, by other code.",
+        path.len(),
+        path::length(problem, &path),
+    );
+    Ok(())
 }

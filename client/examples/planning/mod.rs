@@ -1,7 +1,7 @@
 //! What the planners share: sampling-based planning against one small trait for where the neighbours come from.
 //!
 //! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (what a scene tells a
-//! planner), `rrt` (the planner), `path` (its result, checked anew), `comparison` (one problem with every source),
+//! planner), `rrt` and `rrt_star` (the planners), `path` (its result, checked anew), `comparison` (one problem with every source),
 //! `example` (all of a program that does so), `report` (the table and the JSON), `drawing` and `panels` (what all pictures
 //! have in common).
 
@@ -20,6 +20,7 @@ pub mod problem;
 pub mod remote;
 pub mod report;
 pub mod rrt;
+pub mod rrt_star;
 pub mod sampling;
 pub mod server;
 pub mod source;

@@ -19,6 +19,9 @@ pub struct Options {
     /// A server that runs already; one is started for the time of the example unless given
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
+    /// Grows one tree by so many samples instead, by RRT*, and tells how its path becomes shorter; no picture
+    #[arg(long, value_name = "SAMPLES")]
+    pub rrt_star: Option<usize>,
     /// Gives up with so many nodes
     #[arg(long, default_value_t = 1_000_000)]
     pub max_nodes: usize,

@@ -8,6 +8,7 @@ use super::{
     comparison::{Comparison, Run},
     error::PlanningError,
     options::Wanted,
+    rrt_star::{Progress, Star},
 };
 
 /// Medians over the runs with one source.
@@ -161,6 +162,34 @@ fn network(lines: &[Line], text: &mut String) {
             100.0 * eaten / line.total,
         );
     }
+}
+
+/// How the path of RRT* became shorter, and what that took with each source.
+pub fn progress(grown: &[(Wanted, Star)]) -> String {
+    let mut text = format!("{:>9} {:>9} {:>9}", "samples", "nodes", "length");
+    for (source, _) in grown {
+        let _ = write!(text, " {:>17}", format!("{}, s", source.name()));
+    }
+    text.push('\n');
+    let rows: Vec<Vec<&Progress>> = grown
+        .iter()
+        .map(|(_, star)| star.progress.iter().collect())
+        .collect();
+    for at in 0..rows.first().map_or(0, Vec::len) {
+        let first = rows[0][at];
+        let cost = match first.cost.is_finite() {
+            true => format!("{:.3}", first.cost),
+            false => "none".to_owned(),
+        };
+        let _ = write!(text, "{:>9} {:>9} {cost:>9}", first.samples, first.nodes);
+        for of in rows.iter().map(|row| row[at]) {
+            let total = of.total.as_secs_f64();
+            let share = 100.0 * of.neighbors.time().as_secs_f64() / total;
+            let _ = write!(text, " {total:>9.2} ({share:>3.0} %)");
+        }
+        text.push('\n');
+    }
+    text + "In brackets: the share of searches and inserts. Lengths are of the same tree, whatever the source.\n"
 }
 
 /// Writes the figures of all runs.

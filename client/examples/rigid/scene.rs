@@ -142,27 +142,6 @@ impl Rooms {
         &self.tasks
     }
 
-    /// Whether a motion between free states is free: a function of the two, in this order, and of nothing else. Adds how
-    /// many states were checked.
-    pub fn is_free_way(&self, a: &[f64], b: &[f64], checks: &mut u64) -> bool {
-        let steps = (self.space.distance(a, b) / RESOLUTION).ceil() as usize;
-        let mut state = vec![0.0; self.space.coordinates()];
-        // The middle first, then the middles of the halves: what is in the way is met early.
-        let mut stride = steps.next_power_of_two() / 2;
-        while stride > 0 {
-            for step in (stride..steps).step_by(2 * stride) {
-                let share = step as f64 / steps as f64;
-                self.space.interpolate(a, b, share, &mut state);
-                *checks += 1;
-                if !self.is_free(&state) {
-                    return false;
-                }
-            }
-            stride /= 2;
-        }
-        true
-    }
-
     /// Whether the chair is free there, if each of its parts is so much thicker, where `within` judges whether a box is
     /// inside the outer walls, and `collide` whether it touches another.
     fn is_free_at(
