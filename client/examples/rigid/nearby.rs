@@ -11,6 +11,10 @@ pub const SCALING: Scaling = Scaling {
     radius_max: None,
 };
 
+/// By how much more than k(n) are asked for: while a batch is checked the roadmap grows, and with it k(n). By so much it
+/// grows until n has become n^1.1, from 1,000 to 2,000; who has candidates enough need not search again.
+const SPARE: f64 = 1.1;
+
 /// What a candidate needs.
 pub const STATES: Include = Include {
     states: true,
@@ -41,7 +45,8 @@ pub enum Source {
 }
 
 impl Source {
-    /// The k(n) nearest of each state that the source knows, and a revision from which on some may be missing.
+    /// Somewhat more than the k(n) nearest of each state that the source knows, and a revision from which on some may be
+    /// missing.
     pub async fn nearest(
         &self,
         index: &IndexHandle,
@@ -49,14 +54,18 @@ impl Source {
     ) -> Result<(Vec<Vec<Candidate>>, u64), PlanningError> {
         match self {
             Source::Server => {
-                let found = index.knn(states).k_scaled(Scaling::K_FACTOR);
+                let found = index.knn(states).k_scaled(SPARE * Scaling::K_FACTOR);
                 let found = found.include(STATES).await?;
                 Ok((found.rows().map(candidates).collect(), found.revision()))
             }
             Source::Replica(replica) => {
                 let view = replica.view()?;
+                let scaling = Scaling {
+                    k_factor: Some(SPARE * Scaling::K_FACTOR),
+                    ..SCALING
+                };
                 let nearest = |state: &Vec<f64>| -> Result<Vec<Candidate>, PlanningError> {
-                    let found = view.search_scaled(state, SCALING, &Search::nearest_k(1))?;
+                    let found = view.search_scaled(state, scaling, &Search::nearest_k(1))?;
                     let near = found.neighbors.iter();
                     Ok(near.filter_map(|near| held(&view, near)).collect())
                 };
@@ -65,6 +74,11 @@ impl Source {
             }
         }
     }
+}
+
+/// How many of so many that were found the k(n) nearest are, or nearly so: those to be checked at once.
+pub fn without_spare(found: usize) -> usize {
+    (found as f64 / SPARE).ceil() as usize
 }
 
 /// A candidate that a replica has found.

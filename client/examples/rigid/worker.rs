@@ -154,7 +154,8 @@ impl<'a> Worker<'a> {
             if nearest.is_some_and(|nearest| nearest.distance < self.min_separation) {
                 continue;
             }
-            let edges = self.check(&state, &mut earlier);
+            let at_once = nearby::without_spare(earlier.len());
+            let edges = self.check(&state, &mut earlier[..at_once]);
             checked.push(CheckedState {
                 state,
                 earlier,
