@@ -59,7 +59,7 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
     try:
         for number, source in enumerate(SOURCES):
             job = {"server": server.uri, "index": INDEX, "number": number, "seed": SEED, "milestones": milestones}
-            job |= {"source": source, "min-separation": 0.0, "progress-ms": 0}
+            job |= {"source": source, "batch": 3, "min-separation": 0.0, "progress-ms": 0}
             planners.append(Planner([rigid, "work", *(f"--{name}={value}" for name, value in job.items())]))
         for number, form in enumerate(FORMS, len(SOURCES)):
             job = [server.locator, INDEX, form, number, SEED, milestones, LEAST, examples, stubs]
