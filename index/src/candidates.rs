@@ -24,7 +24,8 @@ pub(crate) struct Candidate<'a> {
 /// Up to so many are kept in order: cheaper than a heap, whose every change runs from end to end of it.
 const IN_ORDER: usize = 48;
 
-/// So many beside the `k` are worth measuring, or points that all are equally near would be held without bound.
+/// So many beside the `k`, and as many as the `k`, are worth measuring, or points that all are equally near would be held
+/// without bound.
 const MOST_BESIDE: usize = 256;
 
 /// Keeps the candidates for the `k` nearest.
@@ -110,7 +111,7 @@ impl<'a> Candidates<'a> {
     /// Whether so many are held beside the `k` that they should be measured.
     #[inline]
     pub(crate) fn is_crowded(&self) -> bool {
-        self.beside.len() >= MOST_BESIDE
+        self.beside.len() >= MOST_BESIDE.max(self.len())
     }
 
     /// All that may be an answer, in no order.

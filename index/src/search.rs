@@ -34,7 +34,8 @@ pub struct Search<'a> {
     pub k: usize,
     /// Only points at this distance or nearer; infinity for no limit.
     pub radius: f64,
-    /// Answers may be farther than the true ones by a factor of `1 + epsilon`; 0 is exact.
+    /// Answers may be farther than the true ones by a factor of `1 + epsilon`, and what lies between
+    /// `radius / (1 + epsilon)` and the radius may be missing; 0 is exact.
     pub epsilon: f64,
     /// Visits at most so many leaves; `usize::MAX` for as many as exactness needs. (New points of a forest, up to the
     /// next merge, lie in leaves of their own, of any size.)
@@ -199,9 +200,10 @@ impl<'a> Walk<'a> {
     ) {
         let (keys, within) = kernel::boxes::<S>(self.space, self.state, boxes, self.limit());
         // So that no two are equal, and a count tells the place of each. It changes a key by less than the margin of the
-        // limit that it will be compared with.
+        // limit that it will be compared with. (Infinity has no bits to spare.)
         let mut lane = 0;
         let keys = keys.map(|key| {
+            let key = if key < f64::MAX { key } else { f64::MAX };
             let distinct = key.to_bits() & !(CHILDREN as u64 - 1) | lane;
             lane += 1;
             f64::from_bits(distinct)

@@ -165,13 +165,13 @@ impl KdTree {
         start..(start + self.leaf_rows).min(self.len())
     }
 
-    /// The boxes of a node's children, as [`Kernels`] take them.
+    /// The boxes of a node's children, as the kernels take them.
     fn boxes(&self, node: usize) -> &[f64] {
         let width = self.space.coordinates() * 2 * CHILDREN;
         &self.boxes[node * width..][..width]
     }
 
-    /// The blocks of a leaf, as [`Kernels`] take them: each of `BLOCK` points, the last of what is left.
+    /// The blocks of a leaf, as the kernels take them: each of `BLOCK` points, the last of what is left.
     fn leaf_blocks(&self, leaf: usize) -> impl Iterator<Item = &[f64]> {
         let first = self.place(leaf * self.leaf_rows) / BLOCK;
         let used = self.slots(leaf).len().div_ceil(BLOCK);

@@ -138,7 +138,7 @@ fn point_term<S: Operations>(part: &Part, state: &[f64], columns: &[f64]) -> Lan
 }
 
 /// How far the squared chord min(|x − y|², |x + y|²) may lie below 2 − 2·|x·y| as it is computed: squared norms are off
-/// from 1 by 12u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: less than 40u in all.
+/// from 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all.
 /// What is lost is the pruning among rotations nearer than 1e-7 to each other; what is saved is half of the kernel.
 const COSINE_SLACK: f64 = 32.0 * f64::EPSILON;
 

@@ -14,6 +14,8 @@ pub(crate) struct Scale {
     weight: Option<f64>,
     exact: bool,
     short: Short,
+    /// From this key on, a distance may be out of range.
+    farthest: f64,
 }
 
 /// The relative rounding of a key: a rotation's bound may be too high by 1e-14 of it, a box's by the 2e-15 that make it
@@ -24,9 +26,11 @@ const MARGIN: f64 = 1.0 + 1e-13;
 /// the bound of rotations.
 #[derive(Clone, Copy, Debug, Default)]
 struct Short {
-    /// What the rest of the series is worth: this times the ninth power of a distance or, in a space of one group, the
-    /// fifth power of its square, ...
+    /// What the rest of the series is worth: the key, times this, times the eighth power of the largest angle that such a
+    /// distance can be ...
     rest: f64,
+    /// ... which is the key times this or, in a space of one group, the root of that, ...
+    per_weight: f64,
     /// ... and no more than this part of the key.
     most: f64,
     /// The slack of the cosine, and what is lost where errors are not relative.
@@ -40,7 +44,7 @@ const REST: f64 = 1.7 / 3150.0;
 /// The rest in terms of what is computed, at most: at s = 2.
 const MOST_REST: f64 = 0.0069;
 
-/// How far a squared angle may lie above the one of the cosine less its slack, in all: 52ε, times π/2, the greatest slope
+/// How far a squared angle may lie above the one of the cosine less its slack, in all: 57ε, times π/2, the greatest slope
 /// of the angle.
 const COSINE_SHORT: f64 = 4e-14;
 
@@ -50,7 +54,7 @@ const REACH_MARGIN: f64 = 1.0 + 1e-12;
 impl Scale {
     pub(crate) fn new(space: &Space) -> Self {
         let groups = space.groups();
-        let exact = !space.has_rotations();
+        let exact = (0..groups.len()).all(|group| rotations(space, group).next().is_none());
         if let [group] = groups {
             let per_weight = 1.0 / group.weight;
             // (√K + δ)² ≤ K·(1 + 1e-13) + δ²·(1 + 1e13): what a distance may have lost, in keys.
@@ -60,12 +64,14 @@ impl Scale {
                 ..Short::default()
             };
             for weight in rotations(space, 0) {
-                let square = weight * weight;
-                short.rest += REST / (square * square);
+                short.rest += REST;
+                short.per_weight = short.per_weight.max(1.0 / weight);
                 short.most = MOST_REST;
                 short.slack += weight * COSINE_SHORT;
             }
+            let farthest = f64::MAX * per_weight;
             return Self {
+                farthest: farthest * farthest * 0.99,
                 per_weight: Some(per_weight),
                 slack: f64::MIN_POSITIVE,
                 weight: Some(group.weight),
@@ -82,18 +88,16 @@ impl Scale {
             ..Short::default()
         };
         for (at, group) in groups.iter().enumerate() {
-            let (mut rest, mut slack_2) = (0.0, 0.0);
+            // √(r² + x) − r is less than √x, and less than x/2r.
+            let mut slack_2 = 0.0;
             for weight in rotations(space, at) {
-                let square = weight * weight;
-                rest += REST / (square * square);
+                let per_weight = 1.0 / group.weight / weight.sqrt();
+                short.rest += REST / 2.0;
+                short.per_weight = short.per_weight.max(per_weight);
+                short.most = MOST_REST / 2.0;
                 slack_2 += weight * COSINE_SHORT;
             }
-            if rest > 0.0 && group.weight > 0.0 {
-                // √(r² + x) − r is less than √x, and less than x/2r.
-                short.rest += 0.5 * rest / group.weight.powi(8);
-                short.most = MOST_REST / 2.0;
-                short.slack += group.weight * slack_2.sqrt();
-            }
+            short.slack += group.weight * slack_2.sqrt();
         }
         Self {
             per_weight: None,
@@ -101,6 +105,7 @@ impl Scale {
             weight: None,
             exact,
             short,
+            farthest: f64::INFINITY,
         }
     }
 
@@ -123,18 +128,22 @@ impl Scale {
     /// [`limit`](Self::limit) of its distance, which need not be known.
     #[inline]
     pub(crate) fn reach(&self, key: f64) -> f64 {
+        if key >= self.farthest {
+            return f64::INFINITY;
+        }
         if self.exact {
             return (key + self.short.slack) * REACH_MARGIN;
         }
-        let square = key * key;
+        // Weights first: the powers of a key alone may be out of range.
+        let share = key * self.short.per_weight;
+        let square = share * share;
         let fourth = square * square;
         let power = match self.per_weight {
-            Some(_) => fourth * key,
-            None => fourth * fourth * key,
+            Some(_) => fourth,
+            None => fourth * fourth,
         };
-        // `min` passes over the NaN of an endless factor and no power.
-        let short = (self.short.rest * power).min(self.short.most * key) + self.short.slack;
-        (key + short) * REACH_MARGIN
+        let rest = (self.short.rest * power).min(self.short.most) * key;
+        (key + rest + self.short.slack) * REACH_MARGIN
     }
 
     /// The limit for those who want nothing but what is nearer by a factor of `1 + epsilon`.
@@ -145,7 +154,7 @@ impl Scale {
         }
     }
 
-    /// The distance of a point of this key, as [`Space::distance`] has it: known where no factor is a rotation, since
+    /// The distance of a point of this key, as [`Space::distance`] has it: known where no rotation weighs anything, since
     /// all others' terms are those of the distance, computed by the same operations in the same order.
     #[inline]
     pub(crate) fn distance(&self, key: f64) -> Option<f64> {

@@ -9,7 +9,7 @@
 //! weighted product metric of Yershova and LaValle; every factor a group of its own is OMPL's `CompoundStateSpace`.
 //!
 //! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and what
-//! is not correctly rounded by IEEE 754 comes from `libm`. Whatever is reported anywhere was computed by it.
+//! is not correctly rounded by IEEE 754 comes from `libm`. Whatever is reported anywhere has its bits.
 
 mod error;
 mod geodesic;
@@ -186,7 +186,6 @@ pub struct Space {
     /// The factors of all groups, in row order.
     parts: Vec<Part>,
     coordinates: usize,
-    has_rotations: bool,
 }
 
 impl Space {
@@ -266,12 +265,10 @@ impl Space {
                 offset += term.factor.coordinates();
             }
         }
-        let has_rotations = parts.iter().any(|part| part.factor == Factor::SO3);
         Space {
             groups,
             parts,
             coordinates: offset,
-            has_rotations,
         }
     }
 
@@ -331,11 +328,6 @@ impl Space {
             parts = others;
         }
         total
-    }
-
-    /// Whether a factor is a rotation.
-    pub(crate) fn has_rotations(&self) -> bool {
-        self.has_rotations
     }
 
     /// The factors of all groups, in row order.

@@ -4,4 +4,5 @@
 
 mod common;
 mod conformance;
+mod extremes;
 mod forest_model;

@@ -1,40 +1,60 @@
-//! Brute force as the paper means it: every point's distance, one after the other.
+//! Brute force as the paper means it: every point's distance, one after the other, and the nearest kept.
 
-use wayfold_index::{Linear, PointRef, Search, Space};
+use wayfold_index::Space;
 
 use super::Structure;
 
-/// The index's own table, which measures with the space's distance alone.
-pub struct Brute(Linear);
+/// Rows, measured by the space's own scalar distance, which reads the space as it is: where it is compiled for one space, a
+/// loop takes about a third of that in R3.
+pub struct Brute {
+    space: Space,
+    rows: Vec<f64>,
+    /// The nearest so far, in order.
+    nearest: Vec<(f64, u32)>,
+}
 
 impl Brute {
     pub fn new(space: &Space) -> Self {
-        Brute(Linear::new(space.clone()))
-    }
-
-    fn search(&self, query: &[f64], search: &Search<'_>, found: &mut Vec<u32>) {
-        found.clear();
-        let answer = self.0.search(query, search);
-        found.extend(answer.neighbors.iter().map(|neighbor| neighbor.id as u32));
+        Brute {
+            space: space.clone(),
+            rows: Vec::new(),
+            nearest: Vec::new(),
+        }
     }
 }
 
 impl Structure for Brute {
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
-        self.search(query, &Search::nearest_k(k), found);
+        self.nearest.clear();
+        let mut worst = f64::INFINITY;
+        let rows = self.rows.chunks_exact(self.space.coordinates());
+        for (row, id) in rows.zip(0..) {
+            let distance = self.space.distance(query, row);
+            if distance >= worst {
+                continue;
+            }
+            let place = self.nearest.partition_point(|held| held.0 <= distance);
+            self.nearest.truncate(k - 1);
+            self.nearest.insert(place, (distance, id));
+            if self.nearest.len() == k {
+                worst = self.nearest[k - 1].0;
+            }
+        }
+        found.clear();
+        found.extend(self.nearest.iter().map(|held| held.1));
     }
 
     fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
-        self.search(query, &Search::nearest_r(radius), found);
+        found.clear();
+        let rows = self.rows.chunks_exact(self.space.coordinates());
+        for (row, id) in rows.zip(0..) {
+            if self.space.distance(query, row) <= radius {
+                found.push(id);
+            }
+        }
     }
 
     fn insert(&mut self, row: &[f64]) {
-        let id = self.0.len() as u64;
-        self.0.insert(PointRef {
-            id,
-            tag: 0,
-            revision: 1,
-            row,
-        });
+        self.rows.extend_from_slice(row);
     }
 }
