@@ -31,6 +31,8 @@ pub(crate) async fn poll_into_evaluation<'a, T>(
 ) {
     let mut stored = 0;
     loop {
+        // Polled again and again without it, calls of tokio pretend to wait after 128 steps.
+        tokio::task::yield_now().await;
         assert!(
             poll!(&mut *long).is_pending(),
             "the long call is not long enough"
