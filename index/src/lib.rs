@@ -9,8 +9,8 @@
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
 //! Reading order: `space` (the metric), `points`, `neighbor`, `search` and `scaling` (what is stored, found and asked),
-//! `candidates`, `kernel` (bounds of many boxes or points at once), `kdtree`, `forest`. Nothing here does I/O, waits, or starts a
-//! thread.
+//! `candidates` (what may be an answer), `kernel` (bounds of many boxes or points at once), `kdtree`, `forest`. Nothing
+//! here does I/O, waits, or starts a thread.
 //!
 //! ```
 //! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};

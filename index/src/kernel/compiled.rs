@@ -151,10 +151,7 @@ pub(super) fn available() -> Vec<Kernels> {
                 set: Compiled::Avx2,
             });
         }
-        if is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512dq")
-        {
+        if wide::is_available() {
             available.push(Kernels {
                 name: "avx512",
                 set: Compiled::Avx512,

@@ -1,9 +1,9 @@
 //! The kernels of a search: bounds of many boxes or points at once, compiled for several instruction sets, of which the
 //! best that the processor has is chosen when the program runs.
 //!
-//! A search as a whole is what is compiled several times, with its kernels inside: called as functions, they would take as
-//! long again to be given their operands. Kernels only bound; what is reported was computed by [`Space::distance`], so every set of them gives the same
-//! answers to the bit.
+//! A search as a whole is what is compiled several times, with its kernels inside: called as functions, they would take
+//! long to be given their operands. Kernels only bound where a rotation weighs anything, and else compute what
+//! [`Space::distance`] does by the same operations, so every set of them gives the same answers to the bit.
 
 mod bound;
 mod compiled;

@@ -20,6 +20,13 @@ const WIDTH: usize = 8;
 /// Processors with registers of eight numbers. Private, so that only [`run`] names it.
 struct Avx512;
 
+/// Whether this processor has what [`run`] is compiled for.
+pub(super) fn is_available() -> bool {
+    is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512vl")
+        && is_x86_feature_detected!("avx512dq")
+}
+
 /// Runs a task compiled for them.
 #[target_feature(enable = "avx512f,avx512vl,avx512dq")]
 pub(super) fn run<T: Task>(task: T) -> T::Output {
@@ -121,10 +128,7 @@ mod tests {
 
     #[test]
     fn lanes_are_what_loops_make_of_them() {
-        if !(is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512dq"))
-        {
+        if !is_available() {
             return;
         }
         let numbers = [
