@@ -31,12 +31,6 @@ impl Blocks {
         }
     }
 
-    /// Keeps the first `rows` rows.
-    pub(crate) fn truncate(&mut self, rows: usize) {
-        self.columns
-            .truncate(rows.div_ceil(BLOCK) * self.width * BLOCK);
-    }
-
     /// The row in a place.
     pub(crate) fn row(&self, place: usize) -> impl Iterator<Item = f64> {
         let block = &self.block(place / BLOCK)[place % BLOCK..];

@@ -84,25 +84,39 @@ pub struct Answer {
 /// How many leaves are visited between two looks at the clock, each of which takes about a tenth of a leaf's time.
 const LEAVES_A_LOOK: usize = 32;
 
-/// Where a cell of a tree is: a node or, at height 0, a leaf.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Place {
-    pub(crate) index: u32,
-    pub(crate) height: u32,
-}
+/// See [`Walk::found_few`]. Who finds many points must have looked at many.
+const FEW: usize = 100;
 
-/// A cell that is still to be visited, and its key.
-#[derive(Clone, Copy, Debug, Default)]
-struct Ahead {
-    key: f64,
-    place: Place,
-}
-
-/// A tree of as many points as slots can tell is at most so high, with one point a leaf.
-const MOST_HEIGHT: usize = 11;
+/// No tree is higher: one of as many points as slots can tell, with one point a leaf.
+pub(crate) const MOST_HEIGHT: usize = 11;
 
 /// Each node leaves all its children but one behind.
 const MOST_AHEAD: usize = MOST_HEIGHT * (CHILDREN - 1) + 1;
+
+/// The cells of a tree that are still to be visited, told by their places `P`, with their keys: the nearest of those
+/// below one node last.
+pub(crate) struct Ahead<P> {
+    cells: [(f64, P); MOST_AHEAD],
+    len: usize,
+}
+
+impl<P: Copy> Ahead<P> {
+    /// No cells; `nowhere` stands for a place where there is none.
+    #[inline(always)]
+    pub(crate) fn new(nowhere: P) -> Self {
+        Self {
+            cells: [(0.0, nowhere); MOST_AHEAD],
+            len: 0,
+        }
+    }
+
+    /// The cell that comes after the next, unless something nearer is found meanwhile.
+    #[inline(always)]
+    pub(crate) fn peek(&self) -> Option<P> {
+        let last = self.len.checked_sub(1)?;
+        Some(self.cells[last].1)
+    }
+}
 
 /// A reach so much greater than the key would let in more than a distance takes to compute.
 const LOOSE: f64 = 1.001;
@@ -119,9 +133,6 @@ pub(crate) struct Walk<'a> {
     leaves_left: usize,
     leaves_entered: usize,
     exact: bool,
-    /// The cells of a tree that are still to be visited, the nearest of those below one node last.
-    ahead: [Ahead; MOST_AHEAD],
-    ahead_len: usize,
     /// Room for a row, where keys alone do not tell distances.
     row: Vec<f64>,
 }
@@ -140,8 +151,6 @@ impl<'a> Walk<'a> {
             leaves_left: search.max_leaves,
             leaves_entered: 0,
             exact: true,
-            ahead: [Ahead::default(); MOST_AHEAD],
-            ahead_len: 0,
             row: Vec::new(),
         }
     }
@@ -190,13 +199,14 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Puts the children of a node that are within reach before all that is to be visited, the nearest first.
+    /// Puts the children of a node that are among `lanes` and within reach before all that is `ahead`, the nearest first.
     #[inline(always)]
-    pub(crate) fn push_children<S: Set>(
-        &mut self,
+    pub(crate) fn push_children<S: Set, P: Copy>(
+        &self,
+        ahead: &mut Ahead<P>,
         boxes: &[f64],
-        children: u32,
-        place: impl Fn(u32) -> Place,
+        lanes: u32,
+        place: impl Fn(u32) -> P,
     ) {
         let (keys, within) = kernel::boxes::<S>(self.space, self.state, boxes, self.limit());
         // So that no two are equal, and a count tells the place of each. It changes a key by less than the margin of the
@@ -208,40 +218,30 @@ impl<'a> Walk<'a> {
             lane += 1;
             f64::from_bits(distinct)
         });
-        let within = within & !(!0 << children);
-        let end = self.ahead_len + within.count_ones() as usize;
+        let within = within & lanes;
+        let end = ahead.len + within.count_ones() as usize;
         let mut left = within;
         while left != 0 {
             let lane = left.trailing_zeros();
             left &= left - 1;
             let key = keys[lane as usize % CHILDREN];
             let nearer_or_it = (S::within(&keys, key) & within).count_ones() as usize;
-            self.ahead[end - nearer_or_it] = Ahead {
-                key,
-                place: place(lane),
-            };
+            ahead.cells[end - nearer_or_it] = (key, place(lane));
         }
-        self.ahead_len = end;
+        ahead.len = end;
     }
 
     /// The next cell to visit, if one is left that may matter.
     #[inline(always)]
-    pub(crate) fn pop(&mut self) -> Option<Place> {
-        while self.ahead_len > 0 {
-            self.ahead_len -= 1;
-            let Ahead { key, place } = self.ahead[self.ahead_len];
+    pub(crate) fn pop<P: Copy>(&mut self, ahead: &mut Ahead<P>) -> Option<P> {
+        while ahead.len > 0 {
+            ahead.len -= 1;
+            let (key, place) = ahead.cells[ahead.len];
             if !self.skips(key) {
                 return Some(place);
             }
         }
         None
-    }
-
-    /// The cell that comes after it, unless something nearer is found meanwhile.
-    #[inline(always)]
-    pub(crate) fn peek(&self) -> Option<Place> {
-        let last = self.ahead_len.checked_sub(1)?;
-        Some(self.ahead[last].place)
     }
 
     /// Keys above this lie farther than what is held.
@@ -315,9 +315,9 @@ impl<'a> Walk<'a> {
         self.leaves_entered
     }
 
-    /// How many neighbours are held.
-    pub(crate) fn found(&self) -> usize {
-        self.candidates.len()
+    /// Whether so few neighbours are held that the search should have reached but a part of a tree.
+    pub(crate) fn found_few(&self) -> bool {
+        self.candidates.len() <= FEW
     }
 
     /// Whether all points are searched, exactly: then how far that reaches tells what the next such search will need.

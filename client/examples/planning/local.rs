@@ -65,11 +65,11 @@ impl LocalForest {
         }
     }
 
-    /// No trees: what is never merged is searched from end to end, many states at once by SIMD.
+    /// No trees: leaves that hold thousands of points, searched from end to end, many states at once by SIMD.
     pub fn scan(space: &Space) -> LocalForest {
         let options = ForestOptions {
-            buffer_rows: 4096,
-            ..ForestOptions::default()
+            growing_rows: 4096,
+            leaf_rows: 4096,
         };
         LocalForest {
             forest: Forest::new(space.clone(), options),

@@ -128,6 +128,7 @@ impl Follower {
                     // A word that is still waited for is older, and its revision is reached first.
                     let heard = heard?;
                     word = word.or(heard);
+                    self.grove.look_for_pause();
                     heartbeat = self.heartbeat();
                 }
             }

@@ -12,11 +12,14 @@ const MERGERS: usize = 2;
 pub(super) struct Grove {
     forest: Forest,
     merges: JoinSet<Merged>,
+    /// The revision when it was last looked whether anybody writes.
+    looked_at: u64,
 }
 
 impl Grove {
     pub(super) fn new(forest: Forest) -> Grove {
         Grove {
+            looked_at: forest.revision(),
             forest,
             merges: JoinSet::new(),
         }
@@ -45,6 +48,15 @@ impl Grove {
         self.forest
             .apply(mutation.revision, &stored, &mutation.removed);
         self.start_merging();
+    }
+
+    /// Called now and then: if nothing was applied since the last time, merges work towards a single level.
+    pub(super) fn look_for_pause(&mut self) {
+        let revision = self.forest.revision();
+        if std::mem::replace(&mut self.looked_at, revision) == revision {
+            self.forest.pause();
+            self.start_merging();
+        }
     }
 
     fn start_merging(&mut self) {

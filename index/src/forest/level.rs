@@ -1,191 +1,93 @@
-//! One level of a forest: an immutable tree, the way from an id to its slot, and the marks of what has died in it.
+//! One level of a forest.
 
 use std::sync::Arc;
 
-use super::tombstones::Tombstones;
-use crate::{KdTree, PointRef, Points, Space, kernel::Set, search::Walk};
+use super::{growing::Growing, packed::Packed};
+use crate::{PointRef, Points, kernel::Set, search::Walk};
 
-/// Shared by count between the forest, its snapshots and the merges under way. Each id stands in it at most once.
+/// Points by ascending id.
+pub(super) type InOrder<'a> = Box<dyn Iterator<Item = PointRef<'a>> + Send + 'a>;
+
+/// Shared by count between the forest, its snapshots and the merges under way.
 #[derive(Debug)]
-pub(super) struct Level {
-    tree: KdTree,
-    /// The slots in the order of their ids.
-    by_id: Vec<u32>,
-    tombstones: Tombstones,
-    /// Whether a merge has built its tree. (That the tree has more than one leaf would not tell: points may coincide.)
-    built: bool,
+pub(super) enum Level {
+    /// What a merge has made, or a large mutation.
+    Packed(Box<Packed>),
+    /// What has grown until it was full.
+    Grown(Arc<Growing>),
+}
+
+/// The same of either kind.
+macro_rules! of {
+    ($level:expr, $held:ident => $result:expr) => {
+        match $level {
+            Level::Packed($held) => $result,
+            Level::Grown($held) => $result,
+        }
+    };
 }
 
 impl Level {
-    /// A level that is searched from end to end until a merge builds its tree.
-    pub(super) fn unbuilt(space: Arc<Space>, points: Points) -> Self {
-        Self::over(KdTree::one_leaf(space, points), false)
-    }
-
-    /// A level with its tree.
-    pub(super) fn built(space: Arc<Space>, points: Points, leaf_rows: usize) -> Self {
-        Self::over(KdTree::build(space, points, leaf_rows), true)
-    }
-
-    fn over(tree: KdTree, built: bool) -> Self {
-        let by_id = by_id(tree.ids());
-        Self {
-            tree,
-            by_id,
-            tombstones: Tombstones::default(),
-            built,
-        }
-    }
-
     /// How many points it stores, dead ones included.
     pub(super) fn rows(&self) -> usize {
-        self.tree.len()
+        of!(self, held => held.rows())
     }
 
     /// How many of them are dead at the head.
     pub(super) fn dead(&self) -> usize {
-        self.tombstones.dead()
+        of!(self, held => held.dead())
     }
 
+    /// Whether a merge has built its tree.
     pub(super) fn is_built(&self) -> bool {
-        self.built
+        match self {
+            Level::Packed(packed) => packed.is_built(),
+            Level::Grown(_) => false,
+        }
     }
 
     pub(super) fn get(&self, slot: usize) -> PointRef<'_> {
-        self.tree.get(slot)
-    }
-
-    pub(super) fn id(&self, slot: usize) -> u64 {
-        self.tree.ids()[slot]
+        of!(self, held => held.get(slot))
     }
 
     /// Appends a copy of the point in `slot` to `points`.
     pub(super) fn copy_to(&self, slot: usize, points: &mut Points) {
-        self.tree.copy_to(slot, points);
+        match self {
+            Level::Packed(packed) => packed.copy_to(slot, points),
+            Level::Grown(grown) => points.push_point(grown.get(slot)),
+        }
     }
 
     pub(super) fn sees(&self, slot: usize, revision: u64) -> bool {
-        self.tombstones.sees(slot, revision)
+        of!(self, held => held.sees(slot, revision))
     }
 
     /// The slot of the point with this id, if a reader at `revision` sees it.
     pub(super) fn find(&self, id: u64, revision: u64) -> Option<usize> {
-        let ids = self.tree.ids();
-        let (&first, &last) = (self.by_id.first()?, self.by_id.last()?);
-        if id < ids[first as usize] || id > ids[last as usize] {
-            return None;
-        }
-        let at = self
-            .by_id
-            .binary_search_by_key(&id, |&slot| ids[slot as usize])
-            .ok()?;
-        let slot = self.by_id[at] as usize;
-        self.sees(slot, revision).then_some(slot)
+        of!(self, held => held.find(id, revision))
     }
 
-    /// The slots in the order of their ids, from the first id above `after`.
-    pub(super) fn slots_after(&self, after: Option<u64>) -> &[u32] {
-        let ids = self.tree.ids();
-        let start = after.map_or(0, |after| {
-            self.by_id
-                .partition_point(|&slot| ids[slot as usize] <= after)
-        });
-        &self.by_id[start..]
+    /// What a reader at `revision` sees of the ids above `after`, in their order.
+    pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> InOrder<'_> {
+        of!(self, held => held.points_after(after, revision))
     }
 
     /// Removes the point in `slot` as of `revision`.
     pub(super) fn bury(&self, slot: usize, revision: u64) {
-        self.tombstones.bury(slot, self.rows(), revision);
+        of!(self, held => held.bury(slot, revision));
     }
 
     /// Shows `walk` what a reader at `revision` sees.
     #[inline(always)]
     pub(super) fn visit<'a, S: Set>(&'a self, walk: &mut Walk<'a>, revision: u64) {
-        if self.tombstones.dead() == 0 {
-            // No mark at or before the reader's revision can be missed: those were published with it.
-            self.tree.visit::<S>(walk, |_| true);
-        } else {
-            self.tree.visit::<S>(walk, |slot| self.sees(slot, revision));
-        }
+        of!(self, held => held.visit::<S>(walk, revision));
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        self.tree.memory_bytes() + 4 * self.by_id.capacity() + self.tombstones.memory_bytes()
+        of!(self, held => held.memory_bytes())
     }
 
     pub(super) fn validate(&self) -> Result<(), String> {
-        self.tree.validate()?;
-        let ids = self.tree.ids();
-        if self.by_id.len() != ids.len() {
-            return Err("the ids of a level are not all in order".into());
-        }
-        for pair in self.by_id.windows(2) {
-            if ids[pair[0] as usize] >= ids[pair[1] as usize] {
-                return Err(format!(
-                    "id {} stands twice in a level",
-                    ids[pair[1] as usize]
-                ));
-            }
-        }
-        let dead = (0..self.rows())
-            .filter(|&slot| !self.sees(slot, u64::MAX - 1))
-            .count();
-        if dead != self.dead() {
-            return Err(format!(
-                "{dead} points of a level are dead, not {}",
-                self.dead()
-            ));
-        }
-        Ok(())
-    }
-}
-
-/// Ids that fill less than one in so many of the numbers between the least and the greatest are sorted; others, such as those
-/// that the server assigns, each tell their place.
-const SPARSE: u64 = 4;
-
-/// The slots of distinct `ids`, in the order of the ids.
-fn by_id(ids: &[u64]) -> Vec<u32> {
-    let least = ids.iter().copied().min().unwrap_or_default();
-    let span = ids.iter().map(|id| id - least).max().unwrap_or_default();
-    let slots = 0..ids.len() as u32;
-    if span / SPARSE >= ids.len() as u64 {
-        let mut slots: Vec<u32> = slots.collect();
-        slots.sort_unstable_by_key(|&slot| ids[slot as usize]);
-        return slots;
-    }
-    // No slot: a tree has fewer.
-    const NONE: u32 = u32::MAX;
-    let mut places = vec![NONE; span as usize + 1];
-    for slot in slots {
-        places[(ids[slot as usize] - least) as usize] = slot;
-    }
-    places.retain(|&slot| slot != NONE);
-    places.shrink_to_fit();
-    places
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn slots_are_in_the_order_of_their_ids_however_far_apart_these_are() {
-        for (count, step) in [
-            (0, 1),
-            (1, 1),
-            (100, 1),
-            (100, 3),
-            (100, 4),
-            (100, 5),
-            (9, 1 << 59),
-        ] {
-            // 7 and 11 share no divisor with the counts: each id once, in no order.
-            let mixed = |slot: u64| slot * 7 * 11 % count.max(1);
-            let ids: Vec<u64> = (0..count).map(|slot| 5 + mixed(slot) * step).collect();
-            let mut expected: Vec<u32> = (0..count as u32).collect();
-            expected.sort_by_key(|&slot| ids[slot as usize]);
-            assert_eq!(by_id(&ids), expected, "{count} {step}");
-        }
+        of!(self, held => held.validate())
     }
 }

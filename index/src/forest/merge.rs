@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::level::Level;
+use super::{level::Level, packed::Packed};
 use crate::{Points, Space};
 
 /// A merge that is due: levels to copy into one, without their dead.
@@ -38,7 +38,9 @@ impl Merge {
                 source.copy_to(slot, &mut points);
             }
         }
-        let level = (!points.is_empty()).then(|| Level::built(self.space, points, self.leaf_rows));
+        let packed =
+            |points| Level::Packed(Box::new(Packed::built(self.space, points, self.leaf_rows)));
+        let level = (!points.is_empty()).then(|| packed(points));
         Merged {
             token: self.token,
             level,

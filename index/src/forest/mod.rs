@@ -1,18 +1,19 @@
 //! The dynamic structure: a forest of static trees, by the logarithmic method.
 //!
-//! New points go to a small buffer, searched from end to end. A full buffer becomes a *level*, and levels are merged
-//! into ones of doubling size, and into a single one when writes pause ([`policy`]), which builds their trees and drops
-//! their dead. Removing a point of a level marks it with a *tombstone*; replacing one removes it and stores it anew.
+//! The smallest *level* is a tree that grows by single points ([`growing`]). Once it is full, another one grows, and
+//! levels are merged into packed ones of doubling size, and into a single one when writes pause ([`policy`]), which
+//! drops their dead. Removing a point marks it with a *tombstone*; replacing one removes it and stores it anew.
 //!
 //! One owner writes; any number of [`Snapshot`]s read, each at its own revision, and neither waits for the other:
-//! levels are immutable and shared by count, tombstones are judged by revision, and the buffer is copied if a snapshot
-//! holds it when it changes. Merges run wherever the owner likes: [`Forest::begin_merge`] says what is due,
+//! levels are immutable and shared by count, tombstones are judged by revision, and of the level that grows what changes
+//! is copied if a snapshot holds it. Merges run wherever the owner likes: [`Forest::begin_merge`] says what is due,
 //! [`Merge::run`] does the work, [`Forest::finish_merge`] swaps the result in, while mutations and searches go on. No
 //! call of the forest but [`Forest::settle`] does more than its own share of work.
 
-mod buffer;
+mod growing;
 mod level;
 mod merge;
+mod packed;
 mod policy;
 mod snapshot;
 mod tombstones;
@@ -21,17 +22,19 @@ mod validate;
 use std::sync::Arc;
 
 use crate::{Answer, KdTree, PointRef, Points, Search, Space};
-use buffer::Buffer;
+use growing::Growing;
 use level::Level;
 use merge::Running;
 pub use merge::{Merge, Merged};
+use packed::Packed;
 pub use snapshot::Snapshot;
 
 /// The sizes a forest is built with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForestOptions {
-    /// How many points gather before they become a level.
-    pub buffer_rows: usize,
+    /// Most points of the level that grows by single points; an eighth of it in spaces of more than three dimensions,
+    /// where a search of packed levels gains more by their full leaves than it loses by their number.
+    pub growing_rows: usize,
     /// Most points of a leaf.
     pub leaf_rows: usize,
 }
@@ -39,11 +42,14 @@ pub struct ForestOptions {
 impl Default for ForestOptions {
     fn default() -> Self {
         Self {
-            buffer_rows: 128,
+            growing_rows: 1 << 16,
             leaf_rows: 16,
         }
     }
 }
+
+/// A mutation of more rows than this part of what grows makes a level of its own, to be packed at once.
+const LARGE: usize = 8;
 
 /// A dynamic set of points of one space with exact nearest-neighbour search.
 ///
@@ -67,24 +73,25 @@ pub struct Forest {
     head: Snapshot,
     running: Vec<Running>,
     next_token: u64,
-    /// The revision during which a whole merge has passed: whoever writes makes a pause of about that length.
+    /// The revision at which whoever writes makes a pause: a whole merge has passed during it, or the owner says so.
     quiet_at: Option<u64>,
 }
 
 impl Forest {
     /// An empty forest at revision 0.
     pub fn new(space: Space, options: ForestOptions) -> Self {
+        let part = if space.dimension() > 3 { 8 } else { 1 };
         let options = ForestOptions {
-            buffer_rows: options.buffer_rows.max(1),
+            growing_rows: (options.growing_rows / part).max(1),
             leaf_rows: options.leaf_rows.max(1),
         };
-        let buffer = Buffer::new(space.coordinates());
+        let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);
         let head = Snapshot {
             space: Arc::new(space),
             revision: 0,
             live: 0,
             levels: Arc::default(),
-            buffer: Arc::new(buffer),
+            growing: Arc::new(growing),
         };
         Self {
             options,
@@ -164,9 +171,13 @@ impl Forest {
     /// Removes the point with this id as of `revision`; false if there is none.
     fn remove(&mut self, id: u64, revision: u64) -> bool {
         let head = &mut self.head;
-        let buffered = head.buffer.points().ids();
-        if let Some(slot) = buffered.iter().position(|&held| held == id) {
-            writable(&mut head.buffer, self.options.buffer_rows).swap_remove(slot);
+        if let Some(slot) = head.growing.find(id, revision) {
+            head.growing.bury(slot, revision);
+            // Else what is written over and over would be searched through its past.
+            let (rows, dead) = (head.growing.rows(), head.growing.dead());
+            if dead >= policy::LEAST_ROWS && 2 * dead > rows {
+                self.seal();
+            }
         } else if let Some((at, slot)) = head.find_in_levels(id) {
             let level = &head.levels[at];
             level.bury(slot, revision);
@@ -176,27 +187,35 @@ impl Forest {
         } else {
             return false;
         }
-        head.live -= 1;
+        self.head.live -= 1;
         true
     }
 
     /// Stores rows whose ids are not in the forest.
     fn store(&mut self, rows: &Points) {
         self.head.live += rows.len();
-        if rows.len() >= self.options.buffer_rows {
-            // A level of its own: the buffer would only copy it in pieces.
-            self.add_level(Level::unbuilt(Arc::clone(&self.head.space), rows.clone()));
+        if rows.len() > (self.options.growing_rows / LARGE).max(1) {
+            let space = Arc::clone(&self.head.space);
+            self.add_level(Level::Packed(Box::new(Packed::unbuilt(
+                space,
+                rows.clone(),
+            ))));
             return;
         }
         for point in rows.iter() {
-            let buffer = writable(&mut self.head.buffer, self.options.buffer_rows);
-            buffer.push(point);
-            if buffer.points().len() >= self.options.buffer_rows {
-                let empty = Buffer::new(rows.coordinates());
-                let full = std::mem::replace(buffer, empty).into_points();
-                self.add_level(Level::unbuilt(Arc::clone(&self.head.space), full));
+            let growing = Arc::make_mut(&mut self.head.growing);
+            growing.push(point);
+            if growing.is_full() {
+                self.seal();
             }
         }
+    }
+
+    /// Makes a level of its own of what has grown, and lets another tree grow.
+    fn seal(&mut self) {
+        let empty = Arc::new(self.head.growing.renewed());
+        let grown = std::mem::replace(&mut self.head.growing, empty);
+        self.add_level(Level::Grown(grown));
     }
 
     fn add_level(&mut self, level: Level) {
@@ -205,21 +224,24 @@ impl Forest {
         levels.insert(at, Arc::new(level));
     }
 
+    /// Says that whoever writes makes a pause: from now to the next mutation, merges work towards a single level.
+    pub fn pause(&mut self) {
+        self.quiet_at = Some(self.head.revision);
+    }
+
     /// The next merge that is due, or None. The forest works on as before until it is finished; further merges may
     /// begin meanwhile, of other levels. While no one writes, levels are merged until one is left.
     pub fn begin_merge(&mut self) -> Option<Merge> {
+        let quiet = self.quiet_at == Some(self.head.revision);
+        if quiet && self.head.growing.rows() >= policy::LEAST_ROWS {
+            self.seal();
+        }
         let shapes = self.shapes();
-        let due = self.due(&shapes).or_else(|| {
-            let quiet = self.quiet_at == Some(self.head.revision);
-            quiet
-                .then(|| policy::next_while_quiet(&shapes, KdTree::MAX_POINTS))
-                .flatten()
+        let due = policy::next_merge(&shapes, KdTree::MAX_POINTS).or_else(|| {
+            let next = || policy::next_while_quiet(&shapes, KdTree::MAX_POINTS);
+            quiet.then(next).flatten()
         })?;
         Some(self.begin(&due))
-    }
-
-    fn due(&self, shapes: &[policy::Shape]) -> Option<Vec<usize>> {
-        policy::next_merge(shapes, self.options.buffer_rows, KdTree::MAX_POINTS)
     }
 
     fn shapes(&self) -> Vec<policy::Shape> {
@@ -277,17 +299,9 @@ impl Forest {
 
     /// Runs every merge that is due, here and now.
     pub fn settle(&mut self) {
-        while let Some(due) = self.due(&self.shapes()) {
+        while let Some(due) = policy::next_merge(&self.shapes(), KdTree::MAX_POINTS) {
             let merge = self.begin(&due);
             self.finish_merge(merge.run());
         }
     }
-}
-
-/// The buffer, made the forest's own if a snapshot holds it, with room for `rows` rows.
-fn writable(buffer: &mut Arc<Buffer>, rows: usize) -> &mut Buffer {
-    if Arc::get_mut(buffer).is_none() {
-        *buffer = Arc::new(buffer.copy_with_room(rows));
-    }
-    Arc::get_mut(buffer).expect("no one else holds it")
 }

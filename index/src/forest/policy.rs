@@ -1,10 +1,13 @@
 //! Which levels to merge next: a pure function of their sizes.
 //!
 //! The logarithmic method (Bentley and Saxe): levels double in size, and two of a size carry into larger ones like
-//! digits. A level falls in the tier ⌊log₂(live rows / buffer rows)⌋; at rest each tier holds at most one level. A carry
+//! digits. A level falls in the tier ⌊log₂(live rows / [`LEAST_ROWS`])⌋; at rest each tier holds at most one level. A carry
 //! takes along what is up to [`GREED`] times as large as itself: against binary digits a point is rebuilt half as often
 //! again (7 times of 50,000 points, 11 of a million), and a search visits a quarter fewer levels (3.1 on average and 5
 //! at most, instead of 4.2 and 8).
+
+/// Levels of fewer rows are alike: a search of one costs what a look at each of its points does.
+pub(super) const LEAST_ROWS: usize = 128;
 
 /// What the policy needs to know of a level.
 #[derive(Clone, Copy, Debug)]
@@ -24,23 +27,17 @@ impl Shape {
         self.rows - self.dead
     }
 
-    fn tier(&self, buffer_rows: usize) -> u32 {
-        (self.live() / buffer_rows.max(1))
-            .checked_ilog2()
-            .unwrap_or(0)
+    fn tier(&self) -> u32 {
+        (self.live() / LEAST_ROWS).checked_ilog2().unwrap_or(0)
     }
 }
 
 /// The levels to merge into one, by their places in `shapes`, or None if nothing is due. In this order: the lowest
 /// tier that holds two levels, with the carry it sets off; a level without its tree; a level more than half dead.
 /// No merge makes a level of more than `max_rows`.
-pub(super) fn next_merge(
-    shapes: &[Shape],
-    buffer_rows: usize,
-    max_rows: usize,
-) -> Option<Vec<usize>> {
+pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let idle = idle(shapes);
-    carry(shapes, &idle, buffer_rows, max_rows).or_else(|| {
+    carry(shapes, &idle, max_rows).or_else(|| {
         let alone = |wanted: fn(&Shape) -> bool| idle.iter().copied().find(|&i| wanted(&shapes[i]));
         alone(|shape| !shape.built)
             .or_else(|| alone(|shape| shape.dead * 2 > shape.rows))
@@ -62,13 +59,8 @@ fn idle(shapes: &[Shape]) -> Vec<usize> {
 }
 
 /// `idle` by ascending size: those that share the lowest tier that more than one has, and what joins them.
-fn carry(
-    shapes: &[Shape],
-    idle: &[usize],
-    buffer_rows: usize,
-    max_rows: usize,
-) -> Option<Vec<usize>> {
-    let tier = |i: usize| shapes[i].tier(buffer_rows);
+fn carry(shapes: &[Shape], idle: &[usize], max_rows: usize) -> Option<Vec<usize>> {
+    let tier = |i: usize| shapes[i].tier();
     let start = (1..idle.len()).find(|&at| tier(idle[at - 1]) == tier(idle[at]))? - 1;
     let idle = &idle[start..];
     let share = idle.iter().take_while(|&&i| tier(i) == tier(idle[0]));
@@ -109,12 +101,12 @@ mod tests {
     }
 
     fn pick(shapes: &[Shape]) -> Option<Vec<usize>> {
-        next_merge(shapes, 100, usize::MAX)
+        next_merge(shapes, usize::MAX)
     }
 
     #[test]
     fn levels_of_different_tiers_rest() {
-        assert_eq!(pick(&[level(800), level(200), level(100)]), None);
+        assert_eq!(pick(&[level(1000), level(300), level(100)]), None);
         assert_eq!(pick(&[]), None);
     }
 
@@ -156,9 +148,9 @@ mod tests {
 
     #[test]
     fn no_level_outgrows_its_slots() {
-        assert_eq!(next_merge(&[level(600), level(600)], 100, 1000), None);
+        assert_eq!(next_merge(&[level(600), level(600)], 1000), None);
         let shapes = [level(600), level(300), level(300)];
-        assert_eq!(next_merge(&shapes, 100, 1000), Some(vec![1, 2]));
+        assert_eq!(next_merge(&shapes, 1000), Some(vec![1, 2]));
     }
 
     #[test]
@@ -186,7 +178,7 @@ mod tests {
         let mut shapes: Vec<Shape> = Vec::new();
         let mut rebuilt = 0;
         for sealed in 1..=1024usize {
-            shapes.push(level(100));
+            shapes.push(level(LEAST_ROWS));
             while let Some(merge) = pick(&shapes) {
                 let rows = merge.iter().map(|&i| shapes[i].rows).sum();
                 rebuilt += rows;
@@ -202,6 +194,6 @@ mod tests {
                 "{sealed}: {shapes:?}"
             );
         }
-        assert!(rebuilt <= 100 * 1024 * 9, "{rebuilt}");
+        assert!(rebuilt <= LEAST_ROWS * 1024 * 9, "{rebuilt}");
     }
 }

@@ -12,23 +12,21 @@ impl Forest {
     /// The first invariant found broken.
     pub fn validate(&self) -> Result<(), String> {
         let head = &self.head;
-        let buffered = head.buffer.points();
-        if buffered.len() >= self.options.buffer_rows {
-            return Err(format!("{} rows lie in the buffer", buffered.len()));
+        if head.growing.is_full() {
+            return Err("what grows is full".into());
         }
-        head.buffer.validate()?;
+        head.growing.validate()?;
         let mut alive: HashSet<u64> = HashSet::with_capacity(head.live);
-        for &id in buffered.ids() {
-            if !alive.insert(id) {
-                return Err(format!("id {id} stands twice in the buffer"));
+        for point in head.growing.points_after(None, head.revision) {
+            if !alive.insert(point.id) {
+                return Err(format!("id {} stands twice in what grows", point.id));
             }
         }
         for level in head.levels.iter() {
             level.validate()?;
-            for slot in (0..level.rows()).filter(|&slot| level.sees(slot, head.revision)) {
-                let id = level.id(slot);
-                if !alive.insert(id) {
-                    return Err(format!("id {id} is alive twice"));
+            for point in level.points_after(None, head.revision) {
+                if !alive.insert(point.id) {
+                    return Err(format!("id {} is alive twice", point.id));
                 }
             }
         }

@@ -88,7 +88,7 @@ fn capacity(height: u32) -> usize {
 }
 
 /// What a unit of each coordinate is worth in the metric: w_g · √μ_i.
-fn scales(space: &Space) -> Vec<f64> {
+pub(crate) fn scales(space: &Space) -> Vec<f64> {
     let mut scales = Vec::with_capacity(space.coordinates());
     for part in space.parts() {
         let scale = space.groups()[part.group].weight * part.weight.sqrt();

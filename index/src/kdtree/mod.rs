@@ -23,7 +23,8 @@ use crate::{
     kernel::{BLOCK, CHILDREN, Set, Task},
     search::Walk,
 };
-use reach::Reach;
+pub(crate) use build::scales;
+pub(crate) use reach::Reach;
 use rows::Rows;
 
 /// Where a node's children are: that many, one after the other, among the nodes or, at the bottom, among the leaves.

@@ -3,15 +3,19 @@
 use super::KdTree;
 use crate::{
     kernel::{BLOCK, Set, prefetch},
-    search::{Place, Walk},
+    search::{Ahead, Walk},
 };
+
+/// Where a cell is: a node or, at height 0, a leaf.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    index: u32,
+    height: u32,
+}
 
 /// What of a tree stays in a cache near the processor. Larger ones gain a tenth from asking ahead (at a million points
 /// of R3 and R3*SO3), smaller ones lose some hundredths.
 const NEAR_BYTES: usize = 4 << 20;
-
-/// A search that has found no more neighbours should have reached but a part of a tree.
-const FEW: usize = 100;
 
 impl KdTree {
     /// Shows `walk` every visible point that can matter to it.
@@ -33,29 +37,30 @@ impl KdTree {
         }
         let entered = walk.leaves_entered();
         let fetches = self.blocks.memory_bytes() > NEAR_BYTES;
-        let mut next = Some(Place {
+        let root = Place {
             index: 0,
             height: self.height,
-        });
+        };
+        let (mut ahead, mut next) = (Ahead::new(root), Some(root));
         while let Some(Place { index, height }) = next {
             let index = index as usize;
             if height == 0 {
                 self.visit_leaf::<S>(walk, index, &visible);
             } else {
                 let node = self.nodes[index];
-                walk.push_children::<S>(self.boxes(index), node.count, |child| Place {
+                let (boxes, lanes) = (self.boxes(index), !(!0 << node.count));
+                walk.push_children::<S, _>(&mut ahead, boxes, lanes, |child| Place {
                     index: node.first + child,
                     height: height - 1,
                 });
             }
-            next = walk.pop();
-            if fetches && let Some(Place { index, height: 0 }) = walk.peek() {
+            next = walk.pop(&mut ahead);
+            if fetches && let Some(Place { index, height: 0 }) = ahead.peek() {
                 let blocks = self.leaf_blocks(index as usize).next();
                 prefetch(blocks.unwrap_or(&[]));
             }
         }
-        // Who finds many points must have looked at many.
-        if plain && walk.found() <= FEW {
+        if plain && walk.found_few() {
             let reached = walk.leaves_entered() - entered;
             self.reach.report(reached, self.leaves());
         }

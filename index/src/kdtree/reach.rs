@@ -14,11 +14,11 @@ const SCANS: u32 = 64;
 /// Up to `TRIES` counts searches that reached most of the tree; what it is above counts scans to come. Searches of
 /// other threads may come between a look and a change, which does no harm.
 #[derive(Debug, Default)]
-pub(super) struct Reach(AtomicU32);
+pub(crate) struct Reach(AtomicU32);
 
 impl Reach {
     /// Whether the next search is to read all leaves.
-    pub(super) fn is_far(&self) -> bool {
+    pub(crate) fn is_far(&self) -> bool {
         let state = self.0.load(Relaxed);
         if state > TRIES {
             self.0.store(state - 1, Relaxed);
@@ -27,7 +27,7 @@ impl Reach {
     }
 
     /// A search that descended has reached so many of the leaves.
-    pub(super) fn report(&self, reached: usize, leaves: usize) {
+    pub(crate) fn report(&self, reached: usize, leaves: usize) {
         let state = self.0.load(Relaxed);
         if 2 * reached >= leaves {
             let next = if state + 1 < TRIES {

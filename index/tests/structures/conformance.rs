@@ -32,14 +32,14 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
         }
     }
 
-    for (buffer_rows, leaf_rows) in [(1, 1), (4, 2), (7, 3), (1000, 4)] {
+    for (growing_rows, leaf_rows) in [(1, 1), (4, 2), (7, 3), (1000, 4)] {
         let options = ForestOptions {
-            buffer_rows,
+            growing_rows,
             leaf_rows,
         };
         for settled in [true, false] {
             let forest = grown(space, options, points, settled);
-            let name = format!("forest/{buffer_rows}/{leaf_rows}/{settled}");
+            let name = format!("forest/{growing_rows}/{leaf_rows}/{settled}");
             all.extend(with_every_kernel(&name, &forest.snapshot()));
         }
         let mut bulk = Forest::new(space.clone(), options);
@@ -48,10 +48,10 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
         bulk.settle();
         bulk.validate().unwrap();
         all.push((
-            format!("bulk/{buffer_rows}"),
+            format!("bulk/{growing_rows}"),
             Box::new(move |q, s| unbuilt.search(q, s)),
         ));
-        let name = format!("bulk, settled/{buffer_rows}");
+        let name = format!("bulk, settled/{growing_rows}");
         all.push((name, Box::new(move |q, s| bulk.search(q, s))));
     }
     all

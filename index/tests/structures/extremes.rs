@@ -27,7 +27,7 @@ fn compare(space: &Space, rows: &[Vec<f64>], query: &[f64], search: &Search<'_>)
     let mut forest = Forest::new(
         space.clone(),
         ForestOptions {
-            buffer_rows: 4,
+            growing_rows: 4,
             leaf_rows: 2,
         },
     );
@@ -141,7 +141,7 @@ fn an_infinite_distance_beside_a_rotation_without_weight_takes_nobodys_place() {
     let mut forest = Forest::new(
         space.clone(),
         ForestOptions {
-            buffer_rows: 128,
+            growing_rows: 128,
             leaf_rows: 16,
         },
     );

@@ -163,13 +163,13 @@ proptest! {
     #[test]
     fn a_forest_is_its_model(
         space in 0..SPACES.len(),
-        buffer_rows in 1..20usize,
+        growing_rows in prop_oneof![1..20usize, 100..400usize],
         leaf_rows in 1..6usize,
         ops in prop::collection::vec(op(), 1..40),
         seed: u64,
     ) {
         let space = SPACES[space].parse().unwrap();
-        run(&space, ForestOptions { buffer_rows, leaf_rows }, ops, seed);
+        run(&space, ForestOptions { growing_rows, leaf_rows }, ops, seed);
     }
 }
 
@@ -211,7 +211,7 @@ fn memory_of_removed_points_comes_back() {
 fn merges_end_in_one_level() {
     let space: Space = "R2".parse().unwrap();
     let options = ForestOptions {
-        buffer_rows: 4,
+        growing_rows: 4,
         leaf_rows: 2,
     };
     let mut forest = Forest::new(space.clone(), options);
@@ -244,7 +244,7 @@ fn merges_end_in_one_level() {
 fn snapshots_are_never_torn() {
     let space: Space = "R2".parse().unwrap();
     let options = ForestOptions {
-        buffer_rows: 8,
+        growing_rows: 8,
         leaf_rows: 2,
     };
     let mut forest = Forest::new(space.clone(), options);

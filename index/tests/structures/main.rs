@@ -6,3 +6,4 @@ mod common;
 mod conformance;
 mod extremes;
 mod forest_model;
+mod growing;

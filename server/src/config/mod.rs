@@ -86,8 +86,8 @@ impl ZenohConfig {
 /// `[index]`
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct IndexConfig {
-    /// Points before the first tree.
-    pub buffer_rows: usize,
+    /// Most points of the tree that grows.
+    pub growing_rows: usize,
     /// Points in a leaf.
     pub leaf_rows: usize,
     /// Merges at a time.
@@ -102,7 +102,7 @@ impl IndexConfig {
     pub(crate) fn options(&self) -> RegistryOptions {
         RegistryOptions {
             forest: ForestOptions {
-                buffer_rows: self.buffer_rows,
+                growing_rows: self.growing_rows,
                 leaf_rows: self.leaf_rows,
             },
             merge_threads: self.merge_threads,

@@ -1,6 +1,10 @@
 //! One index of the registry: what its readers see, and the way to its writer.
 
-use std::{collections::VecDeque, sync::Arc, time::SystemTime};
+use std::{
+    collections::VecDeque,
+    sync::{Arc, atomic::AtomicU64},
+    time::SystemTime,
+};
 
 use futures_util::FutureExt;
 use tokio::sync::{Mutex, watch};
@@ -38,6 +42,9 @@ pub struct Hosted {
     writer: Arc<Mutex<Writer>>,
     /// Merges that are to be swapped in.
     pub(super) ran: parking_lot::Mutex<Vec<Ran>>,
+    /// The head's revision when it was last looked whether anybody writes, and when nobody did.
+    pub(super) looked_at: AtomicU64,
+    pub(super) paused_at: AtomicU64,
     unsynced: parking_lot::Mutex<Unsynced>,
     recent: parking_lot::Mutex<Recent>,
 }
@@ -76,6 +83,8 @@ impl Hosted {
             state: watch::Sender::new(state),
             writer: Arc::new(Mutex::new(writer)),
             ran: parking_lot::Mutex::default(),
+            looked_at: AtomicU64::new(u64::MAX),
+            paused_at: AtomicU64::new(u64::MAX),
             unsynced: parking_lot::Mutex::default(),
             recent: parking_lot::Mutex::new(Recent::new(host.options.window_bytes)),
         })

@@ -1,6 +1,6 @@
 //! Merging in the background, so that no writer and no reader pays for it in a call of its own.
 
-use std::sync::Arc;
+use std::sync::{Arc, atomic::Ordering::Relaxed};
 
 use tokio::task::JoinError;
 use tracing::{debug, error};
@@ -23,6 +23,22 @@ impl Hosted {
         {
             writer.mergers += 1;
             tokio::spawn(Arc::clone(self).merge(merge));
+        }
+    }
+
+    /// Called now and then: if there was no mutation since the last time, merges work towards a single level.
+    pub(super) fn look_for_pause(self: &Arc<Self>) {
+        let revision = self.newest().revision;
+        let is_pause = self.looked_at.swap(revision, Relaxed) == revision;
+        if is_pause && self.paused_at.swap(revision, Relaxed) != revision {
+            let hosted = Arc::clone(self);
+            tokio::spawn(async move {
+                let mut writer = hosted.write_closed().await;
+                if writer.forest.revision() == revision {
+                    writer.forest.pause();
+                    hosted.start_merging(&mut writer);
+                }
+            });
         }
     }
 

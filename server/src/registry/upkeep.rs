@@ -1,4 +1,5 @@
-//! What the registry sees to by itself: that a store that has failed is opened anew, and that old records go.
+//! What the registry sees to by itself: that a store that has failed is opened anew, that indices which nobody writes
+//! are merged to one level, and that old records go.
 
 use std::{
     sync::Arc,
@@ -49,6 +50,9 @@ impl Registry {
                     Err(_) => wait = LONGEST_WAIT,
                 }
                 next_try = Instant::now() + wait;
+            }
+            for hosted in self.hosted() {
+                hosted.look_for_pause();
             }
             if now >= trimmed + TRIMMING && self.failure().is_none() {
                 trimmed = now;
@@ -129,10 +133,15 @@ impl Registry {
         }
     }
 
+    fn hosted(&self) -> Vec<Arc<Hosted>> {
+        let places = self.indexes.read();
+        let hosted = places.values().filter_map(|place| place.hosted().ok());
+        hosted.cloned().collect()
+    }
+
     /// Forgets records that are too old, also of indices that nobody writes.
     fn trim(&self) {
-        let places = self.indexes.read().clone();
-        for hosted in places.values().filter_map(|place| place.hosted().ok()) {
+        for hosted in self.hosted() {
             if let Err(error) = hosted.trim(SystemTime::now()) {
                 warn!(index = hosted.name(), %error, "could not trim the log");
             }

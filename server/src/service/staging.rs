@@ -151,9 +151,6 @@ impl<'a> Staging<'a> {
             let mut points = Points::with_capacity(row.len(), 1);
             points.push_point(point);
             searched.forest.apply(accepted as u64, &points, &[]);
-            if accepted.is_multiple_of(ForestOptions::default().buffer_rows) {
-                searched.forest.settle();
-            }
         }
     }
 

@@ -13,11 +13,11 @@ use wayfold_server::{
 /// No deadline.
 pub(crate) const CALL: Call = Call { deadline: None };
 
-/// Small buffers and leaves: a few dozen points reach every corner.
+/// Small trees and leaves: a few dozen points reach every corner.
 pub(crate) fn options() -> RegistryOptions {
     RegistryOptions {
         forest: ForestOptions {
-            buffer_rows: 4,
+            growing_rows: 4,
             leaf_rows: 2,
         },
         ..RegistryOptions::default()

@@ -1,0 +1,162 @@
+//! The level that grows by single points: what it does with points that come in a bad order, with readers of what is
+//! new, with points that are written over and over, and when writes pause.
+
+use crate::common::{Shape, assert_same, brute_force, rng, states};
+use wayfold_index::{Filter, Forest, ForestOptions, Points, Search, Space};
+
+/// Inserts rows one by one, each a mutation of its own, from id and revision 1 on; validates now and then.
+fn grow(space: &Space, rows: &[Vec<f64>]) -> Forest {
+    let mut forest = Forest::new(space.clone(), ForestOptions::default());
+    for (revision, row) in (1..).zip(rows) {
+        insert(&mut forest, revision, row);
+        if revision % 500 == 0 {
+            forest.validate().unwrap();
+        }
+    }
+    forest.validate().unwrap();
+    forest
+}
+
+fn insert(forest: &mut Forest, id: u64, row: &[f64]) {
+    let revision = forest.revision() + 1;
+    let mut point = Points::new(row.len());
+    point.push(id, id % 3, revision, row);
+    forest.apply(revision, &point, &[]);
+    forest.settle();
+}
+
+/// Sorted, coinciding, clustered points: searches are exact, and visit no more than a part of the leaves.
+#[test]
+fn no_order_of_points_makes_searches_long() {
+    let space = Space::se2();
+    let shapes = [
+        Shape::Uniform,
+        Shape::Collinear,
+        Shape::Grid,
+        Shape::Duplicates,
+        Shape::Clustered,
+        Shape::Geometric,
+    ];
+    for shape in shapes {
+        let rows = states(&space, shape, 3000, &mut rng(7));
+        let forest = grow(&space, &rows);
+        let mut points = Points::new(3);
+        for (id, row) in (1..).zip(&rows) {
+            points.push(id, id % 3, id, row);
+        }
+        for query in states(&space, Shape::Uniform, 20, &mut rng(8)) {
+            let search = Search::nearest_k(5);
+            let expected = brute_force(&space, points.iter(), &query, &search);
+            let answer = forest.search(&query, &search);
+            assert_same(&answer.neighbors, &expected, "grown");
+            let few = Search {
+                max_leaves: 60,
+                ..search
+            };
+            // Of very many points that are about equally near, boxes cannot tell the nearest.
+            let ties = !matches!(shape, Shape::Uniform | Shape::Collinear);
+            assert!(ties || forest.search(&query, &few).exact, "{shape:?}");
+        }
+    }
+}
+
+/// Who asks for what is new pays for what is new, however many points there are.
+#[test]
+fn a_search_of_the_newest_visits_their_leaves_only() {
+    let space = Space::se3();
+    let rows = states(&space, Shape::Uniform, 5000, &mut rng(11));
+    let forest = grow(&space, &rows);
+    let newest = Search {
+        filter: Filter {
+            since_revision: 4997,
+            ..Filter::default()
+        },
+        // Of some 500. (When a leaf is split, either part counts as new.)
+        max_leaves: 6,
+        ..Search::nearest_k(10)
+    };
+    let answer = forest.search(&rows[0], &newest);
+    assert!(answer.exact);
+    let mut ids: Vec<u64> = answer.neighbors.iter().map(|found| found.id).collect();
+    ids.sort_unstable();
+    assert_eq!(ids, [4998, 4999, 5000]);
+}
+
+/// A few points that move all the time leave no long past behind them.
+#[test]
+fn points_that_are_written_over_and_over_stay_few() {
+    let space = Space::se3();
+    let rows = states(&space, Shape::Uniform, 20_000, &mut rng(13));
+    let mut forest = Forest::new(space, ForestOptions::default());
+    for (at, row) in (0..).zip(&rows) {
+        insert(&mut forest, at % 20, row);
+    }
+    forest.validate().unwrap();
+    assert_eq!(forest.len(), 20);
+    // Of at most as many dead as are waited for, in leaves that are more than a third full.
+    let search = Search {
+        max_leaves: 50,
+        ..Search::nearest_k(20)
+    };
+    let answer = forest.search(&rows[0], &search);
+    assert!(answer.exact);
+    assert_eq!(answer.neighbors.len(), 20);
+    assert!(forest.memory_bytes() < 1 << 20, "{}", forest.memory_bytes());
+}
+
+/// Writes that pause leave one packed tree, whether or not a merge was due before.
+#[test]
+fn what_has_grown_is_packed_when_writes_pause() {
+    let space = Space::se3();
+    let rows = states(&space, Shape::Uniform, 6000, &mut rng(17));
+    let mut forest = grow(&space, &rows);
+    let grown = forest.memory_bytes();
+    assert!(forest.begin_merge().is_none());
+    forest.pause();
+    let merge = forest.begin_merge().unwrap();
+    forest.finish_merge(merge.run());
+    assert!(forest.begin_merge().is_none());
+    forest.validate().unwrap();
+    let stored = rows.len() * 8 * (forest.space().coordinates() + 3);
+    assert!(forest.memory_bytes() < grown);
+    assert!(2 * forest.memory_bytes() < 3 * stored);
+    // The next mutation ends the pause.
+    insert(&mut forest, 7000, &rows[0]);
+    assert!(forest.begin_merge().is_none());
+    assert_eq!(forest.len(), 6001);
+}
+
+/// What a snapshot shows stays as it was while its tree grows on, splits, is sealed and packed.
+#[test]
+fn snapshots_of_what_grows_stay_as_they_were() {
+    let space: Space = "R2*SO2".parse().unwrap();
+    let options = ForestOptions {
+        growing_rows: 700,
+        leaf_rows: 4,
+    };
+    let mut forest = Forest::new(space.clone(), options);
+    let rows = states(&space, Shape::Uniform, 2000, &mut rng(19));
+    let mut held = Vec::new();
+    for (id, row) in (1..).zip(&rows) {
+        insert(&mut forest, id, row);
+        if id % 90 == 0 {
+            held.push(forest.snapshot());
+        }
+    }
+    for snapshot in held {
+        let mut points = Points::new(3);
+        for (id, row) in (1..=snapshot.revision()).zip(&rows) {
+            points.push(id, id % 3, id, row);
+        }
+        assert!(snapshot.points_after(None).eq(points.iter()));
+        for query in &rows[1990..] {
+            let search = Search::nearest_k(7);
+            let expected = brute_force(&space, points.iter(), query, &search);
+            assert_same(
+                &snapshot.search(query, &search).neighbors,
+                &expected,
+                "held",
+            );
+        }
+    }
+}
