@@ -32,12 +32,12 @@ use std::{collections::BTreeSet, process::ExitCode, sync::LazyLock};
 use clap::Parser;
 use libtest_mimic::{Arguments, Trial};
 use nearby::Source;
-use options::{Job, Kind, Options, PROGRESS_MS, Role};
+use options::{Job, Kind, Options, Role};
 use planning::{
     problem::Problem,
+    processes::{Incident, PROGRESS_MS, run},
     server::{self, ServerProcess},
 };
-use processes::Incident;
 use roadmap::Roadmap;
 use scene::Rooms;
 use tokio::runtime::{Builder, Runtime};
@@ -132,7 +132,7 @@ fn a_killed_worker_changes_nothing_but_speed() {
     let server = ServerProcess::start().unwrap();
     let runtime = runtime();
     let index = runtime.block_on(index(server.uri()));
-    let crew = processes::run(&jobs(server.uri(), 4), Incident::WorkerKilled).unwrap();
+    let crew = run(&jobs(server.uri(), 4), Incident::WorkerKilled).unwrap();
     assert!(crew.killed.is_some_and(|(worker, _)| worker == 0));
 
     let [as_left, roadmap] = runtime.block_on(read(&index));
@@ -151,7 +151,7 @@ fn a_killed_server_costs_a_pause_and_nothing_else() {
     let mut server = ServerProcess::durable().unwrap();
     let (runtime, uri) = (runtime(), server.uri().to_owned());
     let index = runtime.block_on(index(&uri));
-    let crew = processes::run(&jobs(&uri, 3), Incident::ServerRestarted(&mut server)).unwrap();
+    let crew = run(&jobs(&uri, 3), Incident::ServerRestarted(&mut server)).unwrap();
     let (killed, listened) = crew.restarted.unwrap();
     assert!(killed < listened);
 

@@ -30,8 +30,20 @@ pub type DrawingError = DrawingAreaErrorKind<io::Error>;
 pub const DARK: RGBColor = RGBColor(38, 43, 56);
 /// What is there for orientation only.
 pub const PALE: RGBColor = RGBColor(222, 226, 232);
-/// The trees from the start and from the goal; by worker, later ones for the others.
+/// The trees from the start and from the goal.
 pub const TREES: [RGBColor; 2] = [RGBColor(47, 111, 179), RGBColor(226, 128, 45)];
+
+/// The colours of workers, over and over.
+pub const WORKERS: [RGBColor; 8] = [
+    RGBColor(47, 111, 179),
+    RGBColor(226, 128, 45),
+    RGBColor(35, 138, 92),
+    RGBColor(148, 84, 178),
+    RGBColor(190, 62, 72),
+    RGBColor(28, 148, 160),
+    RGBColor(160, 132, 30),
+    RGBColor(104, 112, 128),
+];
 
 /// The colour of a source.
 pub fn ink(source: Wanted) -> RGBColor {

@@ -3,11 +3,12 @@
 //! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (what a scene tells a
 //! planner), `rrt` and `rrt_star` (the planners), `path` (its result, checked anew), `comparison` (one problem with every source),
 //! `example` (all of a program that does so), `report` (the table and the JSON), `drawing` and `panels` (what all pictures
-//! have in common).
+//! have in common); of several workers, `processes` (how they are started and heard).
 
 #![expect(dead_code, reason = "each example takes what it needs of this")]
 
 pub mod comparison;
+pub mod crew_panels;
 pub mod drawing;
 pub mod error;
 pub mod example;
@@ -17,6 +18,7 @@ pub mod panels;
 pub mod path;
 pub mod pose;
 pub mod problem;
+pub mod processes;
 pub mod remote;
 pub mod report;
 pub mod rrt;
@@ -24,3 +26,4 @@ pub mod rrt_star;
 pub mod sampling;
 pub mod server;
 pub mod source;
+pub mod under_way;

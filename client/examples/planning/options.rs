@@ -69,3 +69,31 @@ impl Wanted {
         }
     }
 }
+
+/// Where a worker's first neighbours come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// The server, over gRPC
+    Server,
+    /// A replica in the worker's process
+    Replica,
+}
+
+impl Kind {
+    /// What it is called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::Server => "server",
+            Kind::Replica => "replica",
+        }
+    }
+}
+
+/// A number above 0.
+pub fn at_least_one(text: &str) -> Result<usize, String> {
+    let number = text.parse::<usize>().map_err(|error| error.to_string())?;
+    match number {
+        0 => Err("at least one is needed".to_owned()),
+        number => Ok(number),
+    }
+}

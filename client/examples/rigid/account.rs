@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use crate::planning::processes::{self, Times};
+
 /// What one worker, or several together, have done.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Account {
@@ -25,6 +27,21 @@ pub struct Account {
     pub checking: Duration,
     /// The time in inserts and updates.
     pub waiting: Duration,
+}
+
+impl processes::Account for Account {
+    fn made(&self) -> u64 {
+        self.milestones
+    }
+
+    fn times(&self) -> Times {
+        Times {
+            total: self.total,
+            searching: self.searching,
+            checking: self.checking,
+            waiting: self.waiting,
+        }
+    }
 }
 
 impl std::iter::Sum for Account {

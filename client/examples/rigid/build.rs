@@ -5,10 +5,16 @@ use std::time::{Duration, Instant};
 use wayfold_client::{Client, IndexHandle};
 
 use crate::{
+    account::Account,
     nearby::Source,
-    options::{Job, Kind, Options, PROGRESS_MS},
-    planning::{error::PlanningError, path, problem::Problem, server::ServerProcess},
-    processes::{self, Crew, Incident},
+    options::{Job, Kind, Options},
+    planning::{
+        error::PlanningError,
+        path,
+        problem::Problem,
+        processes::{self, Crew, Incident, PROGRESS_MS},
+        server::ServerProcess,
+    },
     roadmap::{self, Roadmap},
     scene::Rooms,
     worker::Worker,
@@ -23,7 +29,7 @@ pub struct Built {
     /// What the states were drawn from.
     pub seed: u64,
     /// What each did.
-    pub crew: Crew,
+    pub crew: Crew<Account>,
     /// How many milestones a dead worker had left pending.
     pub adopted: usize,
     /// How long it took to complete these.

@@ -7,7 +7,7 @@
 //!     cargo run --release -p wayfold-client --example rigid -- --until-solved [--scaling] [--runs 5]
 //!
 //! Reading order: `milestone` (what the index keeps), `nearby` (its candidates), `worker` (the planner), `roadmap` (what all
-//! of them made), `processes` (how they are started), `build` (one roadmap from the start to its paths), `until_solved`
+//! of them made), `processes` (what one that is started does), `build` (one roadmap from the start to its paths), `until_solved`
 //! (no further than its paths), `replay` and `audit` (what a roadmap must be), `report`, `picture`.
 
 #[path = "../planning/mod.rs"]
@@ -16,7 +16,6 @@ mod planning;
 mod account;
 mod audit;
 mod build;
-mod figures;
 mod milestone;
 mod nearby;
 mod options;

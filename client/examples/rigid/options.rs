@@ -2,7 +2,16 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
+
+pub use crate::planning::options::Kind;
+use crate::{
+    account::Account,
+    planning::{
+        options::at_least_one,
+        processes::{self, PROGRESS_MS},
+    },
+};
 
 /// Builds one roadmap by several processes, and answers several questions with it.
 #[derive(Clone, Debug, Parser)]
@@ -109,31 +118,16 @@ pub struct Job {
     pub halt_at: Option<u64>,
 }
 
-/// How often a worker tells its progress, for a picture of it.
-pub const PROGRESS_MS: u64 = 20;
+impl processes::Job for Job {
+    type Account = Account;
 
-/// Where a worker's first neighbours come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Kind {
-    /// The server, over gRPC
-    Server,
-    /// A replica in the worker's process
-    Replica,
-}
+    const ROLE: &'static str = "work";
 
-impl Kind {
-    /// What it is called.
-    pub fn name(self) -> &'static str {
-        match self {
-            Kind::Server => "server",
-            Kind::Replica => "replica",
-        }
+    fn number(&self) -> usize {
+        self.number
     }
-}
 
-impl Job {
-    /// The arguments that make a process do it.
-    pub fn arguments(&self) -> Vec<String> {
+    fn arguments(&self) -> Vec<String> {
         let arguments = [
             ("server", self.server.clone()),
             ("index", self.index.clone()),
@@ -151,13 +145,5 @@ impl Job {
             .chain(halt)
             .map(|(name, value)| format!("--{name}={value}"))
             .collect()
-    }
-}
-
-fn at_least_one(text: &str) -> Result<usize, String> {
-    let number = text.parse::<usize>().map_err(|error| error.to_string())?;
-    match number {
-        0 => Err("at least one is needed".to_owned()),
-        number => Ok(number),
     }
 }

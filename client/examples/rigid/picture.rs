@@ -10,9 +10,9 @@ use plotters::{
 
 use crate::{
     build::Built,
-    figures,
     planning::{
-        drawing::{self, Area, DARK, DrawingError, LETTERS, PALE, letters, write},
+        crew_panels,
+        drawing::{self, Area, DARK, DrawingError, LETTERS, PALE, WORKERS, letters, write},
         error::PlanningError,
         path,
         problem::Problem,
@@ -21,18 +21,6 @@ use crate::{
     scene::{self, Block, DOOR_WALL, FURNITURE, Rooms, SIDES, WINDOW_WALL},
     solid::{self, DEPTH, Projection, Solid},
 };
-
-/// The colours of workers, over and over.
-pub const WORKERS: [RGBColor; 8] = [
-    RGBColor(47, 111, 179),
-    RGBColor(226, 128, 45),
-    RGBColor(35, 138, 92),
-    RGBColor(148, 84, 178),
-    RGBColor(190, 62, 72),
-    RGBColor(28, 148, 160),
-    RGBColor(160, 132, 30),
-    RGBColor(104, 112, 128),
-];
 
 /// The chair's colours at the start and at the goal of each question.
 const CHAIRS: [[RGBColor; 2]; 3] = [
@@ -60,8 +48,8 @@ pub fn draw(scene: &Rooms, built: &Built, file: &Path) -> Result<(), PlanningErr
         let (above, below) = area.split_vertically(1940);
         rooms(scene, built, &paths, &above)?;
         let (left, right) = below.split_horizontally(1720);
-        figures::growth(&left, built)?;
-        figures::shares(&right, built)
+        crew_panels::growth(&left, &built.crew, "Milestones")?;
+        crew_panels::shares(&right, &built.crew)
     })
 }
 

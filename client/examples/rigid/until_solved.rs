@@ -20,8 +20,12 @@ use crate::{
     milestone::{self, PENDING},
     nearby::Source,
     options::{Job, Options},
-    planning::{error::PlanningError, path, problem::Problem},
-    processes::{Heard, Line, Process, lost},
+    planning::{
+        error::PlanningError,
+        path,
+        problem::Problem,
+        processes::{Heard, Line, Process, lost},
+    },
     report,
     roadmap::Roadmap,
     scene::Rooms,
@@ -168,7 +172,7 @@ async fn solve(
 /// Follows the roadmap until its edges connect these pairs of milestones, or all workers are done.
 async fn follow(
     watch: &mut Watch,
-    lines: &mut UnboundedReceiver<Heard>,
+    lines: &mut UnboundedReceiver<Heard<Account>>,
     accounts: &mut [Account],
     ends: &[(u64, u64)],
 ) -> Result<(), PlanningError> {
@@ -216,7 +220,7 @@ async fn follow(
 }
 
 /// Notes what a worker told; returns whether it is done.
-fn note(accounts: &mut [Account], number: usize, line: Option<Line>) -> bool {
+fn note(accounts: &mut [Account], number: usize, line: Option<Line<Account>>) -> bool {
     match line {
         Some(Line::Progress(account)) => accounts[number] = account,
         Some(Line::Done(account)) => {

@@ -13,14 +13,13 @@ use std::{collections::HashSet, time::Instant};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use tokio::task::JoinHandle;
 use wayfold_client::{Filter, IndexHandle, NeighborQuery, Point, Update};
 
 use crate::{
     account::Account,
     milestone::{self, PENDING},
     nearby::{self, Candidate, SCALING, STATES, Source},
-    planning::{error::PlanningError, problem::Problem, sampling},
+    planning::{error::PlanningError, problem::Problem, sampling, under_way::UnderWay},
     scene::Rooms,
 };
 
@@ -346,30 +345,5 @@ impl<'a> Worker<'a> {
     fn is_in_vain(&self, milestones: u64) -> bool {
         const TRIES: u64 = 100;
         self.account.samples > TRIES * milestones
-    }
-}
-
-/// A call that may be under way.
-struct UnderWay<T>(Option<JoinHandle<Result<T, PlanningError>>>);
-
-impl<T> Default for UnderWay<T> {
-    fn default() -> UnderWay<T> {
-        UnderWay(None)
-    }
-}
-
-impl<T: Send + 'static> UnderWay<T> {
-    /// Begins one, on the runtime's threads.
-    fn begin(&mut self, call: impl Future<Output = Result<T, PlanningError>> + Send + 'static) {
-        self.0 = Some(tokio::spawn(call));
-    }
-
-    /// Waits for its end, if there is one.
-    async fn finish(&mut self) -> Result<Option<T>, PlanningError> {
-        let Some(call) = self.0.take() else {
-            return Ok(None);
-        };
-        // It fails only if the call panicked, or where the runtime ends and nobody waits.
-        call.await.expect("a call does not panic").map(Some)
     }
 }

@@ -1,4 +1,4 @@
-//! The panels of figures below the rooms: how the roadmap grew, and where the workers' time went.
+//! The panels of figures about several workers: how fast they made what they share, and where their time went.
 
 use plotters::{
     chart::ChartBuilder,
@@ -6,10 +6,9 @@ use plotters::{
     style::Color,
 };
 
-use crate::{
-    build::Built,
-    picture::WORKERS,
-    planning::drawing::{Area, DARK, DrawingError, LETTERS, axes, legend, letters, write},
+use super::{
+    drawing::{Area, DARK, DrawingError, LETTERS, WORKERS, axes, legend, letters, write},
+    processes::{Account, Crew},
 };
 
 /// What the time went into.
@@ -20,19 +19,19 @@ const PARTS: [(&str, RGBColor); 4] = [
     ("rest", RGBColor(214, 218, 226)),
 ];
 
-/// How many milestones each worker had made, and all of them, over time.
-pub fn growth(area: &Area<'_>, built: &Built) -> Result<(), DrawingError> {
-    let mut own = vec![vec![(0.0, 0.0)]; built.workers];
+/// How much each worker had made, and all of them, over time; `what` they make is the title's beginning.
+pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result<(), DrawingError> {
+    let mut own = vec![vec![(0.0, 0.0)]; crew.accounts.len()];
     let mut all = vec![(0.0, 0.0)];
-    let mut now = vec![0; built.workers];
-    for told in &built.crew.growth {
+    let mut now = vec![0; crew.accounts.len()];
+    for told in &crew.growth {
         let at = told.at.as_secs_f64();
-        now[told.worker] = told.milestones;
-        own[told.worker].push((at, told.milestones as f64));
+        now[told.worker] = told.made;
+        own[told.worker].push((at, told.made as f64));
         all.push((at, now.iter().sum::<u64>() as f64));
     }
     let most = now.iter().sum::<u64>().max(1) as f64;
-    let wall = built.crew.wall.as_secs_f64().max(f64::MIN_POSITIVE);
+    let wall = crew.wall.as_secs_f64().max(f64::MIN_POSITIVE);
     let mut chart = ChartBuilder::on(area)
         .margin_left(40)
         .margin_right(40)
@@ -41,19 +40,19 @@ pub fn growth(area: &Area<'_>, built: &Built) -> Result<(), DrawingError> {
         .x_label_area_size(90)
         .y_label_area_size(130)
         .build_cartesian_2d(0.0..wall, 0.0..most * 1.05)?;
-    let count = |milestones: &f64| format!("{milestones:.0}");
+    let count = |made: &f64| format!("{made:.0}");
     axes(&mut chart, (6, 5), "seconds", &f64::to_string, &count)?;
     chart.draw_series([PathElement::new(all, DARK.stroke_width(8))])?;
     for (worker, line) in own.into_iter().enumerate() {
         let color = WORKERS[worker % WORKERS.len()];
         chart.draw_series([PathElement::new(line, color.stroke_width(6))])?;
     }
-    let title = "Milestones over time: all, and by each worker";
+    let title = format!("{what} over time: all, and by each worker");
     write(area, title, (80, 56), letters(LETTERS[0], DARK))
 }
 
 /// A bar a worker: the shares of its time.
-pub fn shares(area: &Area<'_>, built: &Built) -> Result<(), DrawingError> {
+pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), DrawingError> {
     let (width, height) = area.dim_in_pixel();
     let title = "Where the workers' time went";
     write(area, title, (40, 56), letters(LETTERS[0], DARK))?;
@@ -61,9 +60,10 @@ pub fn shares(area: &Area<'_>, built: &Built) -> Result<(), DrawingError> {
         legend(area, parts, (40, 130 + 52 * row as i32), 420)?;
     }
     let (left, right) = (240.0, f64::from(width) - 150.0);
-    let each = (f64::from(height) - 330.0) / built.workers as f64;
-    for (worker, account) in built.crew.accounts.iter().enumerate() {
-        let total = account.total.as_secs_f64().max(f64::MIN_POSITIVE);
+    let each = (f64::from(height) - 330.0) / crew.accounts.len() as f64;
+    for (worker, account) in crew.accounts.iter().enumerate() {
+        let times = account.times();
+        let total = times.total.as_secs_f64().max(f64::MIN_POSITIVE);
         let (top, color) = (
             250.0 + each * worker as f64,
             WORKERS[worker % WORKERS.len()],
@@ -71,7 +71,7 @@ pub fn shares(area: &Area<'_>, built: &Built) -> Result<(), DrawingError> {
         let middle = (top + 0.4 * each) as i32;
         let name = format!("worker {worker}");
         write(area, name, (40, middle), letters(LETTERS[1], color))?;
-        let known = [account.checking, account.waiting, account.searching];
+        let known = [times.checking, times.waiting, times.searching];
         let known = known.map(|part| part.as_secs_f64() / total);
         let rest = (1.0 - known.iter().sum::<f64>()).max(0.0);
         let mut from = left;

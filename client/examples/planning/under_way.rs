@@ -1,0 +1,30 @@
+//! A call that a worker does not wait for at once.
+
+use tokio::task::JoinHandle;
+
+use super::error::PlanningError;
+
+/// A call that may be under way.
+pub struct UnderWay<T>(Option<JoinHandle<Result<T, PlanningError>>>);
+
+impl<T> Default for UnderWay<T> {
+    fn default() -> UnderWay<T> {
+        UnderWay(None)
+    }
+}
+
+impl<T: Send + 'static> UnderWay<T> {
+    /// Begins one, on the runtime's threads.
+    pub fn begin(&mut self, call: impl Future<Output = Result<T, PlanningError>> + Send + 'static) {
+        self.0 = Some(tokio::spawn(call));
+    }
+
+    /// Waits for its end, if there is one.
+    pub async fn finish(&mut self) -> Result<Option<T>, PlanningError> {
+        let Some(call) = self.0.take() else {
+            return Ok(None);
+        };
+        // It fails only if the call panicked, or where the runtime ends and nobody waits.
+        call.await.expect("a call does not panic").map(Some)
+    }
+}
