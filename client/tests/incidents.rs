@@ -1,5 +1,5 @@
-//! Processes that build one roadmap together, and what happens to them: a worker or the server is killed in the middle,
-//! and the roadmap is as if it had lived.
+//! Processes that build one roadmap together, or grow the same two trees, and what happens to them: a worker or the server
+//! is killed in the middle, and the roadmap is as if it had lived, the trees are trees.
 //!
 //! This program is all of them: it starts itself as the workers and as the server, and so has a `main` of its own.
 
@@ -8,6 +8,8 @@
 
 #[path = "../examples/rigid/account.rs"]
 mod account;
+#[path = "../examples/maze/scene.rs"]
+mod maze;
 #[path = "../examples/rigid/milestone.rs"]
 mod milestone;
 #[path = "../examples/rigid/nearby.rs"]
@@ -31,12 +33,18 @@ use std::{collections::BTreeSet, process::ExitCode, sync::LazyLock};
 
 use clap::Parser;
 use libtest_mimic::{Arguments, Trial};
+use maze::Maze;
 use nearby::Source;
 use options::{Job, Kind, Options, Role};
 use planning::{
+    options as trees_options, path,
     problem::Problem,
     processes::{Incident, PROGRESS_MS, run},
     server::{self, ServerProcess},
+    shared_trees::{
+        job, solve,
+        store::{Layout, Store},
+    },
 };
 use roadmap::Roadmap;
 use scene::Rooms;
@@ -45,6 +53,7 @@ use wayfold_client::{Client, IndexHandle};
 use worker::Worker;
 
 static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
+static MAZE: LazyLock<Maze> = LazyLock::new(|| Maze::between((0, 0), (4, 2)));
 const MILESTONES: u64 = 150;
 /// How many milestones a worker has when something happens.
 const HALF: u64 = 20;
@@ -53,12 +62,22 @@ fn main() -> ExitCode {
     if let Some(ended) = server::serve_if_told() {
         return ended;
     }
-    if std::env::args().nth(1).as_deref() == Some("work") {
-        let Some(Role::Work(job)) = Options::parse().role else {
-            panic!("a worker has a job");
-        };
-        runtime().block_on(processes::work(&job)).unwrap();
-        return ExitCode::SUCCESS;
+    match std::env::args().nth(1).as_deref() {
+        Some("work") => {
+            let Some(Role::Work(job)) = Options::parse().role else {
+                panic!("a worker has a job");
+            };
+            runtime().block_on(processes::work(&job)).unwrap();
+            return ExitCode::SUCCESS;
+        }
+        Some("grow") => {
+            let Some(trees_options::Role::Grow(job)) = trees_options::Options::parse().role else {
+                panic!("a worker has a job");
+            };
+            runtime().block_on(job::grow(&*MAZE, &job)).unwrap();
+            return ExitCode::SUCCESS;
+        }
+        _ => {}
     }
     let trial = |name, test: fn()| {
         Trial::test(name, move || {
@@ -74,6 +93,10 @@ fn main() -> ExitCode {
         trial(
             "a_killed_server_costs_a_pause_and_nothing_else",
             a_killed_server_costs_a_pause_and_nothing_else,
+        ),
+        trial(
+            "a_killed_worker_leaves_trees_on_which_the_others_meet",
+            a_killed_worker_leaves_trees_on_which_the_others_meet,
         ),
     ];
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
@@ -158,4 +181,47 @@ fn a_killed_server_costs_a_pause_and_nothing_else() {
     let [as_left, roadmap] = runtime.block_on(read(&index));
     assert!(!as_left.pending.contains(&true), "all workers have lived");
     is_serial(&roadmap);
+}
+
+fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
+    let server = ServerProcess::start().unwrap();
+    let runtime = runtime();
+    let store = runtime.block_on(async {
+        let client = Client::connect(server.uri()).await.unwrap();
+        let store = Store::create(&client, "trees", Layout::Indices, &*MAZE);
+        store.await.unwrap()
+    });
+    let job = |number| job::Job {
+        server: server.uri().to_owned(),
+        store: "trees".to_owned(),
+        layout: store.layout(),
+        number,
+        seed: 5,
+        max_vertices: 100_000,
+        source: [Kind::Replica, Kind::Server][number % 2],
+        batch: 1,
+        progress_ms: PROGRESS_MS,
+        halt_at: (number == 2).then_some(HALF),
+    };
+    let jobs: Vec<job::Job> = (0..3).map(job).collect();
+    let crew = run(&jobs, Incident::WorkerKilled).unwrap();
+    assert!(crew.killed.is_some_and(|(worker, _)| worker == 2));
+
+    let (shared, path) = runtime.block_on(solve::read(&store)).unwrap();
+    path::verify(&*MAZE, &path).unwrap();
+    let of = |worker| {
+        shared
+            .makers
+            .iter()
+            .flatten()
+            .filter(move |&&maker| maker == worker)
+    };
+    // What it said of its last insert, which was under way, may be more than it did; of the others' nothing is missing.
+    assert!(of(2).count() as u64 <= crew.accounts[2].vertices);
+    let others: u64 = crew.accounts[..2].iter().map(|one| one.vertices).sum();
+    assert_eq!(
+        (of(0).count() + of(1).count()) as u64,
+        others + 2,
+        "and the roots"
+    );
 }

@@ -4,6 +4,8 @@
 //!
 //!     cargo run --release -p wayfold-client --example bodies -- [--source forest] [--seed 1] [--runs 5]
 //!
+//!     cargo run --release -p wayfold-client --example bodies -- --workers 4 [--source replica]
+//!
 //! The same trees are grown with each source of neighbours, from the same seeds; `bodies.svg` shows them.
 
 #[path = "../planning/mod.rs"]
@@ -15,9 +17,16 @@ mod scene;
 
 use std::process::ExitCode;
 
-use planning::example;
+use planning::example::Example;
 use scene::Room;
 
 fn main() -> ExitCode {
-    example::run(Room::new, None, "bodies.svg", picture::draw)
+    let example = Example {
+        name: "bodies",
+        paper: None,
+        draw: picture::draw,
+        draw_shared: None,
+        draw_star: None,
+    };
+    example.run(Room::new)
 }

@@ -172,6 +172,52 @@ pub fn walk(tree: &Tree, project: impl Fn(&[f64]) -> (f64, f64)) -> Vec<(f64, f6
     line
 }
 
+/// A tree as lines from node to node, each in one colour: that of its nodes but the first, which it branches off from. `order`
+/// has parents before their children.
+pub fn lines<C: Copy + PartialEq>(
+    order: impl Iterator<Item = usize>,
+    parents: &[Option<usize>],
+    color: impl Fn(usize) -> C,
+) -> Vec<(C, Vec<usize>)> {
+    let mut lines: Vec<(C, Vec<usize>)> = Vec::new();
+    // The line that ends at a node.
+    let mut ends: Vec<Option<usize>> = vec![None; parents.len()];
+    for node in order {
+        let Some(parent) = parents[node] else {
+            continue;
+        };
+        let color = color(node);
+        let line = ends[parent].filter(|&line| lines[line].0 == color);
+        if let Some(line) = line {
+            lines[line].1.push(node);
+            ends[parent] = None;
+            ends[node] = Some(line);
+        } else {
+            ends[node] = Some(lines.len());
+            lines.push((color, vec![parent, node]));
+        }
+    }
+    lines
+}
+
+/// A line without the points in the middle of its straight parts.
+pub fn straightened(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
+    let mut line = Vec::new();
+    for place in points {
+        if is_straight(&line, place) {
+            line.pop();
+        }
+        line.push(place);
+    }
+    line
+}
+
+/// A colour, so much of it, and white.
+pub fn lighter(color: RGBColor, share: f64) -> RGBColor {
+    let mix = |part: u8| (255.0 - share * (255.0 - f64::from(part))).round() as u8;
+    RGBColor(mix(color.0), mix(color.1), mix(color.2))
+}
+
 /// Whether a line goes straight on to `end`, for the eye.
 fn is_straight(line: &[(f64, f64)], end: (f64, f64)) -> bool {
     let [.., a, b] = line else { return false };

@@ -57,6 +57,20 @@ pub enum PlanningError {
         /// Which.
         id: u64,
     },
+    /// A vertex of a shared tree is not what it must be.
+    #[error("vertex {id}: {problem}; is the index another program's?")]
+    Vertex {
+        /// Which.
+        id: u64,
+        /// How it differs.
+        problem: &'static str,
+    },
+    /// A source that each process has for itself was asked of several.
+    #[error("{source_name} is within one process; workers take --source server or replica")]
+    Unshared {
+        /// Which.
+        source_name: &'static str,
+    },
     /// Who follows a roadmap is not told of it any more.
     #[error(
         "the server has forgotten how the roadmap grew before that was asked for; is it too busy?"

@@ -3,7 +3,8 @@
 //! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (what a scene tells a
 //! planner), `rrt` and `rrt_star` (the planners), `path` (its result, checked anew), `comparison` (one problem with every source),
 //! `example` (all of a program that does so), `report` (the table and the JSON), `drawing` and `panels` (what all pictures
-//! have in common); of several workers, `processes` (how they are started and heard).
+//! have in common); of several workers, `processes` (how they are started and heard) and `shared_trees` (RRTConCon by
+//! all of them together).
 
 #![expect(dead_code, reason = "each example takes what it needs of this")]
 
@@ -25,5 +26,6 @@ pub mod rrt;
 pub mod rrt_star;
 pub mod sampling;
 pub mod server;
+pub mod shared_trees;
 pub mod source;
 pub mod under_way;

@@ -2,11 +2,16 @@
 
 use std::path::PathBuf;
 
-use clap::{Parser, ValueEnum};
+use clap::{Parser, Subcommand, ValueEnum};
+
+use super::shared_trees::{job::Job, store::Layout};
 
 /// Solves a motion planning problem, tells where the time went, and draws a picture of it.
 #[derive(Clone, Debug, Parser)]
 pub struct Options {
+    /// The role of this process, if it is not the one that starts the others
+    #[command(subcommand)]
+    pub role: Option<Role>,
     /// Where the neighbours come from
     #[arg(long, value_enum, default_value_t = Wanted::All)]
     pub source: Wanted,
@@ -19,8 +24,20 @@ pub struct Options {
     /// A server that runs already; one is started for the time of the example unless given
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
-    /// Grows one tree by so many samples instead, by RRT*, and tells how its path becomes shorter; no picture
-    #[arg(long, value_name = "SAMPLES")]
+    /// Grows the same two trees by so many processes instead, on one server
+    #[arg(long, value_parser = at_least_one)]
+    pub workers: Option<usize>,
+    /// How many random states such a worker connects the trees to between two inserts
+    #[arg(long, default_value_t = 16, value_parser = at_least_one)]
+    pub batch: usize,
+    /// How they tell the trees apart
+    #[arg(long, value_enum, default_value_t = Layout::Indices)]
+    pub trees: Layout,
+    /// Compares 1, 2, 4 and 8 such workers with both sources instead; no picture
+    #[arg(long, conflicts_with = "workers")]
+    pub scaling: bool,
+    /// Grows one tree by so many samples instead, by RRT*, and tells how its path becomes shorter
+    #[arg(long, value_name = "SAMPLES", conflicts_with_all = ["workers", "scaling"])]
     pub rrt_star: Option<usize>,
     /// Gives up with so many nodes
     #[arg(long, default_value_t = 1_000_000)]
@@ -28,6 +45,14 @@ pub struct Options {
     /// Writes the figures of all runs to a file
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+}
+
+/// What a process may be told to be.
+#[derive(Clone, Debug, Subcommand)]
+pub enum Role {
+    /// One of the workers that share two trees
+    #[command(hide = true)]
+    Grow(Job),
 }
 
 /// One source, or all.
@@ -54,6 +79,16 @@ impl Wanted {
         match self {
             All => vec![Brute, Scan, Forest, Server, Replica],
             one => vec![one],
+        }
+    }
+
+    /// Those of its sources that several workers can share.
+    pub fn shared(self) -> Vec<Kind> {
+        match self {
+            Wanted::All => vec![Kind::Replica, Kind::Server],
+            Wanted::Replica => vec![Kind::Replica],
+            Wanted::Server => vec![Kind::Server],
+            Wanted::Brute | Wanted::Scan | Wanted::Forest => Vec::new(),
         }
     }
 

@@ -57,7 +57,7 @@ fn each_us(time: Duration, calls: usize) -> f64 {
 }
 
 /// The middle one, or the lower of the two in the middle; not a number if there is none.
-fn median(mut values: Vec<f64>) -> f64 {
+pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let middle = values.len().saturating_sub(1) / 2;
     values.get(middle).copied().unwrap_or(f64::NAN)

@@ -34,7 +34,8 @@ pub struct Tree {
 }
 
 impl Tree {
-    fn new(coordinates: usize) -> Tree {
+    /// No nodes yet, of states of so many numbers.
+    pub fn new(coordinates: usize) -> Tree {
         Tree {
             states: States::new(coordinates),
             parents: Vec::new(),
@@ -56,18 +57,33 @@ impl Tree {
         ids: Vec<u64>,
     ) -> Result<(), PlanningError> {
         for (state, id) in states.iter().zip(ids) {
-            let node = self.len();
-            self.states.push(state)?;
-            self.parents.push(parent);
-            self.ids.push(id);
-            self.nodes.insert(id, node);
-            parent = Some(node);
+            parent = Some(self.push(parent, state, id)?);
         }
         Ok(())
     }
 
+    /// Appends a node, and returns its number.
+    pub fn push(
+        &mut self,
+        parent: Option<usize>,
+        state: &[f64],
+        id: u64,
+    ) -> Result<usize, PlanningError> {
+        let node = self.len();
+        self.states.push(state)?;
+        self.parents.push(parent);
+        self.ids.push(id);
+        self.nodes.insert(id, node);
+        Ok(node)
+    }
+
+    /// The node with this id.
+    pub fn node(&self, id: u64) -> Option<usize> {
+        self.nodes.get(&id).copied()
+    }
+
     /// The states from the root to a node.
-    fn branch(&self, node: usize) -> Vec<Vec<f64>> {
+    pub fn branch(&self, node: usize) -> Vec<Vec<f64>> {
         let up = std::iter::successors(Some(node), |&node| self.parents[node]);
         let mut states: Vec<Vec<f64>> = up.map(|node| self.states.row(node).to_vec()).collect();
         states.reverse();
@@ -219,7 +235,9 @@ impl<'a, P: Problem> Planner<'a, P> {
         };
         let near = self.trees[tree].nodes[&nearest.id];
         let start = Instant::now();
-        let (states, reached) = self.advance(tree, near, target, nearest.distance)?;
+        let from = self.trees[tree].states.row(near);
+        let (problem, checks) = (self.problem, &mut self.checks);
+        let (states, reached) = advance(problem, from, target, nearest.distance, checks)?;
         self.checking += start.elapsed();
         if states.is_empty() {
             return Ok(reached.then_some(End {
@@ -230,32 +248,6 @@ impl<'a, P: Problem> Planner<'a, P> {
         self.insert(tree, Some(near), &states)?;
         let node = self.trees[tree].len() - 1;
         Ok(Some(End { node, reached }))
-    }
-
-    /// The states of the nodes on the way to `target`, and whether all of it is free.
-    fn advance(
-        &mut self,
-        tree: usize,
-        near: usize,
-        target: &[f64],
-        distance: f64,
-    ) -> Result<(States, bool), PlanningError> {
-        let (problem, space) = (self.problem, self.problem.space());
-        let from = self.trees[tree].states.row(near);
-        let mut states = States::new(space.coordinates());
-        let steps = (distance / problem.resolution()).ceil() as usize;
-        let mut state = vec![0.0; space.coordinates()];
-        for step in 1..=steps {
-            space.interpolate(from, target, step as f64 / steps as f64, &mut state);
-            self.checks += 1;
-            if !problem.is_free(&state) {
-                return Ok((states, false));
-            }
-            if step == steps || step % problem.checks_per_node() == 0 {
-                states.push(&state)?;
-            }
-        }
-        Ok((states, true))
     }
 
     fn nodes(&self) -> usize {
@@ -295,9 +287,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         let account = self.account();
         let nodes = self.nodes();
         self.growth.push(Growth { nodes, account });
-        let mut path = self.trees[0].branch(start);
-        // Both end in the state where they meet.
-        path.extend(self.trees[1].branch(goal).into_iter().rev().skip(1));
+        let path = path(&self.trees, [start, goal]);
         Solution {
             trees: self.trees,
             path,
@@ -305,4 +295,37 @@ impl<'a, P: Problem> Planner<'a, P> {
             growth: self.growth,
         }
     }
+}
+
+/// The states of the nodes on the way from a free state to `target`, so far from it, up to what is in the way; and whether
+/// nothing is. Adds how many states were checked.
+pub fn advance(
+    problem: &impl Problem,
+    from: &[f64],
+    target: &[f64],
+    distance: f64,
+    checks: &mut usize,
+) -> Result<(States, bool), PlanningError> {
+    let space = problem.space();
+    let mut states = States::new(space.coordinates());
+    let steps = (distance / problem.resolution()).ceil() as usize;
+    let mut state = vec![0.0; space.coordinates()];
+    for step in 1..=steps {
+        space.interpolate(from, target, step as f64 / steps as f64, &mut state);
+        *checks += 1;
+        if !problem.is_free(&state) {
+            return Ok((states, false));
+        }
+        if step == steps || step % problem.checks_per_node() == 0 {
+            states.push(&state)?;
+        }
+    }
+    Ok((states, true))
+}
+
+/// The way from the root of the first tree to that of the second by nodes of theirs that have the same state.
+pub fn path(trees: &[Tree; 2], [start, goal]: [usize; 2]) -> Vec<Vec<f64>> {
+    let mut path = trees[0].branch(start);
+    path.extend(trees[1].branch(goal).into_iter().rev().skip(1));
+    path
 }

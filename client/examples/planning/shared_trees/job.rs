@@ -1,0 +1,94 @@
+//! What a process is told that is one of the workers.
+
+use clap::Args;
+use wayfold_client::{Client, RetryPolicy};
+
+use super::{
+    super::{
+        error::PlanningError,
+        options::Kind,
+        problem::Problem,
+        processes::{self, PROGRESS_MS, Reporter},
+    },
+    account::Account,
+    nearest::Source,
+    store::{Layout, Store},
+    worker::Worker,
+};
+
+/// What a worker has to know, beside the problem.
+#[derive(Clone, Debug, Args)]
+pub struct Job {
+    /// Where the server is
+    #[arg(long)]
+    pub server: String,
+    /// The name of what holds the trees
+    #[arg(long)]
+    pub store: String,
+    /// How the trees are told apart
+    #[arg(long, value_enum)]
+    pub layout: Layout,
+    /// Which worker it is
+    #[arg(long)]
+    pub number: usize,
+    /// What all workers draw from
+    #[arg(long)]
+    pub seed: u64,
+    /// With so many vertices of its own it gives up
+    #[arg(long)]
+    pub max_vertices: u64,
+    /// Where its neighbours come from
+    #[arg(long, value_enum)]
+    pub source: Kind,
+    /// How many random states it connects the trees to between two inserts
+    #[arg(long)]
+    pub batch: usize,
+    /// How often it tells its progress, at most
+    #[arg(long, default_value_t = PROGRESS_MS)]
+    pub progress_ms: u64,
+    /// With so many vertices of its own it says so, its last insert still under way, and waits to be told to go on
+    #[arg(long)]
+    pub halt_at: Option<u64>,
+}
+
+impl processes::Job for Job {
+    type Account = Account;
+
+    const ROLE: &'static str = "grow";
+
+    fn number(&self) -> usize {
+        self.number
+    }
+
+    fn arguments(&self) -> Vec<String> {
+        let arguments = [
+            ("server", self.server.clone()),
+            ("store", self.store.clone()),
+            ("layout", self.layout.name().to_owned()),
+            ("number", self.number.to_string()),
+            ("seed", self.seed.to_string()),
+            ("max-vertices", self.max_vertices.to_string()),
+            ("source", self.source.name().to_owned()),
+            ("batch", self.batch.to_string()),
+            ("progress-ms", self.progress_ms.to_string()),
+        ];
+        let halt = self.halt_at.map(|own| ("halt-at", own.to_string()));
+        let all = arguments.into_iter().chain(halt);
+        all.map(|(name, value)| format!("--{name}={value}"))
+            .collect()
+    }
+}
+
+/// The role of a worker.
+pub async fn grow(problem: &impl Problem, job: &Job) -> Result<(), PlanningError> {
+    let client = Client::builder().retry(RetryPolicy::until_deadline());
+    let client = client.connect(&job.server).await?;
+    let store = Store::open(&client, &job.store, job.layout).await?;
+    let source = Source::open(&client, &store, job.source).await?;
+    let worker = Worker::new(problem, store, source, job.number, job.seed);
+    let mut worker = worker.batch(job.batch);
+    let mut reporter = Reporter::ready(job, job.progress_ms, job.halt_at)?;
+    let grown = worker.grow(job.max_vertices, |account| reporter.progress(account));
+    grown.await?;
+    reporter.done(&worker.account())
+}

@@ -1,0 +1,119 @@
+//! What workers share: the indices that hold the trees, and what tells that these have met.
+
+use clap::ValueEnum;
+use wayfold_client::{Client, Filter, IndexHandle, Space};
+
+use super::{
+    super::{error::PlanningError, problem::Problem},
+    meeting::Meeting,
+    vertex::{self, ROOTS},
+};
+
+/// How two trees are told apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Layout {
+    /// Each has an index of its own
+    Indices,
+    /// By a tag, in one index: what both trees become is one insert, but who seeks the nearest vertex of one has to pass
+    /// those of the other that are nearer
+    Tags,
+}
+
+impl Layout {
+    /// What it is called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Layout::Indices => "indices",
+            Layout::Tags => "tags",
+        }
+    }
+}
+
+/// The trees of one problem on one server.
+#[derive(Clone, Debug)]
+pub struct Store {
+    layout: Layout,
+    /// Of the tree from the start, and of that from the goal; the same one for both with tags.
+    trees: [IndexHandle; 2],
+    meeting: Meeting,
+}
+
+impl Store {
+    /// Makes what is needed under a name that nobody else uses, with the roots of both trees.
+    pub async fn create(
+        client: &Client,
+        name: &str,
+        layout: Layout,
+        problem: &impl Problem,
+    ) -> Result<Store, PlanningError> {
+        let space: &Space = problem.space();
+        for name in names(name, layout) {
+            client.create_index(&name, space).await?;
+        }
+        Meeting::create(client, name, space).await?;
+        let store = Store::open(client, name, layout).await?;
+        let roots = [problem.start(), problem.goal()];
+        for (tree, root) in roots.into_iter().enumerate() {
+            let insert = store.trees[tree].insert([root]).ids([ROOTS[tree]]);
+            insert.tags([vertex::tag(tree, 0)]).await?;
+        }
+        Ok(store)
+    }
+
+    /// What was made under this name.
+    pub async fn open(client: &Client, name: &str, layout: Layout) -> Result<Store, PlanningError> {
+        let [start, goal] = names(name, layout);
+        Ok(Store {
+            layout,
+            trees: [client.index(&start).await?, client.index(&goal).await?],
+            meeting: Meeting::open(client, name).await?,
+        })
+    }
+
+    /// Deletes all of it.
+    pub async fn delete(&self, client: &Client) {
+        let trees = self.trees.iter().map(IndexHandle::name);
+        for name in trees.chain([self.meeting.name()]) {
+            // What is left behind on a server that is gone, goes with it; of one index for both, the second time.
+            let _ = client.delete_index(name).await;
+        }
+    }
+
+    /// How the trees are told apart.
+    pub fn layout(&self) -> Layout {
+        self.layout
+    }
+
+    /// The index that holds a tree.
+    pub fn index(&self, tree: usize) -> &IndexHandle {
+        &self.trees[tree]
+    }
+
+    /// What tells that the trees have met.
+    pub fn meeting(&self) -> &Meeting {
+        &self.meeting
+    }
+
+    /// Which points of a tree's index are of that tree.
+    pub fn filter(&self, tree: usize) -> Filter {
+        match self.layout {
+            Layout::Indices => Filter::default(),
+            Layout::Tags => vertex::of_tree(tree),
+        }
+    }
+
+    /// The trees that share an index, index by index.
+    pub fn together(&self) -> &'static [&'static [usize]] {
+        match self.layout {
+            Layout::Indices => &[&[0], &[1]],
+            Layout::Tags => &[&[0, 1]],
+        }
+    }
+}
+
+fn names(name: &str, layout: Layout) -> [String; 2] {
+    match layout {
+        Layout::Indices => [format!("{name}-start"), format!("{name}-goal")],
+        Layout::Tags => [name.to_owned(), name.to_owned()],
+    }
+}
