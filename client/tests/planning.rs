@@ -137,7 +137,7 @@ fn the_way_of_rrt_star_only_becomes_shorter() {
             assert!(tree.costs[parent] < tree.costs[node], "no circles");
         }
         let Some(goal) = star.goal else {
-            assert!(costs.is_empty());
+            assert!(costs.is_empty() && star.shortened.is_empty());
             continue;
         };
         let path = tree.branch(goal);
@@ -146,6 +146,9 @@ fn the_way_of_rrt_star_only_becomes_shorter() {
         assert_eq!(path.last().unwrap(), problem.goal());
         assert!((path::length(&problem, &path) - tree.costs[goal]).abs() < 1e-9);
         assert_eq!(star.progress.last().unwrap().cost, tree.costs[goal]);
+        let lengths = star.shortened.iter().map(|&(_, length)| length);
+        assert!(lengths.is_sorted_by(|before, after| before > after));
+        assert_eq!(star.shortened.last().unwrap().1, tree.costs[goal]);
         costs.push(tree.costs[goal]);
     }
     assert!(costs.is_sorted_by(|before, after| before >= after));

@@ -54,7 +54,7 @@ fn above(
         chart.draw_series([PathElement::new(line, color.mix(0.75).stroke_width(3))])?;
     }
     walls(maze, &mut chart)?;
-    bodies(maze, shown, &mut chart)?;
+    bodies(maze, shown, BODIES, &mut chart)?;
     let nodes = comparison.solution.nodes();
     let title = format!("A C-shaped body through a maze: {nodes} nodes in R² × S¹");
     write(area, title, (80, 60), letters(LETTERS[0], DARK))?;
@@ -87,9 +87,14 @@ pub fn walls(maze: &Maze, chart: &mut Plane<'_>) -> Result<(), DrawingError> {
     Ok(())
 }
 
-/// Draws the body along a path.
-pub fn bodies(maze: &Maze, shown: &[Vec<f64>], chart: &mut Plane<'_>) -> Result<(), DrawingError> {
-    let bodies = path::spread(maze, shown, BODIES);
+/// Draws so many bodies along a path.
+pub fn bodies(
+    maze: &Maze,
+    shown: &[Vec<f64>],
+    count: usize,
+    chart: &mut Plane<'_>,
+) -> Result<(), DrawingError> {
+    let bodies = path::spread(maze, shown, count);
     let last = bodies.len().saturating_sub(1).max(1) as f64;
     for (at, state) in bodies.iter().enumerate() {
         let outline = maze.outline(state);

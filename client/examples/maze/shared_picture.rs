@@ -21,6 +21,9 @@ use crate::{
     scene::Maze,
 };
 
+/// How many bodies are drawn along the path: so many that the trees are seen between them.
+const BODIES: usize = 50;
+
 /// How much of a worker's colour is in the lines of the tree from the start, and of that from the goal.
 const SHADES: [f64; 2] = [1.0, 0.55];
 
@@ -62,7 +65,7 @@ fn trees(
         }
     }
     picture::walls(maze, &mut chart)?;
-    picture::bodies(maze, shown, &mut chart)?;
+    picture::bodies(maze, shown, BODIES, &mut chart)?;
 
     let workers = solved.crew.accounts.len();
     let crew = match workers {

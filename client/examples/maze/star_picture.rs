@@ -4,7 +4,7 @@ use std::{f64::consts::PI, path::Path};
 
 use plotters::{
     chart::ChartBuilder,
-    prelude::{Circle, ColorMap, IntoLogRange, PathElement, RGBColor, Rectangle, ViridisRGB},
+    prelude::{Circle, ColorMap, PathElement, RGBColor, Rectangle, ViridisRGB},
     style::Color,
 };
 
@@ -20,6 +20,9 @@ use crate::{
     },
     scene::Maze,
 };
+
+/// How many bodies are drawn along the path: so many that the tree is seen between them.
+const BODIES: usize = 50;
 
 /// How many colours tell how far a node is from the root.
 const BANDS: usize = 64;
@@ -94,7 +97,7 @@ fn from_above(
         chart.draw_series([PathElement::new(line, color.stroke_width(2))])?;
     }
     picture::walls(maze, &mut chart)?;
-    picture::bodies(maze, path, &mut chart)?;
+    picture::bodies(maze, path, BODIES, &mut chart)?;
     let progress = tree.star.progress.last();
     let samples = progress.map_or(0, |progress| progress.samples);
     let title = format!(
@@ -110,23 +113,23 @@ fn from_above(
         (80, 46),
         style(),
     )?;
-    write(&area, "0", (640, 46), style())?;
-    let (left, width) = (680, 12);
+    write(&area, "0", (600, 46), style())?;
+    let (left, width) = (640, 14);
     for band in 0..BANDS {
         let from = left + width * band as i32;
-        let corners = [(from, 30), (from + width, 62)];
+        // A little too wide, so that there is no seam.
+        let corners = [(from, 28), (from + width + 2, 64)];
         area.draw(&Rectangle::new(corners, ink(band).filled()))?;
     }
     let right = left + width * BANDS as i32;
     let farthest = format!("{:.1}", tree.farthest);
-    write(&area, farthest, (right + 16, 46), style())
+    write(&area, farthest, (right + 20, 46), style())
 }
 
 /// How long the path was after so many samples.
 fn length(star: &Star, area: &Area<'_>) -> Result<(), DrawingError> {
-    let found = star.progress.iter().filter(|at| at.cost.is_finite());
-    let points: Vec<(f64, f64)> = found.map(|at| (at.samples as f64, at.cost)).collect();
-    let (Some(first), Some(last)) = (points.first(), points.last()) else {
+    let samples = star.progress.last().map_or(0, |last| last.samples) as f64;
+    let (Some(first), Some(last)) = (star.shortened.first(), star.shortened.last()) else {
         return Ok(());
     };
     let rise = (first.1 - last.1).max(0.01 * last.1);
@@ -137,21 +140,25 @@ fn length(star: &Star, area: &Area<'_>) -> Result<(), DrawingError> {
         .margin_top(120)
         .x_label_area_size(90)
         .y_label_area_size(130)
-        .build_cartesian_2d(
-            (first.0 * 0.8..last.0 * 1.25).log_scale(),
-            last.1 - 0.15 * rise..first.1 + 0.1 * rise,
-        )?;
+        .build_cartesian_2d(0.0..samples, last.1 - 0.15 * rise..first.1 + 0.1 * rise)?;
     axes(
         &mut chart,
         (4, 5),
         "samples",
         &|samples| format!("{samples:.0}"),
-        &|length| format!("{length:.2}"),
+        &|length| format!("{length:.1}"),
     )?;
     let color = along(1.0);
-    chart.draw_series([PathElement::new(points.clone(), color.stroke_width(7))])?;
-    let dots = points.iter().map(|&at| Circle::new(at, 12, color.filled()));
-    chart.draw_series(dots)?;
+    // As long as before until it is shorter.
+    let mut steps: Vec<(f64, f64)> = Vec::new();
+    for &(drawn, length) in &star.shortened {
+        let drawn = drawn as f64;
+        steps.extend(steps.last().map(|&(_, before)| (drawn, before)));
+        steps.push((drawn, length));
+    }
+    steps.push((samples, last.1));
+    chart.draw_series([PathElement::new(steps, color.stroke_width(7))])?;
+    chart.draw_series([Circle::new((first.0 as f64, first.1), 14, color.filled())])?;
     let title = "Length of the path over samples";
     write(area, title, (80, 56), letters(LETTERS[0], DARK))
 }

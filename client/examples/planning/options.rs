@@ -28,7 +28,7 @@ pub struct Options {
     #[arg(long, value_parser = at_least_one)]
     pub workers: Option<usize>,
     /// How many random states such a worker connects the trees to between two inserts
-    #[arg(long, default_value_t = 16, value_parser = at_least_one)]
+    #[arg(long, default_value_t = 32, value_parser = at_least_one)]
     pub batch: usize,
     /// How they tell the trees apart
     #[arg(long, value_enum, default_value_t = Layout::Indices)]

@@ -114,6 +114,8 @@ pub struct Star {
     pub goal: Option<usize>,
     /// How it came to that: at every doubling of the samples, and at the end.
     pub progress: Vec<Progress>,
+    /// After how many samples the way to the goal was found or became shorter, and its length then.
+    pub shortened: Vec<(usize, f64)>,
 }
 
 /// Grows a tree by so many samples. The same seed grows the same tree with any exact source.
@@ -127,16 +129,21 @@ pub fn grow(
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut planner = Planner::new(problem, source)?;
     let (mut progress, mut next) = (Vec::new(), FIRST);
+    let mut shortened: Vec<(usize, f64)> = Vec::new();
     for drawn in 1..=samples {
         let random = sampling::uniform(problem.space(), problem.bounds(), &mut rng);
         let is_for_goal = planner.goal.is_none() && drawn % GOAL_EVERY == 0;
         planner.extend(if is_for_goal { problem.goal() } else { &random })?;
+        let tree = &planner.tree;
+        let cost = planner.goal.map_or(f64::INFINITY, |node| tree.costs[node]);
+        if cost < shortened.last().map_or(f64::INFINITY, |&(_, known)| known) {
+            shortened.push((drawn, cost));
+        }
         if drawn == next || drawn == samples {
-            let tree = &planner.tree;
             progress.push(Progress {
                 samples: drawn,
                 nodes: tree.len(),
-                cost: planner.goal.map_or(f64::INFINITY, |node| tree.costs[node]),
+                cost,
                 total: started.elapsed(),
                 neighbors: planner.source.usage(),
             });
@@ -147,6 +154,7 @@ pub fn grow(
         tree: planner.tree,
         goal: planner.goal,
         progress,
+        shortened,
     })
 }
 
