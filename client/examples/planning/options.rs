@@ -82,10 +82,11 @@ impl Wanted {
         }
     }
 
-    /// Those of its sources that several workers can share.
+    /// Those of its sources that several workers can share. The first is the one that more workers burden less: to replicas
+    /// every insert is told as often as there are workers.
     pub fn shared(self) -> Vec<Kind> {
         match self {
-            Wanted::All => vec![Kind::Replica, Kind::Server],
+            Wanted::All => vec![Kind::Server, Kind::Replica],
             Wanted::Replica => vec![Kind::Replica],
             Wanted::Server => vec![Kind::Server],
             Wanted::Brute | Wanted::Scan | Wanted::Forest => Vec::new(),
