@@ -37,8 +37,8 @@ pub struct Search<'a> {
     /// Answers may be farther than the true ones by a factor of `1 + epsilon`, and what lies between
     /// `radius / (1 + epsilon)` and the radius may be missing; 0 is exact.
     pub epsilon: f64,
-    /// Visits at most so many leaves; `usize::MAX` for as many as exactness needs. (New points of a forest, up to the
-    /// next merge, lie in leaves of their own, of any size.)
+    /// Visits at most so many leaves; `usize::MAX` for as many as exactness needs. (The points of a
+    /// large mutation lie in one leaf until they are merged.)
     pub max_leaves: usize,
     /// Gives up at this time, within some dozens of leaves, with what it has found until then.
     pub until: Option<Instant>,

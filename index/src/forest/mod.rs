@@ -32,7 +32,7 @@ pub use snapshot::Snapshot;
 /// The sizes a forest is built with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForestOptions {
-    /// Most points of the level that grows by single points; an eighth of it in spaces of more than three dimensions,
+    /// Most points of the level that grows by single points, up to 2²⁰; an eighth of it in spaces of more than three dimensions,
     /// where a search of packed levels gains more by their full leaves than it loses by their number.
     pub growing_rows: usize,
     /// Most points of a leaf.
@@ -47,6 +47,9 @@ impl Default for ForestOptions {
         }
     }
 }
+
+/// Marks of removed points have room for all that may grow.
+const MOST_GROWING: usize = 1 << 20;
 
 /// A mutation of more rows than this part of what grows makes a level of its own, to be packed at once.
 const LARGE: usize = 8;
@@ -82,7 +85,7 @@ impl Forest {
     pub fn new(space: Space, options: ForestOptions) -> Self {
         let part = if space.dimension() > 3 { 8 } else { 1 };
         let options = ForestOptions {
-            growing_rows: (options.growing_rows / part).max(1),
+            growing_rows: (options.growing_rows / part).clamp(1, MOST_GROWING),
             leaf_rows: options.leaf_rows.max(1),
         };
         let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);

@@ -54,10 +54,18 @@ pub(super) struct Growing {
 impl Growing {
     /// An empty tree for at most `most_rows` points.
     pub(super) fn new(space: &Space, leaf_rows: usize, most_rows: usize) -> Self {
-        let scales = scales(space);
+        Self::empty(scales(space).into(), leaf_rows, most_rows)
+    }
+
+    /// Another one, as this was.
+    pub(super) fn renewed(&self) -> Self {
+        Self::empty(Arc::clone(&self.scales), self.leaf_rows, self.most_rows)
+    }
+
+    fn empty(scales: Arc<[f64]>, leaf_rows: usize, most_rows: usize) -> Self {
         let width = scales.len();
         Self {
-            scales: scales.into(),
+            scales,
             leaf_rows,
             root: Cell::Leaf(Leaf::new(width)),
             height: 0,
@@ -68,23 +76,6 @@ impl Growing {
             tombstones: Arc::default(),
             most_rows,
             reach: Arc::default(),
-        }
-    }
-
-    /// An empty tree as this one was.
-    pub(super) fn renewed(&self) -> Self {
-        let width = self.scales.len();
-        Self {
-            root: Cell::Leaf(Leaf::new(width)),
-            height: 0,
-            crowded: false,
-            newest: 0,
-            arrivals: Arrivals::new(width),
-            slots: OrdMap::new(),
-            tombstones: Arc::default(),
-            reach: Arc::default(),
-            scales: Arc::clone(&self.scales),
-            ..*self
         }
     }
 
