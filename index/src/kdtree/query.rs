@@ -7,7 +7,7 @@ use crate::{
 };
 
 /// Where a cell is: a node or, at height 0, a leaf.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Place {
     index: u32,
     height: u32,
@@ -41,7 +41,7 @@ impl KdTree {
             index: 0,
             height: self.height,
         };
-        let (mut ahead, mut next) = (Ahead::new(root), Some(root));
+        let (mut ahead, mut next) = (Ahead::new(Place::default()), Some(root));
         while let Some(Place { index, height }) = next {
             let index = index as usize;
             if height == 0 {

@@ -54,10 +54,10 @@ const fn uneven(setting: Setting) -> Setting {
 pub const SETTINGS: [Setting; 13] = [
     uneven(million(quick(setting("R3", "R3")))),
     million(quick(setting("R6", "R6"))),
-    uneven(setting("R12", "R12")),
+    uneven(million(setting("R12", "R12"))),
     setting("R30", "R30"),
     million(setting("SO2^3", "SO2^3")),
-    uneven(setting("SO2^6", "SO2^6")),
+    uneven(million(setting("SO2^6", "SO2^6"))),
     million(quick(setting("SO3", "SO3"))),
     uneven(million(quick(setting("SE2", "R2*SO2")))),
     uneven(million(quick(setting("SE3", "R3*SO3:0.15")))),
