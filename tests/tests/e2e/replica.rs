@@ -29,7 +29,7 @@ fn start(data: &Path) -> ServerProcess {
     command
         .args(["--grpc", "127.0.0.1:0", "--data"])
         .arg(data)
-        .env("WAYFOLD_INDEX__BUFFER_ROWS", "8");
+        .env("WAYFOLD_INDEX__GROWING_ROWS", "32");
     ServerProcess::ready(Process::spawn(&mut command))
 }
 

@@ -52,7 +52,7 @@ async fn every_answer_is_brute_forces_through_kills_of_server_and_router() {
     let data = directory.path().join("data");
     let data = ["--data", data.to_str().unwrap()];
     let (mut router_process, at) = router("tcp/127.0.0.1:0");
-    let start = || server_behind(&at, &data, ("WAYFOLD_INDEX__BUFFER_ROWS", "8"));
+    let start = || server_behind(&at, &data, ("WAYFOLD_INDEX__GROWING_ROWS", "32"));
     let mut server = start();
     let way = Proxy::to(server.uri()).await;
     let space: Space = SPACE.parse().unwrap();
