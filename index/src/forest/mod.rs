@@ -28,6 +28,7 @@ use merge::Running;
 pub use merge::{Merge, Merged};
 use packed::Packed;
 pub use snapshot::Snapshot;
+use tombstones::HEAD;
 
 /// The sizes a forest is built with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -292,7 +293,7 @@ impl Forest {
         Arc::make_mut(&mut self.head.levels).retain(|level| !running.has(level));
         if let Some(level) = merged.level {
             for (id, revision) in running.buried {
-                if let Some(slot) = level.find(id, u64::MAX - 1) {
+                if let Some(slot) = level.find(id, HEAD) {
                     level.bury(slot, revision);
                 }
             }

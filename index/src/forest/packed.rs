@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use super::{level::InOrder, tombstones::Tombstones};
+use super::{
+    level::InOrder,
+    tombstones::{HEAD, Tombstones},
+};
 use crate::{KdTree, PointRef, Points, Space, kernel::Set, search::Walk};
 
 /// Each id stands in it at most once.
@@ -127,7 +130,7 @@ impl Packed {
             }
         }
         let dead = (0..self.rows())
-            .filter(|&slot| !self.sees(slot, u64::MAX - 1))
+            .filter(|&slot| !self.sees(slot, HEAD))
             .count();
         if dead != self.dead() {
             return Err(format!(

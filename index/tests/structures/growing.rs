@@ -1,6 +1,8 @@
 //! The level that grows by single points: what it does with points that come in a bad order, with readers of what is
 //! new, with points that are written over and over, and when writes pause.
 
+use std::time::Instant;
+
 use crate::common::{Shape, assert_same, brute_force, rng, states};
 use wayfold_index::{Filter, Forest, ForestOptions, Points, Search, Space};
 
@@ -102,6 +104,45 @@ fn points_that_are_written_over_and_over_stay_few() {
     assert!(answer.exact);
     assert_eq!(answer.neighbors.len(), 20);
     assert!(forest.memory_bytes() < 1 << 20, "{}", forest.memory_bytes());
+}
+
+/// Points that move in one place among many that rest leave no long past there, and little behind in memory.
+#[test]
+fn what_moves_among_what_rests_stays_quick_to_search() {
+    let space: Space = "R3".parse().unwrap();
+    let far: Vec<Vec<f64>> = states(&space, Shape::Uniform, 3000, &mut rng(23))
+        .into_iter()
+        .map(|row| row.iter().map(|x| x + 100.0).collect())
+        .collect();
+    let mut forest = grow(&space, &far);
+    let moving = states(&space, Shape::Uniform, 2500, &mut rng(29));
+    for (at, row) in (0..).zip(&moving) {
+        insert(&mut forest, 10_000 + at % 20, row);
+    }
+    forest.validate().unwrap();
+    let search = Search {
+        max_leaves: 8,
+        ..Search::nearest_k(10)
+    };
+    let answer = forest.search(&moving[0], &search);
+    assert!(answer.exact);
+    assert!(answer.neighbors.iter().all(|found| found.id >= 10_000));
+}
+
+/// A deadline that has passed ends a search also where points are read in the order in which they came.
+#[test]
+fn a_search_without_boxes_gives_up_in_time() {
+    let space: Space = "R30".parse().unwrap();
+    let rows = states(&space, Shape::Uniform, 3000, &mut rng(31));
+    let forest = grow(&space, &rows);
+    let late = Search {
+        until: Some(Instant::now()),
+        ..Search::nearest_k(1)
+    };
+    for query in states(&space, Shape::Uniform, 100, &mut rng(37)) {
+        assert!(forest.search(&query, &Search::nearest_k(1)).exact);
+        assert!(!forest.search(&query, &late).exact);
+    }
 }
 
 /// Writes that pause leave one packed tree, whether or not a merge was due before.

@@ -80,7 +80,7 @@ impl Arrivals {
         &chunk.points
     }
 
-    /// Shows `walk` all visible points, one after the other.
+    /// Shows `walk` all visible points, one after the other, each block as a leaf.
     #[inline(always)]
     pub(super) fn visit<'a, S: Set>(
         &'a self,
@@ -90,6 +90,9 @@ impl Arrivals {
         for (at, chunk) in self.full.iter().chain([&self.last]).enumerate() {
             let rows = chunk.points.len();
             for start in (0..rows).step_by(BLOCK) {
+                if !walk.enters_leaf() {
+                    return;
+                }
                 let block = chunk.blocks.block(start / BLOCK);
                 let slot = |lane| at * CHUNK + start + lane;
                 walk.scan::<S>(block, (rows - start).min(BLOCK), self, slot, &visible);

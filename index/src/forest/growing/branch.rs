@@ -5,7 +5,7 @@ use std::sync::Arc;
 use arrayvec::ArrayVec;
 
 use super::leaf::{Label, Leaf};
-use crate::kernel::CHILDREN;
+use crate::{forest::tombstones::Tombstones, kernel::CHILDREN};
 
 /// A cell of the tree: all that lies on one side of each of the cuts above it.
 #[derive(Clone, Debug)]
@@ -51,6 +51,8 @@ pub(super) struct Arrival<'a> {
     pub(super) scales: &'a [f64],
     /// Most points of a leaf that can be split.
     pub(super) leaf_rows: usize,
+    /// What of the tree has died.
+    pub(super) tombstones: &'a Tombstones,
     /// Is set if more than [`CROWDED`] times as many coincide.
     pub(super) crowds: bool,
 }
@@ -72,6 +74,11 @@ impl Cell {
             Cell::Branch(branch) => Arc::make_mut(branch).insert(point),
             Cell::Leaf(leaf) => {
                 leaf.push(point.label, point.row.iter().copied());
+                if leaf.rows() <= point.leaf_rows {
+                    return None;
+                }
+                // Else points that move in one place would leave a long past there.
+                leaf.forget(point.tombstones);
                 if leaf.rows() <= point.leaf_rows {
                     return None;
                 }

@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::kernel::BLOCK;
+use crate::{
+    forest::tombstones::{HEAD, Tombstones},
+    kernel::BLOCK,
+};
 
 /// What a leaf knows of a point besides its state.
 #[derive(Clone, Copy, Debug)]
@@ -76,6 +79,22 @@ impl Leaf {
             column[self.rows % BLOCK] = x;
         }
         self.rows += 1;
+    }
+
+    /// Lets go of the points that are dead at the head; snapshots that see them have copies of their own.
+    pub(super) fn forget(&mut self, tombstones: &Tombstones) {
+        let lives = |label: Label| tombstones.sees(label.slot as usize, HEAD);
+        let lanes = |block: LeafBlock<'_>| (0..block.lanes).all(|lane| lives(block.label(lane)));
+        if tombstones.dead() == 0 || self.blocks().all(lanes) {
+            return;
+        }
+        let mut kept = Self::new(self.width);
+        for block in self.blocks() {
+            for lane in (0..block.lanes).filter(|&lane| lives(block.label(lane))) {
+                kept.push(block.label(lane), block.row(lane));
+            }
+        }
+        *self = kept;
     }
 
     /// Two leaves: the points whose number in the coordinate `axis` lies below `at`, and the others.

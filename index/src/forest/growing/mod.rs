@@ -107,6 +107,7 @@ impl Growing {
             row: point.row,
             scales: &self.scales,
             leaf_rows: self.leaf_rows,
+            tombstones: &self.tombstones,
             crowds: false,
         };
         self.newest = self.newest.max(point.revision);

@@ -5,11 +5,11 @@ use super::{
     branch::{Branch, Cell},
     leaf::{Label, Leaf},
 };
-use crate::kernel::CHILDREN;
+use crate::{forest::tombstones::HEAD, kernel::CHILDREN};
 
 impl Growing {
-    /// Checks that every point lies in the one leaf that its row leads to, inside all boxes above it, that all leaves are
-    /// equally deep, and that ids and counts agree.
+    /// Checks that every living point lies in the one leaf that its row leads to, inside all boxes above it, that all
+    /// leaves are equally deep, and that ids and counts agree.
     ///
     /// # Errors
     /// The first invariant found broken.
@@ -17,7 +17,8 @@ impl Growing {
         let mut held = vec![false; self.rows()];
         let mut branches = Vec::new();
         self.check_cell(&self.root, &mut branches, &mut held)?;
-        if let Some(slot) = held.iter().position(|held| !held) {
+        let seen = |slot: usize| self.sees(slot, HEAD);
+        if let Some(slot) = (0..held.len()).find(|&slot| !held[slot] && seen(slot)) {
             return Err(format!("slot {slot} is in no leaf"));
         }
         for (&id, &slot) in &self.slots {
@@ -25,7 +26,6 @@ impl Growing {
                 return Err(format!("id {id} leads to another point"));
             }
         }
-        let seen = |slot: usize| self.sees(slot, u64::MAX - 1);
         let alive = (0..self.rows()).filter(|&slot| seen(slot)).count();
         let found = self.slots.values().filter(|&&slot| seen(slot as usize));
         if found.count() != alive || alive + self.dead() != self.rows() {
