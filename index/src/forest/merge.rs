@@ -38,9 +38,10 @@ impl Merge {
                 source.copy_to(slot, &mut points);
             }
         }
-        let packed =
-            |points| Level::Packed(Box::new(Packed::built(self.space, points, self.leaf_rows)));
-        let level = (!points.is_empty()).then(|| packed(points));
+        let level = (!points.is_empty()).then(|| {
+            let packed = Packed::built(self.space, points, self.leaf_rows);
+            Level::Packed(Box::new(packed))
+        });
         Merged {
             token: self.token,
             level,

@@ -33,8 +33,8 @@ use tombstones::HEAD;
 /// The sizes a forest is built with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForestOptions {
-    /// Most points of the level that grows by single points, up to 2²⁰; an eighth of it in spaces of more than three dimensions,
-    /// where a search of packed levels gains more by their full leaves than it loses by their number.
+    /// Most points of the level that grows by single points, up to 2²⁰; an eighth of it in spaces of more than three
+    /// dimensions, where a search of packed levels gains more by their full leaves than it loses by their number.
     pub growing_rows: usize,
     /// Most points of a leaf.
     pub leaf_rows: usize,
@@ -200,10 +200,8 @@ impl Forest {
         self.head.live += rows.len();
         if rows.len() > (self.options.growing_rows / LARGE).max(1) {
             let space = Arc::clone(&self.head.space);
-            self.add_level(Level::Packed(Box::new(Packed::unbuilt(
-                space,
-                rows.clone(),
-            ))));
+            let packed = Packed::unbuilt(space, rows.clone());
+            self.add_level(Level::Packed(Box::new(packed)));
             return;
         }
         for point in rows.iter() {

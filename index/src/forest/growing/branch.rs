@@ -144,14 +144,19 @@ fn middle(leaf: &Leaf, scales: &[f64]) -> Option<(usize, f64)> {
 }
 
 impl Branch {
-    /// A node of the two parts of what was the root.
-    pub(super) fn over(below: Cell, split: Split, newest: u64, width: usize) -> Self {
-        let mut branch = Self {
+    fn empty(width: usize) -> Self {
+        Self {
             boxes: vec![0.0; 2 * CHILDREN * width].into(),
-            newest: [newest; CHILDREN],
+            newest: [0; CHILDREN],
             children: ArrayVec::new(),
             cuts: ArrayVec::new(),
-        };
+        }
+    }
+
+    /// A node of the two parts of what was the root.
+    pub(super) fn over(below: Cell, split: Split, newest: u64, width: usize) -> Self {
+        let mut branch = Self::empty(width);
+        branch.newest[0] = newest;
         branch.children.push(below);
         branch.add(0, split, width);
         branch
@@ -178,18 +183,16 @@ impl Branch {
         // Along the first plane, so that regions stay apart: to split by the children's boxes would let them overlap.
         let Cut { axis, at, sides } = self.cuts[0];
         let [mut below, mut above] = sides.map(|side| self.part(side, width));
-        // The parts hold the children in the order of the cuts.
-        let places = [below.children.len(), above.children.len()];
-        let order = self.order();
-        let place = order.iter().position(|&held| held == child)?;
-        if place < places[0] {
-            below.add(place, split, width);
+        let axis = axis as usize;
+        // The child that was split is where the row leads, as before.
+        let part = if point.row[axis] >= at {
+            &mut above
         } else {
-            above.add(place - places[0], split, width);
-        }
+            &mut below
+        };
+        part.add(part.route(point.row), split, width);
         *self = below;
         let above = Cell::Branch(Arc::new(above));
-        let axis = axis as usize;
         Some(Split { axis, at, above })
     }
 
@@ -250,32 +253,9 @@ impl Branch {
         }
     }
 
-    /// The children in the order of the cuts.
-    fn order(&self) -> ArrayVec<usize, CHILDREN> {
-        let mut order = ArrayVec::new();
-        self.gather(self.root(), &mut order);
-        order
-    }
-
-    fn gather(&self, side: Side, order: &mut ArrayVec<usize, CHILDREN>) {
-        match side {
-            Side::Child(child) => order.push(child.into()),
-            Side::Cut(cut) => {
-                let [below, above] = self.cuts[usize::from(cut)].sides;
-                self.gather(below, order);
-                self.gather(above, order);
-            }
-        }
-    }
-
     /// A node of what lies on one side of a cut.
     fn part(&self, side: Side, width: usize) -> Self {
-        let mut part = Self {
-            boxes: vec![0.0; 2 * CHILDREN * width].into(),
-            newest: [0; CHILDREN],
-            children: ArrayVec::new(),
-            cuts: ArrayVec::new(),
-        };
+        let mut part = Self::empty(width);
         part.take(self, side);
         part
     }

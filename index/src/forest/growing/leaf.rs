@@ -60,8 +60,7 @@ impl Leaf {
 
     /// The numbers of its points in a coordinate.
     pub(super) fn column(&self, axis: usize) -> impl Iterator<Item = f64> {
-        let column = move |block| column(block, axis);
-        self.blocks().flat_map(column)
+        self.blocks().flat_map(move |block| block.column(axis))
     }
 
     /// Adds a point, `row` its numbers.
@@ -115,11 +114,6 @@ impl Leaf {
     }
 }
 
-fn column(block: LeafBlock<'_>, axis: usize) -> impl Iterator<Item = f64> {
-    let column = &block.columns[axis * BLOCK..][..block.lanes];
-    column.iter().copied()
-}
-
 /// A block of a leaf.
 #[derive(Clone, Copy)]
 pub(super) struct LeafBlock<'a> {
@@ -138,7 +132,11 @@ impl<'a> LeafBlock<'a> {
         }
     }
 
-    pub(super) fn row(&self, lane: usize) -> impl Iterator<Item = f64> + 'a {
+    fn column(&self, axis: usize) -> impl Iterator<Item = f64> + use<'a> {
+        self.columns[axis * BLOCK..][..self.lanes].iter().copied()
+    }
+
+    pub(super) fn row(&self, lane: usize) -> impl Iterator<Item = f64> + use<'a> {
         self.columns[lane..].iter().step_by(BLOCK).copied()
     }
 }

@@ -81,13 +81,11 @@ impl Growing {
                     return Err(format!("point {} differs in its leaf", point.id));
                 }
                 let leads_here = |&(branch, child): &(&Branch, usize)| {
-                    let ends = branch.boxes.chunks_exact(2 * CHILDREN).zip(point.row);
+                    let mut ends = branch.boxes.chunks_exact(2 * CHILDREN).zip(point.row);
                     branch.route(point.row) == child
                         && branch.newest[child] >= point.revision
-                        && ends.clone().count() == width
-                        && ends
-                            .into_iter()
-                            .all(|(ends, &x)| ends[child] <= x && x <= ends[CHILDREN + child])
+                        && branch.boxes.len() == 2 * CHILDREN * width
+                        && ends.all(|(ends, &x)| ends[child] <= x && x <= ends[CHILDREN + child])
                 };
                 if !branches.iter().all(leads_here) || self.newest < point.revision {
                     return Err(format!("point {id} is outside of what should hold it"));
