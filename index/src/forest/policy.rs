@@ -46,10 +46,22 @@ pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>
 }
 
 /// What to merge when nothing is due and no one writes, on the way to one level: the least two levels, with what is not
-/// much larger. Small steps, so that a writer who comes back finds little undone.
+/// much larger. Small steps, so that a writer who comes back finds little undone; and the largest level only for the sake
+/// of [`WORTH`] of it, or each pause after a few points would rebuild them all.
 pub(super) fn next_while_quiet(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
-    gather(shapes, &idle(shapes), 2, max_rows)
+    let mut idle = idle(shapes);
+    if let Some((&largest, others)) = idle.split_last() {
+        let gained: usize = others.iter().map(|&i| shapes[i].live()).sum();
+        if gained < shapes[largest].live() / WORTH {
+            idle.pop();
+        }
+    }
+    gather(shapes, &idle, 2, max_rows)
 }
+
+/// The part of the largest level, one in so many, for which it is rebuilt. All that is saved is a search of what is so
+/// much smaller, which begins with the bound that the largest level has given it.
+const WORTH: usize = 16;
 
 /// The levels that no merge has, by ascending size.
 fn idle(shapes: &[Shape]) -> Vec<usize> {
@@ -176,6 +188,18 @@ mod tests {
             ..level(100)
         };
         assert_eq!(next_while_quiet(&[level(200), busy], usize::MAX), None);
+    }
+
+    #[test]
+    fn a_pause_rebuilds_the_largest_level_for_a_sixteenth_of_it() {
+        let quiet = |shapes: &[Shape]| next_while_quiet(shapes, usize::MAX);
+        assert_eq!(quiet(&[level(16_000), level(999)]), None);
+        assert_eq!(quiet(&[level(16_000), level(1000)]), Some(vec![1, 0]));
+        // What is small is merged all the same, and may amount to enough.
+        let shapes = [level(160_000), level(3000), level(200)];
+        assert_eq!(quiet(&shapes), Some(vec![2, 1]));
+        let shapes = [level(16_000), level(700), level(300)];
+        assert_eq!(quiet(&shapes), Some(vec![2, 1]));
     }
 
     /// At rest after any number of sealed buffers there are few levels, and few rebuilds of a row have led to them.

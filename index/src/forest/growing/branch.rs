@@ -5,7 +5,10 @@ use std::sync::Arc;
 use arrayvec::ArrayVec;
 
 use super::leaf::{Label, Leaf};
-use crate::{forest::tombstones::Tombstones, kernel::CHILDREN};
+use crate::{
+    forest::{policy::LEAST_ROWS, tombstones::Tombstones},
+    kernel::CHILDREN,
+};
 
 /// A cell of the tree: all that lies on one side of each of the cuts above it.
 #[derive(Clone, Debug)]
@@ -53,11 +56,11 @@ pub(super) struct Arrival<'a> {
     pub(super) leaf_rows: usize,
     /// What of the tree has died.
     pub(super) tombstones: &'a Tombstones,
-    /// Is set if more than [`CROWDED`] times as many coincide.
+    /// Is set if so many more coincide that the tree should grow no further ([`CROWDED`]).
     pub(super) crowds: bool,
 }
 
-/// A leaf of points that coincide may be so many times as large as others.
+/// A leaf of points that coincide may be so many times as large as others, or have [`LEAST_ROWS`].
 const CROWDED: usize = 8;
 
 /// What became of a cell that was full: it keeps what lies below a plane, and this lies above.
@@ -83,7 +86,8 @@ impl Cell {
                     return None;
                 }
                 let Some((axis, at)) = middle(leaf, point.scales) else {
-                    point.crowds |= leaf.rows() > point.leaf_rows.saturating_mul(CROWDED);
+                    let most = point.leaf_rows.saturating_mul(CROWDED).max(LEAST_ROWS);
+                    point.crowds |= leaf.rows() > most;
                     return None;
                 };
                 let [below, above] = leaf.split(axis, at);
