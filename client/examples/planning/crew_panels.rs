@@ -63,7 +63,6 @@ pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), Drawing
     let each = (f64::from(height) - 330.0) / crew.accounts.len() as f64;
     for (worker, account) in crew.accounts.iter().enumerate() {
         let times = account.times();
-        let total = times.total.as_secs_f64().max(f64::MIN_POSITIVE);
         let (top, color) = (
             250.0 + each * worker as f64,
             WORKERS[worker % WORKERS.len()],
@@ -72,7 +71,7 @@ pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), Drawing
         let name = format!("worker {worker}");
         write(area, name, (40, middle), letters(LETTERS[1], color))?;
         let known = [times.checking, times.waiting, times.searching];
-        let known = known.map(|part| part.as_secs_f64() / total);
+        let known = known.map(|part| times.percent(part) / 100.0);
         let rest = (1.0 - known.iter().sum::<f64>()).max(0.0);
         let mut from = left;
         for (share, (_, color)) in known.into_iter().chain([rest]).zip(PARTS) {

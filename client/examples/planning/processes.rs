@@ -4,6 +4,7 @@
 use std::{
     env,
     io::{self, BufRead, BufReader, Write},
+    ops::Add,
     process::{Child, ChildStdin, Command, Stdio},
     sync::mpsc::{self, Receiver},
     thread,
@@ -39,7 +40,7 @@ pub trait Account: Copy + Default + Serialize + DeserializeOwned + Send + 'stati
 }
 
 /// Where a worker's time went.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Times {
     /// All of it.
     pub total: Duration,
@@ -49,6 +50,26 @@ pub struct Times {
     pub checking: Duration,
     /// What went into waiting for mutations.
     pub waiting: Duration,
+}
+
+impl Times {
+    /// The share of a part, in percent.
+    pub fn percent(&self, part: Duration) -> f64 {
+        100.0 * part.as_secs_f64() / self.total.as_secs_f64().max(f64::MIN_POSITIVE)
+    }
+}
+
+impl Add for Times {
+    type Output = Times;
+
+    fn add(self, other: Times) -> Times {
+        Times {
+            total: self.total + other.total,
+            searching: self.searching + other.searching,
+            checking: self.checking + other.checking,
+            waiting: self.waiting + other.waiting,
+        }
+    }
 }
 
 /// How often a worker tells its progress, for a picture of it.

@@ -195,8 +195,12 @@ pub fn progress(grown: &[(Wanted, Star)]) -> String {
 /// Writes the figures of all runs.
 pub fn write_json(comparison: &Comparison, path: &Path) -> Result<(), PlanningError> {
     let runs: Vec<Value> = comparison.runs.iter().map(run).collect();
-    let text = format!("{:#}\n", json!({ "runs": runs }));
-    fs::write(path, text).map_err(|error| PlanningError::File {
+    write_figures(&json!({ "runs": runs }), path)
+}
+
+/// Writes figures to a file.
+pub fn write_figures(figures: &Value, path: &Path) -> Result<(), PlanningError> {
+    fs::write(path, format!("{figures:#}\n")).map_err(|error| PlanningError::File {
         path: path.to_owned(),
         problem: error.to_string(),
     })

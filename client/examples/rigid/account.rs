@@ -1,6 +1,6 @@
 //! What a worker has done, and where its time went.
 
-use std::time::Duration;
+use std::iter::Sum;
 
 use serde::{Deserialize, Serialize};
 
@@ -19,14 +19,8 @@ pub struct Account {
     pub meanwhile: u64,
     /// The states that were checked for collisions.
     pub checks: u64,
-    /// The time from the first sample to the last milestone.
-    pub total: Duration,
-    /// The time in searches for neighbours.
-    pub searching: Duration,
-    /// The time in drawing and in checks for collisions.
-    pub checking: Duration,
-    /// The time in inserts and updates.
-    pub waiting: Duration,
+    /// Where its time went, from the first sample to the end.
+    pub times: Times,
 }
 
 impl processes::Account for Account {
@@ -35,16 +29,11 @@ impl processes::Account for Account {
     }
 
     fn times(&self) -> Times {
-        Times {
-            total: self.total,
-            searching: self.searching,
-            checking: self.checking,
-            waiting: self.waiting,
-        }
+        self.times
     }
 }
 
-impl std::iter::Sum for Account {
+impl Sum for Account {
     fn sum<I: Iterator<Item = Account>>(accounts: I) -> Account {
         accounts.fold(Account::default(), |sum, one| Account {
             samples: sum.samples + one.samples,
@@ -52,10 +41,7 @@ impl std::iter::Sum for Account {
             edges: sum.edges + one.edges,
             meanwhile: sum.meanwhile + one.meanwhile,
             checks: sum.checks + one.checks,
-            total: sum.total + one.total,
-            searching: sum.searching + one.searching,
-            checking: sum.checking + one.checking,
-            waiting: sum.waiting + one.waiting,
+            times: sum.times + one.times,
         })
     }
 }

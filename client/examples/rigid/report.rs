@@ -1,6 +1,6 @@
 //! The table and the JSON.
 
-use std::{fmt::Write, fs, time::Duration};
+use std::{fmt::Write, time::Duration};
 
 use serde_json::{Value, json};
 
@@ -8,7 +8,7 @@ use crate::{
     account::Account,
     build::{Built, WORKERS},
     options::{Kind, Options},
-    planning::error::PlanningError,
+    planning::{error::PlanningError, processes::Times, report::write_figures},
 };
 
 impl Built {
@@ -23,15 +23,11 @@ impl Built {
     }
 }
 
-/// The share of the workers' time, in percent.
-fn percent(part: Duration, account: &Account) -> f64 {
-    100.0 * part.as_secs_f64() / account.total.as_secs_f64().max(f64::MIN_POSITIVE)
-}
-
 /// The account of one roadmap, worker by worker.
 pub fn table(built: &Built) -> String {
     let mut text = String::new();
     let mut row = |name: &str, wall: Duration, account: &Account| {
+        let times = account.times;
         let _ = writeln!(
             text,
             "{name:<10} {:>9} {:>10} {:>9} {:>9} {:>8.2} {:>9.1} {:>8.1} {:>8.1} {:>10.0}",
@@ -40,14 +36,14 @@ pub fn table(built: &Built) -> String {
             account.edges,
             account.meanwhile,
             wall.as_secs_f64(),
-            percent(account.searching, account),
-            percent(account.checking, account),
-            percent(account.waiting, account),
+            times.percent(times.searching),
+            times.percent(times.checking),
+            times.percent(times.waiting),
             account.milestones as f64 / wall.as_secs_f64().max(f64::MIN_POSITIVE),
         );
     };
     for (number, account) in built.crew.accounts.iter().enumerate() {
-        row(&format!("worker {number}"), account.total, account);
+        row(&format!("worker {number}"), account.times.total, account);
     }
     row("all", built.crew.wall, &built.sum());
     let head = format!(
@@ -133,8 +129,9 @@ pub fn comparison(all: &[Built]) -> String {
     );
     for source in [Kind::Replica, Kind::Server] {
         for workers in WORKERS {
-            let share = |part: fn(&Account) -> Duration| {
-                median(of(source, workers).map(|one| percent(part(&one.sum()), &one.sum())))
+            let share = |part: fn(Times) -> Duration| {
+                let times = of(source, workers).map(|one| one.sum().times);
+                median(times.map(|times| times.percent(part(times))))
             };
             // Seed by seed, as both are of the same states where there is one worker, and of one moment.
             let ratio = |other_source, other_workers| {
@@ -148,9 +145,9 @@ pub fn comparison(all: &[Built]) -> String {
                 median(of(source, workers).map(|one| one.sum().milestones as f64)),
                 median(of(source, workers).map(|one| one.crew.wall.as_secs_f64())),
                 median(of(source, workers).map(Built::rate)),
-                share(|account| account.searching),
-                share(|account| account.checking),
-                share(|account| account.waiting),
+                share(|times| times.searching),
+                share(|times| times.checking),
+                share(|times| times.waiting),
                 ratio(source, 1),
                 ratio(Kind::Server, workers),
             );
@@ -179,16 +176,10 @@ pub fn write_json(all: &[Built], options: &Options) -> Result<(), PlanningError>
 
 /// Writes figures to the file that is wanted, if one is.
 pub fn write(figures: &Value, options: &Options) -> Result<(), PlanningError> {
-    let Some(path) = &options.json else {
-        return Ok(());
-    };
-    let text = serde_json::to_string_pretty(figures);
-    let written = text.map_err(std::io::Error::from);
-    let written = written.and_then(|text| fs::write(path, text + "\n"));
-    written.map_err(|error| PlanningError::File {
-        path: path.clone(),
-        problem: error.to_string(),
-    })
+    options
+        .json
+        .as_deref()
+        .map_or(Ok(()), |path| write_figures(figures, path))
 }
 
 fn figures(built: &Built) -> Value {
@@ -199,10 +190,10 @@ fn figures(built: &Built) -> Value {
             "edges": account.edges,
             "meanwhile": account.meanwhile,
             "checks": account.checks,
-            "seconds": account.total.as_secs_f64(),
-            "searching_seconds": account.searching.as_secs_f64(),
-            "checking_seconds": account.checking.as_secs_f64(),
-            "waiting_seconds": account.waiting.as_secs_f64(),
+            "seconds": account.times.total.as_secs_f64(),
+            "searching_seconds": account.times.searching.as_secs_f64(),
+            "checking_seconds": account.times.checking.as_secs_f64(),
+            "waiting_seconds": account.times.waiting.as_secs_f64(),
         })
     };
     let paths = built.paths.iter();

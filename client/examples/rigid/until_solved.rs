@@ -271,7 +271,7 @@ fn figures(solved: &Solved) -> Value {
         "seconds": solved.wall.as_secs_f64(),
         "milestones": solved.milestones,
         "checks": solved.account.checks,
-        "checking_seconds": solved.account.checking.as_secs_f64(),
+        "checking_seconds": solved.account.times.checking.as_secs_f64(),
         "path_lengths": solved.lengths,
     })
 }

@@ -127,7 +127,7 @@ impl<'a> Worker<'a> {
             self.account.samples += 1;
             self.account.checks += 1;
             if self.scene.is_free(&state) {
-                self.account.checking += start.elapsed();
+                self.account.times.checking += start.elapsed();
                 return state;
             }
         }
@@ -146,7 +146,7 @@ impl<'a> Worker<'a> {
     pub async fn look(&mut self, states: Vec<Vec<f64>>) -> Result<Checked, PlanningError> {
         let start = Instant::now();
         let (near, seen) = self.source.nearest(&self.index, &states).await?;
-        self.account.searching += start.elapsed();
+        self.account.times.searching += start.elapsed();
         let mut checked = Vec::with_capacity(states.len());
         for (state, mut earlier) in states.into_iter().zip(near) {
             let nearest = earlier.first();
@@ -174,7 +174,7 @@ impl<'a> Worker<'a> {
         }
         let start = Instant::now();
         let pending = self.insertion(checked).await?;
-        self.account.waiting += start.elapsed();
+        self.account.times.waiting += start.elapsed();
         Ok(pending)
     }
 
@@ -231,7 +231,7 @@ impl<'a> Worker<'a> {
         let update = self.completion(pending).await?;
         let start = Instant::now();
         update.await?;
-        self.account.waiting += start.elapsed();
+        self.account.times.waiting += start.elapsed();
         Ok(())
     }
 
@@ -272,7 +272,7 @@ impl<'a> Worker<'a> {
                 let known = known.iter().find(|known| known.id == candidate.id);
                 candidate.free = known.and_then(|known| known.free);
             }
-            self.account.searching += start.elapsed();
+            self.account.times.searching += start.elapsed();
         }
         candidates.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
         candidates.truncate(k);
@@ -288,7 +288,7 @@ impl<'a> Worker<'a> {
                 .free
                 .get_or_insert_with(|| scene.is_free_way(state, &candidate.state, checks));
         }
-        self.account.checking += start.elapsed();
+        self.account.times.checking += start.elapsed();
         let free = candidates.iter().filter(|one| one.free == Some(true));
         let mut ids: Vec<u64> = free.map(|candidate| candidate.id).collect();
         ids.sort_unstable();
@@ -305,7 +305,7 @@ impl<'a> Worker<'a> {
         mut progress: impl FnMut(&Account) -> Result<(), PlanningError>,
     ) -> Result<(), PlanningError> {
         let started = Instant::now();
-        let before = self.account.total;
+        let before = self.account.times.total;
         let (mut inserting, mut updating) = (UnderWay::default(), UnderWay::default());
         // As far as is known here; others may have made more.
         let mut there_are = 0;
@@ -316,7 +316,7 @@ impl<'a> Worker<'a> {
             let next = self.look(drawn).await?;
             let start = Instant::now();
             let pending: Vec<Pending> = inserting.finish().await?.unwrap_or_default();
-            self.account.waiting += start.elapsed();
+            self.account.times.waiting += start.elapsed();
             there_are = pending.last().map_or(there_are, |last| last.id + 1);
             // What was checked for milestones too many is left.
             if there_are < milestones && !next.states.is_empty() {
@@ -326,18 +326,18 @@ impl<'a> Worker<'a> {
                 let update = self.completion(pending).await?;
                 let start = Instant::now();
                 updating.finish().await?;
-                self.account.waiting += start.elapsed();
+                self.account.times.waiting += start.elapsed();
                 updating.begin(async move { Ok(update.await?) });
             }
-            self.account.total = before + started.elapsed();
+            self.account.times.total = before + started.elapsed();
             progress(&self.account)?;
         }
         let start = Instant::now();
         let pending: Vec<Pending> = inserting.finish().await?.unwrap_or_default();
         updating.finish().await?;
-        self.account.waiting += start.elapsed();
+        self.account.times.waiting += start.elapsed();
         self.complete(pending).await?;
-        self.account.total = before + started.elapsed();
+        self.account.times.total = before + started.elapsed();
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! What a worker has done, and where its time went.
 
-use std::{iter::Sum, time::Duration};
+use std::iter::Sum;
 
 use serde::{Deserialize, Serialize};
 
@@ -17,14 +17,8 @@ pub struct Account {
     pub inserts: u64,
     /// The states that were checked for collisions.
     pub checks: usize,
-    /// The time from the first sample to the end.
-    pub total: Duration,
-    /// The time in searches for neighbours.
-    pub searching: Duration,
-    /// The time in drawing and in checks for collisions.
-    pub checking: Duration,
-    /// The time in which an insert was waited for.
-    pub waiting: Duration,
+    /// Where its time went, from the first sample to the end.
+    pub times: Times,
 }
 
 impl processes::Account for Account {
@@ -33,12 +27,7 @@ impl processes::Account for Account {
     }
 
     fn times(&self) -> Times {
-        Times {
-            total: self.total,
-            searching: self.searching,
-            checking: self.checking,
-            waiting: self.waiting,
-        }
+        self.times
     }
 }
 
@@ -49,10 +38,7 @@ impl Sum for Account {
             vertices: sum.vertices + one.vertices,
             inserts: sum.inserts + one.inserts,
             checks: sum.checks + one.checks,
-            total: sum.total + one.total,
-            searching: sum.searching + one.searching,
-            checking: sum.checking + one.checking,
-            waiting: sum.waiting + one.waiting,
+            times: sum.times + one.times,
         })
     }
 }

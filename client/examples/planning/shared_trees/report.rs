@@ -1,6 +1,6 @@
 //! The tables and the JSON.
 
-use std::{fmt::Write, fs, path::Path, time::Duration};
+use std::{fmt::Write, path::Path, time::Duration};
 
 use serde_json::{Value, json};
 
@@ -8,18 +8,12 @@ use super::{
     super::{
         error::PlanningError,
         options::Kind,
-        processes::{Account as _, Times},
-        report::median,
+        processes::Times,
+        report::{median, write_figures},
     },
     account::Account,
     solve::{Solved, WORKERS},
 };
-
-/// The share of the workers' time, in percent.
-fn percent(account: &Account, part: fn(&Times) -> Duration) -> f64 {
-    let times = account.times();
-    100.0 * part(&times).as_secs_f64() / times.total.as_secs_f64().max(f64::MIN_POSITIVE)
-}
 
 /// The account of one solution, worker by worker.
 pub fn table(solved: &Solved) -> String {
@@ -28,6 +22,7 @@ pub fn table(solved: &Solved) -> String {
         "", "samples", "vertices", "inserts", "checks", "wall s", "search %", "check %", "wait %"
     );
     let mut row = |name: &str, wall: Duration, account: &Account| {
+        let times = account.times;
         let _ = writeln!(
             text,
             "{name:<10} {:>8} {:>9} {:>8} {:>10} {:>8.3} {:>9.1} {:>8.1} {:>8.1}",
@@ -36,13 +31,13 @@ pub fn table(solved: &Solved) -> String {
             account.inserts,
             account.checks,
             wall.as_secs_f64(),
-            percent(account, |times| times.searching),
-            percent(account, |times| times.checking),
-            percent(account, |times| times.waiting),
+            times.percent(times.searching),
+            times.percent(times.checking),
+            times.percent(times.waiting),
         );
     };
     for (number, account) in solved.crew.accounts.iter().enumerate() {
-        row(&format!("worker {number}"), account.total, account);
+        row(&format!("worker {number}"), account.times.total, account);
     }
     row("all", solved.crew.wall, &solved.sum());
     let _ = writeln!(
@@ -88,9 +83,9 @@ pub fn comparison(all: &[Solved]) -> String {
                 continue;
             };
             let span = format!("{:.2} ({least:.2}..{most:.2})", median(walls.clone()));
-            let share = |part: fn(&Times) -> Duration| {
-                let shares = of(source, workers).map(|one| percent(&one.sum(), part));
-                median(shares.collect())
+            let share = |part: fn(Times) -> Duration| {
+                let times = of(source, workers).map(|one| one.sum().times);
+                median(times.map(|times| times.percent(part(times))).collect())
             };
             // Seed by seed, as these are of one moment.
             let pairs = || of(source, workers).zip(of(source, 1));
@@ -118,11 +113,7 @@ pub fn comparison(all: &[Solved]) -> String {
 /// Writes the figures of all solutions.
 pub fn write_json(all: &[Solved], path: &Path) -> Result<(), PlanningError> {
     let runs: Vec<Value> = all.iter().map(figures).collect();
-    let text = format!("{:#}\n", json!({ "runs": runs }));
-    fs::write(path, text).map_err(|error| PlanningError::File {
-        path: path.to_owned(),
-        problem: error.to_string(),
-    })
+    write_figures(&json!({ "runs": runs }), path)
 }
 
 fn figures(solved: &Solved) -> Value {
@@ -132,10 +123,10 @@ fn figures(solved: &Solved) -> Value {
             "vertices": account.vertices,
             "inserts": account.inserts,
             "checks": account.checks,
-            "seconds": account.total.as_secs_f64(),
-            "searching_seconds": account.searching.as_secs_f64(),
-            "checking_seconds": account.checking.as_secs_f64(),
-            "waiting_seconds": account.waiting.as_secs_f64(),
+            "seconds": account.times.total.as_secs_f64(),
+            "searching_seconds": account.times.searching.as_secs_f64(),
+            "checking_seconds": account.times.checking.as_secs_f64(),
+            "waiting_seconds": account.times.waiting.as_secs_f64(),
         })
     };
     json!({

@@ -143,15 +143,15 @@ impl<'a, P: Problem> Worker<'a, P> {
                     .announce(&met.state, met.vertices)
                     .await?;
                 heard.abort();
-                self.account.total = started.elapsed();
+                self.account.times.total = started.elapsed();
                 return Ok(true);
             }
             growing = 1 - growing;
-            self.account.total = started.elapsed();
+            self.account.times.total = started.elapsed();
             progress(&self.account)?;
         }
         self.finish(&mut inserting).await?;
-        self.account.total = started.elapsed();
+        self.account.times.total = started.elapsed();
         if heard.is_finished() {
             // It fails only if it panicked.
             heard.await.expect("who listens does not panic")?;
@@ -165,7 +165,7 @@ impl<'a, P: Problem> Worker<'a, P> {
     async fn finish(&mut self, inserting: &mut UnderWay<()>) -> Result<(), PlanningError> {
         let start = Instant::now();
         inserting.finish().await?;
-        self.account.waiting += start.elapsed();
+        self.account.times.waiting += start.elapsed();
         Ok(())
     }
 
@@ -176,7 +176,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         let random = (0..self.batch).map(|_| sampling::uniform(space, bounds, &mut self.rng));
         let random: Vec<Vec<f64>> = random.collect();
         self.account.samples += random.len() as u64;
-        self.account.checking += start.elapsed();
+        self.account.times.checking += start.elapsed();
 
         let near = self.nearest(tree, &random).await?;
         let (mut chains, mut targets) = (Vec::new(), Vec::new());
@@ -216,7 +216,7 @@ impl<'a, P: Problem> Worker<'a, P> {
     ) -> Result<Vec<Option<Nearest>>, PlanningError> {
         let start = Instant::now();
         let near = self.source.nearest(&self.store, tree, states).await?;
-        self.account.searching += start.elapsed();
+        self.account.times.searching += start.elapsed();
         if let Some(asked) = &mut self.asked {
             let asked_now = states.iter().zip(&near).filter_map(|(state, near)| {
                 let near = near.as_ref()?;
@@ -247,7 +247,7 @@ impl<'a, P: Problem> Worker<'a, P> {
             // The same state again, as a vertex that is this worker's to name.
             states.push(target)?;
         }
-        self.account.checking += start.elapsed();
+        self.account.times.checking += start.elapsed();
         let first = self.next_id;
         self.next_id += states.len() as u64;
         let chain = Chain {
