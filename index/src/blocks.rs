@@ -43,6 +43,11 @@ impl Blocks {
         &self.columns[at * width..][..width]
     }
 
+    /// All blocks, one after the other.
+    pub(crate) fn numbers(&self) -> &[f64] {
+        &self.columns
+    }
+
     /// A copy with room for `rows` rows in all.
     pub(crate) fn copy_with_room(&self, rows: usize) -> Self {
         let mut copy = Self::with_capacity(self.width, rows);

@@ -160,6 +160,18 @@ impl<'a> Walk<'a> {
         self.search.filter.since_revision
     }
 
+    /// Whether a point of a block may matter, of which these are the numbers, rounded, so that each has moved by up to
+    /// `error`, a distance.
+    #[inline(always)]
+    pub(crate) fn reaches<S: Set>(&self, rounded: &[f32], error: f64) -> bool {
+        let limit = self.limit();
+        if limit == f64::INFINITY {
+            return true;
+        }
+        let limit = self.scale.loosened(limit, error);
+        kernel::points::<S, f32>(self.space, self.state, rounded, limit).1 != 0
+    }
+
     /// Bounds the points in the first `lanes` of a block, and keeps those that are near enough, `visible`, and pass the
     /// filter. Each stands in a `slot` of the `table`.
     #[inline(always)]
@@ -171,7 +183,7 @@ impl<'a> Walk<'a> {
         slot: impl Fn(usize) -> usize,
         visible: impl Fn(usize) -> bool,
     ) {
-        let (keys, within) = kernel::points::<S>(self.space, self.state, block, self.limit());
+        let (keys, within) = kernel::points::<S, f64>(self.space, self.state, block, self.limit());
         let filter = self.search.filter;
         let left = within & !(!0 << lanes);
         for (key, lane) in (Order { keys, left }) {

@@ -6,7 +6,7 @@
 
 use std::{ops::Range, sync::Arc};
 
-use super::{KdTree, Node, reach::Reach, rows::Rows};
+use super::{KdTree, Node, reach::Reach, rounded::Rounded, rows::Rows};
 use crate::{
     Points, Space,
     blocks::Blocks,
@@ -52,9 +52,15 @@ impl KdTree {
         } = build;
         nodes.shrink_to_fit();
         boxes.shrink_to_fit();
+        let blocks = blocks(&points, &slots, leaf_rows);
+        // (A single leaf is to be ready at once.)
+        let is_tree = leaves > 1;
         Self {
             labels: points.labels_in_order(&slots),
-            blocks: blocks(&points, &slots, leaf_rows),
+            rounded: is_tree
+                .then(|| Rounded::if_it_helps(&space, &blocks))
+                .flatten(),
+            blocks,
             rows: Rows::new(leaves * leaf_rows.div_ceil(BLOCK)),
             max_revision: points.iter().map(|point| point.revision).max().unwrap_or(0),
             space,

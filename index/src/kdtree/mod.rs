@@ -12,6 +12,7 @@
 mod build;
 mod query;
 mod reach;
+mod rounded;
 mod rows;
 mod validate;
 
@@ -25,6 +26,7 @@ use crate::{
 };
 pub(crate) use build::scales;
 pub(crate) use reach::Reach;
+use rounded::Rounded;
 use rows::Rows;
 
 /// Where a node's children are: that many, one after the other, among the nodes or, at the bottom, among the leaves.
@@ -63,6 +65,7 @@ pub struct KdTree {
     boxes: Vec<f64>,
     /// The rows of each leaf, which begins a block.
     blocks: Blocks,
+    rounded: Option<Rounded>,
     rows: Rows,
     /// The newest state of the tree, so that a search for newer ones can skip it whole.
     max_revision: u64,
@@ -152,6 +155,7 @@ impl KdTree {
             + self.nodes.capacity() * size_of::<Node>()
             + 8 * self.boxes.capacity()
             + self.blocks.memory_bytes()
+            + self.rounded.as_ref().map_or(0, Rounded::memory_bytes)
             + self.rows.memory_bytes()
     }
 
@@ -172,11 +176,10 @@ impl KdTree {
         &self.boxes[node * width..][..width]
     }
 
-    /// The blocks of a leaf, as the kernels take them: each of `BLOCK` points, the last of what is left.
-    fn leaf_blocks(&self, leaf: usize) -> impl Iterator<Item = &[f64]> {
+    /// The places of a leaf's blocks: each of `BLOCK` points, the last of what is left.
+    fn leaf_blocks(&self, leaf: usize) -> std::ops::Range<usize> {
         let first = self.place(leaf * self.leaf_rows) / BLOCK;
-        let used = self.slots(leaf).len().div_ceil(BLOCK);
-        (first..first + used).map(|at| self.blocks.block(at))
+        first..first + self.slots(leaf).len().div_ceil(BLOCK)
     }
 }
 

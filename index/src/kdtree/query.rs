@@ -32,7 +32,9 @@ impl KdTree {
         }
         let plain = walk.is_plain() && self.height > 2;
         if plain && self.reach.is_far() {
-            (0..self.leaves()).for_each(|leaf| self.visit_leaf::<S>(walk, leaf, &visible));
+            for leaf in 0..self.leaves() {
+                self.visit_leaf::<S>(walk, leaf, &visible);
+            }
             return;
         }
         let entered = walk.leaves_entered();
@@ -56,8 +58,11 @@ impl KdTree {
             }
             next = walk.pop(&mut ahead);
             if fetches && let Some(Place { index, height: 0 }) = ahead.peek() {
-                let blocks = self.leaf_blocks(index as usize).next();
-                prefetch(blocks.unwrap_or(&[]));
+                let first = self.leaf_blocks(index as usize).start;
+                match &self.rounded {
+                    Some(rounded) => prefetch(rounded.block(first)),
+                    None => prefetch(self.blocks.block(first)),
+                }
             }
         }
         if plain && walk.found_few() {
@@ -77,7 +82,13 @@ impl KdTree {
             return;
         }
         let slots = self.slots(leaf);
-        for (start, block) in slots.clone().step_by(BLOCK).zip(self.leaf_blocks(leaf)) {
+        for (start, at) in slots.clone().step_by(BLOCK).zip(self.leaf_blocks(leaf)) {
+            if let Some(rounded) = &self.rounded
+                && !walk.reaches::<S>(rounded.block(at), rounded.error())
+            {
+                continue;
+            }
+            let block = self.blocks.block(at);
             let lanes = (slots.end - start).min(BLOCK);
             walk.scan::<S>(block, lanes, &self.labels, |lane| start + lane, visible);
         }

@@ -1,7 +1,7 @@
 //! The invariants of a tree, for the tests that call this after every step.
 
 use super::KdTree;
-use crate::kernel::CHILDREN;
+use crate::kernel::{BLOCK, CHILDREN};
 
 impl KdTree {
     /// Checks that the leaves are reached in order, each once and equally deep, that every point lies in the boxes
@@ -85,6 +85,14 @@ impl Check<'_> {
             let point = self.tree.get(slot);
             if !self.tree.row(slot).eq(point.row.iter().copied()) {
                 return Err(format!("point {} differs in its block", point.id));
+            }
+            if let Some(rounded) = &self.tree.rounded {
+                let place = self.tree.place(slot);
+                let numbers = rounded.block(place / BLOCK)[place % BLOCK..].iter();
+                let row = point.row.iter().map(|&x| x as f32);
+                if !numbers.step_by(BLOCK).copied().eq(row) {
+                    return Err(format!("point {} differs where it is rounded", point.id));
+                }
             }
             for (axis, &x) in point.row.iter().enumerate() {
                 for &(node, child) in path {

@@ -32,9 +32,43 @@ pub(super) struct Boxes<'a> {
 }
 
 /// Points: coordinate by coordinate the numbers of all of them.
-pub(super) struct Points<'a> {
+pub(super) struct Points<'a, C> {
     pub(super) state: &'a [f64],
-    pub(super) columns: &'a [f64],
+    pub(super) columns: &'a [C],
+}
+
+/// A number as it is stored.
+pub(crate) trait Stored: Sized {
+    /// How far a squared chord may lie below the one that is computed from a cosine.
+    const COSINE_SLACK: f64;
+
+    /// The first `N` numbers of a column.
+    fn load<S: Operations, const N: usize>(column: &[Self]) -> Lanes<S, N>;
+}
+
+impl Stored for f64 {
+    /// How far the squared chord min(|x − y|², |x + y|²) may lie below 2 − 2·|x·y| as it is computed: squared norms are
+    /// off from 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all.
+    /// What is lost is the pruning among rotations nearer than 1e-7 to each other; what is saved is half of the kernel.
+    const COSINE_SLACK: f64 = 32.0 * f64::EPSILON;
+
+    #[inline(always)]
+    fn load<S: Operations, const N: usize>(column: &[Self]) -> Lanes<S, N> {
+        Lanes::load(column)
+    }
+}
+
+/// Rounded: terms bound the distance to the rounded point (see [`Scale::loosened`](super::Scale::loosened)), but for
+/// rotations, which are bounded themselves.
+impl Stored for f32 {
+    /// A unit quaternion loses 2⁻²⁴ of its length, a cosine no more than that, and 2 − 2·|x·y| twice of it, which is ε of
+    /// `f32`; as much again is more than what is lost in `f64`. No pruning among rotations nearer than 5e-4.
+    const COSINE_SLACK: f64 = 2.0 * f32::EPSILON as f64;
+
+    #[inline(always)]
+    fn load<S: Operations, const N: usize>(column: &[Self]) -> Lanes<S, N> {
+        Lanes::widen(column)
+    }
 }
 
 impl Terms<CHILDREN> for Boxes<'_> {
@@ -44,7 +78,7 @@ impl Terms<CHILDREN> for Boxes<'_> {
     }
 }
 
-impl Terms<BLOCK> for Points<'_> {
+impl<C: Stored> Terms<BLOCK> for Points<'_, C> {
     #[inline(always)]
     fn term<S: Operations>(&self, part: &Part) -> Lanes<S, BLOCK> {
         point_term(part, self.state, self.columns)
@@ -107,7 +141,11 @@ fn to_boxes_2<S: Operations>(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<S,
 }
 
 #[inline(always)]
-fn point_term<S: Operations>(part: &Part, state: &[f64], columns: &[f64]) -> Lanes<S, BLOCK> {
+fn point_term<S: Operations, C: Stored>(
+    part: &Part,
+    state: &[f64],
+    columns: &[C],
+) -> Lanes<S, BLOCK> {
     let zero = Lanes::splat(0.0);
     let axes = part.offset..part.offset + part.factor.coordinates();
     let state = &state[axes.clone()];
@@ -116,31 +154,26 @@ fn point_term<S: Operations>(part: &Part, state: &[f64], columns: &[f64]) -> Lan
         Factor::RealVector(_) => {
             let mut sum_2 = zero;
             for (&x, column) in state.iter().zip(columns.chunks_exact(BLOCK)) {
-                let d = Lanes::splat(x) - Lanes::load(column);
+                let d = Lanes::splat(x) - C::load(column);
                 sum_2 = sum_2 + d * d;
             }
             sum_2
         }
         Factor::SO2 { period } => {
-            let direct = (Lanes::splat(state[0]) - Lanes::load(columns)).abs();
+            let direct = (Lanes::splat(state[0]) - C::load(columns)).abs();
             let d = direct.min(Lanes::splat(period) - direct).max(zero);
             d * d
         }
         Factor::SO3 => {
             let mut cosine = zero;
             for (&x, column) in state.iter().zip(columns.chunks_exact(BLOCK)) {
-                cosine = cosine + Lanes::splat(x) * Lanes::load(column);
+                cosine = cosine + Lanes::splat(x) * C::load(column);
             }
             let cosine = cosine.abs();
-            angle_2((Lanes::splat(2.0 - COSINE_SLACK) - (cosine + cosine)).max(zero))
+            angle_2((Lanes::splat(2.0 - C::COSINE_SLACK) - (cosine + cosine)).max(zero))
         }
     }
 }
-
-/// How far the squared chord min(|x − y|², |x + y|²) may lie below 2 − 2·|x·y| as it is computed: squared norms are off
-/// from 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all.
-/// What is lost is the pruning among rotations nearer than 1e-7 to each other; what is saved is half of the kernel.
-const COSINE_SLACK: f64 = 32.0 * f64::EPSILON;
 
 /// A lower bound of the squared angle that belongs to the squared chord `s`: the first terms of its series.
 #[inline(always)]

@@ -115,9 +115,9 @@ mod avx2 {
 /// Asks for the beginning of `numbers` to be brought near, while something else is computed. Of what is longer, the
 /// processor fetches the rest by itself once it is read in order.
 #[inline]
-pub(crate) fn prefetch(numbers: &[f64]) {
+pub(crate) fn prefetch<T>(numbers: &[T]) {
     #[cfg(target_arch = "x86_64")]
-    for line in numbers.chunks(8).take(PREFETCH_LINES) {
+    for line in numbers.chunks(64 / size_of::<T>()).take(PREFETCH_LINES) {
         // SAFETY: a prefetch reads nothing that could be seen, and every x86-64 processor has it.
         unsafe {
             std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(
@@ -129,7 +129,7 @@ pub(crate) fn prefetch(numbers: &[f64]) {
     let _ = numbers;
 }
 
-/// How many lines of eight numbers are asked for.
+/// How many lines of 64 bytes are asked for.
 #[cfg(target_arch = "x86_64")]
 const PREFETCH_LINES: usize = 16;
 

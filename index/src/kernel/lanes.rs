@@ -25,6 +25,12 @@ macro_rules! operations {
                     out
                 }
             )*
+
+            /// The same numbers, twice as wide.
+            #[inline(always)]
+            fn widen<const N: usize>(x: [f32; N]) -> [f64; N] {
+                x.map(f64::from)
+            }
         }
     };
 }
@@ -64,6 +70,13 @@ impl<S: Operations, const N: usize> Lanes<S, N> {
     pub(crate) fn load(column: &[f64]) -> Self {
         let column = column.first_chunk().expect("a column has N numbers");
         Self(*column, PhantomData)
+    }
+
+    /// The first `N` numbers of a rounded column.
+    #[inline(always)]
+    pub(crate) fn widen(column: &[f32]) -> Self {
+        let column = column.first_chunk().expect("a column has N numbers");
+        Self(S::widen(*column), PhantomData)
     }
 
     /// The greater; not `f64::max`, whose care for a NaN on either side takes three instructions instead of one.

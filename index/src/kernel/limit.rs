@@ -146,6 +146,20 @@ impl Scale {
         (key + rest + self.short.slack) * REACH_MARGIN
     }
 
+    /// The limit for keys of points that have moved by up to `error`, a distance, such as by rounding: by the triangle
+    /// inequality none of a point with a key up to `limit` is above it.
+    #[inline]
+    pub(crate) fn loosened(&self, limit: f64, error: f64) -> f64 {
+        match self.per_weight {
+            // (Not a number where nothing is wanted: no key is up to that.)
+            Some(per_weight) => {
+                let root = limit.sqrt() + error * per_weight;
+                root * root * MARGIN + f64::MIN_POSITIVE
+            }
+            None => (limit + error) * MARGIN,
+        }
+    }
+
     /// The limit for those who want nothing but what is nearer by a factor of `1 + epsilon`.
     pub(crate) fn relaxed(&self, limit: f64, epsilon: f64) -> f64 {
         match self.per_weight {

@@ -10,14 +10,14 @@ mod compiled;
 mod lanes;
 mod limit;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 #[cfg(target_arch = "x86_64")]
 mod wide;
 
 use std::sync::OnceLock;
 
 use crate::Space;
-pub(crate) use bound::{BLOCK, CHILDREN};
+pub(crate) use bound::{BLOCK, CHILDREN, Stored};
 pub(crate) use compiled::{Set, Task, prefetch};
 pub(crate) use limit::Scale;
 
@@ -37,10 +37,10 @@ pub(crate) fn boxes<S: Set>(
 /// The keys of a block of points, whose numbers lie side by side, coordinate by coordinate, and the bits of those up to
 /// `limit`.
 #[inline(always)]
-pub(crate) fn points<S: Set>(
+pub(crate) fn points<S: Set, C: Stored>(
     space: &Space,
     state: &[f64],
-    columns: &[f64],
+    columns: &[C],
     limit: f64,
 ) -> ([f64; BLOCK], u32) {
     let keys = bound::keys::<S, _>(space, &bound::Points { state, columns }).0;

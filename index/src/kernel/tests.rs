@@ -27,12 +27,12 @@ impl Task for OfPoints<'_> {
 
     #[inline(always)]
     fn run<S: Set>(self) -> Self::Output {
-        super::points::<S>(self.0, self.1, self.2, self.3)
+        super::points::<S, f64>(self.0, self.1, self.2, self.3)
     }
 }
 
 /// A space of one to three groups of one to three factors.
-fn space(rng: &mut ChaCha8Rng) -> Space {
+pub(crate) fn space(rng: &mut ChaCha8Rng) -> Space {
     let group = |rng: &mut ChaCha8Rng| Group {
         weight: WEIGHTS[rng.random_range(0..6)],
         terms: (0..rng.random_range(1..=3))
@@ -85,7 +85,11 @@ fn state(space: &Space, near: Option<(&[f64], f64)>, rng: &mut ChaCha8Rng) -> Ve
 }
 
 /// A state, and `count` canonical rows, together or apart, some of them as far from it as the distance can tell.
-fn scene(space: &Space, count: usize, rng: &mut ChaCha8Rng) -> (Vec<f64>, Vec<Vec<f64>>) {
+pub(crate) fn scene(
+    space: &Space,
+    count: usize,
+    rng: &mut ChaCha8Rng,
+) -> (Vec<f64>, Vec<Vec<f64>>) {
     let query = state(space, None, rng);
     let other = state(space, None, rng);
     let centre = if rng.random() { &query } else { &other };

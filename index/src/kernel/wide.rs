@@ -73,6 +73,20 @@ macro_rules! instructions {
                     out
                 }
             )*
+
+            #[inline(always)]
+            fn widen<const N: usize>(x: [f32; N]) -> [f64; N] {
+                const { assert!(N.is_multiple_of(WIDTH)) };
+                let mut out = [0.0; N];
+                for at in (0..N).step_by(WIDTH) {
+                    // SAFETY: there are `WIDTH` numbers from `at` on, and only `run` names this set.
+                    unsafe {
+                        let x = _mm256_loadu_ps(x.as_ptr().add(at));
+                        _mm512_storeu_pd(out.as_mut_ptr().add(at), _mm512_cvtps_pd(x));
+                    }
+                }
+                out
+            }
         }
     };
 }
@@ -106,7 +120,7 @@ mod tests {
     struct All([f64; 16], [f64; 16]);
 
     impl Task for All {
-        type Output = [[u64; 16]; 7];
+        type Output = [[u64; 16]; 8];
 
         #[inline(always)]
         fn run<S: Set>(self) -> Self::Output {
@@ -121,6 +135,7 @@ mod tests {
                 S::min(x, y),
                 S::abs(x),
                 S::sqrt(S::abs(x)),
+                S::widen(x.map(|x| x as f32)),
             ];
             results.map(|lanes| lanes.map(f64::to_bits))
         }

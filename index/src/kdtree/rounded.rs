@@ -1,0 +1,167 @@
+//! The rows of a tree once more, in half of the memory, where a search is bound by reading them.
+//!
+//! In many dimensions all points are about equally far away, and a search that has its neighbours still reads most of the
+//! rows, only to find that they are farther. That can be told by rounded numbers: a block is read only if one of its points,
+//! moved by what rounding may have moved it, is near enough.
+
+use crate::{Factor, Space, blocks::Blocks, kernel::BLOCK};
+
+/// From so many dimensions on rows are read more than boxes.
+const LEAST_DIMENSION: usize = 16;
+
+/// Blocks of rows, rounded to `f32`.
+#[derive(Clone, Debug)]
+pub(super) struct Rounded {
+    /// Numbers of a block.
+    width: usize,
+    columns: Vec<f32>,
+    error: f64,
+}
+
+impl Rounded {
+    /// The rounded rows of these blocks, if they help.
+    pub(super) fn if_it_helps(space: &Space, blocks: &Blocks) -> Option<Self> {
+        if space.dimension() < LEAST_DIMENSION {
+            return None;
+        }
+        Self::new(space, blocks)
+    }
+
+    /// The rounded rows of these blocks; None if a number is out of range.
+    fn new(space: &Space, blocks: &Blocks) -> Option<Self> {
+        let columns: Vec<f32> = blocks.numbers().iter().map(|&x| x as f32).collect();
+        let places = columns.len() / space.coordinates();
+        let error = (0..places)
+            .map(|place| error(space, blocks.row(place)))
+            .fold(0.0, f64::max);
+        columns.iter().all(|x| x.is_finite()).then_some(Self {
+            width: space.coordinates() * BLOCK,
+            columns,
+            error,
+        })
+    }
+
+    /// A block: of each coordinate `BLOCK` numbers.
+    pub(super) fn block(&self, at: usize) -> &[f32] {
+        &self.columns[at * self.width..][..self.width]
+    }
+
+    /// No point has moved farther than this.
+    pub(super) fn error(&self) -> f64 {
+        self.error
+    }
+
+    /// The bytes the columns hold.
+    pub(super) fn memory_bytes(&self) -> usize {
+        4 * self.columns.capacity()
+    }
+}
+
+/// How far rounding moves a row, but for its rotations, whose kernel knows by itself what they lose.
+fn error(space: &Space, mut row: impl Iterator<Item = f64>) -> f64 {
+    let (mut total, mut sum_2) = (0.0, 0.0);
+    for part in space.parts() {
+        for x in row.by_ref().take(part.factor.coordinates()) {
+            let moved = (x - f64::from(x as f32)).abs();
+            sum_2 += part.weight
+                * match part.factor {
+                    Factor::RealVector(_) => moved * moved,
+                    // And what the way across the seam may be off by.
+                    Factor::SO2 { period } => (moved + period * f64::EPSILON).powi(2),
+                    Factor::SO3 => 0.0,
+                };
+        }
+        if part.ends_group {
+            total += space.groups()[part.group].weight * sum_2.sqrt();
+            sum_2 = 0.0;
+        }
+    }
+    total * (1.0 + 1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::{
+        Kernels,
+        kernel::{
+            self, Scale, Set, Task,
+            tests::{scene, space},
+        },
+        space::tests::cases,
+    };
+
+    /// The rounded numbers of a block, and which of its points may have a key up to a limit.
+    struct Within<'a>(&'a Space, &'a [f64], &'a [f32], f64);
+
+    impl Task for Within<'_> {
+        type Output = u32;
+
+        #[inline(always)]
+        fn run<S: Set>(self) -> u32 {
+            kernel::points::<S, f32>(self.0, self.1, self.2, self.3).1
+        }
+    }
+
+    /// How far apart states of a space are whose rotations differ by an angle of 1e-3.
+    fn small_rotations(space: &Space) -> f64 {
+        let rotations = space
+            .parts()
+            .iter()
+            .filter(|part| part.factor == Factor::SO3);
+        let scaled = rotations.map(|part| space.groups()[part.group].weight * part.weight.sqrt());
+        1e-3 * scaled.sum::<f64>()
+    }
+
+    proptest! {
+        #![proptest_config(cases(4000))]
+
+        #[test]
+        fn no_point_within_reach_is_lost_by_rounding(seed: u64, far in prop_oneof![Just(1.0), Just(1e9), Just(1e37)]) {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let space = space(&mut rng);
+            let (mut query, mut rows) = scene(&space, BLOCK, &mut rng);
+            for row in rows.iter_mut().chain([&mut query]) {
+                for part in space.parts() {
+                    if let Factor::RealVector(axes) = part.factor {
+                        row[part.offset..][..axes].iter_mut().for_each(|x| *x *= far);
+                    }
+                }
+            }
+            let mut blocks = Blocks::with_capacity(space.coordinates(), BLOCK);
+            for (place, row) in rows.iter().enumerate() {
+                blocks.write(place, row);
+            }
+            let rounded = Rounded::new(&space, &blocks).unwrap();
+            let scale = Scale::new(&space);
+            let within = |distance: f64, kernels: &Kernels| {
+                let limit = scale.loosened(scale.limit(distance), rounded.error());
+                kernels.run(Within(&space, &query, rounded.block(0), limit))
+            };
+            for kernels in Kernels::available() {
+                for (lane, row) in rows.iter().enumerate() {
+                    let distance = space.distance(&query, row);
+                    prop_assert!(within(distance, kernels) >> lane & 1 == 1, "{} {}", space, distance);
+                    // What is lost is what rounding may move a point, and what small rotations are worth.
+                    let nearer = 0.98 * distance - small_rotations(&space) - 4.0 * rounded.error();
+                    prop_assert!(within(nearer, kernels) >> lane & 1 == 0, "{} {}", space, distance);
+                }
+                prop_assert_eq!(within(-1.0, kernels), 0);
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_out_of_range_are_not_rounded() {
+        let space: Space = "R17".parse().unwrap();
+        let mut blocks = Blocks::with_capacity(17, 1);
+        blocks.write(0, &[1e39; 17]);
+        assert!(Rounded::if_it_helps(&space, &blocks).is_none());
+        blocks.write(0, &[1e38; 17]);
+        assert!(Rounded::if_it_helps(&space, &blocks).is_some());
+    }
+}
