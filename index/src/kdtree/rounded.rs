@@ -30,14 +30,19 @@ impl Rounded {
     /// The rounded rows of these blocks; None if a number is out of range.
     fn new(space: &Space, blocks: &Blocks) -> Option<Self> {
         let columns: Vec<f32> = blocks.numbers().iter().map(|&x| x as f32).collect();
-        let places = columns.len() / space.coordinates();
-        let error = (0..places)
-            .map(|place| error(space, blocks.row(place)))
-            .fold(0.0, f64::max);
+        // The farthest that a point has moved in each coordinate.
+        let mut moved = vec![0.0; space.coordinates()];
+        let both = blocks.numbers().chunks(BLOCK).zip(columns.chunks(BLOCK));
+        for (at, (exact, rounded)) in both.enumerate() {
+            let most = &mut moved[at % space.coordinates()];
+            for (x, &y) in exact.iter().zip(rounded) {
+                *most = f64::max(*most, (x - f64::from(y)).abs());
+            }
+        }
         columns.iter().all(|x| x.is_finite()).then_some(Self {
             width: space.coordinates() * BLOCK,
             columns,
-            error,
+            error: error(space, &moved),
         })
     }
 
@@ -57,20 +62,19 @@ impl Rounded {
     }
 }
 
-/// How far rounding moves a row, but for its rotations, whose kernel knows by itself what they lose.
-fn error(space: &Space, mut row: impl Iterator<Item = f64>) -> f64 {
+/// How far a state moves whose coordinates move so far each, but for its rotations, whose kernel knows by itself what
+/// they lose.
+fn error(space: &Space, moved: &[f64]) -> f64 {
     let (mut total, mut sum_2) = (0.0, 0.0);
     for part in space.parts() {
-        for x in row.by_ref().take(part.factor.coordinates()) {
-            let moved = (x - f64::from(x as f32)).abs();
-            sum_2 += part.weight
-                * match part.factor {
-                    Factor::RealVector(_) => moved * moved,
-                    // And what the way across the seam may be off by.
-                    Factor::SO2 { period } => (moved + period * f64::EPSILON).powi(2),
-                    Factor::SO3 => 0.0,
-                };
-        }
+        let moved = &moved[part.offset..][..part.factor.coordinates()];
+        sum_2 += part.weight
+            * match part.factor {
+                Factor::RealVector(_) => moved.iter().map(|d| d * d).sum(),
+                // And what the way across the seam may be off by.
+                Factor::SO2 { period } => (moved[0] + period * f64::EPSILON).powi(2),
+                Factor::SO3 => 0.0,
+            };
         if part.ends_group {
             total += space.groups()[part.group].weight * sum_2.sqrt();
             sum_2 = 0.0;
