@@ -205,6 +205,44 @@ fn a_path_through_a_wall_is_found_out() {
     ));
 }
 
+/// Whether the finer check takes a state for free.
+fn is_free_by_other_code(problem: &impl Verify, state: &[f64]) -> bool {
+    problem.is_free_between(state, state, 0.0)
+}
+
+#[test]
+fn the_finer_check_of_the_maze_tells_a_touch_from_a_gap() {
+    let problem = maze::Maze::new();
+    // The left wall reaches to 0.05, the body 0.33 from its middle.
+    assert!(!is_free_by_other_code(&problem, &[0.38, 7.5, 0.0]));
+    assert!(is_free_by_other_code(&problem, &[0.381, 7.5, 0.0]));
+    // The planner keeps a margin.
+    assert!(!problem.is_free(&[0.381, 7.5, 0.0]));
+    // On a corner it is 0.467 to each side, more than the corridor has.
+    let turned = std::f64::consts::FRAC_PI_4;
+    assert!(!is_free_by_other_code(&problem, &[0.5, 7.5, turned]));
+    assert!(is_free_by_other_code(&problem, &[0.5, 7.5, 0.0]));
+}
+
+#[test]
+fn the_finer_check_of_the_room_tells_a_touch_from_a_gap() {
+    let problem = room::Room::new();
+    let with = |body: usize, place: [f64; 3]| {
+        let mut state = problem.start().to_vec();
+        state[7 * body..7 * body + 3].copy_from_slice(&place);
+        is_free_by_other_code(&problem, &state)
+    };
+    // Two upright bodies, each 0.1 deep to both sides; the first is where it starts.
+    assert!(!with(1, [1.2, 1.4 + 0.2, 1.3]));
+    assert!(with(1, [1.2, 1.4 + 0.201, 1.3]));
+    // A pillar begins at 4.0, and the upper bar reaches 0.4 to its side.
+    assert!(!with(0, [3.6, 0.5, 3.0]));
+    assert!(with(0, [3.599, 0.5, 3.0]));
+    // The lower bar reaches 0.41 down to the floor, and the upper one 0.41 up to the ceiling.
+    assert!(!with(0, [1.2, 1.4, 0.409]) && with(0, [1.2, 1.4, 0.411]));
+    assert!(!with(0, [1.2, 1.4, 5.591]) && with(0, [1.2, 1.4, 5.589]));
+}
+
 /// Whatever the planner takes for free is free, and so is all that is within half a resolution of it.
 fn free_is_free(problem: &impl Verify, states: usize) {
     let mut rng = ChaCha8Rng::seed_from_u64(6);

@@ -18,7 +18,11 @@ use abi::{
     FREE, NO_STATE, NOT_FREE, rigid_canonicalize, rigid_distance, rigid_is_free,
     rigid_is_free_path, rigid_is_free_way, rigid_problem,
 };
-use planning::{path, problem::Problem, sampling};
+use planning::{
+    path::{self, Verify},
+    problem::Problem,
+    sampling,
+};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::Rooms;
@@ -36,6 +40,26 @@ fn is_free_way(a: &[f64], b: &[f64], checks: &mut u64) -> i32 {
 fn is_free_path(rows: &[f64], count: usize) -> i32 {
     // Safety: the address of as many rows of this length.
     unsafe { rigid_is_free_path(rows.as_ptr(), count, rows.len() / count) }
+}
+
+#[test]
+fn the_finer_check_of_paths_tells_a_touch_from_a_gap() {
+    let scene = Rooms::new();
+    let upright = |place: [f64; 3]| [&place[..], &[0.0, 0.0, 0.0, 1.0]].concat();
+    let is_free = |place| {
+        let state = upright(place);
+        scene.is_free_between(&state, &state, 0.0)
+    };
+    // In the door, which begins at 0.6 and ends at a height of 2.4: the chair reaches 0.4 to the side and 0.85 up.
+    assert!(!is_free([3.3, 1.0, 1.05]) && is_free([3.3, 1.001, 1.05]));
+    assert!(!is_free([3.3, 1.6, 1.55]) && is_free([3.3, 1.6, 1.549]));
+    // The planner keeps a margin.
+    assert!(!scene.is_free(&upright([3.3, 1.001, 1.05])));
+    // Its legs reach 0.85 down to the floor.
+    assert!(!is_free([1.2, 1.4, 0.849]) && is_free([1.2, 1.4, 0.851]));
+    let way = |y| [[2.5, y, 1.05], [4.2, y, 1.05]].map(upright);
+    assert!(path::verify(&scene, &way(1.001)).is_ok());
+    assert!(path::verify(&scene, &way(0.999)).is_err());
 }
 
 #[test]

@@ -2,12 +2,16 @@
 
 use parry3d_f64::{
     math::{Pose, Rotation, Vector},
-    query::{self, details::intersection_test_cuboid_cuboid},
+    query::details::{distance_support_map_support_map, intersection_test_cuboid_cuboid},
     shape::Cuboid,
 };
 use wayfold_client::Space;
 
-use crate::planning::{path::Verify, pose::between, problem::Problem};
+use crate::planning::{
+    path::{TOUCHING, Verify},
+    pose::between,
+    problem::Problem,
+};
 
 /// How many bodies there are.
 pub const BODIES: usize = 8;
@@ -51,7 +55,7 @@ fn margin() -> f64 {
     RESOLUTION / 2.0 * 1.0_f64.hypot(turning)
 }
 
-/// The problem: four bodies on each side of the wall change places with those on the other side.
+/// The problem: four bodies at each end of the room change places with those at the other end.
 pub struct Room {
     space: Space,
     bounds: Vec<(f64, f64)>,
@@ -101,40 +105,14 @@ impl Room {
             margin,
         }
     }
+}
 
-    /// Whether these poses are free, with bodies so much thicker, as `collide` judges two boxes by their poses.
-    fn are_free(
-        poses: &[Pose],
-        margin: f64,
-        collide: impl Fn(&Pose, &Cuboid, &Pose, &Cuboid) -> bool,
-    ) -> bool {
-        let parts = parts(margin);
-        let reach = RADIUS + margin * 3.0_f64.sqrt();
-        let hits = |pose: &Pose, other: &Pose, shape: &Cuboid| {
-            let mut own = parts.iter();
-            own.any(|(at, part)| collide(&(*pose * *at), part, other, shape))
-        };
-        for (body, pose) in poses.iter().enumerate() {
-            for &(low, high) in &OBSTACLES {
-                let (low, high) = (Vector::from(low), Vector::from(high));
-                let (center, half) = ((low + high) / 2.0, (high - low) / 2.0);
-                let outside = ((pose.translation - center).abs() - half).max(Vector::ZERO);
-                if outside.length() < reach
-                    && hits(pose, &Pose::from_translation(center), &Cuboid::new(half))
-                {
-                    return false;
-                }
-            }
-            for other in &poses[..body] {
-                let near = (pose.translation - other.translation).length() < 2.0 * reach;
-                let hit = |(at, part): &(Pose, Cuboid)| hits(pose, &(*other * *at), part);
-                if near && parts.iter().any(hit) {
-                    return false;
-                }
-            }
-        }
-        true
-    }
+/// The pillars: their middles and shapes.
+fn pillars() -> [(Vector, Cuboid); OBSTACLES.len()] {
+    OBSTACLES.map(|(low, high)| {
+        let (low, high) = (Vector::from(low), Vector::from(high));
+        ((low + high) / 2.0, Cuboid::new((high - low) / 2.0))
+    })
 }
 
 /// The bars of a body: where they are in it, and their shapes, so much thicker on all sides.
@@ -173,10 +151,29 @@ impl Problem for Room {
         &self.goal
     }
 
-    /// Of walls, floor and ceiling the bounds keep the bodies away.
+    /// By the axes that separate two boxes, where bodies can reach anything at all; of walls, floor and ceiling the bounds
+    /// keep them away.
     fn is_free(&self, state: &[f64]) -> bool {
-        Room::are_free(&poses(state), self.margin, |a, shape, b, other| {
-            intersection_test_cuboid_cuboid(&a.inv_mul(b), shape, other)
+        let (poses, parts, pillars) = (poses(state), parts(self.margin), pillars());
+        let reach = RADIUS + self.margin * 3.0_f64.sqrt();
+        let hits = |pose: &Pose, other: &Pose, shape: &Cuboid| {
+            parts.iter().any(|(at, part)| {
+                intersection_test_cuboid_cuboid(&(*pose * *at).inv_mul(other), part, shape)
+            })
+        };
+        poses.iter().enumerate().all(|(body, pose)| {
+            let clear_of_pillars = pillars.iter().all(|(center, pillar)| {
+                let outside = (pose.translation - *center).abs() - pillar.half_extents;
+                let far = outside.max(Vector::ZERO).length() >= reach;
+                far || !hits(pose, &Pose::from_translation(*center), pillar)
+            });
+            clear_of_pillars
+                && poses[..body].iter().all(|other| {
+                    let far = (pose.translation - other.translation).length() >= 2.0 * reach;
+                    far || !parts
+                        .iter()
+                        .any(|(at, part)| hits(pose, &(*other * *at), part))
+                })
         })
     }
 
@@ -190,17 +187,40 @@ impl Problem for Room {
 }
 
 impl Verify for Room {
-    /// Interpolated by nalgebra, and free if all distances are above 0, which is another algorithm (GJK) than that of
-    /// the separating axes.
+    /// Interpolated by nalgebra, and free if the corners of each bar are inside the room and it is away from each pillar
+    /// and each bar of another body by GJK, where the planner takes separating axes and passes over what its spheres do
+    /// not reach.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
-        let poses: Vec<Pose> = a
-            .chunks_exact(POSE)
-            .zip(b.chunks_exact(POSE))
-            .map(|(a, b)| between(a, b, t))
+        let (bars, pillars) = (parts(0.0), pillars());
+        let apart = |a: &Pose, shape: &Cuboid, b: &Pose, other: &Cuboid| {
+            distance_support_map_support_map(&a.inv_mul(b), shape, other) > TOUCHING
+        };
+        let rows = a.chunks_exact(POSE).zip(b.chunks_exact(POSE));
+        let bodies: Vec<[(Pose, Cuboid); 2]> = rows
+            .map(|(a, b)| {
+                let pose = between(a, b, t);
+                bars.map(|(at, bar)| (pose * at, bar))
+            })
             .collect();
-        Room::are_free(&poses, 0.0, |a, shape, b, other| {
-            let apart = query::distance(a, shape, b, other);
-            !apart.is_ok_and(|apart| apart.distance > 0.0)
+        bodies.iter().enumerate().all(|(body, bars)| {
+            bars.iter().all(|(at, bar)| {
+                let mut others = bodies[..body].iter().flatten();
+                is_inside(at, bar)
+                    && pillars.iter().all(|(center, pillar)| {
+                        apart(at, bar, &Pose::from_translation(*center), pillar)
+                    })
+                    && others.all(|(place, other)| apart(at, bar, place, other))
+            })
         })
     }
+}
+
+/// Whether all corners of a box are inside the room.
+fn is_inside(at: &Pose, shape: &Cuboid) -> bool {
+    let half = shape.half_extents;
+    (0..8).all(|corner| {
+        let side = |axis: usize| if corner >> axis & 1 == 0 { -1.0 } else { 1.0 };
+        let corner = at.transform_point(half * Vector::new(side(0), side(1), side(2)));
+        (0..3).all(|axis| (0.0..=ROOM[axis]).contains(&corner[axis]))
+    })
 }

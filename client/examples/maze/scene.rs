@@ -3,12 +3,15 @@
 use nalgebra::{UnitComplex, Vector2};
 use parry2d_f64::{
     math::{Pose, Vector},
-    query::{self, details::intersection_test_cuboid_cuboid},
+    query::details::{distance_support_map_support_map, intersection_test_cuboid_cuboid},
     shape::Cuboid,
 };
 use wayfold_client::Space;
 
-use crate::planning::{path::Verify, problem::Problem};
+use crate::planning::{
+    path::{TOUCHING, Verify},
+    problem::Problem,
+};
 
 /// Cells of size 1; what is drawn is a wall.
 const MAZE: &str = "\
@@ -191,8 +194,8 @@ impl Problem for Maze {
 }
 
 impl Verify for Maze {
-    /// Interpolated by nalgebra, and free if all distances are above 0, which is another algorithm (GJK) than that of
-    /// the separating axes.
+    /// Interpolated by nalgebra, and free if each part is away from each wall by GJK, where the planner takes separating
+    /// axes and passes over walls that its circle does not reach.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
         let (from, to) = (Vector2::new(a[0], a[1]), Vector2::new(b[0], b[1]));
         let place = from.lerp(&to, t);
@@ -200,9 +203,8 @@ impl Verify for Maze {
         let pose = Pose::new(Vector::new(place.x, place.y), turned.angle());
         self.walls.iter().all(|wall| {
             self.body.iter().all(|part| {
-                let part_pose = pose * part.pose();
-                let apart = query::distance(&part_pose, &part.shape(), &wall.pose(), &wall.shape());
-                apart.is_ok_and(|apart| apart.distance > 0.0)
+                let there = (pose * part.pose()).inv_mul(&wall.pose());
+                distance_support_map_support_map(&there, &part.shape(), &wall.shape()) > TOUCHING
             })
         })
     }

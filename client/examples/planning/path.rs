@@ -8,10 +8,14 @@ use super::{error::PlanningError, problem::Problem};
 /// How much finer than the planner the check is.
 const FINER: f64 = 10.0;
 
+/// Boxes that are nearer to each other touch: where they do, GJK may find a distance of some last bits instead of 0.
+pub const TOUCHING: f64 = 1e-9;
+
 /// A problem that can judge a motion by other means than those that found it.
 pub trait Verify: Problem {
-    /// Whether the state the share `t` of the way from `a` to `b` is free, interpolated and judged by other code than
-    /// [`Problem::is_free`] and the planner use.
+    /// Whether the state the share `t` of the way from `a` to `b` is free. It is interpolated by another library than the
+    /// planner's, and every part is held against every obstacle by another algorithm (GJK, not separating axes), with
+    /// nothing passed over for being far away.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool;
 }
 

@@ -2,12 +2,16 @@
 
 use parry3d_f64::{
     math::{Pose, Rotation, Vector},
-    query::{self, details::intersection_test_cuboid_cuboid},
+    query::details::{distance_support_map_support_map, intersection_test_cuboid_cuboid},
     shape::Cuboid,
 };
 use wayfold_client::Space;
 
-use crate::planning::{path::Verify, pose::between, problem::Problem};
+use crate::planning::{
+    path::{TOUCHING, Verify},
+    pose::between,
+    problem::Problem,
+};
 
 /// The paper's weight of rotations, which are measured by half their angle.
 const ROTATION_WEIGHT: f64 = 0.15;
@@ -141,30 +145,6 @@ impl Rooms {
     pub fn tasks(&self) -> &[Task] {
         &self.tasks
     }
-
-    /// Whether the chair is free there, if each of its parts is so much thicker, where `within` judges whether a box is
-    /// inside the outer walls, and `collide` whether it touches another.
-    fn is_free_at(
-        &self,
-        pose: &Pose,
-        margin: f64,
-        within: impl Fn(&Pose, &Cuboid) -> bool,
-        collide: impl Fn(&Pose, &Cuboid, &Pose, &Cuboid) -> bool,
-    ) -> bool {
-        let parts = parts(margin).map(|(at, part)| (*pose * at, part));
-        if !parts.iter().all(|(at, part)| within(at, part)) {
-            return false;
-        }
-        let reach = RADIUS + margin * 3.0_f64.sqrt();
-        self.obstacles.iter().all(|(center, block)| {
-            let outside = (pose.translation - *center).abs() - block.half_extents;
-            let far = outside.max(Vector::ZERO).length() > reach;
-            let place = Pose::from_translation(*center);
-            far || !parts
-                .iter()
-                .any(|(at, part)| collide(at, part, &place, block))
-        })
-    }
 }
 
 /// The parts of the chair: where they are in it, and their shapes, so much thicker on all sides.
@@ -208,8 +188,10 @@ impl Problem for Rooms {
         &self.tasks[0].goal
     }
 
-    /// By the axes that separate two boxes.
+    /// By the axes that separate two boxes, where the chair can reach an obstacle at all.
     fn is_free(&self, state: &[f64]) -> bool {
+        let pose = pose(state);
+        let parts = parts(self.margin).map(|(at, part)| (pose * at, part));
         let within = |at: &Pose, part: &Cuboid| {
             let column = |axis: Vector, half: f64| (at.rotation * axis * half).abs();
             let half = part.half_extents;
@@ -218,8 +200,17 @@ impl Problem for Rooms {
             let (low, high) = (at.translation - reach, at.translation + reach);
             low.min_element() >= 0.0 && (Vector::from(SIDES) - high).min_element() >= 0.0
         };
-        self.is_free_at(&pose(state), self.margin, within, |a, part, b, block| {
-            intersection_test_cuboid_cuboid(&a.inv_mul(b), part, block)
+        if !parts.iter().all(|(at, part)| within(at, part)) {
+            return false;
+        }
+        let reach = RADIUS + self.margin * 3.0_f64.sqrt();
+        self.obstacles.iter().all(|(center, block)| {
+            let outside = (pose.translation - *center).abs() - block.half_extents;
+            let far = outside.max(Vector::ZERO).length() > reach;
+            let place = Pose::from_translation(*center);
+            far || !parts
+                .iter()
+                .any(|(at, part)| intersection_test_cuboid_cuboid(&at.inv_mul(&place), part, block))
         })
     }
 
@@ -234,17 +225,20 @@ impl Problem for Rooms {
 }
 
 impl Verify for Rooms {
-    /// Interpolated by nalgebra, and free if all corners are inside and all distances above 0, which is another algorithm
-    /// (GJK) than that of the separating axes.
+    /// Interpolated by nalgebra, and free if the corners of each part are inside and it is away from each obstacle by GJK,
+    /// where the planner takes separating axes and passes over what its sphere does not reach.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
-        let within = |at: &Pose, part: &Cuboid| {
-            corners(at, part)
+        let pose = between(a, b, t);
+        parts(0.0).iter().all(|(at, part)| {
+            let at = pose * *at;
+            let inside = corners(&at, part)
                 .iter()
-                .all(|corner| (0..3).all(|axis| (0.0..=SIDES[axis]).contains(&corner[axis])))
-        };
-        self.is_free_at(&between(a, b, t), 0.0, within, |a, part, b, block| {
-            let apart = query::distance(a, part, b, block);
-            !apart.is_ok_and(|apart| apart.distance > 0.0)
+                .all(|corner| (0..3).all(|axis| (0.0..=SIDES[axis]).contains(&corner[axis])));
+            inside
+                && self.obstacles.iter().all(|(center, block)| {
+                    let there = at.inv_mul(&Pose::from_translation(*center));
+                    distance_support_map_support_map(&there, part, block) > TOUCHING
+                })
         })
     }
 }
