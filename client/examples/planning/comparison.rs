@@ -5,7 +5,7 @@ use std::{io, rc::Rc};
 use super::{
     error::PlanningError,
     local::{BruteForce, LocalForest},
-    options::{Options, Wanted},
+    options::{Options, Wanted, seeds},
     problem::Problem,
     remote::{Remote, ReplicaSource, ServerSource},
     rrt::{self, Account, Growth, Solution},
@@ -50,7 +50,7 @@ pub fn compare(problem: &impl Problem, options: &Options) -> Result<Comparison, 
     let sources = options.source.sources();
     let (_server, remote) = remote(options)?;
     let (mut runs, mut shown) = (Vec::new(), None);
-    for seed in options.seed..options.seed + options.runs.max(1) {
+    for seed in seeds(options.seed, options.runs) {
         let mut first: Option<Solution> = None;
         for &source in &sources {
             eprintln!("{}, seed {seed} ...", source.name());

@@ -125,6 +125,11 @@ impl Kind {
     }
 }
 
+/// The seeds of so many runs: each takes the next one, and after the largest comes 0.
+pub fn seeds(first: u64, runs: u64) -> impl Iterator<Item = u64> {
+    (0..runs.max(1)).map(move |run| first.wrapping_add(run))
+}
+
 /// A number above 0.
 pub fn at_least_one(text: &str) -> Result<usize, String> {
     let number = text.parse::<usize>().map_err(|error| error.to_string())?;

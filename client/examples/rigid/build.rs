@@ -10,6 +10,7 @@ use crate::{
     options::{Job, Kind, Options},
     planning::{
         error::PlanningError,
+        options::seeds,
         path,
         problem::Problem,
         processes::{self, Crew, Incident, PROGRESS_MS},
@@ -163,7 +164,7 @@ pub async fn compare(
     options: &Options,
 ) -> Result<Vec<Built>, PlanningError> {
     let mut all = Vec::new();
-    for seed in options.seed..options.seed + options.runs.max(1) {
+    for seed in seeds(options.seed, options.runs) {
         for workers in WORKERS {
             for source in [Kind::Replica, Kind::Server] {
                 eprintln!("{workers} workers, {}, seed {seed} ...", source.name());

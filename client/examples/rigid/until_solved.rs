@@ -22,6 +22,7 @@ use crate::{
     options::{Job, Options},
     planning::{
         error::PlanningError,
+        options::seeds,
         path,
         problem::Problem,
         processes::{Heard, Line, Process, lost},
@@ -57,7 +58,7 @@ pub async fn run(scene: &Rooms, uri: &str, options: &Options) -> Result<(), Plan
     solve_anew(scene, uri, options, options.seed).await?;
     let mut all = Vec::new();
     // In turns, so that what else the machine does meets all.
-    for seed in options.seed..options.seed + options.runs.max(1) {
+    for seed in seeds(options.seed, options.runs) {
         for &workers in workers {
             let options = Options {
                 workers,

@@ -5,7 +5,7 @@ use wayfold_client::Client;
 use super::{
     super::{
         error::PlanningError,
-        options::{Kind, Options},
+        options::{Kind, Options, seeds},
         path::{self, Verify},
         processes::{self, Crew, Incident, PROGRESS_MS},
         rrt,
@@ -111,7 +111,7 @@ pub async fn compare(
     options: &Options,
 ) -> Result<Vec<Solved>, PlanningError> {
     let mut all = Vec::new();
-    for seed in options.seed..options.seed + options.runs.max(1) {
+    for seed in seeds(options.seed, options.runs) {
         for workers in WORKERS {
             for source in options.source.shared() {
                 eprintln!("{workers} workers, {}, seed {seed} ...", source.name());
