@@ -19,25 +19,25 @@ pub struct Options {
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// How often to solve the problem with each source; medians are told
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, conflicts_with_all = ["workers", "rrt_star"])]
     pub runs: u64,
     /// A server that runs already; one is started for the time of the example unless given
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
     /// Grows the same two trees by so many processes instead, on one server
-    #[arg(long, value_parser = at_least_one)]
+    #[arg(long, value_parser = at_least_one, group = "several")]
     pub workers: Option<usize>,
     /// How many random states such a worker connects the trees to between two inserts
-    #[arg(long, default_value_t = 32, value_parser = at_least_one)]
+    #[arg(long, default_value_t = 32, value_parser = at_least_one, requires = "several")]
     pub batch: usize,
     /// How they tell the trees apart
-    #[arg(long, value_enum, default_value_t = Layout::Indices)]
+    #[arg(long, value_enum, default_value_t = Layout::Indices, requires = "several")]
     pub trees: Layout,
     /// Compares 1, 2, 4 and 8 such workers with both sources instead; no picture
-    #[arg(long, conflicts_with = "workers")]
+    #[arg(long, group = "several")]
     pub scaling: bool,
     /// Grows one tree by so many samples instead, by RRT*, and tells how its path becomes shorter
-    #[arg(long, value_name = "SAMPLES", conflicts_with_all = ["workers", "scaling"])]
+    #[arg(long, value_name = "SAMPLES", conflicts_with_all = ["several", "max_nodes", "json"])]
     pub rrt_star: Option<usize>,
     /// Gives up with so many nodes
     #[arg(long, default_value_t = 1_000_000)]

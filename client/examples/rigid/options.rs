@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{ArgGroup, Args, Parser, Subcommand};
 
 pub use crate::planning::options::Kind;
 use crate::{
@@ -15,6 +15,7 @@ use crate::{
 
 /// Builds one roadmap by several processes, and answers several questions with it.
 #[derive(Clone, Debug, Parser)]
+#[command(group(ArgGroup::new("repeated").multiple(true)))]
 pub struct Options {
     /// The role of this process, if it is not the one that starts the others
     #[command(subcommand)]
@@ -47,14 +48,14 @@ pub struct Options {
     #[arg(long, conflicts_with_all = ["server", "scaling"])]
     pub restart: bool,
     /// Compares 1, 2, 4 and 8 workers with both sources instead; no picture
-    #[arg(long)]
+    #[arg(long, conflicts_with = "workers", group = "repeated")]
     pub scaling: bool,
     /// Ends as soon as all questions are answered, and tells how long that took, --runs times; no picture. With --scaling,
     /// by 1, 2, 4 and 8 workers
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["kill", "restart", "batch"], group = "repeated")]
     pub until_solved: bool,
     /// How often to build each of the roadmaps that are compared; medians are told
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = 3, requires = "repeated")]
     pub runs: u64,
     /// Writes the figures to a file
     #[arg(long, value_name = "FILE")]
