@@ -1,6 +1,9 @@
 //! The whole of an example that solves one problem with every source, and by several workers.
 
-use std::{path::Path, process::ExitCode};
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use clap::Parser;
 use tokio::runtime::{Builder, Runtime};
@@ -48,16 +51,11 @@ impl<P: Verify> Example<P> {
         }
         let options = Options::parse();
         let problem = problem();
-        let ended = match (&options.role, options.rrt_star) {
-            (Some(Role::Grow(job)), _) => {
+        let ended = match &options.role {
+            Some(Role::Grow(job)) => {
                 runtime().and_then(|runtime| runtime.block_on(job::grow(&problem, job)))
             }
-            (None, Some(samples)) => self.optimize(&problem, &options, samples),
-            (None, None) if options.scaling => self.scale(&problem, &options),
-            (None, None) => match options.workers {
-                Some(workers) => self.share(&problem, &options, workers),
-                None => self.solve(&problem, &options),
-            },
+            None => self.start(&problem, &options),
         };
         match ended {
             Ok(()) => ExitCode::SUCCESS,
@@ -66,6 +64,27 @@ impl<P: Verify> Example<P> {
                 ExitCode::FAILURE
             }
         }
+    }
+
+    fn start(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
+        let picture = self.picture(options);
+        report::can_write(options.json.iter().chain(&picture).map(PathBuf::as_path))?;
+        match (options.rrt_star, options.workers) {
+            (Some(samples), _) => self.optimize(problem, options, samples),
+            (None, Some(workers)) => self.share(problem, options, workers),
+            (None, None) if options.scaling => self.scale(problem, options),
+            (None, None) => self.solve(problem, options),
+        }
+    }
+
+    /// Where the picture is going to be, if one is to be drawn.
+    fn picture(&self, options: &Options) -> Option<PathBuf> {
+        let of = match (options.rrt_star, options.workers) {
+            (Some(_), _) => self.draw_star.map(|_| "-rrt-star"),
+            (None, Some(_)) => self.draw_shared.map(|_| "-shared"),
+            (None, None) => (!options.scaling).then_some(""),
+        };
+        of.map(|of| format!("{}{of}.svg", self.name).into())
     }
 
     fn solve(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
@@ -81,8 +100,10 @@ impl<P: Verify> Example<P> {
             report::write_json(&comparison, file)?;
         }
         let shorter = path::shorten(problem, path.clone(), SHORTENINGS, options.seed);
-        let file = format!("{}.svg", self.name);
-        (self.draw)(problem, &comparison, &shorter, Path::new(&file))
+        match self.picture(options) {
+            Some(file) => (self.draw)(problem, &comparison, &shorter, &file),
+            None => Ok(()),
+        }
     }
 
     /// Grows the tree of RRT* with each source, checks its path by other code, and tells how it became shorter.
@@ -106,11 +127,10 @@ impl<P: Verify> Example<P> {
             path.len(),
             path::length(problem, &path),
         );
-        let Some(draw) = self.draw_star else {
+        let (Some(draw), Some(file)) = (self.draw_star, self.picture(options)) else {
             return Ok(());
         };
-        let file = format!("{}-rrt-star.svg", self.name);
-        draw(problem, star, &path, Path::new(&file))
+        draw(problem, star, &path, &file)
     }
 
     /// Has several workers solve it together.
@@ -127,12 +147,11 @@ impl<P: Verify> Example<P> {
         if let Some(file) = &options.json {
             shared_report::write_json(std::slice::from_ref(&solved), file)?;
         }
-        let Some(draw) = self.draw_shared else {
+        let (Some(draw), Some(file)) = (self.draw_shared, self.picture(options)) else {
             return Ok(());
         };
         let shorter = path::shorten(problem, solved.path.clone(), SHORTENINGS, seed);
-        let file = format!("{}-shared.svg", self.name);
-        draw(problem, &solved, &shorter, Path::new(&file))
+        draw(problem, &solved, &shorter, &file)
     }
 
     /// Compares numbers of workers.

@@ -18,15 +18,17 @@ pub struct Remote {
 }
 
 impl Remote {
-    /// Of the server at `uri`.
+    /// Of the server at `uri`, which has to answer: what else is to run before its turn comes would run in vain.
     pub fn new(uri: &str) -> Result<Rc<Remote>, PlanningError> {
         let calls = Builder::new_current_thread().enable_all().build();
+        let calls = calls.map_err(PlanningError::Threads)?;
+        calls.block_on(Client::connect(uri))?;
         let following = Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
             .build();
         Ok(Rc::new(Remote {
-            calls: calls.map_err(PlanningError::Threads)?,
+            calls,
             following: following.map_err(PlanningError::Threads)?,
             uri: uri.to_owned(),
         }))

@@ -1,6 +1,12 @@
 //! Where the time went: one table, and all figures as JSON.
 
-use std::{fmt::Write, fs, path::Path, time::Duration};
+use std::{
+    fmt::Write,
+    fs::{self, OpenOptions},
+    io,
+    path::Path,
+    time::Duration,
+};
 
 use serde_json::{Value, json};
 
@@ -198,12 +204,33 @@ pub fn write_json(comparison: &Comparison, path: &Path) -> Result<(), PlanningEr
     write_figures(&json!({ "runs": runs }), path)
 }
 
+/// Opens the files that a run is going to write, so that one that cannot be written is told of before all the work; what
+/// is in them stays until then, and one that was not there is not left behind.
+pub fn can_write<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(), PlanningError> {
+    for path in paths {
+        let created = OpenOptions::new().append(true).create_new(true).open(path);
+        let opened = match created {
+            Ok(_) => fs::remove_file(path),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                OpenOptions::new().append(true).open(path).map(drop)
+            }
+            Err(error) => Err(error),
+        };
+        opened.map_err(|error| unwritten(path, &error))?;
+    }
+    Ok(())
+}
+
 /// Writes figures to a file.
 pub fn write_figures(figures: &Value, path: &Path) -> Result<(), PlanningError> {
-    fs::write(path, format!("{figures:#}\n")).map_err(|error| PlanningError::File {
+    fs::write(path, format!("{figures:#}\n")).map_err(|error| unwritten(path, &error))
+}
+
+fn unwritten(path: &Path, error: &io::Error) -> PlanningError {
+    PlanningError::File {
         path: path.to_owned(),
         problem: error.to_string(),
-    })
+    }
 }
 
 fn run(run: &Run) -> Value {

@@ -35,6 +35,7 @@ use clap::Parser;
 use options::{Options, Role};
 use planning::{
     error::PlanningError,
+    report::can_write,
     server::{self, ServerProcess},
 };
 use scene::Rooms;
@@ -67,6 +68,9 @@ fn main() -> ExitCode {
 }
 
 async fn run(options: &Options) -> Result<(), PlanningError> {
+    let picture = Path::new("rigid.svg");
+    let drawn = (!options.until_solved && !options.scaling).then_some(picture);
+    can_write(options.json.as_deref().into_iter().chain(drawn))?;
     let mut own = match options.server {
         None if options.restart => Some(ServerProcess::durable()?),
         None => Some(ServerProcess::start()?),
@@ -86,5 +90,5 @@ async fn run(options: &Options) -> Result<(), PlanningError> {
     let built = build::build(&scene, uri, own.as_mut(), options, options.seed).await?;
     print!("{}", report::table(&built));
     report::write_json(std::slice::from_ref(&built), options)?;
-    picture::draw(&scene, &built, Path::new("rigid.svg"))
+    picture::draw(&scene, &built, picture)
 }
