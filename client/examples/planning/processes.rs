@@ -105,7 +105,7 @@ impl Reporter {
         every_ms: u64,
         halt_at: Option<u64>,
     ) -> Result<Reporter, PlanningError> {
-        tell(&Line::<J::Account>::Ready)?;
+        tell(job.number(), &Line::<J::Account>::Ready)?;
         let reporter = Reporter {
             number: job.number(),
             every: Duration::from_millis(every_ms),
@@ -120,19 +120,19 @@ impl Reporter {
     pub fn progress(&mut self, account: &impl Account) -> Result<(), PlanningError> {
         if self.halt.is_some_and(|own| account.made() >= own) {
             self.halt = None;
-            tell(&Line::Halted(*account))?;
+            tell(self.number, &Line::Halted(*account))?;
             return self.wait();
         }
         if self.told.elapsed() < self.every {
             return Ok(());
         }
         self.told = Instant::now();
-        tell(&Line::Progress(*account))
+        tell(self.number, &Line::Progress(*account))
     }
 
     /// Tells what the worker has done in all.
     pub fn done(self, account: &impl Account) -> Result<(), PlanningError> {
-        tell(&Line::Done(*account))
+        tell(self.number, &Line::Done(*account))
     }
 
     /// Waits for a line; fails where nobody can write one any more.
@@ -147,12 +147,12 @@ impl Reporter {
 }
 
 /// Fails where nobody listens any more, and so ends a worker whose parent is gone.
-fn tell<A: Account>(line: &Line<A>) -> Result<(), PlanningError> {
+fn tell<A: Account>(number: usize, line: &Line<A>) -> Result<(), PlanningError> {
     let mut output = io::stdout().lock();
     let written = serde_json::to_writer(&mut output, line).map_err(io::Error::from);
     let written = written.and_then(|()| output.write_all(b"\n"));
     let written = written.and_then(|()| output.flush());
-    written.map_err(|problem| lost(0, problem))
+    written.map_err(|problem| lost(number, problem))
 }
 
 /// What happened to a worker.

@@ -33,7 +33,7 @@ struct Line {
 
 impl Line {
     fn of(comparison: &Comparison, source: Wanted) -> Line {
-        let middle = |of: fn(&Run) -> f64| median(comparison.runs_of(source).map(of).collect());
+        let middle = |of: fn(&Run) -> f64| median(comparison.runs_of(source).map(of));
         Line {
             source,
             nodes: middle(|run| run.nodes as f64),
@@ -62,11 +62,16 @@ fn each_us(time: Duration, calls: usize) -> f64 {
     time.as_secs_f64() * 1e6 / calls.max(1) as f64
 }
 
-/// The middle one, or the lower of the two in the middle; not a number if there is none.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let middle = values.len().saturating_sub(1) / 2;
-    values.get(middle).copied().unwrap_or(f64::NAN)
+/// The middle one, or the mean of the two in the middle; not a number if there is none.
+pub fn median(numbers: impl IntoIterator<Item = f64>) -> f64 {
+    let mut numbers: Vec<f64> = numbers.into_iter().collect();
+    numbers.sort_by(f64::total_cmp);
+    let middle = numbers.len() / 2;
+    match numbers.len() {
+        0 => f64::NAN,
+        count if count % 2 == 1 => numbers[middle],
+        _ => f64::midpoint(numbers[middle - 1], numbers[middle]),
+    }
 }
 
 /// The table. `paper` is by what the paper's planner became faster with the trees of the paper's library, if it says so.

@@ -8,7 +8,11 @@ use crate::{
     account::Account,
     build::{Built, WORKERS},
     options::{Kind, Options},
-    planning::{error::PlanningError, processes::Times, report::write_figures},
+    planning::{
+        error::PlanningError,
+        processes::Times,
+        report::{median, write_figures},
+    },
 };
 
 impl Built {
@@ -154,18 +158,6 @@ pub fn comparison(all: &[Built]) -> String {
         }
     }
     text
-}
-
-/// The middle one, or the mean of the two in the middle; not a number if there is none.
-pub fn median(numbers: impl Iterator<Item = f64>) -> f64 {
-    let mut numbers: Vec<f64> = numbers.collect();
-    numbers.sort_by(f64::total_cmp);
-    let middle = numbers.len() / 2;
-    match numbers.len() {
-        0 => f64::NAN,
-        count if count % 2 == 1 => numbers[middle],
-        _ => (numbers[middle - 1] + numbers[middle]) / 2.0,
-    }
 }
 
 /// Writes the figures of these roadmaps, if they are wanted.

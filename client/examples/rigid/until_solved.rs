@@ -26,6 +26,7 @@ use crate::{
         path,
         problem::Problem,
         processes::{Heard, Line, Process, lost},
+        report::median,
     },
     report,
     roadmap::Roadmap,
@@ -249,7 +250,7 @@ fn table(all: &[Solved], workers: &[usize]) -> String {
             let at = |at: usize| figures.get(at).copied().unwrap_or(f64::NAN);
             [
                 at(0),
-                report::median(figures.iter().copied()),
+                median(figures.iter().copied()),
                 at(figures.len().saturating_sub(1)),
             ]
         };

@@ -82,10 +82,13 @@ pub fn comparison(all: &[Solved]) -> String {
             let [Some(least), Some(most)] = [walls.first(), walls.last()] else {
                 continue;
             };
-            let span = format!("{:.2} ({least:.2}..{most:.2})", median(walls.clone()));
+            let span = format!(
+                "{:.2} ({least:.2}..{most:.2})",
+                median(walls.iter().copied())
+            );
             let share = |part: fn(Times) -> Duration| {
                 let times = of(source, workers).map(|one| one.sum().times);
-                median(times.map(|times| times.percent(part(times))).collect())
+                median(times.map(|times| times.percent(part(times))))
             };
             // Seed by seed, as these are of one moment.
             let pairs = || of(source, workers).zip(of(source, 1));
@@ -93,17 +96,13 @@ pub fn comparison(all: &[Solved]) -> String {
                 text,
                 "{:<8} {workers:>8} {:>9.0} {span:>26} {:>11.0} {:>9.1} {:>8.1} {:>8.1} {:>12.2}× {:>9.2}×",
                 source.name(),
-                median(
-                    of(source, workers)
-                        .map(|one| one.sum().vertices as f64)
-                        .collect()
-                ),
-                median(of(source, workers).map(rate).collect()),
+                median(of(source, workers).map(|one| one.sum().vertices as f64)),
+                median(of(source, workers).map(rate)),
                 share(|times| times.searching),
                 share(|times| times.checking),
                 share(|times| times.waiting),
-                median(pairs().map(|(many, one)| wall(one) / wall(many)).collect()),
-                median(pairs().map(|(many, one)| rate(many) / rate(one)).collect()),
+                median(pairs().map(|(many, one)| wall(one) / wall(many))),
+                median(pairs().map(|(many, one)| rate(many) / rate(one))),
             );
         }
     }
