@@ -29,7 +29,15 @@ mod scene;
 #[path = "../examples/rigid/worker.rs"]
 mod worker;
 
-use std::{collections::BTreeSet, process::ExitCode, sync::LazyLock};
+use std::{
+    collections::BTreeSet,
+    env,
+    io::{self, BufRead, BufReader},
+    process::{Command, ExitCode, Stdio},
+    sync::{LazyLock, mpsc},
+    thread,
+    time::Duration,
+};
 
 use clap::Parser;
 use libtest_mimic::{Arguments, Trial};
@@ -62,7 +70,7 @@ fn main() -> ExitCode {
     if let Some(ended) = server::serve_if_told() {
         return ended;
     }
-    match std::env::args().nth(1).as_deref() {
+    match env::args().nth(1).as_deref() {
         Some("work") => {
             let Some(Role::Work(job)) = Options::parse().role else {
                 panic!("a worker has a job");
@@ -75,6 +83,13 @@ fn main() -> ExitCode {
                 panic!("a worker has a job");
             };
             runtime().block_on(job::grow(&*MAZE, &job)).unwrap();
+            return ExitCode::SUCCESS;
+        }
+        Some("hold") => {
+            let server = ServerProcess::start().unwrap();
+            println!("{}", server.uri());
+            // Until it is killed.
+            io::copy(&mut io::stdin().lock(), &mut io::sink()).unwrap();
             return ExitCode::SUCCESS;
         }
         _ => {}
@@ -97,6 +112,10 @@ fn main() -> ExitCode {
         trial(
             "a_killed_worker_leaves_trees_on_which_the_others_meet",
             a_killed_worker_leaves_trees_on_which_the_others_meet,
+        ),
+        trial(
+            "a_server_ends_when_who_started_it_is_killed",
+            a_server_ends_when_who_started_it_is_killed,
         ),
     ];
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
@@ -224,4 +243,28 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
         others + 2,
         "and the roots"
     );
+}
+
+fn a_server_ends_when_who_started_it_is_killed() {
+    let mut holder = Command::new(env::current_exe().unwrap())
+        .arg("hold")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut uri = String::new();
+    let mut output = BufReader::new(holder.stdout.take().unwrap());
+    output.read_line(&mut uri).unwrap();
+    let runtime = runtime();
+    runtime.block_on(Client::connect(uri.trim())).unwrap();
+    holder.kill().unwrap();
+    holder.wait().unwrap();
+
+    // The server has inherited its standard error, which ends with the last process that holds it.
+    let mut errors = holder.stderr.take().unwrap();
+    let (ended, end) = mpsc::channel();
+    thread::spawn(move || ended.send(io::copy(&mut errors, &mut io::sink())));
+    end.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
+    assert!(runtime.block_on(Client::connect(uri.trim())).is_err());
 }

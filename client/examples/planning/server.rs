@@ -4,7 +4,8 @@ use std::{
     env,
     ffi::OsStr,
     io::{self, BufRead, BufReader},
-    process::{Child, ChildStdout, Command, ExitCode, Stdio},
+    process::{self, Child, ChildStdout, Command, ExitCode, Stdio},
+    thread,
 };
 
 use tempfile::TempDir;
@@ -14,12 +15,21 @@ use super::error::PlanningError;
 /// Set in the process that is the server.
 const ROLE: &str = "WAYFOLD_EXAMPLE_ROLE";
 
-/// Serves until the end, if this process was started to do so: the first call of an example's `main`.
+/// Serves until the end, or until who started it is gone, if this process was started to do so: the first call of an
+/// example's `main`.
 pub fn serve_if_told() -> Option<ExitCode> {
-    (env::var(ROLE).as_deref() == Ok("server")).then(wayfold_server::main)
+    if env::var(ROLE).as_deref() != Ok("server") {
+        return None;
+    }
+    thread::spawn(|| {
+        // Nobody writes to it: it ends when the process is gone that holds the other end, however that ended.
+        let _ = io::copy(&mut io::stdin().lock(), &mut io::sink());
+        process::exit(0);
+    });
+    Some(wayfold_server::main())
 }
 
-/// A server on a free port of this machine, killed when it is dropped.
+/// A server on a free port of this machine, killed when it is dropped; it ends by itself where this process is killed.
 pub struct ServerProcess {
     child: Child,
     uri: String,
@@ -92,7 +102,8 @@ fn spawn(address: &str, data: Option<&TempDir>) -> Result<Child, PlanningError> 
         .args(["--grpc", address, "--zenoh", "off", "--log", "warn"])
         .arg("--data")
         .arg(data)
-        .stdin(Stdio::null())
+        // Held by the child's handle, and closed by the system where this process is killed.
+        .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn();
     child.map_err(PlanningError::Server)
