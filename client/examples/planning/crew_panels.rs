@@ -51,10 +51,10 @@ pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result
     write(area, title, (80, 56), letters(LETTERS[0], DARK))
 }
 
-/// A bar a worker: the shares of its time.
+/// A bar a worker: the shares of its time, and that of searches in figures.
 pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), DrawingError> {
     let (width, height) = area.dim_in_pixel();
-    let title = "Where the workers' time went";
+    let title = "Where the workers' time went; in figures: searches";
     write(area, title, (40, 56), letters(LETTERS[0], DARK))?;
     for (row, parts) in PARTS.chunks(2).enumerate() {
         legend(area, parts, (40, 130 + 52 * row as i32), 420)?;
@@ -83,7 +83,7 @@ pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), Drawing
             area.draw(&Rectangle::new(corners, color.filled()))?;
             from = to;
         }
-        let share = format!("{:.0} %", 100.0 * known[0]);
+        let share = format!("{:.1} %", times.percent(times.searching));
         write(
             area,
             share,

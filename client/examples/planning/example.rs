@@ -99,7 +99,7 @@ impl<P: Verify> Example<P> {
         if let Some(file) = &options.json {
             report::write_json(&comparison, file)?;
         }
-        let shorter = path::shorten(problem, path.clone(), SHORTENINGS, options.seed);
+        let shorter = path::shorten(problem, path.clone(), SHORTENINGS, options.seed)?;
         match self.picture(options) {
             Some(file) => (self.draw)(problem, &comparison, &shorter, &file),
             None => Ok(()),
@@ -150,7 +150,7 @@ impl<P: Verify> Example<P> {
         let (Some(draw), Some(file)) = (self.draw_shared, self.picture(options)) else {
             return Ok(());
         };
-        let shorter = path::shorten(problem, solved.path.clone(), SHORTENINGS, seed);
+        let shorter = path::shorten(problem, solved.path.clone(), SHORTENINGS, seed)?;
         draw(problem, &solved, &shorter, &file)
     }
 

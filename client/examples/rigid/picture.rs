@@ -9,7 +9,7 @@ use plotters::{
 };
 
 use crate::{
-    build::Built,
+    build::{Answer, Built},
     planning::{
         crew_panels,
         drawing::{self, Area, DARK, DrawingError, LETTERS, PALE, WORKERS, letters, write},
@@ -39,11 +39,9 @@ const SIZE: (u32, u32) = (3300, 2640);
 
 /// Draws the rooms with the roadmap and the chair along the paths, and the panels of figures.
 pub fn draw(scene: &Rooms, built: &Built, file: &Path) -> Result<(), PlanningError> {
-    let paths: Vec<Vec<Vec<f64>>> = built
-        .paths
-        .iter()
-        .map(|answer| path::shorten(scene, answer.states.clone(), 150, built.seed))
-        .collect();
+    let shorten = |answer: &Answer| path::shorten(scene, answer.states.clone(), 150, built.seed);
+    let paths: Result<Vec<_>, _> = built.paths.iter().map(shorten).collect();
+    let paths = paths?;
     drawing::picture(file, SIZE, |area| {
         let (above, below) = area.split_vertically(1940);
         rooms(scene, built, &paths, &above)?;
