@@ -44,8 +44,12 @@ impl NeighborSource for BruteForce {
             return Ok(within.min().into_iter().collect());
         }
         let mut found: Vec<Neighbor> = within.collect();
+        if search.k < found.len() {
+            // The others are not sorted: that would be slower than to measure them.
+            found.select_nth_unstable(search.k);
+            found.truncate(search.k);
+        }
         found.sort_unstable();
-        found.truncate(search.k);
         Ok(found)
     }
 }
