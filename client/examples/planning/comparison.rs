@@ -3,16 +3,55 @@
 use std::{io, rc::Rc};
 
 use super::{
+    account::{Account, Growth},
     error::PlanningError,
     local::{BruteForce, LocalForest},
     options::{Options, Wanted, seeds},
     problem::Problem,
     remote::{Remote, ReplicaSource, ServerSource},
-    rrt::{self, Account, Growth, Solution},
+    rrt::Solution,
     rrt_star::{self, Star},
     server::ServerProcess,
     source::NeighborSource,
 };
+
+/// What is compared.
+pub struct Trials<'a> {
+    /// The sources.
+    pub sources: Vec<Wanted>,
+    /// The seeds; each is a run with each source.
+    pub seeds: Vec<u64>,
+    /// A server that runs already; one is started if it is needed, unless given.
+    pub server: Option<&'a str>,
+}
+
+impl<'a> From<&'a Options> for Trials<'a> {
+    fn from(options: &'a Options) -> Trials<'a> {
+        Trials {
+            sources: options.source.sources(),
+            seeds: seeds(options.seed, options.runs).collect(),
+            server: options.server.as_deref(),
+        }
+    }
+}
+
+/// What a planner has made, with where its time went.
+pub trait Planned {
+    /// What one insert stores.
+    const INSERT: &'static str;
+
+    /// The nodes of all trees, or the milestones.
+    fn nodes(&self) -> usize;
+
+    /// Where the time went.
+    fn account(&self) -> Account;
+
+    /// How it came to that.
+    fn growth(&self) -> &[Growth];
+
+    /// Whether that is the same, whatever time it took.
+    fn is_like(&self, other: &Self) -> bool;
+}
 
 /// One run with one source.
 pub struct Run {
@@ -20,7 +59,7 @@ pub struct Run {
     pub source: Wanted,
     /// The seed.
     pub seed: u64,
-    /// The nodes of both trees.
+    /// The nodes of all trees, or the milestones.
     pub nodes: usize,
     /// Where the time went.
     pub account: Account,
@@ -29,57 +68,48 @@ pub struct Run {
 }
 
 /// All runs of an example.
-pub struct Comparison {
-    /// The sources, in the order of the options.
+pub struct Comparison<R = Solution> {
+    /// The sources, in the order of the trials.
     pub sources: Vec<Wanted>,
     /// The runs, seed by seed.
     pub runs: Vec<Run>,
     /// The solution from the first seed, which is the same with all sources.
-    pub solution: Solution,
+    pub solution: R,
 }
 
-impl Comparison {
+impl<R> Comparison<R> {
     /// The runs with one source.
     pub fn runs_of(&self, source: Wanted) -> impl Iterator<Item = &Run> {
         self.runs.iter().filter(move |run| run.source == source)
     }
 }
 
-/// Solves `problem` as the options say. Whatever the source, the same seed has to grow the same trees.
-pub fn compare(problem: &impl Problem, options: &Options) -> Result<Comparison, PlanningError> {
-    let sources = options.source.sources();
-    let (_server, remote) = remote(options)?;
+/// What opens a source, empty, as often as a planner needs one.
+pub type Open<'a> = dyn Fn() -> Result<Box<dyn NeighborSource>, PlanningError> + 'a;
+
+/// Solves `problem` by a planner that is given its sources and a seed. Whatever the source, the same seed has to come to the
+/// same.
+pub fn compare<R: Planned>(
+    problem: &impl Problem,
+    trials: &Trials<'_>,
+    plan: impl Fn(&Open<'_>, u64) -> Result<R, PlanningError>,
+) -> Result<Comparison<R>, PlanningError> {
+    let (_server, remote) = remote(trials)?;
     let (mut runs, mut shown) = (Vec::new(), None);
-    for seed in seeds(options.seed, options.runs) {
-        let mut first: Option<Solution> = None;
-        for &source in &sources {
-            eprintln!("{}, seed {seed} ...", source.name());
-            let own = || open(source, problem, remote.as_ref());
-            let solution = rrt::solve(problem, [own()?, own()?], seed, options.max_nodes)?;
-            runs.push(Run {
-                source,
-                seed,
-                nodes: solution.nodes(),
-                account: solution.account,
-                growth: solution.growth.clone(),
-            });
-            match &first {
-                Some(first) if first.trees != solution.trees => {
-                    return Err(PlanningError::Differing {
-                        first: sources[0].name().to_owned(),
-                        other: source.name().to_owned(),
-                        seed,
-                    });
-                }
-                Some(_) => {}
-                None => first = Some(solution),
-            }
-        }
-        shown = shown.or(first);
+    for &seed in &trials.seeds {
+        let solved = each(problem, trials, remote.as_ref(), seed, &plan, R::is_like)?;
+        runs.extend(solved.iter().map(|(source, solution)| Run {
+            source: *source,
+            seed,
+            nodes: solution.nodes(),
+            account: solution.account(),
+            growth: solution.growth().to_vec(),
+        }));
+        shown = shown.or(solved.into_iter().next());
     }
-    let solution = shown.ok_or(PlanningError::Unsolved { nodes: 0 })?;
+    let (_, solution) = shown.ok_or(PlanningError::Unsolved { nodes: 0 })?;
     Ok(Comparison {
-        sources,
+        sources: trials.sources.clone(),
         runs,
         solution,
     })
@@ -91,33 +121,56 @@ pub fn grow(
     options: &Options,
     samples: usize,
 ) -> Result<Vec<(Wanted, Star)>, PlanningError> {
-    let (_server, remote) = remote(options)?;
-    let mut grown: Vec<(Wanted, Star)> = Vec::new();
-    for source in options.source.sources() {
-        eprintln!("{}, seed {} ...", source.name(), options.seed);
-        let own = open(source, problem, remote.as_ref())?;
-        let star = rrt_star::grow(problem, own, options.seed, samples)?;
-        if let Some((first, known)) = grown.first()
-            && known.tree != star.tree
+    let trials = Trials::from(options);
+    let (_server, remote) = remote(&trials)?;
+    let plan = |own: &Open<'_>, seed| rrt_star::grow(problem, own()?, seed, samples);
+    let is_like = |one: &Star, other: &Star| one.tree == other.tree;
+    each(
+        problem,
+        &trials,
+        remote.as_ref(),
+        options.seed,
+        &plan,
+        is_like,
+    )
+}
+
+/// What comes of one seed with each source; it has to be the same.
+fn each<R>(
+    problem: &impl Problem,
+    trials: &Trials<'_>,
+    remote: Option<&Rc<Remote>>,
+    seed: u64,
+    plan: &impl Fn(&Open<'_>, u64) -> Result<R, PlanningError>,
+    is_like: impl Fn(&R, &R) -> bool,
+) -> Result<Vec<(Wanted, R)>, PlanningError> {
+    let mut all: Vec<(Wanted, R)> = Vec::new();
+    for &source in &trials.sources {
+        eprintln!("{}, seed {seed} ...", source.name());
+        let made = plan(&|| open(source, problem, remote), seed)?;
+        if let Some((first, known)) = all.first()
+            && !is_like(known, &made)
         {
             return Err(PlanningError::Differing {
                 first: first.name().to_owned(),
                 other: source.name().to_owned(),
-                seed: options.seed,
+                seed,
             });
         }
-        grown.push((source, star));
+        all.push((source, made));
     }
-    Ok(grown)
+    Ok(all)
 }
 
-/// What the options' sources need of a server: one that is started for them, unless one runs already, and its threads.
-fn remote(options: &Options) -> Result<(Option<ServerProcess>, Option<Rc<Remote>>), PlanningError> {
+/// What the sources need of a server: one that is started for them, unless one runs already, and its threads.
+fn remote(
+    trials: &Trials<'_>,
+) -> Result<(Option<ServerProcess>, Option<Rc<Remote>>), PlanningError> {
     let is_remote = |source: &Wanted| matches!(source, Wanted::Server | Wanted::Replica);
-    if !options.source.sources().iter().any(is_remote) {
+    if !trials.sources.iter().any(is_remote) {
         return Ok((None, None));
     }
-    if let Some(uri) = &options.server {
+    if let Some(uri) = trials.server {
         return Ok((None, Some(Remote::new(uri)?)));
     }
     let started = ServerProcess::start()?;

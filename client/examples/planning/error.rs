@@ -34,7 +34,7 @@ pub enum PlanningError {
         segment: usize,
     },
     /// Two exact sources found different neighbours.
-    #[error("{first} and {other} grew different trees from seed {seed}: one of them is not exact")]
+    #[error("{first} and {other} grew different graphs from seed {seed}: one of them is not exact")]
     Differing {
         /// The source that was asked first.
         first: String,

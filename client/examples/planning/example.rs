@@ -9,11 +9,11 @@ use clap::Parser;
 use tokio::runtime::{Builder, Runtime};
 
 use super::{
-    comparison::{self, Comparison},
+    comparison::{self, Comparison, Open, Trials},
     error::PlanningError,
     options::{Options, Role},
     path::{self, Verify},
-    report,
+    report, rrt,
     rrt_star::Star,
     server::{self, ServerProcess},
     shared_trees::{
@@ -88,7 +88,9 @@ impl<P: Verify> Example<P> {
     }
 
     fn solve(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
-        let comparison = comparison::compare(problem, options)?;
+        let plan =
+            |own: &Open<'_>, seed| rrt::solve(problem, [own()?, own()?], seed, options.max_nodes);
+        let comparison = comparison::compare(problem, &Trials::from(options), plan)?;
         print!("{}", report::table(&comparison, self.paper));
         let path = &comparison.solution.path;
         let checked = path::verify(problem, path)?;

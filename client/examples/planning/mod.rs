@@ -1,13 +1,14 @@
 //! What the planners share: sampling-based planning against one small trait for where the neighbours come from.
 //!
 //! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (what a scene tells a
-//! planner), `rrt` and `rrt_star` (the planners), `path` (its result, checked anew), `comparison` (one problem with every source),
-//! `example` (all of a program that does so), `report` (the table and the JSON), `drawing` and `panels` (what all pictures
-//! have in common); of several workers, `processes` (how they are started and heard) and `shared_trees` (RRTConCon by
-//! all of them together).
+//! planner), `rrt` and `rrt_star` (the planners), `account` (where their time went), `path` (their result,
+//! checked anew), `comparison` (one problem with every source), `example` (all of a program that does so), `report` (the
+//! table and the JSON), `drawing` and `panels` (what all pictures have in common); of several workers, `processes` (how they
+//! are started and heard) and `shared_trees` (RRTConCon by all of them together).
 
 #![expect(dead_code, reason = "each example takes what it needs of this")]
 
+pub mod account;
 pub mod comparison;
 pub mod crew_panels;
 pub mod drawing;

@@ -15,10 +15,12 @@ use rand_chacha::ChaCha8Rng;
 use wayfold_client::States;
 
 use super::{
+    account::{Account, Growth, Record},
+    comparison::Planned,
     error::PlanningError,
     problem::Problem,
     sampling,
-    source::{NeighborSource, Timed, Usage},
+    source::{NeighborSource, Timed},
 };
 
 /// One tree. A node is a number from 0 up; ids are what its source calls the nodes.
@@ -91,36 +93,6 @@ impl Tree {
     }
 }
 
-/// Where a run's time went.
-#[derive(Clone, Copy, Debug)]
-pub struct Account {
-    /// All of it.
-    pub total: Duration,
-    /// What went into the sources.
-    pub neighbors: Usage,
-    /// What went into motions: their states and whether these are free.
-    pub checking: Duration,
-    /// How many states were checked.
-    pub checks: usize,
-}
-
-impl Account {
-    /// What is left: the planner's own.
-    pub fn rest(&self) -> Duration {
-        self.total
-            .saturating_sub(self.neighbors.time() + self.checking)
-    }
-}
-
-/// How far a run was at some moment.
-#[derive(Clone, Copy, Debug)]
-pub struct Growth {
-    /// The nodes of both trees.
-    pub nodes: usize,
-    /// The account until then.
-    pub account: Account,
-}
-
 /// A solved problem.
 pub struct Solution {
     /// The tree from the start, and that from the goal.
@@ -137,6 +109,26 @@ impl Solution {
     /// The nodes of both trees.
     pub fn nodes(&self) -> usize {
         self.trees.iter().map(Tree::len).sum()
+    }
+}
+
+impl Planned for Solution {
+    const INSERT: &'static str = "all nodes of a connection";
+
+    fn nodes(&self) -> usize {
+        self.nodes()
+    }
+
+    fn account(&self) -> Account {
+        self.account
+    }
+
+    fn growth(&self) -> &[Growth] {
+        &self.growth
+    }
+
+    fn is_like(&self, other: &Solution) -> bool {
+        self.trees == other.trees
     }
 }
 
@@ -166,17 +158,17 @@ pub fn solve(
                 return Ok(planner.finish(nodes));
             }
         }
-        planner.record();
         let nodes = planner.nodes();
+        if planner.record.is_due(nodes) {
+            let account = planner.account();
+            planner.record.note(nodes, account);
+        }
         if nodes >= max_nodes {
             return Err(PlanningError::Unsolved { nodes });
         }
         growing = other;
     }
 }
-
-/// How many moments of a long run are kept, at least; of twice as many every other one is dropped.
-const RECORDS: usize = 256;
 
 struct Planner<'a, P> {
     problem: &'a P,
@@ -185,8 +177,7 @@ struct Planner<'a, P> {
     started: Instant,
     checking: Duration,
     checks: usize,
-    growth: Vec<Growth>,
-    record_every: usize,
+    record: Record,
 }
 
 /// Where a connection ended.
@@ -206,8 +197,7 @@ impl<'a, P: Problem> Planner<'a, P> {
             started: Instant::now(),
             checking: Duration::ZERO,
             checks: 0,
-            growth: Vec::new(),
-            record_every: 1,
+            record: Record::new(),
         };
         for (tree, root) in [problem.start(), problem.goal()].into_iter().enumerate() {
             let mut states = States::new(coordinates);
@@ -264,35 +254,17 @@ impl<'a, P: Problem> Planner<'a, P> {
         }
     }
 
-    /// Remembers this moment, unless the last one is not long ago.
-    fn record(&mut self) {
-        let nodes = self.nodes();
-        let last = self.growth.last().map_or(0, |growth| growth.nodes);
-        if nodes >= last + self.record_every {
-            let account = self.account();
-            self.growth.push(Growth { nodes, account });
-            if self.growth.len() >= 2 * RECORDS {
-                let mut kept = 0;
-                self.growth.retain(|_| {
-                    kept += 1;
-                    kept % 2 == 0
-                });
-                self.record_every = (nodes / RECORDS).max(1);
-            }
-        }
-    }
-
     /// The solution by the nodes at which the trees meet.
-    fn finish(mut self, [start, goal]: [usize; 2]) -> Solution {
+    fn finish(self, [start, goal]: [usize; 2]) -> Solution {
         let account = self.account();
         let nodes = self.nodes();
-        self.growth.push(Growth { nodes, account });
+        let growth = self.record.finish(nodes, account);
         let path = path(&self.trees, [start, goal]);
         Solution {
             trees: self.trees,
             path,
             account,
-            growth: self.growth,
+            growth,
         }
     }
 }
