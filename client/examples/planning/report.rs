@@ -11,7 +11,7 @@ use std::{
 use serde_json::{Value, json};
 
 use super::{
-    comparison::{Comparison, Run},
+    comparison::{Comparison, Planned, Run},
     error::PlanningError,
     options::Wanted,
     rrt_star::{Progress, Star},
@@ -32,7 +32,7 @@ struct Line {
 }
 
 impl Line {
-    fn of(comparison: &Comparison, source: Wanted) -> Line {
+    fn of<R>(comparison: &Comparison<R>, source: Wanted) -> Line {
         let middle = |of: fn(&Run) -> f64| median(comparison.runs_of(source).map(of));
         Line {
             source,
@@ -53,8 +53,27 @@ impl Line {
         }
     }
 
+    fn all<R>(comparison: &Comparison<R>) -> Vec<Line> {
+        let sources = comparison.sources.iter();
+        sources
+            .map(|&source| Line::of(comparison, source))
+            .collect()
+    }
+
     fn neighbors(&self) -> f64 {
         self.searching + self.inserting
+    }
+
+    fn percent(&self, part: f64) -> f64 {
+        100.0 * part / self.total
+    }
+
+    /// By what it is faster than another: with neighbours, and in all.
+    fn faster_than(&self, other: &Line) -> [f64; 2] {
+        [
+            other.neighbors() / self.neighbors(),
+            other.total / self.total,
+        ]
     }
 }
 
@@ -75,16 +94,11 @@ pub fn median(numbers: impl IntoIterator<Item = f64>) -> f64 {
 }
 
 /// The table. `paper` is by what the paper's planner became faster with the trees of the paper's library, if it says so.
-pub fn table(comparison: &Comparison, paper: Option<f64>) -> String {
-    let lines = comparison
-        .sources
-        .iter()
-        .map(|&source| Line::of(comparison, source));
-    let lines: Vec<Line> = lines.collect();
-    let brute = lines.iter().find(|line| line.source == Wanted::Brute);
+pub fn table<R: Planned>(comparison: &Comparison<R>, paper: Option<f64>) -> String {
+    let lines = Line::all(comparison);
     let runs = comparison.runs.len() / lines.len().max(1);
     let mut text = format!(
-        "{:<12}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>10}{:>10}{:>8}{:>8}\n{:<12}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>10}{:>10}{:>8}{:>8}\n",
+        "{:<12}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>10}{:>10}{:>16}{:>16}\n{:<12}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>10}{:>10}{:>8}{:>8}{:>8}{:>8}\n",
         "",
         "nodes",
         "total",
@@ -93,10 +107,11 @@ pub fn table(comparison: &Comparison, paper: Option<f64>) -> String {
         "checks",
         "rest",
         "share",
+        "share",
         "a search",
         "an insert",
-        "faster",
-        "faster",
+        "than brute",
+        "than the scan",
         "",
         "",
         "s",
@@ -105,16 +120,18 @@ pub fn table(comparison: &Comparison, paper: Option<f64>) -> String {
         "s",
         "s",
         "s+i, %",
+        "chk, %",
         "µs",
         "µs",
         "s+i",
         "total",
+        "s+i",
+        "total",
     );
     for line in &lines {
-        let share = 100.0 * line.neighbors() / line.total;
         let _ = write!(
             text,
-            "{:<12}{:>8}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>8.0}{:>10.2}{:>10.2}",
+            "{:<12}{:>8}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>8.1}{:>8.1}{:>10.2}{:>10.2}",
             line.source.name(),
             line.nodes,
             line.total,
@@ -122,21 +139,26 @@ pub fn table(comparison: &Comparison, paper: Option<f64>) -> String {
             line.inserting,
             line.checking,
             line.rest,
-            share,
+            line.percent(line.neighbors()),
+            line.percent(line.checking),
             line.search_us,
             line.insert_us,
         );
-        if let Some(brute) = brute {
-            let search = ratio(brute.neighbors() / line.neighbors());
-            let total = ratio(brute.total / line.total);
+        for baseline in BASELINES {
+            let [search, total] = match of(&lines, baseline) {
+                Some(baseline) => line.faster_than(baseline).map(ratio),
+                None => [String::new(), String::new()],
+            };
             let _ = write!(text, "{search:>8}{total:>8}");
         }
+        text.truncate(text.trim_end().len());
         text.push('\n');
     }
     let _ = writeln!(
         text,
-        "Medians of {runs} run{}. An insert is one call for all nodes of a connection. Faster: than scalar brute force.",
-        if runs == 1 { "" } else { "s" }
+        "Medians of {runs} run{}. An insert is one call for {}. Faster: by what with neighbours and in all, than scalar brute force, and than a SIMD scan.",
+        if runs == 1 { "" } else { "s" },
+        R::INSERT,
     );
     if let Some(paper) = paper {
         let _ = writeln!(
@@ -146,6 +168,13 @@ pub fn table(comparison: &Comparison, paper: Option<f64>) -> String {
     }
     network(&lines, &mut text);
     text
+}
+
+/// What the others are compared with.
+const BASELINES: [Wanted; 2] = [Wanted::Brute, Wanted::Scan];
+
+fn of(lines: &[Line], source: Wanted) -> Option<&Line> {
+    lines.iter().find(|line| line.source == source)
 }
 
 fn ratio(ratio: f64) -> String {
@@ -158,11 +187,11 @@ fn ratio(ratio: f64) -> String {
 
 /// Says what the network costs, where the same index was used with it and without.
 fn network(lines: &[Line], text: &mut String) {
-    let of = |source| lines.iter().find(|line| line.source == source);
-    let Some(forest) = of(Wanted::Forest) else {
+    let Some(forest) = of(lines, Wanted::Forest) else {
         return;
     };
-    for line in [Wanted::Server, Wanted::Replica].into_iter().filter_map(of) {
+    let remote = [Wanted::Server, Wanted::Replica].into_iter();
+    for line in remote.filter_map(|source| of(lines, source)) {
         let search = (line.search_us - forest.search_us).max(0.0);
         let insert = (line.insert_us - forest.insert_us).max(0.0);
         let eaten = line.neighbors() - forest.neighbors();
@@ -170,7 +199,7 @@ fn network(lines: &[Line], text: &mut String) {
             text,
             "The {} adds {search:.0} µs to a search and {insert:.0} µs to an insert: {eaten:.2} s, {:.0} % of its total.",
             line.source.name(),
-            100.0 * eaten / line.total,
+            line.percent(eaten),
         );
     }
 }
@@ -203,10 +232,30 @@ pub fn progress(grown: &[(Wanted, Star)]) -> String {
     text + "In brackets: the share of searches and inserts. Lengths are of the same tree, whatever the source.\n"
 }
 
-/// Writes the figures of all runs.
-pub fn write_json(comparison: &Comparison, path: &Path) -> Result<(), PlanningError> {
+/// Writes the figures of all runs, and how the sources compare.
+pub fn write_json<R>(comparison: &Comparison<R>, path: &Path) -> Result<(), PlanningError> {
     let runs: Vec<Value> = comparison.runs.iter().map(run).collect();
-    write_figures(&json!({ "runs": runs }), path)
+    let lines = Line::all(comparison);
+    let sources: Vec<Value> = lines.iter().map(|line| medians(line, &lines)).collect();
+    write_figures(&json!({ "runs": runs, "sources": sources }), path)
+}
+
+/// The medians of one source, and their ratios to the baselines where these have been run.
+fn medians(line: &Line, lines: &[Line]) -> Value {
+    let faster_than = |baseline| {
+        let [neighbors, total] = line.faster_than(of(lines, baseline)?);
+        Some(json!({ "neighbors": neighbors, "total": total }))
+    };
+    let [brute, scan] = BASELINES.map(faster_than);
+    json!({
+        "source": line.source.name(),
+        "total_s": line.total,
+        "neighbors_s": line.neighbors(),
+        "neighbors_percent": line.percent(line.neighbors()),
+        "checking_percent": line.percent(line.checking),
+        "faster_than_brute": brute,
+        "faster_than_scan": scan,
+    })
 }
 
 /// Opens the files that a run is going to write, so that one that cannot be written is told of before all the work; what
