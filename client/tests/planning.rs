@@ -19,6 +19,7 @@ use planning::{
     error::PlanningError,
     options::Wanted,
     path::{self, Verify},
+    prm_star,
     problem::Problem,
     remote::Remote,
     rrt, rrt_star, sampling,
@@ -153,6 +154,50 @@ fn the_way_of_rrt_star_only_becomes_shorter() {
     }
     assert!(costs.is_sorted_by(|before, after| before >= after));
     assert!(costs.first().unwrap() > costs.last().unwrap());
+}
+
+#[test]
+fn all_sources_build_the_roadmap_of_prm_star_that_its_states_tell() {
+    let (problem, server) = (Corner::new(), server::Server::start());
+    let remote = Remote::new(&server.uri).unwrap();
+    let questions = [
+        [problem.start(), problem.goal()],
+        [problem.goal(), problem.start()],
+    ];
+    let milestones = 300;
+    let solve = |source| {
+        let own = comparison::open(source, &problem, Some(&remote)).unwrap();
+        prm_star::solve(&problem, own, 4, milestones, &questions).unwrap()
+    };
+    let expected = solve(Wanted::Brute);
+    let (roadmap, space) = (&expected.roadmap, problem.space());
+    assert_eq!(roadmap.len(), milestones + 4);
+
+    // Each by all distances to those before it, the equally near by their numbers.
+    for (n, state) in roadmap.states.iter().enumerate() {
+        let distance = |other: usize| space.distance(state, roadmap.states.row(other));
+        let mut near: Vec<usize> = (0..n).collect();
+        near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
+        let k = 2.0 * std::f64::consts::E * (n as f64).ln();
+        near.truncate(k.ceil().max(1.0) as usize);
+        near.retain(|&other| problem.is_free_way(state, roadmap.states.row(other), &mut 0));
+        near.sort_unstable();
+        assert_eq!(roadmap.edges[n], near, "milestone {n}");
+    }
+    assert!(roadmap.edge_count() > 2 * milestones);
+
+    for ([start, goal], path) in questions.iter().zip(&expected.paths) {
+        let path = path.as_ref().unwrap();
+        path::verify(&problem, path).unwrap();
+        assert_eq!((&path[0][..], &path[path.len() - 1][..]), (*start, *goal));
+    }
+    for source in Wanted::All.sources() {
+        let found = solve(source);
+        assert!(found.roadmap == expected.roadmap, "{source:?}");
+        assert_eq!(found.paths, expected.paths);
+        assert_eq!(found.account.checks, expected.account.checks);
+        assert_eq!(found.account.neighbors.searches, milestones + 4);
+    }
 }
 
 #[test]

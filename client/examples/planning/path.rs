@@ -1,7 +1,12 @@
-//! A path, checked anew and made shorter.
+//! A path: found on a roadmap, checked anew and made shorter.
 
+use petgraph::{
+    algo::astar,
+    graph::{NodeIndex, UnGraph},
+};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use wayfold_client::{Space, States};
 
 use super::{error::PlanningError, problem::Problem};
 
@@ -17,6 +22,38 @@ pub trait Verify: Problem {
     /// planner's, and every part is held against every obstacle by another algorithm (GJK, not separating axes), with
     /// nothing passed over for being far away.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool;
+}
+
+/// The shortest path between two milestones of a roadmap, by the states of all and the edges of each; none if there is no
+/// way.
+pub fn shortest(
+    space: &Space,
+    states: &States,
+    edges: &[Vec<usize>],
+    start: usize,
+    goal: usize,
+) -> Option<Vec<Vec<f64>>> {
+    let length = |a: usize, b: usize| space.distance(states.row(a), states.row(b));
+    let count = edges.iter().map(Vec::len).sum();
+    let mut graph = UnGraph::<(), f64>::with_capacity(edges.len(), count);
+    for _ in edges {
+        graph.add_node(());
+    }
+    for (node, to) in edges.iter().enumerate() {
+        for &other in to {
+            let (from, to) = (NodeIndex::new(node), NodeIndex::new(other));
+            graph.add_edge(from, to, length(node, other));
+        }
+    }
+    let (_, nodes) = astar(
+        &graph,
+        NodeIndex::new(start),
+        |node| node.index() == goal,
+        |edge| *edge.weight(),
+        |node| length(node.index(), goal),
+    )?;
+    let path = nodes.iter().map(|node| states.row(node.index()).to_vec());
+    Some(path.collect())
 }
 
 /// Checks a path, ten times as finely as the planner did; tells how many states were checked.

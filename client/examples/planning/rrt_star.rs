@@ -258,6 +258,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         if !problem.is_free_way(from, state, &mut 0) {
             return Ok(None);
         }
+        // Evaluated here, as nobody else inserts, so that all sources answer the same plain search.
         let mut search = Search::nearest_k(1);
         SCALING.apply(&mut search, self.tree.len(), problem.space().dimension());
         let found = self.source.search(state, &search)?;

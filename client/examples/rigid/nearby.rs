@@ -3,13 +3,7 @@
 use wayfold_client::{Include, IndexHandle, Neighbor, Replica, ReplicaView, Row, Scaling, Search};
 
 use crate::planning::error::PlanningError;
-
-/// k(n) of PRM*.
-pub const SCALING: Scaling = Scaling {
-    k_factor: Some(Scaling::K_FACTOR),
-    radius_factor: None,
-    radius_max: None,
-};
+pub use crate::planning::prm_star::SCALING;
 
 /// By how much more than k(n) are asked for: while a batch is checked the roadmap grows, and with it k(n). By so much it
 /// grows until n has become n^1.1, from 1,000 to 2,000; who has candidates enough need not search again.

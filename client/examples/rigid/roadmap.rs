@@ -2,15 +2,11 @@
 
 use std::collections::HashMap;
 
-use petgraph::{
-    algo::astar,
-    graph::{NodeIndex, UnGraph},
-};
 use wayfold_client::{Filter, IndexHandle, Point, Space, States};
 
 use crate::{
     milestone::{self, PENDING},
-    planning::error::PlanningError,
+    planning::{error::PlanningError, path},
     worker::{Pending, Worker},
 };
 
@@ -89,33 +85,8 @@ impl Roadmap {
 
     /// The shortest path on the roadmap between two milestones.
     pub fn path(&self, space: &Space, start: u64, goal: u64) -> Option<Vec<Vec<f64>>> {
-        let state = |node: usize| self.states.row(node);
-        let mut graph = UnGraph::<(), f64>::with_capacity(self.len(), self.edge_count());
-        for _ in 0..self.len() {
-            graph.add_node(());
-        }
-        for (node, to) in self.edges.iter().enumerate() {
-            for &other in to {
-                let length = space.distance(state(node), state(other));
-                graph.add_edge(NodeIndex::new(node), NodeIndex::new(other), length);
-            }
-        }
-        let at = |id| self.ids.binary_search(&id).ok().map(NodeIndex::new);
-        let (start, goal) = (at(start)?, at(goal)?);
-        let left = |node: NodeIndex| space.distance(state(node.index()), state(goal.index()));
-        let (_, nodes) = astar(
-            &graph,
-            start,
-            |node| node == goal,
-            |edge| *edge.weight(),
-            left,
-        )?;
-        Some(
-            nodes
-                .iter()
-                .map(|node| state(node.index()).to_vec())
-                .collect(),
-        )
+        let at = |id| self.ids.binary_search(&id).ok();
+        path::shortest(space, &self.states, &self.edges, at(start)?, at(goal)?)
     }
 }
 
