@@ -17,7 +17,7 @@ use crate::{
         server::ServerProcess,
     },
     roadmap::{self, Roadmap},
-    scene::Rooms,
+    scene::{Rooms, Task},
     worker::Worker,
 };
 
@@ -129,16 +129,7 @@ async fn build_in(
             (Some(start), Some(goal)) => roadmap.path(scene.space(), start, goal),
             _ => None,
         };
-        let states = found.ok_or_else(|| PlanningError::Unconnected {
-            task: task.name.to_owned(),
-            milestones: roadmap.len(),
-        })?;
-        paths.push(Answer {
-            name: task.name,
-            checked: path::verify(scene, &states)?,
-            length: path::length(scene, &states),
-            states,
-        });
+        paths.push(answer(scene, task, found, roadmap.len())?);
     }
     Ok(Built {
         workers: options.workers,
@@ -151,6 +142,25 @@ async fn build_in(
         separation: separation.map(|found| (found, options.min_separation)),
         paths,
         asking: start.elapsed(),
+    })
+}
+
+/// A path that was found for a question on a roadmap of so many milestones, checked anew.
+pub fn answer(
+    scene: &Rooms,
+    task: &Task,
+    found: Option<Vec<Vec<f64>>>,
+    milestones: usize,
+) -> Result<Answer, PlanningError> {
+    let states = found.ok_or_else(|| PlanningError::Unconnected {
+        task: task.name.to_owned(),
+        milestones,
+    })?;
+    Ok(Answer {
+        name: task.name,
+        checked: path::verify(scene, &states)?,
+        length: path::length(scene, &states),
+        states,
     })
 }
 

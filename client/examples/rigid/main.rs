@@ -5,10 +5,12 @@
 //!     cargo run --release -p wayfold-client --example rigid -- [--workers 4] [--source server] [--kill | --restart]
 //!     cargo run --release -p wayfold-client --example rigid -- --scaling [--runs 5]
 //!     cargo run --release -p wayfold-client --example rigid -- --until-solved [--scaling] [--runs 5]
+//!     cargo run --release -p wayfold-client --example rigid -- --compare [--runs 5]
 //!
 //! Reading order: `milestone` (what the index keeps), `nearby` (its candidates), `worker` (the planner), `roadmap` (what all
 //! of them made), `processes` (what one that is started does), `build` (one roadmap from the start to its paths), `until_solved`
-//! (no further than its paths), `replay` and `audit` (what a roadmap must be), `report`, `picture`.
+//! (no further than its paths), `sources` (by one planner, with every source of neighbours), `replay` and `audit` (what a
+//! roadmap must be), `report`, `picture`.
 
 #[path = "../planning/mod.rs"]
 mod planning;
@@ -26,6 +28,7 @@ mod report;
 mod roadmap;
 mod scene;
 mod solid;
+mod sources;
 mod until_solved;
 mod worker;
 
@@ -52,6 +55,8 @@ fn main() -> ExitCode {
         .build();
     let ended = match (runtime, &options.role) {
         (Err(error), _) => Err(PlanningError::Server(error)),
+        // Its sources wait on threads of their own.
+        (Ok(_), None) if options.compare => sources::compare(&Rooms::new(), &options),
         (Ok(runtime), Some(Role::Work(job))) => runtime.block_on(processes::work(job)),
         (Ok(runtime), Some(Role::Audit(of))) => {
             runtime.block_on(audit::audit(&of.server, &of.index))

@@ -13,6 +13,18 @@ use crate::{
     },
 };
 
+/// What only several processes can be told.
+const COOPERATION: [&str; 8] = [
+    "workers",
+    "source",
+    "batch",
+    "min_separation",
+    "kill",
+    "restart",
+    "scaling",
+    "until_solved",
+];
+
 /// Builds one roadmap by several processes, and answers several questions with it.
 #[derive(Clone, Debug, Parser)]
 #[command(group(ArgGroup::new("repeated").multiple(true)))]
@@ -54,6 +66,10 @@ pub struct Options {
     /// by 1, 2, 4 and 8 workers
     #[arg(long, conflicts_with_all = ["kill", "restart", "batch"], group = "repeated")]
     pub until_solved: bool,
+    /// Builds it by one planner instead, with every source of neighbours from the same seeds, and tells what its planning
+    /// costs with each; no picture
+    #[arg(long, conflicts_with_all = COOPERATION)]
+    pub compare: bool,
     /// How often to build each of the roadmaps that are compared; medians are told
     #[arg(long, default_value_t = 3, requires = "repeated")]
     pub runs: u64,

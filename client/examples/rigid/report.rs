@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::{
     account::Account,
-    build::{Built, WORKERS},
+    build::{Answer, Built, WORKERS},
     options::{Kind, Options},
     planning::{
         error::PlanningError,
@@ -94,7 +94,19 @@ pub fn table(built: &Built) -> String {
             "The two nearest of the workers' milestones are {found:.3} apart; at least {wanted} was wanted."
         );
     }
-    for answer in &built.paths {
+    text += &answers(&built.paths);
+    let _ = writeln!(
+        text,
+        "All of them were found in {:.3} s.",
+        built.asking.as_secs_f64()
+    );
+    text
+}
+
+/// What the paths are like.
+pub fn answers(paths: &[Answer]) -> String {
+    let mut text = String::new();
+    for answer in paths {
         let _ = writeln!(
             text,
             "The path {} has {} milestones and the length {:.2}, and is free in {} states, by other code.",
@@ -104,11 +116,6 @@ pub fn table(built: &Built) -> String {
             answer.checked,
         );
     }
-    let _ = writeln!(
-        text,
-        "All of them were found in {:.3} s.",
-        built.asking.as_secs_f64()
-    );
     text
 }
 
