@@ -14,18 +14,21 @@ mod room;
 #[expect(dead_code, reason = "planners make their own indices")]
 mod server;
 
+use std::{cell::Cell, fs};
+
 use planning::{
-    comparison,
+    comparison::{self, Open, Trials},
     error::PlanningError,
     options::Wanted,
     path::{self, Verify},
     prm_star,
     problem::Problem,
     remote::Remote,
-    rrt, rrt_star, sampling,
+    report, rrt, rrt_star, sampling,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
 use wayfold_client::{Neighbor, Search, Space, States};
 
 /// Two dead ends away from the start.
@@ -197,6 +200,59 @@ fn all_sources_build_the_roadmap_of_prm_star_that_its_states_tell() {
         assert_eq!(found.paths, expected.paths);
         assert_eq!(found.account.checks, expected.account.checks);
         assert_eq!(found.account.neighbors.searches, milestones + 4);
+    }
+}
+
+fn two_local_sources() -> Trials<'static> {
+    Trials {
+        sources: vec![Wanted::Brute, Wanted::Scan],
+        seeds: 1..4,
+        server: None,
+    }
+}
+
+#[test]
+fn a_source_that_leads_to_another_roadmap_is_found_out() {
+    let (problem, calls) = (Corner::new(), Cell::new(0));
+    let compared = comparison::compare(&problem, &two_local_sources(), |own: &Open<'_>, seed| {
+        calls.set(calls.get() + 1);
+        // The scan of the second seed.
+        let other = u64::from(calls.get() == 4);
+        prm_star::solve(&problem, own()?, seed + 100 * other, 30, &[])
+    });
+    assert!(matches!(
+        compared,
+        Err(PlanningError::Differing { seed: 2, .. })
+    ));
+}
+
+#[test]
+fn a_comparison_tells_the_ratios_to_both_baselines() {
+    let problem = Corner::new();
+    let compared = comparison::compare(&problem, &two_local_sources(), |own: &Open<'_>, seed| {
+        prm_star::solve(&problem, own()?, seed, 30, &[])
+    });
+    let compared = compared.unwrap();
+    assert_eq!(compared.runs.len(), 6);
+    let table = report::table(&compared, None);
+    let mut rows = table.lines().skip(2).map(|row| row.ends_with('×'));
+    assert_eq!([rows.next(), rows.next()], [Some(true), Some(true)]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("figures.json");
+    report::write_json(&compared, &file).unwrap();
+    let figures: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    let of = |source: usize, of: &str, what: &str| figures["sources"][source][of][what].as_f64();
+    for what in ["total", "neighbors"] {
+        assert_eq!(of(0, "faster_than_brute", what), Some(1.0));
+        assert_eq!(of(1, "faster_than_scan", what), Some(1.0));
+        let there = of(1, "faster_than_brute", what).unwrap();
+        let back = of(0, "faster_than_scan", what).unwrap();
+        assert!((there * back - 1.0).abs() < 1e-9);
+    }
+    for source in 0..2 {
+        let percent = figures["sources"][source]["checking_percent"].as_f64();
+        assert!(percent.is_some_and(|percent| (0.0..=100.0).contains(&percent)));
     }
 }
 

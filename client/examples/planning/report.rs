@@ -178,10 +178,10 @@ fn of(lines: &[Line], source: Wanted) -> Option<&Line> {
 }
 
 fn ratio(ratio: f64) -> String {
-    if ratio < 10.0 {
-        format!("{ratio:.2}×")
-    } else {
-        format!("{ratio:.0}×")
+    match ratio {
+        ..0.1 => format!("{ratio:.3}×"),
+        ..10.0 => format!("{ratio:.2}×"),
+        _ => format!("{ratio:.0}×"),
     }
 }
 
