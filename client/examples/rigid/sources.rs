@@ -6,7 +6,7 @@ use crate::{
     planning::{
         comparison::{self, Open, Trials},
         error::PlanningError,
-        options::Wanted,
+        options::{Wanted, seeds},
         prm_star::{self, Answered},
         report,
     },
@@ -18,7 +18,7 @@ use crate::{
 pub fn compare(scene: &Rooms, options: &Options) -> Result<(), PlanningError> {
     let trials = Trials {
         sources: Wanted::All.sources(),
-        seeds: options.seed..options.seed + options.runs.max(1),
+        seeds: seeds(options.seed, options.runs).collect(),
         server: options.server.as_deref(),
     };
     let tasks = scene.tasks().iter();
