@@ -123,12 +123,16 @@ async fn build_in(
     let separation = (options.min_separation > 0.0)
         .then(|| roadmap.separation(scene.space(), options.workers))
         .flatten();
-    let mut paths = Vec::new();
+    let mut found = Vec::new();
     for (task, ends) in scene.tasks().iter().zip(ends) {
-        let found = match ends {
+        found.push(match ends {
             (Some(start), Some(goal)) => roadmap.path(scene.space(), start, goal),
             _ => None,
-        };
+        });
+    }
+    let asking = start.elapsed();
+    let mut paths = Vec::new();
+    for (task, found) in scene.tasks().iter().zip(found) {
         paths.push(answer(scene, task, found, roadmap.len())?);
     }
     Ok(Built {
@@ -141,7 +145,7 @@ async fn build_in(
         roadmap,
         separation: separation.map(|found| (found, options.min_separation)),
         paths,
-        asking: start.elapsed(),
+        asking,
     })
 }
 

@@ -68,7 +68,7 @@ pub struct Options {
     pub until_solved: bool,
     /// Builds it by one planner instead, with every source of neighbours from the same seeds, and tells what its planning
     /// costs with each; no picture
-    #[arg(long, conflicts_with_all = COOPERATION)]
+    #[arg(long, conflicts_with_all = COOPERATION, group = "repeated")]
     pub compare: bool,
     /// How often to build each of the roadmaps that are compared; medians are told
     #[arg(long, default_value_t = 3, requires = "repeated")]

@@ -8,7 +8,7 @@ use crate::{
         error::PlanningError,
         options::{Wanted, seeds},
         prm_star::{self, Answered},
-        report,
+        report::{self, can_write},
     },
     report::answers,
     scene::Rooms,
@@ -16,6 +16,7 @@ use crate::{
 
 /// Compares the sources as the options say.
 pub fn compare(scene: &Rooms, options: &Options) -> Result<(), PlanningError> {
+    can_write(options.json.as_deref())?;
     let trials = Trials {
         sources: Wanted::All.sources(),
         seeds: seeds(options.seed, options.runs).collect(),
