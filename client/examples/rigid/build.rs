@@ -124,7 +124,7 @@ async fn build_in(
         .then(|| roadmap.separation(scene.space(), options.workers))
         .flatten();
     let mut found = Vec::new();
-    for (task, ends) in scene.tasks().iter().zip(ends) {
+    for ends in ends {
         found.push(match ends {
             (Some(start), Some(goal)) => roadmap.path(scene.space(), start, goal),
             _ => None,
