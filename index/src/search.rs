@@ -160,16 +160,17 @@ impl<'a> Walk<'a> {
         self.search.filter.since_revision
     }
 
-    /// Whether a point of a block may matter, of which these are the numbers, rounded, so that each has moved by up to
-    /// `error`, a distance.
+    /// Whether one of the first `lanes` points of a block may matter, of which these are the numbers, rounded, so that
+    /// each has moved by up to `error`, a distance, but by its rotations.
     #[inline(always)]
-    pub(crate) fn reaches<S: Set>(&self, rounded: &[f32], error: f64) -> bool {
+    pub(crate) fn may_matter<S: Set>(&self, rounded: &[f32], lanes: usize, error: f64) -> bool {
         let limit = self.limit();
         if limit == f64::INFINITY {
             return true;
         }
         let limit = self.scale.loosened(limit, error);
-        kernel::points::<S, f32>(self.space, self.state, rounded, limit).1 != 0
+        let (_, within) = kernel::points::<S, f32>(self.space, self.state, rounded, limit);
+        within & !(!0 << lanes) != 0
     }
 
     /// Bounds the points in the first `lanes` of a block, and keeps those that are near enough, `visible`, and pass the

@@ -1,9 +1,9 @@
 //! PRM*: one roadmap for several questions, whose paths become shorter with every milestone.
 //!
 //! S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011: PRM* in its k-nearest
-//! form, one milestone after the other, each of which tries the ways to its k(n) nearest among the n that were there before
-//! it. The workers of `rigid` build the same kind of roadmap together; this is one planner alone, so that sources of
-//! neighbours can be compared and nothing else differs.
+//! form. Theirs draws all n milestones first; here they come one after the other, and each tries the ways to its k(n)
+//! nearest among the n that were there before it, as the workers of `rigid` do, who build such a roadmap together. This is
+//! one planner alone, so that sources of neighbours can be compared and nothing else differs.
 
 use std::{
     collections::HashMap,

@@ -1,7 +1,7 @@
 //! The dynamic structure: a forest of static trees, by the logarithmic method.
 //!
 //! The smallest *level* is a tree that grows by single points ([`growing`]). Once it is full, another one grows, and
-//! levels are merged into packed ones of doubling size, and into one or two when writes pause ([`policy`]), which
+//! levels are merged into packed ones of doubling size, and into a few when writes pause ([`policy`]), which
 //! drops their dead. Removing a point marks it with a *tombstone*; replacing one removes it and stores it anew.
 //!
 //! One owner writes; any number of [`Snapshot`]s read, each at its own revision, and neither waits for the other:
@@ -226,8 +226,8 @@ impl Forest {
         levels.insert(at, Arc::new(level));
     }
 
-    /// Says that whoever writes makes a pause: from now to the next mutation, merges work towards a single level. The
-    /// largest is rebuilt only for a sixteenth of it; what is less stays beside it.
+    /// Says that whoever writes makes a pause: from now to the next mutation, merges work towards a single level. None
+    /// is rebuilt for less than a sixteenth of it; what is less stays beside it.
     pub fn pause(&mut self) {
         self.quiet_at = Some(self.head.revision);
     }

@@ -46,21 +46,22 @@ pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>
 }
 
 /// What to merge when nothing is due and no one writes, on the way to one level: the least two levels, with what is not
-/// much larger. Small steps, so that a writer who comes back finds little undone; and the largest level only for the sake
-/// of [`WORTH`] of it, or each pause after a few points would rebuild them all.
+/// much larger. Small steps, so that a writer who comes back finds little undone; and a level only for the sake of
+/// [`WORTH`] of it, or each pause after a few points would rebuild them all.
 pub(super) fn next_while_quiet(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let mut idle = idle(shapes);
-    if let Some((&largest, others)) = idle.split_last() {
-        let gained: usize = others.iter().map(|&i| shapes[i].live()).sum();
-        if gained < shapes[largest].live() / WORTH {
-            idle.pop();
+    while let Some((&largest, others)) = idle.split_last() {
+        let joins: usize = others.iter().map(|&i| shapes[i].live()).sum();
+        if joins + shapes[largest].dead >= shapes[largest].live() / WORTH {
+            break;
         }
+        idle.pop();
     }
     gather(shapes, &idle, 2, max_rows)
 }
 
-/// The part of the largest level, one in so many, for which it is rebuilt. All that is saved is a search of what is so
-/// much smaller, which begins with the bound that the largest level has given it.
+/// The part of a level, one in so many, for which it is rebuilt: by what joins it, or by its dead. All that is saved is a
+/// search of what is so much smaller, which begins with the bound that the larger one has given it.
 const WORTH: usize = 16;
 
 /// The levels that no merge has, by ascending size.
@@ -172,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn while_no_one_writes_all_levels_become_one() {
+    fn while_no_one_writes_levels_of_like_size_become_one() {
         let mut shapes = vec![level(100_000), level(13_000), level(2000), level(100)];
         let mut steps = Vec::new();
         while let Some(merge) = next_while_quiet(&shapes, usize::MAX) {
@@ -191,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_rebuilds_the_largest_level_for_a_sixteenth_of_it() {
+    fn a_pause_rebuilds_a_level_for_a_sixteenth_of_it() {
         let quiet = |shapes: &[Shape]| next_while_quiet(shapes, usize::MAX);
         assert_eq!(quiet(&[level(16_000), level(999)]), None);
         assert_eq!(quiet(&[level(16_000), level(1000)]), Some(vec![1, 0]));
@@ -200,6 +201,13 @@ mod tests {
         assert_eq!(quiet(&shapes), Some(vec![2, 1]));
         let shapes = [level(16_000), level(700), level(300)];
         assert_eq!(quiet(&shapes), Some(vec![2, 1]));
+        // Below the largest level as well.
+        assert_eq!(quiet(&[level(1 << 20), level(60_000), level(128)]), None);
+        let half_dead = Shape {
+            dead: 1000,
+            ..level(17_000)
+        };
+        assert_eq!(quiet(&[half_dead, level(128)]), Some(vec![1, 0]));
     }
 
     /// At rest after any number of sealed buffers there are few levels, and few rebuilds of a row have led to them.

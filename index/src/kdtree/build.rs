@@ -58,7 +58,7 @@ impl KdTree {
         Self {
             labels: points.labels_in_order(&slots),
             rounded: is_tree
-                .then(|| Rounded::if_it_helps(&space, &blocks))
+                .then(|| Rounded::where_it_helps(&space, &blocks))
                 .flatten(),
             blocks,
             rows: Rows::new(leaves * leaf_rows.div_ceil(BLOCK)),

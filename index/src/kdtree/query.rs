@@ -83,13 +83,13 @@ impl KdTree {
         }
         let slots = self.slots(leaf);
         for (start, at) in slots.clone().step_by(BLOCK).zip(self.leaf_blocks(leaf)) {
+            let lanes = (slots.end - start).min(BLOCK);
             if let Some(rounded) = &self.rounded
-                && !walk.reaches::<S>(rounded.block(at), rounded.error())
+                && !walk.may_matter::<S>(rounded.block(at), lanes, rounded.error())
             {
                 continue;
             }
             let block = self.blocks.block(at);
-            let lanes = (slots.end - start).min(BLOCK);
             walk.scan::<S>(block, lanes, &self.labels, |lane| start + lane, visible);
         }
     }

@@ -9,19 +9,23 @@ use crate::{Factor, Space, blocks::Blocks, kernel::BLOCK};
 /// From so many dimensions on rows are read more than boxes.
 const LEAST_DIMENSION: usize = 16;
 
+/// With a weight above this, of two points that are nearly the same one may be farther than `f64` can tell.
+const MOST_WEIGHT: f64 = 1e200;
+
 /// Blocks of rows, rounded to `f32`.
 #[derive(Clone, Debug)]
 pub(super) struct Rounded {
     /// Numbers of a block.
-    width: usize,
+    block_len: usize,
     columns: Vec<f32>,
     error: f64,
 }
 
 impl Rounded {
-    /// The rounded rows of these blocks, if they help.
-    pub(super) fn if_it_helps(space: &Space, blocks: &Blocks) -> Option<Self> {
-        if space.dimension() < LEAST_DIMENSION {
+    /// The rounded rows of these blocks, in spaces where they help; None if a number is out of range.
+    pub(super) fn where_it_helps(space: &Space, blocks: &Blocks) -> Option<Self> {
+        let is_heavy = space.parts().iter().any(|part| part.weight > MOST_WEIGHT);
+        if space.dimension() < LEAST_DIMENSION || is_heavy {
             return None;
         }
         Self::new(space, blocks)
@@ -30,8 +34,8 @@ impl Rounded {
     /// The rounded rows of these blocks; None if a number is out of range.
     fn new(space: &Space, blocks: &Blocks) -> Option<Self> {
         let columns: Vec<f32> = blocks.numbers().iter().map(|&x| x as f32).collect();
-        // The farthest that a point has moved in each coordinate.
-        let mut moved = vec![0.0; space.coordinates()];
+        // The farthest that a point has moved in each coordinate, and no less than what squares lose.
+        let mut moved = vec![f64::MIN_POSITIVE.sqrt(); space.coordinates()];
         let both = blocks.numbers().chunks(BLOCK).zip(columns.chunks(BLOCK));
         for (at, (exact, rounded)) in both.enumerate() {
             let most = &mut moved[at % space.coordinates()];
@@ -40,7 +44,7 @@ impl Rounded {
             }
         }
         columns.iter().all(|x| x.is_finite()).then_some(Self {
-            width: space.coordinates() * BLOCK,
+            block_len: space.coordinates() * BLOCK,
             columns,
             error: error(space, &moved),
         })
@@ -48,10 +52,10 @@ impl Rounded {
 
     /// A block: of each coordinate `BLOCK` numbers.
     pub(super) fn block(&self, at: usize) -> &[f32] {
-        &self.columns[at * self.width..][..self.width]
+        &self.columns[at * self.block_len..][..self.block_len]
     }
 
-    /// No point has moved farther than this.
+    /// No point has moved farther than this, but by its rotations.
     pub(super) fn error(&self) -> f64 {
         self.error
     }
@@ -159,13 +163,39 @@ mod tests {
         }
     }
 
+    /// A tree of these numbers in the first coordinate finds all that lie within their distance of a query.
+    fn all_are_found(space: &str, number: f64, query: f64) {
+        let space: Space = space.parse().unwrap();
+        let row = |number: f64| {
+            let mut row = vec![0.0; space.coordinates()];
+            row[0] = number;
+            row
+        };
+        let mut points = crate::Points::new(space.coordinates());
+        for id in 0..40 {
+            points.push(id, 0, 1, &row(number));
+        }
+        let radius = space.distance(&row(number), &row(query));
+        let tree = crate::KdTree::new(space.clone(), points, BLOCK);
+        let found = tree.search(&row(query), &crate::Search::nearest_r(radius));
+        assert_eq!(found.neighbors.len(), 40, "{space}");
+    }
+
+    #[test]
+    fn nothing_is_lost_where_squares_are_out_of_range() {
+        all_are_found("R16:1e5", 1.5e-162, 1e-150);
+        all_are_found("R16:1e308", 1e-163, 1e-154);
+        all_are_found("sum((R16:1e20), R1)", 1e-162, 1e-154);
+        all_are_found("sum((R16:1e300), R1)", 100.1, 13_507.907_929);
+    }
+
     #[test]
     fn numbers_out_of_range_are_not_rounded() {
         let space: Space = "R17".parse().unwrap();
         let mut blocks = Blocks::with_capacity(17, 1);
         blocks.write(0, &[1e39; 17]);
-        assert!(Rounded::if_it_helps(&space, &blocks).is_none());
+        assert!(Rounded::where_it_helps(&space, &blocks).is_none());
         blocks.write(0, &[1e38; 17]);
-        assert!(Rounded::if_it_helps(&space, &blocks).is_some());
+        assert!(Rounded::where_it_helps(&space, &blocks).is_some());
     }
 }

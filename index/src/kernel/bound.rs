@@ -3,7 +3,8 @@
 //!
 //! The space is read as it is, a loop over groups and factors around the lanes. **Rounding:** every term is computed by
 //! the operations of [`Space::distance`], in their order, on operands that are the same (a point's) or no greater (a
-//! box's), and rounding is monotone: so no term exceeds its counterpart, but for a rotation's, which may by 1e-14.
+//! box's), and rounding is monotone: so no term exceeds its counterpart, but for a rotation's, which may by 1e-14. Numbers
+//! stored as `f32` are of a point that has moved (see [`Stored`]).
 //! No key is NaN: coordinates are small enough for their squares to have a finite sum, and weights for one another.
 
 use super::lanes::{Lanes, Operations};

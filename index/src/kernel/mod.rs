@@ -2,8 +2,8 @@
 //! best that the processor has is chosen when the program runs.
 //!
 //! A search as a whole is what is compiled several times, with its kernels inside: called as functions, they would take
-//! long to be given their operands. Kernels only bound where a rotation weighs anything, and else compute what
-//! [`Space::distance`] does by the same operations, so every set of them gives the same answers to the bit.
+//! long to be given their operands. Kernels only bound where a rotation weighs anything or numbers are rounded, and else
+//! compute what [`Space::distance`] does by the same operations, so every set of them gives the same answers to the bit.
 
 mod bound;
 mod compiled;

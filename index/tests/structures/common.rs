@@ -23,7 +23,7 @@ pub const SPACES: [&str; 17] = [
     "R3*SO3:15",
     "sum(R3, SO3)",
     "sum((SO2^2), R3)",
-    "sum(R1^7)",
+    "sum(R1^17)",
     "(R3*RP3:0.15)^2",
     "(R3*RP3:0.15)^8",
     "R2*SO2:0",

@@ -1,5 +1,5 @@
 //! What the registry sees to by itself: that a store that has failed is opened anew, that indices which nobody writes
-//! are merged to one level, and that old records go.
+//! are merged further, and that old records go.
 
 use std::{
     sync::Arc,
