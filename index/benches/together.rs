@@ -12,7 +12,7 @@ use std::{
     process::{Child, ChildStdin, ChildStdout, Command, Stdio},
     sync::{
         Barrier, Mutex,
-        atomic::{AtomicBool, Ordering::Relaxed},
+        atomic::{AtomicUsize, Ordering::Relaxed},
         mpsc,
     },
     thread,
@@ -34,6 +34,11 @@ const POINTS: usize = 50_000;
 const MANY: usize = 1_000_000;
 const ROUNDS: usize = 5;
 const DURATION: Duration = Duration::from_secs(2);
+/// For so long a writer writes before it rests as long, so many times in all.
+const TURN: Duration = Duration::from_millis(100);
+const TURNS: usize = 40;
+/// Queries between two looks at whose turn it is.
+const A_LOOK: usize = 16;
 /// States that are asked about, over and over.
 const ASKED: usize = 4_096;
 /// Which work a process is to do, if it is not the one that measures.
@@ -233,43 +238,58 @@ fn work_when_told(role: &str) {
     println!("{}", work.rate());
 }
 
-/// What a reader reaches alone and beside a writer who inserts point by point as fast as it can, and merges itself: alone it
-/// reads what the writer has left, unmerged.
+/// What a reader reaches alone and beside a writer who inserts point by point as fast as it can, and merges itself. Every
+/// query is of the newest snapshot. The writer writes and rests by turns, so that both are of the same points.
 fn beside_a_writer() -> [f64; 4] {
     let asked = states(ASKED, SEED + 1);
     let mut forest = forest(&states(POINTS, SEED));
     let more = states(20 * POINTS, SEED + 2);
-    let (published, stop) = (Mutex::new(forest.snapshot()), AtomicBool::new(false));
-    let read = |until: &dyn Fn(Instant) -> bool| {
-        let (started, mut done) = (Instant::now(), 0.0);
-        while !until(started) {
-            for row in asked.chunks(WIDTH).take(64) {
+    let mut more = more.chunks(WIDTH).zip(POINTS as u64..);
+    let published = Mutex::new(forest.snapshot());
+    let turn = AtomicUsize::new(0);
+    let read = || {
+        let (mut done, mut taken) = ([0.0; 2], [0.0; 2]);
+        let mut asked = asked.chunks(WIDTH).cycle();
+        loop {
+            let (now, started) = (turn.load(Relaxed), Instant::now());
+            if now == TURNS {
+                return [done[0] / taken[0], done[1] / taken[1]];
+            }
+            for row in asked.by_ref().take(A_LOOK) {
                 let points = published.lock().expect("no panic").clone();
                 ask(&points, row);
-                done += 1.0;
+            }
+            if turn.load(Relaxed) == now {
+                done[now % 2] += A_LOOK as f64;
+                taken[now % 2] += started.elapsed().as_secs_f64();
             }
         }
-        done / started.elapsed().as_secs_f64()
     };
-    let (beside, inserts) = thread::scope(|scope| {
-        let reader = scope.spawn(|| read(&|_| stop.load(Relaxed)));
-        let (started, mut inserted) = (Instant::now(), 0);
-        for row in more.chunks(WIDTH) {
-            let id = (POINTS + inserted) as u64;
-            forest.apply(id + 1, &table(row, id), &[]);
-            forest.settle();
-            *published.lock().expect("no panic") = forest.snapshot();
-            inserted += 1;
-            if started.elapsed() >= DURATION {
-                break;
+    thread::scope(|scope| {
+        let reader = scope.spawn(read);
+        let (mut inserted, mut writing) = (0.0, Duration::ZERO);
+        for now in 0..TURNS {
+            turn.store(now, Relaxed);
+            let started = Instant::now();
+            if now % 2 == 0 {
+                thread::sleep(TURN);
+                continue;
             }
+            while started.elapsed() < TURN
+                && let Some((row, id)) = more.next()
+            {
+                forest.apply(id + 1, &table(row, id), &[]);
+                forest.settle();
+                *published.lock().expect("no panic") = forest.snapshot();
+                inserted += 1.0;
+            }
+            writing += started.elapsed();
         }
-        let inserts = inserted as f64 / started.elapsed().as_secs_f64();
-        stop.store(true, Relaxed);
-        (reader.join().expect("no panic"), inserts)
-    });
-    let alone = read(&|started| started.elapsed() >= DURATION);
-    [alone, beside, beside / alone, inserts]
+        turn.store(TURNS, Relaxed);
+        let [alone, beside] = reader.join().expect("no panic");
+        let inserts = inserted / writing.as_secs_f64();
+        [alone, beside, beside / alone, inserts]
+    })
 }
 
 /// The slowest of `count` single inserts, and of queries made between them, while another thread merges.

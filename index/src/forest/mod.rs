@@ -14,6 +14,7 @@ mod growing;
 mod level;
 mod merge;
 mod packed;
+mod past;
 mod policy;
 mod snapshot;
 mod tombstones;
@@ -27,6 +28,7 @@ use level::Level;
 use merge::Running;
 pub use merge::{Merge, Merged};
 use packed::Packed;
+use past::Past;
 pub use snapshot::Snapshot;
 use tombstones::HEAD;
 
@@ -75,6 +77,7 @@ pub struct Forest {
     options: ForestOptions,
     /// The newest revision; a snapshot is a clone of it.
     head: Snapshot,
+    past: Past<Growing>,
     running: Vec<Running>,
     next_token: u64,
     /// The revision at which whoever writes makes a pause: a whole merge has passed during it, or the owner says so.
@@ -100,6 +103,7 @@ impl Forest {
         Self {
             options,
             head,
+            past: Past::default(),
             running: Vec::new(),
             next_token: 0,
             quiet_at: None,
@@ -205,7 +209,7 @@ impl Forest {
             return;
         }
         for point in rows.iter() {
-            let growing = Arc::make_mut(&mut self.head.growing);
+            let growing = self.past.make_mut(&mut self.head.growing);
             growing.push(point);
             if growing.is_full() {
                 self.seal();
@@ -217,6 +221,7 @@ impl Forest {
     fn seal(&mut self) {
         let empty = Arc::new(self.head.growing.renewed());
         let grown = std::mem::replace(&mut self.head.growing, empty);
+        self.past.clear();
         self.add_level(Level::Grown(grown));
     }
 
@@ -230,6 +235,7 @@ impl Forest {
     /// is rebuilt for less than a sixteenth of it; what is less stays beside it.
     pub fn pause(&mut self) {
         self.quiet_at = Some(self.head.revision);
+        self.past.clear();
     }
 
     /// The next merge that is due, or None. The forest works on as before until it is finished; further merges may

@@ -1,0 +1,113 @@
+//! What readers share with the forest, so that none of them has to free it.
+
+use std::sync::Arc;
+
+/// Whenever a hold is added, so many others are looked at: more than are added, so that all have been before there are
+/// twice as many.
+const LOOKS: usize = 2;
+
+/// The forest's own holds of what it has replaced while snapshots shared it.
+///
+/// Whoever drops the last hold of something frees it, and allocators let who frees what another thread has allocated
+/// wait for that thread: readers beside a writer had half of their rate by that. With these, the last hold is the
+/// forest's, and whoever writes frees what writing has allocated. In vain it holds about as many as readers hold.
+#[derive(Debug)]
+pub(super) struct Past<T> {
+    held: Vec<Arc<T>>,
+    /// The next hold to look at.
+    next: usize,
+}
+
+impl<T> Default for Past<T> {
+    fn default() -> Self {
+        let held = Vec::new();
+        Self { held, next: 0 }
+    }
+}
+
+impl<T: Clone> Past<T> {
+    /// As [`Arc::make_mut`], but keeps a hold of what others go on to share.
+    pub(super) fn make_mut<'a>(&mut self, shared: &'a mut Arc<T>) -> &'a mut T {
+        if Arc::get_mut(shared).is_none() {
+            self.keep(Arc::clone(shared));
+        }
+        Arc::make_mut(shared)
+    }
+
+    fn keep(&mut self, replaced: Arc<T>) {
+        for _ in 0..LOOKS.min(self.held.len()) {
+            self.next = self.next.checked_sub(1).unwrap_or(self.held.len() - 1);
+            if is_last_hold(&self.held[self.next]) {
+                // What takes its place is the last, which has been looked at, or was added since.
+                self.held.swap_remove(self.next);
+            }
+        }
+        self.held.push(replaced);
+    }
+
+    /// Frees all that no one shares any more.
+    pub(super) fn clear(&mut self) {
+        self.held.retain(|held| !is_last_hold(held));
+        self.next = 0;
+    }
+}
+
+/// Then no one can come by another hold of it: new snapshots are of the head.
+fn is_last_hold<T>(held: &Arc<T>) -> bool {
+    Arc::strong_count(held) == 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A writer's steps, each under the snapshot that the last one published.
+    fn write(past: &mut Past<u32>, head: &mut Arc<u32>, steps: usize) {
+        for _ in 0..steps {
+            let published = Arc::clone(head);
+            *past.make_mut(head) += 1;
+            drop(published);
+        }
+    }
+
+    #[test]
+    fn readers_never_have_the_last_hold() {
+        let (mut past, mut head) = (Past::default(), Arc::new(0));
+        let read: Vec<Arc<u32>> = std::iter::repeat_with(|| {
+            let snapshot = Arc::clone(&head);
+            write(&mut past, &mut head, 1);
+            snapshot
+        })
+        .take(100)
+        .collect();
+        for (step, snapshot) in (0..).zip(&read) {
+            assert_eq!((**snapshot, Arc::strong_count(snapshot)), (step, 2));
+        }
+    }
+
+    #[test]
+    fn what_no_one_reads_is_freed_beside_what_is_read_for_long() {
+        let (mut past, mut head) = (Past::default(), Arc::new(0));
+        for readers in [0, 1, 10, 100] {
+            let mut long = Vec::new();
+            for _ in 0..readers {
+                long.push(Arc::clone(&head));
+                write(&mut past, &mut head, 1);
+            }
+            write(&mut past, &mut head, 10_000);
+            assert!(past.held.len() <= 2 * readers + 3, "{}", past.held.len());
+            assert!(long.iter().all(|snapshot| Arc::strong_count(snapshot) == 2));
+            past.clear();
+            assert_eq!(past.held.len(), readers);
+        }
+    }
+
+    #[test]
+    fn what_is_not_shared_changes_in_place() {
+        let (mut past, mut head) = (Past::default(), Arc::new(0));
+        for _ in 0..10 {
+            *past.make_mut(&mut head) += 1;
+        }
+        assert_eq!((*head, past.held.len()), (10, 0));
+    }
+}
