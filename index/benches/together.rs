@@ -240,6 +240,7 @@ fn work_when_told(role: &str) {
 
 /// What a reader reaches alone and beside a writer who inserts point by point as fast as it can, and merges itself. Every
 /// query is of the newest snapshot. The writer writes and rests by turns, so that both are of the same points.
+#[expect(clippy::disallowed_methods, reason = "the writer's rest")]
 fn beside_a_writer() -> [f64; 4] {
     let asked = states(ASKED, SEED + 1);
     let mut forest = forest(&states(POINTS, SEED));

@@ -2,6 +2,8 @@
 
 use std::{collections::HashSet, time::Instant};
 
+use arrayvec::ArrayVec;
+
 use crate::{
     Neighbor, Points, Space,
     candidates::{Candidate, Candidates},
@@ -87,34 +89,34 @@ const LEAVES_A_LOOK: usize = 32;
 /// See [`Walk::found_few`]. Who finds many points must have looked at many.
 const FEW: usize = 100;
 
-/// No tree is higher: one of as many points as slots can tell, with one point a leaf.
+/// No tree is higher. (As many points as slots can tell, with one point a leaf, make one of eight nodes; what grows may be
+/// higher.)
 pub(crate) const MOST_HEIGHT: usize = 11;
 
-/// Each node leaves all its children but one behind.
-const MOST_AHEAD: usize = MOST_HEIGHT * (CHILDREN - 1) + 1;
-
-/// The cells of a tree that are still to be visited, told by their places `P`, with their keys: the nearest of those
-/// below one node last.
-pub(crate) struct Ahead<P> {
-    cells: [(f64, P); MOST_AHEAD],
-    len: usize,
+/// A node some of whose children are still to be visited.
+struct Open<N> {
+    node: N,
+    /// The keys of its children, and the bits of those that are left.
+    keys: [f64; CHILDREN],
+    left: u32,
+    /// The nearest of those.
+    next: usize,
 }
 
-impl<P: Copy> Ahead<P> {
-    /// No cells; `nowhere` stands for a place where there is none.
+/// The nodes on the way to the cell that is visited, told by `N`, with what is left of them.
+pub(crate) struct Ahead<N>(ArrayVec<Open<N>, MOST_HEIGHT>);
+
+impl<N: Copy> Ahead<N> {
+    /// No nodes.
     #[inline(always)]
-    pub(crate) fn new(nowhere: P) -> Self {
-        Self {
-            cells: [(0.0, nowhere); MOST_AHEAD],
-            len: 0,
-        }
+    pub(crate) fn new() -> Self {
+        Self(ArrayVec::new())
     }
 
-    /// The cell that comes after the next, unless something nearer is found meanwhile.
+    /// The node and the child that come after the next, unless something nearer is found meanwhile or it was its last.
     #[inline(always)]
-    pub(crate) fn peek(&self) -> Option<P> {
-        let last = self.len.checked_sub(1)?;
-        Some(self.cells[last].1)
+    pub(crate) fn peek(&self) -> Option<(N, usize)> {
+        self.0.last().map(|open| (open.node, open.next))
     }
 }
 
@@ -127,9 +129,11 @@ pub(crate) struct Walk<'a> {
     state: &'a [f64],
     search: &'a Search<'a>,
     candidates: Candidates<'a>,
-    scale: Scale,
+    scale: &'a Scale,
     /// Keys above this lie so far that `epsilon` gives them up.
     relaxed_limit: f64,
+    /// What part of the limit that is.
+    relaxed: f64,
     leaves_left: usize,
     leaves_entered: usize,
     exact: bool,
@@ -138,14 +142,22 @@ pub(crate) struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    pub(crate) fn new(space: &'a Space, state: &'a [f64], search: &'a Search<'a>) -> Self {
-        let scale = Scale::new(space);
+    /// Of a state of `space`, whose keys `scale` turns into distances.
+    #[inline(always)]
+    pub(crate) fn new(
+        space: &'a Space,
+        scale: &'a Scale,
+        state: &'a [f64],
+        search: &'a Search<'a>,
+    ) -> Self {
         let candidates = Candidates::new(search.k, scale.limit(search.radius));
+        let relaxed = scale.relaxed(search.epsilon);
         Self {
             space,
             state,
             search,
-            relaxed_limit: scale.relaxed(candidates.limit(), search.epsilon),
+            relaxed_limit: candidates.limit() * relaxed,
+            relaxed,
             candidates,
             scale,
             leaves_left: search.max_leaves,
@@ -186,11 +198,15 @@ impl<'a> Walk<'a> {
     ) {
         let (keys, within) = kernel::points::<S, f64>(self.space, self.state, block, self.limit());
         let filter = self.search.filter;
-        let left = within & !(!0 << lanes);
-        for (key, lane) in (Order { keys, left }) {
-            if key > self.limit() {
-                break;
-            }
+        let mut left = within & !(!0 << lanes);
+        while left != 0 {
+            // The nearest first: what is near soon makes the rest not worth a look.
+            let lane = if left & (left - 1) == 0 {
+                left.trailing_zeros() as usize % BLOCK
+            } else {
+                S::least(&keys, left)
+            };
+            left &= !(1 << lane);
             let slot = slot(lane);
             if !visible(slot)
                 || filter != Filter::default()
@@ -202,57 +218,56 @@ impl<'a> Walk<'a> {
             if self.search.excluded.is_some_and(|ids| ids.contains(&id)) {
                 continue;
             }
-            self.keep(Candidate {
-                reach: self.scale.reach(key),
-                key,
-                id,
-                lane: &block[lane..],
-                distance: f64::NAN,
+            self.keep(keys[lane], id, &block[lane..]);
+            if left != 0 {
+                left &= S::within(&keys, self.limit());
+            }
+        }
+    }
+
+    /// Puts the children of a node that are among `lanes` and within reach before all that is `ahead`.
+    #[inline(always)]
+    pub(crate) fn open<S: Set, N: Copy>(
+        &self,
+        ahead: &mut Ahead<N>,
+        boxes: &[f64],
+        lanes: u32,
+        node: N,
+    ) {
+        let (keys, within) = kernel::boxes::<S>(self.space, self.state, boxes, self.limit());
+        let left = within & lanes;
+        if left != 0 {
+            let next = S::least(&keys, left);
+            ahead.0.push(Open {
+                node,
+                keys,
+                left,
+                next,
             });
         }
     }
 
-    /// Puts the children of a node that are among `lanes` and within reach before all that is `ahead`, the nearest first.
+    /// The next cell to visit, if one is left that may matter: a node and which child of it, its nearest first.
     #[inline(always)]
-    pub(crate) fn push_children<S: Set, P: Copy>(
-        &self,
-        ahead: &mut Ahead<P>,
-        boxes: &[f64],
-        lanes: u32,
-        place: impl Fn(u32) -> P,
-    ) {
-        let (keys, within) = kernel::boxes::<S>(self.space, self.state, boxes, self.limit());
-        // So that no two are equal, and a count tells the place of each. It changes a key by less than the margin of the
-        // limit that it will be compared with. (Infinity has no bits to spare.)
-        let mut lane = 0;
-        let keys = keys.map(|key| {
-            let key = if key < f64::MAX { key } else { f64::MAX };
-            let distinct = key.to_bits() & !(CHILDREN as u64 - 1) | lane;
-            lane += 1;
-            f64::from_bits(distinct)
-        });
-        let within = within & lanes;
-        let end = ahead.len + within.count_ones() as usize;
-        let mut left = within;
-        while left != 0 {
-            let lane = left.trailing_zeros();
-            left &= left - 1;
-            let key = keys[lane as usize % CHILDREN];
-            let nearer_or_it = (S::within(&keys, key) & within).count_ones() as usize;
-            ahead.cells[end - nearer_or_it] = (key, place(lane));
-        }
-        ahead.len = end;
-    }
-
-    /// The next cell to visit, if one is left that may matter.
-    #[inline(always)]
-    pub(crate) fn pop<P: Copy>(&mut self, ahead: &mut Ahead<P>) -> Option<P> {
-        while ahead.len > 0 {
-            ahead.len -= 1;
-            let (key, place) = ahead.cells[ahead.len];
-            if !self.skips(key) {
-                return Some(place);
+    pub(crate) fn next<S: Set, N: Copy>(&mut self, ahead: &mut Ahead<N>) -> Option<(N, usize)> {
+        while let Some(open) = ahead.0.last_mut() {
+            let (node, child) = (open.node, open.next);
+            let key = open.keys[child];
+            // What may be *at* the worst distance matters: a point may win by its id.
+            let is_near = key <= self.limit();
+            let is_given_up = self.leaves_left == 0 || key > self.relaxed_limit;
+            if is_near && !is_given_up {
+                open.left &= !(1 << child);
+                if open.left == 0 {
+                    ahead.0.pop();
+                } else {
+                    open.next = S::least(&open.keys, open.left);
+                }
+                return Some((node, child));
             }
+            // Nor do the others matter, which are no nearer.
+            self.exact &= !is_near;
+            ahead.0.pop();
         }
         None
     }
@@ -265,7 +280,14 @@ impl<'a> Walk<'a> {
 
     /// Keeps a point that may be an answer.
     #[inline]
-    fn keep(&mut self, mut candidate: Candidate<'a>) {
+    fn keep(&mut self, key: f64, id: u64, lane: &'a [f64]) {
+        let mut candidate = Candidate {
+            reach: self.scale.reach(key),
+            key,
+            id,
+            lane,
+            distance: f64::NAN,
+        };
         if candidate.reach > candidate.key * LOOSE {
             self.measure(&mut candidate);
         }
@@ -274,7 +296,7 @@ impl<'a> Walk<'a> {
             is_nearer |= self.thin_out();
         }
         if is_nearer {
-            self.relaxed_limit = self.scale.relaxed(self.limit(), self.search.epsilon);
+            self.relaxed_limit = self.limit() * self.relaxed;
         }
     }
 
@@ -307,20 +329,6 @@ impl<'a> Walk<'a> {
             is_nearer |= self.candidates.offer(candidate);
         }
         is_nearer
-    }
-
-    /// Whether a box of this key is to be skipped.
-    #[inline]
-    fn skips(&mut self, key: f64) -> bool {
-        // What may be *at* the worst distance matters: a point may win by its id.
-        if key > self.limit() {
-            return true;
-        }
-        if self.leaves_left == 0 || key > self.relaxed_limit {
-            self.exact = false;
-            return true;
-        }
-        false
     }
 
     /// How many leaves were visited.
@@ -358,7 +366,7 @@ impl<'a> Walk<'a> {
         true
     }
 
-    pub(crate) fn finish(mut self) -> Answer {
+    pub(crate) fn finish(&mut self) -> Answer {
         let mut neighbors = Vec::with_capacity(self.candidates.len());
         for mut candidate in self.candidates.drain() {
             let distance = self.measure(&mut candidate);
@@ -396,33 +404,5 @@ impl Table for Points {
 
     fn revision(&self, slot: usize) -> u64 {
         self.revision(slot)
-    }
-}
-
-/// Lanes by ascending key, each sought when it is asked for: what is near soon makes the rest not worth a look.
-struct Order {
-    keys: [f64; BLOCK],
-    /// The bits of the lanes that are left.
-    left: u32,
-}
-
-impl Iterator for Order {
-    type Item = (f64, usize);
-
-    #[inline(always)]
-    fn next(&mut self) -> Option<(f64, usize)> {
-        let mut left = self.left;
-        let mut lane = left.trailing_zeros() as usize;
-        let mut least = *self.keys.get(lane)?;
-        left &= left - 1;
-        while left != 0 {
-            let other = left.trailing_zeros() as usize % BLOCK;
-            left &= left - 1;
-            let key = self.keys[other];
-            lane = if key < least { other } else { lane };
-            least = if key < least { key } else { least };
-        }
-        self.left &= !(1 << lane);
-        Some((least, lane))
     }
 }

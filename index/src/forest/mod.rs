@@ -22,7 +22,7 @@ mod validate;
 
 use std::sync::Arc;
 
-use crate::{Answer, KdTree, PointRef, Points, Search, Space};
+use crate::{Answer, KdTree, PointRef, Points, Search, Space, kernel::Scale};
 use growing::Growing;
 use level::Level;
 use merge::Running;
@@ -94,6 +94,7 @@ impl Forest {
         };
         let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);
         let head = Snapshot {
+            scale: Scale::new(&space),
             space: Arc::new(space),
             revision: 0,
             live: 0,

@@ -5,7 +5,7 @@ use std::{iter::Peekable, sync::Arc};
 use super::{growing::Growing, level::Level};
 use crate::{
     Answer, Kernels, PointRef, Search, Space,
-    kernel::{Set, Task},
+    kernel::{Scale, Set, Task},
     search::Walk,
 };
 
@@ -17,6 +17,7 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     pub(super) space: Arc<Space>,
+    pub(super) scale: Scale,
     pub(super) revision: u64,
     pub(super) live: usize,
     /// Largest first: the first answers tighten the search in the rest.
@@ -107,7 +108,7 @@ impl Task for SearchSnapshot<'_> {
     #[inline(always)]
     fn run<S: Set>(self) -> Answer {
         let snapshot = self.snapshot;
-        let mut walk = Walk::new(&snapshot.space, self.state, self.search);
+        let mut walk = Walk::new(&snapshot.space, &snapshot.scale, self.state, self.search);
         for level in snapshot.levels.iter() {
             level.visit::<S>(&mut walk, snapshot.revision);
         }

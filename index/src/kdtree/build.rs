@@ -1,7 +1,7 @@
 //! Construction: cuts at medians that leave every leaf full.
 //!
 //! All leaves are equally deep, and nodes are full at the bottom, where a search meets most of them; what does not
-//! divide by eight is left to the top. A cut goes across the coordinate in which the points spread most, as the metric
+//! divide by sixteen is left to the top. A cut goes across the coordinate in which the points spread most, as the metric
 //! weighs it.
 
 use std::{ops::Range, sync::Arc};
@@ -10,7 +10,7 @@ use super::{KdTree, Node, reach::Reach, rounded::Rounded, rows::Rows};
 use crate::{
     Points, Space,
     blocks::Blocks,
-    kernel::{BLOCK, CHILDREN},
+    kernel::{BLOCK, CHILDREN, Scale},
 };
 
 /// So many points tell in which coordinate a larger set spreads most.
@@ -63,6 +63,7 @@ impl KdTree {
             blocks,
             rows: Rows::new(leaves * leaf_rows.div_ceil(BLOCK)),
             max_revision: points.iter().map(|point| point.revision).max().unwrap_or(0),
+            scale: Scale::new(&space),
             space,
             leaf_rows,
             height,
@@ -79,7 +80,7 @@ impl KdTree {
     }
 }
 
-/// How many nodes of eight children lie one below the other over so many leaves.
+/// How many full nodes lie one below the other over so many leaves.
 fn height(leaves: usize) -> u32 {
     let mut height = 0;
     while leaves > capacity(height) || (height == 0 && leaves > 0) {

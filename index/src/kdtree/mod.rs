@@ -3,7 +3,7 @@
 //! It is the tree of Yershova and LaValle ("Improving Motion Planning Algorithms by Efficient Nearest-Neighbor
 //! Searching", IEEE Transactions on Robotics) in the un-identified space: an interval for each circle, R⁴ for each
 //! rotation. That opposite ends of the interval, or q and −q, are one state enters only in the query, in the bound from
-//! a state to a box. What differs serves wide registers: a node has up to eight children, whose boxes are tight in
+//! a state to a box. What differs serves wide registers: a node has up to sixteen children, whose boxes are tight in
 //! every coordinate and lie side by side, so that one pass bounds them all (see [`kernel`](crate::kernel)); leaves are
 //! full, and keep their points coordinate by coordinate.
 //!
@@ -21,7 +21,7 @@ use std::sync::Arc;
 use crate::{
     Answer, Kernels, PointRef, Points, Search, Space,
     blocks::Blocks,
-    kernel::{BLOCK, CHILDREN, Set, Task},
+    kernel::{BLOCK, CHILDREN, Scale, Set, Task},
     search::Walk,
 };
 pub(crate) use build::scales;
@@ -53,6 +53,7 @@ struct Node {
 #[derive(Clone, Debug)]
 pub struct KdTree {
     space: Arc<Space>,
+    scale: Scale,
     /// Ids, tags and revisions in the order of the leaves, without rows.
     labels: Points,
     /// Every leaf but the last has as many.
@@ -195,7 +196,7 @@ impl Task for SearchTree<'_> {
 
     #[inline(always)]
     fn run<S: Set>(self) -> Answer {
-        let mut walk = Walk::new(&self.tree.space, self.state, self.search);
+        let mut walk = Walk::new(&self.tree.space, &self.tree.scale, self.state, self.search);
         self.tree.visit::<S>(&mut walk, |_| true);
         walk.finish()
     }

@@ -7,10 +7,21 @@ use crate::{
 };
 
 /// Where a cell is: a node or, at height 0, a leaf.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 struct Place {
     index: u32,
     height: u32,
+}
+
+impl Place {
+    /// Of a node's children the first one stands here: where another one does.
+    #[inline(always)]
+    fn child((first, child): (Self, usize)) -> Self {
+        Self {
+            index: first.index + child as u32,
+            ..first
+        }
+    }
 }
 
 /// What of a tree stays in a cache near the processor. Larger ones gain a tenth from asking ahead (at a million points
@@ -30,7 +41,7 @@ impl KdTree {
         {
             return;
         }
-        let plain = walk.is_plain() && self.height > 2;
+        let plain = walk.is_plain() && self.height > 1;
         if plain && self.reach.is_far() {
             for leaf in 0..self.leaves() {
                 self.visit_leaf::<S>(walk, leaf, &visible);
@@ -43,7 +54,7 @@ impl KdTree {
             index: 0,
             height: self.height,
         };
-        let (mut ahead, mut next) = (Ahead::new(Place::default()), Some(root));
+        let (mut ahead, mut next) = (Ahead::new(), Some(root));
         while let Some(Place { index, height }) = next {
             let index = index as usize;
             if height == 0 {
@@ -51,13 +62,17 @@ impl KdTree {
             } else {
                 let node = self.nodes[index];
                 let (boxes, lanes) = (self.boxes(index), !(!0 << node.count));
-                walk.push_children::<S, _>(&mut ahead, boxes, lanes, |child| Place {
-                    index: node.first + child,
+                let first = Place {
+                    index: node.first,
                     height: height - 1,
-                });
+                };
+                walk.open::<S, _>(&mut ahead, boxes, lanes, first);
             }
-            next = walk.pop(&mut ahead);
-            if fetches && let Some(Place { index, height: 0 }) = ahead.peek() {
+            next = walk.next::<S, _>(&mut ahead).map(Place::child);
+            if fetches
+                && let Some(Place { height: 0, .. }) = next
+                && let Some(Place { index, .. }) = ahead.peek().map(Place::child)
+            {
                 let first = self.leaf_blocks(index as usize).start;
                 match &self.rounded {
                     Some(rounded) => prefetch(rounded.block(first)),

@@ -1,4 +1,4 @@
-//! Lower bounds of the distance from a state to eight boxes, or to a block of points, side by side, as keys of the
+//! Lower bounds of the distance from a state to sixteen boxes, or to a block of points, side by side, as keys of the
 //! space (see `limit`).
 //!
 //! The space is read as it is, a loop over groups and factors around the lanes. **Rounding:** every term is computed by
@@ -13,8 +13,9 @@ use crate::{
     space::{Part, SO3_SERIES},
 };
 
-/// How many children a node has at most: the lanes of a box kernel.
-pub(crate) const CHILDREN: usize = 8;
+/// How many children a node has at most: the lanes of a box kernel, two registers of eight. A search waits for one node
+/// after the other more than it computes: with nodes of eight, it took 1.05 to 1.2 times as long.
+pub(crate) const CHILDREN: usize = 16;
 
 /// How many points a block has at most: the lanes of a point kernel.
 pub(crate) const BLOCK: usize = 16;

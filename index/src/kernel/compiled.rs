@@ -15,8 +15,23 @@ use super::{Kernels, lanes::Operations};
 
 /// An instruction set: how it computes with numbers side by side, and compares them.
 pub(crate) trait Set: Operations {
-    /// A bit for each key up to `limit`. There are eight keys, or a multiple of that.
+    /// A bit for each key up to `limit`. There are a multiple of eight keys.
     fn within(keys: &[f64], limit: f64) -> u32;
+
+    /// The lane of the least of the keys that `left` has bits of, at least one; the first one if several are equal.
+    #[inline(always)]
+    fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
+        let mut lane = left.trailing_zeros() as usize % N;
+        let (mut least, mut left) = (keys[lane], left & (left - 1));
+        while left != 0 {
+            let other = left.trailing_zeros() as usize % N;
+            left &= left - 1;
+            let key = keys[other];
+            lane = if key < least { other } else { lane };
+            least = if key < least { key } else { least };
+        }
+        lane
+    }
 }
 
 /// Work that is compiled once for each instruction set.

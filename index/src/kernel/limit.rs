@@ -18,9 +18,9 @@ pub(crate) struct Scale {
     farthest: f64,
 }
 
-/// The relative rounding of a key: a rotation's bound may be too high by 1e-14 of it, a box's by the 2e-15 that make it
-/// distinct, and there are the roundings of the limit itself; all else is monotone (see `bound`). Of a point that has
-/// moved by rounding, up to 5.8e-14 are the sums of as many coordinates as a space may have.
+/// The relative rounding of a key: a rotation's bound may be too high by 1e-14 of it, and there are the roundings of the
+/// limit itself; all else is monotone (see `bound`). Of a point that has moved by rounding, up to 5.8e-14 are the sums of as
+/// many coordinates as a space may have.
 const MARGIN: f64 = 1.0 + 1e-13;
 
 /// By how much the key of a point may fall short of what its distance makes it, which is not a matter of rounding but of
@@ -161,11 +161,12 @@ impl Scale {
         }
     }
 
-    /// The limit for those who want nothing but what is nearer by a factor of `1 + epsilon`.
-    pub(crate) fn relaxed(&self, limit: f64, epsilon: f64) -> f64 {
+    /// The part of a limit that counts for those who want nothing but what is nearer by a factor of `1 + epsilon`.
+    pub(crate) fn relaxed(&self, epsilon: f64) -> f64 {
+        let part = 1.0 / (1.0 + epsilon);
         match self.per_weight {
-            Some(_) => limit / ((1.0 + epsilon) * (1.0 + epsilon)),
-            None => limit / (1.0 + epsilon),
+            Some(_) => part * part,
+            None => part,
         }
     }
 

@@ -21,7 +21,7 @@ pub(crate) use bound::{BLOCK, CHILDREN, Stored};
 pub(crate) use compiled::{Set, Task, prefetch};
 pub(crate) use limit::Scale;
 
-/// The keys of eight boxes, whose lower ends and then upper ends lie side by side, coordinate by coordinate, and the
+/// The keys of a node's boxes, whose lower ends and then upper ends lie side by side, coordinate by coordinate, and the
 /// bits of those up to `limit`.
 #[inline(always)]
 pub(crate) fn boxes<S: Set>(

@@ -39,6 +39,36 @@ impl Set for Avx512 {
         // SAFETY: only `run` names this set.
         unsafe { within(keys, limit) }
     }
+
+    #[inline(always)]
+    fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
+        // SAFETY: as above.
+        unsafe { least(keys, left) }
+    }
+}
+
+/// In registers alone, without a branch: how many bits are left, no processor foresees.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
+    const { assert!(N.is_multiple_of(WIDTH) && N <= 32) };
+    let mut least = _mm512_set1_pd(f64::INFINITY);
+    for at in (0..N).step_by(WIDTH) {
+        // SAFETY: there are `WIDTH` keys from `at` on.
+        let keys = unsafe { _mm512_loadu_pd(keys.as_ptr().add(at)) };
+        least = _mm512_mask_min_pd(least, (left >> at) as u8, least, keys);
+    }
+    // The least in every lane: of the other half, of the other quarter, of the neighbour.
+    least = _mm512_min_pd(least, _mm512_shuffle_f64x2::<0b01_00_11_10>(least, least));
+    least = _mm512_min_pd(least, _mm512_shuffle_f64x2::<0b10_11_00_01>(least, least));
+    least = _mm512_min_pd(least, _mm512_permute_pd::<0b0101_0101>(least));
+    let mut equal = 0;
+    for at in (0..N).step_by(WIDTH) {
+        // SAFETY: as above.
+        let keys = unsafe { _mm512_loadu_pd(keys.as_ptr().add(at)) };
+        equal |= u32::from(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(keys, least)) << at;
+    }
+    (equal & left).trailing_zeros() as usize % N
 }
 
 #[inline]
@@ -116,6 +146,18 @@ mod tests {
         }
     }
 
+    /// The lanes of the least keys, by each set of lanes.
+    struct Leasts([f64; 16]);
+
+    impl Task for Leasts {
+        type Output = Vec<usize>;
+
+        #[inline(always)]
+        fn run<S: Set>(self) -> Self::Output {
+            (1..1 << 16).map(|left| S::least(&self.0, left)).collect()
+        }
+    }
+
     /// What all operations make of two arrays, as bits.
     struct All([f64; 16], [f64; 16]);
 
@@ -139,6 +181,28 @@ mod tests {
             ];
             results.map(|lanes| lanes.map(f64::to_bits))
         }
+    }
+
+    #[test]
+    fn the_least_is_what_a_loop_finds() {
+        if !is_available() {
+            return;
+        }
+        let few = [2.5, 1.0, f64::INFINITY, 0.0];
+        for apart in [1, 3, 5, 7] {
+            let keys =
+                std::array::from_fn(|lane| few[lane * apart / 4 % 4] + (lane % apart) as f64);
+            // SAFETY: the processor was asked for the instructions.
+            let wide = unsafe { run(Leasts(keys)) };
+            assert_eq!(wide, Leasts(keys).run::<Plain>());
+        }
+        let one_by_one = Leasts([f64::INFINITY; 16]).run::<Plain>();
+        assert!(
+            one_by_one
+                .iter()
+                .zip(1u32..)
+                .all(|(&lane, left)| lane == left.trailing_zeros() as usize)
+        );
     }
 
     #[test]

@@ -32,7 +32,7 @@ enum Side {
     Child(u8),
 }
 
-/// A node of up to eight children: a small kd-tree of cuts leads a new point to one of them, and their boxes lie side by
+/// A node of up to sixteen children: a small kd-tree of cuts leads a new point to one of them, and their boxes lie side by
 /// side for searches. What a snapshot shares is copied before it changes.
 #[derive(Clone, Debug)]
 pub(super) struct Branch {

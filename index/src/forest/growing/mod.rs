@@ -92,8 +92,8 @@ impl Growing {
     /// Whether it should take no more points.
     pub(super) fn is_full(&self) -> bool {
         let rows = self.rows();
-        // With half of its leaves' places and three of eight children used, and some more.
-        let fair = 3 + (2 * rows / self.leaf_rows).max(1).ilog(3) as usize;
+        // With half of its leaves' places and six of sixteen children used, and some more.
+        let fair = 3 + (2 * rows / self.leaf_rows).max(1).ilog(6) as usize;
         rows >= self.most_rows || self.crowded || self.height > fair.min(MOST_HEIGHT - 1)
     }
 
@@ -169,13 +169,13 @@ impl Growing {
         if self.rows() == 0 || (since > 0 && self.newest <= since) {
             return;
         }
-        let plain = walk.is_plain() && self.height > 2;
+        let plain = walk.is_plain() && self.height > 1;
         if plain && self.reach.is_far() {
             self.arrivals.visit::<S>(walk, visible);
             return;
         }
         let entered = walk.leaves_entered();
-        let (mut ahead, mut next) = (Ahead::new(&self.root), Some(&self.root));
+        let (mut ahead, mut next) = (Ahead::new(), Some(&self.root));
         while let Some(cell) = next {
             match cell {
                 Cell::Branch(branch) => {
@@ -185,9 +185,7 @@ impl Growing {
                     } else {
                         !(!0 << children.len())
                     };
-                    walk.push_children::<S, _>(&mut ahead, &branch.boxes, lanes, |child| {
-                        &children[child as usize]
-                    });
+                    walk.open::<S, _>(&mut ahead, &branch.boxes, lanes, children);
                 }
                 Cell::Leaf(leaf) => {
                     let blocks = walk.enters_leaf().then(|| leaf.blocks());
@@ -202,7 +200,8 @@ impl Growing {
                     }
                 }
             }
-            next = walk.pop(&mut ahead);
+            let child = walk.next::<S, _>(&mut ahead);
+            next = child.map(|(children, child)| &children[child]);
         }
         if plain && walk.found_few() {
             let reached = walk.leaves_entered() - entered;
