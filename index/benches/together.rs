@@ -34,7 +34,7 @@ const POINTS: usize = 50_000;
 const MANY: usize = 1_000_000;
 const ROUNDS: usize = 5;
 const DURATION: Duration = Duration::from_secs(2);
-/// For so long a writer writes before it rests as long, so many times in all.
+/// For so long a writer rests, and then writes as long: so many turns in all, half of them at rest.
 const TURN: Duration = Duration::from_millis(100);
 const TURNS: usize = 40;
 /// Queries between two looks at whose turn it is.
@@ -239,7 +239,8 @@ fn work_when_told(role: &str) {
 }
 
 /// What a reader reaches alone and beside a writer who inserts point by point as fast as it can, and merges itself. Every
-/// query is of the newest snapshot. The writer writes and rests by turns, so that both are of the same points.
+/// query is of the newest snapshot. The writer rests and writes by turns, so that both are of nearly the same points: alone, it is
+/// those of the turn before.
 #[expect(clippy::disallowed_methods, reason = "the writer's rest")]
 fn beside_a_writer() -> [f64; 4] {
     let asked = states(ASKED, SEED + 1);
@@ -276,12 +277,16 @@ fn beside_a_writer() -> [f64; 4] {
                 thread::sleep(TURN);
                 continue;
             }
-            while started.elapsed() < TURN
-                && let Some((row, id)) = more.next()
-            {
+            while started.elapsed() < TURN {
+                let (row, id) = more.next().expect("rows enough");
                 forest.apply(id + 1, &table(row, id), &[]);
                 forest.settle();
-                *published.lock().expect("no panic") = forest.snapshot();
+                let snapshot = forest.snapshot();
+                let mut published = published.lock().expect("no panic");
+                let replaced = std::mem::replace(&mut *published, snapshot);
+                // What it frees is not freed under the lock.
+                drop(published);
+                drop(replaced);
                 inserted += 1.0;
             }
             writing += started.elapsed();

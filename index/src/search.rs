@@ -89,8 +89,8 @@ const LEAVES_A_LOOK: usize = 32;
 /// See [`Walk::found_few`]. Who finds many points must have looked at many.
 const FEW: usize = 100;
 
-/// No tree is higher. (As many points as slots can tell, with one point a leaf, make one of eight nodes; what grows may be
-/// higher.)
+/// No tree is higher: a static one of as many points as slots can tell, one a leaf, is 8 high, and what grows is sealed
+/// before.
 pub(crate) const MOST_HEIGHT: usize = 11;
 
 /// A node some of whose children are still to be visited.
@@ -113,7 +113,7 @@ impl<N: Copy> Ahead<N> {
         Self(ArrayVec::new())
     }
 
-    /// The node and the child that come after the next, unless something nearer is found meanwhile or it was its last.
+    /// The node and the child that come after the next, unless something nearer is found meanwhile.
     #[inline(always)]
     pub(crate) fn peek(&self) -> Option<(N, usize)> {
         self.0.last().map(|open| (open.node, open.next))
@@ -366,6 +366,7 @@ impl<'a> Walk<'a> {
         true
     }
 
+    /// The answer; by reference, since a copy of all this would take longer than the rest.
     pub(crate) fn finish(&mut self) -> Answer {
         let mut neighbors = Vec::with_capacity(self.candidates.len());
         for mut candidate in self.candidates.drain() {

@@ -77,6 +77,7 @@ pub struct Forest {
     options: ForestOptions,
     /// The newest revision; a snapshot is a clone of it.
     head: Snapshot,
+    /// What has grown further since snapshots were taken.
     past: Past<Growing>,
     running: Vec<Running>,
     next_token: u64,
@@ -146,7 +147,7 @@ impl Forest {
         self.head.clone()
     }
 
-    /// An estimate of the bytes it holds, not counting what only snapshots keep alive.
+    /// An estimate of the bytes it holds, not counting what is held for snapshots alone.
     pub fn memory_bytes(&self) -> usize {
         self.head.memory_bytes()
     }
@@ -222,7 +223,6 @@ impl Forest {
     fn seal(&mut self) {
         let empty = Arc::new(self.head.growing.renewed());
         let grown = std::mem::replace(&mut self.head.growing, empty);
-        self.past.clear();
         self.add_level(Level::Grown(grown));
     }
 
@@ -240,7 +240,8 @@ impl Forest {
     }
 
     /// The next merge that is due, or None. The forest works on as before until it is finished; further merges may
-    /// begin meanwhile, of other levels. While no one writes, levels are merged until one is left.
+    /// begin meanwhile, of other levels. While no one writes, levels are merged until what is left beside the largest is less
+    /// than a sixteenth of it.
     pub fn begin_merge(&mut self) -> Option<Merge> {
         let quiet = self.quiet_at == Some(self.head.revision);
         if quiet && self.head.growing.rows() >= policy::LEAST_ROWS {

@@ -1,16 +1,16 @@
-//! What readers share with the forest, so that none of them has to free it.
+//! What readers share of the level that grows, so that none of them has to free it.
 
 use std::sync::Arc;
 
-/// Whenever a hold is added, so many others are looked at: more than are added, so that all have been before there are
-/// twice as many.
+/// At every change so many holds are looked at: more than are added, so that all have been before there are twice as many.
 const LOOKS: usize = 2;
 
 /// The forest's own holds of what it has replaced while snapshots shared it.
 ///
-/// Whoever drops the last hold of something frees it, and allocators let who frees what another thread has allocated
-/// wait for that thread: readers beside a writer had half of their rate by that. With these, the last hold is the
-/// forest's, and whoever writes frees what writing has allocated. In vain it holds about as many as readers hold.
+/// Whoever drops the last hold of something frees it, and an allocator may let who frees what another thread has allocated
+/// wait for that thread: with glibc's, readers beside a writer had half of their rate by that. With these, the last
+/// hold is the forest's, and whoever writes frees, what a reader has held for long too. At the last change it held in vain
+/// about as many as readers held; a pause lets go of all.
 #[derive(Debug)]
 pub(super) struct Past<T> {
     held: Vec<Arc<T>>,
@@ -28,13 +28,15 @@ impl<T> Default for Past<T> {
 impl<T: Clone> Past<T> {
     /// As [`Arc::make_mut`], but keeps a hold of what others go on to share.
     pub(super) fn make_mut<'a>(&mut self, shared: &'a mut Arc<T>) -> &'a mut T {
+        self.look();
         if Arc::get_mut(shared).is_none() {
-            self.keep(Arc::clone(shared));
+            self.held.push(Arc::clone(shared));
         }
         Arc::make_mut(shared)
     }
 
-    fn keep(&mut self, replaced: Arc<T>) {
+    /// Lets go of what only this still holds, among the next holds.
+    fn look(&mut self) {
         for _ in 0..LOOKS.min(self.held.len()) {
             self.next = self.next.checked_sub(1).unwrap_or(self.held.len() - 1);
             if is_last_hold(&self.held[self.next]) {
@@ -42,13 +44,11 @@ impl<T: Clone> Past<T> {
                 self.held.swap_remove(self.next);
             }
         }
-        self.held.push(replaced);
     }
 
-    /// Frees all that no one shares any more.
+    /// Lets go of everything: whom nobody writes beside, nobody lets wait.
     pub(super) fn clear(&mut self) {
-        self.held.retain(|held| !is_last_hold(held));
-        self.next = 0;
+        *self = Self::default();
     }
 }
 
@@ -97,17 +97,38 @@ mod tests {
             write(&mut past, &mut head, 10_000);
             assert!(past.held.len() <= 2 * readers + 3, "{}", past.held.len());
             assert!(long.iter().all(|snapshot| Arc::strong_count(snapshot) == 2));
-            past.clear();
-            assert_eq!(past.held.len(), readers);
+            drop(long);
+            write(&mut past, &mut head, 2 * readers + 3);
+            assert!(past.held.len() <= 3, "{}", past.held.len());
         }
     }
 
     #[test]
-    fn what_is_not_shared_changes_in_place() {
+    fn what_is_not_shared_changes_in_place_and_frees_what_was() {
         let (mut past, mut head) = (Past::default(), Arc::new(0));
+        let long: Vec<Arc<u32>> = std::iter::repeat_with(|| {
+            let snapshot = Arc::clone(&head);
+            write(&mut past, &mut head, 1);
+            snapshot
+        })
+        .take(10)
+        .collect();
+        assert!(past.held.len() >= long.len());
+        drop(long);
+        let place = Arc::as_ptr(&head);
         for _ in 0..10 {
             *past.make_mut(&mut head) += 1;
         }
-        assert_eq!((*head, past.held.len()), (10, 0));
+        assert_eq!((*head, past.held.len()), (20, 0));
+        assert_eq!(Arc::as_ptr(&head), place);
+    }
+
+    #[test]
+    fn a_pause_leaves_what_readers_hold_to_them() {
+        let (mut past, mut head) = (Past::default(), Arc::new(0));
+        let snapshot = Arc::clone(&head);
+        write(&mut past, &mut head, 1);
+        past.clear();
+        assert_eq!(Arc::strong_count(&snapshot), 1);
     }
 }

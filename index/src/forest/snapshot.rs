@@ -13,7 +13,7 @@ use crate::{
 ///
 /// It shares the levels with the forest by count, so holding one costs nothing until merges replace those levels: then
 /// it keeps up to a whole copy of its revision alive. Of the level that grows, the writer copies what it changes under a
-/// snapshot. All methods may be called from any number of threads.
+/// snapshot, and frees it at some write after the snapshot's end. All methods may be called from any number of threads.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     pub(super) space: Arc<Space>,

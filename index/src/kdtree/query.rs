@@ -14,7 +14,7 @@ struct Place {
 }
 
 impl Place {
-    /// Of a node's children the first one stands here: where another one does.
+    /// The place of a node's `child`, given that of its first.
     #[inline(always)]
     fn child((first, child): (Self, usize)) -> Self {
         Self {
@@ -41,6 +41,7 @@ impl KdTree {
         {
             return;
         }
+        // (What has no more than a node of leaves is read soon enough either way.)
         let plain = walk.is_plain() && self.height > 1;
         if plain && self.reach.is_far() {
             for leaf in 0..self.leaves() {
@@ -69,10 +70,7 @@ impl KdTree {
                 walk.open::<S, _>(&mut ahead, boxes, lanes, first);
             }
             next = walk.next::<S, _>(&mut ahead).map(Place::child);
-            if fetches
-                && let Some(Place { height: 0, .. }) = next
-                && let Some(Place { index, .. }) = ahead.peek().map(Place::child)
-            {
+            if fetches && let Some(Place { index, height: 0 }) = ahead.peek().map(Place::child) {
                 let first = self.leaf_blocks(index as usize).start;
                 match &self.rounded {
                     Some(rounded) => prefetch(rounded.block(first)),

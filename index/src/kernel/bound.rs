@@ -125,10 +125,7 @@ fn box_term<S: Operations>(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<S,
             d * d
         }
         Factor::SO3 => {
-            // One term less than for points: a hundredth at the most, and only among the largest angles.
-            let s = to_boxes_2(state, 1.0, ends).min(to_boxes_2(state, -1.0, ends));
-            let [c1, c2, _] = SO3_SERIES.map(Lanes::splat);
-            s * ((Lanes::splat(1.0) + s * c1) + (s * s) * c2)
+            angle_2_to_box(to_boxes_2(state, 1.0, ends).min(to_boxes_2(state, -1.0, ends)))
         }
     }
 }
@@ -180,6 +177,13 @@ fn point_term<S: Operations, C: Stored>(
             angle_2((Lanes::splat(2.0 - C::COSINE_SLACK) - (cosine + cosine)).max(zero))
         }
     }
+}
+
+/// As [`angle_2`], with one term less: at most 1.2 % below it, and so far only among the largest angles.
+#[inline(always)]
+fn angle_2_to_box<S: Operations, const N: usize>(s: Lanes<S, N>) -> Lanes<S, N> {
+    let [c1, c2, _] = SO3_SERIES.map(Lanes::splat);
+    s * ((Lanes::splat(1.0) + s * c1) + (s * s) * c2)
 }
 
 /// A lower bound of the squared angle that belongs to the squared chord `s`: the first terms of its series.

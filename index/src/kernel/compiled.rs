@@ -15,12 +15,13 @@ use super::{Kernels, lanes::Operations};
 
 /// An instruction set: how it computes with numbers side by side, and compares them.
 pub(crate) trait Set: Operations {
-    /// A bit for each key up to `limit`. There are a multiple of eight keys.
-    fn within(keys: &[f64], limit: f64) -> u32;
+    /// A bit for each key up to `limit`. `N` is a multiple of eight.
+    fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32;
 
     /// The lane of the least of the keys that `left` has bits of, at least one; the first one if several are equal.
     #[inline(always)]
     fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
+        debug_assert_ne!(left, 0);
         let mut lane = left.trailing_zeros() as usize % N;
         let (mut least, mut left) = (keys[lane], left & (left - 1));
         while left != 0 {
@@ -76,7 +77,7 @@ impl Operations for Portable {}
 
 impl Set for Portable {
     #[inline(always)]
-    fn within(keys: &[f64], limit: f64) -> u32 {
+    fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
         let mut mask = 0;
         for (lane, &key) in keys.iter().enumerate() {
             mask |= u32::from(key <= limit) << lane;
@@ -106,7 +107,7 @@ mod avx2 {
 
     impl Set for Avx2 {
         #[inline(always)]
-        fn within(keys: &[f64], limit: f64) -> u32 {
+        fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
             // SAFETY: only `run` names this set.
             unsafe { within(keys, limit) }
         }
@@ -114,7 +115,8 @@ mod avx2 {
 
     #[inline]
     #[target_feature(enable = "avx2")]
-    fn within(keys: &[f64], limit: f64) -> u32 {
+    fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
+        const { assert!(N.is_multiple_of(4) && N <= 32) };
         let limit = _mm256_set1_pd(limit);
         let mut mask = 0;
         for (at, keys) in keys.chunks_exact(4).enumerate() {

@@ -1,4 +1,4 @@
-//! The operations of `lanes` in registers of eight numbers, said by name. Left to itself, the compiler cuts eight lanes into
+//! The operations of `lanes` in registers of eight numbers, said by name. Left to itself, the compiler cuts lanes into
 //! unequal parts or, where all of the program is compiled for such processors (`-C target-cpu=native`), into registers of
 //! four: a search took up to 1.3 times as long.
 #![expect(
@@ -35,7 +35,7 @@ pub(super) fn run<T: Task>(task: T) -> T::Output {
 
 impl Set for Avx512 {
     #[inline(always)]
-    fn within(keys: &[f64], limit: f64) -> u32 {
+    fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
         // SAFETY: only `run` names this set.
         unsafe { within(keys, limit) }
     }
@@ -73,7 +73,8 @@ fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
 
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn within(keys: &[f64], limit: f64) -> u32 {
+fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
+    const { assert!(N.is_multiple_of(WIDTH) && N <= 32) };
     let limit = _mm512_set1_pd(limit);
     let mut mask = 0;
     for (at, keys) in keys.chunks_exact(WIDTH).enumerate() {
@@ -141,7 +142,7 @@ mod tests {
     impl Operations for Plain {}
 
     impl Set for Plain {
-        fn within(_: &[f64], _: f64) -> u32 {
+        fn within<const N: usize>(_: &[f64; N], _: f64) -> u32 {
             unreachable!("not compared here")
         }
     }

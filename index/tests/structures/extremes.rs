@@ -55,7 +55,7 @@ fn about_x(theta: f64) -> [f64; 4] {
     [theta.sin(), 0.0, 0.0, theta.cos()]
 }
 
-/// Boxes infinitely far away have no low bits to spare: an infinite key with a lane in it is a NaN.
+/// Boxes infinitely far away have equal keys, and are within an infinite limit.
 #[test]
 fn boxes_infinitely_far_away_are_visited_once_each() {
     let space: Space = "R1:1e10".parse().unwrap();

@@ -4,6 +4,7 @@
 mod chart;
 mod check;
 mod data;
+mod goals;
 mod measure;
 mod paper;
 mod portable;
@@ -36,6 +37,10 @@ struct Options {
     /// What a build that is not for this CPU alone loses, instead of the table (`run` fills in the program)
     #[arg(long, value_name = "PROGRAM", conflicts_with = "paper")]
     portable: Option<PathBuf>,
+    /// Measures nothing, and prints the table and the goals of figures that `--json` has written; of two figures of the same
+    /// the first file's counts
+    #[arg(long, value_name = "FILE,...", value_delimiter = ',', conflicts_with_all = ["paper", "portable", "json"])]
+    from: Vec<PathBuf>,
     /// Writes the figures to this file too
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -82,8 +87,13 @@ fn run(options: &Options) -> Result<(), Problem> {
         if let Some(program) = &options.portable {
             print!("{}", portable::run(program, &settings, &mut report)?);
         } else {
-            compare(&settings, options, &mut report)?;
-            print!("{}", report.table());
+            if options.from.is_empty() {
+                compare(&settings, options, &mut report)?;
+            }
+            for path in &options.from {
+                report.read(path)?;
+            }
+            print!("{}{}", report.table(), goals::table(&report));
         }
     }
     match &options.json {

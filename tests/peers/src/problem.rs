@@ -64,6 +64,14 @@ pub enum Problem {
         /// Why not.
         source: std::io::Error,
     },
+    /// A file that cannot be read, or is none of figures.
+    #[error("cannot read figures from {path}: {source}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
     /// A file that cannot be written.
     #[error("cannot write {path}: {source}", path = path.display())]
     Write {

@@ -34,7 +34,8 @@ impl Op {
         Op::Memory,
     ];
 
-    fn name(self) -> &'static str {
+    /// As tables call it.
+    pub fn name(self) -> &'static str {
         match self {
             Op::Knn1 => "knn1",
             Op::Knn10 => "knn10",
@@ -120,6 +121,31 @@ impl Report {
             row.space == space && row.structure == kind.name() && row.op == op.name()
         };
         self.figures.iter().find(is_it).map(|row| row.value)
+    }
+
+    /// The figure of a structure in a space, of so many points of uniform data.
+    pub fn uniform(&self, space: &str, n: usize, kind: Kind, op: Op) -> Option<f64> {
+        let is_it = |row: &&Figure| {
+            (row.space.as_str(), row.n, row.data.as_str()) == (space, n, "uniform")
+                && (row.structure.as_str(), row.op.as_str()) == (kind.name(), op.name())
+        };
+        self.figures.iter().find(is_it).map(|row| row.value)
+    }
+
+    /// Reads what [`Report::write`] has written.
+    ///
+    /// # Errors
+    /// The file cannot be read, or holds something else.
+    pub fn read(&mut self, path: &Path) -> Result<(), Problem> {
+        let failed = |source| Problem::Read {
+            path: path.to_owned(),
+            source,
+        };
+        let text = fs::read_to_string(path).map_err(failed)?;
+        let figures: Vec<Figure> =
+            serde_json::from_str(&text).map_err(|error| failed(error.into()))?;
+        self.extend(figures);
+        Ok(())
     }
 
     /// Writes the figures, one a line.

@@ -33,7 +33,7 @@ pub trait Structure {
 pub enum Kind {
     /// The forest right after the last of many single inserts.
     Wayfold,
-    /// The forest merged to one tree.
+    /// The forest in one tree.
     WayfoldRest,
     /// kiddo's immutable tree.
     Kiddo,

@@ -14,7 +14,7 @@ impl Growing {
     }
 }
 
-/// Merged to one tree, as a forest is once writes have paused.
+/// In one tree, as merging ends in.
 pub struct Resting(Forest);
 
 impl Resting {

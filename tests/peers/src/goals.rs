@@ -1,0 +1,206 @@
+//! What the index is meant to reach beside its peers, and what it reached in a run: a line for each goal.
+
+use crate::{
+    report::{Op, Report, aligned},
+    spaces::SETTINGS,
+    structures::Kind,
+};
+
+const POINTS: usize = 50_000;
+const MILLION: usize = 1_000_000;
+
+/// What ours is held against.
+#[derive(Clone, Copy, Debug)]
+enum Against {
+    /// The best of these.
+    Best(&'static [Kind]),
+    /// A value, and what it is.
+    Value(f64, &'static str),
+}
+
+use Against::{Best, Value};
+
+/// Theirs over ours, of uniform data.
+#[derive(Clone, Copy, Debug)]
+struct Goal {
+    space: &'static str,
+    n: usize,
+    op: Op,
+    ours: Kind,
+    against: Against,
+    least: f64,
+}
+
+const KIDDO: Against = Best(&[Kind::Kiddo]);
+const KIDDO_MUTABLE: Against = Best(&[Kind::KiddoMutable]);
+const STATIC: Against = Best(&[Kind::Kiddo, Kind::Nanoflann]);
+const GNAT: Against = Best(&[Kind::OmplGnat]);
+const SCAN: Against = Best(&[Kind::SimdScan]);
+const AT_REST: Against = Best(&[Kind::WayfoldRest]);
+
+/// How much longer than at rest a search may take while it grows.
+const GROWING: f64 = 1.5;
+
+/// What a point of SE3 is: seven coordinates, id, tag and revision.
+const POINT_BYTES: Against = Value(80.0, "80 bytes of numbers");
+
+/// All goals, in the order of their spaces' worth to users; a space at rest last.
+fn goals() -> Vec<Goal> {
+    use Kind::{Wayfold as Grows, WayfoldRest as Rests};
+    let mut goals = Vec::new();
+    let mut nearest = |space, n, ours, against, [one, ten]: [f64; 2]| {
+        for (op, least) in [(Op::Knn1, one), (Op::Knn10, ten)] {
+            goals.push(Goal {
+                space,
+                n,
+                op,
+                ours,
+                against,
+                least,
+            });
+        }
+    };
+    for space in ["SE3", "SE3-SUM"] {
+        nearest(space, POINTS, Grows, GNAT, [20.0, 15.0]);
+        nearest(space, MILLION, Rests, GNAT, [20.0, 15.0]);
+    }
+    for (space, growing, rest) in [("SE2", 1.0, 1.3), ("R12", 1.0, 1.3), ("SO2^6", 1.0, 1.3)] {
+        nearest(space, POINTS, Grows, STATIC, [growing; 2]);
+        nearest(space, POINTS, Rests, STATIC, [rest; 2]);
+        nearest(space, MILLION, Rests, STATIC, [rest; 2]);
+    }
+    for space in ["SO3", "R6", "SO2^3"] {
+        nearest(space, POINTS, Grows, KIDDO_MUTABLE, [1.0; 2]);
+        nearest(space, POINTS, Rests, KIDDO, [1.0; 2]);
+        nearest(space, MILLION, Rests, KIDDO, [1.0; 2]);
+    }
+    nearest("SE3^2", POINTS, Grows, SCAN, [2.0, 1.2]);
+    for space in ["SE3^4", "SE3^8", "R30"] {
+        // The first is to be reached in any case, the second where pruning or less memory traffic can give it.
+        nearest(space, POINTS, Grows, SCAN, [1.0; 2]);
+        nearest(space, POINTS, Grows, SCAN, [1.5; 2]);
+        nearest(space, POINTS, Grows, GNAT, [10.0; 2]);
+    }
+    nearest("R3", POINTS, Rests, KIDDO, [1.0; 2]);
+    nearest("R3", MILLION, Rests, KIDDO, [1.0; 2]);
+    for setting in SETTINGS.iter().filter(|setting| setting.million) {
+        nearest(setting.name, MILLION, Grows, AT_REST, [1.0 / GROWING; 2]);
+    }
+    let single = |space, op, ours, against, least| Goal {
+        space,
+        n: POINTS,
+        op,
+        ours,
+        against,
+        least,
+    };
+    goals.extend([
+        single("SE3", Op::Rrt, Grows, GNAT, 12.0),
+        single("R3", Op::Rrt, Grows, KIDDO_MUTABLE, 0.7),
+        single("SE3", Op::Build, Rests, Value(300.0, "300 ns"), 1.0),
+        single("SE3", Op::Memory, Rests, POINT_BYTES, 1.0 / 1.5),
+    ]);
+    goals
+}
+
+impl Against {
+    fn name(self) -> String {
+        match self {
+            Best(kinds) => kinds
+                .iter()
+                .map(|kind| kind.name())
+                .collect::<Vec<_>>()
+                .join(", "),
+            Value(_, name) => name.to_owned(),
+        }
+    }
+
+    /// The value of the same measurement.
+    fn value(self, goal: &Goal, report: &Report) -> Option<f64> {
+        match self {
+            Best(kinds) => kinds
+                .iter()
+                .filter_map(|&kind| report.uniform(goal.space, goal.n, kind, goal.op))
+                .min_by(f64::total_cmp),
+            Value(value, _) => Some(value),
+        }
+    }
+}
+
+/// The goals of which a run has measured both sides; empty if there are none.
+pub fn table(report: &Report) -> String {
+    let header = [
+        "goal",
+        "metric",
+        "n",
+        "op",
+        "ours",
+        "against",
+        "their/ours",
+        "least",
+        "",
+    ];
+    let mut lines = vec![header.map(str::to_owned).to_vec()];
+    for goal in goals() {
+        let metric = SETTINGS.iter().find(|setting| setting.name == goal.space);
+        let ours = report.uniform(goal.space, goal.n, goal.ours, goal.op);
+        let theirs = goal.against.value(&goal, report);
+        let (Some(metric), Some(ours), Some(theirs)) = (metric, ours, theirs) else {
+            continue;
+        };
+        let ratio = theirs / ours;
+        let state = if ratio >= goal.least {
+            "reached"
+        } else {
+            "MISSED"
+        };
+        lines.push(vec![
+            goal.space.to_owned(),
+            metric.text.to_owned(),
+            goal.n.to_string(),
+            goal.op.name().to_owned(),
+            goal.ours.name().to_owned(),
+            goal.against.name(),
+            format!("{ratio:.2}"),
+            format!("{:.2}", goal.least),
+            state.to_owned(),
+        ]);
+    }
+    if lines.len() == 1 {
+        return String::new();
+    }
+    format!("\n{}", aligned(&lines))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn goals_are_of_spaces_and_sizes_that_are_measured() {
+        for goal in goals() {
+            let setting = SETTINGS.iter().find(|setting| setting.name == goal.space);
+            let setting = setting.expect("a space of the table");
+            assert!(goal.n == POINTS || setting.million, "{goal:?}");
+            assert!(goal.least > 0.0);
+        }
+    }
+
+    #[test]
+    fn a_goal_is_told_by_the_best_of_its_peers() {
+        let figure = |structure: Kind, value: f64| crate::report::Figure {
+            space: "SE2".to_owned(),
+            n: POINTS,
+            data: "uniform".to_owned(),
+            structure: structure.name().to_owned(),
+            op: Op::Knn1.name().to_owned(),
+            value,
+            unit: "us".to_owned(),
+        };
+        let mut report = Report::default();
+        report.extend([figure(Kind::Wayfold, 2.0), figure(Kind::Kiddo, 3.0)]);
+        assert!(table(&report).contains("1.50   1.00  reached"));
+        report.extend([figure(Kind::Nanoflann, 1.0)]);
+        assert!(table(&report).contains("0.50   1.00   MISSED"));
+    }
+}
