@@ -28,7 +28,7 @@ use structures::Kind;
 /// Measures the index beside its peers and prints a table.
 #[derive(Debug, Parser)]
 struct Options {
-    /// Fewer spaces, 50,000 points, and little but uniform data: some minutes instead of half an hour
+    /// Fewer spaces, 50,000 points, and little but uniform data: some minutes instead of twenty
     #[arg(long)]
     quick: bool,
     /// Figures 5, 6 and 7 of the paper again, instead of the table

@@ -1,5 +1,5 @@
 //! The floor in many dimensions: every point, its coordinates side by side with those of its neighbours in memory, so
-//! that the compiler bounds eight or more of them at once. Exact: what the bound lets through is measured by the
+//! that the compiler bounds several of them at once. Exact: what the bound lets through is measured by the
 //! space's own distance.
 
 use wayfold_index::{Factor, Space};
