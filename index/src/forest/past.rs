@@ -70,17 +70,20 @@ mod tests {
         }
     }
 
+    /// Snapshots of so many readers, one of each step.
+    fn read(past: &mut Past<u32>, head: &mut Arc<u32>, readers: usize) -> Vec<Arc<u32>> {
+        let step = |_| {
+            let snapshot = Arc::clone(head);
+            write(past, head, 1);
+            snapshot
+        };
+        (0..readers).map(step).collect()
+    }
+
     #[test]
     fn readers_never_have_the_last_hold() {
         let (mut past, mut head) = (Past::default(), Arc::new(0));
-        let read: Vec<Arc<u32>> = std::iter::repeat_with(|| {
-            let snapshot = Arc::clone(&head);
-            write(&mut past, &mut head, 1);
-            snapshot
-        })
-        .take(100)
-        .collect();
-        for (step, snapshot) in (0..).zip(&read) {
+        for (step, snapshot) in (0..).zip(&read(&mut past, &mut head, 100)) {
             assert_eq!((**snapshot, Arc::strong_count(snapshot)), (step, 2));
         }
     }
@@ -89,11 +92,7 @@ mod tests {
     fn what_no_one_reads_is_freed_beside_what_is_read_for_long() {
         let (mut past, mut head) = (Past::default(), Arc::new(0));
         for readers in [0, 1, 10, 100] {
-            let mut long = Vec::new();
-            for _ in 0..readers {
-                long.push(Arc::clone(&head));
-                write(&mut past, &mut head, 1);
-            }
+            let long = read(&mut past, &mut head, readers);
             write(&mut past, &mut head, 10_000);
             assert!(past.held.len() <= 2 * readers + 3, "{}", past.held.len());
             assert!(long.iter().all(|snapshot| Arc::strong_count(snapshot) == 2));
@@ -106,13 +105,7 @@ mod tests {
     #[test]
     fn what_is_not_shared_changes_in_place_and_frees_what_was() {
         let (mut past, mut head) = (Past::default(), Arc::new(0));
-        let long: Vec<Arc<u32>> = std::iter::repeat_with(|| {
-            let snapshot = Arc::clone(&head);
-            write(&mut past, &mut head, 1);
-            snapshot
-        })
-        .take(10)
-        .collect();
+        let long = read(&mut past, &mut head, 10);
         assert!(past.held.len() >= long.len());
         drop(long);
         let place = Arc::as_ptr(&head);

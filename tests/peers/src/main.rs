@@ -91,7 +91,7 @@ fn run(options: &Options) -> Result<(), Problem> {
                 compare(&settings, options, &mut report)?;
             }
             for path in &options.from {
-                report.read(path)?;
+                report.extend(report::read(path)?);
             }
             print!("{}{}", report.table(), goals::table(&report));
         }

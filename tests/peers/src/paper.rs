@@ -93,7 +93,7 @@ pub fn run(rounds: usize, report: &mut Report) -> Result<String, Problem> {
         tables[0].push(searched);
         tables[1].push(constructed);
         let build = report
-            .value(name, Kind::CoverTree, Op::Build)
+            .uniform(name, POINTS, Kind::CoverTree, Op::Build)
             .unwrap_or(0.0);
         if build * 1e-9 * POINTS as f64 > LONGEST_CONSTRUCTION.as_secs_f64() {
             kinds.retain(|kind| *kind != Kind::CoverTree);
@@ -136,7 +136,7 @@ fn construction_header() -> Vec<Vec<String>> {
 
 /// A line of each table.
 fn lines(line: &Line, report: &Report) -> [Vec<String>; 2] {
-    let query = |kind| report.value(&line.space, kind, Op::Knn1);
+    let query = |kind| report.uniform(&line.space, POINTS, kind, Op::Knn1);
     let brute = query(Kind::Brute).unwrap_or(f64::NAN);
     let first = [
         line.space.clone(),
@@ -150,7 +150,7 @@ fn lines(line: &Line, report: &Report) -> [Vec<String>; 2] {
         // Nanoseconds a point against microseconds a query.
         let times = |ns: f64| ns * POINTS as f64 / (brute * 1e3 * QUERIES as f64);
         if kind != Kind::SimdScan {
-            let built = report.value(&line.space, kind, op);
+            let built = report.uniform(&line.space, POINTS, kind, op);
             constructed.push(built.map_or_else(none, |ns| format!("{:.2}", times(ns))));
         }
     }

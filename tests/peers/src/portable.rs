@@ -8,7 +8,7 @@ use std::{
 
 use crate::{
     problem::Problem,
-    report::{Figure, Report, aligned},
+    report::{self, Figure, Report, aligned},
     spaces::Setting,
     structures::Kind,
 };
@@ -86,10 +86,8 @@ fn figures_of(program: &Path, settings: &[Setting]) -> Result<Vec<Figure>, Probl
     if !status.success() {
         return Err(failed(std::io::Error::other(status.to_string())));
     }
-    let text = fs::read_to_string(&json).map_err(failed)?;
+    let mut figures = report::read(&json)?;
     fs::remove_file(&json).map_err(failed)?;
-    let mut figures: Vec<Figure> =
-        serde_json::from_str(&text).map_err(|error| failed(error.into()))?;
     figures
         .retain(|figure| figure.data == "uniform" && figure.op != "memory" && figure.op != "rrt");
     Ok(figures)

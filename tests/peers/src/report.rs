@@ -2,7 +2,7 @@
 
 use std::{fmt::Write, fs, path::Path};
 
-use crate::{check::Case, problem::Problem, structures::Kind};
+use crate::{check::Case, data::Data, problem::Problem, structures::Kind};
 
 /// What is measured of a structure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,6 +76,19 @@ pub struct Figure {
     pub unit: String,
 }
 
+/// Reads what [`Report::write`] has written.
+///
+/// # Errors
+/// The file cannot be read, or holds something else.
+pub fn read(path: &Path) -> Result<Vec<Figure>, Problem> {
+    let failed = |source| Problem::Read {
+        path: path.to_owned(),
+        source,
+    };
+    let text = fs::read_to_string(path).map_err(failed)?;
+    serde_json::from_str(&text).map_err(|error| failed(error.into()))
+}
+
 /// All figures of a run.
 #[derive(Debug, Default)]
 pub struct Report {
@@ -115,37 +128,18 @@ impl Report {
         self.figures.extend(figures);
     }
 
-    /// The first figure of a structure in a space.
-    pub fn value(&self, space: &str, kind: Kind, op: Op) -> Option<f64> {
-        let is_it = |row: &&Figure| {
-            row.space == space && row.structure == kind.name() && row.op == op.name()
-        };
-        self.figures.iter().find(is_it).map(|row| row.value)
-    }
-
     /// The figure of a structure in a space, of so many points of uniform data.
     pub fn uniform(&self, space: &str, n: usize, kind: Kind, op: Op) -> Option<f64> {
-        let is_it = |row: &&Figure| {
-            (row.space.as_str(), row.n, row.data.as_str()) == (space, n, "uniform")
-                && (row.structure.as_str(), row.op.as_str()) == (kind.name(), op.name())
-        };
-        self.figures.iter().find(is_it).map(|row| row.value)
+        self.find((space, n, Data::Uniform.name()), kind.name(), op)
     }
 
-    /// Reads what [`Report::write`] has written.
-    ///
-    /// # Errors
-    /// The file cannot be read, or holds something else.
-    pub fn read(&mut self, path: &Path) -> Result<(), Problem> {
-        let failed = |source| Problem::Read {
-            path: path.to_owned(),
-            source,
+    /// The figure of a structure, of a space, so many points and the data of a name.
+    fn find(&self, case: (&str, usize, &str), structure: &str, op: Op) -> Option<f64> {
+        let is_it = |row: &&Figure| {
+            (row.space.as_str(), row.n, row.data.as_str()) == case
+                && (row.structure.as_str(), row.op.as_str()) == (structure, op.name())
         };
-        let text = fs::read_to_string(path).map_err(failed)?;
-        let figures: Vec<Figure> =
-            serde_json::from_str(&text).map_err(|error| failed(error.into()))?;
-        self.extend(figures);
-        Ok(())
+        self.figures.iter().find(is_it).map(|row| row.value)
     }
 
     /// Writes the figures, one a line.
@@ -220,14 +214,8 @@ impl Report {
                 continue;
             }
             seen.push(key);
-            let value = |data: &str, op: Op| {
-                let is_it = |other: &&Figure| {
-                    (&other.space, other.n, &other.structure) == (&row.space, row.n, &row.structure)
-                        && other.data == data
-                        && other.op == op.name()
-                };
-                self.figures.iter().find(is_it).map(|row| row.value)
-            };
+            let value =
+                |data: &str, op: Op| self.find((&row.space, row.n, data), &row.structure, op);
             let mut line = vec![row.space.clone(), row.n.to_string(), row.data.clone()];
             line.push(row.structure.clone());
             for op in ops {
@@ -245,14 +233,7 @@ impl Report {
     }
 
     fn line(&self, case: (&str, usize, &str), op: Op, columns: &[Kind]) -> Option<Vec<String>> {
-        let value = |kind: &Kind| {
-            let is_it = |row: &&Figure| {
-                (row.space.as_str(), row.n, row.data.as_str()) == case
-                    && row.op == op.name()
-                    && row.structure == kind.name()
-            };
-            self.figures.iter().find(is_it).map(|row| row.value)
-        };
+        let value = |kind: &Kind| self.find(case, kind.name(), op);
         let values: Vec<Option<f64>> = columns.iter().map(value).collect();
         values.iter().flatten().next()?;
         let peers = columns
