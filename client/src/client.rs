@@ -70,6 +70,7 @@ impl ClientBuilder {
     /// # Errors
     /// [`Error::Address`], or [`Error::Connection`] if no server is reached within the timeout and the tries.
     pub async fn connect(self, uri: &str) -> Result<Client, Error> {
+        const CALL: &str = "connect";
         let endpoint = endpoint(uri)?
             .tcp_nodelay(true)
             .connect_timeout(self.timeout)
@@ -78,19 +79,28 @@ impl ClientBuilder {
             .keep_alive_timeout(Duration::from_secs(20));
         let uri: Arc<str> = endpoint.uri().to_string().trim_end_matches('/').into();
         let deadline = Instant::now() + self.timeout;
+        let unreachable = |source| Error::Connection {
+            call: CALL,
+            uri: uri.to_string(),
+            source,
+        };
         let connect = || async {
             let connected = timeout_at(deadline, endpoint.connect()).await;
-            let connected = connected.map_err(|_| Error::Timeout {
-                call: "connect",
-                timeout: self.timeout,
-            })?;
-            connected.map_err(|error| Error::Connection {
-                call: "connect",
-                uri: uri.to_string(),
-                source: Box::new(error),
-            })
+            let connected = connected.map_err(|_| Error::timeout(CALL, self.timeout))?;
+            connected.map_err(|error| unreachable(Box::new(error)))
         };
-        let channel = self.retry.run(deadline, connect).await?;
+        let connected = self.retry.run(deadline, connect).await;
+        let channel = connected.map_err(|error| match error {
+            // Why there was no connection is known from the try that had the time to find out.
+            Error::Timeout {
+                earlier: Some(earlier),
+                ..
+            } => *earlier,
+            Error::Timeout { timeout, .. } => {
+                unreachable(format!("no answer within {timeout:?}").into())
+            }
+            other => other,
+        })?;
         Ok(Client {
             channel,
             uri,
@@ -294,7 +304,7 @@ impl Client {
                 match timeout_at(deadline, sent).await {
                     Ok(Ok(response)) => Ok(response.into_inner()),
                     Ok(Err(status)) => Err(Error::from_status(call, &self.uri, timeout, status)),
-                    Err(_) => Err(Error::Timeout { call, timeout }),
+                    Err(_) => Err(Error::timeout(call, timeout)),
                 }
             }
         };

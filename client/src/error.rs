@@ -35,12 +35,14 @@ pub enum Error {
     },
     /// There was no answer in time. Of a mutation the effect is unknown; the same call again, with the same operation
     /// id, takes effect once.
-    #[error("{call}: no answer within {timeout:?}")]
+    #[error("{call}: no answer within {timeout:?}{}", told_of(earlier.as_deref()))]
     Timeout {
         /// Which call.
         call: &'static str,
-        /// How long it was waited for.
+        /// How long it was waited for, tries and pauses included.
         timeout: Duration,
+        /// How the try before the last one ended, if there was one.
+        earlier: Option<Box<Error>>,
     },
     /// The server refused the call, and changed nothing; only after a mutation's `DEADLINE_EXCEEDED` or `DATA_LOSS` is the
     /// effect unknown.
@@ -153,6 +155,27 @@ impl Error {
         }
     }
 
+    /// That the first try of a call had no answer in time.
+    pub(crate) fn timeout(call: &'static str, timeout: Duration) -> Error {
+        Error::Timeout {
+            call,
+            timeout,
+            earlier: None,
+        }
+    }
+
+    /// The error of a try that came after one that ended with `earlier`: that it had no time left tells less.
+    pub(crate) fn following(self, earlier: Option<Error>) -> Error {
+        match self {
+            Error::Timeout { call, timeout, .. } => Error::Timeout {
+                call,
+                timeout,
+                earlier: earlier.map(Box::new),
+            },
+            other => other,
+        }
+    }
+
     /// The error of a call that ended with `status`.
     pub(crate) fn from_status(
         call: &'static str,
@@ -164,9 +187,7 @@ impl Error {
         let made_here = std::error::Error::source(&status).is_some();
         match status.code() {
             // The transport gives up a little before or after the call does, and calls that a cancellation.
-            Code::Cancelled if status.message() == TIMEOUT_EXPIRED => {
-                Error::Timeout { call, timeout }
-            }
+            Code::Cancelled if status.message() == TIMEOUT_EXPIRED => Error::timeout(call, timeout),
             Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled if made_here => {
                 Error::Connection {
                     call,
@@ -187,6 +208,11 @@ impl Error {
 
 /// The text of `tonic::TimeoutExpired`, of which a status keeps nothing else.
 const TIMEOUT_EXPIRED: &str = "Timeout expired";
+
+fn told_of(earlier: Option<&Error>) -> String {
+    let told = earlier.map(|error| format!("; the try before: {error}"));
+    told.unwrap_or_default()
+}
 
 /// The innermost error: "Connection refused" says more than the "transport error" around it.
 pub(crate) fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {

@@ -77,10 +77,11 @@ impl RetryPolicy {
         Fut: Future<Output = Result<T, Error>>,
     {
         let mut attempts = 0;
+        let mut earlier = None;
         loop {
             let error = match attempt().await {
                 Err(error) if error.is_transient() => error,
-                done => return done,
+                done => return done.map_err(|error| error.following(earlier)),
             };
             attempts += 1;
             let next = self
@@ -89,6 +90,7 @@ impl RetryPolicy {
             let Some(next) = next.filter(|next| *next < deadline) else {
                 return Err(error);
             };
+            earlier = Some(error);
             tokio::time::sleep_until(next).await;
         }
     }
@@ -103,6 +105,7 @@ fn chance() -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Refusal;
 
     const POLICY: RetryPolicy = RetryPolicy {
         attempts: 6,
@@ -125,6 +128,29 @@ mod tests {
         assert_eq!(POLICY.pause(1, 0.0), Some(Duration::from_millis(50)));
         assert_eq!(POLICY.pause(1, 0.5), Some(Duration::from_millis(75)));
         assert!((0..1000).all(|_| (0.0..=1.0).contains(&chance())));
+    }
+
+    /// On a clock that jumps ahead whenever nothing else is left to do.
+    #[tokio::test(start_paused = true)]
+    async fn a_try_without_time_left_does_not_hide_why_the_one_before_failed() {
+        let timeout = Duration::from_millis(150);
+        let deadline = Instant::now() + timeout;
+        let mut tries = 0;
+        let attempt = || {
+            tries += 1;
+            let refused = Refusal::from_status(&tonic::Status::unavailable("starting"));
+            std::future::ready(Err::<(), _>(match tries {
+                1 => Error::Refused(Box::new(refused)),
+                _ => Error::timeout("knn", timeout),
+            }))
+        };
+        let error = POLICY.run(deadline, attempt).await.unwrap_err();
+        assert_eq!((tries, error.code()), (2, tonic::Code::DeadlineExceeded));
+        let told = error.to_string();
+        assert!(
+            told.starts_with("knn: no answer within 150ms; the try before: starting"),
+            "{told}"
+        );
     }
 
     #[test]

@@ -141,10 +141,9 @@ impl Shared {
                 let _ = status.changed().await;
             }
         };
-        timeout(within, reached).await.map_err(|_| Error::Timeout {
-            call: "replica",
-            timeout: within,
-        })?
+        timeout(within, reached)
+            .await
+            .map_err(|_| Error::timeout("replica", within))?
     }
 }
 

@@ -62,7 +62,7 @@ impl Client {
                 Ok(IndexHandle::new(self.clone(), info))
             }
             timeout = stalled(&mut movement, self.timeout()) => {
-                Err(Error::Timeout { call: CALL, timeout })
+                Err(Error::timeout(CALL, timeout))
             }
         }
     }

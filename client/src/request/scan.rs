@@ -142,10 +142,7 @@ impl Scan {
     async fn receive(&mut self) -> Result<Option<v1::ScanResponse>, Error> {
         let waited = self.index.timeout();
         let part = timeout(waited, self.parts.message()).await;
-        let part = part.map_err(|_| Error::Timeout {
-            call: CALL,
-            timeout: waited,
-        })?;
+        let part = part.map_err(|_| Error::timeout(CALL, waited))?;
         part.map_err(|status| Error::from_status(CALL, self.index.client().uri(), waited, status))
     }
 

@@ -95,10 +95,7 @@ async fn receive(
 ) -> Result<Option<(SnapshotPart, Content)>, Error> {
     let waited = index.timeout();
     let response = timeout(waited, parts.message()).await;
-    let response = response.map_err(|_| Error::Timeout {
-        call: CALL,
-        timeout: waited,
-    })?;
+    let response = response.map_err(|_| Error::timeout(CALL, waited))?;
     let response = response
         .map_err(|status| Error::from_status(CALL, index.client().uri(), waited, status))?;
     let protocol = |problem: String| Error::Protocol {

@@ -106,10 +106,7 @@ impl Verify {
         let mut answers = index.client().call(CALL, waited, attempt).await?;
         loop {
             let answer = timeout(waited, answers.message()).await;
-            let answer = answer.map_err(|_| Error::Timeout {
-                call: CALL,
-                timeout: waited,
-            })?;
+            let answer = answer.map_err(|_| Error::timeout(CALL, waited))?;
             let answer = answer
                 .map_err(|status| Error::from_status(CALL, index.client().uri(), waited, status))?;
             match answer.and_then(|answer| answer.result) {

@@ -178,10 +178,7 @@ impl Watch {
             index: request.index,
         };
         let first = timeout(waited, watch.messages.next()).await;
-        let first = first.map_err(|_| Error::Timeout {
-            call: CALL,
-            timeout: waited,
-        })?;
+        let first = first.map_err(|_| Error::timeout(CALL, waited))?;
         let first = first.ok_or_else(|| protocol("a watch without any message"))??;
         watch.after = request.after.unwrap_or(first.revision);
         watch.take(first)?;

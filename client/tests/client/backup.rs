@@ -166,8 +166,8 @@ async fn a_server_that_sends_no_good_snapshot_is_found_out() {
         assert!(matches!(error, Error::Protocol { .. }), "{error}");
     }
     fake.snapshots(&good[..2], false);
-    let hasty = index.with_timeout(Duration::from_millis(20));
-    let mut snapshot = hasty.snapshot().await.unwrap();
+    let patient = index.with_timeout(Duration::from_secs(2));
+    let mut snapshot = patient.snapshot().await.unwrap();
     snapshot.next_part().await.unwrap();
     snapshot.next_part().await.unwrap();
     let error = snapshot.next_part().await.unwrap_err();
@@ -184,7 +184,7 @@ async fn a_server_that_takes_nothing_is_not_waited_for() {
     let error = fake.client().await.restore("copy", whole()).await;
     // It was starting, and then took everything.
     assert_eq!(error.unwrap_err().code(), Code::Unimplemented);
-    let client = wayfold_client::Client::builder().timeout(Duration::from_millis(250));
+    let client = wayfold_client::Client::builder().timeout(Duration::from_secs(2));
     let client = client.connect(&fake.uri).await.unwrap();
     // It hears of the call only.
     fake.fail(|number, _| (number == 0).then(|| tonic::Status::not_found("no such index")));

@@ -159,6 +159,23 @@ async fn silence_is_a_timeout() {
 }
 
 #[tokio::test]
+async fn a_server_that_is_not_reached_in_time_is_named() {
+    // The last try has no time left, or the first has none.
+    for timeout in [Duration::from_millis(50), Duration::ZERO] {
+        let client = Client::builder()
+            .timeout(timeout)
+            .retry(RetryPolicy::until_deadline());
+        let error = client.connect("127.0.0.1:0").await.err().unwrap();
+        assert_eq!(error.code(), Code::Unavailable, "{error}");
+        let told = error.to_string();
+        assert!(
+            told.starts_with("connect: no connection to http://127.0.0.1:0: "),
+            "{told}"
+        );
+    }
+}
+
+#[tokio::test]
 async fn a_connection_that_breaks_is_made_anew() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let uri = format!("http://{}", listener.local_addr().unwrap());
