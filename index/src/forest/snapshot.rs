@@ -1,8 +1,11 @@
 //! One frozen revision of a forest.
 
-use std::{iter::Peekable, sync::Arc};
+use std::sync::Arc;
 
-use super::{growing::Growing, level::Level};
+use super::{
+    growing::Growing,
+    level::{Ascending, Level},
+};
 use crate::{
     Answer, Kernels, PointRef, Search, Space,
     kernel::{Scale, Set, Task},
@@ -83,9 +86,7 @@ impl Snapshot {
         let levels = self.levels.iter();
         let levels = levels.map(|level| level.points_after(after, self.revision));
         let growing = self.growing.points_after(after, self.revision);
-        Ascending {
-            parts: levels.chain([growing]).map(Iterator::peekable).collect(),
-        }
+        Ascending::new(levels.chain([growing]))
     }
 
     /// An estimate of the bytes it keeps alive.
@@ -114,21 +115,5 @@ impl Task for SearchSnapshot<'_> {
         }
         snapshot.growing.visit::<S>(&mut walk, snapshot.revision);
         walk.finish()
-    }
-}
-
-/// Merges the points of several levels in the order of their ids.
-struct Ascending<I: Iterator> {
-    parts: Vec<Peekable<I>>,
-}
-
-impl<'a, I: Iterator<Item = PointRef<'a>>> Iterator for Ascending<I> {
-    type Item = PointRef<'a>;
-
-    fn next(&mut self) -> Option<PointRef<'a>> {
-        let parts = self.parts.iter_mut();
-        let ids = parts.map(|part| part.peek().map_or(u64::MAX, |point| point.id));
-        let (least, _) = ids.enumerate().min_by_key(|&(_, id)| id)?;
-        self.parts[least].next()
     }
 }

@@ -13,13 +13,15 @@
 mod arrivals;
 mod branch;
 mod leaf;
+mod slots;
 mod validate;
 
-use std::{ops::Bound, sync::Arc};
+use std::sync::Arc;
 
-use imbl::OrdMap;
-
-use super::{level::InOrder, tombstones::Tombstones};
+use super::{
+    level::{Ascending, InOrder},
+    tombstones::Tombstones,
+};
 use crate::{
     PointRef, Space,
     kdtree::{Reach, scales},
@@ -29,6 +31,7 @@ use crate::{
 use arrivals::Arrivals;
 use branch::{Arrival, Branch, Cell};
 use leaf::{Label, Leaf, LeafBlock};
+use slots::Slots;
 
 /// A tree, the points in the order in which they came, the way from an id to its point, and the marks of what has died.
 #[derive(Clone, Debug)]
@@ -44,8 +47,7 @@ pub(super) struct Growing {
     /// The newest revision of a state.
     newest: u64,
     arrivals: Arrivals,
-    /// The latest slot of each id.
-    slots: OrdMap<u64, u32>,
+    slots: Slots,
     tombstones: Arc<Tombstones>,
     most_rows: usize,
     reach: Arc<Reach>,
@@ -72,7 +74,7 @@ impl Growing {
             crowded: false,
             newest: 0,
             arrivals: Arrivals::new(width),
-            slots: OrdMap::new(),
+            slots: Slots::default(),
             tombstones: Arc::default(),
             most_rows,
             reach: Arc::default(),
@@ -99,8 +101,11 @@ impl Growing {
 
     /// Adds a point whose id is not alive in it.
     pub(super) fn push(&mut self, point: PointRef<'_>) {
-        let slot = self.rows() as u32;
-        let label = Label { id: point.id, slot };
+        let slot = self.rows();
+        let label = Label {
+            id: point.id,
+            slot: slot as u32,
+        };
         let mut arrival = Arrival {
             label,
             revision: point.revision,
@@ -121,7 +126,7 @@ impl Growing {
             self.height += 1;
         }
         self.arrivals.push(point);
-        self.slots.insert(point.id, slot);
+        self.slots.push(point.id, slot);
     }
 
     pub(super) fn get(&self, slot: usize) -> PointRef<'_> {
@@ -134,17 +139,18 @@ impl Growing {
 
     /// The slot of the point with this id, if a reader at `revision` sees it.
     pub(super) fn find(&self, id: u64, revision: u64) -> Option<usize> {
-        let slot = *self.slots.get(&id)? as usize;
+        let slot = self.slots.find(id, &self.arrivals)?;
         self.sees(slot, revision).then_some(slot)
     }
 
     /// What a reader at `revision` sees of the ids above `after`, in their order.
     pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> InOrder<'_> {
-        let start = after.map_or(Bound::Unbounded, Bound::Excluded);
-        let slots = self.slots.range((start, Bound::Unbounded));
-        let slots = slots.map(|(_, &slot)| slot as usize);
-        let seen = slots.filter(move |&slot| self.sees(slot, revision));
-        Box::new(seen.map(|slot| self.get(slot)))
+        let seen = move |&slot: &usize| self.sees(slot, revision);
+        let ascending = self.slots.ascending(after, &self.arrivals).filter(seen);
+        let others = self.slots.others(after).filter(seen);
+        let ascending: InOrder<'_> = Box::new(ascending.map(|slot| self.get(slot)));
+        let others: InOrder<'_> = Box::new(others.map(|slot| self.get(slot)));
+        Box::new(Ascending::new([ascending, others]))
     }
 
     /// Removes the point in `slot` as of `revision`.
@@ -212,11 +218,9 @@ impl Growing {
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        // A node of a B-tree is between half full and full.
-        let slots = self.slots.len() * size_of::<(u64, u32)>() * 3 / 2;
         self.root.memory_bytes()
             + self.arrivals.memory_bytes()
-            + slots
+            + self.slots.memory_bytes()
             + self.tombstones.memory_bytes()
     }
 }

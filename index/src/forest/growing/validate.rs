@@ -21,14 +21,20 @@ impl Growing {
         if let Some(slot) = (0..held.len()).find(|&slot| !held[slot] && seen(slot)) {
             return Err(format!("slot {slot} is in no leaf"));
         }
-        for (&id, &slot) in &self.slots {
-            if self.get(slot as usize).id != id {
+        let alive: Vec<usize> = (0..self.rows()).filter(|&slot| seen(slot)).collect();
+        for &slot in &alive {
+            let id = self.get(slot).id;
+            if self.find(id, HEAD) != Some(slot) {
                 return Err(format!("id {id} leads to another point"));
             }
         }
-        let alive = (0..self.rows()).filter(|&slot| seen(slot)).count();
-        let found = self.slots.values().filter(|&&slot| seen(slot as usize));
-        if found.count() != alive || alive + self.dead() != self.rows() {
+        let points = self.points_after(None, HEAD);
+        let ids: Vec<u64> = points.map(|point| point.id).collect();
+        if !ids.is_sorted_by(|a, b| a < b) {
+            return Err("ids are not in order".into());
+        }
+        let alive = alive.len();
+        if ids.len() != alive || alive + self.dead() != self.rows() {
             return Err(format!("{alive} points of {} are alive", self.rows()));
         }
         Ok(())
