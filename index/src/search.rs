@@ -7,7 +7,7 @@ use arrayvec::ArrayVec;
 use crate::{
     Neighbor, Points, Space,
     candidates::{Candidate, Candidates},
-    kernel::{self, BLOCK, CHILDREN, Scale, Set},
+    kernel::{self, Asked, BLOCK, CHILDREN, Coding, Scale, Set},
 };
 
 /// Limits a search to some of the points. The default admits every point.
@@ -172,17 +172,20 @@ impl<'a> Walk<'a> {
         self.search.filter.since_revision
     }
 
-    /// Whether one of the first `lanes` points of a block may matter, of which these are the numbers, rounded, so that
-    /// each has moved by up to `error`, a distance, but by its rotations.
+    /// The bits of the points of a block, of which these are the codes, that may matter.
     #[inline(always)]
-    pub(crate) fn may_matter<S: Set>(&self, rounded: &[f32], lanes: usize, error: f64) -> bool {
+    pub(crate) fn may_matter<S: Set>(&self, asked: &Asked<'_>, codes: &[u16]) -> u32 {
         let limit = self.limit();
         if limit == f64::INFINITY {
-            return true;
+            return !0;
         }
-        let limit = self.scale.loosened(limit, error);
-        let (_, within) = kernel::points::<S, f32>(self.space, self.state, rounded, limit);
-        within & !(!0 << lanes) != 0
+        let limit = self.scale.loosened(limit, asked.error());
+        kernel::coded::<S>(self.space, asked, codes, limit)
+    }
+
+    /// The state, to be compared with points that have codes.
+    pub(crate) fn asks(&self, coding: &'a Coding) -> Asked<'a> {
+        coding.ask(self.space, self.state)
     }
 
     /// Bounds the points in the first `lanes` of a block, and keeps those that are near enough, `visible`, and pass the
@@ -196,7 +199,7 @@ impl<'a> Walk<'a> {
         slot: impl Fn(usize) -> usize,
         visible: impl Fn(usize) -> bool,
     ) {
-        let (keys, within) = kernel::points::<S, f64>(self.space, self.state, block, self.limit());
+        let (keys, within) = kernel::points::<S>(self.space, self.state, block, self.limit());
         let filter = self.search.filter;
         let mut left = within & !(!0 << lanes);
         while left != 0 {

@@ -58,7 +58,7 @@ impl KdTree {
         Self {
             labels: points.labels_in_order(&slots),
             rounded: is_tree
-                .then(|| Rounded::where_it_helps(&space, &blocks))
+                .then(|| Rounded::where_it_helps(&space, &points, &blocks))
                 .flatten(),
             blocks,
             rows: Rows::new(leaves * leaf_rows.div_ceil(BLOCK)),
@@ -255,7 +255,7 @@ impl Build<'_> {
 }
 
 /// Makes a box hold a row.
-fn widen(lo: &mut [f64], hi: &mut [f64], row: &[f64]) {
+pub(super) fn widen(lo: &mut [f64], hi: &mut [f64], row: &[f64]) {
     for ((lo, hi), &x) in lo.iter_mut().zip(hi).zip(row) {
         *lo = lo.min(x);
         *hi = hi.max(x);

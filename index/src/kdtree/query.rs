@@ -1,8 +1,8 @@
 //! The query: the nearest children of a node first, all that cannot matter skipped by their bounds.
 
-use super::KdTree;
+use super::{KdTree, rounded::Rounded};
 use crate::{
-    kernel::{BLOCK, Set, prefetch},
+    kernel::{Asked, BLOCK, CODES, Set, prefetch},
     search::{Ahead, Walk},
 };
 
@@ -28,6 +28,9 @@ impl Place {
 /// of R3 and R3*SO3), smaller ones lose some hundredths.
 const NEAR_BYTES: usize = 4 << 20;
 
+/// The bits of a block.
+const ONE_BLOCK: u32 = !(!0 << BLOCK);
+
 impl KdTree {
     /// Shows `walk` every visible point that can matter to it.
     #[inline(always)]
@@ -43,10 +46,12 @@ impl KdTree {
         }
         // (What has no more than a node of leaves is read soon enough either way.)
         let plain = walk.is_plain() && self.height > 1;
+        let asked = self.rounded.as_ref().map(|rounded| {
+            let asked = walk.asks(rounded.coding());
+            (rounded, asked)
+        });
         if plain && self.reach.is_far() {
-            for leaf in 0..self.leaves() {
-                self.visit_leaf::<S>(walk, leaf, &visible);
-            }
+            self.visit_all::<S>(walk, asked.as_ref(), &visible);
             return;
         }
         let entered = walk.leaves_entered();
@@ -59,7 +64,7 @@ impl KdTree {
         while let Some(Place { index, height }) = next {
             let index = index as usize;
             if height == 0 {
-                self.visit_leaf::<S>(walk, index, &visible);
+                self.visit_leaf::<S>(walk, asked.as_ref(), index, &visible);
             } else {
                 let node = self.nodes[index];
                 let (boxes, lanes) = (self.boxes(index), !(!0 << node.count));
@@ -73,14 +78,43 @@ impl KdTree {
             if fetches && let Some(Place { index, height: 0 }) = ahead.peek().map(Place::child) {
                 let first = self.leaf_blocks(index as usize).start;
                 match &self.rounded {
-                    Some(rounded) => prefetch(rounded.block(first)),
+                    Some(rounded) => prefetch(rounded.codes(first).0),
                     None => prefetch(self.blocks.block(first)),
                 }
             }
         }
         if plain && walk.found_few() {
             let reached = walk.leaves_entered() - entered;
-            self.reach.report(reached, self.leaves());
+            // (By measurement. Codes are read several times as fast as what they are of.)
+            let worth = if self.rounded.is_some() { 3 } else { 2 };
+            self.reach.report(worth * reached >= self.leaves());
+        }
+    }
+
+    /// All leaves in the order of memory.
+    #[inline(always)]
+    fn visit_all<'a, S: Set>(
+        &'a self,
+        walk: &mut Walk<'a>,
+        asked: Option<&(&Rounded, Asked<'_>)>,
+        visible: &impl Fn(usize) -> bool,
+    ) {
+        let Some((rounded, asked)) = asked else {
+            for leaf in 0..self.leaves() {
+                self.visit_leaf::<S>(walk, None, leaf, visible);
+            }
+            return;
+        };
+        for (at, codes) in rounded.blocks().enumerate() {
+            if !walk.enters_leaf() {
+                return;
+            }
+            let near = walk.may_matter::<S>(asked, codes);
+            for half in 0..CODES / BLOCK {
+                if near >> (half * BLOCK) & ONE_BLOCK != 0 {
+                    self.visit_block::<S>(walk, at * (CODES / BLOCK) + half, visible);
+                }
+            }
         }
     }
 
@@ -88,22 +122,40 @@ impl KdTree {
     fn visit_leaf<'a, S: Set>(
         &'a self,
         walk: &mut Walk<'a>,
+        asked: Option<&(&Rounded, Asked<'_>)>,
         leaf: usize,
         visible: &impl Fn(usize) -> bool,
     ) {
         if !walk.enters_leaf() {
             return;
         }
-        let slots = self.slots(leaf);
-        for (start, at) in slots.clone().step_by(BLOCK).zip(self.leaf_blocks(leaf)) {
-            let lanes = (slots.end - start).min(BLOCK);
-            if let Some(rounded) = &self.rounded
-                && !walk.may_matter::<S>(rounded.block(at), lanes, rounded.error())
-            {
-                continue;
+        for at in self.leaf_blocks(leaf) {
+            if let Some((rounded, asked)) = asked {
+                let (codes, first) = rounded.codes(at);
+                if walk.may_matter::<S>(asked, codes) >> first & ONE_BLOCK == 0 {
+                    continue;
+                }
             }
-            let block = self.blocks.block(at);
-            walk.scan::<S>(block, lanes, &self.labels, |lane| start + lane, visible);
+            self.visit_block::<S>(walk, at, visible);
         }
+    }
+
+    #[inline(always)]
+    fn visit_block<'a, S: Set>(
+        &'a self,
+        walk: &mut Walk<'a>,
+        at: usize,
+        visible: &impl Fn(usize) -> bool,
+    ) {
+        let blocks = self.leaf_rows.div_ceil(BLOCK);
+        let slots = self.slots(at / blocks);
+        let start = slots.start + at % blocks * BLOCK;
+        let lanes = slots.end.saturating_sub(start).min(BLOCK);
+        if lanes == 0 {
+            // The other half of the last block of codes.
+            return;
+        }
+        let block = self.blocks.block(at);
+        walk.scan::<S>(block, lanes, &self.labels, |lane| start + lane, visible);
     }
 }

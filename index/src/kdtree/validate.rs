@@ -1,7 +1,7 @@
 //! The invariants of a tree, for the tests that call this after every step.
 
 use super::KdTree;
-use crate::kernel::{BLOCK, CHILDREN};
+use crate::kernel::{BLOCK, CHILDREN, CODES};
 
 impl KdTree {
     /// Checks that the leaves are reached in order, each once and equally deep, that every point lies in the boxes
@@ -88,9 +88,11 @@ impl Check<'_> {
             }
             if let Some(rounded) = &self.tree.rounded {
                 let place = self.tree.place(slot);
-                let numbers = rounded.block(place / BLOCK)[place % BLOCK..].iter();
-                let row = point.row.iter().map(|&x| x as f32);
-                if !numbers.step_by(BLOCK).copied().eq(row) {
+                let (codes, first) = rounded.codes(place / BLOCK);
+                let codes = codes[first + place % BLOCK..].iter();
+                let row = point.row.iter().enumerate();
+                let row = row.map(|(axis, &x)| rounded.coding().code(axis, x));
+                if !codes.step_by(CODES).copied().eq(row) {
                     return Err(format!("point {} differs where it is rounded", point.id));
                 }
             }

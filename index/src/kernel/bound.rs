@@ -3,11 +3,14 @@
 //!
 //! The space is read as it is, a loop over groups and factors around the lanes. **Rounding:** every term is computed by
 //! the operations of [`Space::distance`], in their order, on operands that are the same (a point's) or no greater (a
-//! box's), and rounding is monotone: so no term exceeds its counterpart, but for a rotation's, which may by 1e-14. Numbers
-//! stored as `f32` are of a point that has moved (see [`Stored`]).
+//! box's), and rounding is monotone: so no term exceeds its counterpart, but for a rotation's, which may by 1e-14. (Of
+//! points whose numbers are rounded, see `coded`.)
 //! No key is NaN: coordinates are small enough for their squares to have a finite sum, and weights for one another.
 
-use super::lanes::{Lanes, Operations};
+use super::{
+    compiled::Set,
+    lanes::{Lanes, Number, Operations},
+};
 use crate::{
     Factor, Space,
     space::{Part, SO3_SERIES},
@@ -22,9 +25,19 @@ pub(crate) const BLOCK: usize = 16;
 
 /// What the kernels bound the distance to, `N` side by side: by its squared distance in each factor. (Not a closure:
 /// one that is called from two places would be compiled by itself, for the oldest processor.)
-trait Terms<const N: usize> {
-    /// A lower bound of the squared distances in the factor `part`.
-    fn term<S: Operations>(&self, part: &Part) -> Lanes<S, N>;
+pub(super) trait Terms<T: Number, const N: usize> {
+    /// A lower bound of the squared distances in a factor, the one at `place` among the parts of the space.
+    fn term<S: Set>(&self, place: usize, part: &Part) -> Lanes<S, T, N>;
+
+    /// What such a squared distance counts.
+    fn weight(&self, _: usize, part: &Part) -> T {
+        T::near(part.weight)
+    }
+
+    /// What the root of a group's sum counts, where there are several.
+    fn group_weight(&self, space: &Space, group: usize) -> T {
+        T::near(space.groups()[group].weight)
+    }
 }
 
 /// Boxes: coordinate by coordinate the lower ends, and then the upper ends of all of them.
@@ -34,81 +47,56 @@ pub(super) struct Boxes<'a> {
 }
 
 /// Points: coordinate by coordinate the numbers of all of them.
-pub(super) struct Points<'a, C> {
+pub(super) struct Points<'a> {
     pub(super) state: &'a [f64],
-    pub(super) columns: &'a [C],
+    pub(super) columns: &'a [f64],
 }
 
-/// A number as it is stored.
-pub(crate) trait Stored: Sized {
-    /// How far a squared chord may lie below the one that is computed from a cosine.
-    const COSINE_SLACK: f64;
+/// How far the squared chord min(|x − y|², |x + y|²) may lie below 2 − 2·|x·y| as it is computed: squared norms are
+/// off from 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all.
+/// What is lost is the pruning among rotations nearer than 1e-7 to each other; what is saved is half of the kernel.
+const COSINE_SLACK: f64 = 32.0 * f64::EPSILON;
 
-    /// The first `N` numbers of a column.
-    fn load<S: Operations, const N: usize>(column: &[Self]) -> Lanes<S, N>;
-}
-
-impl Stored for f64 {
-    /// How far the squared chord min(|x − y|², |x + y|²) may lie below 2 − 2·|x·y| as it is computed: squared norms are
-    /// off from 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all.
-    /// What is lost is the pruning among rotations nearer than 1e-7 to each other; what is saved is half of the kernel.
-    const COSINE_SLACK: f64 = 32.0 * f64::EPSILON;
-
+impl Terms<f64, CHILDREN> for Boxes<'_> {
     #[inline(always)]
-    fn load<S: Operations, const N: usize>(column: &[Self]) -> Lanes<S, N> {
-        Lanes::load(column)
-    }
-}
-
-/// Rounded: terms bound the distance to the rounded point (see [`Scale::loosened`](super::Scale::loosened)), but for
-/// rotations, which are bounded themselves.
-impl Stored for f32 {
-    /// A unit quaternion loses 2⁻²⁴ of its length, a cosine no more than that, and 2 − 2·|x·y| twice of it, which is ε of
-    /// `f32`; as much again is more than what is lost in `f64`. No pruning among rotations nearer than 5e-4.
-    const COSINE_SLACK: f64 = 2.0 * f32::EPSILON as f64;
-
-    #[inline(always)]
-    fn load<S: Operations, const N: usize>(column: &[Self]) -> Lanes<S, N> {
-        Lanes::widen(column)
-    }
-}
-
-impl Terms<CHILDREN> for Boxes<'_> {
-    #[inline(always)]
-    fn term<S: Operations>(&self, part: &Part) -> Lanes<S, CHILDREN> {
+    fn term<S: Set>(&self, _: usize, part: &Part) -> Lanes<S, f64, CHILDREN> {
         box_term(part, self.state, self.ends)
     }
 }
 
-impl<C: Stored> Terms<BLOCK> for Points<'_, C> {
+impl Terms<f64, BLOCK> for Points<'_> {
     #[inline(always)]
-    fn term<S: Operations>(&self, part: &Part) -> Lanes<S, BLOCK> {
+    fn term<S: Set>(&self, _: usize, part: &Part) -> Lanes<S, f64, BLOCK> {
         point_term(part, self.state, self.columns)
     }
 }
 
 /// The keys that the squared distances in each factor make.
 #[inline(always)]
-#[expect(private_bounds, reason = "the two that there are lie beside it")]
-pub(super) fn keys<S: Operations, const N: usize>(
+pub(super) fn keys<S, T: Number, const N: usize>(
     space: &Space,
-    of: &impl Terms<N>,
-) -> Lanes<S, N> {
+    of: &impl Terms<T, N>,
+) -> Lanes<S, T, N>
+where
+    S: Set + Operations<T>,
+{
     // One loop over the factors, so that the terms are compiled once.
     let one_group = space.groups().len() == 1;
-    let (mut total, mut sum_2) = (Lanes::splat(0.0), Lanes::splat(0.0));
-    for part in space.parts() {
-        sum_2 = sum_2 + Lanes::splat(part.weight) * of.term(part);
+    let zero = Lanes::splat(T::near(0.0));
+    let (mut total, mut sum_2) = (zero, zero);
+    for (place, part) in space.parts().iter().enumerate() {
+        sum_2 = sum_2 + Lanes::splat(of.weight(place, part)) * of.term(place, part);
         if !one_group && part.ends_group {
-            total = total + Lanes::splat(space.groups()[part.group].weight) * sum_2.sqrt();
-            sum_2 = Lanes::splat(0.0);
+            let weight = of.group_weight(space, part.group);
+            total = total + Lanes::splat(weight) * sum_2.sqrt();
+            sum_2 = zero;
         }
     }
     if one_group { sum_2 } else { total }
 }
 
 #[inline(always)]
-fn box_term<S: Operations>(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<S, CHILDREN> {
+fn box_term<S: Set>(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<S, f64, CHILDREN> {
     let axes = part.offset..part.offset + part.factor.coordinates();
     let state = &state[axes.clone()];
     let ends = &ends[axes.start * 2 * CHILDREN..axes.end * 2 * CHILDREN];
@@ -132,7 +120,7 @@ fn box_term<S: Operations>(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<S,
 
 /// The squared Euclidean distances from the point `sign · state` to the boxes.
 #[inline(always)]
-fn to_boxes_2<S: Operations>(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<S, CHILDREN> {
+fn to_boxes_2<S: Set>(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<S, f64, CHILDREN> {
     let zero = Lanes::splat(0.0);
     let mut sum_2 = zero;
     for (&x, ends) in state.iter().zip(ends.chunks_exact(2 * CHILDREN)) {
@@ -145,11 +133,7 @@ fn to_boxes_2<S: Operations>(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<S,
 }
 
 #[inline(always)]
-fn point_term<S: Operations, C: Stored>(
-    part: &Part,
-    state: &[f64],
-    columns: &[C],
-) -> Lanes<S, BLOCK> {
+fn point_term<S: Set>(part: &Part, state: &[f64], columns: &[f64]) -> Lanes<S, f64, BLOCK> {
     let zero = Lanes::splat(0.0);
     let axes = part.offset..part.offset + part.factor.coordinates();
     let state = &state[axes.clone()];
@@ -158,38 +142,43 @@ fn point_term<S: Operations, C: Stored>(
         Factor::RealVector(_) => {
             let mut sum_2 = zero;
             for (&x, column) in state.iter().zip(columns.chunks_exact(BLOCK)) {
-                let d = Lanes::splat(x) - C::load(column);
+                let d = Lanes::splat(x) - Lanes::load(column);
                 sum_2 = sum_2 + d * d;
             }
             sum_2
         }
         Factor::SO2 { period } => {
-            let direct = (Lanes::splat(state[0]) - C::load(columns)).abs();
+            let direct = (Lanes::splat(state[0]) - Lanes::load(columns)).abs();
             let d = direct.min(Lanes::splat(period) - direct).max(zero);
             d * d
         }
         Factor::SO3 => {
             let mut cosine = zero;
             for (&x, column) in state.iter().zip(columns.chunks_exact(BLOCK)) {
-                cosine = cosine + Lanes::splat(x) * C::load(column);
+                cosine = cosine + Lanes::splat(x) * Lanes::load(column);
             }
             let cosine = cosine.abs();
-            angle_2((Lanes::splat(2.0 - C::COSINE_SLACK) - (cosine + cosine)).max(zero))
+            angle_2((Lanes::splat(2.0 - COSINE_SLACK) - (cosine + cosine)).max(zero))
         }
     }
 }
 
 /// As [`angle_2`], with one term less: at most 1.2 % below it, and so far only among the largest angles.
 #[inline(always)]
-fn angle_2_to_box<S: Operations, const N: usize>(s: Lanes<S, N>) -> Lanes<S, N> {
+fn angle_2_to_box<S: Set, const N: usize>(s: Lanes<S, f64, N>) -> Lanes<S, f64, N> {
     let [c1, c2, _] = SO3_SERIES.map(Lanes::splat);
     s * ((Lanes::splat(1.0) + s * c1) + (s * s) * c2)
 }
 
 /// A lower bound of the squared angle that belongs to the squared chord `s`: the first terms of its series.
 #[inline(always)]
-fn angle_2<S: Operations, const N: usize>(s: Lanes<S, N>) -> Lanes<S, N> {
-    let [c1, c2, c3] = SO3_SERIES.map(Lanes::splat);
+pub(super) fn angle_2<S, T: Number, const N: usize>(s: Lanes<S, T, N>) -> Lanes<S, T, N>
+where
+    S: Operations<T>,
+{
+    // (No closure in this: see `Terms`.)
+    let [c1, c2, c3] = SO3_SERIES.map(T::near);
+    let [c1, c2, c3] = [Lanes::splat(c1), Lanes::splat(c2), Lanes::splat(c3)];
     // By halves that do not wait for each other (Estrin's scheme).
-    s * ((Lanes::splat(1.0) + s * c1) + (s * s) * (c2 + s * c3))
+    s * ((Lanes::splat(T::near(1.0)) + s * c1) + (s * s) * (c2 + s * c3))
 }

@@ -14,9 +14,12 @@ use super::wide;
 use super::{Kernels, lanes::Operations};
 
 /// An instruction set: how it computes with numbers side by side, and compares them.
-pub(crate) trait Set: Operations {
-    /// A bit for each key up to `limit`. `N` is a multiple of eight.
-    fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32;
+pub(crate) trait Set: Operations<f64> + Operations<f32> {
+    /// Codes as numbers.
+    #[inline(always)]
+    fn widen<const N: usize>(codes: &[u16; N]) -> [f32; N] {
+        codes.map(f32::from)
+    }
 
     /// The lane of the least of the keys that `left` has bits of, at least one; the first one if several are equal.
     #[inline(always)]
@@ -73,18 +76,9 @@ impl Kernels {
 
 struct Portable;
 
-impl Operations for Portable {}
-
-impl Set for Portable {
-    #[inline(always)]
-    fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
-        let mut mask = 0;
-        for (lane, &key) in keys.iter().enumerate() {
-            mask |= u32::from(key <= limit) << lane;
-        }
-        mask
-    }
-}
+impl Operations<f64> for Portable {}
+impl Operations<f32> for Portable {}
+impl Set for Portable {}
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
@@ -103,30 +97,31 @@ mod avx2 {
         task.run::<Avx2>()
     }
 
-    impl Operations for Avx2 {}
+    impl Set for Avx2 {}
 
-    impl Set for Avx2 {
-        #[inline(always)]
-        fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
-            // SAFETY: only `run` names this set.
-            unsafe { within(keys, limit) }
-        }
+    macro_rules! comparison {
+        ($type:ident x $width:literal, $load:ident, $set:ident, $compare:ident, $bits:ident) => {
+            impl Operations<$type> for Avx2 {
+                #[inline(always)]
+                fn within<const N: usize>(keys: &[$type; N], limit: $type) -> u32 {
+                    const { assert!(N.is_multiple_of($width) && N <= 32) };
+                    let mut mask = 0;
+                    for (at, keys) in keys.chunks_exact($width).enumerate() {
+                        // SAFETY: a chunk has `$width` numbers, and only `run` names this set.
+                        let bits = unsafe {
+                            let keys = $load(keys.as_ptr());
+                            $bits($compare::<_CMP_LE_OQ>(keys, $set(limit)))
+                        };
+                        mask |= (bits as u32) << ($width * at);
+                    }
+                    mask
+                }
+            }
+        };
     }
 
-    #[inline]
-    #[target_feature(enable = "avx2")]
-    fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
-        const { assert!(N.is_multiple_of(4) && N <= 32) };
-        let limit = _mm256_set1_pd(limit);
-        let mut mask = 0;
-        for (at, keys) in keys.chunks_exact(4).enumerate() {
-            // SAFETY: a chunk has four numbers.
-            let keys = unsafe { _mm256_loadu_pd(keys.as_ptr()) };
-            let bits = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(keys, limit));
-            mask |= (bits as u32) << (4 * at);
-        }
-        mask
-    }
+    comparison!(f64 x 4, _mm256_loadu_pd, _mm256_set1_pd, _mm256_cmp_pd, _mm256_movemask_pd);
+    comparison!(f32 x 8, _mm256_loadu_ps, _mm256_set1_ps, _mm256_cmp_ps, _mm256_movemask_ps);
 }
 
 /// Asks for the beginning of `numbers` to be brought near, while something else is computed. Of what is longer, the

@@ -6,16 +6,50 @@ use std::{
     ops::{Add, Mul, Sub},
 };
 
+/// What stands side by side: `f64`, or `f32` where what is bounded is rounded anyhow.
+pub(crate) trait Number:
+    Copy + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+{
+    /// The number nearest to `x`.
+    fn near(x: f64) -> Self;
+    fn abs(self) -> Self;
+    fn sqrt(self) -> Self;
+}
+
+macro_rules! number {
+    ($type:ident) => {
+        impl Number for $type {
+            #[inline(always)]
+            fn near(x: f64) -> Self {
+                x as $type
+            }
+
+            #[inline(always)]
+            fn abs(self) -> Self {
+                $type::abs(self)
+            }
+
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                $type::sqrt(self)
+            }
+        }
+    };
+}
+
+number!(f64);
+number!(f32);
+
 macro_rules! operations {
     ($($name:ident: |$x:ident $(, $y:ident)?| $result:expr;)*) => {
-        /// What can be done with numbers side by side: lane by lane, rounding as `f64` does.
+        /// What can be done with numbers side by side: lane by lane, rounding as their type does.
         ///
         /// As loops, which the compiler turns into what the function around them is compiled for, unless an instruction
         /// set says its own.
-        pub(crate) trait Operations {
+        pub(crate) trait Operations<T: Number> {
             $(
                 #[inline(always)]
-                fn $name<const N: usize>(x: [f64; N] $(, $y: [f64; N])?) -> [f64; N] {
+                fn $name<const N: usize>(x: [T; N] $(, $y: [T; N])?) -> [T; N] {
                     let mut out = x;
                     for lane in 0..N {
                         let $x = x[lane];
@@ -26,10 +60,14 @@ macro_rules! operations {
                 }
             )*
 
-            /// The same numbers, twice as wide.
+            /// A bit for each key up to `limit`. `N` is a multiple of eight, and at most 32.
             #[inline(always)]
-            fn widen<const N: usize>(x: [f32; N]) -> [f64; N] {
-                x.map(f64::from)
+            fn within<const N: usize>(keys: &[T; N], limit: T) -> u32 {
+                let mut mask = 0;
+                for (lane, &key) in keys.iter().enumerate() {
+                    mask |= u32::from(key <= limit) << lane;
+                }
+                mask
             }
         }
     };
@@ -48,35 +86,33 @@ operations! {
 /// `N` numbers, and the instruction set that computes with them.
 #[derive(Debug)]
 #[repr(align(64))]
-pub(crate) struct Lanes<S, const N: usize>(pub(crate) [f64; N], PhantomData<S>);
+pub(crate) struct Lanes<S, T, const N: usize>(pub(crate) [T; N], PhantomData<S>);
 
-impl<S, const N: usize> Clone for Lanes<S, N> {
+impl<S, T: Copy, const N: usize> Clone for Lanes<S, T, N> {
     #[inline(always)]
     fn clone(&self) -> Self {
         *self
     }
 }
 
-impl<S, const N: usize> Copy for Lanes<S, N> {}
+impl<S, T: Copy, const N: usize> Copy for Lanes<S, T, N> {}
 
-impl<S: Operations, const N: usize> Lanes<S, N> {
+impl<S: Operations<T>, T: Number, const N: usize> Lanes<S, T, N> {
     #[inline(always)]
-    pub(crate) fn splat(x: f64) -> Self {
+    pub(crate) fn of(numbers: [T; N]) -> Self {
+        Self(numbers, PhantomData)
+    }
+
+    #[inline(always)]
+    pub(crate) fn splat(x: T) -> Self {
         Self([x; N], PhantomData)
     }
 
     /// The first `N` numbers of a column.
     #[inline(always)]
-    pub(crate) fn load(column: &[f64]) -> Self {
+    pub(crate) fn load(column: &[T]) -> Self {
         let column = column.first_chunk().expect("a column has N numbers");
         Self(*column, PhantomData)
-    }
-
-    /// The first `N` numbers of a rounded column.
-    #[inline(always)]
-    pub(crate) fn widen(column: &[f32]) -> Self {
-        let column = column.first_chunk().expect("a column has N numbers");
-        Self(S::widen(*column), PhantomData)
     }
 
     /// The greater; not `f64::max`, whose care for a NaN on either side takes three instructions instead of one.
@@ -102,7 +138,7 @@ impl<S: Operations, const N: usize> Lanes<S, N> {
     }
 }
 
-impl<S: Operations, const N: usize> Add for Lanes<S, N> {
+impl<S: Operations<T>, T: Number, const N: usize> Add for Lanes<S, T, N> {
     type Output = Self;
 
     #[inline(always)]
@@ -111,7 +147,7 @@ impl<S: Operations, const N: usize> Add for Lanes<S, N> {
     }
 }
 
-impl<S: Operations, const N: usize> Sub for Lanes<S, N> {
+impl<S: Operations<T>, T: Number, const N: usize> Sub for Lanes<S, T, N> {
     type Output = Self;
 
     #[inline(always)]
@@ -120,7 +156,7 @@ impl<S: Operations, const N: usize> Sub for Lanes<S, N> {
     }
 }
 
-impl<S: Operations, const N: usize> Mul for Lanes<S, N> {
+impl<S: Operations<T>, T: Number, const N: usize> Mul for Lanes<S, T, N> {
     type Output = Self;
 
     #[inline(always)]

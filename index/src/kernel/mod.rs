@@ -6,6 +6,7 @@
 //! compute what [`Space::distance`] does by the same operations, so every set of them gives the same answers to the bit.
 
 mod bound;
+mod coded;
 mod compiled;
 mod lanes;
 mod limit;
@@ -17,7 +18,8 @@ mod wide;
 use std::sync::OnceLock;
 
 use crate::Space;
-pub(crate) use bound::{BLOCK, CHILDREN, Stored};
+pub(crate) use bound::{BLOCK, CHILDREN};
+pub(crate) use coded::{Asked, CODES, Coding};
 pub(crate) use compiled::{Set, Task, prefetch};
 pub(crate) use limit::Scale;
 
@@ -30,21 +32,29 @@ pub(crate) fn boxes<S: Set>(
     ends: &[f64],
     limit: f64,
 ) -> ([f64; CHILDREN], u32) {
-    let keys = bound::keys::<S, _>(space, &bound::Boxes { state, ends }).0;
+    let keys = bound::keys::<S, f64, _>(space, &bound::Boxes { state, ends }).0;
     (keys, S::within(&keys, limit))
 }
 
 /// The keys of a block of points, whose numbers lie side by side, coordinate by coordinate, and the bits of those up to
 /// `limit`.
 #[inline(always)]
-pub(crate) fn points<S: Set, C: Stored>(
+pub(crate) fn points<S: Set>(
     space: &Space,
     state: &[f64],
-    columns: &[C],
+    columns: &[f64],
     limit: f64,
 ) -> ([f64; BLOCK], u32) {
-    let keys = bound::keys::<S, _>(space, &bound::Points { state, columns }).0;
+    let keys = bound::keys::<S, f64, _>(space, &bound::Points { state, columns }).0;
     (keys, S::within(&keys, limit))
+}
+
+/// The bits of the points of a block, whose codes lie side by side, coordinate by coordinate, that may have keys up to
+/// `limit` once they have moved by [`Coding::error`].
+#[inline(always)]
+pub(crate) fn coded<S: Set>(space: &Space, asked: &Asked<'_>, codes: &[u16], limit: f64) -> u32 {
+    let keys = bound::keys::<S, f32, _>(space, &coded::Coded { asked, codes }).0;
+    S::within(&keys, asked.limit(limit))
 }
 
 /// The instruction set that a search is compiled for.

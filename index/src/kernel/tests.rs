@@ -27,7 +27,7 @@ impl Task for OfPoints<'_> {
 
     #[inline(always)]
     fn run<S: Set>(self) -> Self::Output {
-        super::points::<S, f64>(self.0, self.1, self.2, self.3)
+        super::points::<S>(self.0, self.1, self.2, self.3)
     }
 }
 

@@ -1,4 +1,4 @@
-//! The operations of `lanes` in registers of eight numbers, said by name. Left to itself, the compiler cuts lanes into
+//! The operations of `lanes` in registers of 64 bytes, said by name. Left to itself, the compiler cuts lanes into
 //! unequal parts or, where all of the program is compiled for such processors (`-C target-cpu=native`), into registers of
 //! four: a search took up to 1.3 times as long.
 #![expect(
@@ -35,15 +35,15 @@ pub(super) fn run<T: Task>(task: T) -> T::Output {
 
 impl Set for Avx512 {
     #[inline(always)]
-    fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
+    fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
         // SAFETY: only `run` names this set.
-        unsafe { within(keys, limit) }
+        unsafe { least(keys, left) }
     }
 
     #[inline(always)]
-    fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
+    fn widen<const N: usize>(codes: &[u16; N]) -> [f32; N] {
         // SAFETY: as above.
-        unsafe { least(keys, left) }
+        unsafe { widen(codes) }
     }
 }
 
@@ -71,34 +71,39 @@ fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
     (equal & left).trailing_zeros() as usize % N
 }
 
+/// Sixteen codes a register of numbers.
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn within<const N: usize>(keys: &[f64; N], limit: f64) -> u32 {
-    const { assert!(N.is_multiple_of(WIDTH) && N <= 32) };
-    let limit = _mm512_set1_pd(limit);
-    let mut mask = 0;
-    for (at, keys) in keys.chunks_exact(WIDTH).enumerate() {
-        // SAFETY: a chunk has `WIDTH` numbers.
-        let keys = unsafe { _mm512_loadu_pd(keys.as_ptr()) };
-        mask |= u32::from(_mm512_cmp_pd_mask::<_CMP_LE_OQ>(keys, limit)) << (WIDTH * at);
+fn widen<const N: usize>(codes: &[u16; N]) -> [f32; N] {
+    const { assert!(N.is_multiple_of(2 * WIDTH)) };
+    let mut numbers = [0.0; N];
+    for at in (0..N).step_by(2 * WIDTH) {
+        // SAFETY: there are sixteen codes and numbers from `at` on.
+        unsafe {
+            let codes = _mm512_cvtepu16_epi32(_mm256_loadu_si256(codes.as_ptr().add(at).cast()));
+            _mm512_storeu_ps(numbers.as_mut_ptr().add(at), _mm512_cvtepi32_ps(codes));
+        }
     }
-    mask
+    numbers
 }
 
 macro_rules! instructions {
-    ($($name:ident: $instruction:ident($x:ident $(, $y:ident)?);)*) => {
-        impl Operations for Avx512 {
+    (
+        $type:ident x $width:expr, $load:ident, $store:ident, $set:ident, $compare:ident;
+        $($name:ident: $instruction:ident($x:ident $(, $y:ident)?);)*
+    ) => {
+        impl Operations<$type> for Avx512 {
             $(
                 #[inline(always)]
-                fn $name<const N: usize>($x: [f64; N] $(, $y: [f64; N])?) -> [f64; N] {
-                    const { assert!(N.is_multiple_of(WIDTH)) };
+                fn $name<const N: usize>($x: [$type; N] $(, $y: [$type; N])?) -> [$type; N] {
+                    const { assert!(N.is_multiple_of($width)) };
                     let mut out = $x;
-                    for at in (0..N).step_by(WIDTH) {
-                        // SAFETY: there are `WIDTH` numbers from `at` on, and only `run` names this set.
+                    for at in (0..N).step_by($width) {
+                        // SAFETY: there are `$width` numbers from `at` on, and only `run` names this set.
                         unsafe {
-                            let $x = _mm512_loadu_pd($x.as_ptr().add(at));
-                            $(let $y = _mm512_loadu_pd($y.as_ptr().add(at));)?
-                            _mm512_storeu_pd(out.as_mut_ptr().add(at), $instruction($x $(, $y)?));
+                            let $x = $load($x.as_ptr().add(at));
+                            $(let $y = $load($y.as_ptr().add(at));)?
+                            $store(out.as_mut_ptr().add(at), $instruction($x $(, $y)?));
                         }
                     }
                     out
@@ -106,23 +111,25 @@ macro_rules! instructions {
             )*
 
             #[inline(always)]
-            fn widen<const N: usize>(x: [f32; N]) -> [f64; N] {
-                const { assert!(N.is_multiple_of(WIDTH)) };
-                let mut out = [0.0; N];
-                for at in (0..N).step_by(WIDTH) {
-                    // SAFETY: there are `WIDTH` numbers from `at` on, and only `run` names this set.
-                    unsafe {
-                        let x = _mm256_loadu_ps(x.as_ptr().add(at));
-                        _mm512_storeu_pd(out.as_mut_ptr().add(at), _mm512_cvtps_pd(x));
-                    }
+            fn within<const N: usize>(keys: &[$type; N], limit: $type) -> u32 {
+                const { assert!(N.is_multiple_of($width) && N <= 32) };
+                let mut mask = 0;
+                for at in (0..N).step_by($width) {
+                    // SAFETY: as above.
+                    let bits = unsafe {
+                        let keys = $load(keys.as_ptr().add(at));
+                        $compare::<_CMP_LE_OQ>(keys, $set(limit))
+                    };
+                    mask |= u32::from(bits) << at;
                 }
-                out
+                mask
             }
         }
     };
 }
 
 instructions! {
+    f64 x WIDTH, _mm512_loadu_pd, _mm512_storeu_pd, _mm512_set1_pd, _mm512_cmp_pd_mask;
     add: _mm512_add_pd(x, y);
     sub: _mm512_sub_pd(x, y);
     mul: _mm512_mul_pd(x, y);
@@ -132,6 +139,17 @@ instructions! {
     sqrt: _mm512_sqrt_pd(x);
 }
 
+instructions! {
+    f32 x 2 * WIDTH, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_set1_ps, _mm512_cmp_ps_mask;
+    add: _mm512_add_ps(x, y);
+    sub: _mm512_sub_ps(x, y);
+    mul: _mm512_mul_ps(x, y);
+    max: _mm512_max_ps(x, y);
+    min: _mm512_min_ps(x, y);
+    abs: _mm512_abs_ps(x);
+    sqrt: _mm512_sqrt_ps(x);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -139,13 +157,9 @@ mod tests {
     /// The loops.
     struct Plain;
 
-    impl Operations for Plain {}
-
-    impl Set for Plain {
-        fn within<const N: usize>(_: &[f64; N], _: f64) -> u32 {
-            unreachable!("not compared here")
-        }
-    }
+    impl Operations<f64> for Plain {}
+    impl Operations<f32> for Plain {}
+    impl Set for Plain {}
 
     /// The lanes of the least keys, by each set of lanes.
     struct Leasts([f64; 16]);
@@ -159,29 +173,69 @@ mod tests {
         }
     }
 
-    /// What all operations make of two arrays, as bits.
-    struct All([f64; 16], [f64; 16]);
+    /// What all operations make of two arrays, and the bits of what is up to each number of the second.
+    struct All<T>([T; 32], [T; 32]);
 
-    impl Task for All {
-        type Output = [[u64; 16]; 8];
+    macro_rules! all {
+        ($type:ident) => {
+            impl Task for All<$type> {
+                type Output = (Vec<Vec<u64>>, Vec<u32>);
+
+                #[inline(always)]
+                fn run<S: Set>(self) -> Self::Output {
+                    let Self(x, y) = self;
+                    // Infinity less itself has no sign that anybody agreed on.
+                    let finite =
+                        |lanes: [$type; 32]| lanes.map(|x| if x.is_nan() { 0.0 } else { x });
+                    let results = [
+                        finite(S::add(x, y)),
+                        finite(S::sub(x, y)),
+                        finite(S::mul(x, y)),
+                        S::max(x, y),
+                        S::min(x, y),
+                        S::abs(x),
+                        S::sqrt(S::abs(x)),
+                    ];
+                    let bits = |lanes: [$type; 32]| lanes.map(|x| x.to_bits().into()).to_vec();
+                    let within = y.iter().map(|&limit| S::within(&x, limit));
+                    (results.map(bits).to_vec(), within.collect())
+                }
+            }
+        };
+    }
+
+    all!(f64);
+    all!(f32);
+
+    /// All codes as numbers.
+    struct Widened;
+
+    impl Task for Widened {
+        type Output = Vec<f32>;
 
         #[inline(always)]
-        fn run<S: Set>(self) -> Self::Output {
-            let Self(x, y) = self;
-            // Infinity less itself has no sign that anybody agreed on.
-            let finite = |lanes: [f64; 16]| lanes.map(|x| if x.is_nan() { 0.0 } else { x });
-            let results = [
-                finite(S::add(x, y)),
-                finite(S::sub(x, y)),
-                finite(S::mul(x, y)),
-                S::max(x, y),
-                S::min(x, y),
-                S::abs(x),
-                S::sqrt(S::abs(x)),
-                S::widen(x.map(|x| x as f32)),
-            ];
-            results.map(|lanes| lanes.map(f64::to_bits))
+        fn run<S: Set>(self) -> Vec<f32> {
+            let codes: Vec<u16> = (0..=u16::MAX).collect();
+            let lanes = codes
+                .chunks_exact(32)
+                .map(|codes| codes.first_chunk::<32>().unwrap());
+            lanes.flat_map(S::widen).collect()
         }
+    }
+
+    #[test]
+    fn codes_are_the_numbers_that_they_are() {
+        if !is_available() {
+            return;
+        }
+        // SAFETY: the processor was asked for the instructions.
+        let wide = unsafe { run(Widened) };
+        assert!(
+            wide.iter()
+                .zip(0..=u16::MAX)
+                .all(|(&x, code)| x == f32::from(code))
+        );
+        assert_eq!(wide, Widened.run::<Plain>());
     }
 
     #[test]
@@ -222,11 +276,13 @@ mod tests {
             f64::NEG_INFINITY,
         ];
         for shift in 0..8 {
-            let x: [f64; 16] = std::array::from_fn(|lane| numbers[lane % 8]);
-            let y: [f64; 16] = std::array::from_fn(|lane| numbers[(lane + shift) % 8]);
+            let x: [f64; 32] = std::array::from_fn(|lane| numbers[lane % 8]);
+            let y: [f64; 32] = std::array::from_fn(|lane| numbers[(lane + shift) % 8]);
+            let halves = (x.map(|x| x as f32), y.map(|y| y as f32));
             // SAFETY: the processor was asked for the instructions.
-            let wide = unsafe { run(All(x, y)) };
-            assert_eq!(wide, All(x, y).run::<Plain>());
+            let wide = unsafe { (run(All(x, y)), run(All(halves.0, halves.1))) };
+            let plain = All(x, y).run::<Plain>();
+            assert_eq!(wide, (plain, All(halves.0, halves.1).run::<Plain>()));
         }
     }
 }

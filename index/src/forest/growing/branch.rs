@@ -176,9 +176,10 @@ impl Branch {
 
     fn insert(&mut self, point: &mut Arrival<'_>) -> Option<Split> {
         let child = self.route(point.row);
+        let split = self.children[child].insert(point);
         self.widen(child, point.row);
         self.newest[child] = self.newest[child].max(point.revision);
-        let split = self.children[child].insert(point)?;
+        let split = split?;
         let width = point.row.len();
         if !self.children.is_full() {
             self.add(child, split, width);

@@ -102,6 +102,8 @@ impl Growing {
     /// Adds a point whose id is not alive in it.
     pub(super) fn push(&mut self, point: PointRef<'_>) {
         let slot = self.rows();
+        self.arrivals.push(point);
+        self.slots.push(point.id, slot);
         let label = Label {
             id: point.id,
             slot: slot as u32,
@@ -125,8 +127,6 @@ impl Growing {
             self.root = Cell::Branch(Arc::new(branch));
             self.height += 1;
         }
-        self.arrivals.push(point);
-        self.slots.push(point.id, slot);
     }
 
     pub(super) fn get(&self, slot: usize) -> PointRef<'_> {
@@ -213,7 +213,7 @@ impl Growing {
             let reached = walk.leaves_entered() - entered;
             // Leaves are two thirds full.
             let leaves = 3 * self.rows() / self.leaf_rows.saturating_mul(2);
-            self.reach.report(reached, leaves);
+            self.reach.report(2 * reached >= leaves);
         }
     }
 
