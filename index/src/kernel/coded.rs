@@ -118,8 +118,8 @@ impl Coding {
 
     /// The code of a canonical row's number in the coordinate `axis`.
     pub(crate) fn code(&self, axis: usize, number: f64) -> u16 {
-        // (Where the step is 0 this may be no number, which makes 0.)
-        ((number - self.lows[axis]) / self.steps[axis]).round() as u16
+        // Rounds. (Where the step is 0 this may be no number, which makes 0.)
+        ((number - self.lows[axis]) / self.steps[axis] + 0.5) as u16
     }
 
     /// A canonical state, to be asked about.
