@@ -172,20 +172,22 @@ impl<'a> Walk<'a> {
         self.search.filter.since_revision
     }
 
-    /// The bits of the points of a block, of which these are the codes, that may matter.
+    /// The bits of the points of a block that may matter, of which these are the `codes`. The state is `asked` in their steps
+    /// once it has to be.
     #[inline(always)]
-    pub(crate) fn may_matter<S: Set>(&self, asked: &Asked<'_>, codes: &[u16]) -> u32 {
+    pub(crate) fn may_matter<S: Set>(
+        &self,
+        coding: &'a Coding,
+        asked: &mut Option<Asked<'a>>,
+        codes: &[u16],
+    ) -> u32 {
         let limit = self.limit();
         if limit == f64::INFINITY {
             return !0;
         }
+        let asked = asked.get_or_insert_with(|| coding.ask(self.space, self.state));
         let limit = self.scale.loosened(limit, asked.error());
         kernel::coded::<S>(self.space, asked, codes, limit)
-    }
-
-    /// The state, to be compared with points that have codes.
-    pub(crate) fn asks(&self, coding: &'a Coding) -> Asked<'a> {
-        coding.ask(self.space, self.state)
     }
 
     /// Bounds the points in the first `lanes` of a block, and keeps those that are near enough, `visible`, and pass the

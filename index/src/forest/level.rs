@@ -1,36 +1,12 @@
 //! One level of a forest.
 
-use std::{iter::Peekable, sync::Arc};
+use std::sync::Arc;
 
 use super::{growing::Growing, packed::Packed};
 use crate::{PointRef, Points, kernel::Set, search::Walk};
 
 /// Points by ascending id.
 pub(super) type InOrder<'a> = Box<dyn Iterator<Item = PointRef<'a>> + Send + 'a>;
-
-/// Merges points in the order of their ids, each of which is in one part.
-pub(super) struct Ascending<'a> {
-    parts: Vec<Peekable<InOrder<'a>>>,
-}
-
-impl<'a> Ascending<'a> {
-    pub(super) fn new(parts: impl IntoIterator<Item = InOrder<'a>>) -> Self {
-        Self {
-            parts: parts.into_iter().map(Iterator::peekable).collect(),
-        }
-    }
-}
-
-impl<'a> Iterator for Ascending<'a> {
-    type Item = PointRef<'a>;
-
-    fn next(&mut self) -> Option<PointRef<'a>> {
-        let parts = self.parts.iter_mut();
-        let ids = parts.map(|part| part.peek().map_or(u64::MAX, |point| point.id));
-        let (least, _) = ids.enumerate().min_by_key(|&(_, id)| id)?;
-        self.parts[least].next()
-    }
-}
 
 /// Shared by count between the forest, its snapshots and the merges under way.
 #[derive(Debug)]

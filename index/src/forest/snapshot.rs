@@ -1,11 +1,8 @@
 //! One frozen revision of a forest.
 
-use std::sync::Arc;
+use std::{iter::Peekable, sync::Arc};
 
-use super::{
-    growing::Growing,
-    level::{Ascending, Level},
-};
+use super::{growing::Growing, level::Level};
 use crate::{
     Answer, Kernels, PointRef, Search, Space,
     kernel::{Scale, Set, Task},
@@ -86,7 +83,9 @@ impl Snapshot {
         let levels = self.levels.iter();
         let levels = levels.map(|level| level.points_after(after, self.revision));
         let growing = self.growing.points_after(after, self.revision);
-        Ascending::new(levels.chain([growing]))
+        Ascending {
+            parts: levels.chain([growing]).map(Iterator::peekable).collect(),
+        }
     }
 
     /// An estimate of the bytes it keeps alive.
@@ -115,5 +114,22 @@ impl Task for SearchSnapshot<'_> {
         }
         snapshot.growing.visit::<S>(&mut walk, snapshot.revision);
         walk.finish()
+    }
+}
+
+/// Merges the points of several levels in the order of their ids.
+struct Ascending<I: Iterator> {
+    parts: Vec<Peekable<I>>,
+}
+
+impl<'a, I: Iterator<Item = PointRef<'a>>> Iterator for Ascending<I> {
+    type Item = PointRef<'a>;
+
+    fn next(&mut self) -> Option<PointRef<'a>> {
+        let parts = self.parts.iter_mut();
+        let ids = parts.map(|part| part.peek().map(|point| point.id));
+        let ids = ids.enumerate().filter_map(|(at, id)| Some((id?, at)));
+        let (_, least) = ids.min()?;
+        self.parts[least].next()
     }
 }

@@ -255,7 +255,7 @@ impl Build<'_> {
 }
 
 /// Makes a box hold a row.
-pub(super) fn widen(lo: &mut [f64], hi: &mut [f64], row: &[f64]) {
+fn widen(lo: &mut [f64], hi: &mut [f64], row: &[f64]) {
     for ((lo, hi), &x) in lo.iter_mut().zip(hi).zip(row) {
         *lo = lo.min(x);
         *hi = hi.max(x);

@@ -1,8 +1,8 @@
 //! The query: the nearest children of a node first, all that cannot matter skipped by their bounds.
 
-use super::{KdTree, rounded::Rounded};
+use super::{KdTree, rounded::PAIR};
 use crate::{
-    kernel::{Asked, BLOCK, CODES, Set, prefetch},
+    kernel::{Asked, BLOCK, Set, prefetch},
     search::{Ahead, Walk},
 };
 
@@ -46,12 +46,9 @@ impl KdTree {
         }
         // (What has no more than a node of leaves is read soon enough either way.)
         let plain = walk.is_plain() && self.height > 1;
-        let asked = self.rounded.as_ref().map(|rounded| {
-            let asked = walk.asks(rounded.coding());
-            (rounded, asked)
-        });
+        let mut asked = None;
         if plain && self.reach.is_far() {
-            self.visit_all::<S>(walk, asked.as_ref(), &visible);
+            self.visit_all::<S>(walk, &mut asked, &visible);
             return;
         }
         let entered = walk.leaves_entered();
@@ -64,7 +61,7 @@ impl KdTree {
         while let Some(Place { index, height }) = next {
             let index = index as usize;
             if height == 0 {
-                self.visit_leaf::<S>(walk, asked.as_ref(), index, &visible);
+                self.visit_leaf::<S>(walk, &mut asked, index, &visible);
             } else {
                 let node = self.nodes[index];
                 let (boxes, lanes) = (self.boxes(index), !(!0 << node.count));
@@ -91,17 +88,17 @@ impl KdTree {
         }
     }
 
-    /// All leaves in the order of memory.
+    /// All leaves in the order of memory, or two at once.
     #[inline(always)]
     fn visit_all<'a, S: Set>(
         &'a self,
         walk: &mut Walk<'a>,
-        asked: Option<&(&Rounded, Asked<'_>)>,
+        asked: &mut Option<Asked<'a>>,
         visible: &impl Fn(usize) -> bool,
     ) {
-        let Some((rounded, asked)) = asked else {
+        let Some(rounded) = &self.rounded else {
             for leaf in 0..self.leaves() {
-                self.visit_leaf::<S>(walk, None, leaf, visible);
+                self.visit_leaf::<S>(walk, asked, leaf, visible);
             }
             return;
         };
@@ -109,10 +106,10 @@ impl KdTree {
             if !walk.enters_leaf() {
                 return;
             }
-            let near = walk.may_matter::<S>(asked, codes);
-            for half in 0..CODES / BLOCK {
+            let near = walk.may_matter::<S>(rounded.coding(), asked, codes);
+            for half in 0..PAIR {
                 if near >> (half * BLOCK) & ONE_BLOCK != 0 {
-                    self.visit_block::<S>(walk, at * (CODES / BLOCK) + half, visible);
+                    self.visit_block::<S>(walk, at * PAIR + half, visible);
                 }
             }
         }
@@ -122,7 +119,7 @@ impl KdTree {
     fn visit_leaf<'a, S: Set>(
         &'a self,
         walk: &mut Walk<'a>,
-        asked: Option<&(&Rounded, Asked<'_>)>,
+        asked: &mut Option<Asked<'a>>,
         leaf: usize,
         visible: &impl Fn(usize) -> bool,
     ) {
@@ -130,9 +127,10 @@ impl KdTree {
             return;
         }
         for at in self.leaf_blocks(leaf) {
-            if let Some((rounded, asked)) = asked {
+            if let Some(rounded) = &self.rounded {
                 let (codes, first) = rounded.codes(at);
-                if walk.may_matter::<S>(asked, codes) >> first & ONE_BLOCK == 0 {
+                let near = walk.may_matter::<S>(rounded.coding(), asked, codes);
+                if near >> first & ONE_BLOCK == 0 {
                     continue;
                 }
             }

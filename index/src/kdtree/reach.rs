@@ -26,7 +26,7 @@ impl Reach {
         state > TRIES
     }
 
-    /// A search that descended has reached so many leaves as take as long as reading all would, or fewer.
+    /// Tells whether a search that descended has reached so `many` leaves that reading all would have taken less time.
     pub(crate) fn report(&self, many: bool) {
         let state = self.0.load(Relaxed);
         if many {

@@ -5,14 +5,16 @@
 //! moved by what rounding may have moved it, is near enough.
 
 use crate::{
-    Points, Space,
+    Kernels, Points, Space,
     blocks::Blocks,
-    kdtree::build::widen,
     kernel::{BLOCK, CODES, Coding},
 };
 
+/// How many blocks of rows a block of codes is of.
+pub(super) const PAIR: usize = CODES / BLOCK;
+
 /// From so many dimensions on rows are read more than boxes.
-const LEAST_DIMENSION: usize = 8;
+const LEAST_DIMENSION: usize = 9;
 
 /// With a weight above this, of two points that are nearly the same one may be farther than `f64` can tell.
 const MOST_WEIGHT: f64 = 1e200;
@@ -31,25 +33,22 @@ impl Rounded {
     /// range.
     pub(super) fn where_it_helps(space: &Space, points: &Points, blocks: &Blocks) -> Option<Self> {
         let is_heavy = space.parts().iter().any(|part| part.weight > MOST_WEIGHT);
-        if space.dimension() < LEAST_DIMENSION || is_heavy {
+        // Without wide registers, to read codes takes longer than to read rows.
+        let is_wide = Kernels::default().are_wide();
+        if space.dimension() < LEAST_DIMENSION || is_heavy || !is_wide {
             return None;
         }
         Self::new(space, points, blocks)
     }
 
     fn new(space: &Space, points: &Points, blocks: &Blocks) -> Option<Self> {
+        let coding = Coding::of(space, points)?;
         let width = space.coordinates();
-        let (mut least, mut greatest) =
-            (vec![f64::INFINITY; width], vec![f64::NEG_INFINITY; width]);
-        for point in points.iter() {
-            widen(&mut least, &mut greatest, point.row);
-        }
-        let coding = Coding::of(space, &least, &greatest)?;
-        let blocks_of = blocks.numbers().len() / (width * BLOCK);
-        let mut codes = vec![0; blocks_of.div_ceil(CODES / BLOCK) * width * CODES];
-        for (at, column) in blocks.numbers().chunks_exact(BLOCK).enumerate() {
+        let columns = blocks.numbers().chunks_exact(BLOCK);
+        let mut codes = vec![0; columns.len().div_ceil(PAIR * width) * width * CODES];
+        for (at, column) in columns.enumerate() {
             let (block, axis) = (at / width, at % width);
-            let start = block / 2 * width * CODES + axis * CODES + block % 2 * BLOCK;
+            let start = (block / PAIR * width + axis) * CODES + block % PAIR * BLOCK;
             for (code, &x) in codes[start..].iter_mut().zip(column) {
                 *code = coding.code(axis, x);
             }
@@ -63,8 +62,8 @@ impl Rounded {
 
     /// The block of codes that those of a block of rows lie in, and their first place there.
     pub(super) fn codes(&self, block: usize) -> (&[u16], usize) {
-        let (at, half) = (block * BLOCK / CODES, block * BLOCK % CODES);
-        (&self.codes[at * self.block_len..][..self.block_len], half)
+        let codes = &self.codes[block / PAIR * self.block_len..][..self.block_len];
+        (codes, block % PAIR * BLOCK)
     }
 
     /// All blocks of codes, one after the other.
@@ -132,6 +131,37 @@ mod tests {
     }
 
     #[test]
+    fn nothing_is_lost_where_a_coordinate_weighs_so_much_that_its_square_vanishes() {
+        for (space, narrow, query) in [
+            ("R15*R1:1e160", 1e-90, 1.5e-162),
+            ("R15*R1:1e200", 1e-90, 1e-163),
+            ("R16:1e200", 1e-195, 1e-163),
+            ("R16:1e130", 1e-157, 1e-163),
+            ("sum((R7*R1:1e200), R8)", 1e-90, 1.5e-162),
+        ] {
+            let space: Space = space.parse().unwrap();
+            let width = space.coordinates();
+            let row = |narrow: f64, last: f64| {
+                let mut row = vec![narrow; width];
+                row[width - 1] = last;
+                row
+            };
+            let mut points = Points::new(width);
+            for id in 0..50 {
+                points.push(id, 0, 1, &row(narrow * (id % 7) as f64, 0.0));
+            }
+            let asked = row(narrow, query);
+            let tree = KdTree::new(space.clone(), points.clone(), BLOCK);
+            for radius in points.iter().map(|point| space.distance(point.row, &asked)) {
+                let near = |row: &[f64]| space.distance(row, &asked) <= radius;
+                let expected = points.iter().filter(|point| near(point.row)).count();
+                let found = tree.search(&asked, &Search::nearest_r(radius)).neighbors;
+                assert_eq!(found.len(), expected, "{space} {radius}");
+            }
+        }
+    }
+
+    #[test]
     fn rows_are_rounded_where_that_helps() {
         let rounded = |space: &str, number: f64| {
             let space: Space = space.parse().unwrap();
@@ -144,10 +174,11 @@ mod tests {
             }
             Rounded::where_it_helps(&space, &points, &blocks).is_some()
         };
-        assert!(rounded("R8", 1.0) && rounded("R8", 1e90));
-        assert!(!rounded("R7", 1.0));
+        let wide = Kernels::default().are_wide();
+        assert_eq!([rounded("R9", 1.0), rounded("R9", 1e90)], [wide; 2]);
+        assert!(!rounded("R8", 1.0));
         // Keys in steps would be out of range.
-        assert!(!rounded("R8", 1e140) && !rounded("R8", 1e-140) && !rounded("R8:1e201", 1.0));
-        assert!(!rounded("R8", 0.0));
+        assert!(!rounded("R9", 1e140) && !rounded("R9", 1e-140) && !rounded("R9:1e201", 1.0));
+        assert!(!rounded("R9", 0.0));
     }
 }

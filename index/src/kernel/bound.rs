@@ -30,11 +30,13 @@ pub(super) trait Terms<T: Number, const N: usize> {
     fn term<S: Set>(&self, place: usize, part: &Part) -> Lanes<S, T, N>;
 
     /// What such a squared distance counts.
+    #[inline(always)]
     fn weight(&self, _: usize, part: &Part) -> T {
         T::near(part.weight)
     }
 
     /// What the root of a group's sum counts, where there are several.
+    #[inline(always)]
     fn group_weight(&self, space: &Space, group: usize) -> T {
         T::near(space.groups()[group].weight)
     }
@@ -176,9 +178,9 @@ pub(super) fn angle_2<S, T: Number, const N: usize>(s: Lanes<S, T, N>) -> Lanes<
 where
     S: Operations<T>,
 {
-    // (No closure in this: see `Terms`.)
-    let [c1, c2, c3] = SO3_SERIES.map(T::near);
-    let [c1, c2, c3] = [Lanes::splat(c1), Lanes::splat(c2), Lanes::splat(c3)];
+    let [c1, c2, c3] = SO3_SERIES;
+    let [c1, c2] = [Lanes::splat(T::near(c1)), Lanes::splat(T::near(c2))];
+    let c3 = Lanes::splat(T::near(c3));
     // By halves that do not wait for each other (Estrin's scheme).
     s * ((Lanes::splat(T::near(1.0)) + s * c1) + (s * s) * (c2 + s * c3))
 }

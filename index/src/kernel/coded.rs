@@ -3,17 +3,20 @@
 //! Analysis and Performance Study for Similarity-Search Methods in High-Dimensional Spaces", VLDB 1998.)
 //!
 //! All is computed in steps, as `f32`. **Rounding:** codes are of points that have moved, by no more than
-//! [`Coding::error`], a distance; only rotations, whose bound is of cosines, allow for that themselves. With u = 2⁻²⁴, a
+//! [`Asked::error`], a distance; only rotations, whose bound is of cosines, allow for that themselves. With u = 2⁻²⁴, a
 //! state in steps is off by u of itself, and so is its difference from a code: together by less than a hundredth of a step up
 //! to 2¹⁷ steps, which counts as moved, too, and by less than 5u of the difference where it is greater. All else is relative,
 //! since no sum of squares cancels: u for each coordinate that is added, 2u for each factor, and less than 32u for the rest.
+//!
+//! Few points may lie far from all others: codes end where those do, and points beyond stand at the end. That brings none
+//! farther from a state that is brought to the same end.
 
 use super::{
     bound::{Terms, angle_2},
     compiled::Set,
     lanes::Lanes,
 };
-use crate::{Factor, Space, space::Part};
+use crate::{Factor, Points, Space, space::Part};
 
 /// How many points a block of codes has: those of two other blocks, which take about as long as one, and of each coordinate
 /// a line of a cache.
@@ -22,7 +25,7 @@ pub(crate) const CODES: usize = 32;
 /// The greatest code.
 const MOST: f64 = u16::MAX as f64;
 
-/// How far a coordinate may have moved, in steps: by half of one, and what differences are off by.
+/// How far a coordinate may have moved, in steps: by half of one, and a hundredth for each of two differences.
 const MOVED: f64 = 0.52;
 
 /// How far a squared chord may lie below 2 − 2·|x·y|: twice of what a cosine loses. By codes that is the length of half a
@@ -30,21 +33,29 @@ const MOVED: f64 = 0.52;
 /// nearer than 9e-3 to each other.
 const COSINE_SLACK: f64 = 8e-5;
 
-/// What lies farther outside, in steps, is as good as here: bounded from below, and squared in range.
+/// A state that lies farther outside counts as if it lay here, which is nearer: so many steps have a square in range.
 const FARTHEST: f64 = (1_u64 << 50) as f64;
 
 /// No step need be worth less than this part of another: that would tell nothing more, and of points that lie at one place
 /// in a factor, any other place would be out of reach.
 const FINEST: f64 = 1e-3;
 
-/// What counts less than this part of what counts most is left out.
-const LEAST_WEIGHT: f64 = 1e-30;
+/// A factor whose squared step counts less than this part of the one that counts most is left out.
+const LEAST_SHARE: f64 = 1e-30;
 
-/// The keys that 1 may stand for: with others, products may be out of range.
+/// The squared steps, and the keys, that 1 may stand for: with others, products may be out of range.
 const UNITS: std::ops::Range<f64> = 1e-200..1e200;
 
-/// More than what sums of `f32` lose where that is not relative.
+/// More than what sums of `f32` lose where that is not relative. (What a root then loses is far less than a hundredth of a
+/// step.)
 const LEAST_KEY: f32 = 1e-36;
+
+/// So many points tell where nearly all of them lie: between what is left of a fiftieth of them on either side, ...
+const SAMPLE: usize = 512;
+const TAIL: usize = 50;
+
+/// ... and so many times the distance of those beyond.
+const BEYOND: f64 = 1.0;
 
 /// What the codes of some points mean.
 #[derive(Clone, Debug)]
@@ -53,11 +64,11 @@ pub(crate) struct Coding {
     lows: Vec<f64>,
     /// How far apart codes are, of each coordinate; 0 only where that does not count.
     steps: Vec<f64>,
-    /// What a squared step counts, of each factor, where the one that counts most counts 1.
+    /// Between which steps a state may be, of each coordinate: no farther than the last code where points lie beyond.
+    within: Vec<[f64; 2]>,
+    /// What a squared step counts, of each factor, as a part of the one that counts most.
     weights: Vec<f32>,
-    /// The same of groups, where there are several.
-    group_weights: Vec<f32>,
-    /// What key a 1 stands for.
+    /// The key that 1 stands for.
     unit: f64,
     /// What keys may be too high by.
     margin: f64,
@@ -65,50 +76,59 @@ pub(crate) struct Coding {
 }
 
 impl Coding {
-    /// Of canonical rows, whose numbers lie from `least` to `greatest`; None where numbers or weights are out of range.
-    pub(crate) fn of(space: &Space, least: &[f64], greatest: &[f64]) -> Option<Self> {
-        let parts = space.parts();
-        let fine = parts.iter().map(|part| step(part, least, greatest));
-        // What a unit is worth in the metric.
+    /// Of canonical rows; None where numbers or weights are out of range.
+    pub(crate) fn of(space: &Space, points: &Points) -> Option<Self> {
+        let spans = spans(points);
+        // What a unit is worth in the metric, and then a step of each factor.
         let worth = |part: &Part| space.groups()[part.group].weight * part.weight.sqrt();
-        let worths = parts.iter().map(worth).zip(fine.clone());
-        let most = worths.fold(0.0, |most, (worth, step)| (worth * step).max(most));
-        let (mut lows, mut steps, mut squares) = (Vec::new(), Vec::new(), Vec::new());
-        for (part, mut step) in parts.iter().zip(fine) {
+        let fine = |part: &Part| worth(part) * step(part, &spans);
+        let finest = FINEST * space.parts().iter().map(fine).fold(0.0, f64::max);
+        let (mut lows, mut steps, mut within) = (Vec::new(), Vec::new(), Vec::new());
+        let mut squares = Vec::new();
+        for part in space.parts() {
             let axes = part.offset..part.offset + part.factor.coordinates();
+            let mut step = step(part, &spans);
+            let mut square = (worth(part) * step).powi(2);
             match part.factor {
                 Factor::RealVector(_) => {
-                    if part.weight > 0.0 {
-                        step = step.max(FINEST * most / worth(part));
+                    if worth(part) > 0.0 {
+                        step = step.max(finest / worth(part));
+                        square = (worth(part) * step).powi(2);
                     }
-                    lows.extend_from_slice(&least[axes]);
-                    squares.push((part.weight.sqrt() * step).powi(2));
+                    lows.extend(spans[axes.clone()].iter().map(|span| span.low));
+                    within.extend(spans[axes].iter().map(Span::within));
                 }
                 Factor::SO2 { period } => {
                     lows.push(-period / 2.0);
-                    squares.push((part.weight.sqrt() * step).powi(2));
+                    within.push([0.0, MOST]);
                 }
                 Factor::SO3 => {
                     lows.extend([-1.0; 4]);
-                    squares.push(part.weight);
+                    within.extend([[0.0, MOST]; 4]);
+                    // Cosines are not in steps.
+                    square = worth(part).powi(2);
                 }
             }
             steps.resize(lows.len(), step);
+            squares.push(square);
         }
-        let group_weights: Vec<f64> = space.groups().iter().map(|group| group.weight).collect();
-        let (weights, heaviest) = shares(&squares);
-        let (group_weights, heaviest_group) = shares(&group_weights);
-        let unit = match space.groups() {
-            [_] => heaviest,
-            _ => heaviest_group * heaviest.sqrt(),
+        let heaviest = squares.iter().copied().fold(0.0, f64::max);
+        let share = |square: &f64| match square / heaviest {
+            share if share < LEAST_SHARE => 0.0,
+            share => share as f32,
         };
-        let roundings = space.coordinates() + 2 * parts.len() + 32;
+        let weights: Vec<f32> = squares.iter().map(share).collect();
+        let unit = match space.groups() {
+            [group] => heaviest / (group.weight * group.weight),
+            _ => heaviest.sqrt(),
+        };
+        let roundings = space.coordinates() + 2 * space.parts().len() + 32;
         let coding = Self {
-            error: error(space, &lows, &steps, &weights),
+            error: error(space, &steps, &weights),
             lows,
             steps,
+            within,
             weights,
-            group_weights,
             unit,
             margin: 1.0 + roundings as f64 * 2f64.powi(-24),
         };
@@ -127,14 +147,14 @@ impl Coding {
         let (mut numbers, mut products) = (Vec::with_capacity(state.len()), Vec::new());
         for part in space.parts() {
             let axes = part.offset..part.offset + part.factor.coordinates();
-            let lows = self.lows[axes.clone()].iter();
-            let coded = lows.zip(&self.steps[axes.clone()]);
             let mut product = 0.0;
-            for (&x, (&low, &step)) in state[axes].iter().zip(coded) {
+            for (axis, &x) in axes.clone().zip(&state[axes]) {
+                let (low, step, [least, most]) =
+                    (self.lows[axis], self.steps[axis], self.within[axis]);
                 numbers.push(match part.factor {
                     Factor::SO3 => x * step,
                     _ if step == 0.0 => 0.0,
-                    _ => ((x - low) / step).clamp(-FARTHEST, FARTHEST),
+                    _ => ((x - low) / step).clamp(least, most),
                 } as f32);
                 product += x * low;
             }
@@ -148,12 +168,65 @@ impl Coding {
     }
 }
 
+/// Where codes begin and end in a coordinate.
+#[derive(Debug)]
+struct Span {
+    low: f64,
+    high: f64,
+    /// Whether points lie below and above.
+    beyond: [bool; 2],
+}
+
+/// The spans of all coordinates.
+fn spans(points: &Points) -> Vec<Span> {
+    let width = points.coordinates();
+    let mut ends = vec![(f64::INFINITY, f64::NEG_INFINITY); width];
+    for point in points.iter() {
+        for ((least, greatest), &x) in ends.iter_mut().zip(point.row) {
+            (*least, *greatest) = (least.min(x), greatest.max(x));
+        }
+    }
+    let sample = points.iter().step_by(points.len().div_ceil(SAMPLE).max(1));
+    let sample: Vec<&[f64]> = sample.map(|point| point.row).collect();
+    let spans = ends.into_iter().enumerate();
+    let spans =
+        spans.map(|(axis, ends)| Span::of(ends, sample.iter().map(|row| row[axis]).collect()));
+    spans.collect()
+}
+
+impl Span {
+    /// Of numbers from `least` to `greatest`, by a sample of them.
+    fn of((least, greatest): (f64, f64), mut sample: Vec<f64>) -> Self {
+        sample.sort_unstable_by(f64::total_cmp);
+        let tail = sample.len() / TAIL;
+        let [low, high] = [tail, sample.len() - 1 - tail].map(|at| sample[at]);
+        let more = BEYOND * (high - low);
+        // (Where nearly all are equal, the others are what there is to tell apart.)
+        let (low, high) = match more > 0.0 {
+            true => (least.max(low - more), greatest.min(high + more)),
+            false => (least, greatest),
+        };
+        let beyond = [least < low, greatest > high];
+        Self { low, high, beyond }
+    }
+
+    /// Between which steps a state may be.
+    fn within(&self) -> [f64; 2] {
+        let [below, above] = self.beyond;
+        [
+            if below { 0.0 } else { -FARTHEST },
+            if above { MOST } else { FARTHEST },
+        ]
+    }
+}
+
 /// How far apart the codes of a factor are. Any two of its coordinates add up: they have one step.
-fn step(part: &Part, least: &[f64], greatest: &[f64]) -> f64 {
-    let axes = part.offset..part.offset + part.factor.coordinates();
+fn step(part: &Part, spans: &[Span]) -> f64 {
+    let spans = &spans[part.offset..][..part.factor.coordinates()];
     let span = match part.factor {
-        Factor::RealVector(_) => axes
-            .map(|axis| greatest[axis] - least[axis])
+        Factor::RealVector(_) => spans
+            .iter()
+            .map(|span| span.high - span.low)
             .fold(0.0, f64::max),
         Factor::SO2 { period } => period,
         Factor::SO3 => 2.0,
@@ -161,28 +234,14 @@ fn step(part: &Part, least: &[f64], greatest: &[f64]) -> f64 {
     span / MOST
 }
 
-/// Weights as parts of the greatest, and that.
-fn shares(weights: &[f64]) -> (Vec<f32>, f64) {
-    let heaviest = weights.iter().copied().fold(0.0, f64::max);
-    let shares = weights.iter().map(|weight| weight / heaviest);
-    let shares = shares.map(|share| match share < LEAST_WEIGHT {
-        true => 0.0,
-        false => share as f32,
-    });
-    (shares.collect(), heaviest)
-}
-
-/// How far a state moves whose coordinates move by [`MOVED`] and by what a step is off by, but for its rotations.
-fn error(space: &Space, lows: &[f64], steps: &[f64], weights: &[f32]) -> f64 {
+/// How far a state moves whose coordinates move by [`MOVED`], but for its rotations; and what squares lose that are out of
+/// range.
+fn error(space: &Space, steps: &[f64], weights: &[f32]) -> f64 {
     let (mut total, mut sum_2) = (0.0, 0.0);
     for (place, part) in space.parts().iter().enumerate() {
         if weights[place] > 0.0 && part.factor != Factor::SO3 {
-            let axes = part.offset..part.offset + part.factor.coordinates();
-            let moved = axes.map(|axis| {
-                let farthest = lows[axis].abs() + steps[axis] * MOST;
-                MOVED * steps[axis] + 4.0 * f64::EPSILON * farthest
-            });
-            sum_2 += part.weight * moved.map(|d| d * d).sum::<f64>();
+            let moved = MOVED * steps[part.offset] + f64::MIN_POSITIVE.sqrt();
+            sum_2 += part.weight * moved * moved * part.factor.coordinates() as f64;
         }
         if part.ends_group {
             total += space.groups()[part.group].weight * sum_2.sqrt();
@@ -258,9 +317,10 @@ impl Terms<f32, CODES> for Coded<'_> {
         self.asked.coding.weights[place]
     }
 
+    /// Their weights are in those of their factors.
     #[inline(always)]
-    fn group_weight(&self, _: &Space, group: usize) -> f32 {
-        self.asked.coding.group_weights[group]
+    fn group_weight(&self, _: &Space, _: usize) -> f32 {
+        1.0
     }
 }
 
@@ -319,6 +379,7 @@ mod tests {
             seed: u64,
             far in prop_oneof![Just(1.0), Just(1e-9), Just(1e9), Just(1e60)],
             away in prop_oneof![Just(1.0), Just(1.0), Just(1e4), Just(1e9)],
+            outlier in prop_oneof![Just(1.0), Just(1.0), Just(-1e3), Just(1e9)],
         ) {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let space = space(&mut rng);
@@ -329,21 +390,21 @@ mod tests {
                     for row in rows.iter_mut().chain([&mut query]) {
                         row[axes.clone()].iter_mut().for_each(|x| *x *= far);
                     }
-                    query[axes].iter_mut().for_each(|x| *x *= away);
+                    query[axes.clone()].iter_mut().for_each(|x| *x *= away);
+                    rows[0][axes].iter_mut().for_each(|x| *x *= outlier);
                 }
             }
-            let end = |axis: usize, start: f64, pick: fn(f64, f64) -> f64| {
-                rows.iter().map(|row| row[axis]).fold(start, pick)
-            };
-            let axes = 0..space.coordinates();
-            let least: Vec<f64> = axes.clone().map(|axis| end(axis, f64::INFINITY, f64::min)).collect();
-            let greatest: Vec<f64> = axes.clone().map(|axis| end(axis, f64::NEG_INFINITY, f64::max)).collect();
-            let Some(coding) = Coding::of(&space, &least, &greatest) else {
+            let mut points = Points::new(space.coordinates());
+            // One of the first and four of each other: the first may lie beyond the codes.
+            for (id, row) in (0..).zip(rows.iter().chain(&rows[1..]).chain(&rows[1..]).chain(&rows[1..])) {
+                points.push(id, 0, 1, row);
+            }
+            let Some(coding) = Coding::of(&space, &points) else {
                 // All numbers that count are equal.
                 prop_assert!(rows.iter().all(|row| space.distance(row, &rows[0]) == 0.0), "{}", space);
                 return Ok(());
             };
-            let codes: Vec<u16> = axes
+            let codes: Vec<u16> = (0..space.coordinates())
                 .flat_map(|axis| rows.iter().map(move |row| (axis, row[axis])))
                 .map(|(axis, x)| coding.code(axis, x))
                 .collect();
@@ -354,8 +415,8 @@ mod tests {
             };
             for (lane, row) in rows.iter().enumerate() {
                 let distance = space.distance(&query, row);
-                // What is lost is what codes may move a point, and what small rotations are worth; very far outside, more.
-                let is_far = distance > 1e9 * asked.error();
+                // What is lost is what codes may move a point, and what small rotations are worth; outside, more.
+                let is_far = outlier != 1.0 || distance > 1e9 * asked.error();
                 let nearer = 0.98 * distance - small_rotations(&space) - 4.0 * asked.error();
                 let mut portable = None;
                 for kernels in Kernels::available() {

@@ -18,7 +18,12 @@ pub(crate) trait Set: Operations<f64> + Operations<f32> {
     /// Codes as numbers.
     #[inline(always)]
     fn widen<const N: usize>(codes: &[u16; N]) -> [f32; N] {
-        codes.map(f32::from)
+        // (Not `map`, of which a part would be compiled by itself, for the oldest processor.)
+        let mut numbers = [0.0; N];
+        for (number, &code) in numbers.iter_mut().zip(codes) {
+            *number = f32::from(code);
+        }
+        numbers
     }
 
     /// The lane of the least of the keys that `left` has bits of, at least one; the first one if several are equal.

@@ -72,6 +72,11 @@ impl Kernels {
         self.name
     }
 
+    /// Whether they compute with wider registers than every processor has.
+    pub(crate) fn are_wide(&self) -> bool {
+        !matches!(self.set, compiled::Compiled::Portable)
+    }
+
     /// All that this processor can run, the portable one first and the best one last.
     pub fn available() -> &'static [Kernels] {
         static AVAILABLE: OnceLock<Vec<Kernels>> = OnceLock::new();

@@ -18,10 +18,7 @@ mod validate;
 
 use std::sync::Arc;
 
-use super::{
-    level::{Ascending, InOrder},
-    tombstones::Tombstones,
-};
+use super::{level::InOrder, tombstones::Tombstones};
 use crate::{
     PointRef, Space,
     kdtree::{Reach, scales},
@@ -145,12 +142,9 @@ impl Growing {
 
     /// What a reader at `revision` sees of the ids above `after`, in their order.
     pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> InOrder<'_> {
-        let seen = move |&slot: &usize| self.sees(slot, revision);
-        let ascending = self.slots.ascending(after, &self.arrivals).filter(seen);
-        let others = self.slots.others(after).filter(seen);
-        let ascending: InOrder<'_> = Box::new(ascending.map(|slot| self.get(slot)));
-        let others: InOrder<'_> = Box::new(others.map(|slot| self.get(slot)));
-        Box::new(Ascending::new([ascending, others]))
+        let slots = self.slots.after(after, &self.arrivals);
+        let seen = slots.filter(move |&slot| self.sees(slot, revision));
+        Box::new(seen.map(|slot| self.get(slot)))
     }
 
     /// Removes the point in `slot` as of `revision`.

@@ -1,6 +1,6 @@
 //! The way from an id to its point.
 
-use std::ops::{Bound, Range};
+use std::ops::Bound;
 
 use imbl::OrdMap;
 
@@ -10,7 +10,8 @@ use crate::search::Table;
 /// The latest slot of each id.
 ///
 /// Ids that come in ascending order, as those that the server assigns do, need no map: their points are in the order of
-/// their ids. (With a map for all of them, an insert in R3 took half as long again, under a snapshot too.)
+/// their ids. (With a map for all of them, an insert in R3 took half as long again, under a snapshot too.) The first id that is
+/// less than one before it, and all that come later, are in the map.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Slots {
     /// So many points, from the first, came in ascending order of their ids.
@@ -45,17 +46,23 @@ impl Slots {
         (slot < self.ascending && arrivals.id(slot) == id).then_some(slot)
     }
 
-    /// The slots of the ids above `after` that came in ascending order. Of an id that came again later, it is dead.
-    pub(super) fn ascending(&self, after: Option<u64>, arrivals: &Arrivals) -> Range<usize> {
+    /// The slots of the ids above `after`, in the order of the ids. An id that came again may be there twice: only the latest is
+    /// alive.
+    pub(super) fn after(
+        &self,
+        after: Option<u64>,
+        arrivals: &Arrivals,
+    ) -> impl Iterator<Item = usize> {
         let first = after.map_or(0, |after| self.first(arrivals, |id| id > after));
-        first..self.ascending
-    }
-
-    /// The latest slots of the others above `after`, in the order of their ids.
-    pub(super) fn others(&self, after: Option<u64>) -> impl Iterator<Item = usize> + Send {
+        let mut ascending = (first..self.ascending).peekable();
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
-        let slots = self.others.range((start, Bound::Unbounded));
-        slots.map(|(_, &slot)| slot as usize)
+        let others = self.others.range((start, Bound::Unbounded));
+        let mut others = others.map(|(&id, &slot)| (id, slot as usize)).peekable();
+        std::iter::from_fn(move || match (ascending.peek(), others.peek()) {
+            (Some(&slot), Some(&(id, _))) if arrivals.id(slot) < id => ascending.next(),
+            (_, Some(_)) => others.next().map(|(_, slot)| slot),
+            (_, None) => ascending.next(),
+        })
     }
 
     /// The first of the slots with ascending ids whose id is `beyond`, as are all after it; else the one after the last.
@@ -119,10 +126,8 @@ mod tests {
                 assert_eq!(slots.find(id, &arrivals), expected, "{descents}, {id}");
             }
             for after in [None].into_iter().chain((0..1000).step_by(7).map(Some)) {
-                let ascending = slots.ascending(after, &arrivals);
-                let mut found: Vec<usize> = ascending.chain(slots.others(after)).collect();
+                let mut found: Vec<usize> = slots.after(after, &arrivals).collect();
                 found.retain(|&slot| latest[&ids[slot]] == slot);
-                found.sort_unstable_by_key(|&slot| ids[slot]);
                 let expected = latest.iter().filter(|&(&id, _)| after < Some(id));
                 let expected: Vec<usize> = expected.map(|(_, &slot)| slot).collect();
                 assert_eq!(found, expected, "{descents}, {after:?}");
@@ -143,7 +148,6 @@ mod tests {
     fn no_points_have_no_ids() {
         let (slots, arrivals) = noted(&[]);
         assert_eq!(slots.find(0, &arrivals), None);
-        assert_eq!(slots.ascending(None, &arrivals).count(), 0);
-        assert_eq!(slots.others(None).count(), 0);
+        assert_eq!(slots.after(None, &arrivals).count(), 0);
     }
 }
