@@ -185,7 +185,7 @@ impl<'a> Walk<'a> {
         if limit == f64::INFINITY {
             return !0;
         }
-        let asked = asked.get_or_insert_with(|| coding.ask(self.space, self.state));
+        let asked = asked.get_or_insert_with(|| Asked::new(coding, self.space, self.state));
         let limit = self.scale.loosened(limit, asked.error());
         kernel::coded::<S>(self.space, asked, codes, limit)
     }

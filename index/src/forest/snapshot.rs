@@ -133,3 +133,30 @@ impl<'a, I: Iterator<Item = PointRef<'a>>> Iterator for Ascending<I> {
         self.parts[least].next()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::{Forest, ForestOptions, Points, Space};
+
+    #[test]
+    fn the_greatest_id_is_read_after_a_level_has_ended() {
+        let options = ForestOptions {
+            growing_rows: 16,
+            ..ForestOptions::default()
+        };
+        let mut forest = Forest::new("R1".parse::<Space>().unwrap(), options);
+        let points = |ids: &[u64]| {
+            let mut points = Points::new(1);
+            for &id in ids {
+                points.push(id, 0, 1, &[0.5]);
+            }
+            points
+        };
+        // More than grow become a level of their own.
+        forest.apply(1, &points(&[1, 2, 3, 4]), &[]);
+        forest.apply(2, &points(&[u64::MAX]), &[]);
+        let snapshot = forest.snapshot();
+        let ids: Vec<u64> = snapshot.points_after(None).map(|point| point.id).collect();
+        assert_eq!(ids, [1, 2, 3, 4, u64::MAX]);
+    }
+}

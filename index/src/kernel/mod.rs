@@ -7,6 +7,7 @@
 
 mod bound;
 mod coded;
+mod coding;
 mod compiled;
 mod lanes;
 mod limit;
@@ -19,7 +20,8 @@ use std::sync::OnceLock;
 
 use crate::Space;
 pub(crate) use bound::{BLOCK, CHILDREN};
-pub(crate) use coded::{Asked, CODES, Coding};
+pub(crate) use coded::{Asked, CODES};
+pub(crate) use coding::Coding;
 pub(crate) use compiled::{Set, Task, prefetch};
 pub(crate) use limit::Scale;
 
