@@ -164,7 +164,8 @@ impl Error {
         }
     }
 
-    /// The error of a try that came after one that ended with `earlier`: that it had no time left tells less.
+    /// The error of a try that came after one that ended with `earlier`: that it had no time left tells less. (What a server
+    /// says of a deadline stands by itself.)
     pub(crate) fn following(self, earlier: Option<Error>) -> Error {
         match self {
             Error::Timeout { call, timeout, .. } => Error::Timeout {

@@ -67,6 +67,13 @@ impl Failure {
     /// Says of a server that could not be reached what to do about it.
     pub(super) fn explained(self, waited: Duration) -> Failure {
         match self {
+            // That the last try had no time left tells less.
+            Failure::Client(Error::Timeout {
+                earlier: Some(earlier),
+                ..
+            }) if matches!(*earlier, Error::Connection { .. }) => {
+                Failure::Client(*earlier).explained(waited)
+            }
             Failure::Client(Error::Connection { uri, source, .. }) => Failure::Unreachable {
                 uri,
                 problem: crate::error::root_cause(source.as_ref()),
@@ -94,5 +101,26 @@ impl Failure {
             Failure::Stopped { source, .. } => source.is_broken_pipe(),
             _ => false,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_server_that_went_away_is_told_of_though_the_last_try_had_no_time() {
+        let gone = Error::Connection {
+            call: "knn",
+            uri: "http://there:1".into(),
+            source: "Connection refused".into(),
+        };
+        let waited = Duration::from_secs(5);
+        let late = Error::timeout("knn", waited).following(Some(gone));
+        let told = Failure::from(late).explained(waited).to_string();
+        assert!(
+            told.starts_with("no server answers at http://there:1 (Connection refused)"),
+            "{told}"
+        );
     }
 }

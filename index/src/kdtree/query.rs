@@ -88,7 +88,7 @@ impl KdTree {
         }
     }
 
-    /// All leaves in the order of memory, or two at once.
+    /// All leaves in the order of memory; by codes all blocks, two at once, each two counted as a leaf.
     #[inline(always)]
     fn visit_all<'a, S: Set>(
         &'a self,
@@ -150,7 +150,7 @@ impl KdTree {
         let start = slots.start + at % blocks * BLOCK;
         let lanes = slots.end.saturating_sub(start).min(BLOCK);
         if lanes == 0 {
-            // The other half of the last block of codes.
+            // The end of the last leaf, or the other half of the last block of codes.
             return;
         }
         let block = self.blocks.block(at);

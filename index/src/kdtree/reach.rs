@@ -5,7 +5,8 @@
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// So many searches in a row must have reached that many leaves: a single one may come from far away.
+/// So many searches in a row must have reached that many leaves that reading all takes less time: a single one may come from
+/// far away.
 const TRIES: u32 = 4;
 
 /// For so many searches the leaves are then read one after the other, before one descends again.

@@ -29,8 +29,8 @@ pub(super) struct Rounded {
 }
 
 impl Rounded {
-    /// The rounded rows of these points, in the order of their blocks, in spaces where they help; None if a number is out of
-    /// range.
+    /// The codes of these points, in the order of their blocks, in spaces and on processors where they help; None where
+    /// [`Coding::of`] is.
     pub(super) fn where_it_helps(space: &Space, points: &Points, blocks: &Blocks) -> Option<Self> {
         let is_heavy = space.parts().iter().any(|part| part.weight > MOST_WEIGHT);
         // Without wide registers, to read codes takes longer than to read rows.

@@ -3,9 +3,10 @@
 //! Analysis and Performance Study for Similarity-Search Methods in High-Dimensional Spaces", VLDB 1998.)
 //!
 //! All is computed in steps, as `f32`. **Rounding:** codes are of points that have moved, by no more than
-//! [`Asked::error`], a distance; only rotations, whose bound is of cosines, allow for that themselves. With u = 2⁻²⁴, a
-//! state in steps is off by u of itself, and so is its difference from a code: together by less than a hundredth of a step up
-//! to 2¹⁷ steps, which counts as moved, too, and by less than 5u of the difference where it is greater. All else is relative,
+//! [`Asked::error`], a distance (and from beyond an end to it: see `coding`); only rotations, whose bound is of cosines, allow
+//! for that themselves. With u = 2⁻²⁴, a state in steps is off by u of itself, and so is its difference from a code: together by
+//! less than 0.012 steps where the difference is up to 2¹⁶ steps, and by no more than 3u of it where it is greater; 0.02 steps
+//! count as moved, too. All else is relative,
 //! since no sum of squares cancels: u for each coordinate that is added, 2u for each factor, and less than 32u for the rest.
 
 use super::{
@@ -65,7 +66,7 @@ impl<'a> Asked<'a> {
         }
     }
 
-    /// No point has moved farther than this, but by its rotations.
+    /// No point has moved farther than this, but by its rotations, and to an end from beyond it.
     pub(crate) fn error(&self) -> f64 {
         self.coding.error
     }

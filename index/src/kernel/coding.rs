@@ -1,14 +1,15 @@
 //! What codes of sixteen bits mean: of each coordinate, how many steps a number lies above the least.
 //!
-//! Few points may lie far from all others: codes end where those do, and points beyond stand at the end. That brings none
-//! farther from a state that is brought to the same end.
+//! Few points may lie far from all others: codes end not far from the others, and points beyond stand at the end. That
+//! brings none farther from a state that is brought to the same end.
 
 use crate::{Factor, Points, Space, space::Part};
 
 /// The greatest code.
 pub(super) const MOST: f64 = u16::MAX as f64;
 
-/// How far a coordinate may have moved, in steps: by half of one, and a hundredth for each of two differences.
+/// How far a coordinate may have moved, in steps: by half of one, and by more than a difference is off by (see
+/// `coded`).
 const MOVED: f64 = 0.52;
 
 /// A state that lies farther outside counts as if it lay here, which is nearer: so many steps have a square in range.
@@ -24,11 +25,11 @@ const LEAST_SHARE: f64 = 1e-30;
 /// The squared steps, and the keys, that 1 may stand for: with others, products may be out of range.
 const UNITS: std::ops::Range<f64> = 1e-200..1e200;
 
-/// So many points tell where nearly all of them lie: between what is left of a fiftieth of them on either side, ...
+/// So many points tell where the others lie: between those that remain when a fiftieth is left out on either side, ...
 const SAMPLE: usize = 512;
 const TAIL: usize = 50;
 
-/// ... and so many times the distance of those beyond.
+/// ... and beyond by so many times the distance between those.
 const BEYOND: f64 = 1.0;
 
 /// What the codes of some points mean.
@@ -46,12 +47,13 @@ pub(crate) struct Coding {
     pub(super) unit: f64,
     /// What keys may be too high by.
     pub(super) margin: f64,
-    /// No point has moved farther than this, but by its rotations.
+    /// No point has moved farther than this, but by its rotations, and to an end from beyond it.
     pub(super) error: f64,
 }
 
 impl Coding {
-    /// Of canonical rows, of which there is one at least; None where numbers or weights are out of range.
+    /// Of canonical rows, of which there is one at least; None where numbers or weights are out of range, or
+    /// all numbers that count are equal.
     pub(crate) fn of(space: &Space, points: &Points) -> Option<Self> {
         let spans = spans(points);
         // What a unit is worth in the metric, and then a step of each factor.
@@ -160,7 +162,8 @@ impl Span {
         Self { low, high, beyond }
     }
 
-    /// Between which steps a state may be.
+    /// Between which steps a state may be. Where no point lies beyond, none stands at that end for another, since all lie
+    /// within `MOST` steps, also of wider ones; where some do, they and the state are brought to the same code.
     fn within(&self) -> [f64; 2] {
         let [below, above] = self.beyond;
         [

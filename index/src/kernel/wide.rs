@@ -3,7 +3,7 @@
 //! four: a search took up to 1.3 times as long.
 #![expect(
     unsafe_code,
-    reason = "the instructions are there, since only what is compiled for them names this set, and eight numbers are read \
+    reason = "the instructions are there, since only what is compiled for them names this set, and registers are read \
               and written"
 )]
 
@@ -14,7 +14,7 @@ use super::{
     lanes::Operations,
 };
 
-/// The numbers of a register.
+/// The `f64` of a register; of `f32` there are twice as many.
 const WIDTH: usize = 8;
 
 /// Processors with registers of eight numbers. Private, so that only [`run`] names it.
