@@ -97,7 +97,6 @@ impl ClientBuilder {
                 ..
             } => *earlier,
             Error::Timeout { .. } => unreachable("no answer in time".into()),
-
             other => other,
         })?;
         Ok(Client {

@@ -6,8 +6,8 @@
 //! [`Asked::error`], a distance (and from beyond an end to it: see `coding`); only rotations, whose bound is of cosines, allow
 //! for that themselves. With u = 2⁻²⁴, a state in steps is off by u of itself, and so is its difference from a code: together by
 //! less than 0.012 steps where the difference is up to 2¹⁶ steps, and by no more than 3u of it where it is greater; 0.02 steps
-//! count as moved, too. All else is relative,
-//! since no sum of squares cancels: u for each coordinate that is added, 2u for each factor, and less than 32u for the rest.
+//! count as moved, too. All else is relative, since no sum of squares cancels: u for each coordinate that is added, 2u for each
+//! factor, and less than 32u for the rest.
 
 use super::{
     bound::{Terms, angle_2},

@@ -65,12 +65,10 @@ impl Coding {
         for part in space.parts() {
             let axes = part.offset..part.offset + part.factor.coordinates();
             let mut step = step(part, &spans);
-            let mut square = (worth(part) * step).powi(2);
             match part.factor {
                 Factor::RealVector(_) => {
                     if worth(part) > 0.0 {
                         step = step.max(finest / worth(part));
-                        square = (worth(part) * step).powi(2);
                     }
                     lows.extend(spans[axes.clone()].iter().map(|span| span.low));
                     within.extend(spans[axes].iter().map(Span::within));
@@ -82,12 +80,16 @@ impl Coding {
                 Factor::SO3 => {
                     lows.extend([-1.0; 4]);
                     within.extend([[0.0, MOST]; 4]);
-                    // Cosines are not in steps.
-                    square = worth(part).powi(2);
                 }
             }
             steps.resize(lows.len(), step);
-            squares.push(square);
+            // Cosines are not in steps.
+            let unit = if part.factor == Factor::SO3 {
+                1.0
+            } else {
+                step
+            };
+            squares.push((worth(part) * unit).powi(2));
         }
         let heaviest = squares.iter().copied().fold(0.0, f64::max);
         let share = |square: &f64| match square / heaviest {

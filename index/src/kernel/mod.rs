@@ -52,7 +52,7 @@ pub(crate) fn points<S: Set>(
 }
 
 /// The bits of the points of a block, whose codes lie side by side, coordinate by coordinate, that may have keys up to
-/// `limit` once they have moved by [`Coding::error`].
+/// `limit` once they have moved by [`Asked::error`].
 #[inline(always)]
 pub(crate) fn coded<S: Set>(space: &Space, asked: &Asked<'_>, codes: &[u16], limit: f64) -> u32 {
     let keys = bound::keys::<S, f32, _>(space, &coded::Coded { asked, codes }).0;
