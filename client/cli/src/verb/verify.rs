@@ -5,10 +5,8 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use super::index_info::InfoLine;
-use crate::{
-    Client, Verified,
-    cli::{Session, failure::Failure, output::Format, progress},
-};
+use crate::{Session, failure::Failure, output::Format, progress};
+use wayfold::{Client, Verified};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -25,7 +23,7 @@ verify, or all after it. The exit status is 1 if anything disagrees.";
 /// Compares what an index answers with what is stored, and servers with each other
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
-pub(in crate::cli) struct VerifyArgs {
+pub(crate) struct VerifyArgs {
     /// The index
     name: String,
     /// How many states to ask about
@@ -57,7 +55,7 @@ struct ComparedLine<'a> {
     differences: &'a [String],
 }
 
-pub(in crate::cli) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<(), Failure> {
     let mut all: Vec<(Client, Verified)> = Vec::new();
     let clients = [vec![session.client.clone()], session.others.clone()].concat();
     for client in clients {

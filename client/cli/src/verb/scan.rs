@@ -10,15 +10,12 @@ use serde::Serialize;
 
 use super::get::PointLine;
 use crate::{
-    Point, Scan,
-    cli::{
-        Session,
-        failure::Failure,
-        output::{Format, Output, Row},
-        progress,
-    },
-    coordinate_names,
+    Session,
+    failure::Failure,
+    output::{Format, Output, Row},
+    progress,
 };
+use wayfold::{Point, Scan, coordinate_names};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -34,7 +31,7 @@ points are of one revision, in the order of their ids.";
 /// Writes all points as CSV
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
-pub(in crate::cli) struct ScanArgs {
+pub(crate) struct ScanArgs {
     /// The index
     name: String,
     /// The file to write; standard output without it
@@ -58,7 +55,7 @@ struct Written {
     revision: u64,
 }
 
-pub(in crate::cli) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
     let scan = index.scan().await?;
     let revision = scan.revision();

@@ -5,15 +5,13 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use crate::{
-    IndexHandle, Inserted, NeighborQuery, Neighbors, Outcome, Row,
-    cli::{
-        Session,
-        failure::Failure,
-        input::{self, Source, Table},
-        output::{Format, JsonId, JsonIds, Output, neighbor_table},
-        parse, progress,
-    },
+    Session,
+    failure::Failure,
+    input::{self, Source, Table},
+    output::{Format, JsonId, JsonIds, Output, neighbor_table},
+    parse, progress,
 };
+use wayfold::{IndexHandle, Inserted, NeighborQuery, Neighbors, Outcome, Row};
 
 const EXAMPLES: &str = "\
 A CSV row is one state, its numbers in the order of the space (`wayfold info` names them). A header
@@ -29,7 +27,7 @@ Examples:
 /// Inserts the states of a file
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
-pub(in crate::cli) struct InsertArgs {
+pub(crate) struct InsertArgs {
     /// The index
     name: String,
     /// FILE.csv, FILE.npy, or - for CSV on standard input
@@ -52,7 +50,7 @@ pub(in crate::cli) struct InsertArgs {
 /// Rows a call: enough to be fast, and few enough not to hold up others or a deadline.
 const CALL_ROWS: usize = 1000;
 
-pub(in crate::cli) async fn insert(args: InsertArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
     let table = input::table(
         &Source::file(&args.file),

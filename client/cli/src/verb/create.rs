@@ -1,13 +1,11 @@
 //! `wayfold create`
 
 use serde::Serialize;
-use wayfold_index::Space;
+use wayfold::Space;
 
 use super::index_info::InfoLine;
-use crate::{
-    cli::{Session, failure::Failure, output::Format},
-    coordinate_names,
-};
+use crate::{Session, failure::Failure, output::Format};
+use wayfold::coordinate_names;
 
 const SPACES: &str = "\
 Spaces:
@@ -27,7 +25,7 @@ Creating an index that exists with an equal space changes nothing and succeeds."
 /// Creates an index
 #[derive(Debug, clap::Args)]
 #[command(after_help = SPACES)]
-pub(in crate::cli) struct CreateArgs {
+pub(crate) struct CreateArgs {
     /// [a-z0-9][a-z0-9_-]{0,62}
     name: String,
     /// The configuration space of the states: 'R3*SO3:0.15'
@@ -42,7 +40,7 @@ struct Created<'a> {
     created: bool,
 }
 
-pub(in crate::cli) async fn create(args: CreateArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn create(args: CreateArgs, session: &mut Session) -> Result<(), Failure> {
     let (index, created) = session.client.ensure_index(&args.name, &args.space).await?;
     match session.output.format {
         Format::Json => session.output.json(&Created {

@@ -3,7 +3,7 @@
 use std::{fs, path::Path, sync::Arc};
 
 use serde_json::json;
-use wayfold_client::Code;
+use wayfold::Code;
 use wayfold_proto::v1;
 use wayfold_server::{
     log::{Durability, FjallLog},

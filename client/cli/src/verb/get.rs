@@ -3,18 +3,16 @@
 use serde::Serialize;
 
 use crate::{
-    Point,
-    cli::{
-        Session,
-        failure::Failure,
-        output::{Format, JsonId, Row},
-        parse,
-    },
+    Session,
+    failure::Failure,
+    output::{Format, JsonId, Row},
+    parse,
 };
+use wayfold::Point;
 
 /// Prints points: their states in canonical form, tags, and the revisions that stored them
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct GetArgs {
+pub(crate) struct GetArgs {
     /// The index
     name: String,
     /// The points
@@ -42,7 +40,7 @@ impl PointLine<'_> {
     }
 }
 
-pub(in crate::cli) async fn get(args: GetArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn get(args: GetArgs, session: &mut Session) -> Result<(), Failure> {
     let points = session.index(&args.name).await?.get(args.ids).await?;
     let output = &mut session.output;
     for point in points.iter() {

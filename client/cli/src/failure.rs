@@ -4,8 +4,8 @@ use std::{io, path::PathBuf, time::Duration};
 
 use thiserror::Error;
 
-use super::input::InputError;
-use crate::{Code, Error, SnapshotError};
+use crate::input::InputError;
+use wayfold::{Code, Error, SnapshotError};
 
 #[derive(Debug, Error)]
 pub(super) enum Failure {
@@ -76,7 +76,7 @@ impl Failure {
             }
             Failure::Client(Error::Connection { uri, source, .. }) => Failure::Unreachable {
                 uri,
-                problem: crate::error::root_cause(source.as_ref()),
+                problem: root_cause(source.as_ref()),
                 waited,
             },
             Failure::Client(source)
@@ -104,6 +104,12 @@ impl Failure {
     }
 }
 
+/// The innermost error: "Connection refused" says more than the "transport error" around it.
+fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    causes.last().unwrap_or(error).to_string()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -116,7 +122,11 @@ mod tests {
             source: "Connection refused".into(),
         };
         let waited = Duration::from_secs(5);
-        let late = Error::timeout("knn", waited).following(Some(gone));
+        let late = Error::Timeout {
+            call: "knn",
+            timeout: waited,
+            earlier: Some(Box::new(gone)),
+        };
         let told = Failure::from(late).explained(waited).to_string();
         assert!(
             told.starts_with("no server answers at http://there:1 (Connection refused)"),

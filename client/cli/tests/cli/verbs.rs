@@ -6,7 +6,7 @@ use std::{
 };
 
 use serde_json::json;
-use wayfold_client::Client;
+use wayfold::Client;
 
 use crate::{process::command, server::Server};
 

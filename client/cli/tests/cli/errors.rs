@@ -1,6 +1,6 @@
 //! What goes wrong is told on standard error, with a status, and changes nothing.
 
-use wayfold_client::Client;
+use wayfold::Client;
 
 use crate::{
     fake::Fake,

@@ -7,15 +7,13 @@ use serde::Serialize;
 use tokio_stream::wrappers::ReceiverStream;
 
 use crate::{
-    Error, IndexHandle, Neighbors, States,
-    cli::{
-        Session,
-        failure::Failure,
-        input::{self, InputError, Row, Source},
-        output::{Format, JsonIds, Output, neighbor_table},
-        parse, progress,
-    },
+    Session,
+    failure::Failure,
+    input::{self, InputError, Row, Source},
+    output::{Format, JsonIds, Output, neighbor_table},
+    parse, progress,
 };
+use wayfold::{Error, IndexHandle, Neighbors, States};
 
 const KNN_EXAMPLES: &str = "\
 Examples:
@@ -67,7 +65,7 @@ struct Asked {
     after_help = KNN_EXAMPLES,
     override_usage = "wayfold knn [OPTIONS] -k <K> <NAME> <FILE | --state <NUMBERS>>"
 )]
-pub(in crate::cli) struct KnnArgs {
+pub(crate) struct KnnArgs {
     /// The index
     name: String,
     #[command(flatten)]
@@ -86,7 +84,7 @@ pub(in crate::cli) struct KnnArgs {
     after_help = QUERY_EXAMPLES,
     override_usage = "wayfold query [OPTIONS] --radius <R> <NAME> <FILE | --state <NUMBERS>>"
 )]
-pub(in crate::cli) struct QueryArgs {
+pub(crate) struct QueryArgs {
     /// The index
     name: String,
     #[command(flatten)]
@@ -96,7 +94,7 @@ pub(in crate::cli) struct QueryArgs {
     radius: f64,
 }
 
-pub(in crate::cli) async fn knn(args: KnnArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn knn(args: KnnArgs, session: &mut Session) -> Result<(), Failure> {
     let epsilon = args.asked.epsilon;
     search(&args.name, &args.asked, session, |index, states| {
         let knn = index.knn(states).k(args.k).epsilon(epsilon);
@@ -109,7 +107,7 @@ pub(in crate::cli) async fn knn(args: KnnArgs, session: &mut Session) -> Result<
     .await
 }
 
-pub(in crate::cli) async fn query(args: QueryArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn query(args: QueryArgs, session: &mut Session) -> Result<(), Failure> {
     let epsilon = args.asked.epsilon;
     search(&args.name, &args.asked, session, |index, states| {
         index

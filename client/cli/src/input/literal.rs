@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use wayfold_index::Space;
+use wayfold::Space;
 
 use super::{
     InputError, Row, Rows,
     place::{File, Place},
 };
-use crate::coordinate_names;
+use wayfold::coordinate_names;
 
 pub(super) fn rows(text: &str, space: &Space) -> Result<Rows, InputError> {
     let file = Arc::new(File {

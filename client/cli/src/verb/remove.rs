@@ -2,13 +2,13 @@
 
 use serde::Serialize;
 
-use crate::cli::{Session, failure::Failure, output::Format, parse};
+use crate::{Session, failure::Failure, output::Format, parse};
 
 /// Removes points
 ///
 /// Ids that are not stored are counted, and are no error.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct RemoveArgs {
+pub(crate) struct RemoveArgs {
     /// The index
     name: String,
     /// The points
@@ -23,7 +23,7 @@ struct RemovedLine {
     revision: u64,
 }
 
-pub(in crate::cli) async fn remove(args: RemoveArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn remove(args: RemoveArgs, session: &mut Session) -> Result<(), Failure> {
     let done = session.index(&args.name).await?.remove(args.ids).await?;
     match session.output.format {
         Format::Json => session.output.json(&RemovedLine {

@@ -10,10 +10,8 @@ use indicatif::HumanBytes;
 use serde::Serialize;
 use tempfile::NamedTempFile;
 
-use crate::{
-    Snapshot, SnapshotHeader, SnapshotWriter,
-    cli::{Session, failure::Failure, interrupt, output::Format, progress},
-};
+use crate::{Session, failure::Failure, interrupt, output::Format, progress};
+use wayfold::{Snapshot, SnapshotHeader, SnapshotWriter};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -27,7 +25,7 @@ gets its name once it is whole and on disk; `wayfold restore NAME FILE` makes an
 /// Writes all of an index, at one revision, into a file, as a backup or for another server
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
-pub(in crate::cli) struct SnapshotArgs {
+pub(crate) struct SnapshotArgs {
     /// The index
     name: String,
     /// The file to write, or - for standard output
@@ -48,10 +46,7 @@ struct Written<'a> {
     bytes: u64,
 }
 
-pub(in crate::cli) async fn snapshot(
-    args: SnapshotArgs,
-    session: &mut Session,
-) -> Result<(), Failure> {
+pub(crate) async fn snapshot(args: SnapshotArgs, session: &mut Session) -> Result<(), Failure> {
     let to_stdout = args.file == Path::new("-");
     if to_stdout && io::stdout().is_terminal() {
         return Err(Failure::Terminal);

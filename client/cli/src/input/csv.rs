@@ -3,13 +3,14 @@
 use std::{io::Read, sync::Arc};
 
 use csv::{Reader, ReaderBuilder, StringRecord, Trim};
-use wayfold_index::Space;
+use wayfold::Space;
 
 use super::{
     InputError, Row, Rows,
     place::{File, Place},
 };
-use crate::{cli::parse, coordinate_names};
+use crate::parse;
+use wayfold::coordinate_names;
 
 pub(super) fn rows(
     name: &str,

@@ -6,13 +6,13 @@ use std::{
 };
 
 use npyz::{NpyFile, Order};
-use wayfold_index::Space;
+use wayfold::Space;
 
 use super::{
     InputError, Row, Rows,
     place::{File, Place},
 };
-use crate::coordinate_names;
+use wayfold::coordinate_names;
 
 type Array = NpyFile<BufReader<Box<dyn Read + Send>>>;
 type Numbers = Box<dyn Iterator<Item = io::Result<f64>> + Send>;

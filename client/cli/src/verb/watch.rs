@@ -6,13 +6,11 @@ use serde::Serialize;
 
 use super::get::PointLine;
 use crate::{
-    Mutation, Reset, ResetReason, Watch, WatchEvent,
-    cli::{
-        Session,
-        failure::Failure,
-        output::{Format, JsonIds, Output},
-    },
+    Session,
+    failure::Failure,
+    output::{Format, JsonIds, Output},
 };
+use wayfold::{Mutation, Reset, ResetReason, Watch, WatchEvent};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -27,7 +25,7 @@ or made anew, or the server does not keep the mutations that far back.";
 /// Prints the mutations of an index as they happen
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
-pub(in crate::cli) struct WatchArgs {
+pub(crate) struct WatchArgs {
     /// The index
     name: String,
     /// Begins with the mutation after this revision, instead of with the next one
@@ -44,7 +42,7 @@ struct MutationLine<'a> {
     removed_ids: JsonIds<'a>,
 }
 
-pub(in crate::cli) async fn watch(args: WatchArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn watch(args: WatchArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
     let request = match args.after {
         Some(revision) => index.watch().after(revision),

@@ -14,10 +14,10 @@ mod verb;
 
 use std::{io::Write, process::ExitCode};
 
-use crate::{Client, IndexHandle, RetryPolicy};
 use args::{Args, Command};
 use failure::Failure;
 use output::Output;
+use wayfold::{Client, IndexHandle, RetryPolicy};
 
 /// Reads the arguments of the process, does what they say, and tells the exit status.
 pub fn main() -> ExitCode {

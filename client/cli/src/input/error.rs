@@ -3,12 +3,12 @@
 use std::io;
 
 use thiserror::Error;
-use wayfold_index::StateProblem;
+use wayfold::StateProblem;
 
 /// Why input cannot be used. A place is `FILE:LINE:COLUMN (NAME)` in CSV, with the columns counted from 1, and
 /// `FILE[ROW, COLUMN] (NAME)` in npy, as numpy counts.
 #[derive(Debug, Error)]
-pub(in crate::cli) enum InputError {
+pub(crate) enum InputError {
     #[error("cannot read {file}: {source}")]
     Open { file: String, source: io::Error },
     #[error("{place}: {text:?} is not a finite number")]
@@ -41,5 +41,5 @@ pub(in crate::cli) enum InputError {
     #[error("{place}: {problem}")]
     Format { place: String, problem: String },
     #[error(transparent)]
-    Row(#[from] crate::Error),
+    Row(#[from] wayfold::Error),
 }

@@ -6,19 +6,15 @@ use indicatif::HumanBytes;
 use serde::Serialize;
 
 use crate::{
-    DamagedIndex, IndexInfo, IndexList,
-    cli::{
-        Session,
-        failure::Failure,
-        output::{Format, Output},
-    },
-    coordinate_names,
-    refusal::code_name,
+    Session,
+    failure::Failure,
+    output::{Format, Output},
 };
+use wayfold::{DamagedIndex, IndexInfo, IndexList, coordinate_names};
 
 /// Describes an index
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct InfoArgs {
+pub(crate) struct InfoArgs {
     /// The index
     name: String,
 }
@@ -45,7 +41,7 @@ impl DamagedLine<'_> {
             name: &index.name,
             uid: &index.uid,
             error: ErrorLine {
-                code: code_name(error.code),
+                code: error.code_name(),
                 reason: &error.reason,
                 message: &error.message,
             },
@@ -81,7 +77,7 @@ impl InfoLine<'_> {
     }
 }
 
-pub(in crate::cli) async fn info(args: InfoArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn info(args: InfoArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.client.index_info(&args.name).await?;
     let output = &mut session.output;
     if output.format == Format::Json {
@@ -102,7 +98,7 @@ pub(in crate::cli) async fn info(args: InfoArgs, session: &mut Session) -> Resul
     Ok(())
 }
 
-pub(in crate::cli) async fn list(session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn list(session: &mut Session) -> Result<(), Failure> {
     let IndexList {
         indexes, damaged, ..
     } = session.client.list_indexes().await?;

@@ -9,10 +9,8 @@ use std::{
 use futures_util::StreamExt;
 
 use super::index_info::InfoLine;
-use crate::{
-    Error, SnapshotError, SnapshotReader,
-    cli::{Session, failure::Failure, output::Format, progress},
-};
+use crate::{Session, failure::Failure, output::Format, progress};
+use wayfold::{Error, SnapshotError, SnapshotReader};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -26,7 +24,7 @@ there once all of it was good: a command that fails or is interrupted leaves not
 /// Makes an index of a snapshot
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
-pub(in crate::cli) struct RestoreArgs {
+pub(crate) struct RestoreArgs {
     /// The index to make; no index may have this name
     name: String,
     /// The file that `wayfold snapshot` wrote, or - for standard input
@@ -34,10 +32,7 @@ pub(in crate::cli) struct RestoreArgs {
     file: PathBuf,
 }
 
-pub(in crate::cli) async fn restore(
-    args: RestoreArgs,
-    session: &mut Session,
-) -> Result<(), Failure> {
+pub(crate) async fn restore(args: RestoreArgs, session: &mut Session) -> Result<(), Failure> {
     let (name, file): (_, Box<dyn Read + Send>) = match args.file == Path::new("-") {
         true => ("stdin".to_owned(), Box::new(io::stdin())),
         false => {

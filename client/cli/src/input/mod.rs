@@ -9,7 +9,7 @@ mod place;
 use std::path::{Path, PathBuf};
 
 use tokio::sync::mpsc;
-use wayfold_index::Space;
+use wayfold::Space;
 
 pub(super) use error::InputError;
 use place::Place;
@@ -86,7 +86,7 @@ fn check(space: &Space, row: Row) -> Result<Row, InputError> {
 /// All rows of a source, checked whole: also that no id is given twice.
 pub(super) struct Table {
     /// The rows' numbers.
-    pub(super) states: crate::States,
+    pub(super) states: wayfold::States,
     /// One a row, or none.
     pub(super) ids: Vec<u64>,
 }
@@ -97,7 +97,7 @@ pub(super) fn table(
     ids: Option<&str>,
 ) -> Result<Table, InputError> {
     let mut table = Table {
-        states: crate::States::new(space.coordinates()),
+        states: wayfold::States::new(space.coordinates()),
         ids: Vec::new(),
     };
     let mut lines = std::collections::HashMap::new();

@@ -2,11 +2,11 @@
 
 use serde::Serialize;
 
-use crate::cli::{Session, failure::Failure, output::Format};
+use crate::{Session, failure::Failure, output::Format};
 
 /// Deletes an index with all its points
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct DeleteArgs {
+pub(crate) struct DeleteArgs {
     /// The index
     name: String,
 }
@@ -18,7 +18,7 @@ struct Deleted<'a> {
     deleted: bool,
 }
 
-pub(in crate::cli) async fn delete(args: DeleteArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn delete(args: DeleteArgs, session: &mut Session) -> Result<(), Failure> {
     let uid = session.client.delete_index(&args.name).await?;
     match session.output.format {
         Format::Json => session.output.json(&Deleted {
