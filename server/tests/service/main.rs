@@ -33,6 +33,7 @@ mod replay;
 mod restore;
 mod scaling;
 mod scan;
+mod slow_disk;
 mod snapshot;
 mod storage_failure;
 mod support;
