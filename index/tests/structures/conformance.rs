@@ -6,7 +6,7 @@ use crate::common::{
     SHAPES, SPACES, Shape, assert_same, brute_force, rng, searches, states, table,
 };
 use wayfold_index::{
-    Answer, Forest, ForestOptions, KdTree, Kernels, Linear, Points, Search, Snapshot, Space,
+    Answer, Forest, ForestOptions, KdTree, Kernels, Linear, Mpnn, Points, Search, Snapshot, Space,
 };
 
 const ROWS: usize = 150;
@@ -30,6 +30,13 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
             let name = format!("kdtree/{leaf_rows}/{}", kernels.name());
             all.push((name, Box::new(move |q, s| tree.search_with(kernels, q, s))));
         }
+    }
+
+    for leaf_rows in [1, 2, 5, 1000] {
+        let tree = Mpnn::new(space.clone(), points.clone(), leaf_rows);
+        tree.validate().unwrap();
+        let name = format!("mpnn/{leaf_rows}");
+        all.push((name, Box::new(move |q, s| tree.search(q, s))));
     }
 
     for (growing_rows, leaf_rows) in [(1, 1), (4, 2), (7, 3), (1000, 4)] {
@@ -236,10 +243,13 @@ fn weights_below_and_above_one_prune_nothing_true() {
         let mut rng = rng(15);
         let points = table(&space, &states(&space, Shape::Uniform, 4000, &mut rng));
         let tree = KdTree::new(space.clone(), points.clone(), 4);
+        let incremental = Mpnn::new(space.clone(), points.clone(), 4);
         for query in states(&space, Shape::Uniform, 50, &mut rng) {
             let search = Search::nearest_k(10);
             let expected = brute_force(&space, points.iter(), &query, &search);
             assert_same(&tree.search(&query, &search).neighbors, &expected, text);
+            let found = incremental.search(&query, &search).neighbors;
+            assert_same(&found, &expected, text);
         }
     }
 }
@@ -282,28 +292,30 @@ fn a_search_that_gives_up_says_so() {
     let space = Space::se3();
     let mut rng = rng(7);
     let points = table(&space, &states(&space, Shape::Uniform, 20_000, &mut rng));
-    let tree = KdTree::new(space.clone(), points, 8);
+    let tree = KdTree::new(space.clone(), points.clone(), 8);
+    let binary = Mpnn::new(space.clone(), points, 8);
     let query = &states(&space, Shape::Uniform, 1, &mut rng)[0];
     let all = Search::nearest_r(f64::INFINITY);
-    assert!(tree.search(query, &all).exact);
-
     let late = Search {
         until: Some(std::time::Instant::now()),
         ..all
     };
-    let answer = tree.search(query, &late);
-    assert!(
-        !answer.exact && answer.neighbors.len() < 32 * 8 + 8,
-        "{}",
-        answer.neighbors.len()
-    );
-
     let capped = Search {
         max_leaves: 3,
         ..all
     };
-    let answer = tree.search(query, &capped);
-    assert!(!answer.exact && answer.neighbors.len() <= 3 * 8);
+    let structures: [&dyn Fn(&Search<'_>) -> Answer; 2] =
+        [&|search| tree.search(query, search), &|search| {
+            binary.search(query, search)
+        }];
+    for structure in structures {
+        assert!(structure(&all).exact);
+        let answer = structure(&late);
+        let found = answer.neighbors.len();
+        assert!(!answer.exact && found < 32 * 8 + 8, "{found}");
+        let answer = structure(&capped);
+        assert!(!answer.exact && answer.neighbors.len() <= 3 * 8);
+    }
 }
 
 /// Where searches reach most of a tree, it is read from end to end instead: with the same answers.

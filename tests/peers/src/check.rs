@@ -137,7 +137,7 @@ impl<'a> Case<'a> {
                 id: u64::from(id),
             })
             .collect();
-        if kind.is_ours() && near != expected {
+        if kind.orders_by_id() && near != expected {
             return Err(differs(format!("{near:?} instead of {expected:?}")));
         }
         near.sort_unstable();

@@ -20,18 +20,22 @@ pub struct Resting(Forest);
 impl Resting {
     pub fn new(space: &Space, rows: &Rows) -> Self {
         let mut forest = Forest::new(space.clone(), ForestOptions::default());
-        let mut points = Points::with_capacity(space.coordinates(), rows.len());
-        for (id, row) in rows.iter().enumerate() {
-            points.push(id as u64, 0, 1, row);
-        }
-        forest.apply(1, &points, &[]);
-        drop(points);
+        forest.apply(1, &points(space, rows), &[]);
         forest.settle();
         Resting(forest)
     }
 }
 
-fn report(answer: &Answer, found: &mut Vec<u32>) {
+/// The rows under their ids.
+pub fn points(space: &Space, rows: &Rows) -> Points {
+    let mut points = Points::with_capacity(space.coordinates(), rows.len());
+    for (id, row) in rows.iter().enumerate() {
+        points.push(id as u64, 0, 1, row);
+    }
+    points
+}
+
+pub fn report(answer: &Answer, found: &mut Vec<u32>) {
     found.clear();
     found.extend(answer.neighbors.iter().map(|neighbor| neighbor.id as u32));
 }
