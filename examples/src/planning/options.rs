@@ -1,4 +1,4 @@
-//! What an example can be told on its command line.
+//! What a planner can be told on its command line.
 
 use std::path::PathBuf;
 
@@ -21,7 +21,7 @@ pub struct Options {
     /// How often to solve the problem with each source; medians are told
     #[arg(long, default_value_t = 1, conflicts_with_all = ["workers", "rrt_star"])]
     pub runs: u64,
-    /// A server that runs already; one is started for the time of the example unless given
+    /// A server that runs already; one is started for the time of the planner unless given
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
     /// Grows the same two trees by so many processes instead, on one server

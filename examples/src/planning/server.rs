@@ -1,4 +1,4 @@
-//! A server for the run of one example: this program again, in another role.
+//! A server for the run of one planner: this program again, in another role.
 
 use std::{
     env,
@@ -13,10 +13,10 @@ use tempfile::TempDir;
 use super::error::PlanningError;
 
 /// Set in the process that is the server.
-const ROLE: &str = "WAYFOLD_EXAMPLE_ROLE";
+const ROLE: &str = "WAYFOLD_PLANNER_ROLE";
 
-/// Serves until the end, or until who started it is gone, if this process was started to do so: the first call of an
-/// example's `main`.
+/// Serves until the end, or until who started it is gone, if this process was started to do so: the first call of a
+/// planner's `main`.
 pub fn serve_if_told() -> Option<ExitCode> {
     if env::var(ROLE).as_deref() != Ok("server") {
         return None;

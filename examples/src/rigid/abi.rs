@@ -119,7 +119,7 @@ pub unsafe extern "C" fn rigid_distance(a: *const f64, b: *const f64, length: us
 }
 
 /// Whether a path through `count` states, one row after the other, is free: by the finer check and the other code by which
-/// the example verifies its own paths.
+/// `rigid` verifies its own paths.
 ///
 /// # Safety
 /// `rows` is null or the address of `count` times `length` numbers.

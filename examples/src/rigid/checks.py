@@ -1,6 +1,6 @@
-"""The scene of the example `rigid`, for planners in Python: the functions of `abi.rs`, called by ctypes.
+"""The scene of the program `rigid`, for planners in Python: the functions of `abi.rs`, called by ctypes.
 
-    cargo build --release -p wayfold --example rigid-checks
+    cargo build --release -p wayfold-examples --example rigid-checks
 """
 
 import ctypes
@@ -14,10 +14,10 @@ FREE, NOT_FREE = 1, 0
 class Scene:
     """What the library says of the scene; counts the states that it checks."""
 
-    def __init__(self, examples: Path):
-        """`examples` is the directory into which cargo puts the examples."""
+    def __init__(self, programs: Path):
+        """`programs` is the directory into which cargo puts programs, and in it `examples`."""
         suffix = {"darwin": "dylib"}.get(sys.platform, "so")
-        self._library = library = ctypes.CDLL(str(Path(examples, f"librigid_checks.{suffix}").resolve()))
+        self._library = library = ctypes.CDLL(str(Path(programs, "examples", f"librigid_checks.{suffix}").resolve()))
         library.rigid_problem.restype = ctypes.c_char_p
         problem = json.loads(library.rigid_problem())
         self.space, self.coordinates = problem["space"], problem["coordinates"]

@@ -1,4 +1,4 @@
-//! What the example can be told on its command line.
+//! What `rigid` can be told on its command line.
 
 use std::path::PathBuf;
 
@@ -48,7 +48,7 @@ pub struct Options {
     /// What the random states are drawn from; the next run takes the next one
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// A server that runs already; one is started for the time of the example unless given
+    /// A server that runs already; one is started for the time of the planner unless given
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
     /// Kills one worker when it has half its share
