@@ -24,12 +24,13 @@ rigid: a process for each worker, a server for all, and the time includes what t
 checked for the milestone at which they are ended, is not counted."""
 
 
-def ours(programs: Path, arguments: list, directory: str) -> dict:
-    """What the program says of one run with each number of workers."""
+def ours(programs: Path, arguments: list, directory: str) -> list[tuple[dict, Run]]:
+    """What the program says of one run with each number of workers, in each of its rows."""
     figures = Path(directory, "figures.json")
     command = [programs / "rigid", *map(str, arguments), "--scaling", "--runs", "1", "--json", figures]
     subprocess.run(command, check=True, stdout=subprocess.PIPE, cwd=directory)
-    return json.loads(figures.read_text())
+    rows = json.loads(figures.read_text())
+    return [(row, Run(row["total_s"], row["nodes"], row["checks"], (0, 0), row["path_lengths"])) for row in rows]
 
 
 def line(name: str, runs: list[Run], calls: tuple) -> str:
@@ -67,18 +68,14 @@ def main():
         for seed in range(1, runs + 1):
             for name in PLANNERS:
                 solved.setdefault(f"OMPL {name}", []).append(answer(scene, name))
-            for one in ours(programs, ["--until-solved", "--seed", seed], directory)["until_solved"]:
-                run = Run(one["seconds"], one["milestones"], one["checks"], (0, 0), one["path_lengths"])
-                solved.setdefault(f"rigid, {workers(one['workers'])}", []).append(run)
-                if one["workers"] == 1:
-                    checking.append(one["checking_seconds"] / one["checks"])
+            for row, run in ours(programs, ["--until-solved", "--seed", seed], directory):
+                solved.setdefault(f"rigid, {workers(row['workers'])}", []).append(run)
+                if row["workers"] == 1:
+                    checking.append(row["check_s"] / row["checks"])
         for seed in range(1, few + 1):
             grown.setdefault("OMPL PRM*", []).append(grow(scene, arguments.milestones))
-            for one in ours(programs, ["--milestones", arguments.milestones, "--seed", seed], directory)["runs"]:
-                of = one["workers"]
-                milestones, checks = (sum(worker[figure] for worker in of) for figure in ("milestones", "checks"))
-                name = f"rigid, {workers(len(of))}, {one['source']}"
-                run = Run(one["seconds"], milestones, checks, (0, 0), one["path_lengths"])
+            for row, run in ours(programs, ["--milestones", arguments.milestones, "--seed", seed], directory):
+                name = f"rigid, {workers(row['workers'])}, {row['source']}"
                 grown.setdefault(name, []).append(run)
     check = median(checking) * 1e9
 

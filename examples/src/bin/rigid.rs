@@ -13,11 +13,13 @@ use clap::Parser;
 use wayfold_examples::{
     planning::{
         error::PlanningError,
+        figures,
         report::can_write,
         server::{self, ServerProcess},
     },
     rigid::{
-        audit, build,
+        audit,
+        build::{self, Built},
         options::{Options, Role},
         picture, processes, report,
         scene::Rooms,
@@ -72,10 +74,10 @@ async fn run(options: &Options) -> Result<(), PlanningError> {
     if options.scaling {
         let runs = build::compare(&scene, uri, options).await?;
         print!("{}", report::comparison(&runs));
-        return report::write_json(&runs, options);
+        return figures::write(runs.iter().map(Built::row), options.json.as_deref());
     }
     let built = build::build(&scene, uri, own.as_mut(), options, options.seed).await?;
     print!("{}", report::table(&built));
-    report::write_json(std::slice::from_ref(&built), options)?;
+    figures::write([built.row()], options.json.as_deref())?;
     picture::draw(&scene, &built, picture)
 }

@@ -5,8 +5,10 @@ use std::{io, rc::Rc};
 use super::{
     account::{Account, Growth},
     error::PlanningError,
+    figures::{Row, Spent},
     local::{BruteForce, LocalForest},
     options::{Options, Wanted, seeds},
+    path,
     problem::Problem,
     remote::{Remote, ReplicaSource, ServerSource},
     rrt::Solution,
@@ -37,6 +39,9 @@ impl<'a> From<&'a Options> for Trials<'a> {
 
 /// What a planner has made, with where its time went.
 pub trait Planned {
+    /// What the planner is called.
+    const PLANNER: &'static str;
+
     /// What one insert stores.
     const INSERT: &'static str;
 
@@ -48,6 +53,9 @@ pub trait Planned {
 
     /// How it came to that.
     fn growth(&self) -> &[Growth];
+
+    /// The paths that were found.
+    fn paths(&self) -> impl Iterator<Item = &[Vec<f64>]>;
 
     /// Whether that is the same, whatever time it took.
     fn is_like(&self, other: &Self) -> bool;
@@ -65,9 +73,11 @@ pub struct Run {
     pub account: Account,
     /// How it came to that.
     pub growth: Vec<Growth>,
+    /// The lengths of the paths that were found.
+    pub path_lengths: Vec<f64>,
 }
 
-/// All runs of an example.
+/// All runs of a planner.
 pub struct Comparison<R = Solution> {
     /// The sources, in the order of the trials.
     pub sources: Vec<Wanted>,
@@ -81,6 +91,22 @@ impl<R> Comparison<R> {
     /// The runs with one source.
     pub fn runs_of(&self, source: Wanted) -> impl Iterator<Item = &Run> {
         self.runs.iter().filter(move |run| run.source == source)
+    }
+}
+
+impl<R: Planned> Comparison<R> {
+    /// The figures of all runs.
+    pub fn rows(&self) -> impl Iterator<Item = Row> {
+        self.runs.iter().map(|run| Row {
+            planner: R::PLANNER,
+            source: run.source.name(),
+            workers: 1,
+            seed: run.seed,
+            nodes: run.nodes as u64,
+            spent: Spent::from(&run.account),
+            checks: run.account.checks as u64,
+            path_lengths: run.path_lengths.clone(),
+        })
     }
 }
 
@@ -98,12 +124,18 @@ pub fn compare<R: Planned>(
     let (mut runs, mut shown) = (Vec::new(), None);
     for &seed in &trials.seeds {
         let solved = each(problem, trials, remote.as_ref(), seed, &plan, R::is_like)?;
-        runs.extend(solved.iter().map(|(source, solution)| Run {
-            source: *source,
-            seed,
-            nodes: solution.nodes(),
-            account: solution.account(),
-            growth: solution.growth().to_vec(),
+        runs.extend(solved.iter().map(|(source, solution)| {
+            Run {
+                source: *source,
+                seed,
+                nodes: solution.nodes(),
+                account: solution.account(),
+                growth: solution.growth().to_vec(),
+                path_lengths: solution
+                    .paths()
+                    .map(|path| path::length(problem, path))
+                    .collect(),
+            }
         }));
         shown = shown.or(solved.into_iter().next());
     }

@@ -11,6 +11,7 @@ use tokio::runtime::{Builder, Runtime};
 use super::{
     comparison::{self, Comparison, Open, Trials},
     error::PlanningError,
+    figures,
     options::{Options, Role},
     path::{self, Verify},
     report, rrt,
@@ -98,9 +99,7 @@ impl<P: Verify> Example<P> {
             "The path of seed {} is free in {checked} states, by other code.",
             options.seed
         );
-        if let Some(file) = &options.json {
-            report::write_json(&comparison, file)?;
-        }
+        figures::write(comparison.rows(), options.json.as_deref())?;
         let shorter = path::shorten(problem, path.clone(), SHORTENINGS, options.seed)?;
         match self.picture(options) {
             Some(file) => (self.draw)(problem, &comparison, &shorter, &file),
@@ -146,9 +145,7 @@ impl<P: Verify> Example<P> {
         let solved = shared::solve(problem, &uri, options, workers, source, seed);
         let solved = runtime()?.block_on(solved)?;
         print!("{}", shared_report::table(&solved));
-        if let Some(file) = &options.json {
-            shared_report::write_json(std::slice::from_ref(&solved), file)?;
-        }
+        figures::write([solved.row(problem)], options.json.as_deref())?;
         let (Some(draw), Some(file)) = (self.draw_shared, self.picture(options)) else {
             return Ok(());
         };
@@ -166,10 +163,8 @@ impl<P: Verify> Example<P> {
         let (_server, uri) = server_of(options)?;
         let all = runtime()?.block_on(shared::compare(problem, &uri, options))?;
         print!("{}", shared_report::comparison(&all));
-        match &options.json {
-            Some(file) => shared_report::write_json(&all, file),
-            None => Ok(()),
-        }
+        let rows = all.iter().map(|solved| solved.row(problem));
+        figures::write(rows, options.json.as_deref())
     }
 }
 

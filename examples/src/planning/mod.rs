@@ -12,6 +12,7 @@ pub mod crew_panels;
 pub mod drawing;
 pub mod error;
 pub mod example;
+pub mod figures;
 pub mod local;
 pub mod options;
 pub mod panels;

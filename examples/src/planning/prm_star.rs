@@ -68,6 +68,7 @@ pub struct Answered {
 }
 
 impl Planned for Answered {
+    const PLANNER: &'static str = "PRM*";
     const INSERT: &'static str = "a milestone";
 
     fn nodes(&self) -> usize {
@@ -80,6 +81,10 @@ impl Planned for Answered {
 
     fn growth(&self) -> &[Growth] {
         &self.growth
+    }
+
+    fn paths(&self) -> impl Iterator<Item = &[Vec<f64>]> {
+        self.paths.iter().flatten().map(Vec::as_slice)
     }
 
     fn is_like(&self, other: &Answered) -> bool {

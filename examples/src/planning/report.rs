@@ -1,4 +1,4 @@
-//! Where the time went: one table, and all figures as JSON.
+//! Where the time went: one table.
 
 use std::{
     fmt::Write,
@@ -7,8 +7,6 @@ use std::{
     path::Path,
     time::Duration,
 };
-
-use serde_json::{Value, json};
 
 use super::{
     comparison::{Comparison, Planned, Run},
@@ -232,32 +230,6 @@ pub fn progress(grown: &[(Wanted, Star)]) -> String {
     text + "In brackets: the share of searches and inserts. Lengths are of the same tree, whatever the source.\n"
 }
 
-/// Writes the figures of all runs, and how the sources compare.
-pub fn write_json<R>(comparison: &Comparison<R>, path: &Path) -> Result<(), PlanningError> {
-    let runs: Vec<Value> = comparison.runs.iter().map(run).collect();
-    let lines = Line::all(comparison);
-    let sources: Vec<Value> = lines.iter().map(|line| medians(line, &lines)).collect();
-    write_figures(&json!({ "runs": runs, "sources": sources }), path)
-}
-
-/// The medians of one source, and their ratios to the baselines where these have been run.
-fn medians(line: &Line, lines: &[Line]) -> Value {
-    let faster_than = |baseline| {
-        let [neighbors, total] = line.faster_than(of(lines, baseline)?);
-        Some(json!({ "neighbors": neighbors, "total": total }))
-    };
-    let [brute, scan] = BASELINES.map(faster_than);
-    json!({
-        "source": line.source.name(),
-        "total_s": line.total,
-        "neighbors_s": line.neighbors(),
-        "neighbors_percent": line.percent(line.neighbors()),
-        "checking_percent": line.percent(line.checking),
-        "faster_than_brute": brute,
-        "faster_than_scan": scan,
-    })
-}
-
 /// Opens the files that a run is going to write, so that one that cannot be written is told of before all the work; what
 /// is in them stays until then, and one that was not there is not left behind.
 pub fn can_write<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(), PlanningError> {
@@ -275,31 +247,10 @@ pub fn can_write<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(), Pl
     Ok(())
 }
 
-/// Writes figures to a file.
-pub fn write_figures(figures: &Value, path: &Path) -> Result<(), PlanningError> {
-    fs::write(path, format!("{figures:#}\n")).map_err(|error| unwritten(path, &error))
-}
-
-fn unwritten(path: &Path, error: &io::Error) -> PlanningError {
+/// That a file cannot be written.
+pub fn unwritten(path: &Path, problem: &impl ToString) -> PlanningError {
     PlanningError::File {
         path: path.to_owned(),
-        problem: error.to_string(),
+        problem: problem.to_string(),
     }
-}
-
-fn run(run: &Run) -> Value {
-    let (account, used) = (&run.account, &run.account.neighbors);
-    json!({
-        "source": run.source.name(),
-        "seed": run.seed,
-        "nodes": run.nodes,
-        "total_s": account.total.as_secs_f64(),
-        "searching_s": used.searching.as_secs_f64(),
-        "searches": used.searches,
-        "inserting_s": used.inserting.as_secs_f64(),
-        "inserts": used.inserts,
-        "checking_s": account.checking.as_secs_f64(),
-        "checks": account.checks,
-        "rest_s": account.rest().as_secs_f64(),
-    })
 }

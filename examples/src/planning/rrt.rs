@@ -113,6 +113,7 @@ impl Solution {
 }
 
 impl Planned for Solution {
+    const PLANNER: &'static str = "RRTConCon";
     const INSERT: &'static str = "all nodes of a connection";
 
     fn nodes(&self) -> usize {
@@ -125,6 +126,10 @@ impl Planned for Solution {
 
     fn growth(&self) -> &[Growth] {
         &self.growth
+    }
+
+    fn paths(&self) -> impl Iterator<Item = &[Vec<f64>]> {
+        [self.path.as_slice()].into_iter()
     }
 
     fn is_like(&self, other: &Solution) -> bool {

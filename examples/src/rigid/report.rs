@@ -1,18 +1,18 @@
-//! The table and the JSON.
+//! The tables.
 
 use std::{fmt::Write, time::Duration};
-
-use serde_json::{Value, json};
 
 use super::{
     account::Account,
     build::{Answer, Built, WORKERS},
-    options::{Kind, Options},
+    options::Kind,
 };
 use crate::planning::{
-    error::PlanningError,
+    comparison::Planned,
+    figures::{Row, Spent},
+    prm_star::Answered,
     processes::Times,
-    report::{median, write_figures},
+    report::median,
 };
 
 impl Built {
@@ -24,6 +24,21 @@ impl Built {
     /// The milestones that the workers made in a second.
     pub fn rate(&self) -> f64 {
         self.sum().milestones as f64 / self.crew.wall.as_secs_f64()
+    }
+
+    /// Its figures: of the workers, not of the questions.
+    pub fn row(&self) -> Row {
+        let sum = self.sum();
+        Row {
+            planner: Answered::PLANNER,
+            source: self.source.name(),
+            workers: self.workers,
+            seed: self.seed,
+            nodes: sum.milestones,
+            spent: Spent::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            checks: sum.checks,
+            path_lengths: self.paths.iter().map(|path| path.length).collect(),
+        }
     }
 }
 
@@ -165,43 +180,4 @@ pub fn comparison(all: &[Built]) -> String {
         }
     }
     text
-}
-
-/// Writes the figures of these roadmaps, if they are wanted.
-pub fn write_json(all: &[Built], options: &Options) -> Result<(), PlanningError> {
-    let runs: Vec<Value> = all.iter().map(figures).collect();
-    write(&json!({ "runs": runs }), options)
-}
-
-/// Writes figures to the file that is wanted, if one is.
-pub fn write(figures: &Value, options: &Options) -> Result<(), PlanningError> {
-    options
-        .json
-        .as_deref()
-        .map_or(Ok(()), |path| write_figures(figures, path))
-}
-
-fn figures(built: &Built) -> Value {
-    let account = |account: &Account| {
-        json!({
-            "samples": account.samples,
-            "milestones": account.milestones,
-            "edges": account.edges,
-            "meanwhile": account.meanwhile,
-            "checks": account.checks,
-            "seconds": account.times.total.as_secs_f64(),
-            "searching_seconds": account.times.searching.as_secs_f64(),
-            "checking_seconds": account.times.checking.as_secs_f64(),
-            "waiting_seconds": account.times.waiting.as_secs_f64(),
-        })
-    };
-    let paths = built.paths.iter();
-    json!({
-        "source": built.source.name(),
-        "seed": built.seed,
-        "seconds": built.crew.wall.as_secs_f64(),
-        "adopted": built.adopted,
-        "workers": built.crew.accounts.iter().map(account).collect::<Vec<_>>(),
-        "path_lengths": paths.map(|path| path.length).collect::<Vec<_>>(),
-    })
 }

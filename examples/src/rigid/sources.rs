@@ -9,6 +9,7 @@ use super::{
 use crate::planning::{
     comparison::{self, Open, Trials},
     error::PlanningError,
+    figures,
     options::{Wanted, seeds},
     prm_star::{self, Answered},
     report::{self, can_write},
@@ -42,10 +43,7 @@ pub fn compare(scene: &Rooms, options: &Options) -> Result<(), PlanningError> {
         solution.account.checks,
     );
     print!("{}", answers(&check(scene, solution)?));
-    match &options.json {
-        Some(file) => report::write_json(&comparison, file),
-        None => Ok(()),
-    }
+    figures::write(comparison.rows(), options.json.as_deref())
 }
 
 /// A path for each question, checked anew.

@@ -10,7 +10,6 @@ use std::{
 };
 
 use petgraph::unionfind::UnionFind;
-use serde_json::{Value, json};
 use tokio::sync::mpsc::{self, UnboundedReceiver};
 use wayfold::{Client, IndexHandle, Watch, WatchEvent};
 
@@ -19,16 +18,18 @@ use super::{
     build::WORKERS,
     milestone::{self, PENDING},
     nearby::Source,
-    options::{Job, Options},
-    report,
+    options::{Job, Kind, Options},
     roadmap::Roadmap,
     scene::Rooms,
     worker::Worker,
 };
 use crate::planning::{
+    comparison::Planned,
     error::PlanningError,
+    figures::{self, Row, Spent},
     options::seeds,
     path,
+    prm_star::Answered,
     problem::Problem,
     processes::{Heard, Line, Process, lost},
     report::median,
@@ -36,6 +37,7 @@ use crate::planning::{
 
 /// A roadmap that answers all questions.
 struct Solved {
+    source: Kind,
     workers: usize,
     seed: u64,
     /// From the first milestone to the last path.
@@ -69,8 +71,7 @@ pub async fn run(scene: &Rooms, uri: &str, options: &Options) -> Result<(), Plan
         }
     }
     print!("{}", table(&all, workers));
-    let runs: Vec<Value> = all.iter().map(figures).collect();
-    report::write(&json!({ "until_solved": runs }), options)
+    figures::write(all.iter().map(Solved::row), options.json.as_deref())
 }
 
 /// Solves them in an index of its own.
@@ -162,6 +163,7 @@ async fn solve(
         path::verify(scene, path)?;
     }
     Ok(Solved {
+        source: options.source,
         workers: options.workers,
         seed,
         wall,
@@ -266,16 +268,19 @@ fn table(all: &[Solved], workers: &[usize]) -> String {
     text
 }
 
-fn figures(solved: &Solved) -> Value {
-    json!({
-        "workers": solved.workers,
-        "seed": solved.seed,
-        "seconds": solved.wall.as_secs_f64(),
-        "milestones": solved.milestones,
-        "checks": solved.account.checks,
-        "checking_seconds": solved.account.times.checking.as_secs_f64(),
-        "path_lengths": solved.lengths,
-    })
+impl Solved {
+    fn row(&self) -> Row {
+        Row {
+            planner: Answered::PLANNER,
+            source: self.source.name(),
+            workers: self.workers,
+            seed: self.seed,
+            nodes: self.milestones as u64,
+            spent: Spent::by_workers(self.wall.as_secs_f64(), self.account.times),
+            checks: self.account.checks,
+            path_lengths: self.lengths.clone(),
+        }
+    }
 }
 
 fn unconnected(task: &str, milestones: usize) -> PlanningError {

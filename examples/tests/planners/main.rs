@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+mod figures;
 mod planning;
 mod rigid_checks;
 #[path = "../../../client/tests/client/server.rs"]

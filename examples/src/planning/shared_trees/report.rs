@@ -1,16 +1,9 @@
-//! The tables and the JSON.
+//! The tables.
 
-use std::{fmt::Write, path::Path, time::Duration};
-
-use serde_json::{Value, json};
+use std::{fmt::Write, time::Duration};
 
 use super::{
-    super::{
-        error::PlanningError,
-        options::Kind,
-        processes::Times,
-        report::{median, write_figures},
-    },
+    super::{options::Kind, processes::Times, report::median},
     account::Account,
     solve::{Solved, WORKERS},
 };
@@ -107,31 +100,4 @@ pub fn comparison(all: &[Solved]) -> String {
         }
     }
     text + "Shares are of the workers' time. Other workers draw other states, and so grow other trees until these meet.\n"
-}
-
-/// Writes the figures of all solutions.
-pub fn write_json(all: &[Solved], path: &Path) -> Result<(), PlanningError> {
-    let runs: Vec<Value> = all.iter().map(figures).collect();
-    write_figures(&json!({ "runs": runs }), path)
-}
-
-fn figures(solved: &Solved) -> Value {
-    let account = |account: &Account| {
-        json!({
-            "samples": account.samples,
-            "vertices": account.vertices,
-            "inserts": account.inserts,
-            "checks": account.checks,
-            "seconds": account.times.total.as_secs_f64(),
-            "searching_seconds": account.times.searching.as_secs_f64(),
-            "checking_seconds": account.times.checking.as_secs_f64(),
-            "waiting_seconds": account.times.waiting.as_secs_f64(),
-        })
-    };
-    json!({
-        "source": solved.source.name(),
-        "seed": solved.seed,
-        "seconds": solved.crew.wall.as_secs_f64(),
-        "workers": solved.crew.accounts.iter().map(account).collect::<Vec<_>>(),
-    })
 }

@@ -4,11 +4,14 @@ use wayfold::Client;
 
 use super::{
     super::{
+        comparison::Planned,
         error::PlanningError,
+        figures::{Row, Spent},
         options::{Kind, Options, seeds},
         path::{self, Verify},
+        problem::Problem,
         processes::{self, Crew, Incident, PROGRESS_MS},
-        rrt,
+        rrt::{self, Solution},
     },
     account::Account,
     job::Job,
@@ -36,6 +39,21 @@ impl Solved {
     /// What all workers did together.
     pub fn sum(&self) -> Account {
         self.crew.accounts.iter().copied().sum()
+    }
+
+    /// Its figures.
+    pub fn row(&self, problem: &impl Problem) -> Row {
+        let sum = self.sum();
+        Row {
+            planner: Solution::PLANNER,
+            source: self.source.name(),
+            workers: self.crew.accounts.len(),
+            seed: self.seed,
+            nodes: self.shared.len() as u64,
+            spent: Spent::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            checks: sum.checks as u64,
+            path_lengths: vec![path::length(problem, &self.path)],
+        }
     }
 }
 
