@@ -56,7 +56,9 @@ fn anchors(text: &str) -> Vec<String> {
     let headings = prose(text).filter(|line| line.starts_with('#'));
     let slugs = headings.map(|line| {
         let title = line.trim_start_matches('#').trim().to_lowercase();
-        let kept = title.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+        let kept = title
+            .chars()
+            .filter(|c| c.is_alphanumeric() || " -_".contains(*c));
         let slug: String = kept.map(|c| if c == ' ' { '-' } else { c }).collect();
         let count = seen.entry(slug.clone()).or_default();
         *count += 1;
@@ -85,14 +87,11 @@ fn every_relative_link_leads_somewhere() {
                 "" => page.clone(),
                 file => page.parent().unwrap().join(file),
             };
-            let is_found = match (file.exists(), anchor) {
-                (true, "") => true,
-                (true, anchor) => {
-                    let there = fs::read_to_string(&file).unwrap_or_default();
-                    anchors(&there).iter().any(|known| known == anchor)
-                }
-                (false, _) => false,
+            let has_anchor = || {
+                let there = fs::read_to_string(&file).unwrap_or_default();
+                anchors(&there).iter().any(|known| known == anchor)
             };
+            let is_found = file.exists() && (anchor.is_empty() || has_anchor());
             if !is_found {
                 broken.push(format!("{}: {target}", page.display()));
             }
