@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use prost::encoding::encoded_len_varint;
-use wayfold_index::{Neighbor, PointRef, Search};
+use wayfold_index::{Neighbor, Point, Search};
 use wayfold_proto::v1;
 
 use super::{Error, Limits, at::log_failed, call::Pace, check::Rows};
@@ -44,7 +44,7 @@ impl Room {
 /// Where the columns of an answer come from.
 pub(super) trait Source {
     /// The point with this id.
-    fn point(&self, id: u64) -> Option<PointRef<'_>>;
+    fn point(&self, id: u64) -> Option<Point>;
     /// Its payload.
     fn payload(&self, id: u64) -> Result<Bytes, Error>;
 }
@@ -56,7 +56,7 @@ pub(super) struct Seen<'a> {
 }
 
 impl Source for Seen<'_> {
-    fn point(&self, id: u64) -> Option<PointRef<'_>> {
+    fn point(&self, id: u64) -> Option<Point> {
         self.published.snapshot.get(id)
     }
 
@@ -145,10 +145,10 @@ impl Found {
         Ok(())
     }
 
-    fn push_point(&mut self, point: PointRef<'_>) -> Result<(), Error> {
+    fn push_point(&mut self, point: Point) -> Result<(), Error> {
         if let Some(states) = &mut self.columns.states {
             states.rows += 1;
-            states.coordinates.extend_from_slice(point.row);
+            states.coordinates.extend(point.row);
         }
         if self.include.tags {
             self.columns.tags.push(point.tag);
@@ -179,7 +179,7 @@ pub(super) async fn search(
             k: search.k.min(found.too_many()),
             ..search
         };
-        let answer = seen.published.snapshot.search(state, &search);
+        let answer = seen.published.snapshot.search(state, &search)?;
         if !answer.exact {
             // Perhaps only because it was out of time.
             pace.check()?;
@@ -209,13 +209,13 @@ impl PointColumns {
         }
     }
 
-    pub(super) fn push(&mut self, source: &impl Source, point: PointRef<'_>) -> Result<(), Error> {
+    pub(super) fn push(&mut self, source: &impl Source, point: Point) -> Result<(), Error> {
         self.bytes += 8 + 8 + 8 * point.row.len() + encoded_len_varint(point.revision);
         self.columns.ids.push(point.id);
         self.columns.tags.push(point.tag);
         self.columns.revisions.push(point.revision);
         self.states.rows += 1;
-        self.states.coordinates.extend_from_slice(point.row);
+        self.states.coordinates.extend(point.row);
         if self.with_payloads {
             let payload = source.payload(point.id)?;
             self.bytes += payload_bytes(&payload);

@@ -95,10 +95,10 @@ impl Scan {
                 done = false;
                 break;
             }
+            after = Some(point.id);
             if self.filter.admits(point.tag, point.revision) {
                 points.push(&seen, point)?;
             }
-            after = Some(point.id);
             if passed % 32 == 31 {
                 pace.step().await?;
                 self.still_held()?;
