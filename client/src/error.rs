@@ -216,7 +216,7 @@ fn told_of(earlier: Option<&Error>) -> String {
 }
 
 /// The innermost error: "Connection refused" says more than the "transport error" around it.
-pub(crate) fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
+fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
     let mut cause = error;
     while let Some(source) = cause.source() {
         cause = source;

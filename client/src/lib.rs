@@ -1,7 +1,7 @@
 //! The Rust client of Wayfold: shared, exact nearest-neighbour indices for motion planners.
 //!
 //! ```no_run
-//! use wayfold_client::{Client, NeighborQuery};
+//! use wayfold::{Client, NeighborQuery};
 //!
 //! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 //! let client = Client::connect("http://127.0.0.1:50051").await?;
@@ -72,8 +72,6 @@ mod snapshot;
 mod state;
 mod states;
 
-pub mod cli;
-
 pub use client::{Client, ClientBuilder};
 pub use error::Error;
 pub use handle::IndexHandle;
@@ -97,7 +95,7 @@ pub use state::{FromState, State};
 pub use states::States;
 
 pub use tonic::Code;
-pub use wayfold_index::{Factor, Filter, Group, Scaling, Space, SpaceError, Term};
+pub use wayfold_index::{Factor, Filter, Group, Scaling, Space, SpaceError, StateProblem, Term};
 #[cfg(feature = "replica")]
 pub use wayfold_index::{Neighbor, PointRef, Search};
 pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};

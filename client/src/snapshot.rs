@@ -41,7 +41,7 @@ impl SnapshotPart {
 ///
 /// ```no_run
 /// use std::fs::File;
-/// use wayfold_client::{Client, SnapshotWriter};
+/// use wayfold::{Client, SnapshotWriter};
 ///
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;
@@ -88,7 +88,7 @@ impl<W: Write> SnapshotWriter<W> {
 ///
 /// ```no_run
 /// use std::fs::File;
-/// use wayfold_client::{Client, SnapshotReader};
+/// use wayfold::{Client, SnapshotReader};
 ///
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;

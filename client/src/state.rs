@@ -13,7 +13,7 @@ use crate::layout::{self, Coordinate};
 /// vectors.
 ///
 /// ```
-/// use wayfold_client::State;
+/// use wayfold::State;
 ///
 /// /// A car and its trailer, in R2*SO2*SO2.
 /// struct Rig { position: [f64; 2], heading: f64, hitch: f64 }

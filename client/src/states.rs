@@ -10,13 +10,13 @@ use crate::{Error, State, layout, state};
 /// States of one space, one row after the other: `len` rows of `width` numbers.
 ///
 /// ```
-/// use wayfold_client::States;
+/// use wayfold::States;
 ///
 /// let mut states = States::new(3);
 /// states.push([0.0, 1.0, 3.1])?;
 /// assert!(states.push([0.0, 1.0]).is_err());
 /// assert_eq!(states.row(0), [0.0, 1.0, 3.1]);
-/// # Ok::<(), wayfold_client::Error>(())
+/// # Ok::<(), wayfold::Error>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct States {

@@ -57,7 +57,7 @@ use planning::{
 use roadmap::Roadmap;
 use scene::Rooms;
 use tokio::runtime::{Builder, Runtime};
-use wayfold_client::{Client, IndexHandle};
+use wayfold::{Client, IndexHandle};
 use worker::Worker;
 
 static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);

@@ -29,7 +29,7 @@ use planning::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
-use wayfold_client::{Neighbor, Search, Space, States};
+use wayfold::{Neighbor, Search, Space, States};
 
 /// Two dead ends away from the start.
 fn small() -> maze::Maze {

@@ -31,7 +31,7 @@ use replay::stored;
 use roadmap::Roadmap;
 use scene::Rooms;
 use server::Server;
-use wayfold_client::IndexHandle;
+use wayfold::IndexHandle;
 use worker::Worker;
 
 static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);

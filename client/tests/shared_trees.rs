@@ -30,7 +30,7 @@ use planning::{
     },
 };
 use server::Server;
-use wayfold_client::Neighbor;
+use wayfold::Neighbor;
 
 /// Some corners away from the start.
 static MAZE: LazyLock<Maze> = LazyLock::new(|| Maze::between((0, 0), (2, 3)));

@@ -1,10 +1,11 @@
 //! Exact, dynamic nearest-neighbour search in the configuration spaces of motion planning: Cartesian products of Rⁿ,
 //! S¹ and RP³ with a weighted metric, after Yershova and LaValle.
 //!
-//! A [`Space`] is the metric: it checks states, brings them into canonical form and measures distances. Three
+//! A [`Space`] is the metric: it checks states, brings them into canonical form and measures distances. Four
 //! structures answer the same [`Search`] with the same neighbours, in ids and in the bits of the distances:
 //!
 //! - [`Linear`], brute force, the oracle of the others;
+//! - [`Mpnn`], the static kd-tree of Yershova and LaValle as their paper describes it, to compare with;
 //! - [`KdTree`], static, built once;
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
@@ -34,6 +35,7 @@ mod forest;
 mod kdtree;
 mod kernel;
 mod linear;
+mod mpnn;
 mod neighbor;
 mod points;
 mod scaling;
@@ -45,6 +47,7 @@ pub use forest::{Forest, ForestOptions, ForestReport, Merge, Merged, Snapshot};
 pub use kdtree::{KdTree, TreeReport};
 pub use kernel::Kernels;
 pub use linear::Linear;
+pub use mpnn::Mpnn;
 pub use neighbor::Neighbor;
 pub use points::{Point, PointRef, Points};
 pub use scaling::Scaling;

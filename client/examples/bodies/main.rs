@@ -2,9 +2,9 @@
 //! size of the experiment of Fig. 9 in A. Yershova, S. M. LaValle, "Improving Motion Planning Algorithms by Efficient
 //! Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
-//!     cargo run --release -p wayfold-client --example bodies -- [--source forest] [--seed 1] [--runs 5]
+//!     cargo run --release -p wayfold --example bodies -- [--source forest] [--seed 1] [--runs 5]
 //!
-//!     cargo run --release -p wayfold-client --example bodies -- --workers 4 [--source replica]
+//!     cargo run --release -p wayfold --example bodies -- --workers 4 [--source replica]
 //!
 //! The same trees are grown with each source of neighbours, from the same seeds; `bodies.svg` shows them.
 

@@ -1,11 +1,11 @@
 //! A C-shaped body through a maze with narrow corridors: the experiment of Fig. 8 in A. Yershova, S. M. LaValle,
 //! "Improving Motion Planning Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
-//!     cargo run --release -p wayfold-client --example maze -- [--source forest] [--seed 1] [--runs 5]
-//!     cargo run --release -p wayfold-client --example maze -- --rrt-star 500000 --source forest
+//!     cargo run --release -p wayfold --example maze -- [--source forest] [--seed 1] [--runs 5]
+//!     cargo run --release -p wayfold --example maze -- --rrt-star 500000 --source forest
 //!
-//!     cargo run --release -p wayfold-client --example maze -- --workers 4 [--source replica]
-//!     cargo run --release -p wayfold-client --example maze -- --scaling [--runs 5]
+//!     cargo run --release -p wayfold --example maze -- --workers 4 [--source replica]
+//!     cargo run --release -p wayfold --example maze -- --scaling [--runs 5]
 //!
 //! The same trees are grown with each source of neighbours, from the same seeds; `maze.svg` shows them, `maze-shared.svg` those
 //! of several workers, `maze-rrt-star.svg` the one of RRT*.

@@ -9,7 +9,7 @@ use thiserror::Error;
 pub enum PlanningError {
     /// A source that is reached over the network did not answer.
     #[error(transparent)]
-    Client(#[from] wayfold_client::Error),
+    Client(#[from] wayfold::Error),
     /// The threads of the client could not be started.
     #[error("cannot start the threads that talk to a server: {0}")]
     Threads(io::Error),

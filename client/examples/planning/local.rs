@@ -1,6 +1,6 @@
 //! Sources in this process: what a planner has without a service.
 
-use wayfold_client::{Neighbor, Search, Space, States};
+use wayfold::{Neighbor, Search, Space, States};
 use wayfold_index::{Forest, ForestOptions, Points};
 
 use super::{error::PlanningError, source::NeighborSource};

@@ -6,7 +6,7 @@ use petgraph::{
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold_client::{Space, States};
+use wayfold::{Space, States};
 
 use super::{error::PlanningError, problem::Problem};
 

@@ -1,6 +1,6 @@
 //! What a scene tells a planner.
 
-use wayfold_client::Space;
+use wayfold::Space;
 
 /// A motion planning problem: a way from `start` to `goal` through the free states of a space.
 pub trait Problem {

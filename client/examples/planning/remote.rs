@@ -3,7 +3,7 @@
 use std::rc::Rc;
 
 use tokio::runtime::{Builder, Runtime};
-use wayfold_client::{Client, IndexHandle, Inserted, Neighbor, Replica, Search, Space, States};
+use wayfold::{Client, IndexHandle, Inserted, Neighbor, Replica, Search, Space, States};
 
 use super::{error::PlanningError, source::NeighborSource};
 

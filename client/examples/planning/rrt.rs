@@ -12,7 +12,7 @@ use std::{
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold_client::States;
+use wayfold::States;
 
 use super::{
     account::{Account, Growth, Record},

@@ -11,7 +11,7 @@ use std::{
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold_client::{Scaling, Search, States};
+use wayfold::{Scaling, Search, States};
 
 use super::{
     error::PlanningError,

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use rand::{Rng, RngExt};
-use wayfold_client::{Factor, Space};
+use wayfold::{Factor, Space};
 
 /// A state drawn uniformly: within the bounds of the real coordinates, and of all angles and rotations. Canonical.
 ///

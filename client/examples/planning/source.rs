@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use wayfold_client::{Neighbor, Search, States};
+use wayfold::{Neighbor, Search, States};
 
 use super::error::PlanningError;
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde_json::json;
-use wayfold_client::Client;
+use wayfold::Client;
 
 use crate::{planning::error::PlanningError, replay, roadmap::Roadmap, scene::Rooms};
 

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use wayfold_client::{Client, IndexHandle};
+use wayfold::{Client, IndexHandle};
 
 use crate::{
     account::Account,

@@ -1,6 +1,6 @@
 """The scene of the example `rigid`, for planners in Python: the functions of `abi.rs`, called by ctypes.
 
-    cargo build --release -p wayfold-client --example rigid-checks
+    cargo build --release -p wayfold --example rigid-checks
 """
 
 import ctypes

@@ -2,10 +2,10 @@
 //! with six degrees of freedom, the kind of experiment of Fig. 10 in A. Yershova, S. M. LaValle, "Improving Motion Planning
 //! Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
-//!     cargo run --release -p wayfold-client --example rigid -- [--workers 4] [--source server] [--kill | --restart]
-//!     cargo run --release -p wayfold-client --example rigid -- --scaling [--runs 5]
-//!     cargo run --release -p wayfold-client --example rigid -- --until-solved [--scaling] [--runs 5]
-//!     cargo run --release -p wayfold-client --example rigid -- --compare [--runs 5]
+//!     cargo run --release -p wayfold --example rigid -- [--workers 4] [--source server] [--kill | --restart]
+//!     cargo run --release -p wayfold --example rigid -- --scaling [--runs 5]
+//!     cargo run --release -p wayfold --example rigid -- --until-solved [--scaling] [--runs 5]
+//!     cargo run --release -p wayfold --example rigid -- --compare [--runs 5]
 //!
 //! Reading order: `milestone` (what the index keeps), `nearby` (its candidates), `worker` (the planner), `roadmap` (what all
 //! of them made), `processes` (what one that is started does), `build` (one roadmap from the start to its paths), `until_solved`

@@ -1,6 +1,6 @@
 //! What a process does that is told to be a worker.
 
-use wayfold_client::{Client, RetryPolicy};
+use wayfold::{Client, RetryPolicy};
 
 use crate::{
     nearby::Source,

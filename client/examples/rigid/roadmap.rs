@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use wayfold_client::{Filter, IndexHandle, Point, Space, States};
+use wayfold::{Filter, IndexHandle, Point, Space, States};
 
 use crate::{
     milestone::{self, PENDING},

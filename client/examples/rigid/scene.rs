@@ -5,7 +5,7 @@ use parry3d_f64::{
     query::details::{distance_support_map_support_map, intersection_test_cuboid_cuboid},
     shape::Cuboid,
 };
-use wayfold_client::Space;
+use wayfold::Space;
 
 use crate::planning::{
     path::{TOUCHING, Verify},

@@ -12,7 +12,7 @@ use std::{
 use petgraph::unionfind::UnionFind;
 use serde_json::{Value, json};
 use tokio::sync::mpsc::{self, UnboundedReceiver};
-use wayfold_client::{Client, IndexHandle, Watch, WatchEvent};
+use wayfold::{Client, IndexHandle, Watch, WatchEvent};
 
 use crate::{
     account::Account,

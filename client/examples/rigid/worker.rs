@@ -13,7 +13,7 @@ use std::{collections::HashSet, time::Instant};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold_client::{Filter, IndexHandle, NeighborQuery, Point, Update};
+use wayfold::{Filter, IndexHandle, NeighborQuery, Point, Update};
 
 use crate::{
     account::Account,

@@ -38,7 +38,7 @@ use shared::Shared;
 ///
 /// ```no_run
 /// use std::time::Duration;
-/// use wayfold_client::{Client, Filter, Search};
+/// use wayfold::{Client, Filter, Search};
 ///
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;
@@ -154,8 +154,8 @@ impl Replica {
     /// the same scaling at the same revision. What `scaling` has no factor for is as in `search`.
     ///
     /// ```no_run
-    /// # fn example(replica: &wayfold_client::Replica) -> Result<(), wayfold_client::Error> {
-    /// use wayfold_client::{Scaling, Search};
+    /// # fn example(replica: &wayfold::Replica) -> Result<(), wayfold::Error> {
+    /// use wayfold::{Scaling, Search};
     ///
     /// let prm_star = Scaling { k_factor: Some(Scaling::K_FACTOR), ..Scaling::default() };
     /// let found = replica.search_scaled([0.1, 0.2], prm_star, &Search::nearest_r(0.5))?;

@@ -27,8 +27,8 @@ pub struct SnapshotRequest {
 /// into a file; [`Client::restore`](crate::Client::restore) makes an index of it, on this server or another:
 ///
 /// ```no_run
-/// # async fn example() -> Result<(), wayfold_client::Error> {
-/// use wayfold_client::Client;
+/// # async fn example() -> Result<(), wayfold::Error> {
+/// use wayfold::Client;
 ///
 /// let (from, to) = (Client::connect("one:50051").await?, Client::connect("other:50051").await?);
 /// let snapshot = from.index("arm").await?.snapshot().await?;

@@ -21,7 +21,7 @@ use crate::{Error, Include, IndexHandle, Knn, Neighbors, Refusal, States};
 /// take in two tasks, or keep a bounded number under way.
 ///
 /// ```no_run
-/// # async fn example(index: wayfold_client::IndexHandle, states: Vec<[f64; 7]>) -> Result<(), wayfold_client::Error> {
+/// # async fn example(index: wayfold::IndexHandle, states: Vec<[f64; 7]>) -> Result<(), wayfold::Error> {
 /// let (mut requests, mut answers) = index.stream_knn().await?;
 /// for (i, state) in states.iter().enumerate() {
 ///     requests.send(index.knn([state]).k(10)).await?;

@@ -12,7 +12,7 @@ use crate::{Error, IndexHandle, IndexInfo};
 /// force over the stored points. Await it for the whole, or watch it ([`Verify::watched`]).
 ///
 /// ```no_run
-/// # async fn example(index: wayfold_client::IndexHandle) -> Result<(), wayfold_client::Error> {
+/// # async fn example(index: wayfold::IndexHandle) -> Result<(), wayfold::Error> {
 /// let verified = index.verify().queries(100).await?;
 /// assert!(verified.agrees(), "{:?}", verified.first_disagreements);
 /// # Ok(())

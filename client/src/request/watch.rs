@@ -16,7 +16,7 @@ use crate::{Error, IndexHandle, Points};
 /// Follows an index: every mutation, in order, once readers can see it; await it to begin.
 ///
 /// ```no_run
-/// use wayfold_client::{Client, WatchEvent};
+/// use wayfold::{Client, WatchEvent};
 ///
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;
@@ -102,7 +102,6 @@ pub struct Reset {
 
 /// Why a watch cannot go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum ResetReason {
     /// The index has another uid than the handle: it was deleted and created again, restored, or lost what was not
     /// synced. Go on with a new handle, [`Client::index`](crate::Client::index).

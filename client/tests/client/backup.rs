@@ -1,21 +1,15 @@
 //! Snapshots, restores and verifications through the library, and how they fail.
 
-use std::{fs, process::Stdio, time::Duration};
+use std::time::Duration;
 
 use futures_util::{StreamExt, stream};
-use wayfold_client::{
-    Code, Error, SnapshotError, SnapshotPart, SnapshotReader, SnapshotWriter, States,
-};
+use wayfold::{Code, Error, SnapshotError, SnapshotPart, SnapshotReader, SnapshotWriter, States};
 use wayfold_proto::{
     snapshot::{Header, Writer},
     v1::{self, verify_index_response::Result as Answer},
 };
 
-use crate::{
-    fake::Fake,
-    process::{command, send},
-    server::Server,
-};
+use crate::{fake::Fake, server::Server};
 
 /// A snapshot of an index in R1 with these parts of points.
 fn parts(parts: &[&[f64]]) -> Vec<v1::SnapshotPart> {
@@ -184,7 +178,7 @@ async fn a_server_that_takes_nothing_is_not_waited_for() {
     let error = fake.client().await.restore("copy", whole()).await;
     // It was starting, and then took everything.
     assert_eq!(error.unwrap_err().code(), Code::Unimplemented);
-    let client = wayfold_client::Client::builder().timeout(Duration::from_secs(2));
+    let client = wayfold::Client::builder().timeout(Duration::from_secs(2));
     let client = client.connect(&fake.uri).await.unwrap();
     // It hears of the call only.
     fake.fail(|number, _| (number == 0).then(|| tonic::Status::not_found("no such index")));
@@ -236,31 +230,5 @@ async fn a_verification_tells_how_far_it_is_and_ends_with_a_report() {
         fake.verifies(answers);
         let error = index.verify().await.unwrap_err();
         assert!(matches!(error, Error::Protocol { .. }), "{error}");
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn an_interrupted_snapshot_leaves_no_file() {
-    let fake = Fake::start().await;
-    // The rest never comes.
-    fake.snapshots(&parts(&[&[1.0]])[..2], false);
-    for signal in ["INT", "TERM"] {
-        let directory = tempfile::tempdir().unwrap();
-        let files = || fs::read_dir(directory.path()).unwrap().count();
-        let file = directory.path().join("line.snapshot");
-        let mut child = command(&fake.uri, &["snapshot", "line", file.to_str().unwrap()])
-            .stdin(Stdio::null())
-            .spawn()
-            .unwrap();
-        while files() == 0 {
-            assert!(child.try_wait().unwrap().is_none());
-            tokio::task::yield_now().await;
-        }
-        send(signal, &child);
-        let ended = tokio::task::spawn_blocking(move || child.wait_with_output());
-        let output = ended.await.unwrap().unwrap();
-        assert_eq!(output.status.code(), Some(1), "SIG{signal}");
-        assert!(String::from_utf8_lossy(&output.stderr).contains("interrupted"));
-        assert_eq!(files(), 0, "SIG{signal}");
     }
 }

@@ -1,7 +1,7 @@
 //! What exceeds the bounds of one call is divided, in order, and joined.
 
 use tonic::Status;
-use wayfold_client::{
+use wayfold::{
     Client, Code, Error, Include, MUTATION_ROWS, NeighborQuery, Outcome, READ_ROWS, Space, States,
 };
 use wayfold_index::{Linear, Points, Search};

@@ -11,7 +11,7 @@ use tokio::net::TcpListener;
 use tokio_stream::wrappers::TcpListenerStream;
 use tonic::{Request, Response, Status, Streaming, async_trait};
 use tonic_types::{ErrorDetails, StatusExt};
-use wayfold_client::{Client, Space};
+use wayfold::{Client, Space};
 use wayfold_proto::{
     space,
     v1::{
@@ -118,7 +118,6 @@ impl Fake {
     }
 
     /// Lets the next scan answer so.
-    #[cfg(feature = "replica")]
     pub(crate) fn scan_answers(&self, parts: Vec<v1::ScanResponse>) {
         self.inner.lock().unwrap().scans.push_back(parts);
     }

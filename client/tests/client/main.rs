@@ -3,13 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 mod backup;
-mod cli_errors;
-mod cli_files;
-mod cli_verbs;
-mod damaged;
 mod dividing;
+#[cfg_attr(not(feature = "replica"), expect(dead_code, reason = "replicas scan"))]
 mod fake;
-mod process;
 #[cfg(feature = "replica")]
 mod replica;
 mod requests;

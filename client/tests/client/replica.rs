@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tonic::Status;
-use wayfold_client::{
+use wayfold::{
     Client, Code, Error, Filter, Replica, ReplicaRequest, ReplicaStatus, RetryPolicy, Search,
 };
 use wayfold_proto::v1;

@@ -1,6 +1,6 @@
 //! Each request against a real server.
 
-use wayfold_client::{Code, Error, Filter, Include, NeighborQuery, Outcome};
+use wayfold::{Code, Error, Filter, Include, NeighborQuery, Outcome};
 
 use crate::server::Server;
 
@@ -272,10 +272,7 @@ async fn a_scan_is_a_stream_of_parts() {
         .try_collect()
         .await
         .unwrap();
-    assert_eq!(
-        empty.iter().map(wayfold_client::Points::len).sum::<usize>(),
-        0
-    );
+    assert_eq!(empty.iter().map(wayfold::Points::len).sum::<usize>(), 0);
     index.insert([[3.0], [4.0]]).await.unwrap();
     let parts: Vec<_> = index
         .scan()

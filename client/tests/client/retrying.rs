@@ -7,7 +7,7 @@ use tokio::{
     net::TcpListener,
 };
 use tonic::Status;
-use wayfold_client::{Client, Code, Error, RetryPolicy};
+use wayfold::{Client, Code, Error, RetryPolicy};
 
 use crate::fake::Fake;
 

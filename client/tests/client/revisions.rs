@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use wayfold_client::{Client, Code};
+use wayfold::{Client, Code};
 
 use crate::{
     fake::{Fake, UID},

@@ -1,6 +1,6 @@
 //! Numbers and radii by the size of the index: from the server, from a replica, and from brute force.
 
-use wayfold_client::{NeighborQuery, Neighbors, Scaling, Space};
+use wayfold::{NeighborQuery, Neighbors, Scaling, Space};
 use wayfold_index::{Linear, PointRef, Search};
 
 use crate::{fake::Fake, server::Server};
@@ -111,7 +111,7 @@ async fn the_server_evaluates_it_at_the_size_of_its_index() {
 #[cfg(feature = "replica")]
 #[tokio::test]
 async fn a_replica_answers_and_refuses_as_the_server() {
-    use wayfold_client::{Error, Filter};
+    use wayfold::{Error, Filter};
 
     let server = Server::start();
     let index = server.index("se2", SPACE).await;

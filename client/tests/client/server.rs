@@ -3,7 +3,7 @@
 use std::net::TcpListener;
 
 use tokio::sync::oneshot;
-use wayfold_client::{Client, IndexHandle};
+use wayfold::{Client, IndexHandle};
 use wayfold_server::config::{Config, DataConfig, ZenohConfig};
 
 /// Stops when it is dropped, which nobody waits for: the connections to close may belong to the thread that drops it.

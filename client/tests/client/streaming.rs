@@ -1,7 +1,7 @@
 //! Many searches under way on one stream.
 
 use futures_util::StreamExt;
-use wayfold_client::{Code, Error, Include};
+use wayfold::{Code, Error, Include};
 
 use crate::{fake::Fake, server::Server};
 

@@ -6,7 +6,7 @@ use nalgebra::{
     DVector, Isometry2, Isometry3, Point3, SVector, Translation3, UnitComplex, UnitQuaternion,
     Vector2, Vector3,
 };
-use wayfold_client::{Error, FromState, State};
+use wayfold::{Error, FromState, State};
 
 use crate::server::Server;
 

@@ -1,15 +1,11 @@
 //! Following an index: whole mutations, in order, or an error, or a reset.
 
-use std::io::{BufRead, BufReader};
-
-use serde_json::{Value, json};
 use tonic::Status;
-use wayfold_client::{Code, Error, Mutation, ResetReason, Watch, WatchEvent};
+use wayfold::{Code, Error, Mutation, ResetReason, Watch, WatchEvent};
 use wayfold_proto::v1;
 
 use crate::{
     fake::{Fake, UID},
-    process::{command, send},
     server::Server,
 };
 
@@ -201,50 +197,4 @@ async fn a_server_tells_what_is_done_to_its_index() {
         (reset.reason, reset.uid.as_str(), reset.revision),
         (ResetReason::UidChanged, new.uid(), 0)
     );
-}
-
-#[test]
-fn the_command_prints_a_line_a_mutation_until_it_is_interrupted() {
-    let server = Server::start();
-    server.json(&["create", "line", "--space", "R1"]).line();
-    server.run_with(&["insert", "line", "-"], "0.5\n1.5\n");
-    let args = ["watch", "line", "--after", "0", "--output", "json"];
-    let mut child = command(&server.uri, &args).spawn().unwrap();
-    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    let mut line = || serde_json::from_str::<Value>(&lines.next().unwrap().unwrap()).unwrap();
-    let first = line();
-    assert_eq!(first["revision"], 1);
-    assert_eq!(
-        first["stored"],
-        json!([
-            {"id": 0, "state": [0.5], "tag": 0, "revision": 1},
-            {"id": 1, "state": [1.5], "tag": 0, "revision": 1},
-        ])
-    );
-    server.json(&["remove", "line", "1"]).line();
-    let second = line();
-    assert_eq!(
-        (&second["revision"], &second["removed_ids"]),
-        (&json!(2), &json!([1]))
-    );
-    send("INT", &child);
-    assert_eq!(child.wait().unwrap().code(), Some(0));
-}
-
-#[test]
-fn the_command_says_why_it_cannot_go_on() {
-    let server = Server::start();
-    server.json(&["create", "line", "--space", "R1"]).line();
-    server.run_with(&["insert", "line", "-"], "0.5\n");
-    let args = ["watch", "line", "--after", "0"];
-    let mut child = command(&server.uri, &args).spawn().unwrap();
-    let mut line = String::new();
-    let stdout = child.stdout.as_mut().unwrap();
-    BufReader::new(stdout).read_line(&mut line).unwrap();
-    assert_eq!(line, "revision 1  1 stored  0 removed\n");
-    server.json(&["delete", "line"]).line();
-    let ended = child.wait_with_output().unwrap();
-    assert_eq!(ended.status.code(), Some(1));
-    let told = String::from_utf8(ended.stderr).unwrap();
-    assert!(told.contains("no index is named \"line\""), "{told}");
 }

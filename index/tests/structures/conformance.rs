@@ -6,7 +6,7 @@ use crate::common::{
     SHAPES, SPACES, Shape, assert_same, brute_force, rng, searches, states, table,
 };
 use wayfold_index::{
-    Answer, Forest, ForestOptions, KdTree, Kernels, Linear, Points, Search, Snapshot, Space,
+    Answer, Forest, ForestOptions, KdTree, Kernels, Linear, Mpnn, Points, Search, Snapshot, Space,
     TreeReport,
 };
 
@@ -39,6 +39,13 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
                 Box::new(move |q, s| tree.search_with(kernels, q, s).unwrap()),
             ));
         }
+    }
+
+    for leaf_rows in [1, 2, 5, 1000] {
+        let tree = Mpnn::new(space.clone(), points.clone(), leaf_rows).unwrap();
+        tree.validate().unwrap();
+        let name = format!("mpnn/{leaf_rows}");
+        all.push((name, Box::new(move |q, s| tree.search(q, s).unwrap())));
     }
 
     for (growing_rows, leaf_rows) in [(1, 1), (4, 2), (7, 3), (1000, 4)] {
@@ -311,14 +318,16 @@ fn weights_below_and_above_one_prune_nothing_true() {
         let mut rng = rng(15);
         let points = table(&space, &states(&space, Shape::Uniform, 4000, &mut rng));
         let tree = KdTree::new(space.clone(), points.clone(), 4).unwrap();
+        let incremental = Mpnn::new(space.clone(), points.clone(), 4).unwrap();
         for query in states(&space, Shape::Uniform, 50, &mut rng) {
             let search = Search::nearest_k(10);
             let expected = brute_force(&space, points.iter(), &query, &search);
-            assert_same(
-                &tree.search(&query, &search).unwrap().neighbors,
-                &expected,
-                text,
-            );
+            for answer in [
+                tree.search(&query, &search),
+                incremental.search(&query, &search),
+            ] {
+                assert_same(&answer.unwrap().neighbors, &expected, text);
+            }
         }
     }
 }
@@ -361,28 +370,30 @@ fn a_search_that_gives_up_says_so() {
     let space = Space::se3();
     let mut rng = rng(7);
     let points = table(&space, &states(&space, Shape::Uniform, 20_000, &mut rng));
-    let tree = KdTree::new(space.clone(), points, 8).unwrap();
+    let tree = KdTree::new(space.clone(), points.clone(), 8).unwrap();
+    let binary = Mpnn::new(space.clone(), points, 8).unwrap();
     let query = &states(&space, Shape::Uniform, 1, &mut rng)[0];
     let all = Search::nearest_r(f64::INFINITY);
-    assert!(tree.search(query, &all).unwrap().exact);
-
     let late = Search {
         until: Some(std::time::Instant::now()),
         ..all
     };
-    let answer = tree.search(query, &late).unwrap();
-    assert!(
-        !answer.exact && answer.neighbors.len() < 32 * 8 + 8,
-        "{}",
-        answer.neighbors.len()
-    );
-
     let capped = Search {
         max_leaves: 3,
         ..all
     };
-    let answer = tree.search(query, &capped).unwrap();
-    assert!(!answer.exact && answer.neighbors.len() <= 3 * 8);
+    let structures: [&dyn Fn(&Search<'_>) -> Answer; 2] =
+        [&|search| tree.search(query, search).unwrap(), &|search| {
+            binary.search(query, search).unwrap()
+        }];
+    for structure in structures {
+        assert!(structure(&all).exact);
+        let answer = structure(&late);
+        let found = answer.neighbors.len();
+        assert!(!answer.exact && found < 32 * 8 + 8, "{found}");
+        let answer = structure(&capped);
+        assert!(!answer.exact && answer.neighbors.len() <= 3 * 8);
+    }
 }
 
 /// Where searches reach most of a tree, it is read from end to end instead: with the same answers.

@@ -1,7 +1,7 @@
 //! Points and searches that are not of the space: refused by every structure, with a typed error and without a change.
 
 use wayfold_index::{
-    ApplyError, Forest, ForestOptions, KdTree, Linear, PointRef, Points, PointsError, Search,
+    ApplyError, Forest, ForestOptions, KdTree, Linear, Mpnn, PointRef, Points, PointsError, Search,
     SearchError, Space, StateProblem,
 };
 
@@ -62,6 +62,8 @@ fn rows_that_are_not_canonical_states_are_not_stored() {
             _ => false,
         };
         let error = KdTree::new(space(), stored.clone(), 8).unwrap_err();
+        assert!(is_expected(&error), "{bad:?} {error}");
+        let error = Mpnn::new(space(), stored.clone(), 8).unwrap_err();
         assert!(is_expected(&error), "{bad:?} {error}");
         match forest.apply(1, &stored, &[]) {
             Err(ApplyError::Points(error)) => assert!(is_expected(&error), "{bad:?} {error}"),
@@ -131,6 +133,7 @@ fn a_revision_is_applied_once() {
 fn searches_for_no_state_or_out_of_range_are_not_answered() {
     let stored = points(&[(1, &good_row())]);
     let tree = KdTree::new(space(), stored.clone(), 8).unwrap();
+    let binary = Mpnn::new(space(), stored.clone(), 8).unwrap();
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     forest.apply(1, &stored, &[]).unwrap();
     let mut linear = Linear::new(space());
@@ -140,6 +143,7 @@ fn searches_for_no_state_or_out_of_range_are_not_answered() {
             tree.search(state, search),
             forest.search(state, search),
             forest.snapshot().search(state, search),
+            binary.search(state, search),
             linear.search(state, search),
         ] {
             let error = answer.unwrap_err();

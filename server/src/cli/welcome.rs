@@ -16,7 +16,7 @@ const DEFAULT_PORT: u16 = 50051;
 pub(super) fn print(addresses: &Addresses, directory: Option<&Path>) {
     // Cargo tells what it runs where it is; somebody who built it just now has no `wayfold` on the path.
     let client = match env::var_os("CARGO_MANIFEST_DIR") {
-        Some(_) => "cargo run --release -p wayfold-client --",
+        Some(_) => "cargo run --release -p wayfold --",
         None => "wayfold",
     };
     let mut out = io::stdout().lock();

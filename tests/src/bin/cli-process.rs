@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    wayfold_client::cli::main()
+    wayfold_cli::main()
 }

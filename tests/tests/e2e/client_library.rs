@@ -1,7 +1,7 @@
 //! The client library against a real server: what it divides, remembers and pipelines.
 
 use tokio::task::JoinSet;
-use wayfold_client::{Client, Knn, MUTATION_ROWS, NeighborQuery, Outcome, READ_ROWS};
+use wayfold::{Client, Knn, MUTATION_ROWS, NeighborQuery, Outcome, READ_ROWS};
 use wayfold_index::{Linear, PointRef, Search, Space};
 use wayfold_tests::{States, server};
 

@@ -3,7 +3,7 @@
 use std::error::Error;
 
 use nalgebra::Isometry3;
-use wayfold_client::{Client, NeighborQuery};
+use wayfold::{Client, NeighborQuery};
 use wayfold_tests::{Stubs, server};
 
 const README: &str = include_str!("../../../README.md");

@@ -14,7 +14,7 @@ use std::{
     time::Duration,
 };
 
-use wayfold_client::{Code, Error, ReplicaStatus, ResetReason, WatchEvent};
+use wayfold::{Code, Error, ReplicaStatus, ResetReason, WatchEvent};
 use wayfold_index::{Linear, Space};
 use wayfold_tests::{Process, ServerProcess, Signal, States, server};
 
@@ -178,7 +178,7 @@ fn inserted_id(revision: u64) -> u64 {
     u64::from(revision > 1)
 }
 
-async fn index_payloads(insert: wayfold_client::Insert, payloads: &[Vec<u8>]) {
+async fn index_payloads(insert: wayfold::Insert, payloads: &[Vec<u8>]) {
     insert.payloads(payloads.to_vec()).await.unwrap();
 }
 

@@ -13,7 +13,7 @@ use std::sync::{
 };
 
 use serde_json::json;
-use wayfold_client::{Client, Replica, ResetReason, WatchEvent};
+use wayfold::{Client, Replica, ResetReason, WatchEvent};
 use wayfold_index::{Linear, PointRef, Space};
 use wayfold_tests::{Process, ServerProcess, Signal, States};
 

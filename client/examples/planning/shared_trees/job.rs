@@ -1,7 +1,7 @@
 //! What a process is told that is one of the workers.
 
 use clap::Args;
-use wayfold_client::{Client, RetryPolicy};
+use wayfold::{Client, RetryPolicy};
 
 use super::{
     super::{

@@ -5,7 +5,7 @@
 //! at once; until then it costs nobody anything, which following all vertices for the sake of one of them would.
 
 use bytes::Bytes;
-use wayfold_client::{Client, Code, Error, IndexHandle, Space, WatchEvent};
+use wayfold::{Client, Code, Error, IndexHandle, Space, WatchEvent};
 
 use super::{super::error::PlanningError, vertex};
 

@@ -1,6 +1,6 @@
 //! Where a worker's neighbours come from: one tree of the two.
 
-use wayfold_client::{Client, Include, Neighbor, Replica, Search};
+use wayfold::{Client, Include, Neighbor, Replica, Search};
 
 use super::{
     super::{error::PlanningError, options::Kind},

@@ -1,6 +1,6 @@
 //! One problem, from empty indices to the path.
 
-use wayfold_client::Client;
+use wayfold::Client;
 
 use super::{
     super::{

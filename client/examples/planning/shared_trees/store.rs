@@ -1,7 +1,7 @@
 //! What workers share: the indices that hold the trees, and what tells that these have met.
 
 use clap::ValueEnum;
-use wayfold_client::{Client, Filter, IndexHandle, Space};
+use wayfold::{Client, Filter, IndexHandle, Space};
 
 use super::{
     super::{error::PlanningError, problem::Problem},

@@ -1,6 +1,6 @@
 //! Both trees as a whole, read from the server.
 
-use wayfold_client::{IndexHandle, States};
+use wayfold::{IndexHandle, States};
 
 use super::{
     super::{error::PlanningError, rrt::Tree},

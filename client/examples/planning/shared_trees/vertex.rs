@@ -5,7 +5,7 @@
 //! index, and nothing is ever removed: at every revision the parent of every vertex is there.
 
 use bytes::Bytes;
-use wayfold_client::Filter;
+use wayfold::Filter;
 
 /// The bit of a tag that tells the tree, in whichever index: 0 from the start, 1 from the goal.
 const TREE: u64 = 1;

@@ -12,7 +12,7 @@ use bytes::Bytes;
 use futures_util::future::try_join_all;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold_client::{Insert, Neighbor, States};
+use wayfold::{Insert, Neighbor, States};
 
 use super::{
     super::{error::PlanningError, problem::Problem, rrt, sampling, under_way::UnderWay},

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use tokio::{sync::mpsc, task::JoinSet, time::MissedTickBehavior};
-use wayfold_client::IndexHandle;
+use wayfold::IndexHandle;
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{States, Stubs, row_states};
 

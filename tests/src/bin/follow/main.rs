@@ -16,7 +16,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
-use wayfold_client::Client;
+use wayfold::Client;
 use wayfold_tests::{Stubs, measuring};
 
 use phase::Setting;

@@ -11,7 +11,7 @@ use std::{
 
 use arc_swap::ArcSwap;
 use tokio::{sync::mpsc, task::JoinSet};
-use wayfold_client::{Client, IndexHandle};
+use wayfold::{Client, IndexHandle};
 use wayfold_index::{Forest, ForestOptions, Merged, Points, Search, Snapshot};
 use wayfold_tests::{States, Stubs, figures::thread_time};
 use zenoh::Session;

@@ -8,7 +8,7 @@ use std::{
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold_client::{Client, Found, IndexHandle, Replica, RetryPolicy, Search};
+use wayfold::{Client, Found, IndexHandle, Replica, RetryPolicy, Search};
 use wayfold_index::{Filter, Linear, PointRef, Space};
 use wayfold_tests::{States, bits};
 

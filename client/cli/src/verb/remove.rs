@@ -1,0 +1,40 @@
+//! `wayfold remove`
+
+use serde::Serialize;
+
+use crate::{Session, failure::Failure, output::Format, parse};
+
+/// Removes points
+///
+/// Ids that are not stored are counted, and are no error.
+#[derive(Debug, clap::Args)]
+pub(crate) struct RemoveArgs {
+    /// The index
+    name: String,
+    /// The points
+    #[arg(value_name = "ID", required = true, value_parser = parse::id)]
+    ids: Vec<u64>,
+}
+
+#[derive(Serialize)]
+struct RemovedLine {
+    removed: u64,
+    missing: u64,
+    revision: u64,
+}
+
+pub(crate) async fn remove(args: RemoveArgs, session: &mut Session) -> Result<(), Failure> {
+    let done = session.index(&args.name).await?.remove(args.ids).await?;
+    match session.output.format {
+        Format::Json => session.output.json(&RemovedLine {
+            removed: done.removed,
+            missing: done.missing,
+            revision: done.revision,
+        })?,
+        Format::Text => session.output.text(format_args!(
+            "removed {}, missing {}; revision {}",
+            done.removed, done.missing, done.revision
+        ))?,
+    }
+    Ok(())
+}

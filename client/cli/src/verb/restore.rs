@@ -1,0 +1,72 @@
+//! `wayfold restore`
+
+use std::{
+    fs::File,
+    io::{self, Read},
+    path::{Path, PathBuf},
+};
+
+use futures_util::StreamExt;
+
+use super::index_info::InfoLine;
+use crate::{Session, failure::Failure, output::Format, progress};
+use wayfold::{Error, SnapshotError, SnapshotReader};
+
+const EXAMPLES: &str = "\
+Examples:
+  wayfold restore arm arm.snapshot
+  wayfold --server far:50051 restore arm-2 arm.snapshot
+
+The index has the points, ids, tags, payloads and revisions of the snapshot, and answers as the index
+did of which it was taken; its uid is its own. The file is checked as it is read, and the index is
+there once all of it was good: a command that fails or is interrupted leaves nothing.";
+
+/// Makes an index of a snapshot
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct RestoreArgs {
+    /// The index to make; no index may have this name
+    name: String,
+    /// The file that `wayfold snapshot` wrote, or - for standard input
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+}
+
+pub(crate) async fn restore(args: RestoreArgs, session: &mut Session) -> Result<(), Failure> {
+    let (name, file): (_, Box<dyn Read + Send>) = match args.file == Path::new("-") {
+        true => ("stdin".to_owned(), Box::new(io::stdin())),
+        false => {
+            let name = args.file.display().to_string();
+            let file = File::open(&args.file).map_err(|source| Failure::Snapshot {
+                file: name.clone(),
+                source: SnapshotError::Io(source),
+            })?;
+            (name, Box::new(file))
+        }
+    };
+    let bad = |source| Failure::Snapshot {
+        file: name.clone(),
+        source,
+    };
+    let snapshot = SnapshotReader::new(file).map_err(bad)?;
+    let bar = progress::bar(Some(snapshot.header().points), "restoring", false);
+    let sent = bar.clone();
+    let parts = snapshot.into_stream().inspect(move |part| {
+        sent.inc(part.as_ref().map_or(0, |part| part.points() as u64));
+    });
+    let restored = session.client.restore(&args.name, parts).await;
+    let index = match restored {
+        Err(Error::Snapshot(source)) => return Err(bad(source)),
+        restored => restored?,
+    };
+    bar.finish_and_clear();
+    let index = index.info().await?;
+    match session.output.format {
+        Format::Json => session.output.json(&InfoLine::of(&index))?,
+        Format::Text => session.output.text(format_args!(
+            "restored {}: {} points of {} at revision {} (uid {})",
+            index.name, index.points, index.space, index.revision, index.uid
+        ))?,
+    }
+    Ok(())
+}

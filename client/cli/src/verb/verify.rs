@@ -1,0 +1,201 @@
+//! `wayfold verify`
+
+use std::fmt::Write;
+
+use serde::Serialize;
+
+use super::index_info::InfoLine;
+use crate::{Session, failure::Failure, output::Format, progress};
+use wayfold::{Client, Verified};
+
+const EXAMPLES: &str = "\
+Examples:
+  wayfold verify arm
+  wayfold verify arm --queries 1000
+  wayfold --server one:50051 --server other:50051 verify arm
+
+The server compares, at one revision, every point that it searches with the one that it stores, and
+the answers to sampled queries with brute force over the stored points. The content hash is that of
+the space and the stored points, whatever their revisions: with --server given more than once, all
+servers are verified, and their spaces, counts and hashes compared. Give all of them before the word
+verify, or all after it. The exit status is 1 if anything disagrees.";
+
+/// Compares what an index answers with what is stored, and servers with each other
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct VerifyArgs {
+    /// The index
+    name: String,
+    /// How many states to ask about
+    #[arg(long, value_name = "N", default_value = "32", value_parser = clap::value_parser!(u32).range(..=1000))]
+    queries: u32,
+    /// What the states are drawn from
+    #[arg(long, value_name = "SEED", default_value = "0")]
+    seed: u64,
+}
+
+/// A verification as a line of JSON.
+#[derive(Serialize)]
+struct VerifiedLine<'a> {
+    server: &'a str,
+    agrees: bool,
+    #[serde(flatten)]
+    index: InfoLine<'a>,
+    stored_points: u64,
+    content_hash: String,
+    queries: u64,
+    disagreements: u64,
+    first_disagreements: &'a [String],
+}
+
+/// What comparing servers found, as a line of JSON.
+#[derive(Serialize)]
+struct ComparedLine<'a> {
+    same_content: bool,
+    differences: &'a [String],
+}
+
+pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<(), Failure> {
+    let mut all: Vec<(Client, Verified)> = Vec::new();
+    let clients = [vec![session.client.clone()], session.others.clone()].concat();
+    for client in clients {
+        let verified = ask(&args, &client).await?;
+        print(session, &client, &verified)?;
+        all.push((client, verified));
+    }
+    let mut problems = Vec::new();
+    for (client, verified) in &all {
+        if !verified.agrees() {
+            problems.push(format!(
+                "{}: what is searched disagrees with what is stored in {} places",
+                client.uri(),
+                verified.disagreements
+            ));
+        }
+    }
+    if let [(first, one), others @ ..] = &all[..]
+        && !others.is_empty()
+    {
+        let differences: Vec<String> = others
+            .iter()
+            .flat_map(|(client, other)| differences((first, one), (client, other)))
+            .collect();
+        compared(session, &args.name, &differences)?;
+        problems.extend(differences);
+    }
+    if problems.is_empty() {
+        return Ok(());
+    }
+    Err(Failure::Disagreement {
+        what: problems.join("; "),
+    })
+}
+
+async fn ask(args: &VerifyArgs, client: &Client) -> Result<Verified, Failure> {
+    let index = client.index(&args.name).await?;
+    let bar = progress::bar(Some(0), "verifying", false);
+    let verify = index.verify().queries(args.queries).seed(args.seed);
+    let verified = verify.watched(|read, to_read| {
+        bar.set_length(to_read);
+        bar.set_position(read);
+    });
+    let verified = verified.await?;
+    bar.finish_and_clear();
+    Ok(verified)
+}
+
+fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<(), Failure> {
+    let (output, index) = (&mut session.output, &verified.index);
+    if output.format == Format::Json {
+        output.json(&VerifiedLine {
+            server: client.uri(),
+            agrees: verified.agrees(),
+            index: InfoLine::of(index),
+            stored_points: verified.stored_points,
+            content_hash: hex(&verified.content_hash),
+            queries: verified.queries,
+            disagreements: verified.disagreements,
+            first_disagreements: &verified.first_disagreements,
+        })?;
+        return Ok(());
+    }
+    let verdict = if verified.agrees() {
+        "agrees with what is stored"
+    } else {
+        "DISAGREES with what is stored"
+    };
+    output.text(format_args!("{} on {} {verdict}", index.name, client.uri()))?;
+    output.text(format_args!("  space     {}", index.space))?;
+    output.text(format_args!(
+        "  points    {} searched, {} stored",
+        index.points, verified.stored_points
+    ))?;
+    output.text(format_args!(
+        "  queries   {}, each compared with brute force",
+        verified.queries
+    ))?;
+    output.text(format_args!("  content   {}", hex(&verified.content_hash)))?;
+    output.text(format_args!(
+        "  revision  {} (uid {})",
+        index.revision, index.uid
+    ))?;
+    for words in &verified.first_disagreements {
+        output.text(format_args!("  {words}"))?;
+    }
+    let untold = verified.disagreements - verified.first_disagreements.len() as u64;
+    if untold > 0 {
+        output.text(format_args!("  and {untold} more disagreements"))?;
+    }
+    Ok(())
+}
+
+/// Tells whether the servers agree.
+fn compared(session: &mut Session, name: &str, differences: &[String]) -> Result<(), Failure> {
+    match session.output.format {
+        Format::Json => session.output.json(&ComparedLine {
+            same_content: differences.is_empty(),
+            differences,
+        })?,
+        Format::Text if differences.is_empty() => session
+            .output
+            .text(format_args!("the servers hold the same points in {name}"))?,
+        Format::Text => {}
+    }
+    Ok(())
+}
+
+/// What two servers do not have in common. Their revisions and uids may differ: how an index came to hold what it holds
+/// is no part of it.
+fn differences(one: (&Client, &Verified), other: (&Client, &Verified)) -> Vec<String> {
+    let mut differences = Vec::new();
+    let mut add = |what: &str, one_has: String, other_has: String| {
+        if one_has != other_has {
+            let (one, other) = (one.0.uri(), other.0.uri());
+            differences.push(format!(
+                "{what}: {one_has} on {one}, and {other_has} on {other}"
+            ));
+        }
+    };
+    let (one, other) = (one.1, other.1);
+    add(
+        "space",
+        one.index.space.to_string(),
+        other.index.space.to_string(),
+    );
+    add(
+        "stored points",
+        one.stored_points.to_string(),
+        other.stored_points.to_string(),
+    );
+    add("content", hex(&one.content_hash), hex(&other.content_hash));
+    differences
+}
+
+fn hex(hash: &[u8]) -> String {
+    let mut text = String::with_capacity(2 * hash.len());
+    for byte in hash {
+        // Writing to a string does not fail.
+        let _ = write!(text, "{byte:02x}");
+    }
+    text
+}

@@ -1,0 +1,119 @@
+//! Indices that the server cannot read.
+
+use std::{fs, path::Path, sync::Arc};
+
+use serde_json::json;
+use wayfold::Code;
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{Durability, FjallLog},
+    registry::{Registry, RegistryOptions},
+    service::{Call, Limits, Service},
+};
+
+use crate::server::Server;
+
+/// Keeps the indices `arm`, `leg` and `rail` in a directory, and then loses the last mutation, which was of `leg`.
+/// The uids of all.
+fn lose_a_mutation(directory: &Path) -> Vec<String> {
+    let log = FjallLog::open(directory, Durability::Fsync).unwrap();
+    let registry = Registry::new(Arc::new(log), RegistryOptions::default());
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    let call = Call { deadline: None };
+    // With the runtime all that is under way ends, and the store is closed.
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let uids = runtime.block_on(async move {
+        let mut uids = Vec::new();
+        for name in ["arm", "leg", "rail"] {
+            let request = v1::CreateIndexRequest {
+                name: name.into(),
+                space_text: "R1".into(),
+                ..Default::default()
+            };
+            let created = service.create_index(&call, request).await.unwrap();
+            uids.push(created.index.unwrap().uid);
+        }
+        let insert = v1::InsertRequest {
+            index: "leg".into(),
+            states: Some(v1::States {
+                rows: 1,
+                coordinates: vec![0.5],
+            }),
+            ..Default::default()
+        };
+        service.insert(&call, insert).await.unwrap();
+        uids
+    });
+    drop(runtime);
+
+    let files = fs::read_dir(directory.join("store")).unwrap();
+    let journals = files
+        .map(|file| file.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|kind| kind == "jnl"));
+    let journal = journals.max().unwrap();
+    let written = fs::read(&journal).unwrap();
+    let end = written.iter().rposition(|&byte| byte != 0).unwrap();
+    let file = fs::File::options().write(true).open(journal).unwrap();
+    file.set_len(end as u64).unwrap();
+    uids
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_index_that_cannot_be_read_is_listed_and_can_be_deleted() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_owned();
+    let lose = tokio::task::spawn_blocking(move || lose_a_mutation(&path));
+    let uids = lose.await.unwrap();
+    let server = Server::with(|config| config.data.dir = directory.path().to_str().unwrap().into());
+    let client = server.client().await;
+
+    let list = client.list_indexes().await.unwrap();
+    let names: Vec<&str> = list.indexes.iter().map(|index| &*index.name).collect();
+    assert_eq!(names, ["arm", "rail"]);
+    let [damaged] = &list.damaged[..] else {
+        panic!("{list:?}");
+    };
+    assert_eq!((&damaged.name, &damaged.uid), (&"leg".into(), &uids[1]));
+    let refused = client.index_info("leg").await.unwrap_err();
+    assert_eq!(refused.code(), Code::DataLoss);
+    assert_eq!(refused.to_string(), damaged.error.to_string());
+    assert_eq!(damaged.error.reason, "DATA_LOSS");
+
+    let listed = server.json(&["list"]);
+    let told = &listed.stderr;
+    assert!(told.starts_with("error: 1 of 3 indices"), "{told}");
+    let lines = listed.lines_and(1);
+    assert_eq!(lines.len(), 3);
+    let message = &damaged.error.message;
+    assert!(
+        message.contains("revision 1 was stored and gone"),
+        "{message}"
+    );
+    let error = json!({"code": "DATA_LOSS", "reason": "DATA_LOSS", "message": message});
+    let expected = json!({"name": "leg", "uid": uids[1], "error": error});
+    assert_eq!(lines[2], expected);
+    let table = server.run(&["list"]);
+    assert_eq!((table.status, table.stderr), (Some(1), listed.stderr));
+    let rows: Vec<&str> = table.stdout.lines().collect();
+    assert_eq!(
+        rows[..3].concat(),
+        "NAME  POINTS  REVISION  SPACEarm        0         0  R1rail       0         0  R1"
+    );
+    assert_eq!(
+        rows[3..],
+        [format!("leg cannot be read: {message} (DATA_LOSS)")]
+    );
+
+    let deleted = server.json(&["delete", "leg"]).line();
+    assert_eq!(deleted["uid"], uids[1]);
+    let gone = client.delete_index("leg").await.unwrap_err();
+    assert_eq!(gone.code(), Code::NotFound);
+    assert_eq!(client.list_indexes().await.unwrap().damaged, []);
+    for name in ["arm", "rail"] {
+        client.delete_index(name).await.unwrap();
+    }
+    let empty = server.run(&["list"]);
+    assert!(empty.stdout.starts_with("no indices"));
+    assert_eq!((empty.status, &*empty.stderr), (Some(0), ""));
+}

@@ -1,0 +1,212 @@
+//! What goes wrong is told on standard error, with a status, and changes nothing.
+
+use wayfold::Client;
+
+use crate::{
+    fake::Fake,
+    process::{command, run_alone},
+    server::Server,
+};
+
+#[test]
+fn wrong_usage_is_status_2() {
+    for args in [
+        &["frobnicate"][..],
+        &["create", "arm"],
+        &["create", "arm", "--space", "R3*"],
+        &["knn", "arm", "-k", "0", "--state", "1"],
+        &["knn", "arm", "-k", "1"],
+        &["knn", "arm", "-k", "1", "a.csv", "--state", "1"],
+        &["query", "arm", "--radius", "-1", "--state", "1"],
+        &["query", "arm", "--state", "1"],
+        &["insert", "arm", "a.csv", "--min-separation", "nan"],
+        &["get", "arm", "9223372036854775808"],
+        &["get", "arm"],
+        &["scan", "arm", "a.npy"],
+        &["list", "--timeout", "5"],
+        &["list", "--output", "xml"],
+    ] {
+        run_alone(args).error(2);
+    }
+}
+
+#[test]
+fn help_and_version_are_no_errors() {
+    for args in [&["--help"][..], &["insert", "--help"], &["--version"]] {
+        let run = run_alone(args);
+        assert_eq!((run.status, &*run.stderr), (Some(0), ""));
+    }
+    assert!(run_alone(&["--help"]).stdout.contains("Examples:"));
+}
+
+#[test]
+fn no_server_is_named_with_what_to_do() {
+    let run = run_alone(&["list", "--timeout", "50ms"]);
+    let told = run.error(1);
+    for part in [
+        "http://127.0.0.1:0",
+        "Connection refused",
+        "50ms",
+        "wayfold-server",
+        "--server",
+        "WAYFOLD_SERVER",
+    ] {
+        assert!(told.contains(part), "{told} has no {part:?}");
+    }
+    let run = run_alone(&["list", "--server", "https://127.0.0.1:0"]);
+    assert!(run.error(1).contains("only http"), "{}", run.stderr);
+}
+
+#[test]
+fn refusals_of_the_server_are_status_1() {
+    let server = Server::start();
+    server.run(&["create", "line", "--space", "R1"]);
+    server.run_with(&["insert", "line", "-", "--ids", "id"], "id,x\n1,0\n");
+    for (args, expected) in [
+        (&["info", "nope"][..], "(NOT_FOUND)"),
+        (&["knn", "nope", "-k", "1", "--state", "0"], "(NOT_FOUND)"),
+        (&["delete", "nope"], "(NOT_FOUND)"),
+        (&["get", "line", "1", "5"], "id 5 (NOT_FOUND)"),
+        (&["create", "line", "--space", "R2"], "(ALREADY_EXISTS)"),
+        (&["create", "Line", "--space", "R2"], "(INVALID_ARGUMENT)"),
+        (
+            &["knn", "line", "-k", "4000000000", "--state", "0"],
+            "(RESOURCE_EXHAUSTED)",
+        ),
+    ] {
+        let run = server.run(args);
+        assert!(run.error(1).contains(expected), "{}", run.stderr);
+    }
+    let conflict = server.run_with(&["insert", "line", "-", "--ids", "id"], "id,x\n1,5\n");
+    assert!(
+        conflict.error(1).contains("--replace"),
+        "{}",
+        conflict.stderr
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_file_with_one_bad_row_is_named_and_not_sent() {
+    let server = Server::start();
+    server.index("arm", "R3*SO3:0.15").await;
+    let good = "0,0,0,0,0,0,1\n".repeat(2500);
+    let ids = |rows: &str| format!("id,x,y,z,qx,qy,qz,qw\n{rows}");
+    for (args, rows, expected) in [
+        (
+            &[][..],
+            "0,0,0,0,0,zero,1",
+            "stdin:2501:6 (qz): \"zero\" is not a finite number",
+        ),
+        (
+            &[],
+            "0,inf,0,0,0,0,1",
+            "stdin:2501:2 (y): \"inf\" is not a finite number",
+        ),
+        (
+            &[],
+            "0,0,0,0,0,0,2",
+            "stdin:2501:4 (qx): the quaternion that begins here has norm 2",
+        ),
+        (
+            &[],
+            "1e200,0,0,0,0,0,1",
+            "stdin:2501:1 (x): a magnitude above 1e150",
+        ),
+        (
+            &[],
+            "0,0,0,0,0,1",
+            "stdin:2501: 6 numbers, where a state of R3*SO3:0.15 has 7",
+        ),
+        (
+            &[],
+            "0,0,0,0,0,,1",
+            "stdin:2501:6 (qz): \"\" is not a finite number",
+        ),
+        (
+            &["--ids", "id"],
+            &ids("1,0,0,nan,0,0,0,1"),
+            "stdin:2:4 (z): \"nan\" is not a finite number",
+        ),
+        (
+            &["--ids", "id"],
+            &ids("1.0,0,0,0,0,0,0,1"),
+            "stdin:2:1: \"1.0\" is not an id",
+        ),
+        (
+            &["--ids", "id"],
+            &ids("7,0,0,0,0,0,0,1\n7,0,0,0,0,0,0,1"),
+            "stdin:3:1: id 7 is given twice, first in line 2",
+        ),
+        (
+            &["--ids", "name"],
+            &ids("7,0,0,0,0,0,0,1"),
+            "stdin: no column \"name\" in the header; there are id, x,",
+        ),
+        (
+            &["--ids", "id"],
+            "0,0,0,0,0,0,1",
+            "stdin: --ids names a column of a CSV header",
+        ),
+        (&[], &ids("7,0,0,0,0,0,0,1"), "Then say --ids id"),
+    ] {
+        let input = if expected.contains(":2501") {
+            format!("{good}{rows}\n")
+        } else {
+            format!("{rows}\n")
+        };
+        let run = server.run_with(&[&["insert", "arm", "-"], args].concat(), &input);
+        assert!(
+            run.error(1).contains(expected),
+            "{} has no {expected:?}",
+            run.stderr
+        );
+    }
+    let missing = server.run(&["insert", "arm", "no/such/file.csv"]);
+    assert!(missing.error(1).contains("no/such/file.csv"));
+    let client = Client::connect(&server.uri).await.unwrap();
+    assert_eq!(client.index_info("arm").await.unwrap().revision, 0);
+}
+
+#[test]
+fn rows_before_a_bad_one_are_answered() {
+    let server = Server::start();
+    server.run(&["create", "line", "--space", "R1"]);
+    server.run_with(&["insert", "line", "-"], "0\n");
+    let run = server.json_with(&["knn", "line", "-", "-k", "1"], "1\n2\nx\n3\n");
+    assert_eq!(run.status, Some(1));
+    assert_eq!(run.stdout.lines().count(), 2);
+    assert!(
+        run.stderr.contains("stdin:3:1 (x): \"x\""),
+        "{}",
+        run.stderr
+    );
+    let run = server.run(&["knn", "line", "-k", "1", "--state", "1,2"]);
+    assert!(
+        run.error(1)
+            .contains("--state: 2 numbers, where a state of R1 has 1"),
+        "{}",
+        run.stderr
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_is_starting_is_waited_for() {
+    let fake = Fake::start().await;
+    fake.unavailable(3);
+    let run = command(&fake.uri, &["list", "--output", "json"])
+        .output()
+        .unwrap();
+    assert!(run.status.success());
+    assert_eq!(fake.calls(), 4);
+
+    fake.unavailable(usize::MAX);
+    let run = command(&fake.uri, &["list", "--timeout", "1s"])
+        .output()
+        .unwrap();
+    assert_eq!(run.status.code(), Some(1));
+    let told = String::from_utf8(run.stderr).unwrap();
+    assert!(
+        told.contains("(UNAVAILABLE)") && told.contains("--timeout"),
+        "{told}"
+    );
+}

@@ -1,0 +1,96 @@
+//! Verbs that last until a signal or the server ends them.
+
+use std::{
+    fs,
+    io::{BufRead, BufReader},
+    process::Stdio,
+};
+
+use serde_json::{Value, json};
+use wayfold_proto::snapshot::{Header, Writer};
+
+use crate::{
+    fake::Fake,
+    process::{command, send},
+    server::Server,
+};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_interrupted_snapshot_leaves_no_file() {
+    let fake = Fake::start().await;
+    let header = Header {
+        name: "line".into(),
+        uid: "past".into(),
+        space: "R1".parse().unwrap(),
+        revision: 4,
+        next_id: 1,
+        points: 1,
+    };
+    // The rest never comes.
+    fake.snapshots(&[Writer::new().header(&header)], false);
+    for signal in ["INT", "TERM"] {
+        let directory = tempfile::tempdir().unwrap();
+        let files = || fs::read_dir(directory.path()).unwrap().count();
+        let file = directory.path().join("line.snapshot");
+        let mut child = command(&fake.uri, &["snapshot", "line", file.to_str().unwrap()])
+            .stdin(Stdio::null())
+            .spawn()
+            .unwrap();
+        while files() == 0 {
+            assert!(child.try_wait().unwrap().is_none());
+            tokio::task::yield_now().await;
+        }
+        send(signal, &child);
+        let ended = tokio::task::spawn_blocking(move || child.wait_with_output());
+        let output = ended.await.unwrap().unwrap();
+        assert_eq!(output.status.code(), Some(1), "SIG{signal}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains("interrupted"));
+        assert_eq!(files(), 0, "SIG{signal}");
+    }
+}
+
+#[test]
+fn the_command_prints_a_line_a_mutation_until_it_is_interrupted() {
+    let server = Server::start();
+    server.json(&["create", "line", "--space", "R1"]).line();
+    server.run_with(&["insert", "line", "-"], "0.5\n1.5\n");
+    let args = ["watch", "line", "--after", "0", "--output", "json"];
+    let mut child = command(&server.uri, &args).spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let mut line = || serde_json::from_str::<Value>(&lines.next().unwrap().unwrap()).unwrap();
+    let first = line();
+    assert_eq!(first["revision"], 1);
+    assert_eq!(
+        first["stored"],
+        json!([
+            {"id": 0, "state": [0.5], "tag": 0, "revision": 1},
+            {"id": 1, "state": [1.5], "tag": 0, "revision": 1},
+        ])
+    );
+    server.json(&["remove", "line", "1"]).line();
+    let second = line();
+    assert_eq!(
+        (&second["revision"], &second["removed_ids"]),
+        (&json!(2), &json!([1]))
+    );
+    send("INT", &child);
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn the_command_says_why_it_cannot_go_on() {
+    let server = Server::start();
+    server.json(&["create", "line", "--space", "R1"]).line();
+    server.run_with(&["insert", "line", "-"], "0.5\n");
+    let args = ["watch", "line", "--after", "0"];
+    let mut child = command(&server.uri, &args).spawn().unwrap();
+    let mut line = String::new();
+    let stdout = child.stdout.as_mut().unwrap();
+    BufReader::new(stdout).read_line(&mut line).unwrap();
+    assert_eq!(line, "revision 1  1 stored  0 removed\n");
+    server.json(&["delete", "line"]).line();
+    let ended = child.wait_with_output().unwrap();
+    assert_eq!(ended.status.code(), Some(1));
+    let told = String::from_utf8(ended.stderr).unwrap();
+    assert!(told.contains("no index is named \"line\""), "{told}");
+}

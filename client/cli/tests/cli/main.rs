@@ -1,0 +1,15 @@
+//! The command line as a process, against a real server in this process and against a fake one that fails as it is told.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod damaged;
+mod errors;
+#[expect(dead_code, reason = "the suite of the client takes more of it")]
+#[path = "../../../tests/client/fake.rs"]
+mod fake;
+mod files;
+mod lasting;
+mod process;
+#[path = "../../../tests/client/server.rs"]
+mod server;
+mod verbs;

@@ -1,0 +1,370 @@
+//! What each verb prints.
+
+use std::{
+    io::{BufRead, BufReader, Read, Write},
+    process::Stdio,
+};
+
+use serde_json::json;
+use wayfold::Client;
+
+use crate::{process::command, server::Server};
+
+const POSES: &str = "\
+x,y,z,qx,qy,qz,qw
+0.1,0.2,0.3,0,0,0,1
+0.5,0.2,0.3,0,0,0,-1
+0.1,0.2,1.3,0,0,0,1
+";
+
+#[test]
+fn an_index_is_created_listed_described_and_deleted() {
+    let server = Server::start();
+    assert!(server.json(&["list"]).lines().is_empty());
+
+    let created = server
+        .json(&["create", "arm", "--space", "R3*SO3:0.15"])
+        .line();
+    assert_eq!(created["created"], true);
+    let again = server
+        .json(&["create", "arm", "--space", "mpnn-se3"])
+        .line();
+    assert_eq!(again["created"], false);
+    assert_eq!(again["uid"], created["uid"]);
+    assert!(
+        server
+            .run(&["create", "arm", "--space", "mpnn-se3"])
+            .stdout
+            .contains("exists already")
+    );
+
+    let info = server.json(&["info", "arm"]).line();
+    let expected = json!({
+        "name": "arm", "space": "R3*SO3:0.15", "points": 0, "revision": 0, "uid": created["uid"],
+        "coordinates": 7, "dimension": 6, "memory_bytes": info["memory_bytes"],
+    });
+    assert_eq!(info, expected);
+    assert_eq!(server.json(&["list"]).lines(), [info]);
+    assert!(
+        server
+            .run(&["info", "arm"])
+            .stdout
+            .contains("7 (x, y, z, qx, qy, qz, qw)")
+    );
+
+    let deleted = server.json(&["delete", "arm"]).line();
+    assert_eq!(
+        deleted,
+        json!({"name": "arm", "uid": created["uid"], "deleted": true})
+    );
+    assert!(server.json(&["list"]).lines().is_empty());
+}
+
+#[test]
+fn what_is_inserted_is_found() {
+    let server = Server::start();
+    server
+        .json(&["create", "arm", "--space", "R3*SO3:0.15"])
+        .line();
+    let inserted = server.json_with(&["insert", "arm", "-"], POSES).line();
+    let expected = json!({
+        "inserted": 3, "unchanged": 0, "replaced": 0, "too_close": 0, "first_id": 0, "last_id": 2, "revision": 1,
+    });
+    assert_eq!(inserted, expected);
+
+    // Distances along one axis, q and -q being the same rotation.
+    let nearest = server
+        .json(&["knn", "arm", "-k", "2", "--state", "0,0.2,0.3,0,0,0,1"])
+        .line();
+    assert_eq!(
+        nearest,
+        json!({"ids": [0, 1], "distances": [0.1, 0.5], "revision": 1})
+    );
+    let within = [
+        "knn",
+        "arm",
+        "-k",
+        "2",
+        "--radius",
+        "0.25",
+        "--state",
+        "0.25,0.2,0.3,0,0,0,1",
+    ];
+    assert_eq!(
+        server.json(&within).line(),
+        json!({"ids": [0, 1], "distances": [0.15, 0.25], "revision": 1})
+    );
+    let all = server
+        .json(&[
+            "query",
+            "arm",
+            "--radius",
+            "inf",
+            "--state",
+            "-0.9,0.2,0.3,0,0,0,1",
+        ])
+        .line();
+    assert_eq!(all["ids"], json!([0, 1, 2]));
+    let none = server
+        .json(&["query", "arm", "--radius", "0", "--state", "0,0,0,0,0,0,1"])
+        .line();
+    assert_eq!(none, json!({"ids": [], "distances": [], "revision": 1}));
+
+    let points = server.json(&["get", "arm", "1", "0"]).lines();
+    let first =
+        json!({"id": 1, "state": [0.5, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], "tag": 0, "revision": 1});
+    assert_eq!((points.len(), &points[0]), (2, &first));
+
+    let removed = server.json(&["remove", "arm", "1", "77"]).line();
+    assert_eq!(removed, json!({"removed": 1, "missing": 1, "revision": 2}));
+    assert_eq!(server.json(&["info", "arm"]).line()["points"], 2);
+}
+
+#[test]
+fn text_is_a_table() {
+    let server = Server::start();
+    server.run(&["create", "line", "--space", "R1"]);
+    let inserted = server.run_with(
+        &["insert", "line", "-", "--ids", "id"],
+        "x,id\n0.5,7\n2,1000\n",
+    );
+    assert_eq!(
+        inserted.stdout,
+        "inserted 2, unchanged 0, replaced 0, too close 0; first id 7, last id 1000; revision 1\n"
+    );
+    let nearest = server.run(&["knn", "line", "-k", "5", "--state", "0"]);
+    let table = "state 1: 2 points at revision 1\n    id  distance\n     7  0.5\n  1000  2.0\n";
+    assert_eq!(nearest.stdout, table);
+    assert_eq!(
+        server.run(&["get", "line", "7"]).stdout,
+        "7  state 0.5  tag 0  revision 1\n"
+    );
+    assert_eq!(
+        server.run(&["remove", "line", "7"]).stdout,
+        "removed 1, missing 0; revision 2\n"
+    );
+    assert_eq!(
+        server.run(&["list"]).stdout,
+        "NAME  POINTS  REVISION  SPACE\nline       1         2  R1\n"
+    );
+}
+
+#[test]
+fn insert_tells_the_neighbours_each_row_had() {
+    let server = Server::start();
+    server.run(&["create", "line", "--space", "R1"]);
+    let args = [
+        "insert",
+        "line",
+        "-",
+        "--knn",
+        "2",
+        "--min-separation",
+        "0.5",
+    ];
+    let lines = server.json_with(&args, "0\n10\n10.25\n1\n").lines();
+    let expected = [
+        json!({"id": 0, "outcome": "INSERTED", "ids": [], "distances": []}),
+        json!({"id": 1, "outcome": "INSERTED", "ids": [0], "distances": [10.0]}),
+        json!({"id": null, "outcome": "TOO_CLOSE", "blocker": 1, "ids": [1, 0], "distances": [0.25, 10.25]}),
+        json!({"id": 2, "outcome": "INSERTED", "ids": [0, 1], "distances": [1.0, 9.0]}),
+        json!({
+            "inserted": 3, "unchanged": 0, "replaced": 0, "too_close": 1, "first_id": 0, "last_id": 2, "revision": 1,
+        }),
+    ];
+    assert_eq!(lines, expected);
+
+    // A given id is told also where the row is left out; the same point again is unchanged.
+    let args = [
+        "insert",
+        "line",
+        "-",
+        "--ids",
+        "id",
+        "--knn",
+        "1",
+        "--min-separation",
+        "0.5",
+    ];
+    let lines = server.json_with(&args, "id,x\n50,1.25\n1,10\n").lines();
+    assert_eq!(
+        lines[0],
+        json!({"id": 50, "outcome": "TOO_CLOSE", "blocker": 2, "ids": [2], "distances": [0.25]})
+    );
+    assert_eq!(
+        lines[1],
+        json!({"id": 1, "outcome": "UNCHANGED", "ids": [2], "distances": [9.0]})
+    );
+    assert_eq!(lines[2]["unchanged"], 1);
+
+    let replaced = server
+        .json_with(
+            &["insert", "line", "-", "--ids", "id", "--replace"],
+            "id,x\n1,20\n",
+        )
+        .line();
+    assert_eq!(replaced["replaced"], 1);
+}
+
+#[test]
+fn ids_from_2_to_the_53_up_are_strings() {
+    let server = Server::start();
+    server.run(&["create", "line", "--space", "R1"]);
+    let rows = "id,x\n9007199254740991,0\n9007199254740993,1\n9223372036854775807,2\n";
+    let inserted = server
+        .json_with(&["insert", "line", "-", "--ids", "id"], rows)
+        .line();
+    assert_eq!(inserted["first_id"], json!(9_007_199_254_740_991_u64));
+    assert_eq!(inserted["last_id"], json!("9223372036854775807"));
+    let nearest = server
+        .json(&["knn", "line", "-k", "2", "--state", "0"])
+        .line();
+    assert_eq!(
+        nearest["ids"],
+        json!([9_007_199_254_740_991_u64, "9007199254740993"])
+    );
+    let point = server.json(&["get", "line", "9007199254740993"]).line();
+    assert_eq!(point["id"], json!("9007199254740993"));
+}
+
+#[test]
+fn a_scan_reads_back_as_the_same_points() {
+    let server = Server::start();
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("roadmap.csv");
+    let file = file.to_str().unwrap();
+    server.run(&["create", "torus", "--space", "R2*SO2^2"]);
+    // Angles beyond the seam, and numbers without a short decimal form.
+    let rows = "0.1,0.30000000000000004,3.5,-7\n1e-300,-1e149,0,6.283185307179586\n0.3333333333333333,5,1,2\n";
+    server.run_with(&["insert", "torus", "-"], rows);
+
+    let printed = server.run(&["scan", "torus"]);
+    assert_eq!(printed.stdout.lines().next(), Some("id,x,y,theta0,theta1"));
+    assert_eq!(printed.stdout.lines().count(), 4);
+    let written = server.json(&["scan", "torus", file]).line();
+    assert_eq!(written, json!({"points": 3, "revision": 1}));
+    // JSON concerns what is printed, not the file.
+    assert_eq!(std::fs::read_to_string(file).unwrap(), printed.stdout);
+    std::fs::remove_file(file).unwrap();
+
+    let again = server.run(&["scan", "torus", file]);
+    assert!(
+        again
+            .stdout
+            .starts_with("3 points at revision 1 written to "),
+        "{}",
+        again.stdout
+    );
+    assert_eq!(std::fs::read_to_string(file).unwrap(), printed.stdout);
+    let unchanged = server
+        .json(&["insert", "torus", file, "--ids", "id"])
+        .line();
+    assert_eq!(
+        unchanged["unchanged"], 3,
+        "canonical states read back to the bit"
+    );
+    assert_eq!(unchanged["revision"], 1);
+
+    let points = server.json(&["scan", "torus"]).lines();
+    assert_eq!(points[0]["state"][2], json!(3.5 - std::f64::consts::TAU));
+    assert_eq!(points[1], server.json(&["get", "torus", "1"]).line());
+
+    // A scan's rows, asked about.
+    let own = server
+        .json(&["knn", "torus", file, "--ids", "id", "-k", "1"])
+        .lines();
+    let nearest: Vec<_> = own.iter().map(|line| line["ids"][0].clone()).collect();
+    assert_eq!(nearest, [json!(0), json!(1), json!(2)]);
+}
+
+#[test]
+fn a_row_in_a_pipe_is_answered_before_the_next_is_written() {
+    let server = Server::start();
+    server.run(&["create", "line", "--space", "R1"]);
+    server.run_with(&["insert", "line", "-"], "0\n10\n20\n");
+    let mut asking = command(
+        &server.uri,
+        &["knn", "line", "-", "-k", "1", "--output", "json"],
+    )
+    .spawn()
+    .unwrap();
+    let mut stdin = asking.stdin.take().unwrap();
+    let mut answers = BufReader::new(asking.stdout.take().unwrap()).lines();
+    for (asked, id) in [("1\n", 0), ("19\n", 2), ("11\n", 1)] {
+        stdin.write_all(asked.as_bytes()).unwrap();
+        let answer: serde_json::Value =
+            serde_json::from_str(&answers.next().unwrap().unwrap()).unwrap();
+        assert_eq!(answer["ids"], json!([id]));
+    }
+    drop(stdin);
+    assert!(answers.next().is_none());
+    assert!(asking.wait().unwrap().success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn answers_keep_the_order_of_a_long_file() {
+    let server = Server::start();
+    let line = server.index("line", "R1").await;
+    line.insert((0..5000).map(|x| [f64::from(x)]))
+        .await
+        .unwrap();
+    let asked: Vec<u32> = (0..3000).map(|i| i * 7919 % 5000).collect();
+    let rows: String = asked.iter().map(|x| format!("{x}.25\n")).collect();
+    let lines = server
+        .json_with(&["knn", "line", "-", "-k", "1"], &rows)
+        .lines();
+    let found: Vec<u64> = lines
+        .iter()
+        .map(|line| line["ids"][0].as_u64().unwrap())
+        .collect();
+    assert_eq!(
+        found,
+        asked.iter().map(|x| u64::from(*x)).collect::<Vec<_>>()
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_closed_pipe_ends_a_scan_quietly() {
+    let server = Server::start();
+    let line = server.index("line", "R1").await;
+    // Far more than a pipe holds.
+    line.insert((0..50_000).map(|x| [f64::from(x)]))
+        .await
+        .unwrap();
+    let mut scan = command(&server.uri, &["scan", "line"]).spawn().unwrap();
+    let mut first = String::new();
+    let mut stdout = BufReader::new(scan.stdout.take().unwrap());
+    stdout.read_line(&mut first).unwrap();
+    drop(stdout);
+    assert_eq!(first, "id,x\n");
+    assert!(scan.wait().unwrap().success());
+    let mut told = String::new();
+    scan.stderr
+        .take()
+        .unwrap()
+        .read_to_string(&mut told)
+        .unwrap();
+    assert_eq!(told, "");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_closed_pipe_does_not_end_an_insert() {
+    let server = Server::start();
+    server.index("line", "R1").await;
+    let mut insert = command(
+        &server.uri,
+        &["insert", "line", "-", "--knn", "5", "--output", "json"],
+    );
+    let mut insert = insert.stderr(Stdio::null()).spawn().unwrap();
+    let rows: String = (0..5000).map(|x| format!("{x}\n")).collect();
+    drop(insert.stdout.take());
+    insert
+        .stdin
+        .take()
+        .unwrap()
+        .write_all(rows.as_bytes())
+        .unwrap();
+    assert!(insert.wait().unwrap().success());
+    let client = Client::connect(&server.uri).await.unwrap();
+    assert_eq!(client.index_info("line").await.unwrap().points, 5000);
+}
