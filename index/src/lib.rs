@@ -21,14 +21,16 @@
 //! space.canonicalize(&mut state)?;
 //! let mut points = Points::new(space.coordinates());
 //! points.push(42, 0, 1, &state);
-//! let mut forest = Forest::new(space, ForestOptions::default());
-//! forest.apply(1, &points, &[]);
-//! assert_eq!(forest.search(&state, &Search::nearest_k(10)).neighbors[0].id, 42);
+//! let options = ForestOptions::for_space(&space);
+//! let mut forest = Forest::new(space, options);
+//! forest.apply(1, &points, &[])?;
+//! assert_eq!(forest.search(&state, &Search::nearest_k(10))?.neighbors[0].id, 42);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod blocks;
 mod candidates;
+mod error;
 mod forest;
 mod kdtree;
 mod kernel;
@@ -40,13 +42,14 @@ mod scaling;
 mod search;
 mod space;
 
-pub use forest::{Forest, ForestOptions, Merge, Merged, Snapshot};
-pub use kdtree::KdTree;
+pub use error::{ApplyError, PointsError, SearchError};
+pub use forest::{Forest, ForestOptions, ForestReport, Merge, Merged, Snapshot};
+pub use kdtree::{KdTree, TreeReport};
 pub use kernel::Kernels;
 pub use linear::Linear;
 pub use mpnn::Mpnn;
 pub use neighbor::Neighbor;
-pub use points::{PointRef, Points};
+pub use points::{Point, PointRef, Points};
 pub use scaling::Scaling;
 pub use search::{Answer, Filter, Search};
 pub use space::{Factor, Group, Space, SpaceError, StateError, StateProblem, Term};

@@ -151,7 +151,7 @@ impl Follower {
     fn apply(&mut self, event: WatchEvent) -> Result<(), Stop> {
         match event {
             WatchEvent::Mutation(mutation) => {
-                self.grove.apply(&mutation);
+                self.grove.apply(&mutation)?;
                 Ok(())
             }
             WatchEvent::Reset(reset) => {

@@ -3,7 +3,8 @@
 use tokio::task::JoinSet;
 use wayfold_index::{Forest, Merged, PointRef, Points, Snapshot};
 
-use crate::Mutation;
+use super::load::protocol;
+use crate::{Error, Mutation};
 
 /// Most merges at once, each on a thread of its own: a long one does not keep short ones waiting.
 const MERGERS: usize = 2;
@@ -34,7 +35,10 @@ impl Grove {
     }
 
     /// Applies a mutation, whose revision is above the forest's.
-    pub(super) fn apply(&mut self, mutation: &Mutation) {
+    ///
+    /// # Errors
+    /// The server has sent points that are not of the space.
+    pub(super) fn apply(&mut self, mutation: &Mutation) -> Result<(), Error> {
         let width = self.forest.space().coordinates();
         let mut stored = Points::with_capacity(width, mutation.stored.len());
         for point in mutation.stored.iter() {
@@ -46,8 +50,10 @@ impl Grove {
             });
         }
         self.forest
-            .apply(mutation.revision, &stored, &mutation.removed);
+            .apply(mutation.revision, &stored, &mutation.removed)
+            .map_err(|error| protocol(error.to_string()))?;
         self.start_merging();
+        Ok(())
     }
 
     /// Called now and then: if nothing was applied since the last time, merges work towards a single level.

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use wayfold_index::{Neighbor, PointRef, Scaling, Search, Snapshot};
+use wayfold_index::{Neighbor, Point, Scaling, Search, Snapshot};
 
+use super::load::protocol;
 use super::refused::{canonical, check, check_scaling};
 use crate::{Error, IndexHandle, State, States};
 
@@ -58,8 +59,8 @@ impl ReplicaView {
         self.points.is_empty()
     }
 
-    /// The point with this id.
-    pub fn get(&self, id: u64) -> Option<PointRef<'_>> {
+    /// A copy of the point with this id.
+    pub fn get(&self, id: u64) -> Option<Point> {
         self.points.get(id)
     }
 
@@ -117,7 +118,10 @@ impl ReplicaView {
                 revision,
             });
         }
-        let answer = self.points.search(&state, search);
+        let answer = self
+            .points
+            .search(&state, search)
+            .map_err(|error| protocol(error.to_string()))?;
         Ok(Found {
             neighbors: answer.neighbors,
             exact: answer.exact,

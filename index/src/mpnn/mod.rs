@@ -18,7 +18,9 @@
 mod query;
 mod validate;
 
-use crate::{Answer, Factor, Points, Search, Space, kdtree::scales, kernel::Scale};
+use crate::{
+    Answer, Factor, Points, PointsError, Search, SearchError, Space, kdtree::scales, kernel::Scale,
+};
 
 /// Sides count as equally long when they differ by this share of the longest (the tolerance that ANN uses).
 const SIDE_TOLERANCE: f64 = 0.001;
@@ -60,11 +62,11 @@ enum Node {
 /// points.push(1, 0, 1, &[0.0, 0.0, 3.1]);
 /// points.push(2, 0, 1, &[0.0, 0.0, -3.1]);
 /// points.push(3, 0, 1, &[0.0, 0.5, 2.9]);
-/// let tree = Mpnn::new(space, points, 1);
+/// let tree = Mpnn::new(space, points, 1)?;
 /// // Across the seam of the circle.
-/// let answer = tree.search(&[0.0, 0.0, -3.0], &Search::nearest_k(2));
+/// let answer = tree.search(&[0.0, 0.0, -3.0], &Search::nearest_k(2))?;
 /// assert_eq!([answer.neighbors[0].id, answer.neighbors[1].id], [2, 1]);
-/// # Ok::<(), wayfold_index::SpaceError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct Mpnn {
@@ -83,26 +85,16 @@ pub struct Mpnn {
 }
 
 impl Mpnn {
-    /// The maximum number of points: slots are 32 bits wide.
-    pub const MAX_POINTS: usize = u32::MAX as usize;
-
     /// Builds the tree over n canonical rows of [`Space::coordinates`] numbers each.
     ///
     /// A leaf holds at most `leaf_rows` points, at least 1: fewer than m = `leaf_rows` + 1 in the paper's words. A leaf holds
     /// more only where no cut separates them, as they agree in every coordinate of positive weight.
     ///
-    /// # Panics
-    /// If the rows are of another width than the space's, or more than [`Mpnn::MAX_POINTS`].
-    pub fn new(space: Space, points: Points, leaf_rows: usize) -> Self {
-        assert!(
-            points.len() <= Self::MAX_POINTS,
-            "too many points for a tree"
-        );
-        assert_eq!(
-            points.coordinates(),
-            space.coordinates(),
-            "rows of another space"
-        );
+    /// # Errors
+    /// The rows are not canonical states of the space, two have the same id, or there are more than
+    /// [`KdTree::MAX_POINTS`](crate::KdTree::MAX_POINTS).
+    pub fn new(space: Space, points: Points, leaf_rows: usize) -> Result<Self, PointsError> {
+        points.check(&space)?;
         let axes = axes(&space);
         let leaf_rows = leaf_rows.max(1);
         let mut slots: Vec<u32> = (0..points.len() as u32).collect();
@@ -146,7 +138,7 @@ impl Mpnn {
         for &slot in &slots {
             ordered.push_point(points.get(slot as usize));
         }
-        Self {
+        Ok(Self {
             scale: Scale::new(&space),
             space,
             axes,
@@ -155,12 +147,16 @@ impl Mpnn {
             nodes,
             lo,
             hi,
-        }
+        })
     }
 
-    /// Answers `search` for a canonical `state` of [`Space::coordinates`] numbers.
-    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
-        query::search(self, state, search)
+    /// Answers `search` for a canonical `state`.
+    ///
+    /// # Errors
+    /// The state is not a canonical state of the space, or a number of the search is out of its range.
+    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
+        search.check(&self.space, state)?;
+        Ok(query::search(self, state, search))
     }
 
     /// The number of points.

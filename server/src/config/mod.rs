@@ -7,7 +7,6 @@ mod nearest;
 use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use serde::Deserialize;
-use wayfold_index::ForestOptions;
 
 pub use error::ConfigError;
 
@@ -86,7 +85,7 @@ impl ZenohConfig {
 /// `[index]`
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct IndexConfig {
-    /// Most points of the tree that grows.
+    /// The greatest number of points in the tree that grows; 0 to choose it by the space.
     pub growing_rows: usize,
     /// Points in a leaf.
     pub leaf_rows: usize,
@@ -101,10 +100,8 @@ pub struct IndexConfig {
 impl IndexConfig {
     pub(crate) fn options(&self) -> RegistryOptions {
         RegistryOptions {
-            forest: ForestOptions {
-                growing_rows: self.growing_rows,
-                leaf_rows: self.leaf_rows,
-            },
+            growing_rows: (self.growing_rows > 0).then_some(self.growing_rows),
+            leaf_rows: Some(self.leaf_rows),
             merge_threads: self.merge_threads,
             window_bytes: self.window_bytes,
             window: Duration::from_secs(self.window_seconds),

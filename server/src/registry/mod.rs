@@ -35,8 +35,10 @@ pub use writer::{WriteGuard, Writer};
 /// How the registry hosts its indices.
 #[derive(Clone, Copy, Debug)]
 pub struct RegistryOptions {
-    /// The sizes of the forests.
-    pub forest: ForestOptions,
+    /// The greatest number of points in the tree of an index that grows; None to choose it by the space.
+    pub growing_rows: Option<usize>,
+    /// The number of points in a leaf; None to choose it by the space.
+    pub leaf_rows: Option<usize>,
     /// How many merges run at once, over all indices.
     pub merge_threads: usize,
     /// About how many bytes of its newest records each index keeps, beside its points.
@@ -48,11 +50,24 @@ pub struct RegistryOptions {
 impl Default for RegistryOptions {
     fn default() -> Self {
         Self {
-            forest: ForestOptions::default(),
+            growing_rows: None,
+            leaf_rows: None,
             merge_threads: 2,
             window_bytes: 64 * 1024 * 1024,
             window: Duration::from_secs(3600),
         }
+    }
+}
+
+impl RegistryOptions {
+    /// An empty forest of states of `space`.
+    fn forest(&self, space: &Space) -> Forest {
+        let by_space = ForestOptions::for_space(space);
+        let options = ForestOptions {
+            growing_rows: self.growing_rows.unwrap_or(by_space.growing_rows),
+            leaf_rows: self.leaf_rows.unwrap_or(by_space.leaf_rows),
+        };
+        Forest::new(space.clone(), options)
     }
 }
 
@@ -227,7 +242,7 @@ impl Registry {
             space,
         };
         self.host.log.create(entry.clone())?;
-        let forest = Forest::new(entry.space.clone(), self.host.options.forest);
+        let forest = self.host.options.forest(&entry.space);
         let view = self.host.log.points(entry.uid)?;
         let hosted = Hosted::new(&self.host, &entry, Writer::new(forest, view));
         let place = Place::Hosted(Arc::clone(&hosted));

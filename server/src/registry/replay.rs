@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tracing::{error, info};
-use wayfold_index::{Forest, PointRef, Points};
+use wayfold_index::{ApplyError, PointRef, Points, PointsError};
 
 use super::{Host, Hosted, Place, RegistryError, Writer, operations::EVERY_OPERATION};
 use crate::log::{Entry, LogError, View};
@@ -29,9 +29,12 @@ pub(super) fn replayed(host: &Arc<Host>, entry: &Entry) -> Place {
 /// none: its retry is evaluated anew, which it cannot tell from a first try.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
     let view = host.log.points(entry.uid)?;
-    let mut forest = Forest::new(entry.space.clone(), host.options.forest);
+    let mut forest = host.options.forest(&entry.space);
     if view.revision() > 0 {
-        forest.apply(view.revision(), &load(&*view, entry)?, &[]);
+        let points = load(&*view, entry)?;
+        forest
+            .apply(view.revision(), &points, &[])
+            .map_err(|error| damaged(entry, view.revision(), &points, &error))?;
         forest.settle();
     }
     let mut writer = Writer::new(forest, Arc::clone(&view));
@@ -46,6 +49,29 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
         "replayed an index"
     );
     Ok(Hosted::new(host, entry, writer))
+}
+
+/// Points of the log that the forest refuses are not those that were written.
+fn damaged(entry: &Entry, revision: u64, points: &Points, error: &ApplyError) -> LogError {
+    let uid = entry.uid;
+    match *error {
+        ApplyError::Points(PointsError::State { row, .. }) => LogError::DamagedPoint {
+            uid,
+            id: points.id(row),
+            what: "its state is not a canonical state of the space",
+        },
+        ApplyError::Points(PointsError::DuplicateId(id)) => LogError::DamagedPoint {
+            uid,
+            id,
+            what: "it is stored twice",
+        },
+        ApplyError::Points(PointsError::Width { .. } | PointsError::TooMany(_))
+        | ApplyError::Revision { .. } => LogError::Damaged {
+            uid,
+            revision,
+            what: "its points do not make a forest",
+        },
+    }
 }
 
 fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {

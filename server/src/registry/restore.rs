@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tracing::info;
-use wayfold_index::{Forest, PointRef, Points, Space};
+use wayfold_index::{PointRef, Points, Space};
 
 use super::{Host, Hosted, Place, Registry, RegistryError, Writer};
 use crate::log::{Entry, Origin, Restoring, StoredPoint, Uid};
@@ -55,9 +55,11 @@ impl Registry {
             stored,
             points,
         } = restore;
-        let mut forest = Forest::new(entry.space.clone(), host.options.forest);
+        let mut forest = host.options.forest(&entry.space);
         if origin.revision > 0 {
-            forest.apply(origin.revision, &points, &[]);
+            forest
+                .apply(origin.revision, &points, &[])
+                .expect("restored points are checked as they arrive");
             forest.settle();
         }
         let _changing = self.changing.lock();

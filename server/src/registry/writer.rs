@@ -126,7 +126,8 @@ impl Writer {
             self.changed = record.revision();
         }
         self.forest
-            .apply(record.revision(), effects.stored(), effects.removed());
+            .apply(record.revision(), effects.stored(), effects.removed())
+            .expect("a record's rows are checked before it is logged");
         if let Some(operation) = effects.operation() {
             self.remember(Arc::clone(operation), window);
         }

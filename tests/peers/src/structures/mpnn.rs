@@ -13,21 +13,20 @@ pub struct Paper(Mpnn);
 
 impl Paper {
     pub fn new(space: &Space, rows: &Rows) -> Self {
-        Paper(Mpnn::new(
-            space.clone(),
-            wayfold::points(space, rows),
-            LEAF_ROWS,
-        ))
+        let tree = Mpnn::new(space.clone(), wayfold::points(space, rows), LEAF_ROWS);
+        Paper(tree.expect("canonical states"))
     }
 }
 
 impl Structure for Paper {
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
-        wayfold::report(&self.0.search(query, &Search::nearest_k(k)), found);
+        let answer = self.0.search(query, &Search::nearest_k(k));
+        wayfold::report(&answer.expect("canonical states"), found);
     }
 
     fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
-        wayfold::report(&self.0.search(query, &Search::nearest_r(radius)), found);
+        let answer = self.0.search(query, &Search::nearest_r(radius));
+        wayfold::report(&answer.expect("canonical states"), found);
     }
 
     fn insert(&mut self, _: &[f64]) {
