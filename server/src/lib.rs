@@ -8,12 +8,12 @@ pub mod log;
 pub mod registry;
 pub mod service;
 
-mod background;
-mod brevity;
-mod capacity;
+mod admission;
 mod cli;
 mod grpc;
+mod latency_gate;
 mod lifecycle;
+mod low_priority;
 mod observe;
 mod run;
 mod status;

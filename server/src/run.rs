@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 use tracing::{info, warn};
 
 use crate::{
-    capacity::Capacity,
+    admission::Admission,
     config::{Config, DataConfig},
     grpc::{self, GrpcError},
     lifecycle::{Lifecycle, Phase},
@@ -23,7 +23,7 @@ use crate::{
 
 /// How long connections without calls are waited for once the server stops. A peer that lives says goodbye at once,
 /// and takes what is left of its last answer; one that is frozen, or never spoke, does neither.
-const QUIET_WAIT: Duration = Duration::from_secs(5);
+const IDLE_WAIT: Duration = Duration::from_secs(5);
 
 /// How long connections that were cut may take to notice.
 const CUT_WAIT: Duration = Duration::from_secs(1);
@@ -95,7 +95,7 @@ pub(crate) async fn serve(
     }
     let service = Service::starting(config.limits.clone());
     let lifecycle = Lifecycle::starting();
-    let capacity = Capacity::new(config.grpc.max_calls);
+    let capacity = Admission::new(config.grpc.max_calls);
     let cut = CancellationToken::new();
     let mut zenoh = ZenohFace::open(&config.zenoh, service.clone()).await?;
     let addresses = Addresses {
@@ -115,9 +115,9 @@ pub(crate) async fn serve(
     ));
 
     // Connections are accepted meanwhile, and calls told to come again.
-    let replayed = replayed(config.index.options(), config.data);
+    let opening = open_registry(config.index.options(), config.data);
     let live = async {
-        let registry = Arc::new(replayed.await?);
+        let registry = Arc::new(opening.await?);
         service.set_registry(Arc::clone(&registry));
         service.set_ready();
         // With a store that cannot be opened no index is served; why, is told to every call.
@@ -130,7 +130,7 @@ pub(crate) async fn serve(
         }
         ready(&addresses);
         registry
-            .look_after(|| lifecycle.advance(Phase::Serving))
+            .maintain(|| lifecycle.advance(Phase::Serving))
             .await;
         std::future::pending::<Result<Infallible, ServerError>>().await
     };
@@ -144,7 +144,7 @@ pub(crate) async fn serve(
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
     let grace_ms = config.shutdown.grace_ms;
-    let faces: Vec<Capacity> = [capacity]
+    let faces: Vec<Admission> = [capacity]
         .into_iter()
         .chain(zenoh.as_ref().map(ZenohFace::capacity))
         .collect();
@@ -164,7 +164,7 @@ pub(crate) async fn serve(
             info!("stopped");
             return drained.map_err(ServerError::from);
         }
-        () = quiet(&faces) => 0,
+        () = idle(&faces) => 0,
         () = sleep_until(grace_end) => in_use(&faces),
     };
     if calls > 0 {
@@ -183,27 +183,30 @@ pub(crate) async fn serve(
 }
 
 /// How many calls are under way.
-fn in_use(faces: &[Capacity]) -> usize {
-    faces.iter().map(Capacity::in_use).sum()
+fn in_use(faces: &[Admission]) -> usize {
+    faces.iter().map(Admission::in_use).sum()
 }
 
-/// Returns once no call has been under way for [`QUIET_WAIT`].
-async fn quiet(faces: &[Capacity]) {
-    let mut ticks = interval(QUIET_WAIT / 10);
+/// Returns once no call has been under way for [`IDLE_WAIT`].
+async fn idle(faces: &[Admission]) {
+    let mut ticks = interval(IDLE_WAIT / 10);
     let mut since = Instant::now();
     loop {
         let now = ticks.tick().await;
         if in_use(faces) > 0 {
             since = now;
-        } else if now.saturating_duration_since(since) >= QUIET_WAIT {
+        } else if now.saturating_duration_since(since) >= IDLE_WAIT {
             return;
         }
     }
 }
 
 /// A registry of what the log holds. Read on a thread that may block, as reading a log does.
-async fn replayed(options: RegistryOptions, data: DataConfig) -> Result<Registry, ServerError> {
-    let replay = move || {
+async fn open_registry(
+    options: RegistryOptions,
+    data: DataConfig,
+) -> Result<Registry, ServerError> {
+    let open = move || {
         let log: Arc<dyn Log> = match data.directory() {
             Some(directory) => Arc::new(FjallLog::open(directory, data.durability)?),
             None => Arc::new(MemoryLog::default()),
@@ -213,6 +216,6 @@ async fn replayed(options: RegistryOptions, data: DataConfig) -> Result<Registry
         Ok(registry)
     };
     // It fails to come back only if it panicked.
-    let replayed = tokio::task::spawn_blocking(replay).await;
-    replayed.unwrap_or(Err(ServerError::Ended))
+    let opened = tokio::task::spawn_blocking(open).await;
+    opened.unwrap_or(Err(ServerError::Ended))
 }

@@ -12,14 +12,15 @@ use tracing::{debug, warn};
 use wayfold_index::{Snapshot, Space};
 
 use super::{
-    Host, OperationWindow, RegistryError, WriteGuard, Writer, merging::Ran, recent::Recent,
+    Host, OperationWindow, RegistryError, WriteGuard, Writer, merging::FinishedMerge,
+    recent::RecentRecords,
 };
 use crate::log::{Effects, Entry, Keep, LogError, Record, Uid, View};
 
 /// A mutation of more points or more bytes than these, or one that changes points that there are, is committed on a thread
 /// of its own: it would hold up the calls that share the caller's.
-const POINTS_IN_PLACE: usize = 1024;
-const BYTES_IN_PLACE: usize = 128 * 1024;
+const MAX_INLINE_POINTS: usize = 1024;
+const MAX_INLINE_BYTES: usize = 128 * 1024;
 
 /// One frozen revision of an index, for as long as it is held.
 pub struct Published {
@@ -41,12 +42,12 @@ pub struct Hosted {
     state: watch::Sender<State>,
     writer: Arc<Mutex<Writer>>,
     /// Merges that are to be swapped in.
-    pub(super) ran: parking_lot::Mutex<Vec<Ran>>,
+    pub(super) finished_merges: parking_lot::Mutex<Vec<FinishedMerge>>,
     /// The head's revision when it was last looked whether anybody writes, and when nobody did.
-    pub(super) looked_at: AtomicU64,
-    pub(super) paused_at: AtomicU64,
+    pub(super) last_seen_revision: AtomicU64,
+    pub(super) last_idle_revision: AtomicU64,
     unsynced: parking_lot::Mutex<Unsynced>,
-    recent: parking_lot::Mutex<Recent>,
+    recent: parking_lot::Mutex<RecentRecords>,
 }
 
 /// Heads that are not yet as durable as configured.
@@ -82,11 +83,11 @@ impl Hosted {
             host: Arc::clone(host),
             state: watch::Sender::new(state),
             writer: Arc::new(Mutex::new(writer)),
-            ran: parking_lot::Mutex::default(),
-            looked_at: AtomicU64::new(u64::MAX),
-            paused_at: AtomicU64::new(u64::MAX),
+            finished_merges: parking_lot::Mutex::default(),
+            last_seen_revision: AtomicU64::new(u64::MAX),
+            last_idle_revision: AtomicU64::new(u64::MAX),
             unsynced: parking_lot::Mutex::default(),
-            recent: parking_lot::Mutex::new(Recent::new(host.options.window_bytes)),
+            recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
         })
     }
 
@@ -183,16 +184,16 @@ impl Hosted {
         effects: Effects,
         window: OperationWindow,
     ) -> Result<u64, RegistryError> {
-        let is_small = effects.len() <= POINTS_IN_PLACE && effects.bytes() <= BYTES_IN_PLACE;
+        let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
         // The log reads a point before it replaces or removes it.
         let next_id = writer.head().view.next_id();
         let is_new = effects.removed().is_empty()
             && effects.stored().iter().all(|point| point.id >= next_id);
         let revision = if is_small && is_new && !self.host.log.is_busy() {
-            self.commit_here(writer, effects, window)?
+            self.append_and_publish(writer, effects, window)?
         } else {
             let hosted = Arc::clone(self);
-            tokio::task::spawn_blocking(move || hosted.commit_here(writer, effects, window))
+            tokio::task::spawn_blocking(move || hosted.append_and_publish(writer, effects, window))
                 .await
                 .map_err(|_| RegistryError::Stopped)??
         };
@@ -200,7 +201,7 @@ impl Hosted {
         Ok(revision)
     }
 
-    fn commit_here(
+    fn append_and_publish(
         self: &Arc<Self>,
         mut writer: WriteGuard,
         effects: Effects,
@@ -219,9 +220,9 @@ impl Hosted {
                 return Err(error.into());
             }
         }
-        self.show(writer.head());
+        self.set_head(writer.head());
         self.start_merging(&mut writer);
-        let keep = self.keep(writer.window(), SystemTime::now());
+        let keep = self.retention(writer.window(), SystemTime::now());
         if let Err(error) = log.trim(self.uid, &keep) {
             warn!(index = self.name, %error, "could not trim the log");
         }
@@ -235,11 +236,11 @@ impl Hosted {
     fn publish_once_synced(self: &Arc<Self>, writer: WriteGuard) {
         let mut unsynced = self.unsynced.lock();
         unsynced.heads.push_back(Arc::clone(writer.head()));
-        let others_do = std::mem::replace(&mut unsynced.publishing, true);
+        let already_publishing = std::mem::replace(&mut unsynced.publishing, true);
         drop(unsynced);
         // Not before: the next head would come to stand before this one, and be taken for the older.
         drop(writer);
-        if !others_do {
+        if !already_publishing {
             // What is synced already is published here; the rest without the caller, who may go away.
             let mut publishing = Box::pin(Arc::clone(self).publish_synced());
             if (&mut publishing).now_or_never().is_none() {
@@ -298,7 +299,7 @@ impl Hosted {
     }
 
     /// Takes note of a new head of the writer, or of a new form of the same; readers who see that revision get it.
-    pub(super) fn show(&self, head: &Arc<Published>) {
+    pub(super) fn set_head(&self, head: &Arc<Published>) {
         self.state.send_if_modified(|state| {
             state.head = Arc::clone(head);
             if state.published.revision == head.revision {
@@ -309,7 +310,7 @@ impl Hosted {
     }
 
     /// What the log is to keep of the past.
-    fn keep(&self, window: OperationWindow, now: SystemTime) -> Keep {
+    fn retention(&self, window: OperationWindow, now: SystemTime) -> Keep {
         let since = now.checked_sub(self.host.options.window);
         Keep {
             record_bytes: self.host.options.window_bytes,
@@ -325,7 +326,7 @@ impl Hosted {
             Ok(writer) => self
                 .host
                 .log
-                .trim(self.uid, &self.keep(writer.window(), now)),
+                .trim(self.uid, &self.retention(writer.window(), now)),
             Err(_) => Ok(()),
         }
     }

@@ -9,7 +9,7 @@ use wayfold_index::{Merge, Merged};
 use super::{Hosted, Writer};
 
 /// What has become of a merge.
-pub(super) struct Ran {
+pub(super) struct FinishedMerge {
     rows: usize,
     merged: Result<Merged, JoinError>,
 }
@@ -27,10 +27,10 @@ impl Hosted {
     }
 
     /// Called now and then: if there was no mutation since the last time, merges work towards a single level.
-    pub(super) fn look_for_pause(self: &Arc<Self>) {
+    pub(super) fn merge_if_idle(self: &Arc<Self>) {
         let revision = self.newest().revision;
-        let is_pause = self.looked_at.swap(revision, Relaxed) == revision;
-        if is_pause && self.paused_at.swap(revision, Relaxed) != revision {
+        let is_pause = self.last_seen_revision.swap(revision, Relaxed) == revision;
+        if is_pause && self.last_idle_revision.swap(revision, Relaxed) != revision {
             let hosted = Arc::clone(self);
             tokio::spawn(async move {
                 let mut writer = hosted.write_closed().await;
@@ -49,12 +49,14 @@ impl Hosted {
         let rows = merge.rows();
         let merged = tokio::task::spawn_blocking(move || merge.run()).await;
         drop(turn);
-        self.ran.lock().push(Ran { rows, merged });
+        self.finished_merges
+            .lock()
+            .push(FinishedMerge { rows, merged });
         // Most often a mutation has the writer before, and has swapped it in by then.
         let mut writer = self.write_closed().await;
         if self.swap_in(&mut writer) {
             writer.refresh();
-            self.show(writer.head());
+            self.set_head(writer.head());
         }
         self.start_merging(&mut writer);
     }
@@ -62,9 +64,9 @@ impl Hosted {
     /// Swaps in the merges that have run; whether there were any. Who writes does so, too: where many wait for the writer,
     /// a merge that waited behind them all would come late, and searches would visit small levels by the dozen.
     pub(super) fn swap_in(&self, writer: &mut Writer) -> bool {
-        let ran = std::mem::take(&mut *self.ran.lock());
-        let any = !ran.is_empty();
-        for Ran { rows, merged } in ran {
+        let finished = std::mem::take(&mut *self.finished_merges.lock());
+        let any = !finished.is_empty();
+        for FinishedMerge { rows, merged } in finished {
             writer.mergers -= 1;
             match merged {
                 Ok(merged) => {

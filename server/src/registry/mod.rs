@@ -10,12 +10,12 @@
 
 mod error;
 mod hosted;
+mod maintenance;
 mod merging;
 mod operations;
 mod recent;
 mod replay;
 mod restore;
-mod upkeep;
 mod writer;
 
 use std::{collections::BTreeMap, ops::Bound, sync::Arc, time::Duration};
@@ -59,26 +59,26 @@ impl Default for RegistryOptions {
 /// The indices of the server.
 pub struct Registry {
     host: Arc<Host>,
-    indexes: RwLock<BTreeMap<String, Place>>,
+    indexes: RwLock<BTreeMap<String, IndexState>>,
     /// Held by who creates, deletes, restores or recovers indices, so that readers need not wait for the log meanwhile.
-    changing: Mutex<()>,
+    change_lock: Mutex<()>,
     /// Told of every change of what the names stand for.
     changed: watch::Sender<()>,
 }
 
 /// What a name stands for.
 #[derive(Clone)]
-enum Place {
+enum IndexState {
     Hosted(Arc<Hosted>),
     /// An index that could not be replayed, and why. It can be deleted.
     Damaged(Uid, RegistryError),
 }
 
-impl Place {
+impl IndexState {
     fn hosted(&self) -> Result<&Arc<Hosted>, RegistryError> {
         match self {
-            Place::Hosted(hosted) => Ok(hosted),
-            Place::Damaged(_, why) => Err(why.clone()),
+            IndexState::Hosted(hosted) => Ok(hosted),
+            IndexState::Damaged(_, why) => Err(why.clone()),
         }
     }
 }
@@ -117,7 +117,7 @@ impl Registry {
                 merges,
             }),
             indexes: RwLock::default(),
-            changing: Mutex::new(()),
+            change_lock: Mutex::new(()),
             changed: watch::Sender::new(()),
         }
     }
@@ -127,13 +127,13 @@ impl Registry {
     pub fn replay(&self) -> Result<(), RegistryError> {
         let entries = self.host.log.indexes()?;
         for (done, entry) in entries.iter().enumerate() {
-            let place = replay::replayed(&self.host, entry);
-            self.change(|indexes| indexes.insert(entry.name.clone(), place));
+            let state = replay::replay_or_damaged(&self.host, entry);
+            self.change(|indexes| indexes.insert(entry.name.clone(), state));
             if (done + 1).is_multiple_of(1000) {
                 info!(done = done + 1, of = entries.len(), "replaying");
             }
         }
-        self.take_gone();
+        self.add_lost();
         info!(indexes = entries.len(), "replayed the log");
         Ok(())
     }
@@ -144,16 +144,16 @@ impl Registry {
     }
 
     /// Changes what the names stand for.
-    fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<String, Place>) -> T) -> T {
+    fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<String, IndexState>) -> T) -> T {
         let changed = change(&mut self.indexes.write());
         self.changed.send_replace(());
         changed
     }
 
     /// Takes note of the indices of which nothing is left, unless their names stand for others.
-    fn take_gone(&self) {
+    fn add_lost(&self) {
         for gone in self.host.log.gone() {
-            let damaged = Place::Damaged(gone.uid, RegistryError::Log(gone.why));
+            let damaged = IndexState::Damaged(gone.uid, RegistryError::Log(gone.why));
             self.change(|indexes| {
                 indexes.entry(gone.name).or_insert(damaged);
             });
@@ -163,7 +163,7 @@ impl Registry {
     /// The index of this name: [`RegistryError::Deleted`] if there is none, or why it cannot be read.
     pub fn get(&self, name: &str) -> Result<Arc<Hosted>, RegistryError> {
         match self.indexes.read().get(name) {
-            Some(place) => place.hosted().cloned(),
+            Some(state) => state.hosted().cloned(),
             None => Err(self.unopened().unwrap_or(RegistryError::Deleted)),
         }
     }
@@ -187,9 +187,9 @@ impl Registry {
             return Err(why);
         }
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
-        let listed = page.take(limit).map(|(name, place)| match place {
-            Place::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
-            Place::Damaged(uid, why) => Listed::Damaged {
+        let listed = page.take(limit).map(|(name, state)| match state {
+            IndexState::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
+            IndexState::Damaged(uid, why) => Listed::Damaged {
                 name: name.clone(),
                 uid: *uid,
                 why: why.clone(),
@@ -207,7 +207,7 @@ impl Registry {
         space: Space,
         limit: usize,
     ) -> Result<(Arc<Hosted>, bool), RegistryError> {
-        let _changing = self.changing.lock();
+        let _change = self.change_lock.lock();
         match self.get(name) {
             Ok(hosted) if *hosted.space() == space => return Ok((hosted, false)),
             Ok(hosted) => {
@@ -230,8 +230,8 @@ impl Registry {
         let forest = Forest::new(entry.space.clone(), self.host.options.forest);
         let view = self.host.log.points(entry.uid)?;
         let hosted = Hosted::new(&self.host, &entry, Writer::new(forest, view));
-        let place = Place::Hosted(Arc::clone(&hosted));
-        self.change(|indexes| indexes.insert(entry.name, place));
+        let state = IndexState::Hosted(Arc::clone(&hosted));
+        self.change(|indexes| indexes.insert(entry.name, state));
         info!(index = name, uid = %entry.uid, space = %entry.space, "created an index");
         Ok((hosted, true))
     }
@@ -239,18 +239,18 @@ impl Registry {
     /// Deletes the index of this name, if it has `uid` or `uid` is None. Whoever reads it goes on with what it has;
     /// whoever waits for it, or comes to write it, is told [`RegistryError::Deleted`]. It blocks while the log works.
     pub fn delete(&self, name: &str, uid: Option<&str>) -> Result<Uid, RegistryError> {
-        let _changing = self.changing.lock();
-        let place = self.indexes.read().get(name).cloned();
-        let found = match place.as_ref().ok_or(RegistryError::Deleted)? {
-            Place::Hosted(hosted) => hosted.uid(),
-            Place::Damaged(uid, _) => *uid,
+        let _change = self.change_lock.lock();
+        let state = self.indexes.read().get(name).cloned();
+        let found = match state.as_ref().ok_or(RegistryError::Deleted)? {
+            IndexState::Hosted(hosted) => hosted.uid(),
+            IndexState::Damaged(uid, _) => *uid,
         };
         if uid.is_some_and(|uid| uid != found.to_string()) {
             return Err(RegistryError::OtherUid { found });
         }
         self.host.log.delete(found)?;
         self.change(|indexes| indexes.remove(name));
-        if let Some(Place::Hosted(hosted)) = place {
+        if let Some(IndexState::Hosted(hosted)) = state {
             hosted.close(RegistryError::Deleted);
         }
         info!(index = name, uid = %found, "deleted an index");

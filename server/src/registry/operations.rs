@@ -16,11 +16,13 @@ pub struct OperationWindow {
     pub bytes: usize,
 }
 
-/// As many as there are: the log bounds this by itself, and the next mutation by what is configured.
-pub(super) const EVERY_OPERATION: OperationWindow = OperationWindow {
-    count: usize::MAX,
-    bytes: usize::MAX,
-};
+impl OperationWindow {
+    /// No bound. Replay uses it: the log bounds its operations, and the next mutation applies the configured window.
+    pub(super) const UNBOUNDED: Self = Self {
+        count: usize::MAX,
+        bytes: usize::MAX,
+    };
+}
 
 /// The newest operations, by id.
 #[derive(Default)]

@@ -8,14 +8,14 @@ use crate::log::Record;
 const BYTES: usize = 4 * 1024 * 1024;
 
 /// See the module.
-pub(super) struct Recent {
+pub(super) struct RecentRecords {
     /// Without a gap up to the newest.
     records: VecDeque<Arc<Record>>,
     bytes: usize,
     most_bytes: usize,
 }
 
-impl Recent {
+impl RecentRecords {
     /// Of an index of which the log keeps so many bytes of records.
     pub(super) fn new(window_bytes: usize) -> Self {
         Self {
@@ -60,14 +60,14 @@ mod tests {
     use super::*;
     use crate::log::Effects;
 
-    fn revisions(recent: &Recent, after: u64, last: u64, most: usize) -> Option<Vec<u64>> {
+    fn revisions(recent: &RecentRecords, after: u64, last: u64, most: usize) -> Option<Vec<u64>> {
         let page = recent.after(after, last, most)?;
         Some(page.iter().map(|record| record.revision()).collect())
     }
 
     #[test]
     fn pages_follow_one_another_and_what_is_not_at_hand_is_told() {
-        let mut recent = Recent::new(usize::MAX);
+        let mut recent = RecentRecords::new(usize::MAX);
         assert_eq!(revisions(&recent, 0, 9, 1000), None);
         for revision in 5..=9 {
             let record = Record::new(revision, [0; 32], 0, Effects::new(1));
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn the_oldest_go_and_the_newest_stays_however_large_it_is() {
-        let mut recent = Recent::new(usize::MAX);
+        let mut recent = RecentRecords::new(usize::MAX);
         for revision in 1..=3 {
             let mut effects = Effects::new(1);
             (0..BYTES as u64 / 16 * revision).for_each(|id| effects.remove(id));
@@ -96,7 +96,7 @@ mod tests {
 
     #[test]
     fn no_more_is_kept_than_the_log_keeps() {
-        let mut recent = Recent::new(0);
+        let mut recent = RecentRecords::new(0);
         for revision in 1..=3 {
             let record = Record::new(revision, [0; 32], 0, Effects::new(1));
             recent.push(Arc::new(record));

@@ -5,22 +5,22 @@ use std::sync::Arc;
 use tracing::{error, info};
 use wayfold_index::{Forest, PointRef, Points};
 
-use super::{Host, Hosted, Place, RegistryError, Writer, operations::EVERY_OPERATION};
+use super::{Host, Hosted, IndexState, OperationWindow, RegistryError, Writer};
 use crate::log::{Entry, LogError, View};
 
 /// How many points are read at a time.
-const PAGE: usize = 4096;
+const PAGE_POINTS: usize = 4096;
 
 /// After how many points a line of the log says how far it is.
-const PROGRESS: usize = 250 * PAGE;
+const PROGRESS_POINTS: usize = 250 * PAGE_POINTS;
 
 /// The index of an entry, or why it cannot be replayed.
-pub(super) fn replayed(host: &Arc<Host>, entry: &Entry) -> Place {
+pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     match replay(host, entry) {
-        Ok(hosted) => Place::Hosted(hosted),
+        Ok(hosted) => IndexState::Hosted(hosted),
         Err(error) => {
             error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");
-            Place::Damaged(entry.uid, error)
+            IndexState::Damaged(entry.uid, error)
         }
     }
 }
@@ -36,7 +36,7 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
     }
     let mut writer = Writer::new(forest, Arc::clone(&view));
     for operation in host.log.operations(entry.uid)? {
-        writer.remember(operation, EVERY_OPERATION);
+        writer.remember(operation, OperationWindow::UNBOUNDED);
     }
     info!(
         index = entry.name,
@@ -52,7 +52,7 @@ fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
     let mut points = Points::new(entry.space.coordinates());
     let mut after = None;
     loop {
-        let page = view.page(after, PAGE)?;
+        let page = view.page(after, PAGE_POINTS)?;
         let Some(last) = page.last() else {
             return Ok(points);
         };
@@ -72,7 +72,7 @@ fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
                 row: &point.state,
             });
         }
-        if points.len() >= PROGRESS && points.len() % PROGRESS < page.len() {
+        if points.len() >= PROGRESS_POINTS && points.len() % PROGRESS_POINTS < page.len() {
             info!(index = entry.name, points = points.len(), "reading points");
         }
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tracing::info;
 use wayfold_index::{Forest, PointRef, Points, Space};
 
-use super::{Host, Hosted, Place, Registry, RegistryError, Writer};
+use super::{Host, Hosted, IndexState, Registry, RegistryError, Writer};
 use crate::log::{Entry, Origin, Restoring, StoredPoint, Uid};
 
 /// An index in the making. Dropped before it is hosted, it leaves nothing.
@@ -60,14 +60,14 @@ impl Registry {
             forest.apply(origin.revision, &points, &[]);
             forest.settle();
         }
-        let _changing = self.changing.lock();
+        let _change = self.change_lock.lock();
         self.room_for(&entry.name, limit)?;
         stored.finish()?;
         let view = host.log.points(entry.uid)?;
         let hosted = Hosted::new(&host, &entry, Writer::new(forest, view));
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points = points.len(), "restored an index");
-        let place = Place::Hosted(Arc::clone(&hosted));
-        self.change(|indexes| indexes.insert(entry.name, place));
+        let state = IndexState::Hosted(Arc::clone(&hosted));
+        self.change(|indexes| indexes.insert(entry.name, state));
         Ok(hosted)
     }
 

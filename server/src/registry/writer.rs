@@ -9,10 +9,7 @@ use std::{
 use tokio::sync::OwnedMutexGuard;
 use wayfold_index::Forest;
 
-use super::{
-    OperationWindow, Published,
-    operations::{EVERY_OPERATION, Operations},
-};
+use super::{OperationWindow, Published, operations::Operations};
 use crate::log::{Operation, Record, View};
 
 /// Exclusive hold of an index's writer.
@@ -56,7 +53,7 @@ pub struct Writer {
     head: Arc<Published>,
     operations: Operations,
     /// The newest revision that did anything else than add points, or may have.
-    changed: u64,
+    last_change: u64,
     /// What was asked to be remembered last.
     window: OperationWindow,
     /// By all guards that are gone.
@@ -66,7 +63,7 @@ pub struct Writer {
 impl Writer {
     /// A writer whose head is `view`, with a forest of the same points.
     pub(super) fn new(forest: Forest, view: Arc<dyn View>) -> Self {
-        let changed = view.revision();
+        let last_change = view.revision();
         let head = Published {
             snapshot: forest.snapshot(),
             revision: view.revision(),
@@ -77,8 +74,8 @@ impl Writer {
             mergers: 0,
             head: Arc::new(head),
             operations: Operations::default(),
-            changed,
-            window: EVERY_OPERATION,
+            last_change,
+            window: OperationWindow::UNBOUNDED,
             held: Duration::ZERO,
         }
     }
@@ -100,7 +97,7 @@ impl Writer {
 
     /// Whether every point of that revision is what it was, and every other point newer.
     pub fn only_added_since(&self, revision: u64) -> bool {
-        self.changed <= revision
+        self.last_change <= revision
     }
 
     /// How many operations are remembered.
@@ -123,7 +120,7 @@ impl Writer {
         let effects = record.effects();
         self.window = window;
         if !effects.only_adds() {
-            self.changed = record.revision();
+            self.last_change = record.revision();
         }
         self.forest
             .apply(record.revision(), effects.stored(), effects.removed());

@@ -6,12 +6,12 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// The room of one face.
 #[derive(Clone, Debug)]
-pub(crate) struct Capacity {
+pub(crate) struct Admission {
     limit: usize,
     free: Arc<Semaphore>,
 }
 
-impl Capacity {
+impl Admission {
     /// Room for `limit` calls.
     pub(crate) fn new(limit: usize) -> Self {
         let limit = limit.min(Semaphore::MAX_PERMITS);

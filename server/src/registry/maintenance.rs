@@ -9,25 +9,26 @@ use std::{
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{error, info, warn};
 
-use super::{Hosted, Place, Registry, RegistryError, replay};
+use super::{Hosted, IndexState, Registry, RegistryError, replay};
 use crate::log::{Entry, LogError};
 
 /// How often it is looked after.
-const TICK: Duration = Duration::from_secs(1);
+const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// How long at most until a store that could not be opened anew is tried again.
-const LONGEST_WAIT: Duration = Duration::from_secs(15);
+const MAX_RETRY_WAIT: Duration = Duration::from_secs(15);
 
 /// How often records that are too old are looked for.
-const TRIMMING: Duration = Duration::from_secs(60);
+const TRIM_INTERVAL: Duration = Duration::from_secs(60);
 
 impl Registry {
     /// Looks after the registry; it never ends. Calls `recovered` whenever a log that had failed is written again.
-    pub async fn look_after(self: Arc<Self>, recovered: impl Fn()) {
-        let mut ticks = interval(TICK);
+    pub async fn maintain(self: Arc<Self>, recovered: impl Fn()) {
+        let mut ticks = interval(MAINTENANCE_INTERVAL);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let (mut wait, mut next_try, mut trimmed) = (TICK, Instant::now(), Instant::now());
-        let mut told = None;
+        let (mut wait, mut next_try, mut trimmed_at) =
+            (MAINTENANCE_INTERVAL, Instant::now(), Instant::now());
+        let mut last_error = None;
         loop {
             let now = ticks.tick().await;
             if self.failure().is_some() && now >= next_try {
@@ -35,27 +36,27 @@ impl Registry {
                 let outcome = tokio::task::spawn_blocking(move || registry.recover()).await;
                 match outcome {
                     Ok(Ok(())) => {
-                        (wait, told) = (TICK, None);
+                        (wait, last_error) = (MAINTENANCE_INTERVAL, None);
                         recovered();
                     }
                     Ok(Err(error)) => {
-                        wait = (2 * wait).min(LONGEST_WAIT);
+                        wait = (2 * wait).min(MAX_RETRY_WAIT);
                         // It may last for days, and there is nothing new to say of it.
-                        if told.as_ref() != Some(&error) {
+                        if last_error.as_ref() != Some(&error) {
                             warn!(%error, "the log cannot be opened anew yet");
-                            told = Some(error);
+                            last_error = Some(error);
                         }
                     }
                     // Only if it panicked, of which the panic itself has told.
-                    Err(_) => wait = LONGEST_WAIT,
+                    Err(_) => wait = MAX_RETRY_WAIT,
                 }
                 next_try = Instant::now() + wait;
             }
             for hosted in self.hosted() {
-                hosted.look_for_pause();
+                hosted.merge_if_idle();
             }
-            if now >= trimmed + TRIMMING && self.failure().is_none() {
-                trimmed = now;
+            if now >= trimmed_at + TRIM_INTERVAL && self.failure().is_none() {
+                trimmed_at = now;
                 self.trim();
             }
         }
@@ -69,61 +70,61 @@ impl Registry {
     /// Opens the log anew if it has failed, and takes its indices for what they are then. Those that are as far as their
     /// writers took them to be go on; any other is replayed, and who waited for it is told to ask again. It blocks.
     pub fn recover(&self) -> Result<(), RegistryError> {
-        let _changing = self.changing.lock();
+        let _change = self.change_lock.lock();
         if let Err(why) = self.host.log.reopen() {
             if matches!(why, LogError::Unopened { .. }) {
-                self.give_up(&why);
+                self.mark_damaged(&why);
             }
             return Err(why.into());
         }
         let entries = self.host.log.indexes()?;
-        let places = self.indexes.read().clone();
-        for (name, place) in &places {
-            let left = entries.iter().any(|entry| entry.name == *name);
-            if !left {
+        let states = self.indexes.read().clone();
+        for (name, state) in &states {
+            let is_stored = entries.iter().any(|entry| entry.name == *name);
+            if !is_stored {
                 self.change(|indexes| indexes.remove(name));
-                if let Place::Hosted(hosted) = place {
+                if let IndexState::Hosted(hosted) = state {
                     hosted.close(RegistryError::Deleted);
                 }
             }
         }
         for entry in &entries {
-            let place = self.taken(places.get(&entry.name), entry);
-            self.change(|indexes| indexes.insert(entry.name.clone(), place));
+            let state = self.state_after_reopen(states.get(&entry.name), entry);
+            self.change(|indexes| indexes.insert(entry.name.clone(), state));
         }
-        self.take_gone();
+        self.add_lost();
         info!(indexes = entries.len(), "the log is written again");
         Ok(())
     }
 
     /// What a start would find: nothing of the log can be read any more.
-    fn give_up(&self, why: &LogError) {
+    fn mark_damaged(&self, why: &LogError) {
         let gone = self.host.log.gone();
         self.change(|indexes| {
-            for (name, place) in indexes.iter_mut() {
-                if let Place::Hosted(hosted) = place {
-                    let told = gone.iter().find(|gone| gone.name == *name);
-                    let why = told.map_or(why, |gone| &gone.why).clone();
+            for (name, state) in indexes.iter_mut() {
+                if let IndexState::Hosted(hosted) = state {
+                    let lost = gone.iter().find(|gone| gone.name == *name);
+                    let why = lost.map_or(why, |gone| &gone.why).clone();
                     let uid = hosted.uid();
                     hosted.close(RegistryError::Log(why.clone()));
-                    *place = Place::Damaged(uid, RegistryError::Log(why));
+                    *state = IndexState::Damaged(uid, RegistryError::Log(why));
                 }
             }
         });
     }
 
     /// What an index is after the log was opened anew.
-    fn taken(&self, before: Option<&Place>, entry: &Entry) -> Place {
-        if let Some(Place::Hosted(hosted)) = before {
-            if hosted.uid() == entry.uid && self.goes_on(hosted) {
-                return Place::Hosted(Arc::clone(hosted));
+    fn state_after_reopen(&self, before: Option<&IndexState>, entry: &Entry) -> IndexState {
+        if let Some(IndexState::Hosted(hosted)) = before {
+            if hosted.uid() == entry.uid && self.resumes(hosted) {
+                return IndexState::Hosted(Arc::clone(hosted));
             }
             hosted.close(RegistryError::Log(LogError::Closed));
         }
-        replay::replayed(&self.host, entry)
+        replay::replay_or_damaged(&self.host, entry)
     }
 
-    fn goes_on(&self, hosted: &Arc<Hosted>) -> bool {
+    fn resumes(&self, hosted: &Arc<Hosted>) -> bool {
         match self.host.log.points(hosted.uid()) {
             Ok(view) => hosted.resume(view),
             Err(error) => {
@@ -134,8 +135,8 @@ impl Registry {
     }
 
     fn hosted(&self) -> Vec<Arc<Hosted>> {
-        let places = self.indexes.read();
-        let hosted = places.values().filter_map(|place| place.hosted().ok());
+        let states = self.indexes.read();
+        let hosted = states.values().filter_map(|state| state.hosted().ok());
         hosted.cloned().collect()
     }
 

@@ -15,7 +15,7 @@ pub(crate) fn run<T: Send>(name: &str, work: impl FnOnce() -> T + Send) -> io::R
     thread::scope(|scope| {
         let thread = thread::Builder::new().name(name.into());
         let working = thread.spawn_scoped(scope, || {
-            yield_to_others();
+            lower_priority();
             work()
         })?;
         working.join().map_err(|_| panicked())
@@ -28,7 +28,7 @@ fn panicked() -> io::Error {
 }
 
 /// Lowers the priority of this thread. Elsewhere than on Linux a process has one priority for all its threads.
-fn yield_to_others() {
+fn lower_priority() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::setpriority_process(None, NICE) {
         tracing::debug!(%error, "background work has the priority of calls");

@@ -8,21 +8,21 @@ use std::{
 };
 
 /// What one measurement counts for at most, in limits: a thread that lost its processor for a while says little.
-const CLAMP: u64 = 4;
+const MAX_SAMPLE_LIMITS: u64 = 4;
 /// How many measurements a mean is over, about.
-const MEASUREMENTS: u64 = 8;
+const MEAN_SAMPLES: u64 = 8;
 /// In how many steps, about, what is not measured is forgotten.
-const FORGOTTEN: u64 = 64;
+const DECAY_STEPS: u64 = 64;
 
 /// A running mean of how long answers take, and a limit for it. Shared by threads, each of which may lose what another
 /// measured: that is one measurement of many.
 #[derive(Debug)]
-pub(crate) struct Brevity {
+pub(crate) struct LatencyGate {
     limit_ns: u64,
     mean_ns: AtomicU64,
 }
 
-impl Brevity {
+impl LatencyGate {
     /// Nothing is known yet; answers are brief until they were found not to be.
     pub(crate) const fn new(limit: Duration) -> Self {
         Self {
@@ -34,32 +34,32 @@ impl Brevity {
     /// The answer, if it is expected to be brief, and has to wait for nothing. Otherwise `answering` is to be awaited, on
     /// whatever thread: its waker is that of whoever polls it next.
     pub(crate) fn attempt<F: Future + ?Sized>(&self, answering: Pin<&mut F>) -> Poll<F::Output> {
-        if !self.expected() {
+        if !self.is_open() {
             return Poll::Pending;
         }
         let began = Instant::now();
         let polled = answering.poll(&mut Context::from_waker(Waker::noop()));
-        self.took(began.elapsed());
+        self.record(began.elapsed());
         polled
     }
 
     /// Whether the next answer is expected to be brief. Where it is not, it is not measured either, and every now and then
     /// one is expected to be, so that it is found out when times change.
-    fn expected(&self) -> bool {
+    fn is_open(&self) -> bool {
         let mean = self.mean_ns.load(Relaxed);
         if mean <= self.limit_ns {
             return true;
         }
-        self.mean_ns.store(mean - mean / FORGOTTEN, Relaxed);
+        self.mean_ns.store(mean - mean / DECAY_STEPS, Relaxed);
         false
     }
 
     /// Takes note of how long an answer took.
-    fn took(&self, taken: Duration) {
+    fn record(&self, taken: Duration) {
         let taken = u64::try_from(taken.as_nanos()).unwrap_or(u64::MAX);
-        let taken = taken.min(CLAMP * self.limit_ns);
+        let taken = taken.min(MAX_SAMPLE_LIMITS * self.limit_ns);
         let mean = self.mean_ns.load(Relaxed);
-        let mean = mean - mean / MEASUREMENTS + taken / MEASUREMENTS;
+        let mean = mean - mean / MEAN_SAMPLES + taken / MEAN_SAMPLES;
         self.mean_ns.store(mean, Relaxed);
     }
 }
@@ -72,22 +72,22 @@ mod tests {
 
     #[test]
     fn brief_answers_stay_so_even_if_one_was_interrupted() {
-        let brevity = Brevity::new(LIMIT);
+        let gate = LatencyGate::new(LIMIT);
         for round in 0..1000 {
-            assert!(brevity.expected(), "{round}");
+            assert!(gate.is_open(), "{round}");
             let interrupted = round % 100 == 99;
-            brevity.took(if interrupted { 100 * LIMIT } else { LIMIT / 5 });
+            gate.record(if interrupted { 100 * LIMIT } else { LIMIT / 5 });
         }
     }
 
     #[test]
     fn long_answers_are_found_out_soon_and_tried_seldom() {
-        let brevity = Brevity::new(LIMIT);
+        let gate = LatencyGate::new(LIMIT);
         let mut expected = 0;
         for _ in 0..1000 {
-            if brevity.expected() {
+            if gate.is_open() {
                 expected += 1;
-                brevity.took(20 * LIMIT);
+                gate.record(20 * LIMIT);
             }
         }
         assert!((1..60).contains(&expected), "{expected}");
@@ -95,12 +95,12 @@ mod tests {
 
     #[test]
     fn it_is_noticed_when_they_are_brief_again() {
-        let brevity = Brevity::new(LIMIT);
-        while brevity.expected() {
-            brevity.took(20 * LIMIT);
+        let gate = LatencyGate::new(LIMIT);
+        while gate.is_open() {
+            gate.record(20 * LIMIT);
         }
-        while !brevity.expected() {}
-        brevity.took(LIMIT / 5);
-        assert!(brevity.expected());
+        while !gate.is_open() {}
+        gate.record(LIMIT / 5);
+        assert!(gate.is_open());
     }
 }
