@@ -23,9 +23,9 @@ use crate::{
 use flags::Flags;
 
 /// The command line or the settings are wrong.
-const USAGE: u8 = 2;
+const USAGE_STATUS: u8 = 2;
 /// The server could not start, or calls were cut when it stopped.
-const FAILURE: u8 = 1;
+const FAILURE_STATUS: u8 = 1;
 
 /// Runs the server as its command line says, until it has stopped.
 pub fn main() -> ExitCode {
@@ -41,11 +41,11 @@ pub fn main() -> ExitCode {
         Ok(config)
     }) {
         Ok(config) => config,
-        Err(error) => return fail(&*error, USAGE),
+        Err(error) => return fail(&*error, USAGE_STATUS),
     };
     match serve(config) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => fail(&*error, FAILURE),
+        Err(error) => fail(&*error, FAILURE_STATUS),
     }
 }
 
@@ -56,7 +56,7 @@ fn fail(error: &dyn Error, status: u8) -> ExitCode {
 }
 
 /// How many threads there may be for the store, merges and all else that blocks: tokio's own number.
-const BLOCKING: usize = 512;
+const BLOCKING_THREADS: usize = 512;
 
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     let mut threads = runtime::Builder::new_multi_thread();
@@ -64,7 +64,7 @@ fn serve(config: Config) -> Result<(), Box<dyn Error>> {
         threads.worker_threads(config.runtime.workers);
     }
     let waiting = zenoh::most_senders(&config.zenoh);
-    threads.max_blocking_threads(BLOCKING.saturating_add(waiting));
+    threads.max_blocking_threads(BLOCKING_THREADS.saturating_add(waiting));
     let runtime = threads.enable_all().build()?;
     let ended = runtime.block_on(listen_and_serve(config));
     // What still runs belongs to calls that were cut.

@@ -6,22 +6,22 @@ use tokio::sync::oneshot;
 use tracing::warn;
 
 /// What a shell reports for a program that a signal ended is this, plus the signal's number.
-const ENDED_BY_SIGNAL: i32 = 128;
+const SIGNAL_STATUS_BASE: i32 = 128;
 
 /// Watches for signals from now on; the future ends at the first one.
 pub(super) fn first() -> io::Result<impl Future<Output = ()>> {
     let mut signals = Signals::listen()?;
-    let (tell, told) = oneshot::channel();
+    let (sender, receiver) = oneshot::channel();
     tokio::spawn(async move {
         signals.next().await;
         // Nobody listens any more if the server has failed meanwhile.
-        let _ = tell.send(());
+        let _ = sender.send(());
         let number = signals.next().await;
         warn!("second signal: ending at once");
-        process::exit(ENDED_BY_SIGNAL + number);
+        process::exit(SIGNAL_STATUS_BASE + number);
     });
     Ok(async move {
-        let _ = told.await;
+        let _ = receiver.await;
     })
 }
 

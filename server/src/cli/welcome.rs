@@ -31,7 +31,7 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
     let zenoh: String = zenoh
         .map(|locator| format!("listening on {locator}\n"))
         .collect();
-    let kept = match directory {
+    let storage = match directory {
         Some(directory) => format!("Indices are kept in {}.", directory.display()),
         None => "Indices live in memory and are gone when the server stops (Ctrl-C).".to_owned(),
     };
@@ -44,7 +44,7 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
         "listening on http://{address}\n\
          {zenoh}\
          \n\
-         {kept} Next, in another terminal:\n\
+         {storage} Next, in another terminal:\n\
          \x20 {client} create arm --space 'R3*SO3:0.15'\n\
          \x20 echo '0.1,0.2,0.3,0,0,0,1' | {client} insert arm -\n\
          \x20 {client} knn arm --state 0,0,0,0,0,0,1 -k 1\n\

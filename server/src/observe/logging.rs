@@ -53,12 +53,12 @@ pub enum LoggingError {
 
 /// Libraries that write lines of their own, which say what this server says better or nothing that helps: silent unless
 /// the filter names them.
-const SILENT: [&str; 3] = ["zenoh", "fjall", "lsm_tree"];
+const SILENCED_LIBRARIES: [&str; 3] = ["zenoh", "fjall", "lsm_tree"];
 
 /// Sends the log lines of this process that pass `filter` to standard error.
 pub(crate) fn start(filter: &str, format: LogFormat) -> Result<(), LoggingError> {
     let mut lines = EnvFilter::try_new(filter);
-    for library in SILENT {
+    for library in SILENCED_LIBRARIES {
         if !filter.contains(library) {
             let directive = format!("{library}=off").parse();
             lines = lines.and_then(|lines| Ok(lines.add_directive(directive?)));
