@@ -1,4 +1,4 @@
-//! Whether what is asked of late is answered in less time than it takes to hand it to another thread.
+//! A latency gate: calls are answered inline while recent answers took less time than a handover to another thread.
 
 use std::{
     pin::Pin,
@@ -7,15 +7,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What one measurement counts for at most, in limits: a thread that lost its processor for a while says little.
+/// A sample counts for at most this many limits: a thread that was preempted measures the scheduler, not the answer.
 const MAX_SAMPLE_LIMITS: u64 = 4;
-/// How many measurements a mean is over, about.
+/// The running mean covers about this many samples.
 const MEAN_SAMPLES: u64 = 8;
-/// In how many steps, about, what is not measured is forgotten.
+/// While the gate is closed, the mean decays over about this many answers.
 const DECAY_STEPS: u64 = 64;
 
-/// A running mean of how long answers take, and a limit for it. Shared by threads, each of which may lose what another
-/// measured: that is one measurement of many.
+/// A running mean of answer times, and the limit for it. Threads share it without a lock; a race loses one sample of
+/// many.
 #[derive(Debug)]
 pub(crate) struct LatencyGate {
     limit_ns: u64,
@@ -23,7 +23,7 @@ pub(crate) struct LatencyGate {
 }
 
 impl LatencyGate {
-    /// Nothing is known yet; answers are brief until they were found not to be.
+    /// A gate that is open until samples show that answers take longer than `limit`.
     pub(crate) const fn new(limit: Duration) -> Self {
         Self {
             limit_ns: limit.as_nanos() as u64,
@@ -31,8 +31,7 @@ impl LatencyGate {
         }
     }
 
-    /// The answer, if it is expected to be brief, and has to wait for nothing. Otherwise `answering` is to be awaited, on
-    /// whatever thread: its waker is that of whoever polls it next.
+    /// Polls `answering` once if the gate is open. If it is pending, await it on any thread: the next poll sets its waker.
     pub(crate) fn attempt<F: Future + ?Sized>(&self, answering: Pin<&mut F>) -> Poll<F::Output> {
         if !self.is_open() {
             return Poll::Pending;
@@ -43,8 +42,8 @@ impl LatencyGate {
         polled
     }
 
-    /// Whether the next answer is expected to be brief. Where it is not, it is not measured either, and every now and then
-    /// one is expected to be, so that it is found out when times change.
+    /// True if the mean is within the limit. A closed gate takes no samples, so each refusal decays the mean: the gate
+    /// reopens now and then for one sample.
     fn is_open(&self) -> bool {
         let mean = self.mean_ns.load(Relaxed);
         if mean <= self.limit_ns {
@@ -54,7 +53,7 @@ impl LatencyGate {
         false
     }
 
-    /// Takes note of how long an answer took.
+    /// Adds a sample to the mean.
     fn record(&self, taken: Duration) {
         let taken = u64::try_from(taken.as_nanos()).unwrap_or(u64::MAX);
         let taken = taken.min(MAX_SAMPLE_LIMITS * self.limit_ns);
@@ -71,7 +70,7 @@ mod tests {
     const LIMIT: Duration = Duration::from_micros(50);
 
     #[test]
-    fn brief_answers_stay_so_even_if_one_was_interrupted() {
+    fn one_interrupted_answer_does_not_close_the_gate() {
         let gate = LatencyGate::new(LIMIT);
         for round in 0..1000 {
             assert!(gate.is_open(), "{round}");
@@ -81,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn long_answers_are_found_out_soon_and_tried_seldom() {
+    fn long_answers_close_the_gate_and_are_seldom_sampled() {
         let gate = LatencyGate::new(LIMIT);
         let mut expected = 0;
         for _ in 0..1000 {
@@ -94,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_noticed_when_they_are_brief_again() {
+    fn the_gate_reopens_when_answers_are_brief_again() {
         let gate = LatencyGate::new(LIMIT);
         while gate.is_open() {
             gate.record(20 * LIMIT);
