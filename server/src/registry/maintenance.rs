@@ -1,5 +1,4 @@
-//! What the registry sees to by itself: that a store that has failed is opened anew, that indices which nobody writes
-//! are merged further, and that old records go.
+//! Periodic maintenance: reopens a failed store, merges idle indices further, and trims old records.
 
 use std::{
     sync::Arc,
@@ -12,17 +11,17 @@ use tracing::{error, info, warn};
 use super::{Hosted, IndexState, Registry, RegistryError, replay};
 use crate::log::{Entry, LogError};
 
-/// How often it is looked after.
+/// The time between two rounds of maintenance.
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(1);
 
-/// How long at most until a store that could not be opened anew is tried again.
+/// The longest wait before the next attempt to reopen a failed store.
 const MAX_RETRY_WAIT: Duration = Duration::from_secs(15);
 
-/// How often records that are too old are looked for.
+/// The time between two trims of old records.
 const TRIM_INTERVAL: Duration = Duration::from_secs(60);
 
 impl Registry {
-    /// Looks after the registry; it never ends. Calls `recovered` whenever a log that had failed is written again.
+    /// Maintains the registry forever. Calls `recovered` each time a failed log becomes writable again.
     pub async fn maintain(self: Arc<Self>, recovered: impl Fn()) {
         let mut ticks = interval(MAINTENANCE_INTERVAL);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -41,13 +40,13 @@ impl Registry {
                     }
                     Ok(Err(error)) => {
                         wait = (2 * wait).min(MAX_RETRY_WAIT);
-                        // It may last for days, and there is nothing new to say of it.
+                        // The failure may last for days: log it only when it changes.
                         if last_error.as_ref() != Some(&error) {
-                            warn!(%error, "the log cannot be opened anew yet");
+                            warn!(%error, "cannot reopen the log yet");
                             last_error = Some(error);
                         }
                     }
-                    // Only if it panicked, of which the panic itself has told.
+                    // The join fails only if the task panicked; the panic hook has printed it.
                     Err(_) => wait = MAX_RETRY_WAIT,
                 }
                 next_try = Instant::now() + wait;
@@ -62,13 +61,13 @@ impl Registry {
         }
     }
 
-    /// Why nothing is written any more, if so.
+    /// The error of a log that can no longer be written.
     pub fn failure(&self) -> Option<RegistryError> {
         self.host.log.failure().map(RegistryError::Log)
     }
 
-    /// Opens the log anew if it has failed, and takes its indices for what they are then. Those that are as far as their
-    /// writers took them to be go on; any other is replayed, and who waited for it is told to ask again. It blocks.
+    /// Reopens a failed log and brings every index to its stored state. An index whose stored revision is its writer's head
+    /// resumes. Any other index is replayed, and the calls that waited for it fail and can be retried. Blocks.
     pub fn recover(&self) -> Result<(), RegistryError> {
         let _change = self.change_lock.lock();
         if let Err(why) = self.host.log.reopen() {
@@ -93,11 +92,11 @@ impl Registry {
             self.change(|indexes| indexes.insert(entry.name.clone(), state));
         }
         self.add_lost();
-        info!(indexes = entries.len(), "the log is written again");
+        info!(indexes = entries.len(), "the log is writable again");
         Ok(())
     }
 
-    /// What a start would find: nothing of the log can be read any more.
+    /// Marks every index as damaged, as a restart would: nothing of the log can be read.
     fn mark_damaged(&self, why: &LogError) {
         let gone = self.host.log.gone();
         self.change(|indexes| {
@@ -113,7 +112,7 @@ impl Registry {
         });
     }
 
-    /// What an index is after the log was opened anew.
+    /// The state of an index after the log was reopened.
     fn state_after_reopen(&self, before: Option<&IndexState>, entry: &Entry) -> IndexState {
         if let Some(IndexState::Hosted(hosted)) = before {
             if hosted.uid() == entry.uid && self.resumes(hosted) {
@@ -128,7 +127,7 @@ impl Registry {
         match self.host.log.points(hosted.uid()) {
             Ok(view) => hosted.resume(view),
             Err(error) => {
-                error!(index = hosted.name(), %error, "cannot be read after the log was opened anew");
+                error!(index = hosted.name(), %error, "cannot read an index after the log was reopened");
                 false
             }
         }
@@ -140,11 +139,11 @@ impl Registry {
         hosted.cloned().collect()
     }
 
-    /// Forgets records that are too old, also of indices that nobody writes.
+    /// Trims records that are too old, in idle indices too.
     fn trim(&self) {
         for hosted in self.hosted() {
             if let Err(error) = hosted.trim(SystemTime::now()) {
-                warn!(index = hosted.name(), %error, "could not trim the log");
+                warn!(index = hosted.name(), %error, "cannot trim the log");
             }
         }
     }

@@ -1,4 +1,4 @@
-//! From the log to a hosted index: what a restart does.
+//! Replay: builds a hosted index from the log at a restart.
 
 use std::sync::Arc;
 
@@ -8,13 +8,13 @@ use wayfold_index::{Forest, PointRef, Points};
 use super::{Host, Hosted, IndexState, OperationWindow, RegistryError, Writer};
 use crate::log::{Entry, LogError, View};
 
-/// How many points are read at a time.
+/// The points that one read of the log returns.
 const PAGE_POINTS: usize = 4096;
 
-/// After how many points a line of the log says how far it is.
+/// Replay logs its progress once per this many points.
 const PROGRESS_POINTS: usize = 250 * PAGE_POINTS;
 
-/// The index of an entry, or why it cannot be replayed.
+/// Replays the index of an entry. It is damaged if that fails.
 pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     match replay(host, entry) {
         Ok(hosted) => IndexState::Hosted(hosted),
@@ -25,8 +25,8 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     }
 }
 
-/// Builds an index from its points, with the operations that the log remembers. A call that changed nothing left
-/// none: its retry is evaluated anew, which it cannot tell from a first try.
+/// Builds an index from its points and from the operations that the log remembers. The log remembers no call that changed
+/// nothing: the server evaluates its retry again, with the same outcome as a first try.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
     let view = host.log.points(entry.uid)?;
     let mut forest = Forest::new(entry.space.clone(), host.options.forest);
