@@ -16,8 +16,8 @@ use super::{
 };
 use crate::log::{Effects, Entry, Keep, LogError, Record, Uid, View};
 
-/// A mutation of more points or more bytes than these is committed on a thread of its own: it would hold up the calls
-/// that share the caller's.
+/// A mutation of more points or more bytes than these, or one that changes points that there are, is committed on a thread
+/// of its own: it would hold up the calls that share the caller's.
 const POINTS_IN_PLACE: usize = 1024;
 const BYTES_IN_PLACE: usize = 128 * 1024;
 
@@ -156,6 +156,15 @@ impl Hosted {
         Ok(records)
     }
 
+    /// The records after `revision` up to the head of `writer`, the index's own; None if they are not all at hand.
+    pub fn records_since(&self, revision: u64, writer: &Writer) -> Option<Vec<Arc<Record>>> {
+        let head = writer.head().revision;
+        if revision == head {
+            return Some(Vec::new());
+        }
+        self.recent.lock().after(revision, head, usize::MAX)
+    }
+
     /// Waits for the writer; those who wait get it in the order in which they came.
     pub async fn write(&self) -> Result<WriteGuard, RegistryError> {
         let writer = self.write_closed().await;
@@ -175,7 +184,11 @@ impl Hosted {
         window: OperationWindow,
     ) -> Result<u64, RegistryError> {
         let is_small = effects.len() <= POINTS_IN_PLACE && effects.bytes() <= BYTES_IN_PLACE;
-        let revision = if is_small && !self.host.log.is_busy() {
+        // The log reads a point before it replaces or removes it.
+        let next_id = writer.head().view.next_id();
+        let is_new = effects.removed().is_empty()
+            && effects.stored().iter().all(|point| point.id >= next_id);
+        let revision = if is_small && is_new && !self.host.log.is_busy() {
             self.commit_here(writer, effects, window)?
         } else {
             let hosted = Arc::clone(self);

@@ -41,7 +41,7 @@ impl Recent {
     /// None if they are not all at hand.
     pub(super) fn after(&self, after: u64, last: u64, most: usize) -> Option<Vec<Arc<Record>>> {
         let first = self.records.front()?.revision();
-        let skipped = (after + 1).checked_sub(first)? as usize;
+        let skipped = after.checked_add(1)?.checked_sub(first)? as usize;
         let mut page = Vec::new();
         let mut bytes = 0;
         for record in self.records.iter().skip(skipped) {
@@ -79,6 +79,7 @@ mod tests {
         assert_eq!(revisions(&recent, 4, 9, 2 * bytes), Some(vec![5, 6]));
         assert_eq!(revisions(&recent, 6, 8, usize::MAX), Some(vec![7, 8]));
         assert_eq!(revisions(&recent, 9, 9, 1000), Some(vec![]));
+        assert_eq!(revisions(&recent, u64::MAX, 9, 1000), None);
     }
 
     #[test]

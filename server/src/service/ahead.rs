@@ -81,6 +81,12 @@ impl Ahead {
         self.revision
     }
 
+    /// The ids of the neighbours that were found.
+    pub(super) fn neighbor_ids(&self) -> Vec<u64> {
+        let neighbors = self.rows.iter().flat_map(|around| &around.neighbors);
+        neighbors.map(|neighbor| neighbor.id).collect()
+    }
+
     /// What the row has around it, if it was searched for.
     pub(super) fn row(&self, at: usize) -> Option<&Around> {
         self.rows.get(at)

@@ -6,7 +6,7 @@
 //! One verb a file; what they share: `check` (requests become canonical rows and searches, or violations), `at`
 //! (which index and which revision), `wanted` (number and radius, fixed or by the size of the index), `mutation` (from an
 //! evaluated mutation to its acknowledgement), `staging` (rows that see the rows before them), `ahead` (searching before
-//! it is a call's turn to write), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting others
+//! it is a call's turn to write), `stored` (reading the store where one may block), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting others
 //! on in between), `error`, `limits`.
 
 mod ahead;
@@ -23,6 +23,7 @@ mod limits;
 mod log;
 mod mutation;
 mod neighbors;
+mod payloads;
 mod pin;
 mod query;
 mod remove;
@@ -31,6 +32,7 @@ mod scan;
 mod served;
 mod snapshot;
 mod staging;
+mod stored;
 mod update;
 mod verify;
 mod wanted;

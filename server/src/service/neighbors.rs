@@ -13,6 +13,8 @@ use super::{
 };
 use crate::registry::Hosted;
 
+const DOING: &str = "while searching";
+
 /// What a request says beside which neighbours it wants.
 pub(super) struct Asked {
     pub(super) states: Option<v1::States>,
@@ -51,7 +53,7 @@ impl Service {
             at,
         } = asked;
         let (limits, space) = (self.limits(), hosted.space());
-        let mut pace = call.pace("while searching");
+        let mut pace = call.pace(DOING);
         let fixed = &mut wanted.fixed;
         check::accuracy(fixed, epsilon, max_leaves, &mut violations);
         fixed.filter = check::filter("filter", filter, ("at.uid", &at.uid), &mut violations);
@@ -64,6 +66,8 @@ impl Service {
         let mut wanted = wanted.among(published.snapshot.len())?;
         wanted.until = call.deadline;
         let seen = Seen {
+            call,
+            doing: DOING,
             index: hosted.name(),
             published: &published,
         };

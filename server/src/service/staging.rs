@@ -9,18 +9,14 @@ use std::{
 use bytes::Bytes;
 use wayfold_index::{Forest, ForestOptions, Neighbor, PointRef, Points, Search, Space};
 
-use super::{
-    Error,
-    answer::{Seen, Source},
-};
+use super::answer::Source;
 use crate::{
     log::{Effects, Outcome},
     registry::Published,
 };
 
 /// The head of an index and the rows that the next mutation has accepted so far.
-pub(super) struct Staging<'a> {
-    index: &'a str,
+pub(super) struct Staging {
     head: Arc<Published>,
     effects: Effects,
     /// How many of the accepted rows are new points.
@@ -38,11 +34,10 @@ struct Searched {
     hidden: HashSet<u64>,
 }
 
-impl<'a> Staging<'a> {
+impl Staging {
     /// Nothing accepted yet. Only if it is `searched` rows are found by later ones.
-    pub(super) fn new(index: &'a str, head: Arc<Published>, space: &Space, searched: bool) -> Self {
+    pub(super) fn new(head: Arc<Published>, space: &Space, searched: bool) -> Self {
         Self {
-            index,
             head,
             effects: Effects::new(space.coordinates()),
             inserted: 0,
@@ -69,13 +64,10 @@ impl<'a> Staging<'a> {
         self.head.snapshot.get(id)
     }
 
-    /// The payload that the head holds under an id.
-    pub(super) fn held_payload(&self, id: u64) -> Result<Bytes, Error> {
-        let seen = Seen {
-            index: self.index,
-            published: &self.head,
-        };
-        seen.payload(id)
+    /// The payload of an accepted row.
+    pub(super) fn accepted_payload(&self, id: u64) -> Option<Bytes> {
+        let slot = *self.searched.as_ref()?.slots.get(&id)?;
+        Some(self.effects.payload(slot))
     }
 
     /// Keeps the head's point of this id out of searches: a row is neither in its own way nor its own neighbour.
@@ -171,7 +163,7 @@ fn merge(neighbors: &mut Vec<Neighbor>, others: &[Neighbor], k: usize) {
     }
 }
 
-impl Source for Staging<'_> {
+impl Source for Staging {
     fn point(&self, id: u64) -> Option<PointRef<'_>> {
         let slot = self
             .searched
@@ -180,17 +172,6 @@ impl Source for Staging<'_> {
         match slot {
             Some(&slot) => Some(self.effects.stored().get(slot)),
             None => self.held(id),
-        }
-    }
-
-    fn payload(&self, id: u64) -> Result<Bytes, Error> {
-        let slot = self
-            .searched
-            .as_ref()
-            .and_then(|searched| searched.slots.get(&id));
-        match slot {
-            Some(&slot) => Ok(self.effects.payload(slot)),
-            None => self.held_payload(id),
         }
     }
 }
@@ -262,7 +243,7 @@ mod tests {
                 revision: forest.revision(),
                 view: Arc::clone(&hosted.published().view),
             });
-            let mut staging = Staging::new("line", head, &space, true);
+            let mut staging = Staging::new(head, &space, true);
             for (&id, &at) in &rows {
                 if held.contains(&id) {
                     staging.hide(id);

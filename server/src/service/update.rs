@@ -1,17 +1,21 @@
 //! `Update`: new tags and payloads for stored points.
 
+use std::sync::Arc;
+
 use bytes::Bytes;
 use wayfold_index::PointRef;
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
-    at::log_failed,
     call::Pace,
     check::{self, Violations},
     mutation::{Begun, Claim},
+    stored::ReadAhead,
 };
 use crate::log::{Effects, Outcome};
+
+const DOING: &str = "while evaluating the update; nothing was changed";
 
 impl Service {
     /// Sets tags or payloads of stored points; their states, and the revisions of their states, stay.
@@ -22,24 +26,30 @@ impl Service {
     ) -> Result<v1::UpdateResponse, Error> {
         self.accept(call)?;
         let hosted = self.index(&request.index, &request.uid)?;
-        let mut pace = call.pace("while evaluating the update; nothing was changed");
+        let mut pace = call.pace(DOING);
         let claim = Claim::of("Update", &request.operation_id, &request, &mut pace).await?;
         check_update(&request, self.limits(), &mut pace).await?;
 
-        let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-            Begun::Answered(response) => return Ok(response),
-            Begun::Writing(writer) => writer,
+        let mut stored = ReadAhead::new(false, Arc::clone);
+        let mut head = hosted.newest();
+        let writer = loop {
+            let read = stored.read(call, DOING, &hosted, &head, &request.ids);
+            read.await?;
+            let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+                Begun::Answered(response) => return Ok(response),
+                Begun::Writing(writer) => writer,
+            };
+            head = Arc::clone(writer.head());
+            // It fails only where others have written a great deal meanwhile.
+            if stored.catch_up(&hosted, &writer) {
+                break writer;
+            }
         };
-        let head = writer.head().clone();
         let mut effects = Effects::new(hosted.space().coordinates());
         let (mut missing, mut changed) = (Vec::new(), Vec::new());
         for (at, &id) in request.ids.iter().enumerate() {
             pace.step().await?;
-            let held = head
-                .view
-                .get(id)
-                .map_err(|error| log_failed(hosted.name(), error))?;
-            let Some(held) = held else {
+            let Some(held) = stored.get(id) else {
                 missing.push(id);
                 continue;
             };

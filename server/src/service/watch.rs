@@ -19,7 +19,7 @@ pub struct Watch {
     service: Service,
     call: Call,
     hosted: Arc<Hosted>,
-    /// The newest revision of which all was sent.
+    /// The newest revision of which all was sent; never the greatest number, so that one comes after it.
     after: u64,
     /// Whether it begins at the newest revision, which the first message names.
     from_newest: bool,
@@ -50,6 +50,10 @@ impl Service {
         if request.after_revision.is_some() && request.uid.is_empty() {
             let text = "after_revision needs the uid of the index it belongs to";
             violations.add("uid", "REQUIRED", text);
+        }
+        if request.after_revision == Some(u64::MAX) {
+            let text = "it is the greatest revision: none comes after it";
+            violations.add("after_revision", "OUT_OF_RANGE", text);
         }
         let hosted = self.index(&request.index, "")?;
         violations.finish()?;

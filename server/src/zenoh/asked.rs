@@ -122,3 +122,6 @@ fn read_timeout(text: &str, arrived: Instant) -> Result<Option<Instant>, Error> 
     // What lies beyond the clock's range is no deadline.
     Ok(arrived.checked_add(Duration::from_millis(timeout)))
 }
+
+#[cfg(test)]
+mod tests;

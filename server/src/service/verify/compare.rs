@@ -39,7 +39,7 @@ impl Comparison {
         let mut pace = pass.call.pace(DOING);
         let mut searched = pass.published.snapshot.points_after(self.after).peekable();
         while pass.has_time() {
-            let page = pass.page(self.after)?;
+            let page = pass.page(self.after).await?;
             if page.is_empty() {
                 for point in searched {
                     disagreements.add(|| only_searched(point));

@@ -15,14 +15,10 @@ use std::{
 use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
 
 use super::{
-    Call, Error, Service,
-    at::{check_read_at, log_failed},
-    check::Violations,
-    indexes::describe,
-    pin::Pin,
+    Call, Error, Service, at::check_read_at, check::Violations, indexes::describe, pin::Pin, stored,
 };
 use crate::{
-    log::StoredPoint,
+    log::{StoredPoint, View},
     registry::{Hosted, Published},
 };
 use compare::Comparison;
@@ -179,10 +175,10 @@ struct Pass<'a> {
 
 impl Pass<'_> {
     /// The stored points after an id; none at the end.
-    fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
+    async fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
         held(self.pin)?;
-        let page = self.published.view.page(after, PAGE);
-        page.map_err(|error| log_failed(self.index, error))
+        let read = move |view: &dyn View| view.page(after, PAGE);
+        stored::read(self.call, DOING, self.index, &self.published.view, read).await
     }
 
     fn has_time(&self) -> bool {

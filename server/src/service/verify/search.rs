@@ -55,7 +55,7 @@ impl Searches {
         }
         let mut pace = pass.call.pace(DOING);
         while pass.has_time() {
-            let page = pass.page(self.after)?;
+            let page = pass.page(self.after).await?;
             let Some(last) = page.last() else {
                 return Ok(true);
             };
