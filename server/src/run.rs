@@ -93,7 +93,8 @@ pub(crate) async fn serve(
              whoever reaches this address can read and change every index"
         );
     }
-    let service = Service::starting(config.limits.clone());
+    let durability = config.data.directory().map(|_| config.data.durability);
+    let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
     let capacity = Capacity::new(config.grpc.max_calls);
     let cut = CancellationToken::new();
