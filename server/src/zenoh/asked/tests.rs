@@ -20,7 +20,8 @@ mod extremes;
 use extremes::{EXTREMES, requests, variants};
 
 /// Which verb a request is asked under.
-const VERBS: [(&str, &str); 11] = [
+const VERBS: [(&str, &str); 12] = [
+    ("server", "GetServerRequest"),
     ("arm/knn", "KnnRequest"),
     ("arm/query", "QueryRequest"),
     ("arm/insert", "InsertRequest"),
@@ -41,7 +42,7 @@ async fn two_points() -> (Service, String) {
     service.set_ready();
     let request = v1::CreateIndexRequest {
         name: "arm".into(),
-        space_text: "R1".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
         ..Default::default()
     };
     let call = Call::default();
@@ -59,7 +60,7 @@ async fn two_points() -> (Service, String) {
         };
         service.insert(&call, request).await.unwrap();
     }
-    (service, created.index.unwrap().uid)
+    (service, created.index.unwrap().revision.unwrap().uid)
 }
 
 async fn assert_answered(service: &Service, key: &str, asked: &Asked<'_>) {
@@ -69,7 +70,7 @@ async fn assert_answered(service: &Service, key: &str, asked: &Asked<'_>) {
         deadline: Some(Instant::now() + Duration::from_secs(3600)),
     };
     // What waits ends at once: the time is that of the test.
-    if let Err(error) = perform(service, &call, target.verb, asked).await {
+    if let Err(error) = perform(service, &call, target.verb, asked, 1 << 20).await {
         let is_bug = matches!(error.code(), Code::Internal | Code::DataLoss);
         assert!(!is_bug, "{key} {:?}: {error}", asked.parameters);
     }
