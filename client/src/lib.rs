@@ -108,6 +108,6 @@ pub use states::States;
 
 pub use tonic::Code;
 #[cfg(feature = "replica")]
-pub use wayfold_index::PointRef;
+pub use wayfold_index::Point as OwnedPoint;
 pub use wayfold_index::{Factor, Group, Neighbor, Scaling, Space, SpaceError, StateProblem, Term};
 pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};

@@ -152,7 +152,7 @@ impl Follower {
     fn apply(&mut self, event: WatchEvent) -> Result<(), Stop> {
         match event {
             WatchEvent::Mutation(mutation) => {
-                self.forest.apply(&mutation);
+                self.forest.apply(&mutation)?;
                 Ok(())
             }
             WatchEvent::Reset(reset) => {

@@ -27,21 +27,26 @@ pub(super) async fn load(index: &IndexHandle) -> Result<Forest, Error> {
             points.len()
         )));
     }
-    let mut forest = Forest::new(index.space().clone(), ForestOptions::default());
+    let mut forest = Forest::new(
+        index.space().clone(),
+        ForestOptions::for_space(index.space()),
+    );
     let built = tokio::task::spawn_blocking(move || {
         if revision > 0 {
-            forest.apply(revision, &points, &[]);
+            forest
+                .apply(revision, &points, &[])
+                .map_err(|error| protocol(error.to_string()))?;
             drop(points);
             forest.settle();
         }
-        forest
+        Ok(forest)
     });
     built
         .await
-        .map_err(|error| protocol(format!("its points could not be built: {error}")))
+        .map_err(|error| protocol(format!("its points could not be built: {error}")))?
 }
 
-fn protocol(problem: String) -> Error {
+pub(super) fn protocol(problem: String) -> Error {
     Error::Protocol {
         call: CALL,
         problem,

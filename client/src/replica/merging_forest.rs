@@ -3,7 +3,8 @@
 use tokio::task::JoinSet;
 use wayfold_index::{Forest, Merged, PointRef, Points, Snapshot};
 
-use crate::Mutation;
+use super::load::protocol;
+use crate::{Error, Mutation};
 
 /// The most merges at once, each on a thread of its own: a long one does not delay short ones.
 const MAX_MERGES: usize = 2;
@@ -34,7 +35,10 @@ impl MergingForest {
     }
 
     /// Applies a mutation, whose revision is above the forest's.
-    pub(super) fn apply(&mut self, mutation: &Mutation) {
+    ///
+    /// # Errors
+    /// The server has sent points that are not of the space.
+    pub(super) fn apply(&mut self, mutation: &Mutation) -> Result<(), Error> {
         let width = self.forest.space().coordinates();
         let mut stored = Points::with_capacity(width, mutation.stored.len());
         for point in mutation.stored.iter() {
@@ -46,8 +50,10 @@ impl MergingForest {
             });
         }
         self.forest
-            .apply(mutation.revision.number, &stored, &mutation.removed_ids);
+            .apply(mutation.revision.number, &stored, &mutation.removed_ids)
+            .map_err(|error| protocol(error.to_string()))?;
         self.start_merging();
+        Ok(())
     }
 
     /// Called now and then: if nothing was applied since the last call, merges work towards a single level.

@@ -101,6 +101,7 @@ pub(super) fn canonical(
             StateProblem::TooLarge => "TOO_LARGE",
             StateProblem::Norm(_) => "NORM",
             StateProblem::Width { .. } => "WIDTH",
+            StateProblem::NotCanonical => "NOT_CANONICAL",
         };
         let field = format!("states[0].coords[{}]", error.coordinate);
         violations.add(&field, reason, error.reason.to_string());

@@ -1,7 +1,8 @@
 //! One frozen revision, and searching it.
 
-use wayfold_index::{Filter, Neighbor, PointRef, Snapshot};
+use wayfold_index::{Filter, Neighbor, Point, Snapshot};
 
+use super::load::protocol;
 use super::validate::{canonical, check};
 use crate::{
     Error, IndexHandle, Radius, Revision, Search, State, States,
@@ -73,8 +74,8 @@ impl ReplicaView {
         self.points.is_empty()
     }
 
-    /// The point with this id.
-    pub fn get(&self, id: u64) -> Option<PointRef<'_>> {
+    /// A copy of the point with this id.
+    pub fn get(&self, id: u64) -> Option<Point> {
         self.points.get(id)
     }
 
@@ -115,7 +116,10 @@ impl ReplicaView {
                 revision: revision.number,
             });
         }
-        let answer = self.points.search(&state, &self.plain(search, since));
+        let answer = self
+            .points
+            .search(&state, &self.plain(search, since))
+            .map_err(|error| protocol(error.to_string()))?;
         Ok(Found {
             neighbors: answer.neighbors,
             exact: answer.exact,

@@ -50,13 +50,15 @@ impl Ahead {
             if found > most {
                 break;
             }
-            let search = |search: Option<Search<'_>>| match search {
-                Some(search) => head.snapshot.search(row, &search).neighbors,
-                None => Vec::new(),
+            let search = |search: Option<Search<'_>>| -> Result<_, Error> {
+                match search {
+                    Some(search) => Ok(head.snapshot.search(row, &search)?.neighbors),
+                    None => Ok(Vec::new()),
+                }
             };
             let around = Around {
-                neighbors: search(neighbors),
-                nearest: search(nearest),
+                neighbors: search(neighbors)?,
+                nearest: search(nearest)?,
             };
             found += around.neighbors.len();
             ahead.rows.push(around);

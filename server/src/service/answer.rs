@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use prost::encoding::encoded_len_varint;
-use wayfold_index::{Neighbor, PointRef, Search};
+use wayfold_index::{Neighbor, Point, Search};
 use wayfold_proto::v1;
 
 use super::{
@@ -54,7 +54,7 @@ impl Room {
 /// Where the columns of an answer come from, but for the payloads, which are in the store.
 pub(super) trait Source {
     /// The point with this id.
-    fn point(&self, id: u64) -> Option<PointRef<'_>>;
+    fn point(&self, id: u64) -> Option<Point>;
 }
 
 /// What a call reads: a published revision of the index of this name.
@@ -92,7 +92,7 @@ impl Seen<'_> {
 }
 
 impl Source for Seen<'_> {
-    fn point(&self, id: u64) -> Option<PointRef<'_>> {
+    fn point(&self, id: u64) -> Option<Point> {
         self.published.snapshot.get(id)
     }
 }
@@ -195,10 +195,10 @@ impl Found {
         Ok(())
     }
 
-    fn push_point(&mut self, point: PointRef<'_>) -> Result<(), Error> {
+    fn push_point(&mut self, point: Point) -> Result<(), Error> {
         if let Some(states) = &mut self.columns.states {
             states.rows += 1;
-            states.coordinates.extend_from_slice(point.row);
+            states.coordinates.extend(point.row);
         }
         if self.include.tags {
             self.columns.tags.push(point.tag);
@@ -229,7 +229,7 @@ pub(super) async fn search(
             k: search.k.min(found.too_many()),
             ..search
         };
-        let answer = seen.published.snapshot.search(state, &search);
+        let answer = seen.published.snapshot.search(state, &search)?;
         if !answer.exact {
             // Perhaps only because it was out of time.
             pace.check()?;
@@ -255,13 +255,13 @@ pub(super) struct PointColumns {
 
 impl PointColumns {
     /// Adds a point; with its payload, or all of them without.
-    pub(super) fn push(&mut self, point: PointRef<'_>, payload: Option<Bytes>) {
+    pub(super) fn push(&mut self, point: Point, payload: Option<Bytes>) {
         self.bytes += 8 + 8 + 8 * point.row.len() + encoded_len_varint(point.revision);
         self.columns.ids.push(point.id);
         self.columns.tags.push(point.tag);
         self.columns.revisions.push(point.revision);
         self.states.rows += 1;
-        self.states.coordinates.extend_from_slice(point.row);
+        self.states.coordinates.extend(point.row);
         if let Some(payload) = payload {
             self.bytes += payload_bytes(&payload);
             self.columns.payloads.push(payload);

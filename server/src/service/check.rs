@@ -127,6 +127,7 @@ fn state_reason(error: &StateError) -> &'static str {
         StateProblem::TooLarge => "TOO_LARGE",
         StateProblem::Norm(_) => "NORM",
         StateProblem::Width { .. } => "WIDTH",
+        StateProblem::NotCanonical => "NOT_CANONICAL",
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use wayfold_index::{Neighbor, PointRef, Search, Space};
+use wayfold_index::{Neighbor, Point, Search, Space};
 use wayfold_proto::v1;
 
 use super::{
@@ -163,7 +163,7 @@ impl<'a> Evaluation<'a> {
         let held = given.and_then(|id| self.staging.held(id));
         let is_held = held.is_some();
         let is_unchanged = match held {
-            Some(held) if is_same(held, tag, row) => match self.payloads.is_stored(id, payload) {
+            Some(held) if is_same(&held, tag, row) => match self.payloads.is_stored(id, payload) {
                 Some(is_stored) => is_stored,
                 None => {
                     self.unread.compared.push(id);
@@ -184,7 +184,7 @@ impl<'a> Evaluation<'a> {
         self.tell_neighbors(at, row)?;
         let (outcome, told_id) = if is_unchanged {
             (v1::Outcome::Unchanged, id)
-        } else if let Some(blocker) = self.blocker(at, row) {
+        } else if let Some(blocker) = self.blocker(at, row)? {
             (v1::Outcome::TooClose, blocker)
         } else if is_held {
             (v1::Outcome::Replaced, id)
@@ -210,8 +210,7 @@ impl<'a> Evaluation<'a> {
         self.next_id += 1;
         // The request's payloads are slices of the message: kept as they are, they would keep all of it.
         let payload = Bytes::copy_from_slice(payload);
-        self.staging.accept(id, tag, row, payload, outcome);
-        Ok(())
+        self.staging.accept(id, tag, row, payload, outcome)
     }
 
     fn tell_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
@@ -225,7 +224,7 @@ impl<'a> Evaluation<'a> {
         };
         let ahead = self.ahead.filter(|ahead| ahead.reaches(&search));
         let known = known(ahead, at, |around| &around.neighbors);
-        found.push(&self.staging, &self.staging.search(row, &search, known))?;
+        found.push(&self.staging, &self.staging.search(row, &search, known)?)?;
         for id in found.without_payload().to_vec() {
             let accepted = self.staging.accepted_payload(id);
             let payload = accepted.or_else(|| self.payloads.of_neighbor(id).cloned());
@@ -238,13 +237,17 @@ impl<'a> Evaluation<'a> {
     }
 
     /// The nearest point that is nearer than the separation asked for.
-    fn blocker(&self, at: usize, row: &[f64]) -> Option<u64> {
+    fn blocker(&self, at: usize, row: &[f64]) -> Result<Option<u64>, Error> {
         let min_separation = self.insertion.min_separation;
-        let nearest = self.insertion.nearest()?;
+        let Some(nearest) = self.insertion.nearest() else {
+            return Ok(None);
+        };
         let known = known(self.ahead, at, |around| &around.nearest);
-        let neighbors = self.staging.search(row, &nearest, known);
-        let nearest = neighbors.first()?;
-        (nearest.distance < min_separation).then_some(nearest.id)
+        let neighbors = self.staging.search(row, &nearest, known)?;
+        let blocker = neighbors
+            .first()
+            .filter(|near| near.distance < min_separation);
+        Ok(blocker.map(|near| near.id))
     }
 
     /// What to log, and what to tell but for revision and uid.
@@ -318,7 +321,7 @@ impl Insertion {
         for (at, (&id, row)) in self.ids.iter().zip(self.rows.iter()).enumerate() {
             let tag = self.tags.get(at).copied().unwrap_or_default();
             let held = head.snapshot.get(id);
-            if held.is_some_and(|held| is_same(held, tag, row)) {
+            if held.is_some_and(|held| is_same(&held, tag, row)) {
                 compared.push(id);
             }
             if at % 32 == 31 {
@@ -412,7 +415,7 @@ fn neighbors_wanted(
 }
 
 /// Whether a stored point has this tag and, bit for bit, this state.
-fn is_same(held: PointRef<'_>, tag: u64, row: &[f64]) -> bool {
+fn is_same(held: &Point, tag: u64, row: &[f64]) -> bool {
     let mut coordinates = held.row.iter().zip(row);
     held.tag == tag && coordinates.all(|(held, new)| held.to_bits() == new.to_bits())
 }

@@ -106,10 +106,10 @@ impl Scan {
             while batch.len() < BATCH
                 && let Some((passed, point)) = rest.next()
             {
+                passed_to = Some(point.id);
                 if self.filter.admits(point.tag, point.revision) {
                     batch.push(point);
                 }
-                passed_to = Some(point.id);
                 if passed % 32 == 31 {
                     pace.step().await?;
                     self.still_held()?;
@@ -130,8 +130,8 @@ impl Scan {
             while !is_full(&points)
                 && let Some(point) = batch.next()
             {
-                points.push(point, payloads.next());
                 after = Some(point.id);
+                points.push(point, payloads.next());
             }
             if batch.peek().is_some() {
                 // They are the first of the next part.
