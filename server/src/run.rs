@@ -94,7 +94,8 @@ pub(crate) async fn serve(
              anyone who can reach this address can read and change every index"
         );
     }
-    let service = Service::starting(config.limits.clone());
+    let durability = config.data.directory().map(|_| config.data.durability);
+    let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
     let capacity = Admission::new(config.grpc.max_calls);
     let cut = CancellationToken::new();

@@ -17,7 +17,11 @@ use tower::{Layer, Service};
 use tracing::Instrument;
 
 use super::{body::CallBody, deadline, refusals};
-use crate::{admission::Admission, observe::CallRecord, service::Call};
+use crate::{
+    admission::Admission,
+    observe::{self, CallRecord, Ending},
+    service::Call,
+};
 
 /// The calls that this layer is for.
 const OURS: &str = "/wayfold.v1.";
@@ -34,6 +38,13 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
             .get::<Deadline>()
             .and_then(|deadline| deadline.0),
     }
+}
+
+/// What every handler begins with: what the service is to know of the call, and the request, noted in the call's span.
+pub(crate) fn open<R: observe::Request>(request: tonic::Request<R>) -> (Call, R) {
+    let (call, message) = (call_of(&request), request.into_inner());
+    observe::request(&message);
+    (call, message)
 }
 
 /// Wraps services in [`Calls`].
@@ -94,8 +105,9 @@ where
         let (deadline, place) = match admitted {
             Ok(admitted) => admitted,
             Err(status) => {
-                record.end(status.code());
-                return Box::pin(std::future::ready(Ok(status.into_http())));
+                record.end(Ending::Failed(status.code));
+                let refusal = tonic::Status::from(*status).into_http();
+                return Box::pin(std::future::ready(Ok(refusal)));
             }
         };
         request.extensions_mut().insert(Deadline(deadline));
@@ -106,14 +118,20 @@ where
             let outcome = match deadline {
                 Some(at) => match tokio::time::timeout_at(at.into(), handler).await {
                     Ok(outcome) => outcome,
-                    Err(_) => Ok(Ok(refusals::deadline_exceeded().into_http())),
+                    Err(_) => {
+                        let status = tonic::Status::from(refusals::deadline_exceeded());
+                        Ok(Ok(status.into_http()))
+                    }
                 },
                 None => handler.await,
             };
             let response = match outcome {
                 Ok(Ok(response)) => refusals::rewrite(response, max_message_bytes),
                 Ok(Err(never)) => match never {},
-                Err(_panic) => refusals::panicked(record.rpc()).into_http(),
+                Err(_panic) => {
+                    let status = tonic::Status::from(refusals::panicked(record.rpc()));
+                    status.into_http()
+                }
             };
             Ok(CallBody::wrap(response, record, place, deadline))
         };

@@ -8,6 +8,7 @@ mod health;
 mod index_service;
 mod point_service;
 mod refusals;
+mod status;
 mod stream_knn;
 
 use std::{io, time::Duration};

@@ -3,6 +3,6 @@
 mod call;
 mod logging;
 
-pub(crate) use call::{CallRecord, index, rows};
+pub(crate) use call::{CallRecord, Ending, Request, request};
 pub(crate) use logging::start;
 pub use logging::{LogFormat, LoggingError};

@@ -215,26 +215,22 @@ impl Found {
     }
 }
 
-/// Searches for every state; says also whether all of it is exact.
+/// Searches for every state.
 pub(super) async fn search(
     seen: &Seen<'_>,
     states: &Rows,
     search: Search<'_>,
     mut found: Found,
     pace: &mut Pace,
-) -> Result<(v1::Neighbors, bool), Error> {
-    let mut exact = true;
+) -> Result<v1::Neighbors, Error> {
     for state in states.iter() {
         let search = Search {
             k: search.k.min(found.too_many()),
             ..search
         };
         let answer = seen.published.snapshot.search(state, &search)?;
-        if !answer.exact {
-            // Perhaps only because it was out of time.
-            pace.check()?;
-        }
-        exact &= answer.exact;
+        // A search that runs out of time ends early, with what it found.
+        pace.check()?;
         found.push(seen, &answer.neighbors)?;
         if found.without_payload().len() >= BATCH {
             found.read_payloads(seen).await?;
@@ -242,26 +238,59 @@ pub(super) async fn search(
         pace.step().await?;
     }
     found.read_payloads(seen).await?;
-    Ok((found.finish(), exact))
+    Ok(found.finish())
 }
 
 /// Points under way to their columns.
-#[derive(Default)]
 pub(super) struct PointColumns {
+    include: v1::Include,
     columns: v1::Points,
-    states: v1::States,
     bytes: usize,
 }
 
+/// The columns of points where a request names none.
+const POINT_COLUMNS: v1::Include = v1::Include {
+    states: true,
+    tags: true,
+    revisions: true,
+    payloads: false,
+};
+
 impl PointColumns {
+    pub(super) fn new(include: Option<v1::Include>) -> Self {
+        let include = include.unwrap_or(POINT_COLUMNS);
+        Self {
+            columns: v1::Points {
+                states: include.states.then(v1::States::default),
+                ..Default::default()
+            },
+            include,
+            bytes: 0,
+        }
+    }
+
+    /// Whether each point is added with its payload.
+    pub(super) fn with_payloads(&self) -> bool {
+        self.include.payloads
+    }
+
     /// Adds a point; with its payload, or all of them without.
     pub(super) fn push(&mut self, point: Point, payload: Option<Bytes>) {
-        self.bytes += 8 + 8 + 8 * point.row.len() + encoded_len_varint(point.revision);
+        self.bytes += 8;
         self.columns.ids.push(point.id);
-        self.columns.tags.push(point.tag);
-        self.columns.revisions.push(point.revision);
-        self.states.rows += 1;
-        self.states.coordinates.extend(point.row);
+        if let Some(states) = &mut self.columns.states {
+            self.bytes += 8 * point.row.len();
+            states.rows += 1;
+            states.coordinates.extend(point.row);
+        }
+        if self.include.tags {
+            self.bytes += 8;
+            self.columns.tags.push(point.tag);
+        }
+        if self.include.revisions {
+            self.bytes += encoded_len_varint(point.revision);
+            self.columns.revisions.push(point.revision);
+        }
         if let Some(payload) = payload {
             self.bytes += payload_bytes(&payload);
             self.columns.payloads.push(payload);
@@ -278,10 +307,7 @@ impl PointColumns {
     }
 
     pub(super) fn finish(self) -> v1::Points {
-        v1::Points {
-            states: Some(self.states),
-            ..self.columns
-        }
+        self.columns
     }
 }
 

@@ -5,7 +5,7 @@ use wayfold_proto::v1;
 use super::{
     Call, Error, Service,
     answer::{PointColumns, Room, Seen, missing},
-    at::check_read_at,
+    at::{revision, revision_number},
     check::{self, Violations},
     stored::BATCH,
 };
@@ -20,16 +20,16 @@ impl Service {
         request: v1::GetRequest,
     ) -> Result<v1::GetResponse, Error> {
         self.accept(call)?;
-        let at = request.at.unwrap_or_default();
-        let hosted = self.index(&request.index, &at.uid)?;
+        let hosted = self.index(&request.index, "")?;
         let mut pace = call.pace(DOING);
         check::id_count(&request.ids, self.limits())?;
         let mut violations = Violations::default();
         check::ids(&request.ids, &mut pace, &mut violations).await?;
-        check_read_at(&at, &mut violations);
+        let min = request.min_revision.as_ref();
+        let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         violations.finish()?;
 
-        let published = self.published(call, &hosted, &at, 0).await?;
+        let published = self.published(call, &hosted, min).await?;
         let mut absent = Vec::new();
         for &id in &request.ids {
             if published.snapshot.get(id).is_none() {
@@ -50,9 +50,9 @@ impl Service {
             published: &published,
         };
         let mut room = Room::new(self.limits());
-        let mut points = PointColumns::default();
+        let mut points = PointColumns::new(request.include);
         for ids in request.ids.chunks(BATCH) {
-            let mut payloads = match request.payloads {
+            let mut payloads = match points.with_payloads() {
                 true => seen.payloads(ids.to_vec(), room.left()).await?,
                 false => Vec::new(),
             }
@@ -68,8 +68,7 @@ impl Service {
         }
         Ok(v1::GetResponse {
             points: Some(points.finish()),
-            revision: published.revision,
-            uid: hosted.uid_text().into(),
+            revision: Some(revision(&hosted, published.revision)),
         })
     }
 }

@@ -3,19 +3,20 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use wayfold_index::{Neighbor, Point, Search, Space};
+use wayfold_index::{Neighbor, Point, Search};
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
     ahead::{Ahead, Around},
     answer::{Found, Room},
+    at::revision,
     call::Pace,
     check::{self, END_OF_IDS, Rows, Violations},
     mutation::{Begun, Claim},
+    neighbor_spec::NeighborSpec,
     payloads::{Payloads, Unread},
     staging::Staging,
-    wanted::{Said, Wanted},
 };
 use crate::{
     log::{Effects, Outcome},
@@ -35,7 +36,7 @@ struct Insertion {
     payloads: Vec<Bytes>,
     replace: bool,
     min_separation: f64,
-    neighbors: Option<(Wanted, Option<v1::Include>)>,
+    neighbors: Option<(NeighborSpec, Option<v1::Include>)>,
 }
 
 impl Service {
@@ -49,7 +50,7 @@ impl Service {
         let hosted = self.index(&request.index, &request.uid)?;
         let mut pace = call.pace(DOING);
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
-        let insertion = Insertion::check(request, hosted.space(), self.limits(), &mut pace).await?;
+        let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;
 
         let mut head = hosted.newest();
         let ahead = insertion
@@ -96,10 +97,9 @@ impl Service {
             // All of these are told, and more may be.
             Room::new(self.limits()).take(read.await?)?;
         };
-        let revision = head.revision;
+        let found = head.revision;
         let response = v1::InsertResponse {
-            revision: revision + u64::from(!effects.is_empty()),
-            uid: hosted.uid_text().into(),
+            revision: Some(revision(&hosted, found + u64::from(!effects.is_empty()))),
             ..told
         };
         self.commit(call, &hosted, writer, effects, claim, &response)
@@ -214,10 +214,10 @@ impl<'a> Evaluation<'a> {
     }
 
     fn tell_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
-        let (Some(found), Some((wanted, _))) = (&mut self.found, &self.insertion.neighbors) else {
+        let (Some(found), Some((spec, _))) = (&mut self.found, &self.insertion.neighbors) else {
             return Ok(());
         };
-        let search = wanted.among(self.staging.points())?;
+        let search = spec.among(self.staging.points())?;
         let search = Search {
             k: search.k.min(found.too_many()),
             ..search
@@ -250,7 +250,7 @@ impl<'a> Evaluation<'a> {
         Ok(blocker.map(|near| near.id))
     }
 
-    /// What to log, and what to tell but for revision and uid.
+    /// What to log, and what to tell but for the revision.
     fn finish(self) -> Result<(Effects, v1::InsertResponse), Error> {
         if !self.conflicts.is_empty() {
             return Err(Error::PointsExist {
@@ -299,7 +299,7 @@ impl Insertion {
         // More than an answer holds are not asked for by anybody who gets one.
         let most = limits.answer_bytes / 16;
         let (points, rows) = (head.snapshot.len(), self.rows.len());
-        let neighbors = self.neighbors.map(|(wanted, _)| wanted.ahead(points, rows));
+        let neighbors = self.neighbors.map(|(spec, _)| spec.ahead(points, rows));
         let head = Arc::clone(head);
         let ahead = Ahead::search(head, &self.rows, neighbors, self.nearest(), most, pace);
         ahead.await.map(Some)
@@ -348,13 +348,14 @@ impl Insertion {
 
     async fn check(
         request: v1::InsertRequest,
-        space: &Space,
+        hosted: &Hosted,
         limits: &Limits,
         pace: &mut Pace,
     ) -> Result<Self, Error> {
+        let space = hosted.space();
         let mut violations = Violations::default();
         let replace = match v1::OnConflict::try_from(request.on_conflict) {
-            Ok(v1::OnConflict::Unspecified) => false,
+            Ok(v1::OnConflict::Unspecified | v1::OnConflict::Fail) => false,
             Ok(v1::OnConflict::Replace) => true,
             Err(_) => {
                 let text = format!("{} is no value of OnConflict", request.on_conflict);
@@ -365,9 +366,10 @@ impl Insertion {
         check::finite("min_separation", request.min_separation, &mut violations);
         check::operation_id(&request.operation_id, &mut violations);
         let neighbors = match request.neighbors {
-            Some(query) => {
-                let wanted = neighbors_wanted(query, &request.uid, space, limits, &mut violations)?;
-                Some((wanted, query.include))
+            Some(asked) => {
+                let include = asked.include;
+                let spec = neighbor_spec(asked, hosted, limits, &mut violations)?;
+                Some((spec, include))
             }
             None => None,
         };
@@ -394,24 +396,21 @@ impl Insertion {
     }
 }
 
-fn neighbors_wanted(
-    query: v1::NeighborQuery,
-    uid: &str,
-    space: &Space,
+fn neighbor_spec(
+    asked: v1::NeighborSpec,
+    hosted: &Hosted,
     limits: &Limits,
     violations: &mut Violations,
-) -> Result<Wanted, Error> {
-    let said = Said {
-        k: query.k,
-        radius: query.radius,
-        scaling: query.scaling,
-    };
-    if said.k.is_none() && said.radius.is_none() && said.scaling.is_none() {
-        violations.add("neighbors", "REQUIRED", "set k, radius, scaling or several");
+) -> Result<NeighborSpec, Error> {
+    let (count, reach) = (asked.count, asked.reach);
+    if count.is_none() && reach.is_none() {
+        let text = "set k or k_factor, radius or scaled_radius, or one of each";
+        violations.add("neighbors", "REQUIRED", text);
     }
-    let mut wanted = Wanted::check("neighbors.", &said, space, limits, violations)?;
-    wanted.fixed.filter = check::filter("neighbors.filter", query.filter, ("uid", uid), violations);
-    Ok(wanted)
+    let space = hosted.space();
+    let mut spec = NeighborSpec::check("neighbors.", count, reach, space, limits, violations)?;
+    spec.fixed.filter = check::filter("neighbors.filter", asked.filter, hosted, violations)?;
+    Ok(spec)
 }
 
 /// Whether a stored point has this tag and, bit for bit, this state.

@@ -8,7 +8,7 @@ use wayfold_proto::v1;
 use super::{
     Call, Error, Service,
     answer::{PointColumns, Seen},
-    at::check_read_at,
+    at::{revision, revision_number},
     check::{self, Violations},
     pin::Pin,
     stored::BATCH,
@@ -30,7 +30,7 @@ pub struct Scan {
     pin: Pin,
     part_bytes: usize,
     filter: Filter,
-    payloads: bool,
+    include: Option<v1::Include>,
     after: Option<u64>,
     done: bool,
 }
@@ -39,29 +39,23 @@ impl Service {
     /// Begins to read all points at one pinned revision, in the order of their ids.
     pub async fn scan(&self, call: &Call, request: v1::ScanRequest) -> Result<Scan, Error> {
         self.accept(call)?;
-        let at = request.at.unwrap_or_default();
-        let hosted = self.index(&request.index, &at.uid)?;
+        let hosted = self.index(&request.index, "")?;
         let mut violations = Violations::default();
-        let filter = check::filter(
-            "filter",
-            request.filter,
-            ("at.uid", &at.uid),
-            &mut violations,
-        );
-        check_read_at(&at, &mut violations);
+        let filter = check::filter("filter", request.filter, &hosted, &mut violations)?;
+        let min = request.min_revision.as_ref();
+        let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         violations.finish()?;
 
         let limits = self.limits();
-        let published = self
-            .published(call, &hosted, &at, filter.since_revision)
-            .await?;
+        let min = min.max(filter.since_revision);
+        let published = self.published(call, &hosted, min).await?;
         Ok(Scan {
             call: *call,
             hosted,
             pin: Pin::new(published, limits.scan_seconds),
             part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
             filter,
-            payloads: request.payloads,
+            include: request.include,
             after: request.after_id,
             done: false,
         })
@@ -92,7 +86,7 @@ impl Scan {
             published: &published,
         };
         let mut pace = self.call.pace(DOING);
-        let mut points = PointColumns::default();
+        let mut points = PointColumns::new(self.include);
         let mut after = self.after;
         let mut rest = published
             .snapshot
@@ -115,7 +109,7 @@ impl Scan {
                     self.still_held()?;
                 }
             }
-            let mut payloads = match self.payloads {
+            let mut payloads = match points.with_payloads() {
                 true => {
                     let ids = batch.iter().map(|point| point.id).collect();
                     let most = self.part_bytes.saturating_sub(points.bytes());
@@ -148,9 +142,8 @@ impl Scan {
     fn told(&self, points: PointColumns, published: &Published) -> v1::ScanResponse {
         v1::ScanResponse {
             points: Some(points.finish()),
-            revision: published.revision,
-            uid: self.hosted.uid_text().into(),
-            total_points: published.snapshot.len() as u64,
+            revision: Some(revision(&self.hosted, published.revision)),
+            point_count: published.snapshot.len() as u64,
         }
     }
 

@@ -7,7 +7,7 @@ use wayfold_proto::{
     v1,
 };
 
-use super::{Call, Error, Service, at::check_read_at, check::Violations, pin::Pin, stored};
+use super::{Call, Error, Service, at::revision_number, check::Violations, pin::Pin, stored};
 use crate::{
     log::{LogError, StoredPoint, View},
     registry::{Hosted, Published},
@@ -46,14 +46,14 @@ impl Service {
         request: v1::SnapshotIndexRequest,
     ) -> Result<Snapshot, Error> {
         self.accept(call)?;
-        let at = request.at.unwrap_or_default();
-        let hosted = self.index(&request.name, &at.uid)?;
+        let hosted = self.index(&request.index, "")?;
         let mut violations = Violations::default();
-        check_read_at(&at, &mut violations);
+        let min = request.min_revision.as_ref();
+        let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         violations.finish()?;
 
         let limits = self.limits();
-        let published = self.published(call, &hosted, &at, 0).await?;
+        let published = self.published(call, &hosted, min).await?;
         Ok(Snapshot {
             call: *call,
             hosted,

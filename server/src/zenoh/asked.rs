@@ -86,8 +86,7 @@ impl<'a> Asked<'a> {
             let text = format!("the payload names {index:?}, the key {:?}", self.index);
             return Err(invalid("index", "CONFLICT", text));
         }
-        observe::index(self.index);
-        observe::rows(request.rows());
+        observe::request(&request);
         Ok(request)
     }
 

@@ -8,7 +8,6 @@ use tokio_util::{
     sync::CancellationToken,
     task::{TaskTracker, task_tracker::TaskTrackerToken},
 };
-use tonic::{Code, Status};
 use tracing::Instrument;
 use zenoh::{bytes::ZBytes, key_expr::keyexpr, query::Query};
 
@@ -23,9 +22,9 @@ use super::{
 };
 use crate::{
     admission::Admission,
-    observe::CallRecord,
+    observe::{CallRecord, Ending},
     service::{Error, Service, Unavailability},
-    status,
+    status::{self, Status},
 };
 
 const MAX_CALLS: &str = "zenoh.max_calls";
@@ -150,7 +149,10 @@ impl Queries {
                 what: format!("Zenoh/{rpc} panicked"),
             })),
         };
-        record.end(told.as_ref().err().map_or(Code::Ok, Status::code));
+        record.end(match &told {
+            Ok(_) => Ending::Ok,
+            Err(status) => Ending::Failed(status.code),
+        });
         Answered {
             query,
             form: answer_in,
@@ -193,7 +195,8 @@ impl Queries {
             }
             let verb = target?.verb;
             asked.check(verb)?;
-            let payload = perform(&self.service, &call, verb, &asked).await?;
+            let limit = self.max_message_bytes;
+            let payload = perform(&self.service, &call, verb, &asked, limit).await?;
             Ok(vec![(query.key_expr().clone().into_owned(), payload)])
         };
         let Some(deadline) = call.deadline else {

@@ -69,7 +69,7 @@ async fn assert_answered(service: &Service, key: &str, asked: &Asked<'_>) {
         deadline: Some(Instant::now() + Duration::from_secs(3600)),
     };
     // What waits ends at once: the time is that of the test.
-    if let Err(error) = perform(service, &call, target.verb, asked).await {
+    if let Err(error) = perform(service, &call, target.verb, asked, 1 << 20).await {
         let is_bug = matches!(error.code(), Code::Internal | Code::DataLoss);
         assert!(!is_bug, "{key} {:?}: {error}", asked.parameters);
     }
