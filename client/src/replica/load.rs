@@ -9,9 +9,9 @@ const CALL: &str = "replica";
 /// A forest of all points of an index, at one revision and with every merge done.
 pub(super) async fn load(index: &IndexHandle) -> Result<Forest, Error> {
     let mut scan = index.scan().await?;
-    let (revision, total) = (scan.revision(), scan.total_points());
+    let (revision, total) = (scan.revision().number, scan.point_count());
     let mut points = Points::new(index.coordinates());
-    while let Some(part) = scan.next_part().await? {
+    while let Some(part) = scan.next().await? {
         for point in part.iter() {
             points.push_point(PointRef {
                 id: point.id,
@@ -23,7 +23,7 @@ pub(super) async fn load(index: &IndexHandle) -> Result<Forest, Error> {
     }
     if points.len() as u64 != total {
         return Err(protocol(format!(
-            "a scan of {} points that told of {total}",
+            "a scan of {} points that announced {total}",
             points.len()
         )));
     }

@@ -1,7 +1,7 @@
 //! Sources in this process: what a planner has without a service.
 
-use wayfold::{Neighbor, Search, Space, States};
-use wayfold_index::{Forest, ForestOptions, Points};
+use wayfold::{Neighbor, Space, States};
+use wayfold_index::{Forest, ForestOptions, Points, Search};
 
 use super::{error::PlanningError, source::NeighborSource};
 
