@@ -1,7 +1,7 @@
 //! Sources in this process: what a planner has without a service.
 
-use wayfold::{Neighbor, Search, Space, States};
-use wayfold_index::{Forest, ForestOptions, Points};
+use wayfold::{Neighbor, Space, States};
+use wayfold_index::{Forest, ForestOptions, Points, Search};
 
 use super::{error::PlanningError, source::NeighborSource};
 
@@ -64,7 +64,7 @@ impl LocalForest {
     /// The kd-trees. Merges run on this thread, within the inserts that make them due, and are paid for there.
     pub fn trees(space: &Space) -> LocalForest {
         LocalForest {
-            forest: Forest::new(space.clone(), ForestOptions::default()),
+            forest: Forest::new(space.clone(), ForestOptions::for_space(space)),
             merges: true,
         }
     }
@@ -91,7 +91,9 @@ impl NeighborSource for LocalForest {
         for (&id, state) in ids.iter().zip(states) {
             points.push(id, 0, revision, state);
         }
-        self.forest.apply(revision, &points, &[]);
+        self.forest
+            .apply(revision, &points, &[])
+            .expect("canonical states");
         if self.merges {
             self.forest.settle();
         }
@@ -103,6 +105,10 @@ impl NeighborSource for LocalForest {
         state: &[f64],
         search: &Search<'_>,
     ) -> Result<Vec<Neighbor>, PlanningError> {
-        Ok(self.forest.search(state, search).neighbors)
+        Ok(self
+            .forest
+            .search(state, search)
+            .expect("canonical states")
+            .neighbors)
     }
 }

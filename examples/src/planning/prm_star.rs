@@ -12,7 +12,8 @@ use std::{
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Scaling, Search, States};
+use wayfold::{Scaling, States};
+use wayfold_index::Search;
 
 use super::{
     account::{Account, Growth, Record},

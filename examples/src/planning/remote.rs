@@ -3,7 +3,8 @@
 use std::rc::Rc;
 
 use tokio::runtime::{Builder, Runtime};
-use wayfold::{Client, IndexHandle, Inserted, Neighbor, Replica, Search, Space, States};
+use wayfold::{Client, IndexHandle, Inserted, Neighbor, Replica, Space, States};
+use wayfold_index::Search;
 
 use super::{error::PlanningError, source::NeighborSource};
 
@@ -102,10 +103,7 @@ impl NeighborSource for ServerSource {
                 Err(_) => index.query([state], search.radius).await,
             }
         })?;
-        let neighbors = found.row(0).iter();
-        Ok(neighbors
-            .map(|(id, distance)| Neighbor { distance, id })
-            .collect())
+        Ok(found.row(0).iter().collect())
     }
 }
 
@@ -150,7 +148,11 @@ impl NeighborSource for ReplicaSource {
         state: &[f64],
         search: &Search<'_>,
     ) -> Result<Vec<Neighbor>, PlanningError> {
-        Ok(self.replica.search(state, search)?.neighbors)
+        let search = match u32::try_from(search.k) {
+            Ok(k) => wayfold::Search::k(k).radius(search.radius),
+            Err(_) => wayfold::Search::within(search.radius),
+        };
+        Ok(self.replica.search(state, &search)?.neighbors)
     }
 }
 

@@ -11,7 +11,8 @@ use std::{
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Scaling, Search, States};
+use wayfold::{Scaling, States};
+use wayfold_index::Search;
 
 use super::{
     error::PlanningError,

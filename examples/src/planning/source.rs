@@ -2,7 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use wayfold::{Neighbor, Search, States};
+use wayfold::{Neighbor, States};
+use wayfold_index::Search;
 
 use super::error::PlanningError;
 

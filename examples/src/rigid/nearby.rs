@@ -1,6 +1,6 @@
 //! Where a worker's candidates come from: the milestones that are near enough for an edge.
 
-use wayfold::{Include, IndexHandle, Neighbor, Replica, ReplicaView, Row, Scaling, Search};
+use wayfold::{Include, IndexHandle, Neighbor, Replica, ReplicaView, Revision, Row, Scaling, Search};
 
 use crate::planning::error::PlanningError;
 pub use crate::planning::prm_star::SCALING;
@@ -10,12 +10,7 @@ pub use crate::planning::prm_star::SCALING;
 const SPARE: f64 = 1.1;
 
 /// What a candidate needs.
-pub const STATES: Include = Include {
-    states: true,
-    tags: false,
-    revisions: false,
-    payloads: false,
-};
+pub const STATES: Include = Include::none().states();
 
 /// A milestone that is near enough for an edge.
 #[derive(Clone, Debug)]
@@ -45,21 +40,18 @@ impl Source {
         &self,
         index: &IndexHandle,
         states: &[Vec<f64>],
-    ) -> Result<(Vec<Vec<Candidate>>, u64), PlanningError> {
+    ) -> Result<(Vec<Vec<Candidate>>, Revision), PlanningError> {
         match self {
             Source::Server => {
-                let found = index.knn(states).k_scaled(SPARE * Scaling::K_FACTOR);
+                let found = index.knn(states).k_factor(SPARE * Scaling::K_FACTOR);
                 let found = found.include(STATES).await?;
                 Ok((found.rows().map(candidates).collect(), found.revision()))
             }
             Source::Replica(replica) => {
                 let view = replica.view()?;
-                let scaling = Scaling {
-                    k_factor: Some(SPARE * Scaling::K_FACTOR),
-                    ..SCALING
-                };
+                let search = Search::k_factor(SPARE * Scaling::K_FACTOR);
                 let nearest = |state: &Vec<f64>| -> Result<Vec<Candidate>, PlanningError> {
-                    let found = view.search_scaled(state, scaling, &Search::nearest_k(1))?;
+                    let found = view.search(state, &search)?;
                     let near = found.neighbors.iter();
                     Ok(near.filter_map(|near| held(&view, near)).collect())
                 };
@@ -87,10 +79,10 @@ fn held(view: &ReplicaView, near: &Neighbor) -> Option<Candidate> {
 
 /// The candidates in the answer about one state.
 pub fn candidates(row: Row<'_>) -> Vec<Candidate> {
-    let near = row.iter().enumerate().filter_map(|(at, (id, distance))| {
+    let near = row.iter().enumerate().filter_map(|(at, near)| {
         Some(Candidate {
-            id,
-            distance,
+            id: near.id,
+            distance: near.distance,
             state: row.state(at)?.to_vec(),
             free: None,
         })

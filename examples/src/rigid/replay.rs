@@ -25,19 +25,23 @@ pub fn edges(scene: &Rooms, roadmap: &Roadmap) -> Result<Vec<BTreeSet<u64>>, Pla
         let k = (2.0 * std::f64::consts::E * (n as f64).ln())
             .ceil()
             .max(1.0);
-        let near = before.search(state, &Search::nearest_k(k as usize));
+        let near = before
+            .search(state, &Search::nearest_k(k as usize))
+            .expect("canonical states");
         let near = near.neighbors.iter().map(|neighbor| neighbor.id);
         let free = near.filter(|&other| {
             let other = roadmap.states.row(other as usize);
             scene.is_free_way(state, other, &mut 0)
         });
         all.push(free.collect());
-        before.insert(PointRef {
-            id,
-            tag: 0,
-            revision: 1,
-            row: state,
-        });
+        before
+            .insert(PointRef {
+                id,
+                tag: 0,
+                revision: 1,
+                row: state,
+            })
+            .expect("canonical states");
     }
     Ok(all)
 }

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use wayfold::{Filter, IndexHandle, Point, Space, States};
+use wayfold::{Filter, Include, IndexHandle, Point, Space, States};
 
 use super::{
     milestone::{self, PENDING},
@@ -38,8 +38,8 @@ impl Roadmap {
             pending: Vec::new(),
         };
         let mut kept = Vec::new();
-        let mut scan = index.scan().payloads().await?;
-        while let Some(part) = scan.next_part().await? {
+        let mut scan = index.scan().include(Include::all()).await?;
+        while let Some(part) = scan.next().await? {
             for point in part.iter() {
                 let edges = point.payload.and_then(|payload| milestone::edges(payload));
                 kept.push(edges.ok_or(PlanningError::Payload { id: point.id })?);
@@ -94,14 +94,11 @@ impl Roadmap {
 ///
 /// Workers that still live lose nothing by it: what they write to complete the same milestones is the same.
 pub async fn adopt(index: &IndexHandle, by: &mut Worker<'_>) -> Result<usize, PlanningError> {
-    let pending = Filter {
-        tag_mask: PENDING,
-        tag_value: PENDING,
-        ..Filter::default()
-    };
-    let mut scan = index.scan().filter(pending).payloads().await?;
+    let pending = Filter::default().tag(PENDING, PENDING);
+    let scan = index.scan().filter(pending);
+    let mut scan = scan.include(Include::all()).await?;
     let mut adopted = 0;
-    while let Some(part) = scan.next_part().await? {
+    while let Some(part) = scan.next().await? {
         let found =
             |point: Point<'_>| Pending::found(point).ok_or(PlanningError::Payload { id: point.id });
         let orphans: Result<Vec<Pending>, _> = part.iter().map(found).collect();

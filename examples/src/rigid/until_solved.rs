@@ -11,7 +11,7 @@ use std::{
 
 use petgraph::unionfind::UnionFind;
 use tokio::sync::mpsc::{self, UnboundedReceiver};
-use wayfold::{Client, IndexHandle, Watch, WatchEvent};
+use wayfold::{Client, Include, IndexHandle, Watch, WatchEvent};
 
 use super::{
     account::Account,
@@ -97,7 +97,8 @@ async fn solve(
     options: &Options,
     seed: u64,
 ) -> Result<Solved, PlanningError> {
-    let mut watch = index.watch().after(0).payloads().await?;
+    let watch = index.watch().after(index.revision_at(0));
+    let mut watch = watch.include(Include::all()).await?;
     let (told, mut lines) = mpsc::unbounded_channel();
     let mut crew = Vec::new();
     for number in 0..options.workers {

@@ -13,7 +13,7 @@ use std::{collections::HashSet, time::Instant};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Filter, IndexHandle, NeighborQuery, Point, Update};
+use wayfold::{Filter, IndexHandle, NeighborSpec, Point, Revision, Scaling, Update};
 
 use super::{
     account::Account,
@@ -40,7 +40,7 @@ pub struct Worker<'a> {
 pub struct Checked {
     states: Vec<CheckedState>,
     /// A revision up to which no milestone was missed.
-    seen: u64,
+    seen: Revision,
 }
 
 #[derive(Debug)]
@@ -183,15 +183,9 @@ impl<'a> Worker<'a> {
         &self,
         checked: Checked,
     ) -> impl Future<Output = Result<Vec<Pending>, PlanningError>> + Send + use<> {
-        let around = NeighborQuery {
-            scaling: SCALING,
-            filter: Filter {
-                since_revision: checked.seen,
-                ..Filter::default()
-            },
-            include: STATES,
-            ..NeighborQuery::default()
-        };
+        let meanwhile = Filter::default().since(checked.seen);
+        let around = NeighborSpec::k_factor(Scaling::K_FACTOR);
+        let around = around.filter(meanwhile).include(STATES);
         let states = checked.states;
         let tag = milestone::tag(self.number) | PENDING;
         let insert = self

@@ -5,7 +5,8 @@ use std::cell::Cell;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Neighbor, Search, Space, States};
+use wayfold::{Neighbor, Space, States};
+use wayfold_index::Search;
 use wayfold_examples::{
     bodies::scene::Room,
     maze::scene::Maze,

@@ -67,10 +67,10 @@ impl InfoLine<'_> {
         InfoLine {
             name: &index.name,
             space: index.space.to_string(),
-            points: index.points,
-            revision: index.revision,
-            uid: &index.uid,
-            coordinates: index.coordinates,
+            points: index.point_count,
+            revision: index.revision.number,
+            uid: &index.revision.uid,
+            coordinates: index.coordinate_count,
             dimension: index.dimension,
             memory_bytes: index.memory_bytes,
         }
@@ -85,11 +85,14 @@ pub(crate) async fn info(args: InfoArgs, session: &mut Session) -> Result<(), Fa
     }
     output.text(format_args!("name         {}", index.name))?;
     output.text(format_args!("space        {}", index.space))?;
-    output.text(format_args!("points       {}", index.points))?;
-    output.text(format_args!("revision     {}", index.revision))?;
-    output.text(format_args!("uid          {}", index.uid))?;
+    output.text(format_args!("points       {}", index.point_count))?;
+    output.text(format_args!("revision     {}", index.revision.number))?;
+    output.text(format_args!("uid          {}", index.revision.uid))?;
     let row = coordinate_names(&index.space).join(", ");
-    output.text(format_args!("coordinates  {} ({row})", index.coordinates))?;
+    output.text(format_args!(
+        "coordinates  {} ({row})",
+        index.coordinate_count
+    ))?;
     output.text(format_args!("dimension    {}", index.dimension))?;
     output.text(format_args!(
         "memory       {}",
@@ -143,8 +146,11 @@ fn table(indexes: &[IndexInfo], output: &mut Output) -> io::Result<()> {
         indexes.iter().map(text).fold(least, usize::max)
     };
     let name = longest(|index| index.name.len(), "NAME".len());
-    let points = longest(|index| index.points.to_string().len(), "POINTS".len());
-    let revision = longest(|index| index.revision.to_string().len(), "REVISION".len());
+    let points = longest(|index| index.point_count.to_string().len(), "POINTS".len());
+    let revision = longest(
+        |index| index.revision.number.to_string().len(),
+        "REVISION".len(),
+    );
     output.text(format_args!(
         "{:name$}  {:>points$}  {:>revision$}  SPACE",
         "NAME", "POINTS", "REVISION"
@@ -157,7 +163,7 @@ fn table(indexes: &[IndexInfo], output: &mut Output) -> io::Result<()> {
         } = index;
         output.text(format_args!(
             "{called:name$}  {:>points$}  {:>revision$}  {space}",
-            index.points, index.revision
+            index.point_count, index.revision.number
         ))?;
     }
     Ok(())

@@ -11,7 +11,7 @@ use crate::{
     output::{Format, JsonId, JsonIds, Output, neighbor_table},
     parse, progress,
 };
-use wayfold::{IndexHandle, Inserted, NeighborQuery, Neighbors, Outcome, Row};
+use wayfold::{IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Row};
 
 const EXAMPLES: &str = "\
 A CSV row is one state, its numbers in the order of the space (`wayfold info` names them). A header
@@ -60,7 +60,7 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
     let rows = table.states.len();
     let bar = progress::bar(Some(rows as u64), "inserting", args.knn.is_some());
     let mut summary = Summary {
-        revision: index.revision(),
+        revision: index.revision().number,
         ..Summary::default()
     };
     let mut is_read = true;
@@ -103,11 +103,8 @@ async fn send(
     if let Some(distance) = args.min_separation {
         insert = insert.min_separation(distance);
     }
-    if args.knn.is_some() {
-        insert = insert.neighbors(NeighborQuery {
-            k: args.knn,
-            ..NeighborQuery::default()
-        });
+    if let Some(k) = args.knn {
+        insert = insert.neighbors(NeighborSpec::k(k));
     }
     Ok(insert.await?)
 }
@@ -211,7 +208,7 @@ impl Summary {
             self.first_id = self.first_id.or(id);
             self.last_id = id.or(self.last_id);
         }
-        self.revision = done.revision;
+        self.revision = done.revision.number;
     }
 
     fn print(&self, output: &mut Output) -> Result<(), Failure> {

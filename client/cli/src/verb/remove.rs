@@ -27,13 +27,13 @@ pub(crate) async fn remove(args: RemoveArgs, session: &mut Session) -> Result<()
     let done = session.index(&args.name).await?.remove(args.ids).await?;
     match session.output.format {
         Format::Json => session.output.json(&RemovedLine {
-            removed: done.removed,
-            missing: done.missing,
-            revision: done.revision,
+            removed: done.removed_count,
+            missing: done.missing_count,
+            revision: done.revision.number,
         })?,
         Format::Text => session.output.text(format_args!(
             "removed {}, missing {}; revision {}",
-            done.removed, done.missing, done.revision
+            done.removed_count, done.missing_count, done.revision.number
         ))?,
     }
     Ok(())

@@ -58,7 +58,7 @@ struct Written {
 pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
     let scan = index.scan().await?;
-    let revision = scan.revision();
+    let revision = scan.revision().number;
     let mut header = vec!["id".to_owned()];
     header.extend(coordinate_names(index.space()));
     let header = header.join(",");
@@ -95,13 +95,13 @@ async fn write(
     prints: bool,
     failed: impl Fn(io::Error) -> Failure,
 ) -> Result<u64, Failure> {
-    let bar = progress::bar(Some(scan.total_points()), "scanning", prints);
+    let bar = progress::bar(Some(scan.point_count()), "scanning", prints);
     if output.format == Format::Text {
         output.text(header).map_err(&failed)?;
     }
     let mut points = 0;
     while let Some(part) = scan
-        .next_part()
+        .next()
         .await
         .map_err(|error| stopped(points, error.into()))?
     {

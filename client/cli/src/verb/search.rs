@@ -21,18 +21,16 @@ Examples:
   wayfold knn arm poses.npy -k 1 --output json | jq '.ids[0]'
   wayfold knn arm roadmap.csv --ids id -k 11      a scan's rows, asked about
 
-In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":N}, with
-\"exact\":false added if --epsilon may have cost an answer. A file is read as it is answered:
-neither its rows nor the answers are held.";
+In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":N}. A file is
+read as it is answered: neither its rows nor the answers are held.";
 
 const QUERY_EXAMPLES: &str = "\
 Examples:
   wayfold query arm --radius 0.5 --state 0.1,0.2,0.3,0,0,0,1
   sampler | wayfold query arm - --radius 0.5 --output json
 
-In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":N}, with
-\"exact\":false added if --epsilon may have cost an answer. A file is read as it is answered:
-neither its rows nor the answers are held.";
+In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":N}. A file is
+read as it is answered: neither its rows nor the answers are held.";
 
 /// The states that are asked about: one of the two.
 #[derive(Debug, clap::Args)]
@@ -193,17 +191,6 @@ struct NeighborsLine<'a> {
     ids: JsonIds<'a>,
     distances: &'a [f64],
     revision: u64,
-    /// Only said when it is false.
-    #[serde(skip_serializing_if = "is_true")]
-    exact: bool,
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde passes fields by reference"
-)]
-fn is_true(exact: &bool) -> bool {
-    *exact
 }
 
 fn print(
@@ -212,24 +199,18 @@ fn print(
     neighbors: &Neighbors,
     i: usize,
 ) -> Result<(), Failure> {
-    let (row, revision, exact) = (
-        neighbors.row(i),
-        neighbors.revision_of(i),
-        neighbors.exact(),
-    );
+    let (row, revision) = (neighbors.row(i), neighbors.revision_of(i).number);
     if output.format == Format::Json {
         output.json(&NeighborsLine {
             ids: JsonIds(row.ids),
             distances: row.distances,
             revision,
-            exact,
         })?;
         return Ok(());
     }
-    let approximate = if exact { "" } else { ", approximate" };
     let plural = if row.len() == 1 { "point" } else { "points" };
     output.text(format_args!(
-        "state {number}: {} {plural} at revision {revision}{approximate}",
+        "state {number}: {} {plural} at revision {revision}",
         row.len()
     ))?;
     neighbor_table(output, row.ids, row.distances)?;

@@ -126,7 +126,7 @@ async fn write(
 ) -> Result<(), Failure> {
     let bar = progress::bar(Some(snapshot.header().points), "reading", false);
     let mut file = SnapshotWriter::new(io::BufWriter::new(to)).map_err(failed)?;
-    while let Some(part) = snapshot.next_part().await? {
+    while let Some(part) = snapshot.next().await? {
         file.write(&part).map_err(failed)?;
         bar.inc(part.points() as u64);
     }

@@ -69,7 +69,7 @@ pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<()
             problems.push(format!(
                 "{}: what is searched disagrees with what is stored in {} places",
                 client.uri(),
-                verified.disagreements
+                verified.disagreement_count
             ));
         }
     }
@@ -94,8 +94,8 @@ pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<()
 async fn ask(args: &VerifyArgs, client: &Client) -> Result<Verified, Failure> {
     let index = client.index(&args.name).await?;
     let bar = progress::bar(Some(0), "verifying", false);
-    let verify = index.verify().queries(args.queries).seed(args.seed);
-    let verified = verify.watched(|read, to_read| {
+    let verify = index.verify().query_count(args.queries).seed(args.seed);
+    let verified = verify.with_progress(|read, to_read| {
         bar.set_length(to_read);
         bar.set_position(read);
     });
@@ -111,10 +111,10 @@ fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<
             server: client.uri(),
             agrees: verified.agrees(),
             index: InfoLine::of(index),
-            stored_points: verified.stored_points,
+            stored_points: verified.stored_point_count,
             content_hash: hex(&verified.content_hash),
-            queries: verified.queries,
-            disagreements: verified.disagreements,
+            queries: verified.query_count,
+            disagreements: verified.disagreement_count,
             first_disagreements: &verified.first_disagreements,
         })?;
         return Ok(());
@@ -128,21 +128,21 @@ fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<
     output.text(format_args!("  space     {}", index.space))?;
     output.text(format_args!(
         "  points    {} searched, {} stored",
-        index.points, verified.stored_points
+        index.point_count, verified.stored_point_count
     ))?;
     output.text(format_args!(
         "  queries   {}, each compared with brute force",
-        verified.queries
+        verified.query_count
     ))?;
     output.text(format_args!("  content   {}", hex(&verified.content_hash)))?;
     output.text(format_args!(
         "  revision  {} (uid {})",
-        index.revision, index.uid
+        index.revision.number, index.revision.uid
     ))?;
     for words in &verified.first_disagreements {
         output.text(format_args!("  {words}"))?;
     }
-    let untold = verified.disagreements - verified.first_disagreements.len() as u64;
+    let untold = verified.disagreement_count - verified.first_disagreements.len() as u64;
     if untold > 0 {
         output.text(format_args!("  and {untold} more disagreements"))?;
     }
@@ -184,8 +184,8 @@ fn differences(one: (&Client, &Verified), other: (&Client, &Verified)) -> Vec<St
     );
     add(
         "stored points",
-        one.stored_points.to_string(),
-        other.stored_points.to_string(),
+        one.stored_point_count.to_string(),
+        other.stored_point_count.to_string(),
     );
     add("content", hex(&one.content_hash), hex(&other.content_hash));
     differences

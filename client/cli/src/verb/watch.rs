@@ -45,7 +45,7 @@ struct MutationLine<'a> {
 pub(crate) async fn watch(args: WatchArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
     let request = match args.after {
-        Some(revision) => index.watch().after(revision),
+        Some(revision) => index.watch().after(index.revision_at(revision)),
         None => index.watch(),
     };
     let watch = request.await?;
@@ -76,29 +76,30 @@ fn print(output: &mut Output, mutation: &Mutation) -> io::Result<()> {
     let Mutation {
         revision,
         stored,
-        removed,
+        removed_ids,
         ..
     } = mutation;
+    let revision = revision.number;
     match output.format {
         Format::Json => {
             let time = mutation.time.duration_since(UNIX_EPOCH).unwrap_or_default();
             output.json(&MutationLine {
-                revision: *revision,
+                revision,
                 time_ms: u64::try_from(time.as_millis()).unwrap_or(u64::MAX),
                 stored: stored.iter().map(PointLine::of).collect(),
-                removed_ids: JsonIds(removed),
+                removed_ids: JsonIds(removed_ids),
             })
         }
         Format::Text => output.text(format_args!(
             "revision {revision}  {} stored  {} removed",
             stored.len(),
-            removed.len()
+            removed_ids.len()
         )),
     }
 }
 
 fn words(reset: &Reset) -> String {
-    let (uid, revision) = (&reset.uid, reset.revision);
+    let (uid, revision) = (&reset.revision.uid, reset.revision.number);
     match reset.reason {
         ResetReason::UidChanged => format!("the index was made anew: its uid is {uid} now"),
         ResetReason::WindowPassed => format!(

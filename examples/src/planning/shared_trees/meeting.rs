@@ -5,7 +5,7 @@
 //! at once; until then it costs nobody anything, which following all vertices for the sake of one of them would.
 
 use bytes::Bytes;
-use wayfold::{Client, Code, Error, IndexHandle, Space, WatchEvent};
+use wayfold::{Client, Code, Error, Include, IndexHandle, Space, WatchEvent};
 
 use super::{super::error::PlanningError, vertex};
 
@@ -51,7 +51,8 @@ impl Meeting {
     pub async fn heard(self) -> Result<(), PlanningError> {
         loop {
             // After a lost connection the next watch waits for the server, as long as the client's calls do.
-            match self.0.watch().after(0).await?.next().await {
+            let watch = self.0.watch().after(self.0.revision_at(0));
+            match watch.await?.next().await {
                 Ok(Some(WatchEvent::Mutation(_))) => return Ok(()),
                 Ok(Some(WatchEvent::Reset(_)) | None) => return Err(PlanningError::Unfollowed),
                 Err(Error::Connection { .. }) => {}
@@ -63,7 +64,7 @@ impl Meeting {
     /// The vertices at which the trees have met: of the tree from the start, and of that from the goal; none if they have
     /// not.
     pub async fn vertices(&self) -> Result<Option<[u64; 2]>, PlanningError> {
-        let points = match self.0.get([ID]).payloads().await {
+        let points = match self.0.get([ID]).include(Include::all()).await {
             Err(error) if error.code() == Code::NotFound => return Ok(None),
             points => points?,
         };

@@ -49,35 +49,28 @@ impl Source {
         let filter = store.filter(tree);
         match self {
             Source::Server => {
-                let include = Include {
-                    states: true,
-                    ..Include::default()
-                };
+                let include = Include::none().states();
                 let found = store.index(tree).knn(states).filter(filter);
                 let found = found.include(include).await?;
                 let nearest = found.rows().enumerate().map(|(at, row)| {
-                    let (id, distance) = row.iter().next()?;
                     Some(Nearest {
-                        neighbor: Neighbor { distance, id },
+                        neighbor: row.nearest()?,
                         state: row.state(0)?.to_vec(),
-                        revision: found.revision_of(at),
+                        revision: found.revision_of(at).number,
                     })
                 });
                 Ok(nearest.collect())
             }
             Source::Replicas(replicas) => {
                 let view = replicas[tree].view()?;
-                let search = Search {
-                    filter,
-                    ..Search::nearest_k(1)
-                };
+                let search = Search::k(1).filter(filter);
                 let nearest = |state: &Vec<f64>| {
                     let found = view.search(state, &search)?;
-                    Ok(found.neighbors.first().and_then(|&neighbor| {
+                    Ok(found.nearest().and_then(|neighbor| {
                         Some(Nearest {
                             neighbor,
                             state: view.get(neighbor.id)?.row.to_vec(),
-                            revision: found.revision,
+                            revision: found.revision.number,
                         })
                     }))
                 };

@@ -1,6 +1,6 @@
 //! Both trees as a whole, read from the server.
 
-use wayfold::{IndexHandle, States};
+use wayfold::{Include, IndexHandle, States};
 
 use super::{
     super::{error::PlanningError, rrt::Tree},
@@ -83,8 +83,8 @@ impl Vertices {
             states: States::new(index.coordinates()),
             rows: Vec::new(),
         };
-        let mut scan = index.scan().payloads().await?;
-        while let Some(part) = scan.next_part().await? {
+        let mut scan = index.scan().include(Include::all()).await?;
+        while let Some(part) = scan.next().await? {
             for point in part.iter() {
                 let told = point.payload.and_then(|payload| vertex::parent(payload));
                 if told.is_none() && !ROOTS.contains(&point.id) {

@@ -30,11 +30,7 @@ pub fn worker(tag: u64) -> usize {
 
 /// The vertices of one tree only.
 pub fn of_tree(tree: usize) -> Filter {
-    Filter {
-        tag_mask: TREE,
-        tag_value: tree as u64,
-        ..Filter::default()
-    }
+    Filter::default().tag(TREE, tree as u64)
 }
 
 /// The first id that this worker gives; the next ones follow, four thousand millions of them.

@@ -1,18 +1,18 @@
-//! How many calls of a face may be under way, and how many are.
+//! Admission control: a bound on the calls in flight of one face (gRPC or Zenoh).
 
 use std::sync::Arc;
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// The room of one face.
+/// The call slots of one face. Clones share them.
 #[derive(Clone, Debug)]
-pub(crate) struct Capacity {
+pub(crate) struct Admission {
     limit: usize,
     free: Arc<Semaphore>,
 }
 
-impl Capacity {
-    /// Room for `limit` calls.
+impl Admission {
+    /// Admits up to `limit` calls at a time.
     pub(crate) fn new(limit: usize) -> Self {
         let limit = limit.min(Semaphore::MAX_PERMITS);
         Self {
@@ -21,17 +21,17 @@ impl Capacity {
         }
     }
 
-    /// Most calls under way.
+    /// The most calls in flight.
     pub(crate) fn limit(&self) -> usize {
         self.limit
     }
 
-    /// How many calls are under way.
+    /// The number of calls in flight.
     pub(crate) fn in_use(&self) -> usize {
         self.limit - self.free.available_permits()
     }
 
-    /// A place for one call, which is free again once it is dropped; none while as many are under way as may be.
+    /// Takes a slot for one call; dropping the permit frees it. None while `limit` calls are in flight.
     pub(crate) fn take(&self) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.free).try_acquire_owned().ok()
     }

@@ -1,10 +1,13 @@
-//! Refusing what the server refuses, in its words.
+//! Validates searches as the server does, in its words.
 
-use wayfold_index::{Scaling, Search, Space, StateProblem};
+use wayfold_index::{Space, StateProblem};
 
-use crate::{Code, Error, FieldViolation, Refusal, States};
+use crate::{
+    Code, Error, FieldViolation, Radius, Refusal, Search, States,
+    search::{Count, ScaledRadius},
+};
 
-/// What is wrong with a request: the reason of the first violation, and all of them.
+/// The violations of a request, and the reason of the first.
 #[derive(Default)]
 pub(super) struct Violations {
     reason: &'static str,
@@ -43,11 +46,11 @@ impl Violations {
         if self.fields.is_empty() {
             return Ok(());
         }
-        let told = self.fields.iter();
-        let told = told.map(|violation| format!("{}: {}", violation.field, violation.problem));
+        let texts = self.fields.iter();
+        let texts = texts.map(|violation| format!("{}: {}", violation.field, violation.problem));
         Err(Error::Refused(Box::new(Refusal {
             code: Code::InvalidArgument,
-            message: told.collect::<Vec<_>>().join("; "),
+            message: texts.collect::<Vec<_>>().join("; "),
             reason: self.reason.to_owned(),
             metadata: Default::default(),
             fields: self.fields,
@@ -56,13 +59,24 @@ impl Violations {
     }
 }
 
-/// What is wrong with a search.
-pub(super) fn check(search: &Search<'_>) -> Violations {
+/// The violations of a search.
+pub(super) fn check(search: &Search) -> Violations {
     let mut violations = Violations::default();
-    if search.k == 0 {
-        violations.add("k", "ZERO", "k is at least 1");
+    match search.bounds.count {
+        Some(Count::K(0)) => violations.add("k", "ZERO", "k is at least 1"),
+        Some(Count::Factor(factor)) => violations.finite("k_factor", factor),
+        Some(Count::K(_)) | None => {}
     }
-    violations.distance("radius", search.radius);
+    match search.bounds.radius {
+        Some(Radius::Fixed(radius)) => violations.distance("radius", radius),
+        Some(Radius::Scaled(ScaledRadius { factor, max })) => {
+            violations.finite("scaled_radius.factor", factor);
+            if let Some(max) = max {
+                violations.distance("scaled_radius.max", max);
+            }
+        }
+        None => {}
+    }
     violations.finite("epsilon", search.epsilon);
     let (mask, value) = (search.filter.tag_mask, search.filter.tag_value);
     if value & !mask != 0 {
@@ -73,28 +87,7 @@ pub(super) fn check(search: &Search<'_>) -> Violations {
     violations
 }
 
-/// What is wrong with factors.
-pub(super) fn check_scaling(scaling: Scaling) -> Result<(), Error> {
-    let mut violations = Violations::default();
-    for (field, factor) in [
-        ("scaling.k_factor", scaling.k_factor),
-        ("scaling.radius_factor", scaling.radius_factor),
-    ] {
-        if let Some(factor) = factor {
-            violations.finite(field, factor);
-        }
-    }
-    if let Some(most) = scaling.radius_max {
-        violations.distance("scaling.radius_max", most);
-        if scaling.radius_factor.is_none() {
-            let problem = "radius_max needs it; a radius that is fixed is radius";
-            violations.add("scaling.radius_factor", "REQUIRED", problem);
-        }
-    }
-    violations.finish()
-}
-
-/// The one state of `states` in canonical form, if nothing is wrong with it nor was before.
+/// The one state of `states` in canonical form, unless it or the search has violations.
 pub(super) fn canonical(
     space: &Space,
     states: States,
@@ -108,6 +101,7 @@ pub(super) fn canonical(
             StateProblem::TooLarge => "TOO_LARGE",
             StateProblem::Norm(_) => "NORM",
             StateProblem::Width { .. } => "WIDTH",
+            StateProblem::NotCanonical => "NOT_CANONICAL",
         };
         let field = format!("states[0].coords[{}]", error.coordinate);
         violations.add(&field, reason, error.reason.to_string());

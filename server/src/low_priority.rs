@@ -1,37 +1,38 @@
-//! Threads for work that can wait: what the store does by itself. They yield to those that answer calls: where all cores are
-//! busy, who waits for an answer does not wait for them. (Merges do not yield: every search takes longer until they are done.)
+//! Low-priority threads for the store's background work, so that calls do not queue behind it when all cores are busy.
+//!
+//! Merges run at normal priority: every search is slower until they are done.
 
 use std::{io, thread};
 
-/// How much they yield, in the system's nice values: with 5 a thread gets a third of what one gets that answers calls, so
-/// that a server that is never idle still moves points out of its journal.
+/// The nice value of these threads. At 5 a thread gets a third of the processor time of a thread that answers calls, so a
+/// server that is never idle still moves points out of its journal.
 const NICE: i32 = 5;
 
-/// Runs `work` on a thread of its own, and waits for it where one may block. Threads that it starts yield as it does.
+/// Runs `work` on a low-priority thread and blocks until it is done. Threads that `work` starts inherit the priority.
 ///
 /// # Errors
-/// If there can be no thread, or the work panics.
+/// If the thread cannot be started, or `work` panics.
 pub(crate) fn run<T: Send>(name: &str, work: impl FnOnce() -> T + Send) -> io::Result<T> {
     thread::scope(|scope| {
         let thread = thread::Builder::new().name(name.into());
         let working = thread.spawn_scoped(scope, || {
-            yield_to_others();
+            lower_priority();
             work()
         })?;
         working.join().map_err(|_| panicked())
     })
 }
 
-/// The panic itself was told of where it took place.
+/// The error names no cause: the panic hook has printed it.
 fn panicked() -> io::Error {
-    io::Error::other("it panicked")
+    io::Error::other("the low-priority thread panicked")
 }
 
-/// Lowers the priority of this thread. Elsewhere than on Linux a process has one priority for all its threads.
-fn yield_to_others() {
+/// Lowers the priority of this thread. Only Linux has a priority per thread; elsewhere this does nothing.
+fn lower_priority() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::setpriority_process(None, NICE) {
-        tracing::debug!(%error, "background work has the priority of calls");
+        tracing::debug!(%error, "cannot lower the thread priority: background work runs at the priority of calls");
     }
 }
 
@@ -44,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn background_work_yields_and_so_do_its_threads_and_nobody_else() {
+    fn the_priority_is_lowered_for_the_work_and_its_threads_only() {
         let before = nice();
         let with_child = || (nice(), thread::spawn(nice).join().unwrap());
         assert_eq!(run("test", with_child).unwrap(), (NICE, NICE));
