@@ -4,6 +4,7 @@
 
 mod backup;
 mod dividing;
+mod examples;
 #[cfg_attr(not(feature = "replica"), expect(dead_code, reason = "replicas scan"))]
 mod fake;
 #[cfg(feature = "replica")]

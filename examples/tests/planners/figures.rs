@@ -4,108 +4,100 @@ use std::{collections::BTreeSet, fs, process::Command};
 
 use serde_json::Value;
 
-/// Runs a program in a directory of its own, and returns what it wrote.
-fn rows(program: &str, arguments: &[&str]) -> Vec<Value> {
+const KEYS: [&str; 11] = [
+    "planner",
+    "source",
+    "workers",
+    "seed",
+    "nodes",
+    "total_s",
+    "search_s",
+    "insert_s",
+    "check_s",
+    "checks",
+    "path_lengths",
+];
+
+const MAZE: &str = env!("CARGO_BIN_EXE_maze");
+const BODIES: &str = env!("CARGO_BIN_EXE_bodies");
+const RIGID: &str = env!("CARGO_BIN_EXE_rigid");
+
+/// Runs a program in a directory of its own. Its only row has planner, source, workers and seed as told, as many paths, and
+/// numbers that fit together.
+fn writes(program: &str, arguments: &str, told: (&str, &str, u64, u64), paths: usize) {
     let directory = tempfile::tempdir().unwrap();
     let mut command = Command::new(program);
-    let command = command.args(arguments).args(["--json", "rows.json"]);
+    let command = command
+        .args(arguments.split(' '))
+        .args(["--json", "rows.json"]);
     let output = command.current_dir(&directory).output().unwrap();
     let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{arguments:?}: {errors}");
+    assert!(output.status.success(), "{arguments}: {errors}");
     let text = fs::read(directory.path().join("rows.json")).unwrap();
-    serde_json::from_slice(&text).unwrap()
-}
-
-/// That a row has what all rows have, and that its numbers fit together; returns planner, source, workers and seed.
-fn checked(row: &Value, paths: usize) -> (&str, &str, u64, u64) {
+    let rows: Vec<Value> = serde_json::from_slice(&text).unwrap();
+    let [row] = &rows[..] else {
+        panic!("{arguments}: {rows:?}");
+    };
     let keys: BTreeSet<&str> = row
         .as_object()
         .unwrap()
         .keys()
         .map(String::as_str)
         .collect();
-    let expected = [
-        "planner",
-        "source",
-        "workers",
-        "seed",
-        "nodes",
-        "total_s",
-        "search_s",
-        "insert_s",
-        "check_s",
-        "checks",
-        "path_lengths",
-    ];
-    assert_eq!(keys, BTreeSet::from(expected));
+    assert_eq!(keys, BTreeSet::from(KEYS));
+    let text = |key: &str| row[key].as_str().unwrap();
+    let whole = |key: &str| row[key].as_u64().unwrap();
+    let of = (
+        text("planner"),
+        text("source"),
+        whole("workers"),
+        whole("seed"),
+    );
+    assert_eq!(of, told);
     let seconds = |key: &str| row[key].as_f64().unwrap();
-    let workers = row["workers"].as_u64().unwrap();
     let parts = ["search_s", "insert_s", "check_s"].map(seconds);
     assert!(parts.iter().all(|part| *part > 0.0), "{row}");
-    assert!(seconds("total_s") > 0.0);
-    assert!(row["nodes"].as_u64().unwrap() > 1);
-    assert!(row["checks"].as_u64().unwrap() > 1);
+    // The parts are of all workers together.
+    assert!(
+        parts.iter().sum::<f64>() <= seconds("total_s") * told.2 as f64,
+        "{row}"
+    );
+    assert!(
+        whole("nodes") > 1 && whole("checks") > whole("nodes"),
+        "{row}"
+    );
     let lengths = row["path_lengths"].as_array().unwrap();
     assert_eq!(lengths.len(), paths);
     assert!(lengths.iter().all(|length| length.as_f64().unwrap() > 0.0));
-    let text = |key: &str| row[key].as_str().unwrap();
-    (
-        text("planner"),
-        text("source"),
-        workers,
-        row["seed"].as_u64().unwrap(),
-    )
 }
 
 #[test]
-fn maze_and_bodies_write_a_row_a_run() {
-    for program in [env!("CARGO_BIN_EXE_maze"), env!("CARGO_BIN_EXE_bodies")] {
-        let rows = rows(program, &["--source", "forest", "--seed", "3"]);
-        let told: Vec<_> = rows.iter().map(|row| checked(row, 1)).collect();
-        assert_eq!(told, [("RRTConCon", "forest", 1, 3)]);
-    }
+fn maze_writes_a_row() {
+    let of = ("RRTConCon", "forest", 1, 3);
+    writes(MAZE, "--source forest --seed 3", of, 1);
+}
+
+#[test]
+fn bodies_writes_a_row() {
+    let of = ("RRTConCon", "forest", 1, 4);
+    writes(BODIES, "--source forest --seed 4", of, 1);
 }
 
 #[test]
 fn workers_that_share_trees_write_a_row_together() {
-    let rows = rows(
-        env!("CARGO_BIN_EXE_maze"),
-        &["--workers", "2", "--source", "server"],
-    );
-    let told: Vec<_> = rows.iter().map(|row| checked(row, 1)).collect();
-    assert_eq!(told, [("RRTConCon", "server", 2, 1)]);
+    let of = ("RRTConCon", "server", 2, 1);
+    writes(BODIES, "--workers 2 --source server", of, 1);
 }
 
 #[test]
-fn rigid_writes_the_same_rows_whatever_it_is_asked() {
-    let program = env!("CARGO_BIN_EXE_rigid");
-    let solved = rows(
-        program,
-        &["--until-solved", "--workers", "2", "--runs", "2"],
-    );
-    let told: Vec<_> = solved.iter().map(|row| checked(row, 3)).collect();
-    assert_eq!(told, [("PRM*", "replica", 2, 1), ("PRM*", "replica", 2, 2)]);
+fn workers_that_share_a_roadmap_write_a_row_together() {
+    let of = ("PRM*", "replica", 2, 1);
+    writes(RIGID, "--workers 2 --milestones 100", of, 3);
+}
 
-    let built = [
-        "--workers",
-        "1",
-        "--source",
-        "server",
-        "--milestones",
-        "150",
-    ];
-    let built = rows(program, &built);
-    let told: Vec<_> = built.iter().map(|row| checked(row, 3)).collect();
-    assert_eq!(told, [("PRM*", "server", 1, 1)]);
-
-    let compared = rows(
-        program,
-        &["--compare", "--milestones", "150", "--runs", "1"],
-    );
-    let told: BTreeSet<_> = compared.iter().map(|row| checked(row, 3)).collect();
-    let sources = ["brute force", "SIMD scan", "forest", "server", "replica"];
-    assert_eq!(
-        told,
-        BTreeSet::from(sources.map(|source| ("PRM*", source, 1, 1)))
-    );
+#[test]
+fn workers_that_stop_at_the_solution_write_a_row_together() {
+    let of = ("PRM*", "server", 1, 1);
+    let arguments = "--until-solved --workers 1 --source server --runs 1";
+    writes(RIGID, arguments, of, 3);
 }
