@@ -47,6 +47,8 @@ struct Inner {
     watched: Vec<v1::WatchRequest>,
     /// What the next scans answer, one after the other; those after them answer nothing.
     scans: VecDeque<Vec<v1::ScanResponse>>,
+    /// Whether a scan waits for ever after its parts.
+    scans_wait: bool,
 }
 
 #[derive(Clone)]
@@ -120,6 +122,11 @@ impl Fake {
     /// Lets the next scan answer so.
     pub(crate) fn scan_answers(&self, parts: Vec<v1::ScanResponse>) {
         self.inner.lock().unwrap().scans.push_back(parts);
+    }
+
+    /// Lets scans wait for ever after their parts.
+    pub(crate) fn scans_wait(&self) {
+        self.inner.lock().unwrap().scans_wait = true;
     }
 
     pub(crate) fn watch_requests(&self) -> Vec<v1::WatchRequest> {
@@ -420,8 +427,12 @@ impl PointService for Fake {
         request: Request<v1::ScanRequest>,
     ) -> Result<Response<Self::ScanStream>, Status> {
         self.enter(&request, 0).await?;
-        let parts = self.inner.lock().unwrap().scans.pop_front();
-        let parts = stream::iter(parts.unwrap_or_default().into_iter().map(Ok));
-        Ok(Response::new(Box::pin(parts)))
+        let mut inner = self.inner.lock().unwrap();
+        let parts = inner.scans.pop_front().unwrap_or_default();
+        let parts = stream::iter(parts.into_iter().map(Ok));
+        Ok(Response::new(match inner.scans_wait {
+            true => Box::pin(parts.chain(stream::pending())),
+            false => Box::pin(parts),
+        }))
     }
 }

@@ -8,19 +8,20 @@ use super::get::PointLine;
 use crate::{
     Session,
     failure::Failure,
+    options::{IncludeArgs, POINT_COLUMNS},
     output::{Format, JsonIds, Output},
 };
-use wayfold::{Mutation, Reset, ResetReason, Watch, WatchEvent};
+use wayfold::{Include, Mutation, Reset, ResetReason, Watch, WatchEvent};
 
 const EXAMPLES: &str = "\
 Examples:
   wayfold watch arm
   wayfold watch arm --after 0 --output json | jq -c .removed_ids
 
-A line a mutation, as soon as readers can see it, until Ctrl-C. In JSON it has the stored points and
-the removed ids: {\"revision\":...,\"time_ms\":...,\"stored\":[{\"id\":...,\"state\":[...],...}],
-\"removed_ids\":[...]}. The exit status is 1 if what comes next cannot be told: the index was deleted
-or made anew, or the server does not keep the mutations that far back.";
+Prints a line for each mutation as soon as reads can see it, until Ctrl-C. In JSON the line holds the
+stored points and the removed ids: {\"revision\":...,\"time_ms\":...,\"stored\":[{\"id\":...,
+\"state\":[...],...}],\"removed_ids\":[...]}. The exit status is 3 if the next mutation is not
+available: the index was deleted or created again, or the server no longer keeps mutations that old.";
 
 /// Prints the mutations of an index as they happen
 #[derive(Debug, clap::Args)]
@@ -28,9 +29,11 @@ or made anew, or the server does not keep the mutations that far back.";
 pub(crate) struct WatchArgs {
     /// The index
     name: String,
-    /// Begins with the mutation after this revision, instead of with the next one
-    #[arg(long, value_name = "REV")]
+    /// Begin with the mutation after this revision, instead of the next one
+    #[arg(long, value_name = "REVISION")]
     after: Option<u64>,
+    #[command(flatten)]
+    include: IncludeArgs,
 }
 
 /// A mutation as a line of JSON.
@@ -44,35 +47,38 @@ struct MutationLine<'a> {
 
 pub(crate) async fn watch(args: WatchArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
-    let request = match args.after {
-        Some(revision) => index.watch().after(revision),
-        None => index.watch(),
-    };
+    let include = args.include.include_or(POINT_COLUMNS);
+    let mut request = index.watch();
+    if let Some(revision) = args.after {
+        request = request.after(revision);
+    }
+    if include.payloads {
+        request = request.payloads();
+    }
     let watch = request.await?;
     tokio::select! {
-        ended = print_all(watch, &mut session.output) => ended,
-        // What was printed is whole lines.
+        ended = print_all(watch, include, &mut session.output) => ended,
+        // Only whole lines were printed.
         interrupted = tokio::signal::ctrl_c() => Ok(interrupted?),
     }
 }
 
-async fn print_all(mut watch: Watch, output: &mut Output) -> Result<(), Failure> {
+async fn print_all(mut watch: Watch, include: Include, output: &mut Output) -> Result<(), Failure> {
     while let Some(event) = watch.next().await? {
         match event {
-            WatchEvent::Mutation(mutation) => print(output, &mutation)?,
+            WatchEvent::Mutation(mutation) => print(output, &mutation, include)?,
             WatchEvent::Reset(reset) => {
-                return Err(Failure::Reset {
-                    what: words(&reset),
-                });
+                let (reason, problem) = describe(&reset);
+                return Err(Failure::Reset { reason, problem });
             }
         }
-        // Somebody waits for this line.
+        // A reader may wait for this line.
         output.flush()?;
     }
     Ok(())
 }
 
-fn print(output: &mut Output, mutation: &Mutation) -> io::Result<()> {
+fn print(output: &mut Output, mutation: &Mutation, include: Include) -> io::Result<()> {
     let Mutation {
         revision,
         stored,
@@ -85,7 +91,10 @@ fn print(output: &mut Output, mutation: &Mutation) -> io::Result<()> {
             output.json(&MutationLine {
                 revision: *revision,
                 time_ms: u64::try_from(time.as_millis()).unwrap_or(u64::MAX),
-                stored: stored.iter().map(PointLine::of).collect(),
+                stored: stored
+                    .iter()
+                    .map(|point| PointLine::of(point, include))
+                    .collect(),
                 removed_ids: JsonIds(removed),
             })
         }
@@ -97,15 +106,23 @@ fn print(output: &mut Output, mutation: &Mutation) -> io::Result<()> {
     }
 }
 
-fn words(reset: &Reset) -> String {
+/// The reason and the message of a reset.
+fn describe(reset: &Reset) -> (&'static str, String) {
     let (uid, revision) = (&reset.uid, reset.revision);
     match reset.reason {
-        ResetReason::UidChanged => format!("the index was made anew: its uid is {uid} now"),
-        ResetReason::WindowPassed => format!(
-            "the server does not keep the next mutation any more; the index is at revision {revision}"
+        ResetReason::UidChanged => (
+            "UID_CHANGED",
+            format!("the index was created again or restored: its uid is now {uid}"),
         ),
-        ResetReason::Other(reason) => {
-            format!("the server cannot tell the next mutation (reset {reason})")
-        }
+        ResetReason::WindowPassed => (
+            "WINDOW_PASSED",
+            format!(
+                "the server no longer keeps the next mutation; the index is at revision {revision}"
+            ),
+        ),
+        ResetReason::Other(reason) => (
+            "RESET",
+            format!("the server cannot send the next mutation (reset {reason})"),
+        ),
     }
 }

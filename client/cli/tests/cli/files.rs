@@ -215,7 +215,7 @@ fn a_wrong_npy_says_what_is_wrong_with_it() {
     for (bytes, expected) in cases {
         let run = files.insert("a.npy", bytes);
         assert!(
-            run.error(1).contains(expected),
+            run.error(3).contains(expected),
             "{} has no {expected:?}",
             run.stderr
         );

@@ -39,7 +39,16 @@ impl Run {
         lines.remove(0)
     }
 
-    /// The error that was told, where nothing was printed.
+    /// The error in JSON, where nothing was printed.
+    pub(crate) fn json_error(&self, status: i32) -> Value {
+        let error = self.error(status);
+        assert_eq!(error.matches('\n').count(), 1, "{error}");
+        let mut error: Value = serde_json::from_str(error).expect(error);
+        assert_eq!(error.as_object().unwrap().len(), 1, "{error}");
+        error["error"].take()
+    }
+
+    /// The error on standard error, where nothing was printed.
     pub(crate) fn error(&self, status: i32) -> &str {
         assert_eq!(self.status, Some(status), "{}{}", self.stdout, self.stderr);
         assert_eq!(self.stdout, "");

@@ -1,0 +1,92 @@
+//! Options that several verbs share.
+
+use clap::ValueEnum;
+use wayfold::{Filter, Include};
+
+use crate::parse::{self, MaskedTag};
+
+/// The points that a read searches.
+#[derive(Debug, clap::Args)]
+pub(crate) struct FilterArgs {
+    /// Only points with this tag, or with these bits under the mask
+    ///
+    /// Numbers are decimal, or hexadecimal after 0x: 0x3/0xff selects the tags whose lowest eight bits are 3.
+    #[arg(long, value_name = "VALUE[/MASK]", value_parser = parse::masked_tag)]
+    tag: Option<MaskedTag>,
+    /// Only points whose state a later revision stored
+    #[arg(long, value_name = "REVISION")]
+    since: Option<u64>,
+}
+
+impl FilterArgs {
+    pub(crate) fn filter(&self) -> Filter {
+        filter(self.tag, self.since)
+    }
+}
+
+/// The filter of a tag and a revision that may be given.
+pub(crate) fn filter(tag: Option<MaskedTag>, since: Option<u64>) -> Filter {
+    let mut filter = Filter::default();
+    if let Some(tag) = tag {
+        (filter.tag_mask, filter.tag_value) = (tag.mask, tag.value);
+    }
+    filter.since_revision = since.unwrap_or(0);
+    filter
+}
+
+/// The columns of an answer.
+#[derive(Debug, clap::Args)]
+pub(crate) struct IncludeArgs {
+    /// What to print of each point beside its id, separated by commas
+    ///
+    /// Payloads are base64 in JSON and in CSV.
+    #[arg(long, value_enum, value_name = "COLUMNS", value_delimiter = ',')]
+    include: Option<Vec<Column>>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Column {
+    States,
+    Tags,
+    Revisions,
+    Payloads,
+}
+
+impl IncludeArgs {
+    /// The columns that are named; `default` if none are.
+    pub(crate) fn include_or(&self, default: Include) -> Include {
+        self.include.as_deref().map_or(default, include)
+    }
+}
+
+/// The columns as the library takes them.
+pub(crate) fn include(columns: &[Column]) -> Include {
+    Include {
+        states: columns.contains(&Column::States),
+        tags: columns.contains(&Column::Tags),
+        revisions: columns.contains(&Column::Revisions),
+        payloads: columns.contains(&Column::Payloads),
+    }
+}
+
+/// What points have beside payloads: the default of `get` and `watch`.
+pub(crate) const POINT_COLUMNS: Include = Include {
+    states: true,
+    tags: true,
+    revisions: true,
+    payloads: false,
+};
+
+/// How far neighbours are at most.
+#[derive(Debug, clap::Args)]
+pub(crate) struct RadiusArgs {
+    /// Only points at this distance or nearer
+    #[arg(long, value_name = "R", value_parser = parse::distance, allow_negative_numbers = true)]
+    pub(crate) radius: Option<f64>,
+    /// In the place of --radius: F * (ln n / n)^(1/d), for n points in a space of dimension d
+    #[arg(long, value_name = "F", value_parser = parse::finite, allow_negative_numbers = true, conflicts_with = "radius")]
+    pub(crate) radius_factor: Option<f64>,
+    /// The greatest radius that --radius-factor gives
+    #[arg(long, value_name = "R", value_parser = parse::distance, allow_negative_numbers = true, requires = "radius_factor")]
+    pub(crate) radius_max: Option<f64>,
+}
