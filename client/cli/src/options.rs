@@ -37,7 +37,7 @@ pub(crate) fn filter(tag: Option<MaskedTag>, since: Option<u64>) -> Filter {
 /// The columns of an answer.
 #[derive(Debug, clap::Args)]
 pub(crate) struct IncludeArgs {
-    /// What to print of each point beside its id, separated by commas
+    /// The columns to print of each point beside its id, separated by commas
     ///
     /// Payloads are base64 in JSON and in CSV.
     #[arg(long, value_enum, value_name = "COLUMNS", value_delimiter = ',')]
@@ -69,7 +69,7 @@ pub(crate) fn include(columns: &[Column]) -> Include {
     }
 }
 
-/// What points have beside payloads: the default of `get` and `watch`.
+/// All columns but payloads: the default of `get`, `watch` and a scan in JSON.
 pub(crate) const POINT_COLUMNS: Include = Include {
     states: true,
     tags: true,

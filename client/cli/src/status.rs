@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-/// What the exit status says. The numbers are fixed: scripts match on them.
+/// The exit status. The numbers are fixed, because scripts match on them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Status {
     Success = 0,

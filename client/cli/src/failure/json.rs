@@ -122,7 +122,7 @@ fn code_and_reason(failure: &Failure) -> (&str, &str) {
     }
 }
 
-/// As the server said it; what the library found wrong has a reason of its own.
+/// The code and reason of the server's refusal; errors of the library have reasons of their own.
 fn of_client(error: &Error) -> (&str, &str) {
     match error {
         Error::Refused(refusal) => (refusal.code_name(), &refusal.reason),

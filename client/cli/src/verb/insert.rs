@@ -9,7 +9,7 @@ use super::neighbors::{NeighborFields, neighbor_table};
 use crate::{
     Session,
     failure::Failure,
-    input::{self, Source, Table},
+    input::{self, Columns, Source, Table},
     options::{self, Column, RadiusArgs},
     output::{Format, JsonId, Output},
     parse::{self, MaskedTag},
@@ -19,8 +19,8 @@ use wayfold::{Include, IndexHandle, Inserted, NeighborQuery, Neighbors, Outcome,
 
 const EXAMPLES: &str = "\
 A CSV row is one state, its numbers in the order of the space (`wayfold info` names them). A header
-line is optional, and names the column for --ids; without ids the server assigns them. An npy file
-holds float64 or float32, one state a row. The command checks the whole file before it sends
+line is optional, and names the columns for --ids and --tags; without ids the server assigns them. An
+npy file holds float64 or float32, one state a row. The command checks the whole file before it sends
 anything; then it sends calls of 1000 rows, and each call is stored as a whole or not at all.
 
 With --knn, --radius or a factor, each row is printed with the neighbours that it had when it was
@@ -47,8 +47,11 @@ pub(crate) struct InsertArgs {
     /// The column of the CSV header that holds the ids
     #[arg(long, value_name = "COLUMN")]
     ids: Option<String>,
-    /// The tag of the new points: decimal, or hexadecimal after 0x
-    #[arg(long, value_name = "VALUE", value_parser = parse::tag)]
+    /// The column of the CSV header that holds the tags
+    #[arg(long, value_name = "COLUMN")]
+    tags: Option<String>,
+    /// The tag of all rows: decimal, or hexadecimal after 0x
+    #[arg(long, value_name = "VALUE", value_parser = parse::tag, conflicts_with = "tags")]
     tag: Option<u64>,
     /// Replace different points that are stored under the ids; without it they are an error
     #[arg(long)]
@@ -78,7 +81,7 @@ struct NeighborArgs {
     /// Only neighbours whose state a later revision stored
     #[arg(long, value_name = "REVISION", requires = "neighbors")]
     since: Option<u64>,
-    /// What to print of each neighbour beside its id and distance, separated by commas
+    /// The columns to print of each neighbour beside its id and distance, separated by commas
     #[arg(
         long,
         value_enum,
@@ -107,8 +110,8 @@ impl NeighborArgs {
                 radius_max,
             },
         };
-        let is_asked = self.knn.is_some() || radius.is_some() || !query.scaling.is_none();
-        is_asked.then_some(query)
+        let is_wanted = self.knn.is_some() || radius.is_some() || !query.scaling.is_none();
+        is_wanted.then_some(query)
     }
 
     fn include(&self) -> Include {
@@ -124,7 +127,10 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
     let table = input::table(
         &Source::file(&args.file),
         index.space(),
-        args.ids.as_deref(),
+        Columns {
+            ids: args.ids.as_deref(),
+            tags: args.tags.as_deref(),
+        },
     )?;
     let rows = table.states.len();
     let query = args.neighbors.query();
@@ -168,12 +174,12 @@ async fn send(
     rows: std::ops::Range<usize>,
 ) -> Result<Inserted, Failure> {
     let ids = table.ids.get(rows.clone()).unwrap_or_default();
-    let mut insert = index
-        .insert(rows.clone().map(|row| table.states.row(row)))
-        .ids(ids);
-    if let Some(tag) = args.tag {
-        insert = insert.tags(vec![tag; rows.len()]);
-    }
+    let tags = match args.tag {
+        Some(tag) => vec![tag; rows.len()],
+        None => table.tags.get(rows.clone()).unwrap_or_default().to_vec(),
+    };
+    let states = rows.map(|row| table.states.row(row));
+    let mut insert = index.insert(states).ids(ids).tags(tags);
     if args.replace {
         insert = insert.replace();
     }

@@ -7,7 +7,7 @@ use wayfold::{Include, Row};
 
 use crate::output::{Column, JsonIds, Output, Row as Numbers, json_payload, table};
 
-/// The fields of a JSON line: ids and distances, and the columns that were asked for.
+/// The fields of a JSON line: ids and distances, and the included columns.
 #[derive(Serialize)]
 pub(super) struct NeighborFields<'a> {
     ids: JsonIds<'a>,

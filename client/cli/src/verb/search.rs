@@ -11,7 +11,7 @@ use super::neighbors::{NeighborFields, neighbor_table};
 use crate::{
     Session,
     failure::Failure,
-    input::{self, InputError, Row, Source},
+    input::{self, Columns, InputError, Row, Source},
     options::{FilterArgs, IncludeArgs, RadiusArgs},
     output::{Format, Output},
     parse, progress,
@@ -62,6 +62,9 @@ struct SearchArgs {
     /// The column of the CSV header that holds ids, which are not part of the states
     #[arg(long, value_name = "COLUMN", conflicts_with = "state")]
     ids: Option<String>,
+    /// The column of the CSV header that holds tags, which are not part of the states
+    #[arg(long, value_name = "COLUMN", conflicts_with = "state")]
+    tags: Option<String>,
     #[command(flatten)]
     radius: RadiusArgs,
     /// Allow answers that are farther than the true ones by a factor of 1 + E
@@ -74,6 +77,13 @@ struct SearchArgs {
 }
 
 impl SearchArgs {
+    fn columns(&self) -> Columns<'_> {
+        Columns {
+            ids: self.ids.as_deref(),
+            tags: self.tags.as_deref(),
+        }
+    }
+
     fn include(&self) -> Include {
         self.include.include_or(Include::default())
     }
@@ -176,7 +186,7 @@ async fn run(
         // The arguments require one of the two.
         (None, None) => Source::Stdin,
     };
-    let rows = input::rows(&source, index.space(), args.ids.as_deref())?;
+    let rows = input::rows(&source, index.space(), args.columns())?;
     let rows = ReceiverStream::new(input::spawn(rows, CALL_ROWS * CALLS));
     let width = index.coordinates();
     let mut answers = rows

@@ -1,4 +1,4 @@
-//! What goes wrong is told on standard error, with a status, and changes nothing.
+//! An error goes to standard error, has an exit status, and changes nothing.
 
 use serde_json::json;
 use wayfold::Client;

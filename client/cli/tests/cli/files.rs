@@ -158,7 +158,7 @@ fn npy_of_one_dimension_is_one_state_and_floats_are_widened() {
 }
 
 #[test]
-fn npy_can_be_asked_about() {
+fn npy_holds_queries() {
     let files = Files::new();
     files.insert(
         "a.npy",

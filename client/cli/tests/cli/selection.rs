@@ -169,6 +169,30 @@ state 1: 2 points at revision 3
 }
 
 #[test]
+fn a_scan_with_tags_reads_back_as_the_same_points() {
+    let server = tagged_line();
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("line.csv");
+    let file = file.to_str().unwrap();
+    let scan = ["scan", "line", file, "--include", "tags,states"];
+    assert_eq!(server.json(&scan).line()["points"], 4);
+    let read = ["line", file, "--ids", "id", "--tags", "tag"];
+    let insert = [&["insert"], &read[..]].concat();
+    assert_eq!(server.json(&insert).line()["unchanged"], 4);
+    let knn = [&["knn", "-k", "1"], &read[..]].concat();
+    assert_eq!(server.json(&knn).lines()[3]["ids"], json!([3]));
+
+    let tags = ["insert", "line", "-", "--tags", "kind"];
+    let rows = "kind,x\n0xffffffffffffffff,50\n7,60\n";
+    server.json_with(&tags, rows).line();
+    let points = server.json(&["get", "line", "4", "5"]).lines();
+    let (first, second) = (&points[0]["tag"], &points[1]["tag"]);
+    assert_eq!((first, second), (&json!("18446744073709551615"), &json!(7)));
+    let wrong = server.run_with(&tags, "x,kind\n1,-1\n");
+    assert!(wrong.error(3).contains("stdin:2:2: \"-1\" is not a tag"));
+}
+
+#[test]
 fn insert_prints_the_neighbours_that_are_asked_for() {
     let server = tagged_line();
     let rows = |options: &[&str]| {
