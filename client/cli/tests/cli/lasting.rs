@@ -86,7 +86,7 @@ async fn a_scan_that_fails_leaves_the_file_as_it_was() {
     let fake = Fake::start().await;
     let (directory, file) = directory_with_a_file();
     for name in [file, directory.path().join("other.csv")] {
-        fake.scan_answers(vec![scanned(&[0], &[0.5]), scanned(&[1, 2], &[1.5])]);
+        fake.scan_answers(vec![scanned(&[0], &[0.5]), scanned(&[1, 2], &[1.5])], true);
         let run = command(&fake.uri, &["scan", "line", name.to_str().unwrap()]).output();
         let run = run.unwrap();
         assert_eq!(run.status.code(), Some(3));
@@ -104,9 +104,8 @@ async fn a_scan_that_fails_leaves_the_file_as_it_was() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_interrupted_scan_leaves_the_file_as_it_was() {
     let fake = Fake::start().await;
-    fake.scans_wait();
     for signal in ["INT", "TERM"] {
-        fake.scan_answers(vec![scanned(&[0], &[0.25])]);
+        fake.scan_answers(vec![scanned(&[0], &[0.25])], false);
         let (directory, file) = directory_with_a_file();
         let files = || fs::read_dir(directory.path()).unwrap().count();
         let mut child = command(&fake.uri, &["scan", "line", file.to_str().unwrap()])
