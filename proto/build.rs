@@ -2,8 +2,9 @@
 
 use std::{env, error::Error, fs, path::PathBuf};
 
-const PROTOS: [&str; 4] = [
+const PROTOS: [&str; 5] = [
     "wayfold/v1/space.proto",
+    "wayfold/v1/types.proto",
     "wayfold/v1/index_service.proto",
     "wayfold/v1/point_service.proto",
     "wayfold/v1/snapshot.proto",

@@ -4,7 +4,10 @@ mod health;
 
 use std::{fmt, sync::Arc, time::Duration};
 
-use tokio::time::{Instant, timeout_at};
+use tokio::{
+    sync::OnceCell,
+    time::{Instant, timeout_at},
+};
 use tonic::{
     Code,
     transport::{Channel, Endpoint},
@@ -13,11 +16,12 @@ use wayfold_index::Space;
 use wayfold_proto::{
     space,
     v1::{
-        self, index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
+        self, create_index_request::SpaceForm, index_service_client::IndexServiceClient,
+        point_service_client::PointServiceClient,
     },
 };
 
-use crate::{DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, RetryPolicy};
+use crate::{DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, RetryPolicy, ServerInfo};
 
 /// A connection to a Wayfold server. Clones share it; any number of calls can be under way on it at once.
 ///
@@ -27,9 +31,11 @@ pub struct Client {
     channel: Channel,
     uri: Arc<str>,
     settings: ClientBuilder,
+    /// Asked for when it is first needed.
+    server: Arc<OnceCell<ServerInfo>>,
 }
 
-/// What a [`Client`] is connected with.
+/// Settings of a [`Client`].
 #[derive(Clone, Copy, Debug)]
 pub struct ClientBuilder {
     timeout: Duration,
@@ -48,20 +54,20 @@ impl Default for ClientBuilder {
 }
 
 impl ClientBuilder {
-    /// How long a call may take, tries and pauses included: 30 s unless set. The server is told, and gives up too.
+    /// How long a call may take, attempts and pauses included: 30 s unless set. The server gives up then too.
     pub fn timeout(mut self, timeout: Duration) -> ClientBuilder {
         self.timeout = timeout;
         self
     }
 
-    /// The most bytes that the client takes in one answer, and divides reads by: 4 MiB unless set. More than the
-    /// server's own limit has no effect.
+    /// The most bytes of one answer that the client accepts: 4 MiB unless set. It divides reads to keep to this and to
+    /// the server's own limit.
     pub fn max_message_bytes(mut self, bytes: usize) -> ClientBuilder {
         self.max_message_bytes = bytes;
         self
     }
 
-    /// When a call that found no server is tried again.
+    /// When the client retries a call that found no server.
     pub fn retry(mut self, policy: RetryPolicy) -> ClientBuilder {
         self.retry = policy;
         self
@@ -70,13 +76,13 @@ impl ClientBuilder {
     /// Connects to the server at `uri`, `http://HOST:PORT` or just `HOST:PORT`.
     ///
     /// # Errors
-    /// [`Error::Address`], or [`Error::Connection`] if no server is reached within the timeout and the tries.
+    /// [`Error::Address`], or [`Error::Connection`] if no attempt reaches a server within the timeout.
     pub async fn connect(self, uri: &str) -> Result<Client, Error> {
         const CALL: &str = "connect";
         let endpoint = endpoint(uri)?
             .tcp_nodelay(true)
             .connect_timeout(self.timeout)
-            // A peer that is gone without a word is noticed by the streams that wait for it.
+            // A stream that waits for a peer notices so that the peer is gone.
             .http2_keep_alive_interval(Duration::from_secs(10))
             .keep_alive_timeout(Duration::from_secs(20));
         let uri: Arc<str> = endpoint.uri().to_string().trim_end_matches('/').into();
@@ -93,7 +99,7 @@ impl ClientBuilder {
         };
         let connected = self.retry.run(deadline, connect).await;
         let channel = connected.map_err(|error| match error {
-            // Why there was no connection is known from the try that had the time to find out.
+            // The attempt before the timeout knows why there was no connection.
             Error::Timeout {
                 earlier: Some(earlier),
                 ..
@@ -105,6 +111,7 @@ impl ClientBuilder {
             channel,
             uri,
             settings: self,
+            server: Arc::default(),
         })
     }
 }
@@ -150,6 +157,33 @@ impl Client {
         &self.uri
     }
 
+    /// The server's version, durability and limits. They are asked for once and remembered for all clones of the
+    /// client, which keep the limits where they divide requests.
+    ///
+    /// # Errors
+    /// Those of every call.
+    pub async fn server(&self) -> Result<&ServerInfo, Error> {
+        self.server_for("get_server", self.settings.timeout).await
+    }
+
+    /// As [`Client::server`], on behalf of `call`, which an error names.
+    pub(crate) async fn server_for(
+        &self,
+        call: &'static str,
+        timeout: Duration,
+    ) -> Result<&ServerInfo, Error> {
+        let ask = || async {
+            let stub = self.indexes();
+            let attempt = |remaining| {
+                let (mut stub, request) =
+                    (stub.clone(), within(remaining, v1::GetServerRequest {}));
+                async move { stub.get_server(request).await }
+            };
+            ServerInfo::from_message(call, self.call(call, timeout, attempt).await?)
+        };
+        self.server.get_or_try_init(ask).await
+    }
+
     /// Creates an index, or opens the one that exists with an equal space.
     ///
     /// # Errors
@@ -160,7 +194,7 @@ impl Client {
         Ok(IndexHandle::new(self.clone(), info))
     }
 
-    /// As [`Client::create_index`], but tells what there is now, and whether this call made it.
+    /// As [`Client::create_index`], but returns the description, and whether this call created the index.
     ///
     /// # Errors
     /// As [`Client::create_index`].
@@ -172,8 +206,7 @@ impl Client {
         const CALL: &str = "create_index";
         let message = v1::CreateIndexRequest {
             name: name.to_owned(),
-            space: Some(space::to_message(space)),
-            space_text: String::new(),
+            space_form: Some(SpaceForm::Space(space::to_message(space))),
         };
         let call = |stub: IndexStub, request| async move { { stub }.create_index(request).await };
         let answer = self.index_call(CALL, message, call).await?;
@@ -195,14 +228,14 @@ impl Client {
     pub async fn index_info(&self, name: &str) -> Result<IndexInfo, Error> {
         const CALL: &str = "get_index";
         let message = v1::GetIndexRequest {
-            name: name.to_owned(),
+            index: name.to_owned(),
         };
         let call = |stub: IndexStub, request| async move { { stub }.get_index(request).await };
         let answer = self.index_call(CALL, message, call).await?;
         IndexInfo::from_message(CALL, answer.index)
     }
 
-    /// All indices of the server, by name; those that cannot be read apart.
+    /// All indices of the server, by name; the damaged ones in a list of their own.
     ///
     /// # Errors
     /// Those of every call.
@@ -230,27 +263,27 @@ impl Client {
         }
     }
 
-    /// Deletes the index that has this name now, with all its points, and tells the uid it had. It may be one that
-    /// cannot be read.
+    /// Deletes the index that has this name now, with all its points, and returns the uid it had. A damaged index can be
+    /// deleted too.
     ///
     /// # Errors
     /// `NOT_FOUND`: there is no index of this name. `FAILED_PRECONDITION`: it was made anew during the call.
     pub async fn delete_index(&self, name: &str) -> Result<String, Error> {
-        // With its uid, a delete that is tried again cannot hit an index that was created in between.
+        // With its uid, a retried delete cannot hit an index that was created in between.
         let uid = match self.index_info(name).await {
-            Ok(index) => index.uid,
+            Ok(index) => index.revision.uid.to_string(),
             Err(error) if error.code() == Code::DataLoss => {
                 self.damaged_uid(name).await?.ok_or(error)?
             }
             Err(error) => return Err(error),
         };
         let message = v1::DeleteIndexRequest {
-            name: name.to_owned(),
+            index: name.to_owned(),
             uid: uid.clone(),
         };
         let call = |stub: IndexStub, request| async move { { stub }.delete_index(request).await };
         match self.index_call("delete_index", message, call).await {
-            // It was there a moment ago: an earlier try, or somebody else, was as good.
+            // It was there a moment ago: an earlier attempt, or another caller, deleted it.
             Err(error) if error.code() == Code::NotFound => Ok(uid),
             deleted => deleted.map(|_| uid),
         }
@@ -286,7 +319,7 @@ impl Client {
         self.call(call, self.settings.timeout, attempt).await
     }
 
-    /// Makes a call, again if need be, and tells each try how much time it has.
+    /// Makes a call, with retries; each attempt gets the time that is left.
     pub(crate) async fn call<A, F, Fut>(
         &self,
         call: &'static str,

@@ -35,13 +35,13 @@ pub enum Error {
     },
     /// There was no answer in time. Of a mutation the effect is unknown; the same call again, with the same operation
     /// id, takes effect once.
-    #[error("{call}: no answer within {timeout:?}{}", told_of(earlier.as_deref()))]
+    #[error("{call}: no answer within {timeout:?}{}", earlier_attempt(earlier.as_deref()))]
     Timeout {
         /// Which call.
         call: &'static str,
-        /// How long it was waited for, tries and pauses included.
+        /// How long the client waited, attempts and pauses included.
         timeout: Duration,
-        /// How the try before the last one ended, if there was one.
+        /// How the attempt before the last one ended, if there was one.
         earlier: Option<Box<Error>>,
     },
     /// The server refused the call, and changed nothing; only after a mutation's `DEADLINE_EXCEEDED` or `DATA_LOSS` is the
@@ -91,7 +91,7 @@ pub enum Error {
     /// A file is no snapshot, or not a good one, or cannot be read.
     #[error(transparent)]
     Snapshot(SnapshotError),
-    /// Nothing shows that a replica has what its server published longer ago than its bound on staleness.
+    /// A replica has not heard from its server for longer than its bound on staleness.
     #[error("the replica may miss what was published {age:?} ago, more than its bound {bound:?}")]
     Stale {
         /// How old its points may be.
@@ -99,15 +99,15 @@ pub enum Error {
         /// How old they may be at most.
         bound: Duration,
     },
-    /// A replica was asked for what came after a revision that it has not reached.
-    #[error("the replica is at revision {revision}, and cannot tell what came after {asked}")]
+    /// A filter of a replica's search names a revision that the replica has not reached.
+    #[error("the replica is at revision {revision}, and cannot tell what came after {since}")]
     Behind {
-        /// The revision that was asked about.
-        asked: u64,
-        /// The one that it is at.
+        /// The filter's revision.
+        since: u64,
+        /// The replica's.
         revision: u64,
     },
-    /// A replica follows its index no more.
+    /// A replica no longer follows its index.
     #[error("the replica ended: {why}")]
     Ended {
         /// Why.
@@ -126,7 +126,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The gRPC status that the error is or amounts to.
+    /// The gRPC status code of the error, or the nearest one.
     pub fn code(&self) -> Code {
         match self {
             Error::Address { .. }
@@ -155,7 +155,7 @@ impl Error {
         }
     }
 
-    /// That the first try of a call had no answer in time.
+    /// The error of a call whose first attempt had no answer in time.
     pub(crate) fn timeout(call: &'static str, timeout: Duration) -> Error {
         Error::Timeout {
             call,
@@ -164,8 +164,8 @@ impl Error {
         }
     }
 
-    /// The error of a try that came after one that ended with `earlier`: that it had no time left tells less. (What a server
-    /// says of a deadline stands by itself.)
+    /// The error of an attempt that followed one with the error `earlier`, which tells more than that no time was left. (A
+    /// server's own `DEADLINE_EXCEEDED` stands by itself.)
     pub(crate) fn following(self, earlier: Option<Error>) -> Error {
         match self {
             Error::Timeout { call, timeout, .. } => Error::Timeout {
@@ -184,7 +184,7 @@ impl Error {
         timeout: Duration,
         status: tonic::Status,
     ) -> Error {
-        // A status that the server sent has no source; one that the transport made up for a failure does.
+        // A status from the server has no source; one that the transport made for a failure has.
         let made_here = std::error::Error::source(&status).is_some();
         match status.code() {
             // The transport gives up a little before or after the call does, and calls that a cancellation.
@@ -210,9 +210,9 @@ impl Error {
 /// The text of `tonic::TimeoutExpired`, of which a status keeps nothing else.
 const TIMEOUT_EXPIRED: &str = "Timeout expired";
 
-fn told_of(earlier: Option<&Error>) -> String {
-    let told = earlier.map(|error| format!("; the try before: {error}"));
-    told.unwrap_or_default()
+fn earlier_attempt(earlier: Option<&Error>) -> String {
+    let text = earlier.map(|error| format!("; the try before: {error}"));
+    text.unwrap_or_default()
 }
 
 /// The innermost error: "Connection refused" says more than the "transport error" around it.

@@ -1,4 +1,4 @@
-//! One index of a server: what is asked of it, and what is remembered of it.
+//! One index of a server: its requests, and the last revision that it was seen at.
 
 use std::{
     sync::{
@@ -13,15 +13,16 @@ use wayfold_index::Space;
 use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
 
 use crate::{
-    Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Query, Remove,
-    ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest, client::within,
+    Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, Query, Radius,
+    Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
+    client::within,
 };
 
 /// An index of a server, of one uid: when the index is deleted and made anew, the calls of this handle fail with
 /// `FAILED_PRECONDITION`, and [`Client::index`] gives a new one.
 ///
-/// Clones are cheap and share what they remember. A handle remembers the last revision it was told of, and its reads
-/// see that revision or a later one: whoever wrote through it reads what was written, on any server.
+/// Clones are cheap and share the last revision that any answer named. Reads see that revision or a later one: a caller
+/// who wrote through the handle reads its own writes, on any server.
 #[derive(Clone, Debug)]
 pub struct IndexHandle {
     shared: Arc<Shared>,
@@ -32,9 +33,9 @@ pub struct IndexHandle {
 struct Shared {
     client: Client,
     name: String,
-    uid: String,
+    uid: Arc<str>,
     space: Space,
-    /// The last revision, of `uid`, that a call told of.
+    /// The number of the last revision, of `uid`, that an answer named.
     revision: AtomicU64,
 }
 
@@ -44,9 +45,9 @@ impl IndexHandle {
         let shared = Shared {
             client,
             name: info.name,
-            uid: info.uid,
+            uid: info.revision.uid,
             space: info.space,
-            revision: AtomicU64::new(info.revision),
+            revision: AtomicU64::new(info.revision.number),
         };
         IndexHandle {
             shared: Arc::new(shared),
@@ -54,7 +55,7 @@ impl IndexHandle {
         }
     }
 
-    /// This handle with another timeout for each of its calls. What is remembered stays shared.
+    /// This handle with another timeout for each of its calls. The last revision stays shared.
     ///
     /// A request that is divided among several calls has the timeout for each.
     pub fn with_timeout(&self, timeout: Duration) -> IndexHandle {
@@ -84,15 +85,24 @@ impl IndexHandle {
         self.shared.space.coordinates()
     }
 
-    /// The last revision the handle was told of; its reads see this one or a later one.
-    pub fn revision(&self) -> u64 {
-        self.shared.revision.load(Ordering::Acquire)
+    /// The last revision that an answer named; the handle's reads see this one or a later one.
+    pub fn revision(&self) -> Revision {
+        self.revision_at(self.shared.revision.load(Ordering::Acquire))
     }
 
-    /// Makes the reads from now on see `revision` or a later one: for a revision, of this uid, that another process
-    /// told of.
-    pub fn see_revision(&self, revision: u64) {
-        self.shared.revision.fetch_max(revision, Ordering::AcqRel);
+    /// Revision `number` of the index's uid.
+    pub fn revision_at(&self, number: u64) -> Revision {
+        Revision::new(Arc::clone(&self.shared.uid), number)
+    }
+
+    /// Makes the reads from now on see `revision` or a later one: for a revision that another process wrote.
+    ///
+    /// # Errors
+    /// `FAILED_PRECONDITION`: it is of another uid.
+    pub fn see_revision(&self, revision: &Revision) -> Result<(), Error> {
+        revision.check_uid(self.uid())?;
+        self.note(revision);
+        Ok(())
     }
 
     /// The index as it stands.
@@ -101,7 +111,7 @@ impl IndexHandle {
     /// `NOT_FOUND`: it was deleted.
     pub async fn info(&self) -> Result<IndexInfo, Error> {
         let info = self.shared.client.index_info(&self.shared.name).await?;
-        self.told(&info.uid, info.revision);
+        self.note(&info.revision);
         Ok(info)
     }
 
@@ -130,9 +140,13 @@ impl IndexHandle {
         Knn::new(self.clone(), self.collect(states))
     }
 
-    /// All points within `radius` of each state: see [`Query`].
-    pub fn query<S: State>(&self, states: impl IntoIterator<Item = S>, radius: f64) -> Query {
-        Query::new(self.clone(), self.collect(states), radius)
+    /// All points within `radius` of each state, a number or a [`ScaledRadius`](crate::ScaledRadius): see [`Query`].
+    pub fn query<S: State>(
+        &self,
+        states: impl IntoIterator<Item = S>,
+        radius: impl Into<Radius>,
+    ) -> Query {
+        Query::new(self.clone(), self.collect(states), radius.into())
     }
 
     /// All points, in the order of their ids: see [`ScanRequest`].
@@ -145,12 +159,12 @@ impl IndexHandle {
         WatchRequest::new(self.clone())
     }
 
-    /// All of it, for a backup or a copy elsewhere: see [`SnapshotRequest`].
+    /// The whole index, for a backup or a copy elsewhere: see [`SnapshotRequest`].
     pub fn snapshot(&self) -> SnapshotRequest {
         SnapshotRequest::new(self.clone())
     }
 
-    /// Compares what is searched with what is stored: see [`Verify`].
+    /// Compares the searched points with the stored ones: see [`Verify`].
     pub fn verify(&self) -> Verify {
         Verify::new(self.clone())
     }
@@ -175,22 +189,40 @@ impl IndexHandle {
         self.timeout
     }
 
-    /// Where and how new the next read is to look.
-    pub(crate) fn read_at(&self) -> v1::ReadAt {
-        v1::ReadAt {
-            uid: self.shared.uid.clone(),
-            min_revision: self.revision(),
+    /// The oldest revision that the next read may see.
+    pub(crate) fn min_revision(&self) -> Option<v1::Revision> {
+        Some(self.revision().to_message())
+    }
+
+    /// Remembers a revision that an answer named, if it is of this uid.
+    pub(crate) fn note(&self, revision: &Revision) {
+        if *revision.uid == *self.shared.uid {
+            self.shared
+                .revision
+                .fetch_max(revision.number, Ordering::AcqRel);
         }
     }
 
-    /// Remembers what a call told.
-    pub(crate) fn told(&self, uid: &str, revision: u64) {
-        if uid == self.shared.uid {
-            self.see_revision(revision);
+    /// The revision of an answer, which the handle remembers.
+    pub(crate) fn answered(
+        &self,
+        call: &'static str,
+        revision: Option<v1::Revision>,
+    ) -> Result<Revision, Error> {
+        let revision = Revision::from_message(call, revision, &self.shared.uid)?;
+        self.note(&revision);
+        Ok(revision)
+    }
+
+    /// The server's limits, to divide `rows` rows by. Of a single row, which cannot be divided, the server is not asked.
+    pub(crate) async fn limits(&self, call: &'static str, rows: usize) -> Result<Limits, Error> {
+        match rows {
+            0 | 1 => Ok(Limits::NONE),
+            _ => Ok(self.client().server_for(call, self.timeout).await?.limits),
         }
     }
 
-    /// Makes a call about points, with a message made for each try.
+    /// Makes a call about points, with a message made for each attempt.
     pub(crate) async fn call<Q, A, M, F, Fut>(
         &self,
         call: &'static str,

@@ -3,7 +3,7 @@
 use wayfold_index::Space;
 use wayfold_proto::{space, v1};
 
-use crate::{Error, Refusal};
+use crate::{Error, Refusal, Revision};
 
 /// The indices of a server.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -45,14 +45,12 @@ pub struct IndexInfo {
     pub name: String,
     /// The space of its states.
     pub space: Space,
-    /// Names its past: a revision means something only with its uid.
-    pub uid: String,
-    /// How many mutations it has applied.
-    pub revision: u64,
+    /// The revision described here.
+    pub revision: Revision,
     /// How many points it holds.
-    pub points: u64,
+    pub point_count: u64,
     /// How many numbers a state has (SE(3): 7).
-    pub coordinates: usize,
+    pub coordinate_count: usize,
     /// The dimension of the manifold (SE(3): 6).
     pub dimension: usize,
     /// An estimate of the memory its search structure holds, in bytes.
@@ -70,10 +68,9 @@ impl IndexInfo {
         let space = space::from_message(&message).map_err(|error| protocol(error.to_string()))?;
         Ok(IndexInfo {
             name: index.name,
-            uid: index.uid,
-            revision: index.revision,
-            points: index.points,
-            coordinates: space.coordinates(),
+            revision: Revision::from_message(call, index.revision, &"".into())?,
+            point_count: index.point_count,
+            coordinate_count: space.coordinates(),
             dimension: space.dimension(),
             memory_bytes: index.memory_bytes,
             space,

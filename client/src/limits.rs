@@ -1,37 +1,33 @@
-//! How what is too much for one call is divided among several.
+//! Divides requests among calls that keep the server's limits.
 //!
-//! The bounds below lie within the default limits of a server. A server with lower limits refuses a call with
-//! `RESOURCE_EXHAUSTED`, naming the limit: reads are then divided further, down to single rows; a mutation fails.
+//! How large an answer gets is not always known before. Where one is too large, the server refuses the call with
+//! `RESOURCE_EXHAUSTED` and names the limit, and a read is divided further, down to single rows.
 
 use std::ops::Range;
 
 use tonic::Code;
 
-use crate::Error;
-
-/// The most bytes of rows that the client puts into one request. Stock gRPC servers take messages of 4 MiB; what is
-/// kept back is for the other fields.
-pub const REQUEST_BYTES: usize = 4 * 1024 * 1024 - 64 * 1024;
-
-/// The most rows that the client puts into one mutation; up to here it is one call, and atomic.
-pub const MUTATION_ROWS: usize = 10_000;
+use crate::{Client, Error, Limits};
 
 /// The most states or ids that the client puts into one read, so that a call keeps within its timeout.
 pub const READ_ROWS: usize = 1_000;
 
-/// Divides rows, in order, so that each part has at most `most_rows` and its rows, `bytes` each, at most `most_bytes`;
-/// a single row may exceed that. No rows make one empty part: what to say of it is the server's to decide.
+/// Divides the rows of a mutation, in order, so that each part has at most `max_rows` and its rows, `bytes` each, fit
+/// into a request; a single row may exceed that. No rows make one empty part, which the server answers.
 pub(crate) fn divide(
+    limits: &Limits,
     rows: usize,
-    most_rows: usize,
-    most_bytes: usize,
+    max_rows: usize,
     bytes: impl Fn(usize) -> usize,
 ) -> Vec<Range<usize>> {
+    /// What a request holds beside its rows.
+    const FRAME_BYTES: usize = 64 * 1024;
+    let max_bytes = limits.request_bytes.saturating_sub(FRAME_BYTES);
     let mut parts = Vec::new();
     let (mut start, mut held) = (0, 0);
     for row in 0..rows {
         let needs = bytes(row);
-        if row > start && (row - start >= most_rows || held + needs > most_bytes) {
+        if row > start && (row - start >= max_rows || held + needs > max_bytes) {
             parts.push(start..row);
             (start, held) = (row, 0);
         }
@@ -41,11 +37,11 @@ pub(crate) fn divide(
     parts
 }
 
-/// Reads rows in calls of at most `most_rows`, one after the other, and halves that where the server or the transport
+/// Reads rows in calls of at most `max_rows`, one after the other, and halves that where the server or the transport
 /// finds a call or its answer too large. The answers are appended to the first.
 pub(crate) async fn read_in_parts<A, F, Fut>(
     rows: usize,
-    most_rows: usize,
+    max_rows: usize,
     mut read: F,
     append: fn(&mut A, A),
 ) -> Result<A, Error>
@@ -53,7 +49,7 @@ where
     F: FnMut(Range<usize>) -> Fut,
     Fut: Future<Output = Result<A, Error>>,
 {
-    let (mut answers, mut start, mut step) = (None, 0, most_rows.max(1));
+    let (mut answers, mut start, mut step) = (None, 0, max_rows.max(1));
     loop {
         let end = rows.min(start + step);
         let answer = match read(start..end).await {
@@ -77,35 +73,36 @@ where
     }
 }
 
-/// The limits of a server that a smaller call keeps.
-const KEPT_BY_FEWER_ROWS: [&str; 4] = [
+/// The limits of a server that a call of fewer rows keeps.
+const LIMITS_BY_ROWS: [&str; 5] = [
     "answer_bytes",
     "grpc.max_message_bytes",
+    "request_bytes",
     "rows_per_call",
     "ids_per_call",
 ];
 
 fn is_too_large(error: &Error) -> bool {
     match error {
-        // What the transport calls an answer above the client's own limit.
+        // The transport's code for an answer above the client's own limit.
         Error::Refused(refusal) if refusal.code == Code::OutOfRange => true,
         Error::Refused(refusal) if refusal.code == Code::ResourceExhausted => {
             let limit = refusal.metadata.get("limit");
-            limit.is_some_and(|limit| KEPT_BY_FEWER_ROWS.contains(&limit.as_str()))
+            limit.is_some_and(|limit| LIMITS_BY_ROWS.contains(&limit.as_str()))
         }
         _ => false,
     }
 }
 
-/// How many rows one answer holds if each takes `row_bytes`, at least one and at most `most_rows`.
-pub(crate) fn rows_of_answer(answer_bytes: usize, row_bytes: usize, most_rows: usize) -> usize {
+/// How many rows of `row_bytes` one answer holds, at least one.
+pub(crate) fn rows_of_answer(client: &Client, limits: &Limits, row_bytes: usize) -> usize {
     /// What an answer holds beside its rows.
     const FRAME_BYTES: usize = 1024;
-    let bytes = answer_bytes.saturating_sub(FRAME_BYTES);
-    (bytes / row_bytes.max(1)).clamp(1, most_rows)
+    let bytes = client.max_message_bytes().min(limits.answer_bytes);
+    (bytes.saturating_sub(FRAME_BYTES) / row_bytes.max(1)).max(1)
 }
 
-/// Says whether an id is given twice, which no single call could tell once the ids are divided among several.
+/// Refuses an id that is given twice, which the server cannot see once the ids are divided among several calls.
 pub(crate) fn check_unique(ids: &[u64]) -> Result<(), Error> {
     let mut sorted = ids.to_vec();
     sorted.sort_unstable();
@@ -120,16 +117,16 @@ pub(crate) fn check_unique(ids: &[u64]) -> Result<(), Error> {
 
 /// The operation id of part `part` of `parts`: the call's own if there is one part only.
 pub(crate) fn operation_id(id: &str, part: usize, parts: usize) -> Result<String, Error> {
-    const MOST_BYTES: usize = 64;
+    const MAX_BYTES: usize = 64;
     let id = if parts == 1 {
         id.to_owned()
     } else {
         format!("{id}/{part}")
     };
-    if id.len() > MOST_BYTES {
+    if id.len() > MAX_BYTES {
         return Err(Error::Argument {
             field: "operation_id",
-            problem: format!("{id:?} is longer than {MOST_BYTES} bytes"),
+            problem: format!("{id:?} is longer than {MAX_BYTES} bytes"),
         });
     }
     Ok(id)

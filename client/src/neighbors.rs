@@ -1,11 +1,12 @@
 //! The neighbours of several states.
 
 use bytes::Bytes;
+use wayfold_index::Neighbor;
 use wayfold_proto::v1;
 
-use crate::{Error, States, read::Revisions};
+use crate::{Error, Include, Revision, States, points::extend, revision::RowRevisions};
 
-/// The neighbours of each state that was asked about, nearest first; at equal distances by id.
+/// The neighbours of each state of a request, nearest first; at equal distances by id.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Neighbors {
     /// Where the neighbours of each state end in the columns.
@@ -16,9 +17,7 @@ pub struct Neighbors {
     tags: Option<Vec<u64>>,
     stored: Option<Vec<u64>>,
     payloads: Option<Vec<Bytes>>,
-    exact: bool,
-    seen: Revisions,
-    uid: String,
+    read_at: RowRevisions,
 }
 
 /// The neighbours of one state, in columns.
@@ -28,11 +27,11 @@ pub struct Row<'a> {
     pub ids: &'a [u64],
     /// Their distances in the space's metric, ascending; as many as `ids`.
     pub distances: &'a [f64],
-    /// Their tags, if they were asked for; as many as `ids`.
+    /// Their tags, if included; as many as `ids`.
     pub tags: Option<&'a [u64]>,
-    /// The revisions that stored their states, if they were asked for; as many as `ids`.
+    /// The numbers of the revisions that stored their states, if included; as many as `ids`.
     pub revisions: Option<&'a [u64]>,
-    /// Their payloads, if they were asked for; as many as `ids`, empty where a point has none.
+    /// Their payloads, if included; as many as `ids`, empty where a point has none.
     pub payloads: Option<&'a [Bytes]>,
     states: Option<&'a States>,
     start: usize,
@@ -49,12 +48,18 @@ impl<'a> Row<'a> {
         self.ids.is_empty()
     }
 
-    /// The id and distance of each neighbour, nearest first.
-    pub fn iter(&self) -> impl Iterator<Item = (u64, f64)> + use<'a> {
-        self.ids.iter().copied().zip(self.distances.iter().copied())
+    /// The nearest of them.
+    pub fn nearest(&self) -> Option<Neighbor> {
+        self.iter().next()
     }
 
-    /// The state of neighbour `i` in canonical form, if states were asked for and there is such a neighbour.
+    /// The id and distance of each, nearest first.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Neighbor> + use<'a> {
+        let pairs = self.ids.iter().zip(self.distances);
+        pairs.map(|(&id, &distance)| Neighbor { distance, id })
+    }
+
+    /// The state of neighbour `i` in canonical form, if states are included and there is such a neighbour.
     pub fn state(&self, i: usize) -> Option<&'a [f64]> {
         let states = self.states?;
         (i < self.len()).then(|| states.row(self.start + i))
@@ -62,12 +67,12 @@ impl<'a> Row<'a> {
 }
 
 impl Neighbors {
-    /// How many states were asked about.
+    /// How many states the request had.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
 
-    /// Whether none was.
+    /// Whether it had none.
     pub fn is_empty(&self) -> bool {
         self.ends.is_empty()
     }
@@ -95,40 +100,38 @@ impl Neighbors {
         (0..self.len()).map(|i| self.row(i))
     }
 
-    /// Whether all of it equals brute force: false only if `epsilon` or `max_leaves` may have cost an answer.
-    pub fn exact(&self) -> bool {
-        self.exact
-    }
-
-    /// The revision that was read; the oldest one where the request was divided among several calls, so that nothing
-    /// stored up to it is missing from any row.
-    pub fn revision(&self) -> u64 {
-        self.seen.oldest()
+    /// The revision that was read; the oldest one where the request was divided among several calls, so that no row
+    /// misses a point that was stored up to it.
+    pub fn revision(&self) -> Revision {
+        self.read_at.oldest()
     }
 
     /// The revision at which the neighbours of state `i` were read.
-    pub fn revision_of(&self, i: usize) -> u64 {
-        self.seen.of_row(i)
+    ///
+    /// # Panics
+    /// If there is no such state.
+    pub fn revision_of(&self, i: usize) -> Revision {
+        self.read_at.of_row(i)
     }
 
-    /// The uid of the index, to which the revisions belong.
-    pub fn uid(&self) -> &str {
-        &self.uid
-    }
-
-    /// The answer to a call about `rows` states, checked.
+    /// The answer to a call, checked.
     pub(crate) fn from_message(
         message: Option<v1::Neighbors>,
-        told: Told<'_>,
-        width: usize,
+        expected: Expected,
     ) -> Result<Neighbors, Error> {
-        let call = told.call;
+        let Expected {
+            call,
+            rows,
+            width,
+            include,
+            revision,
+        } = expected;
         let wrong = |problem: &str| Error::Protocol {
             call,
             problem: problem.to_owned(),
         };
         let message = message.unwrap_or_default();
-        if told.rows != message.counts.len() {
+        if rows != message.counts.len() {
             return Err(wrong("not as many counts as states"));
         }
         let mut ends = Vec::with_capacity(message.counts.len());
@@ -140,7 +143,6 @@ impl Neighbors {
         if message.ids.len() != found || message.distances.len() != found {
             return Err(wrong("counts, ids and distances disagree"));
         }
-        let include = told.include;
         let states = match include.states {
             true => Some(
                 States::from_message(message.states, found, width)
@@ -156,7 +158,7 @@ impl Neighbors {
             return Err(wrong("not a tag, revision or payload for each id"));
         }
         Ok(Neighbors {
-            seen: Revisions::one(ends.len(), told.revision),
+            read_at: RowRevisions::one(ends.len(), revision),
             ends,
             ids: message.ids,
             distances: message.distances,
@@ -164,12 +166,10 @@ impl Neighbors {
             tags: include.tags.then_some(tags),
             stored: include.revisions.then_some(stored),
             payloads: include.payloads.then_some(payloads),
-            exact: told.exact,
-            uid: told.uid.to_owned(),
         })
     }
 
-    /// Puts the answer to later rows of the same request behind this one.
+    /// Appends the answer to later rows of the same request.
     pub(crate) fn append(&mut self, other: Neighbors) {
         let before = self.ids.len();
         self.ends
@@ -182,25 +182,17 @@ impl Neighbors {
         extend(&mut self.tags, other.tags);
         extend(&mut self.stored, other.stored);
         extend(&mut self.payloads, other.payloads);
-        self.exact &= other.exact;
-        self.seen.append(other.seen);
+        self.read_at.append(other.read_at);
     }
 }
 
-fn extend<T>(column: &mut Option<Vec<T>>, other: Option<Vec<T>>) {
-    if let (Some(column), Some(other)) = (column, other) {
-        column.extend(other);
-    }
-}
-
-/// What is known of an answer beside its neighbours.
-#[derive(Clone, Copy)]
-pub(crate) struct Told<'a> {
+/// What an answer must hold, and its revision.
+pub(crate) struct Expected {
     pub(crate) call: &'static str,
-    /// How many states were asked about.
+    /// How many states the request had.
     pub(crate) rows: usize,
-    pub(crate) include: crate::Include,
-    pub(crate) exact: bool,
-    pub(crate) revision: u64,
-    pub(crate) uid: &'a str,
+    /// How many numbers a state has.
+    pub(crate) width: usize,
+    pub(crate) include: Include,
+    pub(crate) revision: Revision,
 }

@@ -3,17 +3,17 @@
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use crate::{Error, FromState, States, read::Revisions};
+use crate::{Error, FromState, Include, Revision, States, revision::RowRevisions};
 
-/// Stored points, in the order of the ids that were asked for, or of a scan.
+/// Stored points, in the order of a get's ids, or in that of all ids.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Points {
     ids: Vec<u64>,
-    states: States,
-    tags: Vec<u64>,
-    stored: Vec<u64>,
+    states: Option<States>,
+    tags: Option<Vec<u64>>,
+    stored: Option<Vec<u64>>,
     payloads: Option<Vec<Bytes>>,
-    seen: Revisions,
+    read_at: RowRevisions,
 }
 
 /// One stored point.
@@ -21,18 +21,18 @@ pub struct Points {
 pub struct Point<'a> {
     /// Its id.
     pub id: u64,
-    /// Its state, in canonical form.
+    /// Its state, in canonical form; empty if states are not included.
     pub state: &'a [f64],
-    /// Its tag.
+    /// Its tag; 0 if tags are not included.
     pub tag: u64,
-    /// The revision that stored its state.
+    /// The number of the revision that stored its state; 0 if revisions are not included.
     pub revision: u64,
-    /// Its payload, if payloads were asked for; empty if it has none.
+    /// Its payload, if payloads are included; empty if it has none.
     pub payload: Option<&'a Bytes>,
 }
 
 impl Point<'_> {
-    /// The state as a type that has as many numbers, `None` if it has others.
+    /// The state as a type that has as many numbers; `None` if it has another number of them.
     pub fn state_as<S: FromState>(&self) -> Option<S> {
         S::from_state(self.state)
     }
@@ -56,9 +56,9 @@ impl Points {
     pub fn point(&self, i: usize) -> Point<'_> {
         Point {
             id: self.ids[i],
-            state: self.states.row(i),
-            tag: self.tags[i],
-            revision: self.stored[i],
+            state: self.states.as_ref().map_or(&[], |states| states.row(i)),
+            tag: self.tags.as_ref().map_or(0, |tags| tags[i]),
+            revision: self.stored.as_ref().map_or(0, |stored| stored[i]),
             payload: self.payloads.as_ref().map(|payloads| &payloads[i]),
         }
     }
@@ -73,22 +73,23 @@ impl Points {
         &self.ids
     }
 
-    /// The states, in canonical form.
-    pub fn states(&self) -> &States {
-        &self.states
+    /// The states in canonical form, if included.
+    pub fn states(&self) -> Option<&States> {
+        self.states.as_ref()
     }
 
     /// The revision that was read; the oldest one where the request was divided among several calls.
-    pub fn revision(&self) -> u64 {
-        self.seen.oldest()
+    pub fn revision(&self) -> Revision {
+        self.read_at.oldest()
     }
 
+    /// The points of an answer, checked.
     pub(crate) fn from_message(
         call: &'static str,
         message: Option<v1::Points>,
-        revision: u64,
+        revision: Revision,
         width: usize,
-        payloads: bool,
+        include: Include,
     ) -> Result<Points, Error> {
         let wrong = |problem: &str| Error::Protocol {
             call,
@@ -96,33 +97,46 @@ impl Points {
         };
         let message = message.unwrap_or_default();
         let found = message.ids.len();
-        let states = States::from_message(message.states, found, width)
-            .ok_or_else(|| wrong("not a state for each id"))?;
-        if message.tags.len() != found
-            || message.revisions.len() != found
-            || payloads && message.payloads.len() != found
+        let states = match include.states {
+            true => Some(
+                States::from_message(message.states, found, width)
+                    .ok_or_else(|| wrong("not a state for each id"))?,
+            ),
+            false => None,
+        };
+        let (tags, stored, payloads) = (message.tags, message.revisions, message.payloads);
+        if include.tags && tags.len() != found
+            || include.revisions && stored.len() != found
+            || include.payloads && payloads.len() != found
         {
             return Err(wrong("not a tag, revision or payload for each id"));
         }
         Ok(Points {
             ids: message.ids,
             states,
-            tags: message.tags,
-            stored: message.revisions,
-            payloads: payloads.then_some(message.payloads),
-            seen: Revisions::one(found, revision),
+            tags: include.tags.then_some(tags),
+            stored: include.revisions.then_some(stored),
+            payloads: include.payloads.then_some(payloads),
+            read_at: RowRevisions::one(found, revision),
         })
     }
 
-    /// Puts the answer to later ids of the same request behind this one.
+    /// Appends the answer to later ids of the same request.
     pub(crate) fn append(&mut self, other: Points) {
         self.ids.extend(other.ids);
-        self.states.append(other.states);
-        self.tags.extend(other.tags);
-        self.stored.extend(other.stored);
-        if let (Some(payloads), Some(others)) = (&mut self.payloads, other.payloads) {
-            payloads.extend(others);
+        if let (Some(states), Some(others)) = (&mut self.states, other.states) {
+            states.append(others);
         }
-        self.seen.append(other.seen);
+        extend(&mut self.tags, other.tags);
+        extend(&mut self.stored, other.stored);
+        extend(&mut self.payloads, other.payloads);
+        self.read_at.append(other.read_at);
+    }
+}
+
+/// Appends a column that both answers have.
+pub(crate) fn extend<T>(column: &mut Option<Vec<T>>, other: Option<Vec<T>>) {
+    if let (Some(column), Some(other)) = (column, other) {
+        column.extend(other);
     }
 }

@@ -1,4 +1,4 @@
-//! One request a file: what can be set, how it is divided and sent, and what comes back.
+//! One request a file: its settings, its division among calls, and its answer.
 
 mod get;
 mod insert;
@@ -6,7 +6,6 @@ mod knn;
 mod query;
 mod remove;
 mod restore;
-mod scaling;
 mod scan;
 mod snapshot;
 mod stream_knn;
@@ -15,7 +14,7 @@ mod verify;
 mod watch;
 
 pub use get::Get;
-pub use insert::{Insert, Inserted, NeighborQuery, Outcome};
+pub use insert::{Insert, Inserted, Outcome};
 pub use knn::Knn;
 pub use query::Query;
 pub use remove::{Remove, Removed};
@@ -29,9 +28,10 @@ pub use watch::{Mutation, Reset, ResetReason, Watch, WatchEvent, WatchRequest};
 
 use std::ops::Range;
 
-use wayfold_index::Filter;
+use tokio::time;
+use tonic::Streaming;
 
-use crate::{Error, Include};
+use crate::{Error, Filter, Include, IndexHandle};
 
 /// Makes a request awaitable: `index.knn(states).k(10).await`.
 macro_rules! awaitable {
@@ -48,11 +48,41 @@ macro_rules! awaitable {
 }
 use awaitable;
 
-/// How exact a search is to be, among which points, and what it tells of them: what [`Knn`] and [`Query`] both set.
-#[derive(Clone, Copy, Debug, Default)]
+/// Gives a stream of `item`s, which has a method `next`, its form as a [`Stream`](futures_util::Stream). All streams of
+/// the client have both. It ends after the first error.
+macro_rules! into_stream {
+    ($stream:ty => $item:ty) => {
+        impl $stream {
+            /// The rest as a [`Stream`](futures_util::Stream).
+            pub fn into_stream(
+                self,
+            ) -> impl futures_util::Stream<Item = Result<$item, $crate::Error>> + Send + 'static
+            {
+                futures_util::stream::try_unfold(self, |mut stream| async move {
+                    Ok(stream.next().await?.map(|item| (item, stream)))
+                })
+            }
+        }
+    };
+}
+use into_stream;
+
+/// The next message of a stream, within the handle's timeout.
+async fn receive<M>(
+    call: &'static str,
+    index: &IndexHandle,
+    messages: &mut Streaming<M>,
+) -> Result<Option<M>, Error> {
+    let timeout = index.timeout();
+    let message = time::timeout(timeout, messages.message()).await;
+    let message = message.map_err(|_| Error::timeout(call, timeout))?;
+    message.map_err(|status| Error::from_status(call, index.client().uri(), timeout, status))
+}
+
+/// What [`Knn`] and [`Query`] both set.
+#[derive(Clone, Debug, Default)]
 struct SearchOptions {
     epsilon: f64,
-    max_leaves: u32,
     filter: Filter,
     include: Include,
 }
@@ -67,19 +97,13 @@ macro_rules! search_options {
                 self
             }
 
-            /// Visits at most so many leaves of the trees for each state; as many as exactness needs unless set.
-            pub fn max_leaves(mut self, leaves: u32) -> $request {
-                self.options.max_leaves = leaves;
-                self
-            }
-
             /// Only some of the points.
             pub fn filter(mut self, filter: Filter) -> $request {
                 self.options.filter = filter;
                 self
             }
 
-            /// What to tell of each neighbour beside its id and distance.
+            /// The columns of the answer beside ids and distances; none unless set.
             pub fn include(mut self, include: Include) -> $request {
                 self.options.include = include;
                 self
@@ -89,7 +113,7 @@ macro_rules! search_options {
 }
 use search_options;
 
-/// Says of the failure of a later part of a mutation how many rows had taken effect.
+/// The error of a part of a mutation of `rows` rows: a later part's says how many rows took effect before it.
 fn partial(part: &Range<usize>, rows: usize, error: Error) -> Error {
     match part.start {
         0 => error,
@@ -101,7 +125,7 @@ fn partial(part: &Range<usize>, rows: usize, error: Error) -> Error {
     }
 }
 
-/// The id of a mutation that its caller gave none, so that it can be tried again.
+/// The operation id of a mutation whose caller gave none, so that the client can retry it.
 fn fresh_operation_id() -> String {
     uuid::Uuid::new_v4().to_string()
 }

@@ -11,7 +11,7 @@ use wayfold_proto::{
 
 use crate::Error;
 
-/// A part of a snapshot, found good.
+/// A checked part of a snapshot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SnapshotPart {
     message: v1::SnapshotPart,
@@ -47,7 +47,7 @@ impl SnapshotPart {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;
 /// let mut snapshot = client.index("arm").await?.snapshot().await?;
 /// let mut file = SnapshotWriter::new(File::create("arm.snapshot")?)?;
-/// while let Some(part) = snapshot.next_part().await? {
+/// while let Some(part) = snapshot.next().await? {
 ///     file.write(&part)?;
 /// }
 /// file.finish()?.sync_all()?;
@@ -83,8 +83,8 @@ impl<W: Write> SnapshotWriter<W> {
     }
 }
 
-/// Reads a snapshot from a file, and checks it: an iterator of its parts, which has ended well only if it ends without
-/// an error.
+/// Reads a snapshot from a file, and checks it: an iterator of its parts. The snapshot is whole only if the iterator ends
+/// without an error.
 ///
 /// ```no_run
 /// use std::fs::File;
@@ -130,7 +130,7 @@ impl<R: Read> SnapshotReader<R> {
         }
     }
 
-    /// What is known of the snapshot before its points.
+    /// What the snapshot says of itself before its points.
     pub fn header(&self) -> &Header {
         &self.header
     }
@@ -143,11 +143,11 @@ impl<R: Read> SnapshotReader<R> {
     where
         R: Send + 'static,
     {
-        // So many parts wait to be sent.
+        // At most four parts wait to be sent.
         let (sender, receiver) = mpsc::channel(4);
         tokio::task::spawn_blocking(move || {
             for part in self {
-                // Whoever stops listening has what it needs.
+                // The restore is over.
                 if sender.blocking_send(part.map_err(Error::Snapshot)).is_err() {
                     return;
                 }

@@ -1,5 +1,6 @@
 //! Typed states: what can be sent as one row of numbers, and read back from one.
 
+#[cfg(feature = "nalgebra")]
 mod geometry;
 
 use wayfold_index::Space;
@@ -8,9 +9,9 @@ use crate::layout::{self, Coordinate};
 
 /// One state, as a row of numbers in the order of its space.
 ///
-/// Implemented for arrays, vectors and slices of `f64`, and for the types of `nalgebra` that are states: `Isometry2`
-/// (x, y, θ), `Isometry3` (x, y, z, qx, qy, qz, qw), `UnitComplex` (θ), `UnitQuaternion` (qx, qy, qz, qw), `Point` and
-/// vectors.
+/// Implemented for arrays, vectors and slices of `f64`, and, with the feature `nalgebra`, for its types that are states:
+/// `Isometry2` (x, y, θ), `Isometry3` (x, y, z, qx, qy, qz, qw), `UnitComplex` (θ), `UnitQuaternion` (qx, qy, qz, qw),
+/// `Point` and vectors.
 ///
 /// ```
 /// use wayfold::State;
@@ -29,8 +30,8 @@ pub trait State {
     /// Appends the state's numbers.
     fn write(&self, row: &mut Vec<f64>);
 
-    /// What the numbers are, for a type that knows; compared with the space before anything is sent. `None` for plain
-    /// numbers, of which only the count is checked.
+    /// What the numbers are, for a type that knows; the client compares them with the space before it sends anything.
+    /// `None` for plain numbers, of which the client checks only the count.
     fn layout() -> Option<Vec<Coordinate>> {
         None
     }
@@ -42,7 +43,7 @@ pub trait FromState: Sized {
     fn from_state(row: &[f64]) -> Option<Self>;
 }
 
-/// The space's coordinates, where those of `S` are known and others.
+/// The coordinates of `S` and of the space, where they differ.
 pub(crate) fn mismatch<S: State>(space: &Space) -> Option<(Vec<Coordinate>, Vec<Coordinate>)> {
     let (given, expected) = (S::layout()?, layout::coordinates(space));
     (given != expected).then_some((given, expected))

@@ -63,7 +63,12 @@ fn table(space: &Space, rows: &[Vec<f64>]) -> Points {
 
 /// The distance of the tenth neighbour, at the median of some queries.
 fn tenth_nearest(tree: &KdTree, queries: &[Vec<f64>]) -> f64 {
-    let tenth = |query: &Vec<f64>| tree.search(query, &Search::nearest_k(10)).neighbors[9].distance;
+    let tenth = |query: &Vec<f64>| {
+        tree.search(query, &Search::nearest_k(10))
+            .expect("points and states of the space")
+            .neighbors[9]
+            .distance
+    };
     let mut distances: Vec<f64> = queries.iter().take(99).map(tenth).collect();
     distances.sort_by(f64::total_cmp);
     distances[distances.len() / 2]
@@ -71,11 +76,13 @@ fn tenth_nearest(tree: &KdTree, queries: &[Vec<f64>]) -> f64 {
 
 /// A forest as it is right after the last of many single inserts, its merges run as they fell due.
 fn grown(space: &Space, rows: &[Vec<f64>]) -> Forest {
-    let mut forest = Forest::new(space.clone(), ForestOptions::default());
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
     for (id, row) in rows.iter().enumerate() {
         let mut point = Points::with_capacity(space.coordinates(), 1);
         point.push(id as u64, 0, 1, row);
-        forest.apply(id as u64 + 1, &point, &[]);
+        forest
+            .apply(id as u64 + 1, &point, &[])
+            .expect("points and states of the space");
         forest.settle();
     }
     forest
@@ -96,12 +103,15 @@ fn structures(criterion: &mut Criterion) {
         group.bench_function("build", |bencher| {
             bencher.iter_batched(
                 || table(&space, &rows),
-                |points| KdTree::new(space.clone(), points, 16),
+                |points| {
+                    KdTree::new(space.clone(), points, 16).expect("points and states of the space")
+                },
                 BatchSize::LargeInput,
             );
         });
         let forest = grown(&space, &rows);
-        let rest = KdTree::new(space.clone(), table(&space, &rows), 16);
+        let rest = KdTree::new(space.clone(), table(&space, &rows), 16)
+            .expect("points and states of the space");
         let mut searches = vec![("1", Search::nearest_k(1)), ("10", Search::nearest_k(10))];
         let radius = tenth_nearest(&rest, &queries);
         searches.push(("radius", Search::nearest_r(radius)));
@@ -110,13 +120,20 @@ fn structures(criterion: &mut Criterion) {
             group.bench_function(BenchmarkId::new("forest", name), |bencher| {
                 bencher.iter(|| {
                     let query = next.next().expect("a cycle does not end");
-                    black_box(forest.search(query, search))
+                    black_box(
+                        forest
+                            .search(query, search)
+                            .expect("points and states of the space"),
+                    )
                 });
             });
             group.bench_function(BenchmarkId::new("tree", name), |bencher| {
                 bencher.iter(|| {
                     let query = next.next().expect("a cycle does not end");
-                    black_box(rest.search(query, search))
+                    black_box(
+                        rest.search(query, search)
+                            .expect("points and states of the space"),
+                    )
                 });
             });
         }

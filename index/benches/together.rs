@@ -123,9 +123,11 @@ fn table(states: &[f64], first: u64) -> Points {
 }
 
 fn forest(states: &[f64]) -> Forest {
-    let mut forest = Forest::new(space(), ForestOptions::default());
+    let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     let points = table(states, 0);
-    forest.apply(points.len() as u64, &points, &[]);
+    forest
+        .apply(points.len() as u64, &points, &[])
+        .expect("points and states of the space");
     forest.settle();
     forest
 }
@@ -165,7 +167,9 @@ impl Work {
 }
 
 fn ask(points: &Snapshot, row: &[f64]) {
-    let answer = points.search(row, &Search::nearest_k(K));
+    let answer = points
+        .search(row, &Search::nearest_k(K))
+        .expect("points and states of the space");
     assert_eq!(answer.neighbors.len(), K);
 }
 
@@ -279,7 +283,9 @@ fn beside_a_writer() -> [f64; 4] {
             }
             while started.elapsed() < TURN {
                 let (row, id) = more.next().expect("rows enough");
-                forest.apply(id + 1, &table(row, id), &[]);
+                forest
+                    .apply(id + 1, &table(row, id), &[])
+                    .expect("points and states of the space");
                 forest.settle();
                 let snapshot = forest.snapshot();
                 let mut published = published.lock().expect("no panic");
@@ -301,7 +307,7 @@ fn beside_a_writer() -> [f64; 4] {
 /// The slowest of `count` single inserts, and of queries made between them, while another thread merges.
 fn slowest(count: usize) {
     let (rows, asked) = (states(count, SEED), states(ASKED, SEED + 1));
-    let mut forest = Forest::new(space(), ForestOptions::default());
+    let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     let (mut inserts, mut queries) = (Vec::with_capacity(count), Vec::with_capacity(count / 10));
     thread::scope(|scope| {
         let (to_merge, due) = mpsc::channel::<Merge>();
@@ -320,7 +326,9 @@ fn slowest(count: usize) {
                 forest.finish_merge(merged);
                 merging = false;
             }
-            forest.apply(id as u64 + 1, &point, &[]);
+            forest
+                .apply(id as u64 + 1, &point, &[])
+                .expect("points and states of the space");
             if !merging && let Some(merge) = forest.begin_merge() {
                 to_merge.send(merge).expect("a merger");
                 merging = true;

@@ -1,10 +1,11 @@
 //! Exact, dynamic nearest-neighbour search in the configuration spaces of motion planning: Cartesian products of Rⁿ,
 //! S¹ and RP³ with a weighted metric, after Yershova and LaValle.
 //!
-//! A [`Space`] is the metric: it checks states, brings them into canonical form and measures distances. Three
+//! A [`Space`] is the metric: it checks states, brings them into canonical form and measures distances. Four
 //! structures answer the same [`Search`] with the same neighbours, in ids and in the bits of the distances:
 //!
 //! - [`Linear`], brute force, the oracle of the others;
+//! - [`Mpnn`], the static kd-tree of Yershova and LaValle as their paper describes it, to compare with;
 //! - [`KdTree`], static, built once;
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
@@ -20,30 +21,35 @@
 //! space.canonicalize(&mut state)?;
 //! let mut points = Points::new(space.coordinates());
 //! points.push(42, 0, 1, &state);
-//! let mut forest = Forest::new(space, ForestOptions::default());
-//! forest.apply(1, &points, &[]);
-//! assert_eq!(forest.search(&state, &Search::nearest_k(10)).neighbors[0].id, 42);
+//! let options = ForestOptions::for_space(&space);
+//! let mut forest = Forest::new(space, options);
+//! forest.apply(1, &points, &[])?;
+//! assert_eq!(forest.search(&state, &Search::nearest_k(10))?.neighbors[0].id, 42);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod blocks;
 mod candidates;
+mod error;
 mod forest;
 mod kdtree;
 mod kernel;
 mod linear;
+mod mpnn;
 mod neighbor;
 mod points;
 mod scaling;
 mod search;
 mod space;
 
-pub use forest::{Forest, ForestOptions, Merge, Merged, Snapshot};
-pub use kdtree::KdTree;
+pub use error::{ApplyError, PointsError, SearchError};
+pub use forest::{Forest, ForestOptions, ForestReport, Merge, Merged, Snapshot};
+pub use kdtree::{KdTree, TreeReport};
 pub use kernel::Kernels;
 pub use linear::Linear;
+pub use mpnn::Mpnn;
 pub use neighbor::Neighbor;
-pub use points::{PointRef, Points};
+pub use points::{Point, PointRef, Points};
 pub use scaling::Scaling;
 pub use search::{Answer, Filter, Search};
 pub use space::{Factor, Group, Space, SpaceError, StateError, StateProblem, Term};

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::{Answer, Neighbor, PointRef, Points, Search, Space};
+use crate::{Answer, Neighbor, PointRef, Points, Search, SearchError, Space, StateError};
 
 /// A table of points, searched from end to end.
 ///
@@ -11,12 +11,12 @@ use crate::{Answer, Neighbor, PointRef, Points, Search, Space};
 ///
 /// let mut points = Linear::new("SO2[1]".parse()?);
 /// for (id, angle) in [(1, -0.45), (2, 0.0), (3, 0.45)] {
-///     points.insert(PointRef { id, tag: 0, revision: 1, row: &[angle] });
+///     points.insert(PointRef { id, tag: 0, revision: 1, row: &[angle] })?;
 /// }
 /// // Across the seam, -0.45 and 0.45 are neighbours.
-/// let answer = points.search(&[0.45], &Search::nearest_k(2));
+/// let answer = points.search(&[0.45], &Search::nearest_k(2))?;
 /// assert_eq!([answer.neighbors[0].id, answer.neighbors[1].id], [3, 1]);
-/// # Ok::<(), wayfold_index::SpaceError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct Linear {
@@ -40,11 +40,16 @@ impl Linear {
         &self.space
     }
 
-    /// Stores a point, in the place of one with the same id. Its row must be canonical ([`Space::canonicalize`]).
-    pub fn insert(&mut self, point: PointRef<'_>) {
+    /// Stores a point, in the place of one with the same id.
+    ///
+    /// # Errors
+    /// The row is not a canonical state of the space ([`Space::canonicalize`]); nothing is changed then.
+    pub fn insert(&mut self, point: PointRef<'_>) -> Result<(), StateError> {
+        self.space.check_canonical(point.row)?;
         self.remove(point.id);
         self.slots.insert(point.id, self.points.len());
         self.points.push_point(point);
+        Ok(())
     }
 
     /// Removes a point; false if there was none with this id.
@@ -80,7 +85,11 @@ impl Linear {
     }
 
     /// Answers `search` for a canonical `state`; always exact, since it has no leaves to skip.
-    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
+    ///
+    /// # Errors
+    /// The state is not a canonical state of the space, or a number of the search is out of its range.
+    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
+        search.check(&self.space, state)?;
         let admitted = self.points.iter().filter(|point| {
             search.filter.admits(point.tag, point.revision)
                 && search.excluded.is_none_or(|ids| !ids.contains(&point.id))
@@ -97,9 +106,9 @@ impl Linear {
             neighbors.truncate(search.k);
         }
         neighbors.sort_unstable();
-        Answer {
+        Ok(Answer {
             neighbors,
             exact: true,
-        }
+        })
     }
 }

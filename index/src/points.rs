@@ -1,5 +1,7 @@
 //! Points in columns: the one table that every structure stores its rows in.
 
+use crate::{KdTree, PointsError, Space};
+
 /// One stored point, borrowed from the structure that holds it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointRef<'a> {
@@ -11,6 +13,43 @@ pub struct PointRef<'a> {
     pub revision: u64,
     /// Its state: a canonical row of the space's width.
     pub row: &'a [f64],
+}
+
+impl PointRef<'_> {
+    /// A copy of the point.
+    pub fn to_point(self) -> Point {
+        Point {
+            id: self.id,
+            tag: self.tag,
+            revision: self.revision,
+            row: self.row.to_vec(),
+        }
+    }
+}
+
+/// One point, copied from the structure that stores it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Point {
+    /// Its id, unique in an index.
+    pub id: u64,
+    /// Its tag; what the bits mean is the planner's business.
+    pub tag: u64,
+    /// The revision that stored its state.
+    pub revision: u64,
+    /// Its state: a canonical row of the space's width.
+    pub row: Vec<f64>,
+}
+
+impl Point {
+    /// The point, borrowed.
+    pub fn by_ref(&self) -> PointRef<'_> {
+        PointRef {
+            id: self.id,
+            tag: self.tag,
+            revision: self.revision,
+            row: &self.row,
+        }
+    }
 }
 
 /// A table of points: ids, tags, revisions, and the rows one after the other.
@@ -156,6 +195,31 @@ impl Points {
         let last = self.rows.len() - self.coordinates;
         self.rows.copy_within(last.., slot * self.coordinates);
         self.rows.truncate(last);
+    }
+
+    /// Checks that these are points of `space`: canonical rows, each under an id of its own.
+    pub(crate) fn check(&self, space: &Space) -> Result<(), PointsError> {
+        let (expected, found) = (space.coordinates(), self.coordinates);
+        if expected != found {
+            return Err(PointsError::Width { expected, found });
+        }
+        if self.len() > KdTree::MAX_POINTS {
+            return Err(PointsError::TooMany(self.len()));
+        }
+        for (row, point) in self.iter().enumerate() {
+            space
+                .check_canonical(point.row)
+                .map_err(|error| PointsError::State { row, error })?;
+        }
+        if self.ids.is_sorted_by(|a, b| a < b) {
+            return Ok(());
+        }
+        let mut ids = self.ids.clone();
+        ids.sort_unstable();
+        match ids.windows(2).find(|pair| pair[0] == pair[1]) {
+            Some(pair) => Err(PointsError::DuplicateId(pair[0])),
+            None => Ok(()),
+        }
     }
 
     /// The same ids, tags and revisions in the order of `slots`, with rows of no numbers.

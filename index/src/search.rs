@@ -5,7 +5,7 @@ use std::{collections::HashSet, time::Instant};
 use arrayvec::ArrayVec;
 
 use crate::{
-    Neighbor, Points, Space,
+    Neighbor, Points, SearchError, Space,
     candidates::{Candidate, Candidates},
     kernel::{self, Asked, BLOCK, CHILDREN, Coding, Scale, Set},
 };
@@ -70,6 +70,19 @@ impl Search<'_> {
             radius,
             ..Self::nearest_k(usize::MAX)
         }
+    }
+
+    /// Checks that it can be answered for `state` in `space`.
+    #[inline]
+    pub(crate) fn check(&self, space: &Space, state: &[f64]) -> Result<(), SearchError> {
+        space.check_canonical(state)?;
+        if self.radius.is_nan() {
+            return Err(SearchError::Radius);
+        }
+        if !(0.0..f64::INFINITY).contains(&self.epsilon) {
+            return Err(SearchError::Epsilon(self.epsilon));
+        }
+        Ok(())
     }
 }
 

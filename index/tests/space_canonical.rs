@@ -172,6 +172,10 @@ fn wrapped(angle: f64, period: f64) -> f64 {
     r + 0.0
 }
 
+fn is_checked(space: &str, row: &[f64]) -> bool {
+    space.parse::<Space>().unwrap().check_canonical(row).is_ok()
+}
+
 fn cases(cases: u32) -> ProptestConfig {
     ProptestConfig {
         cases,
@@ -199,9 +203,39 @@ proptest! {
         space.canonicalize(&mut once).unwrap();
         prop_assert!((-period / 2.0..period / 2.0).contains(&once[0]));
         prop_assert_eq!(once[0].to_bits(), wrapped(angle, period).to_bits());
+        prop_assert_eq!(space.check_canonical(&[angle]).is_ok(), bits(&[angle]) == bits(&once));
+        prop_assert!(space.check_canonical(&once).is_ok());
         let mut twice = once;
         space.canonicalize(&mut twice).unwrap();
         prop_assert_eq!(once[0].to_bits(), twice[0].to_bits());
+    }
+
+    /// A row passes the check if canonicalizing it changes no bit, and is refused for the same reason otherwise.
+    #[test]
+    fn a_row_passes_the_check_if_canonicalizing_it_changes_nothing(
+        row in prop::collection::vec(
+            prop_oneof![
+                8 => prop::sample::select(&[0.0, 1.0, 0.6, 0.8, 0.5, -0.5, 0.25][..]),
+                1 => prop::sample::select(&[-0.0, -1.0, 1e150, 2e150, 5e-324, f64::NAN, f64::INFINITY][..]),
+                1 => any::<f64>(),
+            ],
+            6..9,
+        ),
+    ) {
+        let space: Space = "R2*SO2[1]*SO3".parse().unwrap();
+        let mut canonical = row.clone();
+        match (space.canonicalize(&mut canonical), space.check_canonical(&row)) {
+            (Ok(()), Ok(())) => prop_assert_eq!(bits(&row), bits(&canonical)),
+            (Ok(()), Err(error)) => {
+                let changed = (0..7).find(|&at| row[at].to_bits() != canonical[at].to_bits());
+                prop_assert_eq!(Some(error.coordinate), changed);
+                prop_assert_eq!(error.reason, StateProblem::NotCanonical);
+            }
+            // (A NaN does not equal itself.)
+            (Err(expected), found) => {
+                prop_assert_eq!(found.unwrap_err().to_string(), expected.to_string());
+            }
+        }
     }
 
     #[test]
@@ -230,6 +264,8 @@ proptest! {
         let once = canonical("SO3", raw).unwrap();
         let twice = canonical("SO3", once).unwrap();
         prop_assert_eq!(bits(&once), bits(&twice));
+        prop_assert_eq!(is_checked("SO3", &raw), bits(&raw) == bits(&once));
+        prop_assert!(is_checked("SO3", &once));
         let negative = canonical("SO3", raw.map(|x| -x)).unwrap();
         prop_assert_eq!(bits(&once), bits(&negative));
         let first = [once[3], once[0], once[1], once[2]].into_iter().find(|x| *x != 0.0);

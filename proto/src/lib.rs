@@ -1,6 +1,7 @@
 //! The `wayfold.v1` protocol: messages, gRPC stubs, conversions to and from the types of `wayfold-index`, and the format
 //! of snapshots.
 
+mod neighbors;
 pub mod snapshot;
 pub mod space;
 

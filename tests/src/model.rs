@@ -86,12 +86,14 @@ impl Model {
             }
             if matches!(outcome, Outcome::Inserted | Outcome::Replaced) {
                 self.revision = found + 1;
-                self.points.insert(PointRef {
-                    id: told_id,
-                    tag,
-                    revision: self.revision,
-                    row,
-                });
+                self.points
+                    .insert(PointRef {
+                        id: told_id,
+                        tag,
+                        revision: self.revision,
+                        row,
+                    })
+                    .expect("a canonical row");
                 self.payloads.insert(told_id, payload);
                 self.highest_id = self.highest_id.max(Some(told_id));
             }
@@ -248,7 +250,12 @@ impl Model {
             ..Search::nearest_k(1)
         };
         if request.min_separation > 0.0
-            && let Some(nearest) = self.points.search(row, &nearest).neighbors.first()
+            && let Some(nearest) = self
+                .points
+                .search(row, &nearest)
+                .expect("a canonical row")
+                .neighbors
+                .first()
             && nearest.distance < request.min_separation
         {
             return (Outcome::TooClose, Some(nearest.id));
@@ -261,7 +268,11 @@ impl Model {
     }
 
     fn search(&self, row: &[f64], search: &Search<'_>) -> Vec<(u64, u64)> {
-        let neighbors = self.points.search(row, search).neighbors;
+        let neighbors = self
+            .points
+            .search(row, search)
+            .expect("a canonical row")
+            .neighbors;
         let pairs = neighbors.iter().map(|n| (n.id, n.distance.to_bits()));
         pairs.collect()
     }

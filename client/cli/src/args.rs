@@ -87,6 +87,8 @@ pub(super) enum Command {
     Snapshot(verb::SnapshotArgs),
     Restore(verb::RestoreArgs),
     Verify(verb::VerifyArgs),
+    /// Prints the version, the durability and the limits of the server
+    Server,
     /// Asks the server whether it serves calls
     ///
     /// It calls grpc.health.v1.Health. The exit status is 0 if the server serves, 1 if it is starting or stopping, and 4

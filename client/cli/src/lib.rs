@@ -132,6 +132,7 @@ async fn execute(args: Args) -> Result<(), Failure> {
         Command::Snapshot(args) => verb::snapshot(args, session).await,
         Command::Restore(args) => verb::restore(args, session).await,
         Command::Verify(args) => verb::verify(args, session).await,
+        Command::Server => verb::server(session).await,
         Command::Health => verb::health(session).await,
         Command::Completions(_) | Command::Man(_) => Ok(()),
     };

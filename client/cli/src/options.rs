@@ -1,9 +1,9 @@
 //! Options that several verbs share.
 
 use clap::ValueEnum;
-use wayfold::{Filter, Include};
+use wayfold::{Filter, Include, IndexHandle, Radius, Revision, ScaledRadius};
 
-use crate::parse::{self, MaskedTag};
+use crate::parse::{self, MaskedTag, RevisionArg};
 
 /// The points that a read searches.
 #[derive(Debug, clap::Args)]
@@ -14,24 +14,40 @@ pub(crate) struct FilterArgs {
     #[arg(long, value_name = "VALUE[/MASK]", value_parser = parse::masked_tag)]
     tag: Option<MaskedTag>,
     /// Only points whose state a later revision stored
-    #[arg(long, value_name = "REVISION")]
-    since: Option<u64>,
+    ///
+    /// With @UID the command fails if the index was deleted and created again, or restored.
+    #[arg(long, value_name = "NUMBER[@UID]", value_parser = parse::revision)]
+    since: Option<RevisionArg>,
 }
 
 impl FilterArgs {
-    pub(crate) fn filter(&self) -> Filter {
-        filter(self.tag, self.since)
+    pub(crate) fn filter(&self, index: &IndexHandle) -> Filter {
+        filter(self.tag, self.since.as_ref(), index)
     }
 }
 
 /// The filter of a tag and a revision that may be given.
-pub(crate) fn filter(tag: Option<MaskedTag>, since: Option<u64>) -> Filter {
+pub(crate) fn filter(
+    tag: Option<MaskedTag>,
+    since: Option<&RevisionArg>,
+    index: &IndexHandle,
+) -> Filter {
     let mut filter = Filter::default();
-    if let Some(tag) = tag {
-        (filter.tag_mask, filter.tag_value) = (tag.mask, tag.value);
+    if let Some(MaskedTag { value, mask }) = tag {
+        filter = filter.tag(mask, value);
     }
-    filter.since_revision = since.unwrap_or(0);
+    if let Some(since) = since {
+        filter = filter.since(revision(since, index));
+    }
     filter
+}
+
+/// The revision that is given; a number alone counts the past that the index has now.
+pub(crate) fn revision(revision: &RevisionArg, index: &IndexHandle) -> Revision {
+    match &revision.uid {
+        Some(uid) => Revision::new(&**uid, revision.number),
+        None => index.revision_at(revision.number),
+    }
 }
 
 /// The columns of an answer.
@@ -70,23 +86,33 @@ pub(crate) fn include(columns: &[Column]) -> Include {
 }
 
 /// All columns but payloads: the default of `get`, `watch` and a scan in JSON.
-pub(crate) const POINT_COLUMNS: Include = Include {
-    states: true,
-    tags: true,
-    revisions: true,
-    payloads: false,
-};
+pub(crate) const POINT_COLUMNS: Include = Include::none().states().tags().revisions();
 
 /// How far neighbours are at most.
 #[derive(Debug, clap::Args)]
 pub(crate) struct RadiusArgs {
     /// Only points at this distance or nearer
     #[arg(long, value_name = "R", value_parser = parse::distance, allow_negative_numbers = true)]
-    pub(crate) radius: Option<f64>,
+    radius: Option<f64>,
     /// In the place of --radius: F * (ln n / n)^(1/d), for n points in a space of dimension d
     #[arg(long, value_name = "F", value_parser = parse::finite, allow_negative_numbers = true, conflicts_with = "radius")]
-    pub(crate) radius_factor: Option<f64>,
+    radius_factor: Option<f64>,
     /// The greatest radius that --radius-factor gives
     #[arg(long, value_name = "R", value_parser = parse::distance, allow_negative_numbers = true, requires = "radius_factor")]
-    pub(crate) radius_max: Option<f64>,
+    radius_max: Option<f64>,
+}
+
+impl RadiusArgs {
+    /// The radius, if one is given.
+    pub(crate) fn radius(&self) -> Option<Radius> {
+        let scaled = self.radius_factor.map(|factor| {
+            let radius = ScaledRadius::new(factor);
+            match self.radius_max {
+                Some(max) => radius.max(max),
+                None => radius,
+            }
+        });
+        let fixed = self.radius.map(Radius::Fixed);
+        fixed.or(scaled.map(Radius::Scaled))
+    }
 }

@@ -8,6 +8,7 @@ use std::{
 use base64::{Engine, prelude::BASE64_STANDARD};
 use clap::ValueEnum;
 use serde::{Serialize, Serializer};
+use wayfold::Revision;
 
 /// The format of results and errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -69,13 +70,32 @@ impl Serialize for JsonId {
     }
 }
 
-/// Several of them.
+/// Ids or tags in JSON.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct JsonIds<'a>(pub(super) &'a [u64]);
 
 impl Serialize for JsonIds<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_seq(self.0.iter().map(|id| JsonId(*id)))
+    }
+}
+
+/// A revision in JSON: the number means something only with the uid.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct JsonRevision<'a> {
+    uid: &'a str,
+    number: u64,
+}
+
+impl<'a> JsonRevision<'a> {
+    pub(super) fn new(uid: &'a str, number: u64) -> JsonRevision<'a> {
+        JsonRevision { uid, number }
+    }
+}
+
+impl<'a> From<&'a Revision> for JsonRevision<'a> {
+    fn from(revision: &'a Revision) -> JsonRevision<'a> {
+        JsonRevision::new(&revision.uid, revision.number)
     }
 }
 

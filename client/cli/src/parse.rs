@@ -87,6 +87,28 @@ pub(super) fn masked_tag(text: &str) -> Result<MaskedTag, String> {
     }
 }
 
+/// A revision: its number, and the uid of the index if it is given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct RevisionArg {
+    pub(super) number: u64,
+    pub(super) uid: Option<String>,
+}
+
+/// A revision as `NUMBER` or `NUMBER@UID`.
+pub(super) fn revision(text: &str) -> Result<RevisionArg, String> {
+    let (number, uid) = match text.split_once('@') {
+        Some((number, uid)) => (number, Some(uid)),
+        None => (text, None),
+    };
+    match number.parse() {
+        Ok(number) if uid != Some("") => Ok(RevisionArg {
+            number,
+            uid: uid.map(str::to_owned),
+        }),
+        _ => Err("expected the number of a revision, and @ and a uid after it if known".to_owned()),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -152,6 +174,21 @@ mod tests {
             "2/1",
         ] {
             assert!(masked_tag(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn revisions_may_have_a_uid() {
+        let arg = |number, uid: Option<&str>| {
+            Ok(RevisionArg {
+                number,
+                uid: uid.map(str::to_owned),
+            })
+        };
+        assert_eq!(revision("42"), arg(42, None));
+        assert_eq!(revision("0@a-b"), arg(0, Some("a-b")));
+        for wrong in ["", "-1", "x", "@a", "1@", "a@1"] {
+            assert!(revision(wrong).is_err(), "{wrong}");
         }
     }
 }

@@ -4,15 +4,17 @@ use std::{pin::Pin, sync::Arc, time::Duration};
 
 use tokio::time::Instant;
 
-use super::{ReplicaStatus, ReplicaView, grove::Grove, load::load, shared::Shared, source::Source};
-use crate::{Client, Code, Error, IndexHandle, Reset, ResetReason, Watch, WatchEvent};
+use super::{
+    ReplicaStatus, ReplicaView, load::load, merging_forest::MergingForest, shared::Shared,
+    source::Source,
+};
+use crate::{Client, Code, Error, IndexHandle, Reset, ResetReason, Revision, Watch, WatchEvent};
 
 pub(super) struct Follower {
     client: Client,
     shared: Arc<Shared>,
     index: IndexHandle,
-    uid: Arc<str>,
-    grove: Grove,
+    forest: MergingForest,
     source: Source,
     heartbeat: Duration,
     missing_for: Duration,
@@ -20,15 +22,15 @@ pub(super) struct Follower {
     lost: Option<Instant>,
     /// Since when no index has the name.
     missing: Option<Instant>,
-    /// How many tries failed in a row.
+    /// How many attempts failed in a row.
     failures: u32,
 }
 
 /// Why following stopped.
 enum Stop {
-    /// The server cannot tell what comes next.
+    /// The server cannot send the next mutations.
     Reset(Reset),
-    /// The connection, or the try to get one, failed.
+    /// The connection, or the attempt to get one, failed.
     Failed(Error),
 }
 
@@ -38,19 +40,19 @@ impl From<Error> for Stop {
     }
 }
 
-/// A word of the server: at `asked`, nothing newer than `revision` was published.
-struct Word {
-    asked: Instant,
+/// At the time `at`, the server had published nothing newer than `revision`.
+struct FreshnessProof {
+    at: Instant,
     revision: u64,
 }
 
-type Heartbeat = Pin<Box<dyn Future<Output = Result<Option<Word>, Error>> + Send>>;
+type Heartbeat = Pin<Box<dyn Future<Output = Result<Option<FreshnessProof>, Error>> + Send>>;
 
 impl Follower {
     pub(super) fn new(
         client: Client,
         shared: Arc<Shared>,
-        grove: Grove,
+        forest: MergingForest,
         source: Source,
         heartbeat: Duration,
         missing_for: Duration,
@@ -58,10 +60,9 @@ impl Follower {
         let index = shared.published().index().clone();
         Follower {
             client,
-            uid: index.uid().into(),
             index,
             shared,
-            grove,
+            forest,
             source,
             heartbeat,
             missing_for,
@@ -76,7 +77,7 @@ impl Follower {
         loop {
             let mut stopped = self.follow().await;
             if let Stop::Reset(reset) = stopped {
-                match self.load_anew(&reset).await {
+                match self.reload(&reset).await {
                     Ok(()) => continue,
                     Err(error) => stopped = Stop::Failed(error),
                 }
@@ -84,12 +85,12 @@ impl Follower {
             if let Stop::Failed(error) = stopped
                 && let Err(why) = self.recover(error).await
             {
-                return self.shared.tell_end(why);
+                return self.shared.set_end(why);
             }
         }
     }
 
-    /// Applies what the server tells, until it cannot go on.
+    /// Applies the server's mutations until it cannot go on.
     async fn follow(&mut self) -> Stop {
         match self.follow_watch().await {
             Ok(never) => match never {},
@@ -98,22 +99,22 @@ impl Follower {
     }
 
     async fn follow_watch(&mut self) -> Result<std::convert::Infallible, Stop> {
-        let asked = Instant::now();
-        let after = self.grove.revision();
+        let at = Instant::now();
+        let after = self.index.revision_at(self.forest.revision());
         let watch = self.source.watch(&self.index, after, self.heartbeat);
         let mut watch = watch.await?;
-        // A reset may be all that it tells, and there may be mutations already.
+        // A reset may be the only event, and mutations may be there already.
         while let Some(event) = watch.ready() {
             self.apply(event)?;
         }
         self.publish();
-        let mut word = Some(Word {
-            asked,
-            revision: watch.newest(),
+        let mut proof = Some(FreshnessProof {
+            at,
+            revision: watch.newest().number,
         });
         let mut heartbeat = self.heartbeat();
         loop {
-            self.following(&watch, &mut word);
+            self.note_following(&watch, &mut proof);
             tokio::select! {
                 event = watch.next() => {
                     let mut next = event?;
@@ -123,39 +124,39 @@ impl Follower {
                     }
                     self.publish();
                 }
-                () = self.grove.merged() => self.publish(),
-                heard = &mut heartbeat => {
-                    // A word that is still waited for is older, and its revision is reached first.
-                    let heard = heard?;
-                    word = word.or(heard);
-                    self.grove.look_for_pause();
+                () = self.forest.merged() => self.publish(),
+                newer = &mut heartbeat => {
+                    // The earlier proof's revision is reached first.
+                    let newer = newer?;
+                    proof = proof.or(newer);
+                    self.forest.check_for_pause();
                     heartbeat = self.heartbeat();
                 }
             }
         }
     }
 
-    /// Takes note that the server is heard, and of how fresh the points are.
-    fn following(&mut self, watch: &Watch, word: &mut Option<Word>) {
+    /// Notes that the connection stands, and how fresh the points are.
+    fn note_following(&mut self, watch: &Watch, proof: &mut Option<FreshnessProof>) {
         (self.lost, self.missing, self.failures) = (None, None, 0);
-        let revision = self.grove.revision();
-        if let Some(heard) = word.take_if(|word| word.revision <= revision) {
-            self.shared.fresh_at(heard.asked);
+        let number = self.forest.revision();
+        if let Some(proof) = proof.take_if(|proof| proof.revision <= number) {
+            self.shared.fresh_at(proof.at);
         }
-        self.shared.tell(ReplicaStatus::Following {
-            revision,
-            behind: watch.newest().saturating_sub(revision),
+        self.shared.set_status(ReplicaStatus::Following {
+            revision: self.index.revision_at(number),
+            behind: watch.newest().number.saturating_sub(number),
         });
     }
 
     fn apply(&mut self, event: WatchEvent) -> Result<(), Stop> {
         match event {
             WatchEvent::Mutation(mutation) => {
-                self.grove.apply(&mutation);
+                self.forest.apply(&mutation)?;
                 Ok(())
             }
             WatchEvent::Reset(reset) => {
-                // What came before it is good.
+                // The mutations before it are good.
                 self.publish();
                 Err(Stop::Reset(reset))
             }
@@ -164,50 +165,50 @@ impl Follower {
 
     /// Lets readers see the forest as it is.
     fn publish(&self) {
-        let (index, uid) = (self.index.clone(), Arc::clone(&self.uid));
-        let view = ReplicaView::new(index, uid, self.grove.snapshot());
+        let view = ReplicaView::new(self.index.clone(), self.forest.snapshot());
         self.shared.publish(view);
     }
 
-    /// Asks, after a while, for the server's revision. None if the index has another uid, of which the watch will tell.
+    /// Asks for the server's revision after a while. `None` if the index has another uid, which the watch will report.
     fn heartbeat(&self) -> Heartbeat {
         let (index, at) = (self.index.clone(), Instant::now() + self.heartbeat);
         Box::pin(async move {
             tokio::time::sleep_until(at).await;
-            let asked = Instant::now();
-            let info = index.info().await?;
-            Ok((info.uid == index.uid()).then_some(Word {
-                asked,
-                revision: info.revision,
+            let at = Instant::now();
+            let Revision { uid, number } = index.info().await?.revision;
+            Ok((*uid == *index.uid()).then_some(FreshnessProof {
+                at,
+                revision: number,
             }))
         })
     }
 
-    /// Reads all points, beside those that there are, and publishes them.
-    async fn load_anew(&mut self, reset: &Reset) -> Result<(), Error> {
-        self.shared.tell(ReplicaStatus::CatchingUp {
-            revision: self.grove.revision(),
-        });
-        let asked = Instant::now();
+    /// Reads all points again, beside those that there are, and publishes them.
+    async fn reload(&mut self, reset: &Reset) -> Result<(), Error> {
+        self.set_catching_up();
+        let at = Instant::now();
         let index = match reset.reason {
             ResetReason::WindowPassed => self.index.clone(),
             ResetReason::UidChanged | ResetReason::Other(_) => {
                 self.client.index(self.index.name()).await?
             }
         };
-        self.grove = Grove::new(load(&index).await?);
-        self.uid = index.uid().into();
+        self.forest = MergingForest::new(load(&index).await?);
         self.index = index;
         self.publish();
-        self.shared.fresh_at(asked);
-        // For those who wait for what is published.
-        self.shared.tell(ReplicaStatus::CatchingUp {
-            revision: self.grove.revision(),
-        });
+        self.shared.fresh_at(at);
+        // Wakes callers that wait for a published revision.
+        self.set_catching_up();
         Ok(())
     }
 
-    /// Waits before the next try; or tells why there is to be none.
+    fn set_catching_up(&self) {
+        let revision = self.index.revision_at(self.forest.revision());
+        self.shared
+            .set_status(ReplicaStatus::CatchingUp { revision });
+    }
+
+    /// Waits before the next attempt, or returns why there is to be none.
     async fn recover(&mut self, error: Error) -> Result<(), Arc<Error>> {
         let (code, now) = (error.code(), Instant::now());
         let why = Arc::new(error);
@@ -223,20 +224,21 @@ impl Follower {
             _ => self.missing = None,
         }
         let since = *self.lost.get_or_insert(now);
-        self.shared.tell(ReplicaStatus::Disconnected { since, why });
+        self.shared
+            .set_status(ReplicaStatus::Disconnected { since, why });
         self.failures = self.failures.saturating_add(1);
         let until = now + self.client.retry_policy().endless_pause(self.failures);
         loop {
             tokio::select! {
                 () = tokio::time::sleep_until(until) => return Ok(()),
-                () = self.grove.merged() => self.publish(),
+                () = self.forest.merged() => self.publish(),
             }
         }
     }
 }
 
 impl Drop for Follower {
-    /// Readers are told also where the task does not come to its end: its runtime is shut down, or it panicked.
+    /// Reads fail also where the task does not come to its end: its runtime is shut down, or it panicked.
     fn drop(&mut self) {
         self.shared.end(|| Error::Connection {
             call: "replica",

@@ -1,8 +1,7 @@
-//! The mutations of an index as they are published over Zenoh, brought into the form of a watch: in order, without a gap
-//! and without repeating one.
+//! The publications of an index over Zenoh in the form of a watch: in order, without a gap and without a repeat.
 //!
-//! A publication may be lost, and the next one shows it; what is missing is asked for from the index's log. Where nothing
-//! is published for a while the log is asked too: the last publication may be what was lost, or the way there.
+//! A publication may be lost. The next one shows the gap, and the index's log fills it. Where nothing is published for a
+//! while the feed asks the log too, since the last publication, or the way to the server, may be lost.
 
 use std::{cmp::Ordering, sync::Arc, time::Duration};
 
@@ -18,14 +17,14 @@ use zenoh::{
     sample::Sample,
 };
 
-use crate::{Code, Error, IndexHandle, Refusal, Watch};
+use crate::{Code, Error, IndexHandle, Refusal, Revision, Watch};
 
 const CALL: &str = "replica";
 
-/// So many publications wait to be taken; with one more the oldest is lost, and the log is asked for it.
-const WAITING: usize = 256;
+/// How many publications wait to be taken. One more drops the oldest, and the log fills the gap.
+const MAX_WAITING: usize = 256;
 
-/// Where to follow: a session, and what the keys begin with.
+/// A session, and the prefix of the keys.
 #[derive(Clone, Debug)]
 pub(super) struct Publications {
     session: Session,
@@ -40,24 +39,25 @@ impl Publications {
         }
     }
 
-    /// Follows an index from a revision on. `quiet`: how long nothing is published before the log is asked.
+    /// Watches an index after a revision. `quiet`: how long nothing is published before the feed asks the log.
     pub(super) async fn watch(
         &self,
         index: &IndexHandle,
-        after: u64,
+        after: Revision,
         quiet: Duration,
     ) -> Result<Watch, Error> {
         let key = format!("{}/{}", self.prefix, index.name());
-        // Before the log is asked for the first time: what is published meanwhile is not missed.
+        // Before the first question to the log, so that no publication is missed meanwhile.
         let events = self.session.declare_subscriber(format!("{key}/events"));
-        let events = events.with(RingChannel::new(WAITING)).await;
+        let events = events.with(RingChannel::new(MAX_WAITING)).await;
+        let request = index.watch().after(after.clone());
         let feed = Feed {
             session: self.session.clone(),
             events: events.map_err(|error| lost(&key, error))?,
             key,
             index: index.clone(),
             quiet,
-            after,
+            after: after.number,
             piece: 0,
             is_behind: true,
         };
@@ -65,7 +65,7 @@ impl Publications {
             let message = feed.next().await?;
             Ok(Some((message, feed)))
         });
-        Watch::of(index.watch().after(after), Box::pin(messages)).await
+        Watch::of(request, Box::pin(messages)).await
     }
 }
 
@@ -73,52 +73,54 @@ impl Publications {
 struct Feed {
     session: Session,
     events: Subscriber<RingChannelHandler<Sample>>,
-    /// What the index's keys begin with.
+    /// The prefix of the index's keys.
     key: String,
     index: IndexHandle,
     quiet: Duration,
-    /// The newest revision that was told whole.
+    /// The number of the newest revision that came whole.
     after: u64,
-    /// The piece of the next one that comes next.
+    /// The number of the next piece of the mutation after it.
     piece: u32,
-    /// Something is missing that the log has.
+    /// The log has mutations that did not come.
     is_behind: bool,
 }
 
 impl Feed {
     async fn next(&mut self) -> Result<v1::WatchResponse, Error> {
         if self.is_behind {
-            return self.ask().await;
+            return self.read_log().await;
         }
         match timeout(self.quiet, self.events.recv_async()).await {
             Ok(Ok(sample)) => self.take(&sample).await,
             Ok(Err(error)) => Err(lost(&self.key, error)),
-            Err(_quiet) => self.ask().await,
+            Err(_quiet) => self.read_log().await,
         }
     }
 
-    /// What is new in a publication.
+    /// The news of a publication.
     async fn take(&mut self, sample: &Sample) -> Result<v1::WatchResponse, Error> {
-        let mut told = decode::<v1::WatchResponse>(&sample.payload().to_bytes())?;
-        // Of what this means for the revisions that are known here the log tells.
-        if told.uid != self.index.uid() || told.reset() != v1::ResetReason::Unspecified {
-            return self.ask().await;
+        let mut message = decode::<v1::WatchResponse>(&sample.payload().to_bytes())?;
+        let revision = message.revision.clone().unwrap_or_default();
+        // The log says what this means for the caller's revision.
+        if revision.uid != self.index.uid() || message.reset.is_some() {
+            return self.read_log().await;
         }
-        // The first, when somebody begins to follow, only says how far the index is.
-        self.is_behind = told.mutations.is_empty() && told.revision > self.after;
-        told.mutations.retain(|mutation| self.is_next(mutation));
-        Ok(told)
+        // The first message after a subscription only names the newest revision.
+        self.is_behind = message.mutations.is_empty() && revision.number > self.after;
+        message.mutations.retain(|mutation| self.is_next(mutation));
+        Ok(message)
     }
 
-    /// Whether a mutation, or a piece of one, comes next; takes note if it does, and if something before it is missing.
+    /// Whether a mutation, or a piece of one, comes next; notes it if it does, and notes a gap before it.
     fn is_next(&mut self, mutation: &v1::Mutation) -> bool {
-        let next = (self.after + 1, self.piece);
-        match (mutation.revision, mutation.piece).cmp(&next) {
+        let next = (self.after.saturating_add(1), self.piece);
+        let number = number(mutation.revision.as_ref());
+        match (number, mutation.piece).cmp(&next) {
             Ordering::Less => false,
             Ordering::Equal => {
                 (self.after, self.piece) = match mutation.continued {
-                    true => (self.after, self.piece + 1),
-                    false => (mutation.revision, 0),
+                    true => (self.after, self.piece.saturating_add(1)),
+                    false => (number, 0),
                 };
                 true
             }
@@ -129,29 +131,29 @@ impl Feed {
         }
     }
 
-    /// Asks the log for what comes next, whole.
-    async fn ask(&mut self) -> Result<v1::WatchResponse, Error> {
+    /// Reads the next mutations from the log, whole.
+    async fn read_log(&mut self) -> Result<v1::WatchResponse, Error> {
         self.piece = 0;
-        let told = match self.log().await {
-            // A mutation that no answer holds: all points are read anew.
+        let after = self.index.revision_at(self.after).to_message();
+        let message = match self.log(after.clone()).await {
+            // No answer holds the next mutation: the replica has to read all points again.
             Err(Error::Refused(refusal)) if is_too_large(&refusal) => v1::WatchResponse {
-                uid: self.index.uid().to_owned(),
-                revision: self.after,
-                reset: v1::ResetReason::WindowPassed.into(),
+                revision: Some(after),
+                reset: Some(v1::ResetReason::WindowPassed.into()),
                 ..Default::default()
             },
-            told => told?,
+            answer => answer?,
         };
-        if let Some(last) = told.mutations.last() {
-            self.after = last.revision;
+        if let Some(last) = message.mutations.last() {
+            self.after = number(last.revision.as_ref());
         }
-        self.is_behind = told.revision > self.after;
-        Ok(told)
+        self.is_behind = number(message.revision.as_ref()) > self.after;
+        Ok(message)
     }
 
-    async fn log(&self) -> Result<v1::WatchResponse, Error> {
+    async fn log(&self, after: v1::Revision) -> Result<v1::WatchResponse, Error> {
         let request = v1::WatchRequest {
-            uid: self.index.uid().to_owned(),
+            after_revision: Some(after),
             ..Default::default()
         };
         let asked = self
@@ -162,20 +164,24 @@ impl Feed {
             .timeout(self.index.timeout());
         let replies = asked.await.map_err(|error| lost(&self.key, error))?;
         let reply = replies.recv_async().await;
-        let reply = reply.map_err(|_| lost(&self.key, "nobody answers for its log"))?;
+        let reply = reply.map_err(|_| lost(&self.key, "no server answers for its log"))?;
         match reply.into_result() {
             Ok(sample) => decode(&sample.payload().to_bytes()),
             Err(refused) if *refused.encoding() == Encoding::APPLICATION_PROTOBUF => {
                 let status = decode(&refused.payload().to_bytes())?;
                 Err(Error::Refused(Box::new(Refusal::from_message(&status))))
             }
-            // What Zenoh itself says.
+            // An error of Zenoh itself.
             Err(failed) => {
-                let said = failed.payload().to_bytes();
-                Err(lost(&self.key, String::from_utf8_lossy(&said)))
+                let text = failed.payload().to_bytes();
+                Err(lost(&self.key, String::from_utf8_lossy(&text)))
             }
         }
     }
+}
+
+fn number(revision: Option<&v1::Revision>) -> u64 {
+    revision.map_or(0, |revision| revision.number)
 }
 
 fn is_too_large(refusal: &Refusal) -> bool {

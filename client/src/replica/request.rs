@@ -1,14 +1,17 @@
-//! Settings of a replica, and its beginning.
+//! Settings and start of a replica.
 
 use std::time::Duration;
 
 use futures_util::future::BoxFuture;
 use tokio::time::Instant;
 
-use super::{Replica, follow::Follower, grove::Grove, load::load, shared::Shared, source::Source};
+use super::{
+    Replica, ReplicaView, follow::Follower, load::load, merging_forest::MergingForest,
+    shared::Shared, source::Source,
+};
 use crate::{Client, Error};
 
-/// Begins a replica; await it to read all points. From then on it answers, and follows.
+/// Settings of a replica; await it to read all points. From then on the replica answers, and follows its index.
 #[derive(Clone, Debug)]
 #[must_use = "a request does nothing until it is awaited"]
 pub struct ReplicaRequest {
@@ -30,9 +33,9 @@ impl ReplicaRequest {
         }
     }
 
-    /// Hears of mutations over Zenoh instead: what the index publishes as `PREFIX/NAME/events`, and its log for what was
-    /// lost on the way. The session must reach the server, directly or through routers; `wayfold/v1` is the prefix of
-    /// a server with its own settings. All points are read from the client's server, which says too how fresh they are.
+    /// Gets mutations over Zenoh instead: from the index's publications at `PREFIX/NAME/events`, and from its log where
+    /// publications were lost. The session must reach the server, directly or through routers; `wayfold/v1` is the default
+    /// prefix of a server. The client's server still sends all points at the start, and says how fresh they are.
     #[cfg(feature = "zenoh")]
     pub fn over_zenoh(mut self, session: zenoh::Session, prefix: &str) -> ReplicaRequest {
         let publications = super::publications::Publications::new(session, prefix);
@@ -40,31 +43,31 @@ impl ReplicaRequest {
         self
     }
 
-    /// Reads fail with [`Error::Stale`] where the server may have published, longer ago than this, what the replica has
-    /// not: it is asked several times within this time, also where nothing is mutated. Unless set, reads always answer.
+    /// Reads fail with [`Error::Stale`] where the server may have published a mutation longer ago than this that the replica
+    /// does not have. The replica asks the server several times within this time, also where nothing is mutated. Unless set,
+    /// reads always answer.
     pub fn max_staleness(mut self, bound: Duration) -> ReplicaRequest {
         self.max_staleness = Some(bound);
         self
     }
 
-    /// How long no index may have the name before the replica ends: 5 s unless set. One that is deleted and made anew
-    /// within this time is followed, and so is one that a server without a disk is given again after a restart.
+    /// How long no index may have the name before the replica ends: 5 s unless set. The replica goes on with an index that
+    /// is deleted and created again within this time, also after a restart of a server without a disk.
     pub fn missing_for(mut self, time: Duration) -> ReplicaRequest {
         self.missing_for = time;
         self
     }
 
     async fn send(self) -> Result<Replica, Error> {
-        let asked = Instant::now();
+        let at = Instant::now();
         let index = self.client.index(&self.name).await?;
-        let grove = Grove::new(load(&index).await?);
-        let uid = index.uid().into();
-        let view = super::ReplicaView::new(index, uid, grove.snapshot());
-        let shared = Shared::new(view, asked, self.max_staleness);
+        let forest = MergingForest::new(load(&index).await?);
+        let view = ReplicaView::new(index, forest.snapshot());
+        let shared = Shared::new(view, at, self.max_staleness);
         let follower = Follower::new(
             self.client,
             shared.clone(),
-            grove,
+            forest,
             self.source,
             heartbeat(self.max_staleness),
             self.missing_for,
@@ -74,12 +77,12 @@ impl ReplicaRequest {
     }
 }
 
-/// How often a server that says nothing is asked for its revision.
+/// How often the replica asks a server that sends nothing for its revision.
 fn heartbeat(max_staleness: Option<Duration>) -> Duration {
-    const LONGEST: Duration = Duration::from_secs(1);
-    const SHORTEST: Duration = Duration::from_millis(1);
-    let within = max_staleness.map_or(LONGEST, |bound| bound / 4);
-    within.clamp(SHORTEST, LONGEST)
+    const MAX: Duration = Duration::from_secs(1);
+    const MIN: Duration = Duration::from_millis(1);
+    let within = max_staleness.map_or(MAX, |bound| bound / 4);
+    within.clamp(MIN, MAX)
 }
 
 impl IntoFuture for ReplicaRequest {

@@ -1,4 +1,4 @@
-//! What the task that follows shares with the readers.
+//! The state that the following task shares with readers.
 
 use std::{
     sync::{
@@ -15,13 +15,13 @@ use tokio::{
 };
 
 use super::{ReplicaStatus, ReplicaView};
-use crate::{Code, Error, Refusal};
+use crate::{Error, Revision};
 
 #[derive(Debug)]
 pub(super) struct Shared {
     published: ArcSwap<ReplicaView>,
     status: watch::Sender<ReplicaStatus>,
-    /// Nanoseconds from `start` to a time at which nothing was published that is not in `published`.
+    /// Nanoseconds from `start` to a time at which `published` had everything that the server had published.
     fresh: AtomicU64,
     start: Instant,
     max_staleness: Option<Duration>,
@@ -29,10 +29,10 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    /// `view` has all that was published at `asked`.
+    /// `view` has everything that the server had published at `at`.
     pub(super) fn new(
         view: ReplicaView,
-        asked: Instant,
+        at: Instant,
         max_staleness: Option<Duration>,
     ) -> Arc<Shared> {
         let status = ReplicaStatus::CatchingUp {
@@ -42,7 +42,7 @@ impl Shared {
             published: ArcSwap::from_pointee(view),
             status: watch::Sender::new(status),
             fresh: AtomicU64::new(0),
-            start: asked,
+            start: at,
             max_staleness,
             ended: OnceLock::new(),
         })
@@ -56,21 +56,21 @@ impl Shared {
         self.published.store(Arc::new(view));
     }
 
-    pub(super) fn tell(&self, status: ReplicaStatus) {
+    pub(super) fn set_status(&self, status: ReplicaStatus) {
         self.status.send_replace(status);
     }
 
-    pub(super) fn tell_end(&self, why: Arc<Error>) {
-        // There is one end.
+    pub(super) fn set_end(&self, why: Arc<Error>) {
+        // Only the first cause counts.
         if self.ended.set(Arc::clone(&why)).is_ok() {
-            self.tell(ReplicaStatus::Ended { why });
+            self.set_status(ReplicaStatus::Ended { why });
         }
     }
 
-    /// Tells an end, if there was none.
+    /// Ends the replica, if it has not ended.
     pub(super) fn end(&self, why: impl FnOnce() -> Error) {
         if self.ended.get().is_none() {
-            self.tell_end(Arc::new(why()));
+            self.set_end(Arc::new(why()));
         }
     }
 
@@ -85,14 +85,14 @@ impl Shared {
         let mut status = self.status.subscribe();
         match status.wait_for(wanted).await {
             Ok(status) => status.clone(),
-            // Not while the sender is here.
+            // The sender lives as long as `self`.
             Err(_) => self.status(),
         }
     }
 
-    /// Takes note that what is published has all that was published by the server at `asked`.
-    pub(super) fn fresh_at(&self, asked: Instant) {
-        let nanos = asked.saturating_duration_since(self.start).as_nanos();
+    /// Notes that `published` has everything that the server had published at `at`.
+    pub(super) fn fresh_at(&self, at: Instant) {
+        let nanos = at.saturating_duration_since(self.start).as_nanos();
         let nanos = u64::try_from(nanos).unwrap_or(u64::MAX);
         self.fresh.fetch_max(nanos, Ordering::Release);
     }
@@ -116,28 +116,26 @@ impl Shared {
         }
     }
 
-    /// Waits until a revision of a uid is published.
+    /// Waits until a revision is published.
     pub(super) async fn reached(
         &self,
-        uid: &str,
-        revision: u64,
+        revision: &Revision,
         within: Duration,
     ) -> Result<ReplicaView, Error> {
         let mut status = self.status.subscribe();
         let reached = async {
             loop {
                 let published = self.published.load();
-                if published.uid() != uid {
-                    return Err(other_uid(uid, published.uid()));
-                }
-                if published.revision() >= revision {
+                let current = published.revision();
+                revision.check_uid(&current.uid)?;
+                if current.number >= revision.number {
                     return Ok(ReplicaView::clone(&published));
                 }
                 drop(published);
                 if let Some(why) = self.ended.get() {
                     return Err(ended(why));
                 }
-                // It changes after each revision that is published; and never without a sender.
+                // It changes after each published revision, and the sender lives as long as `self`.
                 let _ = status.changed().await;
             }
         };
@@ -151,20 +149,4 @@ fn ended(why: &Arc<Error>) -> Error {
     Error::Ended {
         why: Arc::clone(why),
     }
-}
-
-/// As the server refuses a call of another uid.
-fn other_uid(asked: &str, found: &str) -> Error {
-    let metadata = [("asked", asked), ("found", found)];
-    let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned()));
-    Error::Refused(Box::new(Refusal {
-        code: Code::FailedPrecondition,
-        message: format!(
-            "the replica stands at the uid {found}, not {asked}: the index was made anew"
-        ),
-        reason: "UID_MISMATCH".to_owned(),
-        metadata: metadata.into(),
-        fields: Vec::new(),
-        ids: Vec::new(),
-    }))
 }

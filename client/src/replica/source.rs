@@ -1,15 +1,15 @@
-//! Where a replica hears of mutations.
+//! Where a replica gets mutations from.
 
 use std::time::Duration;
 
 #[cfg(feature = "zenoh")]
 use super::publications::Publications;
-use crate::{Error, IndexHandle, Watch};
+use crate::{Error, IndexHandle, Revision, Watch};
 
 /// See the module.
 #[derive(Clone, Debug, Default)]
 pub(super) enum Source {
-    /// From the server that it reads all points from.
+    /// The server that it reads all points from.
     #[default]
     Server,
     #[cfg(feature = "zenoh")]
@@ -17,11 +17,11 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// Follows an index from a revision on. `_quiet`: after how long without a word to look whether one was lost.
+    /// Watches an index after a revision. `_quiet`: how long nothing comes before the source checks for losses.
     pub(super) async fn watch(
         &self,
         index: &IndexHandle,
-        after: u64,
+        after: Revision,
         _quiet: Duration,
     ) -> Result<Watch, Error> {
         match self {

@@ -1,38 +1,38 @@
-//! What a replica knows of itself.
+//! The status of a replica.
 
 use std::sync::Arc;
 
 use tokio::time::Instant;
 
-use crate::Error;
+use crate::{Error, Revision};
 
-/// How a replica stands to its server.
+/// The state of a replica's connection to its server.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum ReplicaStatus {
     /// It applies mutations as they come.
     Following {
         /// The revision that reads see.
-        revision: u64,
-        /// How many revisions the server was ahead, by its last word.
+        revision: Revision,
+        /// How many revisions the server was ahead when it last sent something.
         behind: u64,
     },
-    /// It has read all points and does not follow yet; or it reads them anew, since the server could not tell what it
-    /// had missed, and reads see the old ones.
+    /// It has read all points and does not follow yet; or it reads them again, since the server no longer keeps the
+    /// mutations that it missed, and reads see the old ones.
     CatchingUp {
         /// The revision that reads see.
-        revision: u64,
+        revision: Revision,
     },
-    /// It has no connection, and tries to get one. Reads see what it had.
+    /// It has no connection, and tries to get one. Reads see the last revision that it had.
     Disconnected {
-        /// Since when.
+        /// When the connection broke.
         since: Instant,
-        /// What broke it, or why the last try failed.
+        /// What broke it, or why the last attempt failed.
         why: Arc<Error>,
     },
-    /// It follows no more, and reads fail.
+    /// It no longer follows the index, and reads fail.
     Ended {
-        /// Why.
+        /// The cause.
         why: Arc<Error>,
     },
 }

@@ -1,37 +1,58 @@
 //! One frozen revision, and searching it.
 
-use std::sync::Arc;
+use wayfold_index::{Filter, Neighbor, Point, Snapshot};
 
-use wayfold_index::{Neighbor, PointRef, Scaling, Search, Snapshot};
-
-use super::refused::{canonical, check, check_scaling};
-use crate::{Error, IndexHandle, State, States};
+use super::load::protocol;
+use super::validate::{canonical, check};
+use crate::{
+    Error, IndexHandle, Radius, Revision, Search, State, States,
+    search::{Bounds, Count},
+};
 
 /// One revision of an index, frozen. Clones are cheap.
 #[derive(Clone, Debug)]
 pub struct ReplicaView {
     index: IndexHandle,
-    uid: Arc<str>,
     points: Snapshot,
 }
 
-/// What a replica found.
+/// The answer of a replica to a search.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Found {
     /// The neighbours, nearest first; at equal distances by id.
     pub neighbors: Vec<Neighbor>,
-    /// Whether they equal brute force: false only if `epsilon`, `max_leaves` or `until` may have cost an answer.
+    /// Whether they equal brute force: false only if [`Search::epsilon`] or [`Search::until`] may have cost an answer.
     pub exact: bool,
     /// The revision that was searched.
-    pub revision: u64,
-    /// The uid of the index, to which the revision belongs.
-    pub uid: Arc<str>,
+    pub revision: Revision,
+}
+
+impl Found {
+    /// How many neighbours there are.
+    pub fn len(&self) -> usize {
+        self.neighbors.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.neighbors.is_empty()
+    }
+
+    /// The nearest of them.
+    pub fn nearest(&self) -> Option<Neighbor> {
+        self.neighbors.first().copied()
+    }
+
+    /// The id and distance of each, nearest first.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Neighbor> + use<'_> {
+        self.neighbors.iter().copied()
+    }
 }
 
 impl ReplicaView {
-    pub(super) fn new(index: IndexHandle, uid: Arc<str>, points: Snapshot) -> ReplicaView {
-        ReplicaView { index, uid, points }
+    pub(super) fn new(index: IndexHandle, points: Snapshot) -> ReplicaView {
+        ReplicaView { index, points }
     }
 
     pub(super) fn index(&self) -> &IndexHandle {
@@ -39,13 +60,8 @@ impl ReplicaView {
     }
 
     /// The revision.
-    pub fn revision(&self) -> u64 {
-        self.points.revision()
-    }
-
-    /// The uid of the index, to which the revision belongs.
-    pub fn uid(&self) -> &str {
-        &self.uid
+    pub fn revision(&self) -> Revision {
+        self.index.revision_at(self.points.revision())
     }
 
     /// How many points there are.
@@ -58,71 +74,81 @@ impl ReplicaView {
         self.points.is_empty()
     }
 
-    /// The point with this id.
-    pub fn get(&self, id: u64) -> Option<PointRef<'_>> {
+    /// A copy of the point with this id.
+    pub fn get(&self, id: u64) -> Option<Point> {
         self.points.get(id)
-    }
-
-    /// The nearest point, if there is one.
-    ///
-    /// # Errors
-    /// As [`ReplicaView::search`].
-    pub fn nearest(&self, state: impl State) -> Result<Found, Error> {
-        self.nearest_k(state, 1)
     }
 
     /// The `k` nearest points.
     ///
     /// # Errors
     /// As [`ReplicaView::search`].
-    pub fn nearest_k(&self, state: impl State, k: usize) -> Result<Found, Error> {
-        self.search(state, &Search::nearest_k(k))
+    pub fn knn(&self, state: impl State, k: u32) -> Result<Found, Error> {
+        self.search(state, &Search::k(k))
     }
 
-    /// All points at distance `radius` or nearer, the closed ball.
+    /// All points at distance `radius` or nearer, the closed ball: a number, or a [`ScaledRadius`](crate::ScaledRadius).
     ///
     /// # Errors
     /// As [`ReplicaView::search`].
-    pub fn nearest_r(&self, state: impl State, radius: f64) -> Result<Found, Error> {
-        self.search(state, &Search::nearest_r(radius))
+    pub fn query(&self, state: impl State, radius: impl Into<Radius>) -> Result<Found, Error> {
+        self.search(state, &Search::within(radius))
     }
 
-    /// Answers a search whose number and radius are scaled by how many points there are, as the server would.
+    /// Answers any search, as the server would at this revision.
     ///
     /// # Errors
-    /// As [`ReplicaView::search`], and `INVALID_ARGUMENT` naming the factor.
-    pub fn search_scaled<S: State>(
-        &self,
-        state: S,
-        scaling: Scaling,
-        search: &Search<'_>,
-    ) -> Result<Found, Error> {
-        check_scaling(scaling)?;
-        let mut search = *search;
-        scaling.apply(&mut search, self.len(), self.index.space().dimension());
-        self.search(state, &search)
-    }
-
-    /// Answers any search.
-    ///
-    /// # Errors
-    /// As [`Replica::search`](super::Replica::search), but that a view does not grow stale.
-    pub fn search<S: State>(&self, state: S, search: &Search<'_>) -> Result<Found, Error> {
+    /// As [`Replica::search`](super::Replica::search), but a view does not grow stale.
+    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<Found, Error> {
         let states = States::collect(self.index.space(), [state])?;
         let state = canonical(self.index.space(), states, check(search))?;
-        let (since, revision) = (search.filter.since_revision, self.revision());
-        if since > revision {
+        let revision = self.revision();
+        let since = match &search.filter.since {
+            None => 0,
+            Some(since) => {
+                since.check_uid(&revision.uid)?;
+                since.number
+            }
+        };
+        if since > revision.number {
             return Err(Error::Behind {
-                asked: since,
-                revision,
+                since,
+                revision: revision.number,
             });
         }
-        let answer = self.points.search(&state, search);
+        let answer = self
+            .points
+            .search(&state, &self.plain(search, since))
+            .map_err(|error| protocol(error.to_string()))?;
         Ok(Found {
             neighbors: answer.neighbors,
             exact: answer.exact,
             revision,
-            uid: Arc::clone(&self.uid),
         })
+    }
+
+    /// The search in the index's terms, its factors evaluated.
+    fn plain(&self, search: &Search, since_revision: u64) -> wayfold_index::Search<'static> {
+        let Bounds { count, radius } = search.bounds;
+        let k = match count {
+            Some(Count::K(k)) => k as usize,
+            Some(Count::Factor(_)) | None => usize::MAX,
+        };
+        let mut plain = wayfold_index::Search::nearest_k(k);
+        if let Some(Radius::Fixed(radius)) = radius {
+            plain.radius = radius;
+        }
+        (plain.epsilon, plain.until) = (search.epsilon, search.until);
+        plain.filter = Filter {
+            tag_mask: search.filter.tag_mask,
+            tag_value: search.filter.tag_value,
+            since_revision,
+        };
+        let dimension = self.index.space().dimension();
+        search
+            .bounds
+            .scaling()
+            .apply(&mut plain, self.len(), dimension);
+        plain
     }
 }

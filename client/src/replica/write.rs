@@ -1,17 +1,17 @@
 //! The mutations that a replica can wait for.
 
-use crate::{Error, IndexHandle, Insert, Inserted, Remove, Removed, Update, Updated};
+use crate::{Error, IndexHandle, Insert, Inserted, Remove, Removed, Revision, Update, Updated};
 
 /// A mutation, not yet sent: [`Insert`], [`Update`] or [`Remove`].
 pub trait Write: IntoFuture<Output = Result<Self::Answer, Error>> + sealed::Sealed {
-    /// What it is answered.
+    /// Its answer.
     type Answer;
 
-    /// Which index it is for.
+    /// The index that it writes to.
     fn handle(&self) -> &IndexHandle;
 
-    /// The revision from which on reads see it.
-    fn revision(answer: &Self::Answer) -> u64;
+    /// The first revision at which reads see it.
+    fn revision(answer: &Self::Answer) -> &Revision;
 }
 
 mod sealed {
@@ -29,8 +29,8 @@ macro_rules! write {
                 self.index()
             }
 
-            fn revision(answer: &$answer) -> u64 {
-                answer.revision
+            fn revision(answer: &$answer) -> &Revision {
+                &answer.revision
             }
         }
     };

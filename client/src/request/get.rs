@@ -1,22 +1,24 @@
 //! Reading points by id.
 
+use std::ops::Range;
+
 use wayfold_proto::v1;
 
 use super::awaitable;
 use crate::{
-    Error, IndexHandle, Points,
+    Error, Include, IndexHandle, Points,
     limits::{self, READ_ROWS},
 };
 
 /// Reads points by id, each id once; await it to send it. Ids that are not stored are `NOT_FOUND`, by name.
 ///
-/// More ids than [`READ_ROWS`](crate::READ_ROWS), or points than an answer holds, are divided among several calls.
+/// More than [`READ_ROWS`](crate::READ_ROWS) ids, or more points than an answer holds, are divided among several calls.
 #[derive(Clone, Debug)]
 #[must_use = "a request does nothing until it is awaited"]
 pub struct Get {
     index: IndexHandle,
     ids: Vec<u64>,
-    payloads: bool,
+    include: Include,
 }
 
 awaitable!(Get => Points);
@@ -26,28 +28,30 @@ impl Get {
         Get {
             index,
             ids,
-            payloads: false,
+            include: Include::points(),
         }
     }
 
-    /// Reads the payloads too.
-    pub fn payloads(mut self) -> Get {
-        self.payloads = true;
+    /// The columns of the answer beside ids; states, tags and revisions unless set.
+    pub fn include(mut self, include: Include) -> Get {
+        self.include = include;
         self
     }
 
     async fn send(self) -> Result<Points, Error> {
         const CALL: &str = "get";
-        if self.ids.len() > READ_ROWS {
+        let limits = self.index.limits(CALL, self.ids.len()).await?;
+        let max_rows = limits.ids_per_call.min(READ_ROWS);
+        if self.ids.len() > max_rows {
             limits::check_unique(&self.ids)?;
         }
         let this = &self;
-        let read = |part: std::ops::Range<usize>| async move {
+        let read = |part: Range<usize>| async move {
             let message = || v1::GetRequest {
                 index: this.index.name().to_owned(),
                 ids: this.ids[part.clone()].to_vec(),
-                payloads: this.payloads,
-                at: Some(this.index.read_at()),
+                include: this.include.to_message(),
+                min_revision: this.index.min_revision(),
             };
             let answer = this
                 .index
@@ -55,22 +59,17 @@ impl Get {
                     stub.get(request).await
                 })
                 .await?;
-            this.index.told(&answer.uid, answer.revision);
-            let points = Points::from_message(
-                CALL,
-                answer.points,
-                answer.revision,
-                this.index.coordinates(),
-                this.payloads,
-            )?;
+            let revision = this.index.answered(CALL, answer.revision)?;
+            let width = this.index.coordinates();
+            let points = Points::from_message(CALL, answer.points, revision, width, this.include)?;
             match points.ids() == &this.ids[part.clone()] {
                 true => Ok(points),
                 false => Err(Error::Protocol {
                     call: CALL,
-                    problem: "other points than were asked for".to_owned(),
+                    problem: "the points have other ids than the request".to_owned(),
                 }),
             }
         };
-        limits::read_in_parts(self.ids.len(), READ_ROWS, read, Points::append).await
+        limits::read_in_parts(self.ids.len(), max_rows, read, Points::append).await
     }
 }

@@ -1,26 +1,19 @@
 //! Inserting states.
 
 use bytes::Bytes;
-use wayfold_index::{Filter, Scaling};
 use wayfold_proto::v1;
 
-use super::{
-    awaitable, fresh_operation_id, partial,
-    scaling::{most_neighbors, scaling_message},
-};
+use super::{awaitable, fresh_operation_id, partial};
 use crate::{
-    Error, Include, IndexHandle, Neighbors, States,
-    limits::{self, MUTATION_ROWS, REQUEST_BYTES},
-    neighbors::Told,
-    read::filter_message,
+    Error, IndexHandle, Limits, NeighborSpec, Neighbors, Revision, States, limits,
+    neighbors::Expected,
 };
 
 /// Inserts states; await it to send it.
 ///
-/// Up to [`MUTATION_ROWS`](crate::MUTATION_ROWS) rows and [`REQUEST_BYTES`](crate::REQUEST_BYTES) are one call, which
-/// is atomic: all of it takes effect, or nothing does. More rows, or more `neighbors` than an answer holds, are divided
-/// among several calls, in order, each atomic of its own; if one fails, [`Error::Partial`] tells how many rows took
-/// effect before it.
+/// An insert within the server's [`Limits`] is one call, which is atomic: all of it takes effect, or nothing does. More
+/// rows or bytes, or more `neighbors` than an answer holds, are divided among several calls, in order, each atomic of its
+/// own; if one fails, [`Error::Partial`] says how many rows took effect before it.
 #[derive(Debug)]
 #[must_use = "a request does nothing until it is awaited"]
 pub struct Insert {
@@ -31,25 +24,8 @@ pub struct Insert {
     payloads: Vec<Bytes>,
     replace: bool,
     min_separation: f64,
-    neighbors: Option<NeighborQuery>,
+    neighbors: Option<NeighborSpec>,
     operation_id: String,
-}
-
-/// Which neighbours an insert is to tell of each row: those it had at the moment it was applied, stored by an earlier
-/// mutation or an earlier row. At least one of `k`, `radius` and `scaling` is set.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct NeighborQuery {
-    /// At most so many, at least 1.
-    pub k: Option<u32>,
-    /// Only those at this distance or nearer.
-    pub radius: Option<f64>,
-    /// Only some of the points. The rows of the same call count as stored by the revision that the call makes.
-    pub filter: Filter,
-    /// What to tell of each.
-    pub include: Include,
-    /// Number and radius by the number of points that the index has when a row is applied; evaluated by the server, so that
-    /// workers need not agree on it. A number is set here or in `k`, a radius here or in `radius`.
-    pub scaling: Scaling,
 }
 
 /// What became of one row of an insert.
@@ -105,16 +81,16 @@ impl Outcome {
 pub struct Inserted {
     /// What became of each row, in order.
     pub outcomes: Vec<Outcome>,
-    /// The neighbours of each row, also of those left out, if they were asked for.
+    /// The neighbours of each row, also of those left out, if the insert asked for them.
     pub neighbors: Option<Neighbors>,
     /// The revision that the insert, or the last of its parts, made or found.
-    pub revision: u64,
+    pub revision: Revision,
 }
 
 awaitable!(Insert => Inserted);
 
 impl Insert {
-    /// Which index it is for.
+    /// The index that it writes to.
     #[cfg(feature = "replica")]
     pub(crate) fn index(&self) -> &IndexHandle {
         &self.index
@@ -152,7 +128,7 @@ impl Insert {
         self
     }
 
-    /// Replaces points that are stored under one of the ids. Without it another point there is `ALREADY_EXISTS`.
+    /// Replaces points that are stored under one of the ids. Unless set, another point there is `ALREADY_EXISTS`.
     pub fn replace(mut self) -> Insert {
         self.replace = true;
         self
@@ -164,14 +140,15 @@ impl Insert {
         self
     }
 
-    /// Asks for the neighbours that each row had when it was applied. Of any two inserts the later sees the earlier.
-    pub fn neighbors(mut self, query: NeighborQuery) -> Insert {
-        self.neighbors = Some(query);
+    /// Finds the neighbours that each row has when it is applied. Of any two inserts the later sees the earlier. The rows of
+    /// the same call count as stored by the revision that the call makes.
+    pub fn neighbors(mut self, spec: NeighborSpec) -> Insert {
+        self.neighbors = Some(spec);
         self
     }
 
-    /// At most 64 bytes: the insert takes effect once, however often it is sent under this id. Without it the client
-    /// makes one up for its own tries. The parts of a divided insert have `ID/0`, `ID/1` and so on.
+    /// At most 64 bytes: the insert takes effect once, however often it is sent under this id. Unless set, the client
+    /// makes one for its own retries. The parts of a divided insert have `ID/0`, `ID/1` and so on.
     pub fn operation_id(mut self, id: impl Into<String>) -> Insert {
         self.operation_id = id.into();
         self
@@ -183,16 +160,16 @@ impl Insert {
         check_column("ids", self.ids.len(), rows)?;
         check_column("tags", self.tags.len(), rows)?;
         check_column("payloads", self.payloads.len(), rows)?;
-        let parts = limits::divide(rows, self.rows_of_answer(), REQUEST_BYTES, |row| {
-            self.row_bytes(&states, row)
-        });
+        let limits = self.index.limits(CALL, rows).await?;
+        let max_rows = self.rows_of_answer(&limits).min(limits.rows_per_call);
+        let parts = limits::divide(&limits, rows, max_rows, |row| self.row_bytes(&states, row));
         if parts.len() > 1 {
             limits::check_unique(&self.ids)?;
         }
         let mut inserted = Inserted {
             outcomes: Vec::with_capacity(rows),
             neighbors: None,
-            revision: 0,
+            revision: self.index.revision(),
         };
         for (number, part) in parts.iter().enumerate() {
             let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
@@ -204,26 +181,20 @@ impl Insert {
                 })
                 .await
                 .map_err(|error| partial(part, rows, error))?;
-            self.index.told(&answer.uid, answer.revision);
-            self.take(answer, part.len(), &mut inserted)?;
+            self.append(answer, part.len(), &mut inserted)?;
         }
         Ok(inserted)
     }
 
     /// How many rows' outcomes and neighbours one answer holds.
-    fn rows_of_answer(&self) -> usize {
+    fn rows_of_answer(&self, limits: &Limits) -> usize {
         const OUTCOME_ID_AND_COUNT: usize = 16;
-        let Some(query) = self.neighbors else {
-            return MUTATION_ROWS;
-        };
-        let Some(k) = most_neighbors(query.k, query.scaling) else {
-            return MUTATION_ROWS;
-        };
-        let neighbor = query.include.neighbor_bytes(self.index.coordinates());
-        let row = neighbor
-            .saturating_mul(k)
-            .saturating_add(OUTCOME_ID_AND_COUNT);
-        limits::rows_of_answer(self.index.client().max_message_bytes(), row, MUTATION_ROWS)
+        let neighbors = self.neighbors.as_ref().and_then(|spec| {
+            let neighbor = spec.include.neighbor_bytes(self.index.coordinates());
+            Some(neighbor.saturating_mul(spec.bounds.max_neighbors()?))
+        });
+        let row = neighbors.unwrap_or(0).saturating_add(OUTCOME_ID_AND_COUNT);
+        limits::rows_of_answer(self.index.client(), limits, row)
     }
 
     fn row_bytes(&self, states: &States, row: usize) -> usize {
@@ -254,25 +225,20 @@ impl Insert {
             payloads: column(&self.payloads, part),
             on_conflict: on_conflict.into(),
             min_separation: self.min_separation,
-            neighbors: self.neighbors.map(|query| v1::NeighborQuery {
-                k: query.k,
-                radius: query.radius,
-                filter: filter_message(query.filter),
-                include: query.include.to_message(),
-                scaling: scaling_message(query.scaling),
-            }),
+            neighbors: self.neighbors.as_ref().map(NeighborSpec::to_message),
             operation_id: operation_id.to_owned(),
             uid: self.index.uid().to_owned(),
         }
     }
 
-    /// Puts the answer to a part of `rows` rows behind what the parts before it did.
-    fn take(
+    /// Appends the answer to a part of `rows` rows.
+    fn append(
         &self,
-        answer: v1::InsertResponse,
+        mut answer: v1::InsertResponse,
         rows: usize,
         inserted: &mut Inserted,
     ) -> Result<(), Error> {
+        inserted.revision = self.index.answered(CALL, answer.revision.take())?;
         let wrong = |problem: &str| Error::Protocol {
             call: CALL,
             problem: problem.to_owned(),
@@ -285,19 +251,17 @@ impl Insert {
                 Outcome::from_message(outcome, *id).ok_or_else(|| wrong("an unknown outcome"))?;
             inserted.outcomes.push(outcome);
         }
-        inserted.revision = answer.revision;
-        let Some(query) = self.neighbors else {
+        let Some(spec) = &self.neighbors else {
             return Ok(());
         };
-        let told = Told {
+        let expected = Expected {
             call: CALL,
             rows,
-            include: query.include,
-            exact: true,
-            revision: answer.revision,
-            uid: &answer.uid,
+            width: self.index.coordinates(),
+            include: spec.include,
+            revision: inserted.revision.clone(),
         };
-        let neighbors = Neighbors::from_message(answer.neighbors, told, self.index.coordinates())?;
+        let neighbors = Neighbors::from_message(answer.neighbors, expected)?;
         match &mut inserted.neighbors {
             Some(before) => before.append(neighbors),
             none => *none = Some(neighbors),

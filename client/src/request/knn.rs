@@ -2,33 +2,26 @@
 
 use std::ops::Range;
 
-use wayfold_index::{Filter, Scaling};
 use wayfold_proto::v1;
 
-use super::{
-    SearchOptions, awaitable,
-    scaling::{most_neighbors, scaling_message},
-    search_options,
-};
+use super::{SearchOptions, awaitable, search_options};
 use crate::{
-    Error, Include, IndexHandle, Neighbors, States,
+    Error, Filter, Include, IndexHandle, Neighbors, Radius, States,
     limits::{self, READ_ROWS},
-    neighbors::Told,
-    read::filter_message,
+    neighbors::Expected,
+    search::{Bounds, Count},
 };
 
 /// Finds the nearest points of each state; await it to send it.
 ///
-/// More states than [`READ_ROWS`](crate::READ_ROWS), or neighbours than an answer holds, are divided among several
+/// More than [`READ_ROWS`](crate::READ_ROWS) states, or more neighbours than an answer holds, are divided among several
 /// calls, which may see different revisions: [`Neighbors::revision_of`].
 #[derive(Debug)]
 #[must_use = "a request does nothing until it is awaited"]
 pub struct Knn {
     pub(super) index: IndexHandle,
     pub(super) states: Result<States, Error>,
-    k: u32,
-    radius: Option<f64>,
-    scaling: Scaling,
+    bounds: Bounds,
     pub(super) options: SearchOptions,
 }
 
@@ -43,46 +36,40 @@ impl Knn {
         Knn {
             index,
             states,
-            k: 1,
-            radius: None,
-            scaling: Scaling::default(),
+            bounds: Bounds {
+                count: Some(Count::K(1)),
+                radius: None,
+            },
             options: SearchOptions::default(),
         }
     }
 
-    /// At most so many for each state, at least 1; 1 unless set.
+    /// At most `k` neighbours of each state, at least 1; 1 unless set.
     pub fn k(mut self, k: u32) -> Knn {
-        self.k = k;
-        self.scaling.k_factor = None;
+        self.bounds.count = Some(Count::K(k));
         self
     }
 
-    /// In the place of `k`: ⌈factor · ln n⌉, for n points at the revision that is read. The server evaluates it, so that
-    /// workers need not agree on n. [`Scaling::K_FACTOR`] is what PRM* takes.
-    pub fn k_scaled(mut self, factor: f64) -> Knn {
-        self.k = 0;
-        self.scaling.k_factor = Some(factor);
+    /// At most ⌈factor · ln n⌉ neighbours, at least 1, for an index of n points; in the place of `k`. The server evaluates
+    /// it, so that workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`](crate::Scaling::K_FACTOR).
+    pub fn k_factor(mut self, factor: f64) -> Knn {
+        self.bounds.count = Some(Count::Factor(factor));
         self
     }
 
-    /// Only those at this distance or nearer.
-    pub fn radius(mut self, radius: f64) -> Knn {
-        self.radius = Some(radius);
-        (self.scaling.radius_factor, self.scaling.radius_max) = (None, None);
-        self
-    }
-
-    /// In the place of `radius`: factor · (ln n / n)^(1/d), but at most `radius_max`, for n points at the revision that is
-    /// read; evaluated by the server. See [`Scaling::radius_factor`].
-    pub fn radius_scaled(mut self, factor: f64, radius_max: Option<f64>) -> Knn {
-        self.radius = None;
-        (self.scaling.radius_factor, self.scaling.radius_max) = (Some(factor), radius_max);
+    /// Only those at distance `radius` or nearer: a number, or a [`ScaledRadius`](crate::ScaledRadius).
+    pub fn radius(mut self, radius: impl Into<Radius>) -> Knn {
+        self.bounds.radius = Some(radius.into());
         self
     }
 
     async fn send(mut self) -> Result<Neighbors, Error> {
         const CALL: &str = "knn";
         let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
+        let limits = self.index.limits(CALL, states.len()).await?;
+        let row_bytes = self.row_bytes();
+        let max_rows = limits::rows_of_answer(self.index.client(), &limits, row_bytes);
+        let max_rows = max_rows.min(limits.rows_per_call).min(READ_ROWS);
         let (this, states) = (&self, &states);
         let read = |part: Range<usize>| async move {
             let message = || this.message(states, part.clone());
@@ -92,61 +79,49 @@ impl Knn {
                     stub.knn(request).await
                 })
                 .await?;
-            this.index.told(&answer.uid, answer.revision);
-            answered(
-                CALL,
-                answer,
-                part.len(),
-                this.options.include,
-                this.index.coordinates(),
-            )
+            let include = this.options.include;
+            neighbors(CALL, &this.index, answer, part.len(), include)
         };
-        limits::read_in_parts(states.len(), self.rows_of_answer(), read, Neighbors::append).await
+        limits::read_in_parts(states.len(), max_rows, read, Neighbors::append).await
     }
 
-    /// How many states' neighbours one answer holds.
-    fn rows_of_answer(&self) -> usize {
-        const COUNT: usize = 5;
-        let neighbor = self
-            .options
-            .include
-            .neighbor_bytes(self.index.coordinates());
-        let k = most_neighbors(Some(self.k), self.scaling).unwrap_or(usize::MAX);
-        let row = neighbor.saturating_mul(k).saturating_add(COUNT);
-        limits::rows_of_answer(self.index.client().max_message_bytes(), row, READ_ROWS)
+    /// The bytes of the most neighbours of one state.
+    fn row_bytes(&self) -> usize {
+        const COUNT_BYTES: usize = 5;
+        let include = self.options.include;
+        let neighbor = include.neighbor_bytes(self.index.coordinates());
+        let k = self.bounds.max_neighbors().unwrap_or(usize::MAX);
+        neighbor.saturating_mul(k).saturating_add(COUNT_BYTES)
     }
 
     pub(super) fn message(&self, states: &States, part: Range<usize>) -> v1::KnnRequest {
         v1::KnnRequest {
             index: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
-            k: self.k,
-            radius: self.radius,
+            count: self.bounds.knn_count(),
+            reach: self.bounds.knn_reach(),
             epsilon: self.options.epsilon,
-            max_leaves: self.options.max_leaves,
-            filter: filter_message(self.options.filter),
+            filter: self.options.filter.to_message(),
             include: self.options.include.to_message(),
-            at: Some(self.index.read_at()),
-            scaling: scaling_message(self.scaling),
+            min_revision: self.index.min_revision(),
         }
     }
 }
 
-/// The answer to a request about `rows` states.
-pub(super) fn answered(
+/// The answer to a request of `rows` states.
+pub(super) fn neighbors(
     call: &'static str,
+    index: &IndexHandle,
     answer: v1::KnnResponse,
     rows: usize,
     include: Include,
-    coordinates: usize,
 ) -> Result<Neighbors, Error> {
-    let told = Told {
+    let expected = Expected {
         call,
         rows,
+        width: index.coordinates(),
         include,
-        exact: answer.exact,
-        revision: answer.revision,
-        uid: &answer.uid,
+        revision: index.answered(call, answer.revision)?,
     };
-    Neighbors::from_message(answer.neighbors, told, coordinates)
+    Neighbors::from_message(answer.neighbors, expected)
 }

@@ -2,20 +2,18 @@
 
 use std::ops::Range;
 
-use wayfold_index::{Filter, Scaling};
 use wayfold_proto::v1;
 
-use super::{SearchOptions, awaitable, scaling::scaling_message, search_options};
+use super::{SearchOptions, awaitable, search_options};
 use crate::{
-    Error, Include, IndexHandle, Neighbors, States,
+    Error, Filter, Include, IndexHandle, Neighbors, Radius, States,
     limits::{self, READ_ROWS},
-    neighbors::Told,
-    read::filter_message,
+    neighbors::Expected,
 };
 
 /// Finds all points within a radius of each state, the closed ball, nearest first; await it to send it.
 ///
-/// More states than [`READ_ROWS`](crate::READ_ROWS), or neighbours than an answer holds, are divided among several
+/// More than [`READ_ROWS`](crate::READ_ROWS) states, or more neighbours than an answer holds, are divided among several
 /// calls, which may see different revisions: [`Neighbors::revision_of`]. Where the neighbours of a single state are
 /// too many for an answer, that is `RESOURCE_EXHAUSTED`.
 #[derive(Debug)]
@@ -23,8 +21,7 @@ use crate::{
 pub struct Query {
     index: IndexHandle,
     states: Result<States, Error>,
-    radius: f64,
-    radius_factor: Option<f64>,
+    radius: Radius,
     options: SearchOptions,
 }
 
@@ -35,27 +32,20 @@ search_options!(
 );
 
 impl Query {
-    pub(crate) fn new(index: IndexHandle, states: Result<States, Error>, radius: f64) -> Query {
+    pub(crate) fn new(index: IndexHandle, states: Result<States, Error>, radius: Radius) -> Query {
         Query {
             index,
             states,
             radius,
-            radius_factor: None,
             options: SearchOptions::default(),
         }
-    }
-
-    /// Scales the radius: factor · (ln n / n)^(1/d), but at most the radius given, which may be infinite, for n points at the
-    /// revision that is read. The server evaluates it, so that workers need not agree on n. See
-    /// [`Scaling::radius_factor`].
-    pub fn radius_scaled(mut self, factor: f64) -> Query {
-        self.radius_factor = Some(factor);
-        self
     }
 
     async fn send(mut self) -> Result<Neighbors, Error> {
         const CALL: &str = "query";
         let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
+        let limits = self.index.limits(CALL, states.len()).await?;
+        let max_rows = limits.rows_per_call.min(READ_ROWS);
         let (this, states) = (&self, &states);
         let read = |part: Range<usize>| async move {
             let message = || this.message(states, part.clone());
@@ -65,36 +55,27 @@ impl Query {
                     stub.query(request).await
                 })
                 .await?;
-            this.index.told(&answer.uid, answer.revision);
-            let told = Told {
+            let expected = Expected {
                 call: CALL,
                 rows: part.len(),
+                width: this.index.coordinates(),
                 include: this.options.include,
-                exact: answer.exact,
-                revision: answer.revision,
-                uid: &answer.uid,
+                revision: this.index.answered(CALL, answer.revision)?,
             };
-            Neighbors::from_message(answer.neighbors, told, this.index.coordinates())
+            Neighbors::from_message(answer.neighbors, expected)
         };
-        limits::read_in_parts(states.len(), READ_ROWS, read, Neighbors::append).await
+        limits::read_in_parts(states.len(), max_rows, read, Neighbors::append).await
     }
 
     fn message(&self, states: &States, part: Range<usize>) -> v1::QueryRequest {
-        let scaling = Scaling {
-            radius_factor: self.radius_factor,
-            radius_max: self.radius_factor.and(Some(self.radius)),
-            ..Scaling::default()
-        };
         v1::QueryRequest {
             index: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
-            radius: scaling.is_none().then_some(self.radius),
+            reach: Some(self.radius.to_query_message()),
             epsilon: self.options.epsilon,
-            max_leaves: self.options.max_leaves,
-            filter: filter_message(self.options.filter),
+            filter: self.options.filter.to_message(),
             include: self.options.include.to_message(),
-            at: Some(self.index.read_at()),
-            scaling: scaling_message(scaling),
+            min_revision: self.index.min_revision(),
         }
     }
 }

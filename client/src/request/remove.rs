@@ -3,10 +3,7 @@
 use wayfold_proto::v1;
 
 use super::{awaitable, fresh_operation_id, partial};
-use crate::{
-    Error, IndexHandle,
-    limits::{self, MUTATION_ROWS, REQUEST_BYTES},
-};
+use crate::{Error, IndexHandle, Revision, limits};
 
 /// Removes points by id; await it to send it.
 ///
@@ -20,21 +17,23 @@ pub struct Remove {
 }
 
 /// What a removal did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Removed {
     /// How many points were removed.
-    pub removed: u64,
+    pub removed_count: u64,
     /// How many were not stored.
-    pub missing: u64,
+    pub missing_count: u64,
     /// The revision that the removal, or the last of its parts, made or found.
-    pub revision: u64,
+    pub revision: Revision,
 }
 
 awaitable!(Remove => Removed);
 
+const CALL: &str = "remove";
+
 impl Remove {
-    /// Which index it is for.
+    /// The index that it writes to.
     #[cfg(feature = "replica")]
     pub(crate) fn index(&self) -> &IndexHandle {
         &self.index
@@ -57,11 +56,16 @@ impl Remove {
     async fn send(self) -> Result<Removed, Error> {
         const ID_BYTES: usize = 8;
         let rows = self.ids.len();
-        let parts = limits::divide(rows, MUTATION_ROWS, REQUEST_BYTES, |_| ID_BYTES);
+        let limits = self.index.limits(CALL, rows).await?;
+        let parts = limits::divide(&limits, rows, limits.ids_per_call, |_| ID_BYTES);
         if parts.len() > 1 {
             limits::check_unique(&self.ids)?;
         }
-        let mut removed = Removed::default();
+        let mut removed = Removed {
+            removed_count: 0,
+            missing_count: 0,
+            revision: self.index.revision(),
+        };
         for (number, part) in parts.iter().enumerate() {
             let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
             let message = || v1::RemoveRequest {
@@ -72,15 +76,14 @@ impl Remove {
             };
             let answer = self
                 .index
-                .call("remove", message, |mut stub, request| async move {
+                .call(CALL, message, |mut stub, request| async move {
                     stub.remove(request).await
                 })
                 .await
                 .map_err(|error| partial(part, rows, error))?;
-            self.index.told(&answer.uid, answer.revision);
-            removed.removed += answer.removed;
-            removed.missing += answer.missing;
-            removed.revision = answer.revision;
+            removed.removed_count += answer.removed_count;
+            removed.missing_count += answer.missing_count;
+            removed.revision = self.index.answered(CALL, answer.revision)?;
         }
         Ok(removed)
     }

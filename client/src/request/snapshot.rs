@@ -2,16 +2,14 @@
 
 use std::time::Duration;
 
-use futures_util::{Stream, stream};
-use tokio::time::timeout;
 use tonic::Streaming;
 use wayfold_proto::{
     snapshot::{Content, Header, Reader},
     v1,
 };
 
-use super::awaitable;
-use crate::{Error, IndexHandle, SnapshotPart};
+use super::{awaitable, into_stream};
+use crate::{Error, IndexHandle, Revision, SnapshotPart};
 
 /// Reads all of an index at one revision, as a backup or for another server; await it to begin.
 #[derive(Clone, Debug)]
@@ -20,10 +18,10 @@ pub struct SnapshotRequest {
     index: IndexHandle,
 }
 
-/// A snapshot under way: its parts, each checked as it comes. The handle's timeout bounds the wait for each, not the
-/// whole.
+/// A snapshot under way, a stream of parts, each checked as it comes. The handle's timeout bounds the wait for each, not
+/// the whole.
 ///
-/// It is whole only if the last part was read without an error. [`SnapshotWriter`](crate::SnapshotWriter) writes it
+/// The snapshot is whole only if the stream ends without an error. [`SnapshotWriter`](crate::SnapshotWriter) writes it
 /// into a file; [`Client::restore`](crate::Client::restore) makes an index of it, on this server or another:
 ///
 /// ```no_run
@@ -46,6 +44,7 @@ pub struct Snapshot {
 }
 
 awaitable!(SnapshotRequest => Snapshot);
+into_stream!(Snapshot => SnapshotPart);
 
 const CALL: &str = "snapshot_index";
 
@@ -58,8 +57,8 @@ impl SnapshotRequest {
         let index = self.index;
         let (stub, client) = (index.client().indexes(), index.client());
         let message = v1::SnapshotIndexRequest {
-            name: index.name().to_owned(),
-            at: Some(index.read_at()),
+            index: index.name().to_owned(),
+            min_revision: index.min_revision(),
         };
         let attempt = |_remaining: Duration| {
             let (mut stub, message) = (stub.clone(), message.clone());
@@ -70,7 +69,7 @@ impl SnapshotRequest {
         let mut reader = Reader::new();
         match receive(&index, &mut parts, &mut reader).await? {
             Some((part, Content::Header(header))) => {
-                index.told(&header.uid, header.revision);
+                index.note(&Revision::new(&*header.uid, header.revision));
                 Ok(Snapshot {
                     index,
                     parts,
@@ -93,11 +92,7 @@ async fn receive(
     parts: &mut Streaming<v1::SnapshotIndexResponse>,
     reader: &mut Reader,
 ) -> Result<Option<(SnapshotPart, Content)>, Error> {
-    let waited = index.timeout();
-    let response = timeout(waited, parts.message()).await;
-    let response = response.map_err(|_| Error::timeout(CALL, waited))?;
-    let response = response
-        .map_err(|status| Error::from_status(CALL, index.client().uri(), waited, status))?;
+    let response = super::receive(CALL, index, parts).await?;
     let protocol = |problem: String| Error::Protocol {
         call: CALL,
         problem,
@@ -116,7 +111,7 @@ async fn receive(
 }
 
 impl Snapshot {
-    /// What is known of it before its points.
+    /// What the snapshot says of itself before its points.
     pub fn header(&self) -> &Header {
         &self.header
     }
@@ -124,19 +119,12 @@ impl Snapshot {
     /// The next part; `None` at the end, once it is whole.
     ///
     /// # Errors
-    /// Those of every call; the snapshot is then over, and no good.
-    pub async fn next_part(&mut self) -> Result<Option<SnapshotPart>, Error> {
+    /// Those of every call; the snapshot is then over, and not whole.
+    pub async fn next(&mut self) -> Result<Option<SnapshotPart>, Error> {
         if let Some(first) = self.first.take() {
             return Ok(Some(first));
         }
         let part = receive(&self.index, &mut self.parts, &mut self.reader).await?;
         Ok(part.map(|(part, _)| part))
-    }
-
-    /// The parts from here on as a stream.
-    pub fn into_stream(self) -> impl Stream<Item = Result<SnapshotPart, Error>> + Send + 'static {
-        stream::try_unfold(self, |mut snapshot| async move {
-            Ok(snapshot.next_part().await?.map(|part| (part, snapshot)))
-        })
     }
 }

@@ -1,12 +1,8 @@
 //! Nearest neighbours, pipelined.
 
-use std::{
-    pin::Pin,
-    task::{Context, Poll, ready},
-    time::Duration,
-};
+use std::time::Duration;
 
-use futures_util::{Stream, StreamExt};
+use futures_util::{Stream, stream};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
@@ -17,7 +13,7 @@ use crate::{Error, Include, IndexHandle, Knn, Neighbors, Refusal, States};
 
 /// The sending half of a stream of [`Knn`] requests, which are answered in their order.
 ///
-/// Dropping it ends the stream, once what was sent is answered. Requests wait where answers are not taken: send and
+/// Dropping it ends the stream once all requests are answered. Requests wait while the caller takes no answers: send and
 /// take in two tasks, or keep a bounded number under way.
 ///
 /// ```no_run
@@ -26,13 +22,13 @@ use crate::{Error, Include, IndexHandle, Knn, Neighbors, Refusal, States};
 /// for (i, state) in states.iter().enumerate() {
 ///     requests.send(index.knn([state]).k(10)).await?;
 ///     if i >= 64 {
-///         let answer = answers.next().await;
-///         // Use it.
+///         let neighbors = answers.next().await?;
+///         // Use them.
 ///     }
 /// }
 /// drop(requests);
-/// while let Some(answer) = answers.next().await {
-///     let neighbors = answer?;
+/// while let Some(neighbors) = answers.next().await? {
+///     // Use them.
 /// }
 /// # Ok(())
 /// # }
@@ -41,8 +37,8 @@ use crate::{Error, Include, IndexHandle, Knn, Neighbors, Refusal, States};
 pub struct KnnRequests {
     uri: String,
     messages: mpsc::Sender<v1::StreamKnnRequest>,
-    /// What the requests under way asked for, to read their answers by.
-    asked: mpsc::UnboundedSender<Asked>,
+    /// The requests under way, to check their answers by.
+    pending: mpsc::UnboundedSender<Pending>,
 }
 
 /// The receiving half of a stream of [`Knn`] requests: one answer each, in their order. A request that fails has its
@@ -53,12 +49,13 @@ pub struct KnnAnswers {
     uri: String,
     timeout: Duration,
     messages: Streaming<v1::StreamKnnResponse>,
-    asked: mpsc::UnboundedReceiver<Asked>,
+    pending: mpsc::UnboundedReceiver<Pending>,
     over: bool,
 }
 
+/// A request under way.
 #[derive(Debug)]
-struct Asked {
+struct Pending {
     index: IndexHandle,
     rows: usize,
     include: Include,
@@ -67,13 +64,13 @@ struct Asked {
 const CALL: &str = "stream_knn";
 
 /// How many requests wait in the client for the connection to take them.
-const WAITING: usize = 64;
+const MAX_WAITING: usize = 64;
 
 pub(crate) async fn open_stream(index: &IndexHandle) -> Result<(KnnRequests, KnnAnswers), Error> {
     let (client, timeout) = (index.client(), index.timeout());
     let (stub, mut sender) = (client.points(), None);
     let attempt = |_remaining: Duration| {
-        let (messages, receiver) = mpsc::channel(WAITING);
+        let (messages, receiver) = mpsc::channel(MAX_WAITING);
         sender = Some(messages);
         let mut stub = stub.clone();
         // Without a deadline, which would bound the whole stream.
@@ -81,39 +78,39 @@ pub(crate) async fn open_stream(index: &IndexHandle) -> Result<(KnnRequests, Knn
     };
     let answers = client.call(CALL, timeout, attempt).await?;
     let messages = sender.ok_or_else(|| over(client.uri()))?;
-    let (asked, asked_of) = mpsc::unbounded_channel();
+    let (sent, pending) = mpsc::unbounded_channel();
     let requests = KnnRequests {
         uri: client.uri().to_owned(),
         messages,
-        asked,
+        pending: sent,
     };
     let answers = KnnAnswers {
         uri: client.uri().to_owned(),
         timeout,
         messages: answers,
-        asked: asked_of,
+        pending,
         over: false,
     };
     Ok((requests, answers))
 }
 
 impl KnnRequests {
-    /// Sends a request. It is not divided: what exceeds a limit of the server is answered with `RESOURCE_EXHAUSTED`.
+    /// Sends a request. It is not divided: the answer to one that exceeds a limit of the server is `RESOURCE_EXHAUSTED`.
     ///
     /// # Errors
     /// [`Error::Width`] and [`Error::Layout`], with which nothing is sent, and [`Error::Connection`] if the stream is
-    /// over: the answers tell why.
+    /// over: the answers end with the cause.
     pub async fn send(&mut self, mut request: Knn) -> Result<(), Error> {
         let states = std::mem::replace(&mut request.states, Ok(States::new(0)))?;
         let knn = Some(request.message(&states, 0..states.len()));
         // Both are sent, or, where this future is dropped while it waits, neither.
         let message = self.messages.reserve().await.map_err(|_| over(&self.uri))?;
-        let asked = Asked {
+        let pending = Pending {
             rows: states.len(),
             include: request.options.include,
             index: request.index,
         };
-        self.asked.send(asked).map_err(|_| over(&self.uri))?;
+        self.pending.send(pending).map_err(|_| over(&self.uri))?;
         message.send(v1::StreamKnnRequest { knn });
         Ok(())
     }
@@ -128,9 +125,33 @@ fn over(uri: &str) -> Error {
 }
 
 impl KnnAnswers {
-    /// The answer to the next request; `None` when all are answered and the sending half is dropped.
-    pub async fn next(&mut self) -> Option<Result<Neighbors, Error>> {
-        StreamExt::next(self).await
+    /// The answer to the next request; `None` once all are answered and the sending half is dropped.
+    ///
+    /// # Errors
+    /// That of the request, after which the stream goes on, or that of the stream, after which it is over.
+    pub async fn next(&mut self) -> Result<Option<Neighbors>, Error> {
+        if self.over {
+            return Ok(None);
+        }
+        match self.messages.message().await {
+            Ok(Some(response)) => self.answer(response).map(Some),
+            Ok(None) => {
+                self.over = true;
+                Ok(None)
+            }
+            Err(status) => {
+                self.over = true;
+                Err(Error::from_status(CALL, &self.uri, self.timeout, status))
+            }
+        }
+    }
+
+    /// The rest as a [`Stream`].
+    pub fn into_stream(self) -> impl Stream<Item = Result<Neighbors, Error>> + Send + 'static {
+        stream::unfold(self, |mut answers| async move {
+            let answer = answers.next().await.transpose()?;
+            Some((answer, answers))
+        })
     }
 
     fn answer(&mut self, response: v1::StreamKnnResponse) -> Result<Neighbors, Error> {
@@ -138,52 +159,16 @@ impl KnnAnswers {
             call: CALL,
             problem: problem.to_owned(),
         };
-        let asked = self
-            .asked
-            .try_recv()
-            .map_err(|_| wrong("an answer to no request"))?;
+        let pending = self.pending.try_recv();
+        let request = pending.map_err(|_| wrong("an answer to no request"))?;
         match response.result {
             Some(Answer::Knn(answer)) => {
-                asked.index.told(&answer.uid, answer.revision);
-                knn::answered(
-                    CALL,
-                    answer,
-                    asked.rows,
-                    asked.include,
-                    asked.index.coordinates(),
-                )
+                knn::neighbors(CALL, &request.index, answer, request.rows, request.include)
             }
             Some(Answer::Error(status)) => {
                 Err(Error::Refused(Box::new(Refusal::from_message(&status))))
             }
             None => Err(wrong("neither an answer nor an error")),
         }
-    }
-}
-
-impl Stream for KnnAnswers {
-    type Item = Result<Neighbors, Error>;
-
-    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
-        if self.over {
-            return Poll::Ready(None);
-        }
-        let item = match ready!(self.messages.poll_next_unpin(cx)) {
-            Some(Ok(response)) => Some(self.answer(response)),
-            Some(Err(status)) => {
-                self.over = true;
-                Some(Err(Error::from_status(
-                    CALL,
-                    &self.uri,
-                    self.timeout,
-                    status,
-                )))
-            }
-            None => {
-                self.over = true;
-                None
-            }
-        };
-        Poll::Ready(item)
     }
 }

@@ -6,10 +6,7 @@ use bytes::Bytes;
 use wayfold_proto::v1;
 
 use super::{awaitable, fresh_operation_id, partial};
-use crate::{
-    Error, IndexHandle,
-    limits::{self, MUTATION_ROWS, REQUEST_BYTES},
-};
+use crate::{Error, IndexHandle, Revision, limits};
 
 /// Sets tags or payloads of stored points, whose states stay; await it to send it.
 ///
@@ -22,26 +19,28 @@ pub struct Update {
     tags: Vec<u64>,
     tag_mask: Option<u64>,
     payloads: Vec<Bytes>,
-    if_revision: Option<u64>,
+    if_revision: Option<Revision>,
     operation_id: String,
 }
 
 /// What an update did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Updated {
     /// How many points changed.
-    pub updated: u64,
-    /// How many were as asked already.
-    pub unchanged: u64,
+    pub updated_count: u64,
+    /// How many already were as the update sets them.
+    pub unchanged_count: u64,
     /// The revision that the update, or the last of its parts, made or found.
-    pub revision: u64,
+    pub revision: Revision,
 }
 
 awaitable!(Update => Updated);
 
+const CALL: &str = "update";
+
 impl Update {
-    /// Which index it is for.
+    /// The index that it writes to.
     #[cfg(feature = "replica")]
     pub(crate) fn index(&self) -> &IndexHandle {
         &self.index
@@ -79,7 +78,7 @@ impl Update {
 
     /// Compare and set: fails with `FAILED_PRECONDITION`, naming the ids, if one of the points changed after this
     /// revision.
-    pub fn if_revision(mut self, revision: u64) -> Update {
+    pub fn if_revision(mut self, revision: Revision) -> Update {
         self.if_revision = Some(revision);
         self
     }
@@ -94,27 +93,31 @@ impl Update {
         let rows = self.ids.len();
         check_column("tags", self.tags.len(), &[0, 1, rows])?;
         check_column("payloads", self.payloads.len(), &[0, rows])?;
-        let parts = limits::divide(rows, MUTATION_ROWS, REQUEST_BYTES, |row| {
+        let limits = self.index.limits(CALL, rows).await?;
+        let parts = limits::divide(&limits, rows, limits.ids_per_call, |row| {
             self.row_bytes(row)
         });
         if parts.len() > 1 {
             limits::check_unique(&self.ids)?;
         }
-        let mut updated = Updated::default();
+        let mut updated = Updated {
+            updated_count: 0,
+            unchanged_count: 0,
+            revision: self.index.revision(),
+        };
         for (number, part) in parts.iter().enumerate() {
             let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
             let message = || self.message(part, &operation_id);
             let answer = self
                 .index
-                .call("update", message, |mut stub, request| async move {
+                .call(CALL, message, |mut stub, request| async move {
                     stub.update(request).await
                 })
                 .await
                 .map_err(|error| partial(part, rows, error))?;
-            self.index.told(&answer.uid, answer.revision);
-            updated.updated += answer.updated;
-            updated.unchanged += answer.unchanged;
-            updated.revision = answer.revision;
+            updated.updated_count += answer.updated_count;
+            updated.unchanged_count += answer.unchanged_count;
+            updated.revision = self.index.answered(CALL, answer.revision)?;
         }
         Ok(updated)
     }
@@ -140,7 +143,7 @@ impl Update {
             tags: tags.to_vec(),
             tag_mask: self.tag_mask,
             payloads: self.payloads.get(part.clone()).unwrap_or_default().to_vec(),
-            if_revision: self.if_revision,
+            if_revision: self.if_revision.as_ref().map(Revision::to_message),
             operation_id: operation_id.to_owned(),
             uid: self.index.uid().to_owned(),
         }

@@ -2,18 +2,17 @@
 
 use std::time::Duration;
 
-use tokio::time::timeout;
 use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
 
-use super::awaitable;
+use super::{awaitable, receive};
 use crate::{Error, IndexHandle, IndexInfo};
 
-/// Compares what an index answers from with what is stored, at one revision: all points, and sampled queries with brute
-/// force over the stored points. Await it for the whole, or watch it ([`Verify::watched`]).
+/// Compares the searched points with the stored ones, at one revision, and the answers to sampled queries with brute force
+/// over the stored points. Await it for the report, or follow its progress ([`Verify::with_progress`]).
 ///
 /// ```no_run
 /// # async fn example(index: wayfold::IndexHandle) -> Result<(), wayfold::Error> {
-/// let verified = index.verify().queries(100).await?;
+/// let verified = index.verify().query_count(100).await?;
 /// assert!(verified.agrees(), "{:?}", verified.first_disagreements);
 /// # Ok(())
 /// # }
@@ -22,7 +21,7 @@ use crate::{Error, IndexHandle, IndexInfo};
 #[must_use = "a request does nothing until it is awaited"]
 pub struct Verify {
     index: IndexHandle,
-    queries: Option<u32>,
+    query_count: Option<u32>,
     k: Option<u32>,
     seed: u64,
 }
@@ -33,23 +32,23 @@ pub struct Verify {
 pub struct Verified {
     /// The index, at the revision that was verified.
     pub index: IndexInfo,
-    /// How many points are stored; `index.points` are searched.
-    pub stored_points: u64,
+    /// How many points are stored; `index.point_count` are searched.
+    pub stored_point_count: u64,
     /// SHA-256 of the space and the stored points, whatever their revisions: indices of equal content have equal
     /// hashes, on any server.
     pub content_hash: [u8; 32],
-    /// How many states were asked about.
-    pub queries: u64,
+    /// How many states were searched around.
+    pub query_count: u64,
     /// How many disagreements there are.
-    pub disagreements: u64,
+    pub disagreement_count: u64,
     /// The first few of them, in words.
     pub first_disagreements: Vec<String>,
 }
 
 impl Verified {
-    /// Whether what is searched is what is stored, and the answers were those of brute force.
+    /// Whether the searched points are the stored ones, and the answers those of brute force.
     pub fn agrees(&self) -> bool {
-        self.disagreements == 0
+        self.disagreement_count == 0
     }
 }
 
@@ -61,19 +60,19 @@ impl Verify {
     pub(crate) fn new(index: IndexHandle) -> Verify {
         Verify {
             index,
-            queries: None,
+            query_count: None,
             k: None,
             seed: 0,
         }
     }
 
-    /// Asks about so many states, at most 1000; 32 unless set.
-    pub fn queries(mut self, queries: u32) -> Verify {
-        self.queries = Some(queries);
+    /// Searches around this many states, at most 1000; 32 unless set.
+    pub fn query_count(mut self, count: u32) -> Verify {
+        self.query_count = Some(count);
         self
     }
 
-    /// Asks for so many neighbours of each, from 1 to 100; 10 unless set.
+    /// Finds this many neighbours of each, from 1 to 100; 10 unless set.
     pub fn k(mut self, k: u32) -> Verify {
         self.k = Some(k);
         self
@@ -86,15 +85,18 @@ impl Verify {
     }
 
     async fn send(self) -> Result<Verified, Error> {
-        self.watched(|_, _| ()).await
+        self.with_progress(|_, _| ()).await
     }
 
-    /// Does it, and tells from time to time how many points were read, and how many will have been at the end. The
-    /// handle's timeout bounds the wait for each such word, not the whole.
+    /// Sends the request, and calls `progress` from time to time with how many points the server has read, and how many it
+    /// will have read at the end. The handle's timeout bounds the wait for each message, not the whole.
     ///
     /// # Errors
     /// Those of every call. `DATA_LOSS`: stored points cannot be read. A disagreement is no error.
-    pub async fn watched(self, mut progress: impl FnMut(u64, u64)) -> Result<Verified, Error> {
+    pub async fn with_progress(
+        self,
+        mut progress: impl FnMut(u64, u64),
+    ) -> Result<Verified, Error> {
         let (index, message) = (&self.index, self.message());
         let stub = index.client().indexes();
         let attempt = |_remaining: Duration| {
@@ -102,18 +104,15 @@ impl Verify {
             // Without a deadline, which would bound the whole stream.
             async move { stub.verify_index(message).await }
         };
-        let waited = index.timeout();
-        let mut answers = index.client().call(CALL, waited, attempt).await?;
+        let client = index.client();
+        let mut answers = client.call(CALL, index.timeout(), attempt).await?;
         loop {
-            let answer = timeout(waited, answers.message()).await;
-            let answer = answer.map_err(|_| Error::timeout(CALL, waited))?;
-            let answer = answer
-                .map_err(|status| Error::from_status(CALL, index.client().uri(), waited, status))?;
+            let answer = receive(CALL, index, &mut answers).await?;
             match answer.and_then(|answer| answer.result) {
-                Some(Answer::Progress(at)) => progress(at.points_read, at.points_to_read),
+                Some(Answer::Progress(at)) => progress(at.read_point_count, at.total_point_count),
                 Some(Answer::Report(report)) => {
-                    let verified = read(report)?;
-                    index.told(&verified.index.uid, verified.index.revision);
+                    let verified = verified(report)?;
+                    index.note(&verified.index.revision);
                     return Ok(verified);
                 }
                 None => return Err(protocol("it ends without a report")),
@@ -123,23 +122,23 @@ impl Verify {
 
     fn message(&self) -> v1::VerifyIndexRequest {
         v1::VerifyIndexRequest {
-            name: self.index.name().to_owned(),
-            at: Some(self.index.read_at()),
-            queries: self.queries,
+            index: self.index.name().to_owned(),
+            min_revision: self.index.min_revision(),
+            query_count: self.query_count,
             k: self.k,
             seed: self.seed,
         }
     }
 }
 
-fn read(report: v1::VerifyReport) -> Result<Verified, Error> {
+fn verified(report: v1::VerifyReport) -> Result<Verified, Error> {
     let hash = <[u8; 32]>::try_from(&report.content_hash[..]);
     Ok(Verified {
         index: IndexInfo::from_message(CALL, report.index)?,
-        stored_points: report.stored_points,
-        content_hash: hash.map_err(|_| protocol("a content hash that is none"))?,
-        queries: report.queries,
-        disagreements: report.disagreements,
+        stored_point_count: report.stored_point_count,
+        content_hash: hash.map_err(|_| protocol("the content hash does not have 32 bytes"))?,
+        query_count: report.query_count,
+        disagreement_count: report.disagreement_count,
         first_disagreements: report.first_disagreements,
     })
 }

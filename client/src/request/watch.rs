@@ -6,12 +6,12 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-use futures_util::{Stream, StreamExt, stream, stream::BoxStream};
+use futures_util::{StreamExt, stream::BoxStream};
 use tokio::time::timeout;
 use wayfold_proto::v1;
 
-use super::awaitable;
-use crate::{Error, IndexHandle, Points};
+use super::{awaitable, into_stream};
+use crate::{Error, Include, IndexHandle, Points, Revision};
 
 /// Follows an index: every mutation, in order, once readers can see it; await it to begin.
 ///
@@ -20,15 +20,16 @@ use crate::{Error, IndexHandle, Points};
 ///
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;
-/// let mut watch = client.index("arm").await?.watch().after(0).payloads().await?;
+/// let index = client.index("arm").await?;
+/// let mut watch = index.watch().after(index.revision_at(0)).await?;
 /// while let Some(event) = watch.next().await? {
 ///     match event {
 ///         WatchEvent::Mutation(mutation) => println!(
 ///             "revision {}: {} stored, {} removed",
-///             mutation.revision, mutation.stored.len(), mutation.removed.len(),
+///             mutation.revision, mutation.stored.len(), mutation.removed_ids.len(),
 ///         ),
-///         // The mutations that would follow cannot be told: read all points anew, and follow from there.
-///         WatchEvent::Reset(reset) => println!("the index is at revision {} of {}", reset.revision, reset.uid),
+///         // The server cannot send the next mutations: read all points again, and watch from there.
+///         WatchEvent::Reset(reset) => println!("the index is at revision {}", reset.revision),
 ///     }
 /// }
 /// # Ok(())
@@ -38,73 +39,71 @@ use crate::{Error, IndexHandle, Points};
 #[must_use = "a request does nothing until it is awaited"]
 pub struct WatchRequest {
     index: IndexHandle,
-    after: Option<u64>,
-    payloads: bool,
+    after: Option<Revision>,
+    include: Include,
 }
 
-/// A watch under way. It ends after a reset and after an error; to go on after an error, watch again from the newest
-/// revision that came, with a handle of the same uid.
+/// A watch under way, a stream of events. It ends after a reset and after an error; to go on after an error, watch again
+/// from the newest revision that came.
 ///
-/// The server sends no faster than the events are taken. Who takes them too slowly, so that the server forgets what
-/// comes next, is told a reset.
+/// The server sends no faster than the caller takes the events. It sends a reset to a caller that is so slow that the
+/// server no longer keeps the next mutations.
 pub struct Watch {
     index: IndexHandle,
-    payloads: bool,
+    include: Include,
     messages: Messages,
-    /// What came and was not taken.
+    /// Received, and not yet taken.
     ready: VecDeque<WatchEvent>,
-    /// The beginning of a mutation of which the rest is to come, and which piece comes next.
-    begun: Option<(Mutation, u32)>,
-    /// The newest revision that came whole.
+    /// The first pieces of a mutation, and the number of the next piece.
+    unfinished: Option<(Mutation, u32)>,
+    /// The number of the newest revision that came whole.
     after: u64,
-    newest: u64,
+    newest: Revision,
     over: bool,
 }
 
-/// What a server tells who watches: each message after the one before, without a gap.
+/// The messages of a watch, in order and without a gap.
 pub(crate) type Messages = BoxStream<'static, Result<v1::WatchResponse, Error>>;
 
-/// What a watch tells.
+/// An event of a watch.
 #[derive(Clone, Debug, PartialEq)]
 pub enum WatchEvent {
     /// The next mutation.
     Mutation(Mutation),
-    /// What comes next cannot be told. The last event.
+    /// The server cannot send the next mutations. The last event.
     Reset(Reset),
 }
 
-/// One mutation, whole: what it stored and what it removed. No id is in both.
+/// One mutation, whole. No id is both stored and removed.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Mutation {
     /// The revision that it made.
-    pub revision: u64,
-    /// When, by the server's clock.
+    pub revision: Revision,
+    /// The time of the server's clock.
     pub time: SystemTime,
     /// The points that it stored, each in the place of one with the same id. The revision of a point is that of its
     /// state: an older one than the mutation's if only the tag or the payload is new.
     pub stored: Points,
     /// The ids of the points that it removed.
-    pub removed: Vec<u64>,
+    pub removed_ids: Vec<u64>,
 }
 
-/// Why a watch cannot go on, and where the index stands.
+/// Why a watch cannot go on, and the index's revision.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Reset {
-    /// Why.
+    /// The reason.
     pub reason: ResetReason,
-    /// The uid that the index has.
-    pub uid: String,
-    /// The newest revision, of that uid, that can be read.
-    pub revision: u64,
+    /// The newest revision that can be read, of the uid that the index has now.
+    pub revision: Revision,
 }
 
 /// Why a watch cannot go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetReason {
-    /// The index has another uid than the handle: it was deleted and created again, restored, or lost what was not
-    /// synced. Go on with a new handle, [`Client::index`](crate::Client::index).
+    /// The index has another uid: it was deleted and created again, restored, or lost mutations that were not synced. Go on
+    /// with a new handle, [`Client::index`](crate::Client::index).
     UidChanged,
     /// The server does not keep the next mutations any more.
     WindowPassed,
@@ -113,6 +112,7 @@ pub enum ResetReason {
 }
 
 awaitable!(WatchRequest => Watch);
+into_stream!(Watch => WatchEvent);
 
 const CALL: &str = "watch";
 
@@ -121,19 +121,19 @@ impl WatchRequest {
         WatchRequest {
             index,
             after: None,
-            payloads: false,
+            include: Include::points(),
         }
     }
 
-    /// Only the mutations after this revision, of the handle's uid; those after the newest one unless set.
-    pub fn after(mut self, revision: u64) -> WatchRequest {
+    /// The mutations after this revision; those after the newest one unless set.
+    pub fn after(mut self, revision: Revision) -> WatchRequest {
         self.after = Some(revision);
         self
     }
 
-    /// Reads the payloads of stored points too.
-    pub fn payloads(mut self) -> WatchRequest {
-        self.payloads = true;
+    /// The columns of stored points beside ids; states, tags and revisions unless set.
+    pub fn include(mut self, include: Include) -> WatchRequest {
+        self.include = include;
         self
     }
 
@@ -148,49 +148,50 @@ impl WatchRequest {
         let messages = client.call(CALL, waited, attempt).await?;
         let uri = client.uri().to_owned();
         let messages = messages
-            .map(move |told| told.map_err(|status| Error::from_status(CALL, &uri, waited, status)));
+            .map(move |next| next.map_err(|status| Error::from_status(CALL, &uri, waited, status)));
         Watch::of(self, Box::pin(messages)).await
     }
 
     fn message(&self) -> v1::WatchRequest {
         v1::WatchRequest {
             index: self.index.name().to_owned(),
-            uid: self.index.uid().to_owned(),
-            after_revision: self.after,
-            payloads: self.payloads,
+            after_revision: self.after.as_ref().map(Revision::to_message),
+            include: self.include.to_message(),
         }
     }
 }
 
 impl Watch {
-    /// What is told by messages to a request, of which the first comes at once, also where nothing is mutated.
+    /// A watch of the messages that answer a request. The first comes at once, also where nothing is mutated.
     pub(crate) async fn of(request: WatchRequest, messages: Messages) -> Result<Watch, Error> {
         let waited = request.index.timeout();
         let mut watch = Watch {
             messages,
             ready: VecDeque::new(),
-            begun: None,
+            unfinished: None,
             after: 0,
-            newest: 0,
+            newest: request.index.revision(),
             over: false,
-            payloads: request.payloads,
+            include: request.include,
             index: request.index,
         };
         let first = timeout(waited, watch.messages.next()).await;
         let first = first.map_err(|_| Error::timeout(CALL, waited))?;
         let first = first.ok_or_else(|| protocol("a watch without any message"))??;
-        watch.after = request.after.unwrap_or(first.revision);
-        watch.take(first)?;
+        let begins_now = first.revision.as_ref().map(|revision| revision.number);
+        let after = request.after.map(|revision| revision.number);
+        watch.after = after.or(begins_now).unwrap_or(0);
+        watch.take_message(first)?;
         Ok(watch)
     }
 
-    /// The newest revision that the server told of. How far the mutations are behind it is how far the caller is.
-    pub fn newest(&self) -> u64 {
-        self.newest
+    /// The newest revision that can be read. Its distance from the last mutation is how far behind the caller is.
+    pub fn newest(&self) -> &Revision {
+        &self.newest
     }
 
-    /// Waits for the next event, for as long as there is none; `None` at the end. If it is dropped while it waits,
-    /// nothing is lost.
+    /// Waits for the next event, without a timeout; `None` at the end. A future that is dropped while it waits loses
+    /// nothing.
     ///
     /// # Errors
     /// Those of every call; the watch is then over. `NOT_FOUND`: the index was deleted.
@@ -203,8 +204,8 @@ impl Watch {
                 return Ok(None);
             }
             let received = match self.messages.next().await {
-                Some(Ok(message)) => self.take(message),
-                // A watch has no end of its own but a reset.
+                Some(Ok(message)) => self.take_message(message),
+                // Only a reset ends a watch.
                 None => Err(Error::Connection {
                     call: CALL,
                     uri: self.index.client().uri().to_owned(),
@@ -225,37 +226,26 @@ impl Watch {
         self.ready.pop_front()
     }
 
-    /// The events from here on as a stream.
-    pub fn into_stream(self) -> impl Stream<Item = Result<WatchEvent, Error>> + Send + 'static {
-        stream::try_unfold(self, |mut watch| async move {
-            Ok(watch.next().await?.map(|event| (event, watch)))
-        })
-    }
-
     /// Takes the events of a message.
-    fn take(&mut self, message: v1::WatchResponse) -> Result<(), Error> {
-        let reason = match message.reset {
-            0 => None,
-            1 => Some(ResetReason::UidChanged),
-            2 => Some(ResetReason::WindowPassed),
-            other => Some(ResetReason::Other(other)),
-        };
+    fn take_message(&mut self, message: v1::WatchResponse) -> Result<(), Error> {
+        let revision = self.index.answered(CALL, message.revision)?;
+        let reason = message.reset.map(|reason| match reason {
+            1 => ResetReason::UidChanged,
+            2 => ResetReason::WindowPassed,
+            other => ResetReason::Other(other),
+        });
         if let Some(reason) = reason {
             self.over = true;
-            // What was begun is never told.
-            self.begun = None;
-            self.ready.push_back(WatchEvent::Reset(Reset {
-                reason,
-                uid: message.uid,
-                revision: message.revision,
-            }));
+            // The rest of it never comes.
+            self.unfinished = None;
+            let reset = Reset { reason, revision };
+            self.ready.push_back(WatchEvent::Reset(reset));
             return Ok(());
         }
-        if message.uid != self.index.uid() {
+        if *revision.uid != *self.index.uid() {
             return Err(protocol("mutations of another uid"));
         }
-        self.newest = message.revision;
-        self.index.told(&message.uid, message.revision);
+        self.newest = revision;
         for piece in message.mutations {
             self.take_piece(piece)?;
         }
@@ -263,31 +253,28 @@ impl Watch {
     }
 
     fn take_piece(&mut self, message: v1::Mutation) -> Result<(), Error> {
-        let (revision, expected) = (message.revision, self.after + 1);
-        if revision != expected {
-            return Err(protocol(&format!(
-                "revision {revision} where {expected} comes next"
-            )));
+        let revision = self.index.answered(CALL, message.revision)?;
+        // Past the greatest number nothing comes.
+        let expected = self.after.checked_add(1);
+        if *revision.uid != *self.index.uid() || Some(revision.number) != expected {
+            let after = self.index.revision_at(self.after);
+            return Err(protocol(&format!("revision {revision} after {after}")));
         }
-        let stored = Points::from_message(
-            CALL,
-            message.stored,
-            revision,
-            self.index.coordinates(),
-            self.payloads,
-        )?;
-        let mutation = match (self.begun.take(), message.piece) {
-            // Also where it was begun before, and begins anew.
+        let width = self.index.coordinates();
+        let stored =
+            Points::from_message(CALL, message.stored, revision.clone(), width, self.include)?;
+        let mutation = match (self.unfinished.take(), message.piece) {
+            // Also where a mutation begins again after its first pieces.
             (_, 0) => Mutation {
-                revision,
+                revision: revision.clone(),
                 time: SystemTime::UNIX_EPOCH + Duration::from_millis(message.time_ms),
                 stored,
-                removed: message.removed_ids,
+                removed_ids: message.removed_ids,
             },
-            (Some((mut begun, next)), piece) if next == piece => {
-                begun.stored.append(stored);
-                begun.removed.extend(message.removed_ids);
-                begun
+            (Some((mut mutation, next)), piece) if next == piece => {
+                mutation.stored.append(stored);
+                mutation.removed_ids.extend(message.removed_ids);
+                mutation
             }
             (_, piece) => {
                 return Err(protocol(&format!(
@@ -296,9 +283,11 @@ impl Watch {
             }
         };
         if message.continued {
-            self.begun = Some((mutation, message.piece + 1));
+            let next = message.piece.checked_add(1);
+            let next = next.ok_or_else(|| protocol("a mutation without an end"))?;
+            self.unfinished = Some((mutation, next));
         } else {
-            self.after = revision;
+            self.after = revision.number;
             self.ready.push_back(WatchEvent::Mutation(mutation));
         }
         Ok(())

@@ -266,7 +266,7 @@ async fn what_was_divided_and_joined_equals_brute_force() {
         points.push(id as u64, id as u64 * 3, 1, &row);
     }
     for point in points.iter() {
-        oracle.insert(point);
+        oracle.insert(point).unwrap();
     }
 
     let asked = scattered(1500, 3);
@@ -280,7 +280,7 @@ async fn what_was_divided_and_joined_equals_brute_force() {
             (nearest.row(i), Search::nearest_k(20)),
             (around.row(i), Search::nearest_r(0.05)),
         ] {
-            let expected = oracle.search(&state, &search).neighbors;
+            let expected = oracle.search(&state, &search).unwrap().neighbors;
             let expected: Vec<_> = expected
                 .iter()
                 .map(|near| (near.id, near.distance))

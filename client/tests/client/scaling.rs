@@ -35,7 +35,7 @@ fn radius(factor: f64, n: usize) -> f64 {
 }
 
 fn expect(found: &Neighbors, row: usize, points: &Linear, state: &[f64], search: &Search<'_>) {
-    let expected = points.search(state, search).neighbors;
+    let expected = points.search(state, search).unwrap().neighbors;
     let expected: Vec<(u64, f64)> = expected.iter().map(|n| (n.id, n.distance)).collect();
     let found: Vec<(u64, f64)> = found.row(row).iter().collect();
     assert_eq!(found, expected, "{state:?} {search:?}");
@@ -47,12 +47,14 @@ async fn the_server_evaluates_it_at_the_size_of_its_index() {
     let index = server.index("se2", SPACE).await;
     let mut points = Linear::new(SPACE.parse::<Space>().unwrap());
     let mut insert = |id: usize, row: &[f64; 3]| {
-        points.insert(PointRef {
-            id: id as u64,
-            tag: 0,
-            revision: 1,
-            row,
-        });
+        points
+            .insert(PointRef {
+                id: id as u64,
+                tag: 0,
+                revision: 1,
+                row,
+            })
+            .unwrap();
         points.clone()
     };
 

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use super::{growing::Growing, packed::Packed};
-use crate::{PointRef, Points, kernel::Set, search::Walk};
+use crate::{Point, Points, TreeReport, kernel::Set, search::Walk};
 
 /// Points by ascending id.
-pub(super) type InOrder<'a> = Box<dyn Iterator<Item = PointRef<'a>> + Send + 'a>;
+pub(super) type InOrder<'a> = Box<dyn Iterator<Item = Point> + Send + 'a>;
 
 /// Shared by count between the forest, its snapshots and the merges under way.
 #[derive(Debug)]
@@ -46,16 +46,13 @@ impl Level {
         }
     }
 
-    pub(super) fn get(&self, slot: usize) -> PointRef<'_> {
+    pub(super) fn get(&self, slot: usize) -> Point {
         of!(self, held => held.get(slot))
     }
 
     /// Appends a copy of the point in `slot` to `points`.
     pub(super) fn copy_to(&self, slot: usize, points: &mut Points) {
-        match self {
-            Level::Packed(packed) => packed.copy_to(slot, points),
-            Level::Grown(grown) => points.push_point(grown.get(slot)),
-        }
+        of!(self, held => held.copy_to(slot, points));
     }
 
     pub(super) fn sees(&self, slot: usize, revision: u64) -> bool {
@@ -87,7 +84,7 @@ impl Level {
         of!(self, held => held.memory_bytes())
     }
 
-    pub(super) fn validate(&self) -> Result<(), String> {
+    pub(super) fn validate(&self) -> Result<TreeReport, String> {
         of!(self, held => held.validate())
     }
 }

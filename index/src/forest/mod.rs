@@ -22,7 +22,7 @@ mod validate;
 
 use std::sync::Arc;
 
-use crate::{Answer, KdTree, PointRef, Points, Search, Space, kernel::Scale};
+use crate::{Answer, ApplyError, KdTree, Point, Points, Search, SearchError, Space, kernel::Scale};
 use growing::Growing;
 use level::Level;
 use merge::Running;
@@ -31,28 +31,35 @@ use packed::Packed;
 use past::Past;
 pub use snapshot::Snapshot;
 use tombstones::HEAD;
+pub use validate::ForestReport;
 
-/// The sizes a forest is built with.
+/// The sizes a forest is built with; [`ForestOptions::for_space`] has those that measure best.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForestOptions {
-    /// Most points of the level that grows by single points, up to 2²⁰; an eighth of it in spaces of more than three
-    /// dimensions, where a search of packed levels gains more by their full leaves than it loses by their number.
+    /// The greatest number of points in the level that grows by single points, from 1 to
+    /// [`ForestOptions::MAX_GROWING_ROWS`]; a number outside that range counts as its nearer end.
     pub growing_rows: usize,
-    /// Most points of a leaf.
+    /// The greatest number of points in a leaf, at least 1.
     pub leaf_rows: usize,
 }
 
-impl Default for ForestOptions {
-    fn default() -> Self {
+impl ForestOptions {
+    /// The largest `growing_rows`: tombstones have room for that many points of a level that grows.
+    pub const MAX_GROWING_ROWS: usize = 1 << 20;
+
+    /// Leaves of 16 points, and a growing level of 65,536 points in a space of up to three dimensions or 8,192 in any
+    /// other, where a search gains more from the full leaves of packed levels than it loses to their number.
+    pub fn for_space(space: &Space) -> Self {
         Self {
-            growing_rows: 1 << 16,
+            growing_rows: if space.dimension() > 3 {
+                1 << 13
+            } else {
+                1 << 16
+            },
             leaf_rows: 16,
         }
     }
 }
-
-/// Marks of removed points have room for all that may grow.
-const MOST_GROWING: usize = 1 << 20;
 
 /// A mutation of more rows than this part of what grows makes a level of its own, to be packed at once.
 const LARGE: usize = 8;
@@ -62,15 +69,18 @@ const LARGE: usize = 8;
 /// ```
 /// use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
 ///
-/// let mut forest = Forest::new(Space::se2(), ForestOptions::default());
+/// let space = Space::se2();
+/// let options = ForestOptions::for_space(&space);
+/// let mut forest = Forest::new(space, options);
 /// let mut points = Points::new(3);
 /// points.push(1, 0, 1, &[0.0, 0.0, 0.0]);
 /// points.push(2, 0, 1, &[1.0, 0.0, 0.0]);
-/// forest.apply(1, &points, &[]);
+/// forest.apply(1, &points, &[])?;
 /// let before = forest.snapshot();
-/// forest.apply(2, &Points::new(3), &[1]);
-/// assert_eq!(forest.search(&[0.0; 3], &Search::nearest_k(1)).neighbors[0].id, 2);
-/// assert_eq!(before.search(&[0.0; 3], &Search::nearest_k(1)).neighbors[0].id, 1);
+/// forest.apply(2, &Points::new(3), &[1])?;
+/// assert_eq!(forest.search(&[0.0; 3], &Search::nearest_k(1))?.neighbors[0].id, 2);
+/// assert_eq!(before.search(&[0.0; 3], &Search::nearest_k(1))?.neighbors[0].id, 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
 pub struct Forest {
@@ -88,9 +98,10 @@ pub struct Forest {
 impl Forest {
     /// An empty forest at revision 0.
     pub fn new(space: Space, options: ForestOptions) -> Self {
-        let part = if space.dimension() > 3 { 8 } else { 1 };
         let options = ForestOptions {
-            growing_rows: (options.growing_rows / part).clamp(1, MOST_GROWING),
+            growing_rows: options
+                .growing_rows
+                .clamp(1, ForestOptions::MAX_GROWING_ROWS),
             leaf_rows: options.leaf_rows.max(1),
         };
         let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);
@@ -132,13 +143,16 @@ impl Forest {
         self.head.revision
     }
 
-    /// The point with this id.
-    pub fn get(&self, id: u64) -> Option<PointRef<'_>> {
+    /// A copy of the point with this id.
+    pub fn get(&self, id: u64) -> Option<Point> {
         self.head.get(id)
     }
 
     /// Answers `search` for a canonical `state` at the head.
-    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
+    ///
+    /// # Errors
+    /// As [`Snapshot::search`].
+    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         self.head.search(state, search)
     }
 
@@ -155,16 +169,20 @@ impl Forest {
     /// Applies one mutation as `revision`: removes the points with the ids `removed`, then stores the canonical rows
     /// `stored`, in the place of points with the same ids. Returns how many of `removed` were there.
     ///
-    /// # Panics
-    /// If `revision` is not above the forest's (the caller lost count), or the rows are of another width or more than
-    /// [`KdTree::MAX_POINTS`].
-    pub fn apply(&mut self, revision: u64, stored: &Points, removed: &[u64]) -> usize {
-        assert!(
-            revision > self.head.revision,
-            "revision {revision} after {}",
-            self.head.revision
-        );
-        assert_eq!(stored.coordinates(), self.head.space.coordinates());
+    /// # Errors
+    /// `revision` is not above the forest's, the rows are not canonical states of the space, two have the same id, or
+    /// there are more than [`KdTree::MAX_POINTS`]; nothing is changed then.
+    pub fn apply(
+        &mut self,
+        revision: u64,
+        stored: &Points,
+        removed: &[u64],
+    ) -> Result<usize, ApplyError> {
+        let head = self.head.revision;
+        if revision <= head {
+            return Err(ApplyError::Revision { revision, head });
+        }
+        stored.check(&self.head.space)?;
         // First, so that what this mutation has removed already is dead to its own look-ups.
         self.head.revision = revision;
         let found = removed
@@ -175,7 +193,7 @@ impl Forest {
             self.remove(id, revision);
         }
         self.store(stored);
-        found
+        Ok(found)
     }
 
     /// Removes the point with this id as of `revision`; false if there is none.

@@ -6,7 +6,7 @@ use super::{
     level::InOrder,
     tombstones::{HEAD, Tombstones},
 };
-use crate::{KdTree, PointRef, Points, Space, kernel::Set, search::Walk};
+use crate::{KdTree, Point, Points, Space, TreeReport, kernel::Set, search::Walk};
 
 /// Each id stands in it at most once.
 #[derive(Debug)]
@@ -55,7 +55,7 @@ impl Packed {
         self.built
     }
 
-    pub(super) fn get(&self, slot: usize) -> PointRef<'_> {
+    pub(super) fn get(&self, slot: usize) -> Point {
         self.tree.get(slot)
     }
 
@@ -115,8 +115,8 @@ impl Packed {
         self.tree.memory_bytes() + 4 * self.by_id.capacity() + self.tombstones.memory_bytes()
     }
 
-    pub(super) fn validate(&self) -> Result<(), String> {
-        self.tree.validate()?;
+    pub(super) fn validate(&self) -> Result<TreeReport, String> {
+        let report = self.tree.validate()?;
         let ids = self.tree.ids();
         if self.by_id.len() != ids.len() {
             return Err("the ids of a level are not all in order".into());
@@ -138,7 +138,7 @@ impl Packed {
                 self.dead()
             ));
         }
-        Ok(())
+        Ok(report)
     }
 }
 

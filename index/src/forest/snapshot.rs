@@ -4,7 +4,7 @@ use std::{iter::Peekable, sync::Arc};
 
 use super::{growing::Growing, level::Level};
 use crate::{
-    Answer, Kernels, PointRef, Search, Space,
+    Answer, Kernels, Point, Search, SearchError, Space,
     kernel::{Scale, Set, Task},
     search::Walk,
 };
@@ -48,12 +48,24 @@ impl Snapshot {
     }
 
     /// Answers `search` for a canonical `state`.
-    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
+    ///
+    /// # Errors
+    /// The state is not a canonical state of the space ([`Space::canonicalize`]), or a number of the search is out of its
+    /// range.
+    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         self.search_with(&Kernels::default(), state, search)
     }
 
     /// As [`Snapshot::search`], with these kernels.
-    pub fn search_with(&self, kernels: &Kernels, state: &[f64], search: &Search<'_>) -> Answer {
+    ///
+    /// # Errors
+    /// As [`Snapshot::search`].
+    pub fn search_with(
+        &self,
+        kernels: &Kernels,
+        state: &[f64],
+        search: &Search<'_>,
+    ) -> Result<Answer, SearchError> {
         kernels.run(SearchSnapshot {
             snapshot: self,
             state,
@@ -61,8 +73,8 @@ impl Snapshot {
         })
     }
 
-    /// The point with this id.
-    pub fn get(&self, id: u64) -> Option<PointRef<'_>> {
+    /// A copy of the point with this id.
+    pub fn get(&self, id: u64) -> Option<Point> {
         // The newest points are asked about most.
         if let Some(slot) = self.growing.find(id, self.revision) {
             return Some(self.growing.get(slot));
@@ -78,8 +90,8 @@ impl Snapshot {
             .find_map(|at| Some((at, self.levels[at].find(id, self.revision)?)))
     }
 
-    /// The points with ids above `after` (all points if None), by ascending id.
-    pub fn points_after(&self, after: Option<u64>) -> impl Iterator<Item = PointRef<'_>> {
+    /// Copies of the points with ids above `after` (of all points if None), by ascending id.
+    pub fn points_after(&self, after: Option<u64>) -> impl Iterator<Item = Point> {
         let levels = self.levels.iter();
         let levels = levels.map(|level| level.points_after(after, self.revision));
         let growing = self.growing.points_after(after, self.revision);
@@ -103,17 +115,18 @@ struct SearchSnapshot<'a> {
 }
 
 impl Task for SearchSnapshot<'_> {
-    type Output = Answer;
+    type Output = Result<Answer, SearchError>;
 
     #[inline(always)]
-    fn run<S: Set>(self) -> Answer {
+    fn run<S: Set>(self) -> Result<Answer, SearchError> {
         let snapshot = self.snapshot;
+        self.search.check(&snapshot.space, self.state)?;
         let mut walk = Walk::new(&snapshot.space, &snapshot.scale, self.state, self.search);
         for level in snapshot.levels.iter() {
             level.visit::<S>(&mut walk, snapshot.revision);
         }
         snapshot.growing.visit::<S>(&mut walk, snapshot.revision);
-        walk.finish()
+        Ok(walk.finish())
     }
 }
 
@@ -122,10 +135,10 @@ struct Ascending<I: Iterator> {
     parts: Vec<Peekable<I>>,
 }
 
-impl<'a, I: Iterator<Item = PointRef<'a>>> Iterator for Ascending<I> {
-    type Item = PointRef<'a>;
+impl<I: Iterator<Item = Point>> Iterator for Ascending<I> {
+    type Item = Point;
 
-    fn next(&mut self) -> Option<PointRef<'a>> {
+    fn next(&mut self) -> Option<Point> {
         let parts = self.parts.iter_mut();
         let ids = parts.map(|part| part.peek().map(|point| point.id));
         let ids = ids.enumerate().filter_map(|(at, id)| Some((id?, at)));
@@ -142,7 +155,7 @@ mod tests {
     fn the_greatest_id_is_read_after_a_level_has_ended() {
         let options = ForestOptions {
             growing_rows: 16,
-            ..ForestOptions::default()
+            leaf_rows: 16,
         };
         let mut forest = Forest::new("R1".parse::<Space>().unwrap(), options);
         let points = |ids: &[u64]| {
@@ -153,8 +166,8 @@ mod tests {
             points
         };
         // More than grow become a level of their own.
-        forest.apply(1, &points(&[1, 2, 3, 4]), &[]);
-        forest.apply(2, &points(&[u64::MAX]), &[]);
+        forest.apply(1, &points(&[1, 2, 3, 4]), &[]).unwrap();
+        forest.apply(2, &points(&[u64::MAX]), &[]).unwrap();
         let snapshot = forest.snapshot();
         let ids: Vec<u64> = snapshot.points_after(None).map(|point| point.id).collect();
         assert_eq!(ids, [1, 2, 3, 4, u64::MAX]);

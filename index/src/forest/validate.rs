@@ -3,6 +3,16 @@
 use std::{collections::HashSet, sync::Arc};
 
 use super::Forest;
+use crate::TreeReport;
+
+/// What [`Forest::validate`] found in a forest, tree by tree.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ForestReport {
+    /// The level that grows by single points.
+    pub growing: TreeReport,
+    /// The other levels, the largest first.
+    pub levels: Vec<TreeReport>,
+}
 
 impl Forest {
     /// Checks every level and tree, that each id is alive at most once, that the counts agree, and that merges under
@@ -10,12 +20,13 @@ impl Forest {
     ///
     /// # Errors
     /// The first invariant found broken.
-    pub fn validate(&self) -> Result<(), String> {
+    pub fn validate(&self) -> Result<ForestReport, String> {
         let head = &self.head;
         if head.growing.is_full() {
             return Err("what grows is full".into());
         }
-        head.growing.validate()?;
+        let growing = head.growing.validate()?;
+        let mut levels = Vec::with_capacity(head.levels.len());
         let mut alive: HashSet<u64> = HashSet::with_capacity(head.live);
         for point in head.growing.points_after(None, head.revision) {
             if !alive.insert(point.id) {
@@ -23,7 +34,7 @@ impl Forest {
             }
         }
         for level in head.levels.iter() {
-            level.validate()?;
+            levels.push(level.validate()?);
             for point in level.points_after(None, head.revision) {
                 if !alive.insert(point.id) {
                     return Err(format!("id {} is alive twice", point.id));
@@ -53,6 +64,6 @@ impl Forest {
                 return Err("a merge holds a level that is not its own".into());
             }
         }
-        Ok(())
+        Ok(ForestReport { growing, levels })
     }
 }

@@ -6,7 +6,7 @@
 
 use std::{ops::Range, sync::Arc};
 
-use super::{KdTree, Node, reach::Reach, rounded::Rounded, rows::Rows};
+use super::{KdTree, Node, reach::Reach, rounded::Rounded};
 use crate::{
     Points, Space,
     blocks::Blocks,
@@ -17,17 +17,9 @@ use crate::{
 const SAMPLE: usize = 256;
 
 impl KdTree {
-    /// As [`KdTree::new`], for a space that several trees share.
+    /// As [`KdTree::new`], for a space that several trees share and points that were checked.
     pub(crate) fn build(space: Arc<Space>, points: Points, leaf_rows: usize) -> Self {
-        assert!(
-            points.len() <= Self::MAX_POINTS,
-            "too many points for a tree"
-        );
-        assert_eq!(
-            points.coordinates(),
-            space.coordinates(),
-            "rows of another space"
-        );
+        debug_assert_eq!(points.check(&space), Ok(()));
         let leaf_rows = leaf_rows.max(1);
         let leaves = points.len().div_ceil(leaf_rows);
         let height = height(leaves);
@@ -61,7 +53,6 @@ impl KdTree {
                 .then(|| Rounded::where_it_helps(&space, &points, &blocks))
                 .flatten(),
             blocks,
-            rows: Rows::new(leaves * leaf_rows.div_ceil(BLOCK)),
             max_revision: points.iter().map(|point| point.revision).max().unwrap_or(0),
             scale: Scale::new(&space),
             space,

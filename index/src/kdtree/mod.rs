@@ -1,11 +1,15 @@
 //! The static kd-tree, built once over a table of points.
 //!
-//! It is the tree of Yershova and LaValle ("Improving Motion Planning Algorithms by Efficient Nearest-Neighbor
-//! Searching", IEEE Transactions on Robotics) in the un-identified space: an interval for each circle, R⁴ for each
-//! rotation. That opposite ends of the interval, or q and −q, are one state enters only in the query, in the bound from
-//! a state to a box. What differs serves wide registers: a node has up to sixteen children, whose boxes are tight in
-//! every coordinate and lie side by side, so that one pass bounds them all (see [`kernel`](crate::kernel)); leaves are
-//! full, and keep their points coordinate by coordinate.
+//! The method is that of Yershova and LaValle ("Improving Motion Planning Algorithms by Efficient Nearest-Neighbor
+//! Searching", IEEE Transactions on Robotics): the tree is built in the un-identified space, an interval for each circle
+//! and R⁴ for each rotation. That opposite ends of the interval, or q and −q, are one state enters only in the query, in
+//! the lower bound of the distance from a state to a box. The tree itself is not theirs; it is made for wide registers:
+//!
+//! - A cut is at a median, rounded to full leaves; theirs is a sliding midpoint.
+//! - A node has up to sixteen children, where theirs has two. The children's boxes are tight in every coordinate and lie
+//!   side by side, so that one pass bounds them all (see [`kernel`](crate::kernel)).
+//! - The bound of a box is computed from all of its coordinates; theirs is updated by the one factor that a cut touches.
+//! - A leaf keeps its points coordinate by coordinate.
 //!
 //! Nothing here changes after the build: a tree may be searched from any number of threads.
 
@@ -13,13 +17,12 @@ mod build;
 mod query;
 mod reach;
 mod rounded;
-mod rows;
 mod validate;
 
 use std::sync::Arc;
 
 use crate::{
-    Answer, Kernels, PointRef, Points, Search, Space,
+    Answer, Kernels, Point, Points, PointsError, Search, SearchError, Space,
     blocks::Blocks,
     kernel::{BLOCK, CHILDREN, Scale, Set, Task},
     search::Walk,
@@ -27,7 +30,7 @@ use crate::{
 pub(crate) use build::scales;
 pub(crate) use reach::Reach;
 use rounded::Rounded;
-use rows::Rows;
+pub use validate::TreeReport;
 
 /// Where a node's children are: that many, one after the other, among the nodes or, at the bottom, among the leaves.
 #[derive(Clone, Copy, Debug)]
@@ -45,10 +48,10 @@ struct Node {
 /// let mut points = Points::new(space.coordinates());
 /// points.push(1, 0, 1, &[0.0, 0.0, 3.1]);
 /// points.push(2, 0, 1, &[0.0, 0.0, -3.1]);
-/// let tree = KdTree::new(space, points, 8);
-/// let nearest = tree.search(&[0.0, 0.0, -3.0], &Search::nearest_k(1));
+/// let tree = KdTree::new(space, points, 8)?;
+/// let nearest = tree.search(&[0.0, 0.0, -3.0], &Search::nearest_k(1))?;
 /// assert_eq!(nearest.neighbors[0].id, 2);
-/// # Ok::<(), wayfold_index::SpaceError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct KdTree {
@@ -67,7 +70,6 @@ pub struct KdTree {
     /// The rows of each leaf, which begins a block.
     blocks: Blocks,
     rounded: Option<Rounded>,
-    rows: Rows,
     /// The newest state of the tree, so that a search for newer ones can skip it whole.
     max_revision: u64,
     reach: Reach,
@@ -79,19 +81,32 @@ impl KdTree {
 
     /// Builds the tree over canonical rows, in O(d · n · log n), with leaves of `leaf_rows` points.
     ///
-    /// # Panics
-    /// If the rows are of another width than the space's, or more than [`KdTree::MAX_POINTS`].
-    pub fn new(space: Space, points: Points, leaf_rows: usize) -> Self {
-        Self::build(Arc::new(space), points, leaf_rows)
+    /// # Errors
+    /// The rows are not canonical states of the space, two have the same id, or there are more than
+    /// [`KdTree::MAX_POINTS`].
+    pub fn new(space: Space, points: Points, leaf_rows: usize) -> Result<Self, PointsError> {
+        points.check(&space)?;
+        Ok(Self::build(Arc::new(space), points, leaf_rows))
     }
 
     /// Answers `search` for a canonical `state`.
-    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Answer {
+    ///
+    /// # Errors
+    /// The state is not a canonical state of the space, or a number of the search is out of its range.
+    pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         self.search_with(&Kernels::default(), state, search)
     }
 
     /// As [`KdTree::search`], with these kernels.
-    pub fn search_with(&self, kernels: &Kernels, state: &[f64], search: &Search<'_>) -> Answer {
+    ///
+    /// # Errors
+    /// As [`KdTree::search`].
+    pub fn search_with(
+        &self,
+        kernels: &Kernels,
+        state: &[f64],
+        search: &Search<'_>,
+    ) -> Result<Answer, SearchError> {
         kernels.run(SearchTree {
             tree: self,
             state,
@@ -99,17 +114,14 @@ impl KdTree {
         })
     }
 
-    /// The point in `slot`, in the order of the leaves.
-    pub fn get(&self, slot: usize) -> PointRef<'_> {
-        let (place, width) = (self.place(slot), self.space.coordinates());
-        let rows = self.rows.of_block(place / BLOCK, || {
-            let first = place - place % BLOCK;
-            let places = first..first + BLOCK;
-            places.flat_map(|place| self.blocks.row(place)).collect()
-        });
-        PointRef {
-            row: &rows[place % BLOCK * width..][..width],
-            ..self.labels.get(slot)
+    /// A copy of the point in `slot`, in the order of the leaves.
+    pub fn get(&self, slot: usize) -> Point {
+        let label = self.labels.get(slot);
+        Point {
+            id: label.id,
+            tag: label.tag,
+            revision: label.revision,
+            row: self.row(slot).collect(),
         }
     }
 
@@ -130,8 +142,8 @@ impl KdTree {
         leaf * self.leaf_rows.next_multiple_of(BLOCK) + place
     }
 
-    /// All points, in the order of the leaves.
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = PointRef<'_>> {
+    /// Copies of all points, in the order of the leaves.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Point> {
         (0..self.len()).map(|slot| self.get(slot))
     }
 
@@ -157,7 +169,6 @@ impl KdTree {
             + 8 * self.boxes.capacity()
             + self.blocks.memory_bytes()
             + self.rounded.as_ref().map_or(0, Rounded::memory_bytes)
-            + self.rows.memory_bytes()
     }
 
     /// How many leaves there are.
@@ -192,12 +203,13 @@ struct SearchTree<'a> {
 }
 
 impl Task for SearchTree<'_> {
-    type Output = Answer;
+    type Output = Result<Answer, SearchError>;
 
     #[inline(always)]
-    fn run<S: Set>(self) -> Answer {
+    fn run<S: Set>(self) -> Result<Answer, SearchError> {
+        self.search.check(&self.tree.space, self.state)?;
         let mut walk = Walk::new(&self.tree.space, &self.tree.scale, self.state, self.search);
         self.tree.visit::<S>(&mut walk, |_| true);
-        walk.finish()
+        Ok(walk.finish())
     }
 }

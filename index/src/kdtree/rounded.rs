@@ -104,9 +104,11 @@ mod tests {
             .map(|&x| space.distance(&row(x), &row(query)));
         let radius = distances.fold(0.0, f64::max);
         for leaf_rows in [5, BLOCK, BLOCK + 1, 40] {
-            let tree = KdTree::new(space.clone(), points.clone(), leaf_rows);
+            let tree = KdTree::new(space.clone(), points.clone(), leaf_rows).unwrap();
             tree.validate().unwrap();
-            let found = tree.search(&row(query), &Search::nearest_r(radius));
+            let found = tree
+                .search(&row(query), &Search::nearest_r(radius))
+                .unwrap();
             assert_eq!(found.neighbors.len(), 50, "{space} {leaf_rows}");
         }
     }
@@ -151,11 +153,14 @@ mod tests {
                 points.push(id, 0, 1, &row(narrow * (id % 7) as f64, 0.0));
             }
             let asked = row(narrow, query);
-            let tree = KdTree::new(space.clone(), points.clone(), BLOCK);
+            let tree = KdTree::new(space.clone(), points.clone(), BLOCK).unwrap();
             for radius in points.iter().map(|point| space.distance(point.row, &asked)) {
                 let near = |row: &[f64]| space.distance(row, &asked) <= radius;
                 let expected = points.iter().filter(|point| near(point.row)).count();
-                let found = tree.search(&asked, &Search::nearest_r(radius)).neighbors;
+                let found = tree
+                    .search(&asked, &Search::nearest_r(radius))
+                    .unwrap()
+                    .neighbors;
                 assert_eq!(found.len(), expected, "{space} {radius}");
             }
         }

@@ -3,13 +3,22 @@
 use super::KdTree;
 use crate::kernel::{BLOCK, CHILDREN, CODES};
 
+/// What [`KdTree::validate`] found in a tree, so that a test can tell that it reached what it is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TreeReport {
+    /// The number of nodes between the root, included, and a leaf.
+    pub height: usize,
+    /// The number of searches that read all leaves in order instead of descending.
+    pub scans: usize,
+}
+
 impl KdTree {
     /// Checks that the leaves are reached in order, each once and equally deep, that every point lies in the boxes
     /// above it, and that the blocks hold the rows.
     ///
     /// # Errors
     /// The first invariant found broken.
-    pub fn validate(&self) -> Result<(), String> {
+    pub fn validate(&self) -> Result<TreeReport, String> {
         let mut check = Check {
             tree: self,
             nodes: 0,
@@ -34,7 +43,10 @@ impl KdTree {
         if let Some(newer) = self.labels.iter().find(|p| p.revision > self.max_revision) {
             return Err(format!("point {} is newer than its tree", newer.id));
         }
-        Ok(())
+        Ok(TreeReport {
+            height: self.height as usize,
+            scans: self.reach.scans(),
+        })
     }
 }
 

@@ -91,6 +91,9 @@ pub enum StateProblem {
         /// The row's numbers.
         found: usize,
     },
+    /// The coordinate is valid, and [`Space::canonicalize`] would change it.
+    #[error("not in canonical form: the row has not been canonicalized for this space")]
+    NotCanonical,
 }
 
 impl StateError {
@@ -112,6 +115,10 @@ impl StateError {
         StateError::new(expected.min(found), StateProblem::Width { expected, found })
     }
 
+    pub(super) fn not_canonical(coordinate: usize) -> StateError {
+        StateError::new(coordinate, StateProblem::NotCanonical)
+    }
+
     /// The error of a factor, said of the row in which the factor begins at `offset`.
     pub(super) fn shifted(mut self, offset: usize) -> StateError {
         self.coordinate += offset;
@@ -125,7 +132,8 @@ impl StateError {
             StateProblem::NaN
             | StateProblem::Infinite
             | StateProblem::TooLarge
-            | StateProblem::Norm(_) => format!("[{}]", self.coordinate),
+            | StateProblem::Norm(_)
+            | StateProblem::NotCanonical => format!("[{}]", self.coordinate),
         }
     }
 }

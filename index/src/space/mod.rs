@@ -28,6 +28,9 @@ use std::f64::consts::TAU;
 use std::fmt;
 use std::str::FromStr;
 
+/// The bits of −0.0, which no canonical row has.
+const NEGATIVE_ZERO: u64 = 1 << 63;
+
 /// One factor of a space.
 ///
 /// A state holds the coordinates of its factors one after the other, in the order of the space.
@@ -85,6 +88,15 @@ impl Factor {
             Factor::RealVector(_) => real_vector::canonicalize(coordinates),
             Factor::SO2 { period } => so2::canonicalize(coordinates, period),
             Factor::SO3 => so3::canonicalize(coordinates),
+        }
+    }
+
+    /// The ends of each of its coordinates in canonical form.
+    fn ends(&self) -> [f64; 2] {
+        match *self {
+            Factor::RealVector(_) => real_vector::ENDS,
+            Factor::SO2 { period } => so2::ends(period),
+            Factor::SO3 => so3::ENDS,
         }
     }
 
@@ -186,6 +198,10 @@ pub struct Space {
     /// The factors of all groups, in row order.
     parts: Vec<Part>,
     coordinates: usize,
+    /// The ends of each coordinate in canonical form.
+    ends: Vec<[f64; 2]>,
+    /// The first coordinates of the rotations.
+    rotations: Vec<usize>,
 }
 
 impl Space {
@@ -248,7 +264,7 @@ impl Space {
     }
 
     fn from_valid(mut groups: Vec<Group>) -> Space {
-        let (mut parts, mut offset) = (Vec::new(), 0);
+        let (mut parts, mut ends, mut rotations, mut offset) = (vec![], vec![], vec![], 0);
         for (g, group) in groups.iter_mut().enumerate() {
             // Adding 0.0 makes −0.0, a valid weight, 0.0, which is what it prints as.
             group.weight += 0.0;
@@ -262,13 +278,20 @@ impl Space {
                     group: g,
                     ends_group: t == last,
                 });
-                offset += term.factor.coordinates();
+                let coordinates = term.factor.coordinates();
+                ends.extend((0..coordinates).map(|_| term.factor.ends()));
+                if term.factor == Factor::SO3 {
+                    rotations.push(offset);
+                }
+                offset += coordinates;
             }
         }
         Space {
             groups,
             parts,
             coordinates: offset,
+            ends,
+            rotations,
         }
     }
 
@@ -307,6 +330,42 @@ impl Space {
                 .map_err(|error| error.shifted(part.offset))?;
         }
         Ok(())
+    }
+
+    /// Checks that a row is in canonical form: that [`Space::canonicalize`] would leave it as it is, to the bit.
+    ///
+    /// # Errors
+    /// As [`Space::canonicalize`], or [`StateProblem::NotCanonical`] naming the first coordinate that it would change.
+    #[inline]
+    pub fn check_canonical(&self, row: &[f64]) -> Result<(), StateError> {
+        if self.is_canonical(row) {
+            return Ok(());
+        }
+        Err(self.canonical_problem(row))
+    }
+
+    #[inline]
+    fn is_canonical(&self, row: &[f64]) -> bool {
+        // (One pass over all coordinates: made factor by factor, the check cost 4 % of a search in R3.)
+        let mut ended = row.iter().zip(&self.ends);
+        row.len() == self.coordinates
+            && ended.all(|(x, [lo, hi])| lo <= x && x <= hi && x.to_bits() != NEGATIVE_ZERO)
+            && self
+                .rotations
+                .iter()
+                .all(|&at| so3::is_canonical(&row[at..at + 4]))
+    }
+
+    /// What is wrong with a row that is not canonical.
+    #[cold]
+    fn canonical_problem(&self, row: &[f64]) -> StateError {
+        let mut canonical = row.to_vec();
+        if let Err(error) = self.canonicalize(&mut canonical) {
+            return error;
+        }
+        let mut pairs = row.iter().zip(&canonical);
+        let changed = pairs.position(|(a, b)| a.to_bits() != b.to_bits());
+        StateError::not_canonical(changed.unwrap_or_default())
     }
 
     /// The distance of two canonical rows of this space; symmetric to the bit, and never NaN.

@@ -23,6 +23,9 @@ pub(super) fn interpolate(a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
     }
 }
 
+/// The ends of a canonical coordinate.
+pub(super) const ENDS: [f64; 2] = [-MAX_MAGNITUDE, MAX_MAGNITUDE];
+
 /// Checks the coordinates, and turns −0.0 into 0.0.
 pub(super) fn canonicalize(coordinates: &mut [f64]) -> Result<(), StateError> {
     for (i, x) in coordinates.iter_mut().enumerate() {

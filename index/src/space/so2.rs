@@ -36,6 +36,12 @@ pub(super) fn interpolate(a: f64, b: f64, period: f64, t: f64, between: &mut [f6
     between[0] = a + t * (b - a);
 }
 
+/// The ends of a canonical angle.
+pub(super) fn ends(period: f64) -> [f64; 2] {
+    let half = period / 2.0;
+    [-half, half.next_down()]
+}
+
 /// Checks the angle and wraps it into [−P/2, P/2).
 ///
 /// An angle that lies there is not touched, so wrapping twice changes no bit. Any other is brought there by the IEEE

@@ -67,6 +67,26 @@ pub(super) fn interpolate(a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
 /// who prunes on it leaves that margin.
 pub(crate) const SERIES: [f64; 3] = [1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0];
 
+/// Beyond these ends no coordinate of a canonical quaternion lies.
+pub(super) const ENDS: [f64; 2] = [-1.0 - UNIT_TOLERANCE, 1.0 + UNIT_TOLERANCE];
+
+/// Whether [`canonicalize`] would leave a quaternion without −0.0 as it is.
+#[inline]
+pub(super) fn is_canonical(q: &[f64]) -> bool {
+    let mut norm_2 = 0.0;
+    for x in q {
+        norm_2 += x * x;
+    }
+    (norm_2 - 1.0).abs() <= UNIT_TOLERANCE && !is_negative(q)
+}
+
+/// Whether −q is the canonical one of q and −q: decided by w, and where that is 0 by x, y, z in this order.
+#[inline]
+fn is_negative(q: &[f64]) -> bool {
+    let deciding = [q[3], q[0], q[1], q[2]].into_iter().find(|x| *x != 0.0);
+    deciding.is_some_and(|x| x < 0.0)
+}
+
 /// Checks the quaternion, normalises it, and chooses its sign: w > 0, or w = 0 and the first non-zero of x, y, z
 /// positive.
 ///
@@ -93,9 +113,7 @@ pub(super) fn canonicalize(q: &mut [f64]) -> Result<(), StateError> {
             *x /= norm;
         }
     }
-    // Decided by w, and where that is 0 by x, y, z in this order.
-    let deciding = [q[3], q[0], q[1], q[2]].into_iter().find(|x| *x != 0.0);
-    let negative = deciding.is_some_and(|x| x < 0.0);
+    let negative = is_negative(q);
     for x in q.iter_mut() {
         // Adding 0.0 makes −0.0 0.0.
         *x = if negative { -*x } else { *x } + 0.0;

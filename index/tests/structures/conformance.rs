@@ -6,7 +6,8 @@ use crate::common::{
     SHAPES, SPACES, Shape, assert_same, brute_force, rng, searches, states, table,
 };
 use wayfold_index::{
-    Answer, Forest, ForestOptions, KdTree, Kernels, Linear, Points, Search, Snapshot, Space,
+    Answer, Forest, ForestOptions, KdTree, Kernels, Linear, Mpnn, Points, Search, Snapshot, Space,
+    TreeReport,
 };
 
 const ROWS: usize = 150;
@@ -19,17 +20,32 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
     let mut all: Vec<Structure> = Vec::new();
 
     let mut linear = Linear::new(space.clone());
-    points.iter().for_each(|point| linear.insert(point));
-    all.push(("linear".into(), Box::new(move |q, s| linear.search(q, s))));
+    points
+        .iter()
+        .for_each(|point| linear.insert(point).unwrap());
+    all.push((
+        "linear".into(),
+        Box::new(move |q, s| linear.search(q, s).unwrap()),
+    ));
 
     for leaf_rows in [1, 2, 5, 1000] {
-        let tree = KdTree::new(space.clone(), points.clone(), leaf_rows);
+        let tree = KdTree::new(space.clone(), points.clone(), leaf_rows).unwrap();
         tree.validate().unwrap();
         for kernels in Kernels::available() {
             let tree = tree.clone();
             let name = format!("kdtree/{leaf_rows}/{}", kernels.name());
-            all.push((name, Box::new(move |q, s| tree.search_with(kernels, q, s))));
+            all.push((
+                name,
+                Box::new(move |q, s| tree.search_with(kernels, q, s).unwrap()),
+            ));
         }
+    }
+
+    for leaf_rows in [1, 2, 5, 1000] {
+        let tree = Mpnn::new(space.clone(), points.clone(), leaf_rows).unwrap();
+        tree.validate().unwrap();
+        let name = format!("mpnn/{leaf_rows}");
+        all.push((name, Box::new(move |q, s| tree.search(q, s).unwrap())));
     }
 
     for (growing_rows, leaf_rows) in [(1, 1), (4, 2), (7, 3), (1000, 4)] {
@@ -43,16 +59,16 @@ fn structures(space: &Space, points: &Points) -> Vec<Structure> {
             all.extend(with_every_kernel(&name, &forest.snapshot()));
         }
         let mut bulk = Forest::new(space.clone(), options);
-        bulk.apply(1, points, &[]);
+        bulk.apply(1, points, &[]).unwrap();
         let unbuilt = bulk.snapshot();
         bulk.settle();
         bulk.validate().unwrap();
         all.push((
             format!("bulk/{growing_rows}"),
-            Box::new(move |q, s| unbuilt.search(q, s)),
+            Box::new(move |q, s| unbuilt.search(q, s).unwrap()),
         ));
         let name = format!("bulk, settled/{growing_rows}");
-        all.push((name, Box::new(move |q, s| bulk.search(q, s))));
+        all.push((name, Box::new(move |q, s| bulk.search(q, s).unwrap())));
     }
     all
 }
@@ -64,7 +80,7 @@ fn with_every_kernel(name: &str, snapshot: &Snapshot) -> Vec<Structure> {
         let name = format!("{name}/{}", kernels.name());
         (
             name,
-            Box::new(move |q, s| snapshot.search_with(kernels, q, s)),
+            Box::new(move |q, s| snapshot.search_with(kernels, q, s).unwrap()),
         )
     };
     Kernels::available().iter().map(with).collect()
@@ -83,16 +99,18 @@ fn grown(space: &Space, options: ForestOptions, points: &Points, settled: bool) 
             points.row(points.len() - 1),
         );
         row.push(u64::MAX / 2, point.tag, point.revision, point.row);
-        forest.apply(revision, &row, &[]);
+        forest.apply(revision, &row, &[]).unwrap();
         let mut row = Points::new(space.coordinates());
         row.push_point(point);
-        forest.apply(revision + 1, &row, &[]);
+        forest.apply(revision + 1, &row, &[]).unwrap();
         assert_eq!(
-            forest.apply(
-                revision + 2,
-                &Points::new(space.coordinates()),
-                &[u64::MAX / 2]
-            ),
+            forest
+                .apply(
+                    revision + 2,
+                    &Points::new(space.coordinates()),
+                    &[u64::MAX / 2]
+                )
+                .unwrap(),
             1
         );
         if settled {
@@ -171,16 +189,80 @@ fn approximate(
     assert!(answer.neighbors.is_sorted() && answer.neighbors.len() <= expected.len());
 }
 
-/// One test a space, so that a failure names it and they run side by side.
-macro_rules! conformance {
-    ($($name:ident: $index:literal,)*) => {$(
-        #[test]
-        fn $name() {
-            for shape in SHAPES {
-                conforms(SPACES[$index], shape);
-            }
+/// Trees of two levels of nodes, grown and packed, answer as brute force does, both while searches descend and once they
+/// have read so much of a tree that the next ones scan it.
+fn splits_and_scans(space_text: &str) {
+    let space: Space = space_text.parse().unwrap();
+    let mut rng = rng(0x5CA4 ^ space_text.len() as u64);
+    let points = table(&space, &states(&space, Shape::Uniform, ROWS, &mut rng));
+    let queries = states(&space, Shape::Uniform, QUERIES, &mut rng);
+    // Most of the points, and few enough for the tree to take note.
+    let search = Search::nearest_k(ROWS * 3 / 5);
+    let expected: Vec<_> = queries
+        .iter()
+        .map(|query| brute_force(&space, points.iter(), query, &search))
+        .collect();
+    let check = |name: &str, answer: &dyn Fn(&[f64]) -> Answer| {
+        for (query, expected) in queries.iter().zip(&expected) {
+            assert_same(
+                &answer(query).neighbors,
+                expected,
+                &format!("{space_text} {name}"),
+            );
         }
-    )*
+    };
+    let is_reached = |report: TreeReport| report.height > 1 && report.scans > 0;
+
+    let options = ForestOptions {
+        growing_rows: 1000,
+        leaf_rows: 4,
+    };
+    let mut forest = Forest::new(space.clone(), options);
+    for (revision, point) in (1..).zip(points.iter()) {
+        let mut row = Points::new(space.coordinates());
+        row.push_point(point);
+        forest.apply(revision, &row, &[]).unwrap();
+    }
+    check("growing", &|query| forest.search(query, &search).unwrap());
+    let report = forest.validate().unwrap();
+    assert!(is_reached(report.growing), "{space_text} {report:?}");
+
+    forest.pause();
+    while let Some(merge) = forest.begin_merge() {
+        forest.finish_merge(merge.run());
+    }
+    check("packed", &|query| forest.search(query, &search).unwrap());
+    let report = forest.validate().unwrap();
+    assert!(report.levels.into_iter().all(is_reached), "{space_text}");
+    assert_eq!(report.growing.height, 0, "{space_text}");
+
+    for kernels in Kernels::available() {
+        let tree = KdTree::new(space.clone(), points.clone(), 4).unwrap();
+        check(kernels.name(), &|query| {
+            tree.search_with(kernels, query, &search).unwrap()
+        });
+        assert!(is_reached(tree.validate().unwrap()), "{space_text}");
+    }
+}
+
+/// Two tests a space, so that a failure names it and they run side by side.
+macro_rules! conformance {
+    ($($name:ident: $index:literal,)*) => {
+        $(mod $name {
+            use super::*;
+
+            #[test]
+            fn conforms() {
+                for shape in SHAPES {
+                    super::conforms(SPACES[$index], shape);
+                }
+            }
+
+            #[test]
+            fn splits_and_scans() {
+                super::splits_and_scans(SPACES[$index]);
+            }
+        })*
         #[test]
         fn every_space_has_its_test() {
             assert_eq!([$($index),*].len(), SPACES.len());
@@ -235,11 +317,17 @@ fn weights_below_and_above_one_prune_nothing_true() {
         let space: Space = text.parse().unwrap();
         let mut rng = rng(15);
         let points = table(&space, &states(&space, Shape::Uniform, 4000, &mut rng));
-        let tree = KdTree::new(space.clone(), points.clone(), 4);
+        let tree = KdTree::new(space.clone(), points.clone(), 4).unwrap();
+        let incremental = Mpnn::new(space.clone(), points.clone(), 4).unwrap();
         for query in states(&space, Shape::Uniform, 50, &mut rng) {
             let search = Search::nearest_k(10);
             let expected = brute_force(&space, points.iter(), &query, &search);
-            assert_same(&tree.search(&query, &search).neighbors, &expected, text);
+            for answer in [
+                tree.search(&query, &search),
+                incremental.search(&query, &search),
+            ] {
+                assert_same(&answer.unwrap().neighbors, &expected, text);
+            }
         }
     }
 }
@@ -282,28 +370,30 @@ fn a_search_that_gives_up_says_so() {
     let space = Space::se3();
     let mut rng = rng(7);
     let points = table(&space, &states(&space, Shape::Uniform, 20_000, &mut rng));
-    let tree = KdTree::new(space.clone(), points, 8);
+    let tree = KdTree::new(space.clone(), points.clone(), 8).unwrap();
+    let binary = Mpnn::new(space.clone(), points, 8).unwrap();
     let query = &states(&space, Shape::Uniform, 1, &mut rng)[0];
     let all = Search::nearest_r(f64::INFINITY);
-    assert!(tree.search(query, &all).exact);
-
     let late = Search {
         until: Some(std::time::Instant::now()),
         ..all
     };
-    let answer = tree.search(query, &late);
-    assert!(
-        !answer.exact && answer.neighbors.len() < 32 * 8 + 8,
-        "{}",
-        answer.neighbors.len()
-    );
-
     let capped = Search {
         max_leaves: 3,
         ..all
     };
-    let answer = tree.search(query, &capped);
-    assert!(!answer.exact && answer.neighbors.len() <= 3 * 8);
+    let structures: [&dyn Fn(&Search<'_>) -> Answer; 2] =
+        [&|search| tree.search(query, search).unwrap(), &|search| {
+            binary.search(query, search).unwrap()
+        }];
+    for structure in structures {
+        assert!(structure(&all).exact);
+        let answer = structure(&late);
+        let found = answer.neighbors.len();
+        assert!(!answer.exact && found < 32 * 8 + 8, "{found}");
+        let answer = structure(&capped);
+        assert!(!answer.exact && answer.neighbors.len() <= 3 * 8);
+    }
 }
 
 /// Where searches reach most of a tree, it is read from end to end instead: with the same answers.
@@ -312,11 +402,11 @@ fn in_many_dimensions_answers_stay_the_same() {
     let space: Space = "(R3*SO3:0.15)^8".parse().unwrap();
     let mut rng = rng(8);
     let points = table(&space, &states(&space, Shape::Uniform, 3000, &mut rng));
-    let tree = KdTree::new(space.clone(), points.clone(), 8);
+    let tree = KdTree::new(space.clone(), points.clone(), 8).unwrap();
     for query in states(&space, Shape::Uniform, 150, &mut rng) {
         for search in [Search::nearest_k(1), Search::nearest_k(10)] {
             let expected = brute_force(&space, points.iter(), &query, &search);
-            let answer = tree.search(&query, &search);
+            let answer = tree.search(&query, &search).unwrap();
             assert!(answer.exact);
             assert_same(&answer.neighbors, &expected, "eight bodies");
         }
@@ -349,7 +439,7 @@ fn of_many_that_coincide_the_least_ids_are_told() {
         for id in (0..2000).map(|i| i * 7 % 2000) {
             points.push(id, 0, 1, &state);
         }
-        let tree = KdTree::new(space.clone(), points, 16);
+        let tree = KdTree::new(space.clone(), points, 16).unwrap();
         let distance = space.distance(&query, &state);
         for (k, radius) in [(1, f64::INFINITY), (20, distance), (300, f64::INFINITY)] {
             let search = Search {
@@ -357,7 +447,7 @@ fn of_many_that_coincide_the_least_ids_are_told() {
                 ..Search::nearest_k(k)
             };
             for kernels in Kernels::available() {
-                let answer = tree.search_with(kernels, &query, &search);
+                let answer = tree.search_with(kernels, &query, &search).unwrap();
                 let ids: Vec<u64> = answer.neighbors.iter().map(|near| near.id).collect();
                 assert_eq!(ids, (0..k as u64).collect::<Vec<_>>(), "{text} {k}");
                 assert!(

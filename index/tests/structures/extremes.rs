@@ -13,7 +13,9 @@ fn compare(space: &Space, rows: &[Vec<f64>], query: &[f64], search: &Search<'_>)
         space.canonicalize(&mut row).unwrap();
         points.push(id as u64, 0, 1, &row);
     }
-    points.iter().for_each(|point| linear.insert(point));
+    points
+        .iter()
+        .for_each(|point| linear.insert(point).unwrap());
     let mut query = query.to_vec();
     space.canonicalize(&mut query).unwrap();
     let bits = |answer: wayfold_index::Answer| -> Vec<(u64, u64)> {
@@ -23,7 +25,7 @@ fn compare(space: &Space, rows: &[Vec<f64>], query: &[f64], search: &Search<'_>)
             .map(|n| (n.id, n.distance.to_bits()))
             .collect()
     };
-    let expected = bits(linear.search(&query, search));
+    let expected = bits(linear.search(&query, search).unwrap());
     let mut forest = Forest::new(
         space.clone(),
         ForestOptions {
@@ -31,13 +33,13 @@ fn compare(space: &Space, rows: &[Vec<f64>], query: &[f64], search: &Search<'_>)
             leaf_rows: 2,
         },
     );
-    forest.apply(1, &points, &[]);
+    forest.apply(1, &points, &[]).unwrap();
     forest.settle();
     let snapshot = forest.snapshot();
     for kernels in Kernels::available() {
         for leaf_rows in [1, 2, 16] {
-            let tree = KdTree::new(space.clone(), points.clone(), leaf_rows);
-            let found = bits(tree.search_with(kernels, &query, search));
+            let tree = KdTree::new(space.clone(), points.clone(), leaf_rows).unwrap();
+            let found = bits(tree.search_with(kernels, &query, search).unwrap());
             assert_eq!(
                 found,
                 expected,
@@ -45,7 +47,7 @@ fn compare(space: &Space, rows: &[Vec<f64>], query: &[f64], search: &Search<'_>)
                 kernels.name()
             );
         }
-        let found = bits(snapshot.search_with(kernels, &query, search));
+        let found = bits(snapshot.search_with(kernels, &query, search).unwrap());
         assert_eq!(found, expected, "{space:?} forest {}", kernels.name());
     }
 }
@@ -146,11 +148,16 @@ fn an_infinite_distance_beside_a_rotation_without_weight_takes_nobodys_place() {
         },
     );
     let mut linear = Linear::new(space.clone());
-    forest.apply(1, &points, &[]);
-    points.iter().for_each(|point| linear.insert(point));
+    forest.apply(1, &points, &[]).unwrap();
+    points
+        .iter()
+        .for_each(|point| linear.insert(point).unwrap());
     let search = Search::nearest_k(20);
-    let expected = linear.search(&row(0.0), &search).neighbors;
-    assert_eq!(forest.search(&row(0.0), &search).neighbors, expected);
+    let expected = linear.search(&row(0.0), &search).unwrap().neighbors;
+    assert_eq!(
+        forest.search(&row(0.0), &search).unwrap().neighbors,
+        expected
+    );
 }
 
 /// Near rotations of a great weight, whose cosines tell them apart by no more than its slack.

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use crate::common::{SPACES, Shape, assert_same, brute_force, rng, states};
 use proptest::{prelude::*, test_runner::RngSeed};
-use wayfold_index::{Forest, ForestOptions, Merged, PointRef, Points, Search, Snapshot, Space};
+use wayfold_index::{
+    Forest, ForestOptions, KdTree, Merged, Point, PointRef, Points, Search, Snapshot, Space,
+};
 
 /// A stored point of the model: tag, revision, row.
 type Model = BTreeMap<u64, (u64, u64, Vec<f64>)>;
@@ -60,29 +62,21 @@ fn op() -> impl Strategy<Value = Op> {
 #[track_caller]
 fn same_as_model(snapshot: &Snapshot, model: &Model, query: &[f64]) {
     assert_eq!(snapshot.len(), model.len());
-    let stored: Vec<PointRef<'_>> = points_of(model).collect();
+    let stored: Vec<Point> = points_of(model).map(PointRef::to_point).collect();
     assert_eq!(snapshot.points_after(None).collect::<Vec<_>>(), stored);
-    let after: Vec<PointRef<'_>> = snapshot.points_after(Some(20)).collect();
-    assert_eq!(
-        after,
-        stored
-            .iter()
-            .copied()
-            .filter(|p| p.id > 20)
-            .collect::<Vec<_>>()
-    );
+    let after: Vec<Point> = snapshot.points_after(Some(20)).collect();
+    let above = stored.iter().filter(|point| point.id > 20);
+    assert_eq!(after, above.cloned().collect::<Vec<_>>());
     for id in 0..80 {
-        assert_eq!(
-            snapshot.get(id),
-            stored.iter().copied().find(|p| p.id == id)
-        );
+        let expected = stored.iter().find(|point| point.id == id);
+        assert_eq!(snapshot.get(id).as_ref(), expected);
     }
     let mut recent = Search::nearest_k(4);
     recent.filter.since_revision = snapshot.revision().saturating_sub(2);
     for search in [Search::nearest_k(5), Search::nearest_r(0.3), recent] {
-        let expected = brute_force(snapshot.space(), stored.iter().copied(), query, &search);
+        let expected = brute_force(snapshot.space(), points_of(model), query, &search);
         assert_same(
-            &snapshot.search(query, &search).neighbors,
+            &snapshot.search(query, &search).unwrap().neighbors,
             &expected,
             "snapshot",
         );
@@ -117,17 +111,17 @@ fn run(space: &Space, options: ForestOptions, ops: Vec<Op>, seed: u64) {
         match op {
             Op::Store { rows, first_id } => {
                 let points = store(&mut model, rows, first_id);
-                forest.apply(revision, &points, &[]);
+                forest.apply(revision, &points, &[]).unwrap();
             }
             Op::Remove { ids } => {
                 let removed = remove(&mut model, &ids);
                 let none = Points::new(space.coordinates());
-                assert_eq!(forest.apply(revision, &none, &ids), removed);
+                assert_eq!(forest.apply(revision, &none, &ids).unwrap(), removed);
             }
             Op::Both { ids, first_id } => {
                 let removed = remove(&mut model, &ids);
                 let points = store(&mut model, 5, first_id);
-                assert_eq!(forest.apply(revision, &points, &ids), removed);
+                assert_eq!(forest.apply(revision, &points, &ids).unwrap(), removed);
             }
             Op::BeginMerge => begun.extend(forest.begin_merge()),
             Op::RunMerge => ran.extend(begun.pop().map(|merge| merge.run())),
@@ -177,7 +171,7 @@ proptest! {
 #[test]
 fn memory_of_removed_points_comes_back() {
     let space = Space::se3();
-    let mut forest = Forest::new(space.clone(), ForestOptions::default());
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
     let empty = forest.memory_bytes();
     let mut points = Points::new(space.coordinates());
     for (id, row) in states(&space, Shape::Uniform, 20_000, &mut rng(3))
@@ -186,24 +180,55 @@ fn memory_of_removed_points_comes_back() {
     {
         points.push(id as u64, 0, 1, row);
     }
-    forest.apply(1, &points, &[]);
+    forest.apply(1, &points, &[]).unwrap();
     forest.settle();
     let full = forest.memory_bytes();
     // At rest, half as much again as what is stored: a state, an id, a tag and a revision.
     let stored = 20_000 * 8 * (space.coordinates() + 3);
     assert!(2 * (full - empty) < 3 * stored, "{full} for {stored}");
     let none = Points::new(space.coordinates());
-    forest.apply(2, &none, &(0..19_000).collect::<Vec<_>>());
+    forest
+        .apply(2, &none, &(0..19_000).collect::<Vec<_>>())
+        .unwrap();
     forest.settle();
     assert!(
         forest.memory_bytes() < full / 15,
         "{} of {full}",
         forest.memory_bytes()
     );
-    forest.apply(3, &none, &(19_000..20_000).collect::<Vec<_>>());
+    forest
+        .apply(3, &none, &(19_000..20_000).collect::<Vec<_>>())
+        .unwrap();
     forest.settle();
     assert!(forest.is_empty() && forest.memory_bytes() <= empty + 64 * 1024);
     forest.validate().unwrap();
+}
+
+/// Reading all points, one by one and in order, leaves nothing behind in memory.
+#[test]
+fn a_full_scan_leaves_nothing_behind() {
+    let space = Space::se3();
+    let rows = states(&space, Shape::Uniform, 5000, &mut rng(9));
+    let mut points = Points::new(space.coordinates());
+    for (id, row) in (0..).zip(&rows) {
+        points.push(id, 0, 1, row);
+    }
+    let tree = KdTree::new(space.clone(), points.clone(), 16).unwrap();
+    let options = ForestOptions::for_space(&space);
+    let mut forest = Forest::new(space, options);
+    forest.apply(1, &points, &[]).unwrap();
+    forest.settle();
+    let held = forest.memory_bytes();
+    assert!(
+        forest
+            .snapshot()
+            .points_after(None)
+            .eq(points.iter().map(PointRef::to_point))
+    );
+    for point in tree.iter() {
+        assert_eq!(forest.get(point.id), Some(point));
+    }
+    assert_eq!(forest.memory_bytes(), held);
 }
 
 /// A forest that is left alone merges until nothing is left to merge, also what came before as single points.
@@ -220,7 +245,7 @@ fn merges_end_in_one_level() {
     for id in 1..=1024u64 {
         let mut points = Points::new(2);
         points.push(id, 0, id, &row(id));
-        forest.apply(id, &points, &[]);
+        forest.apply(id, &points, &[]).unwrap();
         if let Some(merge) = forest.begin_merge() {
             forest.finish_merge(merge.run());
         }
@@ -236,7 +261,7 @@ fn merges_end_in_one_level() {
         max_leaves: 1024 / 2,
         ..Search::nearest_r(f64::INFINITY)
     };
-    assert!(forest.search(&[0.0; 2], &leaves).exact);
+    assert!(forest.search(&[0.0; 2], &leaves).unwrap().exact);
 }
 
 /// Readers on other threads see whole revisions while the owner writes and merges.
@@ -256,7 +281,7 @@ fn snapshots_are_never_torn() {
             let revision = snapshot.revision();
             let at = [revision as f64, 0.0];
             for _ in 0..20 {
-                let answer = snapshot.search(&at, &Search::nearest_r(0.5));
+                let answer = snapshot.search(&at, &Search::nearest_r(0.5)).unwrap();
                 let ids: Vec<u64> = answer.neighbors.iter().map(|n| n.id).collect();
                 assert_eq!(ids, [0, revision]);
                 assert_eq!(snapshot.len() as u64, revision + 1);
@@ -270,7 +295,7 @@ fn snapshots_are_never_torn() {
         let mut points = Points::new(2);
         points.push(0, 0, revision, &row);
         points.push(revision, 0, revision, &row);
-        forest.apply(revision, &points, &[]);
+        forest.apply(revision, &points, &[]).unwrap();
         sender.send(forest.snapshot()).unwrap();
         if revision.is_multiple_of(3) {
             forest.settle();

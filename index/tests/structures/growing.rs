@@ -4,11 +4,11 @@
 use std::time::Instant;
 
 use crate::common::{Shape, assert_same, brute_force, rng, states};
-use wayfold_index::{Filter, Forest, ForestOptions, Points, Search, Space};
+use wayfold_index::{Filter, Forest, ForestOptions, PointRef, Points, Search, Space};
 
 /// Inserts rows one by one, each a mutation of its own, from id and revision 1 on; validates now and then.
 fn grow(space: &Space, rows: &[Vec<f64>]) -> Forest {
-    let mut forest = Forest::new(space.clone(), ForestOptions::default());
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
     for (revision, row) in (1..).zip(rows) {
         insert(&mut forest, revision, row);
         if revision % 500 == 0 {
@@ -23,7 +23,7 @@ fn insert(forest: &mut Forest, id: u64, row: &[f64]) {
     let revision = forest.revision() + 1;
     let mut point = Points::new(row.len());
     point.push(id, id % 3, revision, row);
-    forest.apply(revision, &point, &[]);
+    forest.apply(revision, &point, &[]).unwrap();
     forest.settle();
 }
 
@@ -49,7 +49,7 @@ fn no_order_of_points_makes_searches_long() {
         for query in states(&space, Shape::Uniform, 20, &mut rng(8)) {
             let search = Search::nearest_k(5);
             let expected = brute_force(&space, points.iter(), &query, &search);
-            let answer = forest.search(&query, &search);
+            let answer = forest.search(&query, &search).unwrap();
             assert_same(&answer.neighbors, &expected, "grown");
             let few = Search {
                 max_leaves: 60,
@@ -57,7 +57,10 @@ fn no_order_of_points_makes_searches_long() {
             };
             // Of very many points that are about equally near, boxes cannot tell the nearest.
             let ties = !matches!(shape, Shape::Uniform | Shape::Collinear);
-            assert!(ties || forest.search(&query, &few).exact, "{shape:?}");
+            assert!(
+                ties || forest.search(&query, &few).unwrap().exact,
+                "{shape:?}"
+            );
         }
     }
 }
@@ -77,7 +80,7 @@ fn a_search_of_the_newest_visits_their_leaves_only() {
         max_leaves: 6,
         ..Search::nearest_k(10)
     };
-    let answer = forest.search(&rows[0], &newest);
+    let answer = forest.search(&rows[0], &newest).unwrap();
     assert!(answer.exact);
     let mut ids: Vec<u64> = answer.neighbors.iter().map(|found| found.id).collect();
     ids.sort_unstable();
@@ -89,7 +92,7 @@ fn a_search_of_the_newest_visits_their_leaves_only() {
 fn points_that_are_written_over_and_over_stay_few() {
     let space = Space::se3();
     let rows = states(&space, Shape::Uniform, 20_000, &mut rng(13));
-    let mut forest = Forest::new(space, ForestOptions::default());
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
     for (at, row) in (0..).zip(&rows) {
         insert(&mut forest, at % 20, row);
     }
@@ -100,7 +103,7 @@ fn points_that_are_written_over_and_over_stay_few() {
         max_leaves: 50,
         ..Search::nearest_k(20)
     };
-    let answer = forest.search(&rows[0], &search);
+    let answer = forest.search(&rows[0], &search).unwrap();
     assert!(answer.exact);
     assert_eq!(answer.neighbors.len(), 20);
     assert!(forest.memory_bytes() < 1 << 20, "{}", forest.memory_bytes());
@@ -124,7 +127,7 @@ fn what_moves_among_what_rests_stays_quick_to_search() {
         max_leaves: 8,
         ..Search::nearest_k(10)
     };
-    let answer = forest.search(&moving[0], &search);
+    let answer = forest.search(&moving[0], &search).unwrap();
     assert!(answer.exact);
     assert!(answer.neighbors.iter().all(|found| found.id >= 10_000));
 }
@@ -141,10 +144,10 @@ fn a_search_without_boxes_gives_up_in_time() {
     };
     // Those that reach most leaves make the next ones do without boxes.
     for query in states(&space, Shape::Uniform, 20, &mut rng(37)) {
-        assert!(forest.search(&query, &Search::nearest_k(1)).exact);
+        assert!(forest.search(&query, &Search::nearest_k(1)).unwrap().exact);
     }
     let query = &states(&space, Shape::Uniform, 1, &mut rng(41))[0];
-    assert!(!forest.search(query, &late).exact);
+    assert!(!forest.search(query, &late).unwrap().exact);
 }
 
 /// Writes that pause leave one packed tree, whether or not a merge was due before.
@@ -159,7 +162,6 @@ fn what_has_grown_is_packed_when_writes_pause() {
     let merge = forest.begin_merge().unwrap();
     forest.finish_merge(merge.run());
     assert!(forest.begin_merge().is_none());
-    // Before anybody asks for points: rows that were asked for are kept.
     let stored = rows.len() * 8 * (forest.space().coordinates() + 3);
     assert!(forest.memory_bytes() < grown);
     assert!(2 * forest.memory_bytes() < 3 * stored);
@@ -192,12 +194,16 @@ fn snapshots_of_what_grows_stay_as_they_were() {
         for (id, row) in (1..=snapshot.revision()).zip(&rows) {
             points.push(id, id % 3, id, row);
         }
-        assert!(snapshot.points_after(None).eq(points.iter()));
+        assert!(
+            snapshot
+                .points_after(None)
+                .eq(points.iter().map(PointRef::to_point))
+        );
         for query in &rows[1990..] {
             let search = Search::nearest_k(7);
             let expected = brute_force(&space, points.iter(), query, &search);
             assert_same(
-                &snapshot.search(query, &search).neighbors,
+                &snapshot.search(query, &search).unwrap().neighbors,
                 &expected,
                 "held",
             );

@@ -7,3 +7,4 @@ mod conformance;
 mod extremes;
 mod forest_model;
 mod growing;
+mod refusals;

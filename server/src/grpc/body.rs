@@ -13,7 +13,7 @@ use http_body::{Body as HttpBody, Frame, SizeHint};
 use tokio::{sync::OwnedSemaphorePermit, time::Sleep};
 use tonic::{Code, Status, body::Body};
 
-use super::refusals;
+use super::{refusals, status::ending};
 use crate::observe::CallRecord;
 
 /// A call's response body. It holds the call's place in the server's capacity until its end: a client that has heard
@@ -36,7 +36,7 @@ impl CallBody {
         deadline: Option<Instant>,
     ) -> Response<Body> {
         if let Some(code) = code_in(response.headers()) {
-            record.end(code);
+            record.end(ending(code));
         }
         if response.body().is_end_stream() {
             return response;
@@ -64,7 +64,7 @@ impl CallBody {
     }
 
     fn ended(&mut self, code: Code) {
-        self.record.end(code);
+        self.record.end(ending(code));
         self.place = None;
     }
 
@@ -93,12 +93,12 @@ impl HttpBody for CallBody {
         let inner = Pin::new(&mut this.inner);
         let Ok(polled) = catch_unwind(AssertUnwindSafe(|| inner.poll_frame(context))) else {
             let status = refusals::panicked(this.record.rpc());
-            return this.end(status);
+            return this.end(status.into());
         };
         match &polled {
             Poll::Pending if this.deadline_passed(context) => {
                 let status = refusals::deadline_exceeded();
-                return this.end(status);
+                return this.end(status.into());
             }
             Poll::Ready(Some(Ok(frame))) => {
                 if let Some(code) = frame.trailers_ref().and_then(code_in) {

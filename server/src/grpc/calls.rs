@@ -17,7 +17,11 @@ use tower::{Layer, Service};
 use tracing::Instrument;
 
 use super::{body::CallBody, deadline, refusals};
-use crate::{capacity::Capacity, observe::CallRecord, service::Call};
+use crate::{
+    admission::Admission,
+    observe::{self, CallRecord, Ending},
+    service::Call,
+};
 
 /// The calls that this layer is for.
 const OURS: &str = "/wayfold.v1.";
@@ -36,10 +40,17 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
     }
 }
 
+/// What every handler begins with: what the service is to know of the call, and the request, noted in the call's span.
+pub(crate) fn open<R: observe::Request>(request: tonic::Request<R>) -> (Call, R) {
+    let (call, message) = (call_of(&request), request.into_inner());
+    observe::request(&message);
+    (call, message)
+}
+
 /// Wraps services in [`Calls`].
 #[derive(Clone, Debug)]
 pub(crate) struct CallsLayer {
-    pub(crate) capacity: Capacity,
+    pub(crate) capacity: Admission,
     pub(crate) max_message_bytes: usize,
 }
 
@@ -94,8 +105,9 @@ where
         let (deadline, place) = match admitted {
             Ok(admitted) => admitted,
             Err(status) => {
-                record.end(status.code());
-                return Box::pin(std::future::ready(Ok(status.into_http())));
+                record.end(Ending::Failed(status.code));
+                let refusal = tonic::Status::from(*status).into_http();
+                return Box::pin(std::future::ready(Ok(refusal)));
             }
         };
         request.extensions_mut().insert(Deadline(deadline));
@@ -106,14 +118,20 @@ where
             let outcome = match deadline {
                 Some(at) => match tokio::time::timeout_at(at.into(), handler).await {
                     Ok(outcome) => outcome,
-                    Err(_) => Ok(Ok(refusals::deadline_exceeded().into_http())),
+                    Err(_) => {
+                        let status = tonic::Status::from(refusals::deadline_exceeded());
+                        Ok(Ok(status.into_http()))
+                    }
                 },
                 None => handler.await,
             };
             let response = match outcome {
                 Ok(Ok(response)) => refusals::rewrite(response, max_message_bytes),
                 Ok(Err(never)) => match never {},
-                Err(_panic) => refusals::panicked(record.rpc()).into_http(),
+                Err(_panic) => {
+                    let status = tonic::Status::from(refusals::panicked(record.rpc()));
+                    status.into_http()
+                }
             };
             Ok(CallBody::wrap(response, record, place, deadline))
         };
@@ -154,7 +172,7 @@ mod tests {
         }
     }
 
-    async fn call(capacity: &Capacity, answer: fn() -> Response<Body>) -> Response<Body> {
+    async fn call(capacity: &Admission, answer: fn() -> Response<Body>) -> Response<Body> {
         let layer = CallsLayer {
             capacity: capacity.clone(),
             max_message_bytes: 1000,
@@ -166,7 +184,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_call_that_panics_is_a_bug_and_frees_its_place() {
-        let capacity = Capacity::new(1);
+        let capacity = Admission::new(1);
         for _ in 0..2 {
             let answer = call(&capacity, || panic!("a bug")).await;
             let status = Status::from_header_map(answer.headers()).unwrap();
@@ -178,7 +196,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place() {
-        let capacity = Capacity::new(1);
+        let capacity = Admission::new(1);
         let answer = call(&capacity, || {
             let parts = stream::once(async { panic!("a bug") });
             let encoder = tonic_prost::ProstEncoder::<()>::default();

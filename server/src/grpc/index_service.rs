@@ -1,10 +1,13 @@
 //! `wayfold.v1.IndexService`, translated to calls of the service and back.
 
-use futures_util::{StreamExt, stream, stream::BoxStream};
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Request, Streaming};
 use wayfold_proto::v1::{self, index_service_server::IndexService};
 
-use super::{calls::call_of, refusals};
+use super::{
+    calls::{call_of, open},
+    refusals,
+    status::{Answer, Messages, from_error, respond, respond_all},
+};
 use crate::{observe, service::Service, status};
 
 /// The gRPC face of the indices.
@@ -17,94 +20,83 @@ pub(crate) struct IndexFace {
 
 #[tonic::async_trait]
 impl IndexService for IndexFace {
+    async fn get_server(
+        &self,
+        request: Request<v1::GetServerRequest>,
+    ) -> Answer<v1::GetServerResponse> {
+        let (call, message) = open(request);
+        let described = self
+            .service
+            .get_server(&call, message, self.max_message_bytes);
+        respond(described.await)
+    }
+
     async fn create_index(
         &self,
         request: Request<v1::CreateIndexRequest>,
-    ) -> Result<Response<v1::CreateIndexResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.name);
-        status::respond(self.service.create_index(&call, message).await)
+    ) -> Answer<v1::CreateIndexResponse> {
+        let (call, message) = open(request);
+        respond(self.service.create_index(&call, message).await)
     }
 
     async fn get_index(
         &self,
         request: Request<v1::GetIndexRequest>,
-    ) -> Result<Response<v1::GetIndexResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.name);
-        status::respond(self.service.get_index(&call, message).await)
+    ) -> Answer<v1::GetIndexResponse> {
+        let (call, message) = open(request);
+        respond(self.service.get_index(&call, message).await)
     }
 
     async fn list_indexes(
         &self,
         request: Request<v1::ListIndexesRequest>,
-    ) -> Result<Response<v1::ListIndexesResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
+    ) -> Answer<v1::ListIndexesResponse> {
+        let (call, message) = open(request);
         let listed = self.service.list_indexes(&call, message).await;
-        status::respond(listed.map(status::listing))
+        respond(listed.map(status::listing))
     }
 
     async fn delete_index(
         &self,
         request: Request<v1::DeleteIndexRequest>,
-    ) -> Result<Response<v1::DeleteIndexResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.name);
-        status::respond(self.service.delete_index(&call, message).await)
+    ) -> Answer<v1::DeleteIndexResponse> {
+        let (call, message) = open(request);
+        respond(self.service.delete_index(&call, message).await)
     }
-    type SnapshotIndexStream = BoxStream<'static, Result<v1::SnapshotIndexResponse, Status>>;
+
+    type SnapshotIndexStream = Messages<v1::SnapshotIndexResponse>;
 
     async fn snapshot_index(
         &self,
         request: Request<v1::SnapshotIndexRequest>,
-    ) -> Result<Response<Self::SnapshotIndexStream>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.name);
-        let snapshot = self.service.snapshot_index(&call, message).await;
-        let snapshot = snapshot.map_err(|error| status::from_error(&error))?;
-        // A part is made when the client has room for it, not before.
-        let parts = stream::unfold(snapshot, async |mut snapshot| {
-            let part = snapshot.next().await?;
-            Some((part.map_err(|error| status::from_error(&error)), snapshot))
-        });
-        Ok(Response::new(parts.boxed()))
+    ) -> Answer<Self::SnapshotIndexStream> {
+        let (call, message) = open(request);
+        respond_all(self.service.snapshot_index(&call, message).await)
     }
 
     async fn restore_index(
         &self,
         request: Request<Streaming<v1::RestoreIndexRequest>>,
-    ) -> Result<Response<v1::RestoreIndexResponse>, Status> {
+    ) -> Answer<v1::RestoreIndexResponse> {
         let (call, mut messages) = (call_of(&request), request.into_inner());
         let restoring = self.service.restore_index(&call);
-        let mut restoring = restoring.map_err(|error| status::from_error(&error))?;
+        let mut restoring = restoring.map_err(|error| from_error(&error))?;
         let restate = |status| refusals::restate(status, self.max_message_bytes, refusals::RAISE);
         while let Some(message) = messages.message().await.map_err(restate)? {
-            if !message.name.is_empty() {
-                observe::index(&message.name);
-            }
+            observe::request(&message);
             let added = restoring.add(message).await;
-            added.map_err(|error| status::from_error(&error))?;
+            added.map_err(|error| from_error(&error))?;
         }
-        status::respond(restoring.finish().await)
+        respond(restoring.finish().await)
     }
 
-    type VerifyIndexStream = BoxStream<'static, Result<v1::VerifyIndexResponse, Status>>;
+    type VerifyIndexStream = Messages<v1::VerifyIndexResponse>;
 
     async fn verify_index(
         &self,
         request: Request<v1::VerifyIndexRequest>,
-    ) -> Result<Response<Self::VerifyIndexStream>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.name);
-        let verification = self.service.verify_index(&call, message).await;
-        let verification = verification.map_err(|error| status::from_error(&error))?;
-        let answers = stream::unfold(verification, async |mut verification| {
-            let answer = verification.next().await?;
-            Some((
-                answer.map_err(|error| status::from_error(&error)),
-                verification,
-            ))
-        });
-        Ok(Response::new(answers.boxed()))
+    ) -> Answer<Self::VerifyIndexStream> {
+        let (call, message) = open(request);
+        respond_all(self.service.verify_index(&call, message).await)
     }
 }

@@ -8,6 +8,7 @@ mod health;
 mod index_service;
 mod point_service;
 mod refusals;
+mod status;
 mod stream_knn;
 
 use std::{io, time::Duration};
@@ -25,7 +26,7 @@ use index_service::IndexFace;
 use point_service::{PointFace, TolerantPointServer};
 use stream_knn::KnnStreams;
 
-use crate::{capacity::Capacity, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
+use crate::{admission::Admission, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
 
 /// Why the gRPC face could not be served.
 #[derive(Debug, Error)]
@@ -49,7 +50,7 @@ pub(crate) async fn serve(
     service: Service,
     phases: PhaseWatch,
     listener: TcpListener,
-    capacity: Capacity,
+    capacity: Admission,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
     let points = TolerantPointServer::new(PointFace {

@@ -6,18 +6,19 @@ use std::{
     task::{Context, Poll},
 };
 
-use futures_util::{StreamExt, stream, stream::BoxStream};
-use tonic::{Request, Response, Status, Streaming, body::Body, server::NamedService};
+use futures_util::StreamExt;
+use tonic::{Request, Response, Streaming, body::Body, server::NamedService};
 use wayfold_proto::v1::{
     self,
     point_service_server::{PointService, PointServiceServer},
 };
 
 use super::{
-    calls::call_of,
+    calls::{call_of, open},
+    status::{Answer, Messages, respond, respond_all},
     stream_knn::{Answers, KnnStreams},
 };
-use crate::{observe, service::Service, status};
+use crate::service::Service;
 
 /// The gRPC face of the points.
 #[derive(Clone)]
@@ -26,70 +27,36 @@ pub(crate) struct PointFace {
     pub(crate) streams: KnnStreams,
 }
 
-fn state_rows(states: Option<&v1::States>) -> usize {
-    states.map_or(0, |states| states.rows as usize)
-}
-
 #[tonic::async_trait]
 impl PointService for PointFace {
-    async fn insert(
-        &self,
-        request: Request<v1::InsertRequest>,
-    ) -> Result<Response<v1::InsertResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.index);
-        observe::rows(state_rows(message.states.as_ref()));
-        status::respond(self.service.insert(&call, message).await)
+    async fn insert(&self, request: Request<v1::InsertRequest>) -> Answer<v1::InsertResponse> {
+        let (call, message) = open(request);
+        respond(self.service.insert(&call, message).await)
     }
 
-    async fn update(
-        &self,
-        request: Request<v1::UpdateRequest>,
-    ) -> Result<Response<v1::UpdateResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.index);
-        observe::rows(message.ids.len());
-        status::respond(self.service.update(&call, message).await)
+    async fn update(&self, request: Request<v1::UpdateRequest>) -> Answer<v1::UpdateResponse> {
+        let (call, message) = open(request);
+        respond(self.service.update(&call, message).await)
     }
 
-    async fn remove(
-        &self,
-        request: Request<v1::RemoveRequest>,
-    ) -> Result<Response<v1::RemoveResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.index);
-        observe::rows(message.ids.len());
-        status::respond(self.service.remove(&call, message).await)
+    async fn remove(&self, request: Request<v1::RemoveRequest>) -> Answer<v1::RemoveResponse> {
+        let (call, message) = open(request);
+        respond(self.service.remove(&call, message).await)
     }
 
-    async fn get(
-        &self,
-        request: Request<v1::GetRequest>,
-    ) -> Result<Response<v1::GetResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.index);
-        observe::rows(message.ids.len());
-        status::respond(self.service.get(&call, message).await)
+    async fn get(&self, request: Request<v1::GetRequest>) -> Answer<v1::GetResponse> {
+        let (call, message) = open(request);
+        respond(self.service.get(&call, message).await)
     }
 
-    async fn knn(
-        &self,
-        request: Request<v1::KnnRequest>,
-    ) -> Result<Response<v1::KnnResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.index);
-        observe::rows(state_rows(message.states.as_ref()));
-        status::respond(self.service.knn(&call, message).await)
+    async fn knn(&self, request: Request<v1::KnnRequest>) -> Answer<v1::KnnResponse> {
+        let (call, message) = open(request);
+        respond(self.service.knn(&call, message).await)
     }
 
-    async fn query(
-        &self,
-        request: Request<v1::QueryRequest>,
-    ) -> Result<Response<v1::QueryResponse>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.index);
-        observe::rows(state_rows(message.states.as_ref()));
-        status::respond(self.service.query(&call, message).await)
+    async fn query(&self, request: Request<v1::QueryRequest>) -> Answer<v1::QueryResponse> {
+        let (call, message) = open(request);
+        respond(self.service.query(&call, message).await)
     }
 
     type StreamKnnStream = Answers;
@@ -98,45 +65,24 @@ impl PointService for PointFace {
     async fn stream_knn(
         &self,
         request: Request<Streaming<v1::StreamKnnRequest>>,
-    ) -> Result<Response<Answers>, Status> {
+    ) -> Answer<Answers> {
         let call = call_of(&request);
         let messages = request.into_inner().map(|message| message.map(Ok));
         Ok(Response::new(self.streams.answer(call, messages)))
     }
 
-    type ScanStream = BoxStream<'static, Result<v1::ScanResponse, Status>>;
+    type ScanStream = Messages<v1::ScanResponse>;
 
-    async fn scan(
-        &self,
-        request: Request<v1::ScanRequest>,
-    ) -> Result<Response<Self::ScanStream>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.index);
-        let scan = self.service.scan(&call, message).await;
-        let scan = scan.map_err(|error| status::from_error(&error))?;
-        // A part is made when the client has room for it, not before.
-        let parts = stream::unfold(scan, async |mut scan| {
-            let part = scan.next().await?;
-            Some((part.map_err(|error| status::from_error(&error)), scan))
-        });
-        Ok(Response::new(parts.boxed()))
+    async fn scan(&self, request: Request<v1::ScanRequest>) -> Answer<Self::ScanStream> {
+        let (call, message) = open(request);
+        respond_all(self.service.scan(&call, message).await)
     }
 
-    type WatchStream = BoxStream<'static, Result<v1::WatchResponse, Status>>;
+    type WatchStream = Messages<v1::WatchResponse>;
 
-    async fn watch(
-        &self,
-        request: Request<v1::WatchRequest>,
-    ) -> Result<Response<Self::WatchStream>, Status> {
-        let (call, message) = (call_of(&request), request.into_inner());
-        observe::index(&message.index);
-        let watch = self.service.watch(&call, message).await;
-        let watch = watch.map_err(|error| status::from_error(&error))?;
-        let messages = stream::unfold(watch, async |mut watch| {
-            let message = watch.next().await?;
-            Some((message.map_err(|error| status::from_error(&error)), watch))
-        });
-        Ok(Response::new(messages.boxed()))
+    async fn watch(&self, request: Request<v1::WatchRequest>) -> Answer<Self::WatchStream> {
+        let (call, message) = open(request);
+        respond_all(self.service.watch(&call, message).await)
     }
 }
 

@@ -11,7 +11,7 @@ use tonic::{Code, Status, body::Body};
 use super::deadline::{self, MalformedTimeout};
 use crate::{
     service::{Error, Unavailability, Violation},
-    status,
+    status::{Status as Refusal, from_error, limit},
 };
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
@@ -47,21 +47,22 @@ fn tonics_own(headers: &HeaderMap) -> Option<Status> {
 /// The contract's words for a status that tonic made while it read a request; `advice` for one that is too large.
 pub(crate) fn restate(status: Status, max_message_bytes: usize, advice: &str) -> Status {
     match status.code() {
-        Code::OutOfRange => status::limit(
+        Code::OutOfRange => limit(
             "LIMIT_EXCEEDED",
             format!(
                 "the request message exceeds the limit {MAX_MESSAGE_BYTES} = {max_message_bytes}: {advice}"
             ),
             MAX_MESSAGE_BYTES,
             max_message_bytes,
-        ),
-        Code::Internal => malformed(status.message()),
+        )
+        .into(),
+        Code::Internal => malformed(status.message()).into(),
         _ => status,
     }
 }
 
 /// The refusal of a request message that is not the encoding of what the call takes.
-pub(crate) fn malformed(problem: impl Display) -> Status {
+pub(crate) fn malformed(problem: impl Display) -> Refusal {
     invalid(
         "request",
         "MALFORMED_MESSAGE",
@@ -70,13 +71,13 @@ pub(crate) fn malformed(problem: impl Display) -> Status {
 }
 
 /// The refusal of a `grpc-timeout` header.
-pub(crate) fn malformed_timeout(problem: &MalformedTimeout) -> Status {
+pub(crate) fn malformed_timeout(problem: &MalformedTimeout) -> Refusal {
     invalid(deadline::HEADER, "MALFORMED_TIMEOUT", problem.to_string())
 }
 
 /// The refusal of a request in which one field is wrong.
-pub(crate) fn invalid(field: &str, reason: &'static str, description: String) -> Status {
-    status::from_error(&Error::InvalidArgument {
+pub(crate) fn invalid(field: &str, reason: &'static str, description: String) -> Refusal {
+    from_error(&Error::InvalidArgument {
         violations: vec![Violation {
             field: field.to_owned(),
             reason,
@@ -85,33 +86,33 @@ pub(crate) fn invalid(field: &str, reason: &'static str, description: String) ->
     })
 }
 
-/// The refusal of a call while `limit` others are under way.
-pub(crate) fn busy(limit: usize) -> Status {
-    status::limit(
+/// The refusal of a call while `most` others are under way.
+pub(crate) fn busy(most: usize) -> Refusal {
+    limit(
         "TOO_MANY_CALLS",
-        format!("as many calls are under way as {MAX_CALLS} = {limit} allows: try again later"),
+        format!("as many calls are under way as {MAX_CALLS} = {most} allows: try again later"),
         MAX_CALLS,
-        limit,
+        most,
     )
 }
 
 /// The answer to a call that made the server panic.
-pub(crate) fn panicked(rpc: &str) -> Status {
-    status::from_error(&Error::Internal {
+pub(crate) fn panicked(rpc: &str) -> Refusal {
+    from_error(&Error::Internal {
         what: format!("{rpc} panicked"),
     })
 }
 
 /// The answer to a call whose deadline passed.
-pub(crate) fn deadline_exceeded() -> Status {
-    status::from_error(&Error::DeadlineExceeded {
+pub(crate) fn deadline_exceeded() -> Refusal {
+    from_error(&Error::DeadlineExceeded {
         doing: "before the call was done",
     })
 }
 
 /// How a stream ends that the server leaves because it stops.
-pub(crate) fn stopping() -> Status {
-    status::from_error(&Error::Unavailable {
+pub(crate) fn stopping() -> Refusal {
+    from_error(&Error::Unavailable {
         why: Unavailability::Stopping,
     })
 }
@@ -147,7 +148,7 @@ mod tests {
 
     #[test]
     fn our_own_statuses_and_successes_pass_unchanged() {
-        let bug = rewritten(panicked("PointService/Knn"));
+        let bug = rewritten(panicked("PointService/Knn").into());
         assert_eq!(bug.code(), Code::Internal);
         assert_eq!(bug.get_details_error_info().unwrap().reason, "INTERNAL");
 

@@ -23,10 +23,10 @@ use wayfold_proto::v1;
 
 use super::{calls::call_of, refusals};
 use crate::{
-    brevity::Brevity,
+    latency_gate::LatencyGate,
     lifecycle::PhaseWatch,
     service::{Call, Service},
-    status,
+    status::{Status as Refusal, from_error},
 };
 
 /// Answers to the requests of one stream, in their order.
@@ -71,7 +71,7 @@ impl KnnStreams {
             ended: false,
         };
         let service = self.service.clone();
-        let brevity = Arc::new(Brevity::new(BRIEF));
+        let brevity = Arc::new(LatencyGate::new(BRIEF));
         stream::unfold(reader, Reader::next)
             .map(move |read| answer_one(service.clone(), Arc::clone(&brevity), call, read))
             .buffered(self.window)
@@ -82,7 +82,7 @@ impl KnnStreams {
 /// The answer to what was read; an error ends the stream.
 async fn answer_one(
     service: Service,
-    brevity: Arc<Brevity>,
+    brevity: Arc<LatencyGate>,
     call: Call,
     read: Read,
 ) -> Result<v1::StreamKnnResponse, Status> {
@@ -104,7 +104,7 @@ async fn answer_one(
             match task.await {
                 Ok(answered) => answered,
                 // Only the end of the runtime cancels a task that is waited for.
-                Err(_) => return Err(refusals::stopping()),
+                Err(_) => return Err(refusals::stopping().into()),
             }
         }
     };
@@ -112,23 +112,21 @@ async fn answer_one(
         Ok(Ok(answer)) => v1::StreamKnnResponse {
             result: Some(v1::stream_knn_response::Result::Knn(answer)),
         },
-        Ok(Err(error)) => refused(&status::from_error(&error)),
+        Ok(Err(error)) => refused(&from_error(&error)),
         Err(_panic) => refused(&refusals::panicked("PointService/StreamKnn")),
     })
 }
 
-fn refused(status: &Status) -> v1::StreamKnnResponse {
+fn refused(status: &Refusal) -> v1::StreamKnnResponse {
     v1::StreamKnnResponse {
-        result: Some(v1::stream_knn_response::Result::Error(status::to_message(
-            status,
-        ))),
+        result: Some(v1::stream_knn_response::Result::Error(status.to_message())),
     }
 }
 
 /// What came of reading one message.
 enum Read {
     Request(v1::KnnRequest),
-    Bad(Box<Status>),
+    Bad(Box<Refusal>),
     End(Box<Status>),
 }
 
@@ -146,7 +144,7 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
         }
         let message = tokio::select! {
             biased;
-            () = &mut self.stopping => Some(Err(refusals::stopping())),
+            () = &mut self.stopping => Some(Err(refusals::stopping().into())),
             message = self.messages.next() => message,
         };
         let read = match message? {

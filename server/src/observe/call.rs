@@ -1,9 +1,48 @@
-//! One call's span and the line that records its end.
+//! One call's span, its line at the end, and what a request says of itself.
 
-use std::time::Instant;
+use std::{fmt, time::Instant};
 
-use tonic::Code;
 use tracing::{Span, debug, field, info_span, warn};
+use wayfold_proto::v1;
+
+use crate::service::Code;
+
+/// How a call ended.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Ending {
+    /// Well.
+    Ok,
+    /// With an error.
+    Failed(Code),
+    /// Its caller left, or its connection was cut: nobody waited for a status.
+    Left,
+    /// With a status of the transport's own, as gRPC numbers them.
+    Transport(i32),
+}
+
+impl Ending {
+    /// The number of UNKNOWN, which is nobody's but the server's.
+    const UNKNOWN: i32 = 2;
+
+    fn is_fault(self) -> bool {
+        match self {
+            Ending::Failed(code) => matches!(code, Code::Internal | Code::DataLoss),
+            Ending::Transport(number) => number == Self::UNKNOWN,
+            Ending::Ok | Ending::Left => false,
+        }
+    }
+}
+
+impl fmt::Debug for Ending {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Ending::Ok => f.write_str("Ok"),
+            Ending::Failed(code) => code.fmt(f),
+            Ending::Left => f.write_str("Cancelled"),
+            Ending::Transport(number) => write!(f, "gRPC {number}"),
+        }
+    }
+}
 
 /// A call from its arrival to the last byte of its answer. Its end is written when it is dropped: at `debug`, or at
 /// `warn` when the fault is the server's.
@@ -11,7 +50,7 @@ pub(crate) struct CallRecord {
     rpc: String,
     started: Instant,
     span: Span,
-    code: Option<Code>,
+    ending: Ending,
 }
 
 impl CallRecord {
@@ -22,7 +61,7 @@ impl CallRecord {
             span: info_span!("call", rpc, index = field::Empty, rows = field::Empty),
             rpc,
             started,
-            code: None,
+            ending: Ending::Left,
         }
     }
 
@@ -37,31 +76,81 @@ impl CallRecord {
     }
 
     /// Says how the call ended.
-    pub(crate) fn end(&mut self, code: Code) {
-        self.code = Some(code);
+    pub(crate) fn end(&mut self, ending: Ending) {
+        self.ending = ending;
     }
 }
 
 impl Drop for CallRecord {
     fn drop(&mut self) {
-        // Nobody waited for a call that goes without a status: its client left, or its connection was cut.
-        let code = self.code.unwrap_or(Code::Cancelled);
+        let code = self.ending;
         let duration_us = u64::try_from(self.started.elapsed().as_micros()).unwrap_or(u64::MAX);
-        match code {
-            Code::Internal | Code::DataLoss | Code::Unknown => {
-                warn!(parent: &self.span, ?code, duration_us, "call failed");
-            }
-            _ => debug!(parent: &self.span, ?code, duration_us, "call ended"),
+        if code.is_fault() {
+            warn!(parent: &self.span, ?code, duration_us, "call failed");
+        } else {
+            debug!(parent: &self.span, ?code, duration_us, "call ended");
         }
     }
 }
 
-/// Notes in the current call's span which index it concerns.
-pub(crate) fn index(name: &str) {
-    Span::current().record("index", name);
+/// A request that says which index it concerns, and how much of it.
+pub(crate) trait Request {
+    /// The name of the index; empty for none.
+    fn index(&self) -> &str {
+        ""
+    }
+
+    /// How many rows or ids it carries, if it is a call for some.
+    fn rows(&self) -> Option<usize> {
+        None
+    }
 }
 
-/// Notes in the current call's span how many rows or ids its request carries.
-pub(crate) fn rows(count: usize) {
-    Span::current().record("rows", count);
+/// Notes in the current call's span what a request says of itself.
+pub(crate) fn request(request: &impl Request) {
+    let span = Span::current();
+    if !request.index().is_empty() {
+        span.record("index", request.index());
+    }
+    if let Some(rows) = request.rows() {
+        span.record("rows", rows);
+    }
+}
+
+macro_rules! requests {
+    ($($message:ident $(: $index:ident $(, $this:ident => $rows:expr)?)?;)*) => {
+        $(impl Request for v1::$message {
+            $(fn index(&self) -> &str {
+                &self.$index
+            }
+
+            $(fn rows(&self) -> Option<usize> {
+                let $this = self;
+                Some($rows)
+            })?)?
+        })*
+    };
+}
+
+requests! {
+    InsertRequest: index, this => rows(this.states.as_ref());
+    UpdateRequest: index, this => this.ids.len();
+    RemoveRequest: index, this => this.ids.len();
+    GetRequest: index, this => this.ids.len();
+    KnnRequest: index, this => rows(this.states.as_ref());
+    QueryRequest: index, this => rows(this.states.as_ref());
+    ScanRequest: index;
+    WatchRequest: index;
+    GetServerRequest;
+    CreateIndexRequest: name;
+    GetIndexRequest: index;
+    ListIndexesRequest;
+    DeleteIndexRequest: index;
+    SnapshotIndexRequest: index;
+    RestoreIndexRequest: name;
+    VerifyIndexRequest: index;
+}
+
+fn rows(states: Option<&v1::States>) -> usize {
+    states.map_or(0, |states| states.rows as usize)
 }

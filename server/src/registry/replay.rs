@@ -1,42 +1,45 @@
-//! From the log to a hosted index: what a restart does.
+//! Replay: builds a hosted index from the log at a restart.
 
 use std::sync::Arc;
 
 use tracing::{error, info};
-use wayfold_index::{Forest, PointRef, Points};
+use wayfold_index::{ApplyError, PointRef, Points, PointsError};
 
-use super::{Host, Hosted, Place, RegistryError, Writer, operations::EVERY_OPERATION};
+use super::{Host, Hosted, IndexState, OperationWindow, RegistryError, Writer};
 use crate::log::{Entry, LogError, View};
 
-/// How many points are read at a time.
-const PAGE: usize = 4096;
+/// The points that one read of the log returns.
+const PAGE_POINTS: usize = 4096;
 
-/// After how many points a line of the log says how far it is.
-const PROGRESS: usize = 250 * PAGE;
+/// Replay logs its progress once per this many points.
+const PROGRESS_POINTS: usize = 250 * PAGE_POINTS;
 
-/// The index of an entry, or why it cannot be replayed.
-pub(super) fn replayed(host: &Arc<Host>, entry: &Entry) -> Place {
+/// Replays the index of an entry. It is damaged if that fails.
+pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     match replay(host, entry) {
-        Ok(hosted) => Place::Hosted(hosted),
+        Ok(hosted) => IndexState::Hosted(hosted),
         Err(error) => {
             error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");
-            Place::Damaged(entry.uid, error)
+            IndexState::Damaged(entry.uid, error)
         }
     }
 }
 
-/// Builds an index from its points, with the operations that the log remembers. A call that changed nothing left
-/// none: its retry is evaluated anew, which it cannot tell from a first try.
+/// Builds an index from its points and from the operations that the log remembers. The log remembers no call that changed
+/// nothing: the server evaluates its retry again, with the same outcome as a first try.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
     let view = host.log.points(entry.uid)?;
-    let mut forest = Forest::new(entry.space.clone(), host.options.forest);
+    let mut forest = host.options.forest(&entry.space);
     if view.revision() > 0 {
-        forest.apply(view.revision(), &load(&*view, entry)?, &[]);
+        let points = load(&*view, entry)?;
+        forest
+            .apply(view.revision(), &points, &[])
+            .map_err(|error| damaged(entry, view.revision(), &points, &error))?;
         forest.settle();
     }
     let mut writer = Writer::new(forest, Arc::clone(&view));
     for operation in host.log.operations(entry.uid)? {
-        writer.remember(operation, EVERY_OPERATION);
+        writer.remember(operation, OperationWindow::UNBOUNDED);
     }
     info!(
         index = entry.name,
@@ -48,11 +51,34 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
     Ok(Hosted::new(host, entry, writer))
 }
 
+/// Points of the log that the forest refuses are not those that were written.
+fn damaged(entry: &Entry, revision: u64, points: &Points, error: &ApplyError) -> LogError {
+    let uid = entry.uid;
+    match *error {
+        ApplyError::Points(PointsError::State { row, .. }) => LogError::DamagedPoint {
+            uid,
+            id: points.id(row),
+            what: "its state is not a canonical state of the space",
+        },
+        ApplyError::Points(PointsError::DuplicateId(id)) => LogError::DamagedPoint {
+            uid,
+            id,
+            what: "it is stored twice",
+        },
+        ApplyError::Points(PointsError::Width { .. } | PointsError::TooMany(_))
+        | ApplyError::Revision { .. } => LogError::Damaged {
+            uid,
+            revision,
+            what: "its points do not make a forest",
+        },
+    }
+}
+
 fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
     let mut points = Points::new(entry.space.coordinates());
     let mut after = None;
     loop {
-        let page = view.page(after, PAGE)?;
+        let page = view.page(after, PAGE_POINTS)?;
         let Some(last) = page.last() else {
             return Ok(points);
         };
@@ -72,7 +98,7 @@ fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
                 row: &point.state,
             });
         }
-        if points.len() >= PROGRESS && points.len() % PROGRESS < page.len() {
+        if points.len() >= PROGRESS_POINTS && points.len() % PROGRESS_POINTS < page.len() {
             info!(index = entry.name, points = points.len(), "reading points");
         }
     }

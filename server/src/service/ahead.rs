@@ -50,13 +50,15 @@ impl Ahead {
             if found > most {
                 break;
             }
-            let search = |search: Option<Search<'_>>| match search {
-                Some(search) => head.snapshot.search(row, &search).neighbors,
-                None => Vec::new(),
+            let search = |search: Option<Search<'_>>| -> Result<_, Error> {
+                match search {
+                    Some(search) => Ok(head.snapshot.search(row, &search)?.neighbors),
+                    None => Ok(Vec::new()),
+                }
             };
             let around = Around {
-                neighbors: search(neighbors),
-                nearest: search(nearest),
+                neighbors: search(neighbors)?,
+                nearest: search(nearest)?,
             };
             found += around.neighbors.len();
             ahead.rows.push(around);
@@ -79,6 +81,12 @@ impl Ahead {
     /// The revision it is from.
     pub(super) fn revision(&self) -> u64 {
         self.revision
+    }
+
+    /// The ids of the neighbours that were found.
+    pub(super) fn neighbor_ids(&self) -> Vec<u64> {
+        let neighbors = self.rows.iter().flat_map(|around| &around.neighbors);
+        neighbors.map(|neighbor| neighbor.id).collect()
     }
 
     /// What the row has around it, if it was searched for.

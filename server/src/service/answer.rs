@@ -2,11 +2,16 @@
 
 use bytes::Bytes;
 use prost::encoding::encoded_len_varint;
-use wayfold_index::{Neighbor, PointRef, Search};
+use wayfold_index::{Neighbor, Point, Search};
 use wayfold_proto::v1;
 
-use super::{Error, Limits, at::log_failed, call::Pace, check::Rows};
-use crate::registry::Published;
+use super::{
+    Call, Error, Limits,
+    call::Pace,
+    check::Rows,
+    stored::{self, BATCH},
+};
+use crate::{log::View, registry::Published};
 
 /// Room for what is in every answer, and for the tags and lengths of its columns.
 const FRAME: usize = 256;
@@ -25,6 +30,11 @@ impl Room {
         }
     }
 
+    /// How many bytes are left.
+    pub(super) fn left(&self) -> usize {
+        self.left
+    }
+
     pub(super) fn take(&mut self, bytes: usize) -> Result<(), Error> {
         match self.left.checked_sub(bytes) {
             Some(left) => {
@@ -41,35 +51,54 @@ impl Room {
     }
 }
 
-/// Where the columns of an answer come from.
+/// Where the columns of an answer come from, but for the payloads, which are in the store.
 pub(super) trait Source {
     /// The point with this id.
-    fn point(&self, id: u64) -> Option<PointRef<'_>>;
-    /// Its payload.
-    fn payload(&self, id: u64) -> Result<Bytes, Error>;
+    fn point(&self, id: u64) -> Option<Point>;
 }
 
-/// A published revision of the index of this name.
+/// What a call reads: a published revision of the index of this name.
 pub(super) struct Seen<'a> {
+    pub(super) call: &'a Call,
+    /// What the call is doing when its deadline passes.
+    pub(super) doing: &'static str,
     pub(super) index: &'a str,
     pub(super) published: &'a Published,
 }
 
-impl Source for Seen<'_> {
-    fn point(&self, id: u64) -> Option<PointRef<'_>> {
-        self.published.snapshot.get(id)
-    }
-
-    fn payload(&self, id: u64) -> Result<Bytes, Error> {
-        match self.published.view.get(id) {
-            Ok(Some(point)) => Ok(point.payload.clone()),
-            Ok(None) => Err(missing(id)),
-            Err(error) => Err(log_failed(self.index, error)),
-        }
+impl Seen<'_> {
+    /// The payloads of points, [`BATCH`] of them at most, in their order, until they take more than `most` bytes of an
+    /// answer: the last may be too much.
+    pub(super) async fn payloads(&self, ids: Vec<u64>, most: usize) -> Result<Vec<Bytes>, Error> {
+        let read = move |view: &dyn View| {
+            let (mut payloads, mut bytes) = (Vec::new(), 0);
+            for id in ids {
+                if bytes > most {
+                    break;
+                }
+                let payload = view.get(id)?.map(|point| point.payload.clone());
+                bytes += payload.as_ref().map_or(0, payload_bytes);
+                payloads.push((id, payload));
+            }
+            Ok(payloads)
+        };
+        let view = &self.published.view;
+        let payloads = stored::read(self.call, self.doing, self.index, view, read).await?;
+        let payloads = payloads
+            .into_iter()
+            .map(|(id, payload)| payload.ok_or_else(|| missing(id)));
+        payloads.collect()
     }
 }
 
-fn missing(id: u64) -> Error {
+impl Source for Seen<'_> {
+    fn point(&self, id: u64) -> Option<Point> {
+        self.published.snapshot.get(id)
+    }
+}
+
+/// Forest and log do not hold the same points.
+pub(super) fn missing(id: u64) -> Error {
     Error::Internal {
         what: format!(
             "the point with id {id} is in the forest and not in the log, or the other way"
@@ -116,7 +145,7 @@ impl Found {
         self.room.left / self.fixed_bytes() + 1
     }
 
-    /// Adds the neighbours of the next state.
+    /// Adds the neighbours of the next state, but for their payloads.
     pub(super) fn push(
         &mut self,
         source: &impl Source,
@@ -136,19 +165,40 @@ impl Found {
                         .ok_or_else(|| missing(neighbor.id))?,
                 )?;
             }
-            if self.include.payloads {
-                let payload = source.payload(neighbor.id)?;
-                self.room.take(payload_bytes(&payload))?;
-                self.columns.payloads.push(payload);
+        }
+        Ok(())
+    }
+
+    /// The neighbours that were added and whose payloads were not, if payloads are asked for.
+    pub(super) fn without_payload(&self) -> &[u64] {
+        match self.include.payloads {
+            true => &self.columns.ids[self.columns.payloads.len()..],
+            false => &[],
+        }
+    }
+
+    /// Adds the payload of the next neighbour.
+    pub(super) fn push_payload(&mut self, payload: Bytes) -> Result<(), Error> {
+        self.room.take(payload_bytes(&payload))?;
+        self.columns.payloads.push(payload);
+        Ok(())
+    }
+
+    /// Adds the payloads of all neighbours so far.
+    async fn read_payloads(&mut self, seen: &Seen<'_>) -> Result<(), Error> {
+        while !self.without_payload().is_empty() {
+            let batch = self.without_payload().iter().take(BATCH).copied().collect();
+            for payload in seen.payloads(batch, self.room.left()).await? {
+                self.push_payload(payload)?;
             }
         }
         Ok(())
     }
 
-    fn push_point(&mut self, point: PointRef<'_>) -> Result<(), Error> {
+    fn push_point(&mut self, point: Point) -> Result<(), Error> {
         if let Some(states) = &mut self.columns.states {
             states.rows += 1;
-            states.coordinates.extend_from_slice(point.row);
+            states.coordinates.extend(point.row);
         }
         if self.include.tags {
             self.columns.tags.push(point.tag);
@@ -165,63 +215,86 @@ impl Found {
     }
 }
 
-/// Searches for every state; says also whether all of it is exact.
+/// Searches for every state.
 pub(super) async fn search(
     seen: &Seen<'_>,
     states: &Rows,
     search: Search<'_>,
     mut found: Found,
     pace: &mut Pace,
-) -> Result<(v1::Neighbors, bool), Error> {
-    let mut exact = true;
+) -> Result<v1::Neighbors, Error> {
     for state in states.iter() {
         let search = Search {
             k: search.k.min(found.too_many()),
             ..search
         };
-        let answer = seen.published.snapshot.search(state, &search);
-        if !answer.exact {
-            // Perhaps only because it was out of time.
-            pace.check()?;
-        }
-        exact &= answer.exact;
+        let answer = seen.published.snapshot.search(state, &search)?;
+        // A search that runs out of time ends early, with what it found.
+        pace.check()?;
         found.push(seen, &answer.neighbors)?;
+        if found.without_payload().len() >= BATCH {
+            found.read_payloads(seen).await?;
+        }
         pace.step().await?;
     }
-    Ok((found.finish(), exact))
+    found.read_payloads(seen).await?;
+    Ok(found.finish())
 }
 
 /// Points under way to their columns.
 pub(super) struct PointColumns {
-    with_payloads: bool,
+    include: v1::Include,
     columns: v1::Points,
-    states: v1::States,
     bytes: usize,
 }
 
+/// The columns of points where a request names none.
+const POINT_COLUMNS: v1::Include = v1::Include {
+    states: true,
+    tags: true,
+    revisions: true,
+    payloads: false,
+};
+
 impl PointColumns {
-    pub(super) fn new(with_payloads: bool) -> Self {
+    pub(super) fn new(include: Option<v1::Include>) -> Self {
+        let include = include.unwrap_or(POINT_COLUMNS);
         Self {
-            with_payloads,
-            columns: v1::Points::default(),
-            states: v1::States::default(),
+            columns: v1::Points {
+                states: include.states.then(v1::States::default),
+                ..Default::default()
+            },
+            include,
             bytes: 0,
         }
     }
 
-    pub(super) fn push(&mut self, source: &impl Source, point: PointRef<'_>) -> Result<(), Error> {
-        self.bytes += 8 + 8 + 8 * point.row.len() + encoded_len_varint(point.revision);
+    /// Whether each point is added with its payload.
+    pub(super) fn with_payloads(&self) -> bool {
+        self.include.payloads
+    }
+
+    /// Adds a point; with its payload, or all of them without.
+    pub(super) fn push(&mut self, point: Point, payload: Option<Bytes>) {
+        self.bytes += 8;
         self.columns.ids.push(point.id);
-        self.columns.tags.push(point.tag);
-        self.columns.revisions.push(point.revision);
-        self.states.rows += 1;
-        self.states.coordinates.extend_from_slice(point.row);
-        if self.with_payloads {
-            let payload = source.payload(point.id)?;
+        if let Some(states) = &mut self.columns.states {
+            self.bytes += 8 * point.row.len();
+            states.rows += 1;
+            states.coordinates.extend(point.row);
+        }
+        if self.include.tags {
+            self.bytes += 8;
+            self.columns.tags.push(point.tag);
+        }
+        if self.include.revisions {
+            self.bytes += encoded_len_varint(point.revision);
+            self.columns.revisions.push(point.revision);
+        }
+        if let Some(payload) = payload {
             self.bytes += payload_bytes(&payload);
             self.columns.payloads.push(payload);
         }
-        Ok(())
     }
 
     pub(super) fn len(&self) -> usize {
@@ -234,14 +307,11 @@ impl PointColumns {
     }
 
     pub(super) fn finish(self) -> v1::Points {
-        v1::Points {
-            states: Some(self.states),
-            ..self.columns
-        }
+        self.columns
     }
 }
 
 /// A payload in its column: the tag and the length too.
-fn payload_bytes(payload: &Bytes) -> usize {
+pub(super) fn payload_bytes(payload: &Bytes) -> usize {
     1 + encoded_len_varint(payload.len() as u64) + payload.len()
 }

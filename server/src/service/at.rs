@@ -15,26 +15,18 @@ impl Service {
     pub(super) fn index(&self, name: &str, uid: &str) -> Result<Arc<Hosted>, Error> {
         let hosted = self.registry()?.get(name);
         let hosted = hosted.map_err(|error| failed(name, error))?;
-        if !uid.is_empty() && uid != hosted.uid_text() {
-            return Err(Error::UidMismatch {
-                index: name.into(),
-                asked: uid.into(),
-                found: hosted.uid_text().into(),
-            });
-        }
+        check_uid(&hosted, uid)?;
         Ok(hosted)
     }
 
-    /// What a read sees: the newest revision, once that is at least `at.min_revision`, and `since_revision`: a server
-    /// that has not heard of it yet cannot say what came after it.
+    /// What a read sees: the newest revision, once that is at least `revision`, the greater of `min_revision` and
+    /// `since_revision`: a server that has not heard of these yet cannot say what came after them.
     pub(super) async fn published(
         &self,
         call: &Call,
         hosted: &Hosted,
-        at: &v1::ReadAt,
-        since_revision: u64,
+        revision: u64,
     ) -> Result<Arc<Published>, Error> {
-        let revision = at.min_revision.max(since_revision);
         let published = hosted.published();
         if published.revision >= revision {
             return Ok(published);
@@ -51,15 +43,43 @@ impl Service {
     }
 }
 
-/// A revision above 0 means something only with its uid.
-pub(super) fn check_read_at(at: &v1::ReadAt, violations: &mut Violations) {
-    if at.min_revision > 0 && at.uid.is_empty() {
-        violations.add(
-            "at.uid",
-            "REQUIRED",
-            "min_revision needs the uid of the index it belongs to",
-        );
+/// A revision of `hosted`, as answers name it.
+pub(super) fn revision(hosted: &Hosted, number: u64) -> v1::Revision {
+    v1::Revision {
+        uid: hosted.uid_text().into(),
+        number,
     }
+}
+
+/// The number of the revision that a request names in `field`, 0 for none. Above 0 it needs a uid, and a uid must be the
+/// index's.
+pub(super) fn revision_number(
+    hosted: &Hosted,
+    field: &str,
+    named: Option<&v1::Revision>,
+    violations: &mut Violations,
+) -> Result<u64, Error> {
+    let Some(v1::Revision { uid, number }) = named else {
+        return Ok(0);
+    };
+    check_uid(hosted, uid)?;
+    if *number > 0 && uid.is_empty() {
+        let text = "a revision needs the uid of the index that it belongs to";
+        violations.add(format!("{field}.uid"), "REQUIRED", text);
+    }
+    Ok(*number)
+}
+
+/// Fails if the index has another uid; an empty one is any.
+fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
+    if uid.is_empty() || uid == hosted.uid_text() {
+        return Ok(());
+    }
+    Err(Error::UidMismatch {
+        index: hosted.name().into(),
+        asked: uid.into(),
+        found: hosted.uid_text().into(),
+    })
 }
 
 /// What a failure of the registry means to a caller.

@@ -3,10 +3,11 @@
 use std::collections::{HashMap, hash_map};
 
 use bytes::Bytes;
-use wayfold_index::{Filter, Search, Space, StateError, StateProblem};
+use wayfold_index::{Filter, Space, StateError, StateProblem};
 use wayfold_proto::v1;
 
-use super::{Error, Limits, Violation, call::Pace};
+use super::{Error, Limits, Violation, at::revision_number, call::Pace};
+use crate::registry::Hosted;
 
 /// The first id that is too large.
 pub(super) const END_OF_IDS: u64 = 1 << 63;
@@ -127,6 +128,7 @@ fn state_reason(error: &StateError) -> &'static str {
         StateProblem::TooLarge => "TOO_LARGE",
         StateProblem::Norm(_) => "NORM",
         StateProblem::Width { .. } => "WIDTH",
+        StateProblem::NotCanonical => "NOT_CANONICAL",
     }
 }
 
@@ -257,13 +259,13 @@ pub(super) fn k_limit(k: usize, limit: usize) -> Result<(), Error> {
     })
 }
 
-/// A filter; `field` is its path, `uid` the request's, which `uid_field` names.
+/// A filter of the points of `hosted`; `field` is its path.
 pub(super) fn filter(
     field: &str,
     filter: Option<v1::Filter>,
-    (uid_field, uid): (&str, &str),
+    hosted: &Hosted,
     violations: &mut Violations,
-) -> Filter {
+) -> Result<Filter, Error> {
     let filter = filter.unwrap_or_default();
     if filter.tag_value & !filter.tag_mask != 0 {
         violations.add(
@@ -275,30 +277,14 @@ pub(super) fn filter(
             ),
         );
     }
-    if filter.since_revision > 0 && uid.is_empty() {
-        violations.add(
-            uid_field,
-            "REQUIRED",
-            "since_revision needs the uid of the index it belongs to",
-        );
-    }
-    Filter {
+    Ok(Filter {
         tag_mask: filter.tag_mask,
         tag_value: filter.tag_value,
-        since_revision: filter.since_revision,
-    }
-}
-
-/// What `Knn` and `Query` say of accuracy.
-pub(super) fn accuracy(
-    search: &mut Search<'_>,
-    epsilon: f64,
-    max_leaves: u32,
-    violations: &mut Violations,
-) {
-    finite("epsilon", epsilon, violations);
-    search.epsilon = epsilon;
-    if max_leaves > 0 {
-        search.max_leaves = max_leaves as usize;
-    }
+        since_revision: revision_number(
+            hosted,
+            &format!("{field}.since_revision"),
+            filter.since_revision.as_ref(),
+            violations,
+        )?,
+    })
 }

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use thiserror::Error;
+use wayfold_index::SearchError;
 
 /// The kinds of failure a caller can tell apart: the eleven codes of the contract, named as gRPC names them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -229,6 +230,15 @@ pub enum Error {
         /// What happened.
         what: String,
     },
+}
+
+/// The service searches for canonical states only, so a refusal is a bug.
+impl From<SearchError> for Error {
+    fn from(error: SearchError) -> Self {
+        Error::Internal {
+            what: format!("a search that was checked is refused: {error}"),
+        }
+    }
 }
 
 impl Error {

@@ -4,10 +4,13 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{PointColumns, Room, Seen},
-    at::check_read_at,
+    answer::{PointColumns, Room, Seen, missing},
+    at::{revision, revision_number},
     check::{self, Violations},
+    stored::BATCH,
 };
+
+const DOING: &str = "while reading points";
 
 impl Service {
     /// Reads points by id, in the order of the request.
@@ -17,45 +20,55 @@ impl Service {
         request: v1::GetRequest,
     ) -> Result<v1::GetResponse, Error> {
         self.accept(call)?;
-        let at = request.at.unwrap_or_default();
-        let hosted = self.index(&request.index, &at.uid)?;
-        let mut pace = call.pace("while reading points");
+        let hosted = self.index(&request.index, "")?;
+        let mut pace = call.pace(DOING);
         check::id_count(&request.ids, self.limits())?;
         let mut violations = Violations::default();
         check::ids(&request.ids, &mut pace, &mut violations).await?;
-        check_read_at(&at, &mut violations);
+        let min = request.min_revision.as_ref();
+        let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         violations.finish()?;
 
-        let published = self.published(call, &hosted, &at, 0).await?;
+        let published = self.published(call, &hosted, min).await?;
+        let mut absent = Vec::new();
+        for &id in &request.ids {
+            if published.snapshot.get(id).is_none() {
+                absent.push(id);
+            }
+            pace.step().await?;
+        }
+        if !absent.is_empty() {
+            return Err(Error::PointsNotFound {
+                index: request.index,
+                ids: absent,
+            });
+        }
         let seen = Seen {
+            call,
+            doing: DOING,
             index: hosted.name(),
             published: &published,
         };
         let mut room = Room::new(self.limits());
-        let mut points = PointColumns::new(request.payloads);
-        let mut missing = Vec::new();
-        for &id in &request.ids {
-            match published.snapshot.get(id) {
-                Some(point) if missing.is_empty() => {
-                    let before = points.bytes();
-                    points.push(&seen, point)?;
-                    room.take(points.bytes() - before)?;
-                }
-                Some(_) => {}
-                None => missing.push(id),
+        let mut points = PointColumns::new(request.include);
+        for ids in request.ids.chunks(BATCH) {
+            let mut payloads = match points.with_payloads() {
+                true => seen.payloads(ids.to_vec(), room.left()).await?,
+                false => Vec::new(),
             }
-            pace.step().await?;
-        }
-        if !missing.is_empty() {
-            return Err(Error::PointsNotFound {
-                index: request.index,
-                ids: missing,
-            });
+            .into_iter();
+            for &id in ids {
+                let point = published.snapshot.get(id).ok_or_else(|| missing(id))?;
+                let before = points.bytes();
+                points.push(point, payloads.next());
+                // It fails with the last payload, if those were too many.
+                room.take(points.bytes() - before)?;
+                pace.step().await?;
+            }
         }
         Ok(v1::GetResponse {
             points: Some(points.finish()),
-            revision: published.revision,
-            uid: hosted.uid_text().into(),
+            revision: Some(revision(&hosted, published.revision)),
         })
     }
 }

@@ -2,11 +2,14 @@
 
 use prost::Message;
 use wayfold_index::Space;
-use wayfold_proto::{space, v1};
+use wayfold_proto::{
+    space,
+    v1::{self, create_index_request::SpaceForm},
+};
 
 use super::{
     Call, Error, Service,
-    at::{failed, unlisted},
+    at::{failed, revision, unlisted},
     check::Violations,
 };
 use crate::registry::{Hosted, Listed, Published, Registry, RegistryError};
@@ -52,7 +55,7 @@ impl Service {
         self.accept(call)?;
         let mut violations = Violations::default();
         check_name(&request.name, &mut violations);
-        let space = read_space(request.space.as_ref(), &request.space_text, &mut violations);
+        let space = read_space(request.space_form, &mut violations);
         violations.finish()?;
         let Some(space) = space else {
             return Err(Error::Internal {
@@ -89,7 +92,7 @@ impl Service {
         request: v1::GetIndexRequest,
     ) -> Result<v1::GetIndexResponse, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.name, "")?;
+        let hosted = self.index(&request.index, "")?;
         Ok(v1::GetIndexResponse {
             index: Some(describe(&hosted, &hosted.published())),
         })
@@ -157,17 +160,17 @@ impl Service {
         request: v1::DeleteIndexRequest,
     ) -> Result<v1::DeleteIndexResponse, Error> {
         self.accept(call)?;
-        let (name, uid) = (request.name.clone(), request.uid.clone());
+        let (name, uid) = (request.index.clone(), request.uid.clone());
         let deleted = self.blocking(move |registry| {
             registry.delete(&name, Some(&*uid).filter(|uid| !uid.is_empty()))
         });
         let uid = deleted.await?.map_err(|error| match error {
             RegistryError::OtherUid { found } => Error::UidMismatch {
-                index: request.name.clone(),
+                index: request.index.clone(),
                 asked: request.uid.clone(),
                 found: found.to_string(),
             },
-            error => failed(&request.name, error),
+            error => failed(&request.index, error),
         })?;
         Ok(v1::DeleteIndexResponse {
             uid: uid.to_string(),
@@ -201,10 +204,9 @@ pub(super) fn describe(hosted: &Hosted, published: &Published) -> v1::Index {
         name: hosted.name().into(),
         space: Some(space::to_message(space)),
         space_text: space.to_string(),
-        uid: hosted.uid_text().into(),
-        revision: published.revision,
-        points: published.snapshot.len() as u64,
-        coordinates: space.coordinates() as u32,
+        revision: Some(revision(hosted, published.revision)),
+        point_count: published.snapshot.len() as u64,
+        coordinate_count: space.coordinates() as u32,
         dimension: space.dimension() as u32,
         memory_bytes: published.snapshot.memory_bytes() as u64,
     }
@@ -225,37 +227,23 @@ pub(super) fn check_name(name: &str, violations: &mut Violations) {
 }
 
 /// The space in whichever form it was given; None after a violation.
-fn read_space(
-    message: Option<&v1::Space>,
-    text: &str,
-    violations: &mut Violations,
-) -> Option<Space> {
-    match (message, text) {
-        (None, "") => {
+fn read_space(form: Option<SpaceForm>, violations: &mut Violations) -> Option<Space> {
+    let (field, problem) = match form {
+        None => {
             violations.add("space", "REQUIRED", "set space or space_text");
-            None
+            return None;
         }
-        (Some(_), text) if !text.is_empty() => {
-            violations.add(
-                "space_text",
-                "AMBIGUOUS",
-                "set space or space_text, not both",
-            );
-            None
-        }
-        (Some(message), _) => space::from_message(message)
-            .map_err(|error| {
-                let field = format!("space.{}", error.path);
-                violations.add(field, "SPACE", error.problem.to_string());
-            })
-            .ok(),
-        (None, text) => text
-            .parse()
-            .map_err(|error: wayfold_index::SpaceError| {
-                violations.add("space_text", "SPACE", error.to_string());
-            })
-            .ok(),
-    }
+        Some(SpaceForm::Space(message)) => match space::from_message(&message) {
+            Ok(space) => return Some(space),
+            Err(error) => (format!("space.{}", error.path), error.problem.to_string()),
+        },
+        Some(SpaceForm::SpaceText(text)) => match text.parse::<Space>() {
+            Ok(space) => return Some(space),
+            Err(error) => ("space_text".to_owned(), error.to_string()),
+        },
+    };
+    violations.add(field, "SPACE", problem);
+    None
 }
 
 /// A page token is the last name of the page before, in hexadecimal: opaque, and good even if that index is gone.

@@ -3,23 +3,27 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use wayfold_index::{Neighbor, PointRef, Search, Space};
+use wayfold_index::{Neighbor, Point, Search};
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
     ahead::{Ahead, Around},
     answer::{Found, Room},
+    at::revision,
     call::Pace,
     check::{self, END_OF_IDS, Rows, Violations},
     mutation::{Begun, Claim},
+    neighbor_spec::NeighborSpec,
+    payloads::{Payloads, Unread},
     staging::Staging,
-    wanted::{Said, Wanted},
 };
 use crate::{
     log::{Effects, Outcome},
     registry::{Hosted, Published},
 };
+
+const DOING: &str = "while evaluating the rows; nothing was changed";
 
 /// A checked request.
 struct Insertion {
@@ -32,7 +36,7 @@ struct Insertion {
     payloads: Vec<Bytes>,
     replace: bool,
     min_separation: f64,
-    neighbors: Option<(Wanted, Option<v1::Include>)>,
+    neighbors: Option<(NeighborSpec, Option<v1::Include>)>,
 }
 
 impl Service {
@@ -44,33 +48,58 @@ impl Service {
     ) -> Result<v1::InsertResponse, Error> {
         self.accept(call)?;
         let hosted = self.index(&request.index, &request.uid)?;
-        let mut pace = call.pace("while evaluating the rows; nothing was changed");
+        let mut pace = call.pace(DOING);
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
-        let insertion = Insertion::check(request, hosted.space(), self.limits(), &mut pace).await?;
+        let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;
 
+        let mut head = hosted.newest();
         let ahead = insertion
-            .search_ahead(&hosted, self.limits(), &mut pace)
+            .search_ahead(&head, self.limits(), &mut pace)
             .await?;
-
-        let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-            Begun::Answered(response) => return Ok(response),
-            Begun::Writing(writer) => writer,
-        };
-        let head = writer.head().clone();
-        let revision = head.revision;
-        let ahead = ahead.filter(|ahead| ahead.holds(&writer));
-        let mut evaluation = Evaluation::new(&insertion, &hosted, head, self.limits(), ahead)?;
-        for (at, row) in insertion.rows.iter().enumerate() {
-            evaluation.row(at, row)?;
-            // A search takes long, and so does the copy of a large payload.
-            if insertion.is_searched() || !insertion.payloads.is_empty() || at % 32 == 31 {
-                pace.step().await?;
+        let mut payloads = Payloads::new(insertion.tells_payloads());
+        let unread = insertion
+            .unread_in(&head, ahead.as_ref(), &mut pace)
+            .await?;
+        let most = self.limits().answer_bytes;
+        let read = payloads.read(call, &hosted, &head, unread, most);
+        read.await?;
+        let (writer, effects, told) = loop {
+            let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+                Begun::Answered(response) => return Ok(response),
+                Begun::Writing(writer) => writer,
+            };
+            head = Arc::clone(writer.head());
+            payloads.catch_up(&hosted, &writer);
+            let ahead = ahead.as_ref().filter(|ahead| ahead.holds(&writer));
+            let base = Arc::clone(&head);
+            let mut evaluation =
+                Evaluation::new(&insertion, &hosted, base, self.limits(), ahead, &payloads)?;
+            for (at, row) in insertion.rows.iter().enumerate() {
+                match evaluation.row(at, row) {
+                    Ok(()) => {}
+                    // It may be right once it is known what the rows before are.
+                    Err(_) if !evaluation.unread.compared.is_empty() => break,
+                    Err(error) => return Err(error),
+                }
+                // A search takes long, and so does the copy of a large payload.
+                if insertion.is_searched() || !insertion.payloads.is_empty() || at % 32 == 31 {
+                    pace.step().await?;
+                }
             }
-        }
-        let (effects, told) = evaluation.finish()?;
+            let unread = std::mem::take(&mut evaluation.unread);
+            if unread.is_empty() {
+                let (effects, told) = evaluation.finish()?;
+                break (writer, effects, told);
+            }
+            // Others have changed what there was. The rest is read without the writer, and the rows are evaluated anew.
+            drop(writer);
+            let read = payloads.read(call, &hosted, &head, unread, most);
+            // All of these are told, and more may be.
+            Room::new(self.limits()).take(read.await?)?;
+        };
+        let found = head.revision;
         let response = v1::InsertResponse {
-            revision: revision + u64::from(!effects.is_empty()),
-            uid: hosted.uid_text().into(),
+            revision: Some(revision(&hosted, found + u64::from(!effects.is_empty()))),
             ..told
         };
         self.commit(call, &hosted, writer, effects, claim, &response)
@@ -83,8 +112,11 @@ impl Service {
 struct Evaluation<'a> {
     insertion: &'a Insertion,
     index: &'a str,
-    staging: Staging<'a>,
-    ahead: Option<Ahead>,
+    staging: Staging,
+    ahead: Option<&'a Ahead>,
+    payloads: &'a Payloads,
+    /// What has to be read before the rows can be evaluated.
+    unread: Unread,
     /// The next id to assign.
     next_id: u64,
     found: Option<Found>,
@@ -99,7 +131,8 @@ impl<'a> Evaluation<'a> {
         hosted: &'a Hosted,
         head: Arc<Published>,
         limits: &Limits,
-        ahead: Option<Ahead>,
+        ahead: Option<&'a Ahead>,
+        payloads: &'a Payloads,
     ) -> Result<Self, Error> {
         let space = hosted.space();
         let mut room = Room::new(limits);
@@ -108,8 +141,10 @@ impl<'a> Evaluation<'a> {
             insertion,
             index: hosted.name(),
             next_id: head.view.next_id(),
-            staging: Staging::new(hosted.name(), head, space, insertion.is_searched()),
+            staging: Staging::new(head, space, insertion.is_searched()),
             ahead,
+            payloads,
+            unread: Unread::default(),
             found: insertion
                 .neighbors
                 .map(|(_, include)| Found::new(include, space.coordinates(), room)),
@@ -123,13 +158,18 @@ impl<'a> Evaluation<'a> {
         let given = insertion.ids.get(at).copied();
         let id = given.unwrap_or(self.next_id);
         let tag = insertion.tags.get(at).copied().unwrap_or_default();
-        let payload = insertion.payloads.get(at);
-        let payload = payload.map_or(&[][..], |payload| payload);
+        let payload = insertion.payload(at);
 
         let held = given.and_then(|id| self.staging.held(id));
         let is_held = held.is_some();
         let is_unchanged = match held {
-            Some(held) if is_same(held, tag, row) => self.staging.held_payload(id)? == payload,
+            Some(held) if is_same(&held, tag, row) => match self.payloads.is_stored(id, payload) {
+                Some(is_stored) => is_stored,
+                None => {
+                    self.unread.compared.push(id);
+                    true
+                }
+            },
             _ => false,
         };
         if is_held && !is_unchanged && !insertion.replace {
@@ -144,7 +184,7 @@ impl<'a> Evaluation<'a> {
         self.tell_neighbors(at, row)?;
         let (outcome, told_id) = if is_unchanged {
             (v1::Outcome::Unchanged, id)
-        } else if let Some(blocker) = self.blocker(at, row) {
+        } else if let Some(blocker) = self.blocker(at, row)? {
             (v1::Outcome::TooClose, blocker)
         } else if is_held {
             (v1::Outcome::Replaced, id)
@@ -170,35 +210,47 @@ impl<'a> Evaluation<'a> {
         self.next_id += 1;
         // The request's payloads are slices of the message: kept as they are, they would keep all of it.
         let payload = Bytes::copy_from_slice(payload);
-        self.staging.accept(id, tag, row, payload, outcome);
-        Ok(())
+        self.staging.accept(id, tag, row, payload, outcome)
     }
 
     fn tell_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
-        let (Some(found), Some((wanted, _))) = (&mut self.found, &self.insertion.neighbors) else {
+        let (Some(found), Some((spec, _))) = (&mut self.found, &self.insertion.neighbors) else {
             return Ok(());
         };
-        let search = wanted.among(self.staging.points())?;
+        let search = spec.among(self.staging.points())?;
         let search = Search {
             k: search.k.min(found.too_many()),
             ..search
         };
-        let ahead = self.ahead.as_ref().filter(|ahead| ahead.reaches(&search));
+        let ahead = self.ahead.filter(|ahead| ahead.reaches(&search));
         let known = known(ahead, at, |around| &around.neighbors);
-        found.push(&self.staging, &self.staging.search(row, &search, known))
+        found.push(&self.staging, &self.staging.search(row, &search, known)?)?;
+        for id in found.without_payload().to_vec() {
+            let accepted = self.staging.accepted_payload(id);
+            let payload = accepted.or_else(|| self.payloads.of_neighbor(id).cloned());
+            if payload.is_none() {
+                self.unread.told.push(id);
+            }
+            found.push_payload(payload.unwrap_or_default())?;
+        }
+        Ok(())
     }
 
     /// The nearest point that is nearer than the separation asked for.
-    fn blocker(&self, at: usize, row: &[f64]) -> Option<u64> {
+    fn blocker(&self, at: usize, row: &[f64]) -> Result<Option<u64>, Error> {
         let min_separation = self.insertion.min_separation;
-        let nearest = self.insertion.nearest()?;
-        let known = known(self.ahead.as_ref(), at, |around| &around.nearest);
-        let neighbors = self.staging.search(row, &nearest, known);
-        let nearest = neighbors.first()?;
-        (nearest.distance < min_separation).then_some(nearest.id)
+        let Some(nearest) = self.insertion.nearest() else {
+            return Ok(None);
+        };
+        let known = known(self.ahead, at, |around| &around.nearest);
+        let neighbors = self.staging.search(row, &nearest, known)?;
+        let blocker = neighbors
+            .first()
+            .filter(|near| near.distance < min_separation);
+        Ok(blocker.map(|near| near.id))
     }
 
-    /// What to log, and what to tell but for revision and uid.
+    /// What to log, and what to tell but for the revision.
     fn finish(self) -> Result<(Effects, v1::InsertResponse), Error> {
         if !self.conflicts.is_empty() {
             return Err(Error::PointsExist {
@@ -237,7 +289,7 @@ impl Insertion {
     /// Looks around the rows in what the index is now.
     async fn search_ahead(
         &self,
-        hosted: &Hosted,
+        head: &Arc<Published>,
         limits: &Limits,
         pace: &mut Pace,
     ) -> Result<Option<Ahead>, Error> {
@@ -246,11 +298,47 @@ impl Insertion {
         }
         // More than an answer holds are not asked for by anybody who gets one.
         let most = limits.answer_bytes / 16;
-        let head = hosted.newest();
         let (points, rows) = (head.snapshot.len(), self.rows.len());
-        let neighbors = self.neighbors.map(|(wanted, _)| wanted.ahead(points, rows));
+        let neighbors = self.neighbors.map(|(spec, _)| spec.ahead(points, rows));
+        let head = Arc::clone(head);
         let ahead = Ahead::search(head, &self.rows, neighbors, self.nearest(), most, pace);
         ahead.await.map(Some)
+    }
+
+    /// The payload of a row.
+    fn payload(&self, at: usize) -> &[u8] {
+        self.payloads.get(at).map_or(&[], |payload| payload)
+    }
+
+    /// Which payloads of the head the rows are most likely compared with, or tell.
+    async fn unread_in(
+        &self,
+        head: &Published,
+        ahead: Option<&Ahead>,
+        pace: &mut Pace,
+    ) -> Result<Unread, Error> {
+        let mut compared = Vec::new();
+        for (at, (&id, row)) in self.ids.iter().zip(self.rows.iter()).enumerate() {
+            let tag = self.tags.get(at).copied().unwrap_or_default();
+            let held = head.snapshot.get(id);
+            if held.is_some_and(|held| is_same(&held, tag, row)) {
+                compared.push(id);
+            }
+            if at % 32 == 31 {
+                pace.step().await?;
+            }
+        }
+        let told = ahead.filter(|_| self.tells_payloads());
+        Ok(Unread {
+            compared,
+            told: told.map(Ahead::neighbor_ids).unwrap_or_default(),
+        })
+    }
+
+    /// Whether the payloads of neighbours are told.
+    fn tells_payloads(&self) -> bool {
+        let include = self.neighbors.and_then(|(_, include)| include);
+        include.is_some_and(|include| include.payloads)
     }
 
     /// Whether rows must find the rows before them.
@@ -260,13 +348,14 @@ impl Insertion {
 
     async fn check(
         request: v1::InsertRequest,
-        space: &Space,
+        hosted: &Hosted,
         limits: &Limits,
         pace: &mut Pace,
     ) -> Result<Self, Error> {
+        let space = hosted.space();
         let mut violations = Violations::default();
         let replace = match v1::OnConflict::try_from(request.on_conflict) {
-            Ok(v1::OnConflict::Unspecified) => false,
+            Ok(v1::OnConflict::Unspecified | v1::OnConflict::Fail) => false,
             Ok(v1::OnConflict::Replace) => true,
             Err(_) => {
                 let text = format!("{} is no value of OnConflict", request.on_conflict);
@@ -277,9 +366,10 @@ impl Insertion {
         check::finite("min_separation", request.min_separation, &mut violations);
         check::operation_id(&request.operation_id, &mut violations);
         let neighbors = match request.neighbors {
-            Some(query) => {
-                let wanted = neighbors_wanted(query, &request.uid, space, limits, &mut violations)?;
-                Some((wanted, query.include))
+            Some(asked) => {
+                let include = asked.include;
+                let spec = neighbor_spec(asked, hosted, limits, &mut violations)?;
+                Some((spec, include))
             }
             None => None,
         };
@@ -306,28 +396,25 @@ impl Insertion {
     }
 }
 
-fn neighbors_wanted(
-    query: v1::NeighborQuery,
-    uid: &str,
-    space: &Space,
+fn neighbor_spec(
+    asked: v1::NeighborSpec,
+    hosted: &Hosted,
     limits: &Limits,
     violations: &mut Violations,
-) -> Result<Wanted, Error> {
-    let said = Said {
-        k: query.k,
-        radius: query.radius,
-        scaling: query.scaling,
-    };
-    if said.k.is_none() && said.radius.is_none() && said.scaling.is_none() {
-        violations.add("neighbors", "REQUIRED", "set k, radius, scaling or several");
+) -> Result<NeighborSpec, Error> {
+    let (count, reach) = (asked.count, asked.reach);
+    if count.is_none() && reach.is_none() {
+        let text = "set k or k_factor, radius or scaled_radius, or one of each";
+        violations.add("neighbors", "REQUIRED", text);
     }
-    let mut wanted = Wanted::check("neighbors.", &said, space, limits, violations)?;
-    wanted.fixed.filter = check::filter("neighbors.filter", query.filter, ("uid", uid), violations);
-    Ok(wanted)
+    let space = hosted.space();
+    let mut spec = NeighborSpec::check("neighbors.", count, reach, space, limits, violations)?;
+    spec.fixed.filter = check::filter("neighbors.filter", asked.filter, hosted, violations)?;
+    Ok(spec)
 }
 
 /// Whether a stored point has this tag and, bit for bit, this state.
-fn is_same(held: PointRef<'_>, tag: u64, row: &[f64]) -> bool {
+fn is_same(held: &Point, tag: u64, row: &[f64]) -> bool {
     let mut coordinates = held.row.iter().zip(row);
     held.tag == tag && coordinates.all(|(held, new)| held.to_bits() == new.to_bits())
 }

@@ -3,10 +3,7 @@
 use wayfold_proto::v1;
 
 use super::{
-    Call, Error, Service,
-    check::Violations,
-    neighbors::Asked,
-    wanted::{Said, Wanted},
+    Call, Error, Service, check::Violations, neighbor_spec::NeighborSpec, neighbors::Asked,
 };
 
 impl Service {
@@ -17,34 +14,32 @@ impl Service {
         request: v1::KnnRequest,
     ) -> Result<v1::KnnResponse, Error> {
         self.accept(call)?;
-        let at = request.at.unwrap_or_default();
-        let hosted = self.index(&request.index, &at.uid)?;
+        let hosted = self.index(&request.index, "")?;
         let mut violations = Violations::default();
-        let is_scaled = request
-            .scaling
-            .is_some_and(|scaling| scaling.k_factor.is_some());
-        let said = Said {
-            k: (request.k > 0 || !is_scaled).then_some(request.k),
-            radius: request.radius,
-            scaling: request.scaling,
-        };
-        let wanted = Wanted::check("", &said, hosted.space(), self.limits(), &mut violations)?;
+        if request.count.is_none() {
+            violations.add("k", "REQUIRED", "set k or k_factor");
+        }
+        let spec = NeighborSpec::check(
+            "",
+            request.count.map(Into::into),
+            request.reach.map(Into::into),
+            hosted.space(),
+            self.limits(),
+            &mut violations,
+        )?;
         let asked = Asked {
             states: request.states,
             epsilon: request.epsilon,
-            max_leaves: request.max_leaves,
             filter: request.filter,
             include: request.include,
-            at,
+            min_revision: request.min_revision,
         };
-        let told = self
-            .neighbors(call, hosted, asked, wanted, violations)
+        let (neighbors, revision) = self
+            .neighbors(call, hosted, asked, spec, violations)
             .await?;
         Ok(v1::KnnResponse {
-            neighbors: Some(told.neighbors),
-            exact: told.exact,
-            revision: told.revision,
-            uid: told.uid,
+            neighbors: Some(neighbors),
+            revision: Some(revision),
         })
     }
 }

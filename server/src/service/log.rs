@@ -13,11 +13,14 @@ impl Service {
         call: &Call,
         request: v1::WatchRequest,
     ) -> Result<v1::WatchResponse, Error> {
-        let after = request.after_revision.unwrap_or(u64::MAX);
+        let after = request.after_revision.as_ref();
+        let after = after.map_or(u64::MAX, |after| after.number);
         let watch = self.watch(call, request).await?;
         let mut watch = watch.with_message_bytes(message_bytes(self.limits()));
         let head = told(&mut watch).await?;
-        if head.reset() != v1::ResetReason::Unspecified || after >= head.revision {
+        let newest = head.revision.as_ref();
+        let newest = newest.map_or(0, |newest| newest.number);
+        if head.reset.is_some() || after >= newest {
             return Ok(head);
         }
         let mut answer = told(&mut watch).await?;

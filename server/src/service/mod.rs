@@ -4,9 +4,9 @@
 //! translates its calls into these and holds no policy of its own.
 //!
 //! One verb a file; what they share: `check` (requests become canonical rows and searches, or violations), `at`
-//! (which index and which revision), `wanted` (number and radius, fixed or by the size of the index), `mutation` (from an
+//! (which index and which revision), `neighbor_spec` (number and radius, fixed or by the size of the index), `mutation` (from an
 //! evaluated mutation to its acknowledgement), `staging` (rows that see the rows before them), `ahead` (searching before
-//! it is a call's turn to write), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting others
+//! it is a call's turn to write), `stored` (reading the store where one may block), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting others
 //! on in between), `error`, `limits`.
 
 mod ahead;
@@ -22,18 +22,21 @@ mod knn;
 mod limits;
 mod log;
 mod mutation;
+mod neighbor_spec;
 mod neighbors;
+mod payloads;
 mod pin;
 mod query;
 mod remove;
 mod restore;
 mod scan;
 mod served;
+mod server;
 mod snapshot;
 mod staging;
+mod stored;
 mod update;
 mod verify;
-mod wanted;
 mod watch;
 
 use std::sync::{
@@ -43,7 +46,7 @@ use std::sync::{
 
 use tokio_util::sync::CancellationToken;
 
-use crate::registry::Registry;
+use crate::{log::Durability, registry::Registry};
 pub use call::Call;
 pub use error::{Code, Error, Unavailability, Violation};
 pub use indexes::{Damaged, Listing};
@@ -65,6 +68,8 @@ struct Inner {
     /// Set once, as soon as there is one.
     registry: OnceLock<Arc<Registry>>,
     limits: Limits,
+    /// What an acknowledged mutation survives; None without a data directory.
+    durability: Option<Durability>,
     ready: AtomicBool,
     stopping: CancellationToken,
 }
@@ -79,10 +84,16 @@ impl Service {
 
     /// A service that has no registry yet, and answers every call with [`Error::Unavailable`].
     pub fn starting(limits: Limits) -> Self {
+        Self::starting_durable(limits, None)
+    }
+
+    /// The same, of a server that keeps its indices in a directory with this durability.
+    pub(crate) fn starting_durable(limits: Limits, durability: Option<Durability>) -> Self {
         Self {
             inner: Arc::new(Inner {
                 registry: OnceLock::new(),
                 limits,
+                durability,
                 ready: AtomicBool::new(false),
                 stopping: CancellationToken::new(),
             }),

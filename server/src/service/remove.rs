@@ -4,6 +4,7 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
+    at::revision,
     check::{self, Violations},
     mutation::{Begun, Claim},
 };
@@ -40,10 +41,9 @@ impl Service {
         }
         let removed = effects.len() as u64;
         let response = v1::RemoveResponse {
-            removed,
-            missing: request.ids.len() as u64 - removed,
-            revision: head.revision + u64::from(removed > 0),
-            uid: hosted.uid_text().into(),
+            removed_count: removed,
+            missing_count: request.ids.len() as u64 - removed,
+            revision: Some(revision(&hosted, head.revision + u64::from(removed > 0))),
         };
         self.commit(call, &hosted, writer, effects, claim, &response)
             .await?;

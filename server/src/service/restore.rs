@@ -18,6 +18,9 @@ use crate::{
     registry::{RegistryError, Restore},
 };
 
+/// The first revision that no snapshot may have: an index that is restored needs revisions for its mutations.
+const END_OF_REVISIONS: u64 = 1 << 63;
+
 /// An index on its way. Until [`Restoring::finish`] nobody sees it, and if it is dropped nothing is left of it.
 pub struct Restoring {
     service: Service,
@@ -119,6 +122,10 @@ impl Draft {
         let content = self.reader.read(part).map_err(bad)?;
         match (content, &mut self.restore) {
             (Content::Header(header), restore) => {
+                if header.revision >= END_OF_REVISIONS {
+                    let text = format!("revision {}: it is below 2^63", header.revision);
+                    return Err(refused("OUT_OF_RANGE", text));
+                }
                 let origin = Origin {
                     revision: header.revision,
                     next_id: header.next_id,

@@ -8,9 +8,10 @@ use wayfold_proto::v1;
 use super::{
     Call, Error, Service,
     answer::{PointColumns, Seen},
-    at::check_read_at,
+    at::{revision, revision_number},
     check::{self, Violations},
     pin::Pin,
+    stored::BATCH,
 };
 use crate::registry::{Hosted, Published};
 
@@ -20,6 +21,8 @@ const PART_ROWS: usize = 4096;
 /// About how many bytes a part has; less if answers may have less.
 const PART_BYTES: usize = 1024 * 1024;
 
+const DOING: &str = "while scanning";
+
 /// A scan under way. It pins its revision until it ends, is dropped, or has held it for as long as it may.
 pub struct Scan {
     call: Call,
@@ -27,7 +30,7 @@ pub struct Scan {
     pin: Pin,
     part_bytes: usize,
     filter: Filter,
-    payloads: bool,
+    include: Option<v1::Include>,
     after: Option<u64>,
     done: bool,
 }
@@ -36,29 +39,23 @@ impl Service {
     /// Begins to read all points at one pinned revision, in the order of their ids.
     pub async fn scan(&self, call: &Call, request: v1::ScanRequest) -> Result<Scan, Error> {
         self.accept(call)?;
-        let at = request.at.unwrap_or_default();
-        let hosted = self.index(&request.index, &at.uid)?;
+        let hosted = self.index(&request.index, "")?;
         let mut violations = Violations::default();
-        let filter = check::filter(
-            "filter",
-            request.filter,
-            ("at.uid", &at.uid),
-            &mut violations,
-        );
-        check_read_at(&at, &mut violations);
+        let filter = check::filter("filter", request.filter, &hosted, &mut violations)?;
+        let min = request.min_revision.as_ref();
+        let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         violations.finish()?;
 
         let limits = self.limits();
-        let published = self
-            .published(call, &hosted, &at, filter.since_revision)
-            .await?;
+        let min = min.max(filter.since_revision);
+        let published = self.published(call, &hosted, min).await?;
         Ok(Scan {
             call: *call,
             hosted,
             pin: Pin::new(published, limits.scan_seconds),
             part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
             filter,
-            payloads: request.payloads,
+            include: request.include,
             after: request.after_id,
             done: false,
         })
@@ -83,35 +80,71 @@ impl Scan {
     async fn part(&mut self) -> Result<v1::ScanResponse, Error> {
         let published = self.still_held()?;
         let seen = Seen {
+            call: &self.call,
+            doing: DOING,
             index: self.hosted.name(),
             published: &published,
         };
-        let mut pace = self.call.pace("while scanning");
-        let mut points = PointColumns::new(self.payloads);
+        let mut pace = self.call.pace(DOING);
+        let mut points = PointColumns::new(self.include);
         let mut after = self.after;
-        let mut done = true;
-        for (passed, point) in published.snapshot.points_after(after).enumerate() {
-            if points.len() >= PART_ROWS || points.bytes() >= self.part_bytes {
-                done = false;
-                break;
+        let mut rest = published
+            .snapshot
+            .points_after(after)
+            .enumerate()
+            .peekable();
+        let is_full =
+            |points: &PointColumns| points.len() >= PART_ROWS || points.bytes() >= self.part_bytes;
+        while rest.peek().is_some() && !is_full(&points) {
+            let (mut batch, mut passed_to) = (Vec::new(), after);
+            while batch.len() < BATCH
+                && let Some((passed, point)) = rest.next()
+            {
+                passed_to = Some(point.id);
+                if self.filter.admits(point.tag, point.revision) {
+                    batch.push(point);
+                }
+                if passed % 32 == 31 {
+                    pace.step().await?;
+                    self.still_held()?;
+                }
             }
-            if self.filter.admits(point.tag, point.revision) {
-                points.push(&seen, point)?;
+            let mut payloads = match points.with_payloads() {
+                true => {
+                    let ids = batch.iter().map(|point| point.id).collect();
+                    let most = self.part_bytes.saturating_sub(points.bytes());
+                    let payloads = seen.payloads(ids, most).await?;
+                    self.still_held()?;
+                    payloads
+                }
+                false => Vec::new(),
             }
-            after = Some(point.id);
-            if passed % 32 == 31 {
-                pace.step().await?;
-                self.still_held()?;
+            .into_iter();
+            let mut batch = batch.into_iter().peekable();
+            while !is_full(&points)
+                && let Some(point) = batch.next()
+            {
+                after = Some(point.id);
+                points.push(point, payloads.next());
             }
+            if batch.peek().is_some() {
+                // They are the first of the next part.
+                self.after = after;
+                return Ok(self.told(points, &published));
+            }
+            after = passed_to;
         }
+        self.done = rest.peek().is_none();
         self.after = after;
-        self.done = done;
-        Ok(v1::ScanResponse {
+        Ok(self.told(points, &published))
+    }
+
+    fn told(&self, points: PointColumns, published: &Published) -> v1::ScanResponse {
+        v1::ScanResponse {
             points: Some(points.finish()),
-            revision: published.revision,
-            uid: self.hosted.uid_text().into(),
-            total_points: published.snapshot.len() as u64,
-        })
+            revision: Some(revision(&self.hosted, published.revision)),
+            point_count: published.snapshot.len() as u64,
+        }
     }
 
     fn still_held(&self) -> Result<Arc<Published>, Error> {

@@ -7,14 +7,9 @@ use wayfold_proto::{
     v1,
 };
 
-use super::{
-    Call, Error, Service,
-    at::{check_read_at, log_failed},
-    check::Violations,
-    pin::Pin,
-};
+use super::{Call, Error, Service, at::revision_number, check::Violations, pin::Pin, stored};
 use crate::{
-    log::StoredPoint,
+    log::{LogError, StoredPoint, View},
     registry::{Hosted, Published},
 };
 
@@ -51,14 +46,14 @@ impl Service {
         request: v1::SnapshotIndexRequest,
     ) -> Result<Snapshot, Error> {
         self.accept(call)?;
-        let at = request.at.unwrap_or_default();
-        let hosted = self.index(&request.name, &at.uid)?;
+        let hosted = self.index(&request.index, "")?;
         let mut violations = Violations::default();
-        check_read_at(&at, &mut violations);
+        let min = request.min_revision.as_ref();
+        let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         violations.finish()?;
 
         let limits = self.limits();
-        let published = self.published(call, &hosted, &at, 0).await?;
+        let published = self.published(call, &hosted, min).await?;
         Ok(Snapshot {
             call: *call,
             hosted,
@@ -105,25 +100,12 @@ impl Snapshot {
     /// The next points, or the trailer.
     async fn points(&mut self) -> Result<v1::SnapshotPart, Error> {
         let published = self.published()?;
-        let mut pace = self.call.pace("while taking a snapshot");
-        let mut rows = Rows::default();
-        let mut after = self.after;
-        while rows.bytes < self.part_bytes {
-            let page = published.view.page(after, PAGE);
-            let page = page.map_err(|error| log_failed(self.hosted.name(), error))?;
-            if page.is_empty() {
-                break;
-            }
-            for point in &page {
-                rows.push(point);
-                after = Some(point.id);
-                if rows.bytes >= self.part_bytes {
-                    break;
-                }
-            }
-            pace.step().await?;
-            self.published()?;
-        }
+        let (index, view) = (self.hosted.name(), &published.view);
+        let (after, most) = (self.after, self.part_bytes);
+        let read = move |view: &dyn View| Rows::read(view, after, most);
+        let read = stored::read(&self.call, "while taking a snapshot", index, view, read);
+        let (rows, after) = read.await?;
+        self.published()?;
         self.after = after;
         if let Some(points) = rows.finish() {
             return Ok(self.writer.points(points));
@@ -162,6 +144,29 @@ struct Rows {
 }
 
 impl Rows {
+    /// Stored points after an id, until they take `most` bytes or there are no more; and the id of the last.
+    fn read(
+        view: &dyn View,
+        mut after: Option<u64>,
+        most: usize,
+    ) -> Result<(Self, Option<u64>), LogError> {
+        let mut rows = Self::default();
+        while rows.bytes < most {
+            let page = view.page(after, PAGE)?;
+            if page.is_empty() {
+                break;
+            }
+            for point in &page {
+                rows.push(point);
+                after = Some(point.id);
+                if rows.bytes >= most {
+                    break;
+                }
+            }
+        }
+        Ok((rows, after))
+    }
+
     fn push(&mut self, point: &StoredPoint) {
         self.bytes += 8 * (point.state.len() + 4) + point.payload.len();
         let points = &mut self.points;

@@ -7,20 +7,16 @@ use std::{
 };
 
 use bytes::Bytes;
-use wayfold_index::{Forest, ForestOptions, Neighbor, PointRef, Points, Search, Space};
+use wayfold_index::{Forest, ForestOptions, Neighbor, Point, PointRef, Points, Search, Space};
 
-use super::{
-    Error,
-    answer::{Seen, Source},
-};
+use super::{Error, answer::Source};
 use crate::{
     log::{Effects, Outcome},
     registry::Published,
 };
 
 /// The head of an index and the rows that the next mutation has accepted so far.
-pub(super) struct Staging<'a> {
-    index: &'a str,
+pub(super) struct Staging {
     head: Arc<Published>,
     effects: Effects,
     /// How many of the accepted rows are new points.
@@ -38,16 +34,15 @@ struct Searched {
     hidden: HashSet<u64>,
 }
 
-impl<'a> Staging<'a> {
+impl Staging {
     /// Nothing accepted yet. Only if it is `searched` rows are found by later ones.
-    pub(super) fn new(index: &'a str, head: Arc<Published>, space: &Space, searched: bool) -> Self {
+    pub(super) fn new(head: Arc<Published>, space: &Space, searched: bool) -> Self {
         Self {
-            index,
             head,
             effects: Effects::new(space.coordinates()),
             inserted: 0,
             searched: searched.then(|| Searched {
-                forest: Forest::new(space.clone(), ForestOptions::default()),
+                forest: Forest::new(space.clone(), ForestOptions::for_space(space)),
                 slots: HashMap::new(),
                 hidden: HashSet::new(),
             }),
@@ -65,17 +60,14 @@ impl<'a> Staging<'a> {
     }
 
     /// The point that the head holds under an id.
-    pub(super) fn held(&self, id: u64) -> Option<PointRef<'_>> {
+    pub(super) fn held(&self, id: u64) -> Option<Point> {
         self.head.snapshot.get(id)
     }
 
-    /// The payload that the head holds under an id.
-    pub(super) fn held_payload(&self, id: u64) -> Result<Bytes, Error> {
-        let seen = Seen {
-            index: self.index,
-            published: &self.head,
-        };
-        seen.payload(id)
+    /// The payload of an accepted row.
+    pub(super) fn accepted_payload(&self, id: u64) -> Option<Bytes> {
+        let slot = *self.searched.as_ref()?.slots.get(&id)?;
+        Some(self.effects.payload(slot))
     }
 
     /// Keeps the head's point of this id out of searches: a row is neither in its own way nor its own neighbour.
@@ -99,19 +91,19 @@ impl<'a> Staging<'a> {
         row: &[f64],
         search: &Search<'_>,
         known: Option<(u64, &[Neighbor])>,
-    ) -> Vec<Neighbor> {
+    ) -> Result<Vec<Neighbor>, Error> {
         let Some(searched) = &self.searched else {
-            return Vec::new();
+            return Ok(Vec::new());
         };
         // It knows nothing of what is hidden.
         let known = known.filter(|_| searched.hidden.is_empty());
-        let mut neighbors = searched.forest.search(row, search).neighbors;
+        let mut neighbors = searched.forest.search(row, search)?.neighbors;
         let mut at_head = *search;
         if let Some((revision, known)) = known {
             let within = known.partition_point(|neighbor| neighbor.distance <= search.radius);
             merge(&mut neighbors, &known[..within], search.k);
             if revision == self.head.revision {
-                return neighbors;
+                return Ok(neighbors);
             }
             let since = &mut at_head.filter.since_revision;
             *since = revision.max(*since);
@@ -123,9 +115,9 @@ impl<'a> Staging<'a> {
             at_head.radius = farthest.distance;
         }
         at_head.excluded = (!searched.hidden.is_empty()).then_some(&searched.hidden);
-        let found = self.head.snapshot.search(row, &at_head).neighbors;
+        let found = self.head.snapshot.search(row, &at_head)?.neighbors;
         merge(&mut neighbors, &found, search.k);
-        neighbors
+        Ok(neighbors)
     }
 
     /// Accepts a row.
@@ -136,7 +128,7 @@ impl<'a> Staging<'a> {
         row: &[f64],
         payload: Bytes,
         outcome: Outcome,
-    ) {
+    ) -> Result<(), Error> {
         let point = PointRef {
             id,
             tag,
@@ -150,8 +142,12 @@ impl<'a> Staging<'a> {
             searched.slots.insert(id, accepted - 1);
             let mut points = Points::with_capacity(row.len(), 1);
             points.push_point(point);
-            searched.forest.apply(accepted as u64, &points, &[]);
+            let applied = searched.forest.apply(accepted as u64, &points, &[]);
+            applied.map_err(|error| Error::Internal {
+                what: format!("a row that was checked is refused: {error}"),
+            })?;
         }
+        Ok(())
     }
 
     /// The accepted rows.
@@ -171,26 +167,15 @@ fn merge(neighbors: &mut Vec<Neighbor>, others: &[Neighbor], k: usize) {
     }
 }
 
-impl Source for Staging<'_> {
-    fn point(&self, id: u64) -> Option<PointRef<'_>> {
+impl Source for Staging {
+    fn point(&self, id: u64) -> Option<Point> {
         let slot = self
             .searched
             .as_ref()
             .and_then(|searched| searched.slots.get(&id));
         match slot {
-            Some(&slot) => Some(self.effects.stored().get(slot)),
+            Some(&slot) => Some(self.effects.stored().get(slot).to_point()),
             None => self.held(id),
-        }
-    }
-
-    fn payload(&self, id: u64) -> Result<Bytes, Error> {
-        let slot = self
-            .searched
-            .as_ref()
-            .and_then(|searched| searched.slots.get(&id));
-        match slot {
-            Some(&slot) => Ok(self.effects.payload(slot)),
-            None => self.held_payload(id),
         }
     }
 }
@@ -235,7 +220,7 @@ mod tests {
             let space: Space = "R1".parse().unwrap();
             let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
             let (hosted, _) = registry.create("line", space.clone(), 1).unwrap();
-            let mut forest = Forest::new(space.clone(), ForestOptions::default());
+            let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
             let mut union = Linear::new(space.clone());
             let filter = Filter { since_revision: since, ..Filter::default() };
             let search = Search { radius, filter, ..Search::nearest_k(k) };
@@ -245,15 +230,15 @@ mod tests {
                 let revision = slot as u64 + 1;
                 let mut points = Points::new(1);
                 points.push_point(point(id, revision, &[f64::from(at)]));
-                forest.apply(revision, &points, &[]);
-                union.insert(point(id, revision, &[f64::from(at)]));
+                forest.apply(revision, &points, &[]).unwrap();
+                union.insert(point(id, revision, &[f64::from(at)])).unwrap();
                 if slot == seen {
                     let search = Search {
                         k: k.saturating_add(more),
                         radius: radius + f64::from(farther),
                         ..search
                     };
-                    known = (revision, forest.search(&asked, &search).neighbors);
+                    known = (revision, forest.search(&asked, &search).unwrap().neighbors);
                 }
             }
             let held: HashSet<u64> = head.keys().copied().collect();
@@ -262,17 +247,17 @@ mod tests {
                 revision: forest.revision(),
                 view: Arc::clone(&hosted.published().view),
             });
-            let mut staging = Staging::new("line", head, &space, true);
+            let mut staging = Staging::new(head, &space, true);
             for (&id, &at) in &rows {
                 if held.contains(&id) {
                     staging.hide(id);
                 }
-                staging.accept(id, 0, &[f64::from(at)], Bytes::new(), Outcome::Inserted);
-                union.insert(point(id, staging.revision(), &[f64::from(at)]));
+                staging.accept(id, 0, &[f64::from(at)], Bytes::new(), Outcome::Inserted).unwrap();
+                union.insert(point(id, staging.revision(), &[f64::from(at)])).unwrap();
             }
-            let expected = union.search(&asked, &search).neighbors;
+            let expected = union.search(&asked, &search).unwrap().neighbors;
             for known in [None, Some((known.0, &*known.1))] {
-                prop_assert_eq!(staging.search(&asked, &search, known), &*expected);
+                prop_assert_eq!(staging.search(&asked, &search, known).unwrap(), &*expected);
             }
         }
     }

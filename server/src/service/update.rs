@@ -1,17 +1,25 @@
 //! `Update`: new tags and payloads for stored points.
 
+use std::sync::Arc;
+
 use bytes::Bytes;
 use wayfold_index::PointRef;
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
-    at::log_failed,
+    at::{revision, revision_number},
     call::Pace,
     check::{self, Violations},
     mutation::{Begun, Claim},
+    stored::ReadAhead,
 };
-use crate::log::{Effects, Outcome};
+use crate::{
+    log::{Effects, Outcome},
+    registry::Hosted,
+};
+
+const DOING: &str = "while evaluating the update; nothing was changed";
 
 impl Service {
     /// Sets tags or payloads of stored points; their states, and the revisions of their states, stay.
@@ -22,31 +30,34 @@ impl Service {
     ) -> Result<v1::UpdateResponse, Error> {
         self.accept(call)?;
         let hosted = self.index(&request.index, &request.uid)?;
-        let mut pace = call.pace("while evaluating the update; nothing was changed");
+        let mut pace = call.pace(DOING);
         let claim = Claim::of("Update", &request.operation_id, &request, &mut pace).await?;
-        check_update(&request, self.limits(), &mut pace).await?;
+        let if_revision = check_update(&request, &hosted, self.limits(), &mut pace).await?;
 
-        let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-            Begun::Answered(response) => return Ok(response),
-            Begun::Writing(writer) => writer,
+        let mut stored = ReadAhead::new(false, Arc::clone);
+        let mut head = hosted.newest();
+        let writer = loop {
+            let read = stored.read(call, DOING, &hosted, &head, &request.ids);
+            read.await?;
+            let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+                Begun::Answered(response) => return Ok(response),
+                Begun::Writing(writer) => writer,
+            };
+            head = Arc::clone(writer.head());
+            // It fails only where others have written a great deal meanwhile.
+            if stored.catch_up(&hosted, &writer) {
+                break writer;
+            }
         };
-        let head = writer.head().clone();
         let mut effects = Effects::new(hosted.space().coordinates());
         let (mut missing, mut changed) = (Vec::new(), Vec::new());
         for (at, &id) in request.ids.iter().enumerate() {
             pace.step().await?;
-            let held = head
-                .view
-                .get(id)
-                .map_err(|error| log_failed(hosted.name(), error))?;
-            let Some(held) = held else {
+            let Some(held) = stored.get(id) else {
                 missing.push(id);
                 continue;
             };
-            if request
-                .if_revision
-                .is_some_and(|revision| held.modified > revision)
-            {
+            if if_revision.is_some_and(|revision| held.modified > revision) {
                 changed.push(id);
                 continue;
             }
@@ -75,7 +86,7 @@ impl Service {
                 ids: missing,
             });
         }
-        if let Some(if_revision) = request.if_revision.filter(|_| !changed.is_empty()) {
+        if let Some(if_revision) = if_revision.filter(|_| !changed.is_empty()) {
             return Err(Error::RevisionConflict {
                 index: request.index,
                 if_revision,
@@ -85,10 +96,9 @@ impl Service {
 
         let updated = effects.len() as u64;
         let response = v1::UpdateResponse {
-            updated,
-            unchanged: request.ids.len() as u64 - updated,
-            revision: head.revision + u64::from(updated > 0),
-            uid: hosted.uid_text().into(),
+            updated_count: updated,
+            unchanged_count: request.ids.len() as u64 - updated,
+            revision: Some(revision(&hosted, head.revision + u64::from(updated > 0))),
         };
         self.commit(call, &hosted, writer, effects, claim, &response)
             .await?;
@@ -96,11 +106,13 @@ impl Service {
     }
 }
 
+/// Checks a request; the number of the revision that it compares with, if there is one.
 async fn check_update(
     request: &v1::UpdateRequest,
+    hosted: &Hosted,
     limits: &Limits,
     pace: &mut Pace,
-) -> Result<(), Error> {
+) -> Result<Option<u64>, Error> {
     check::id_count(&request.ids, limits)?;
     let mut violations = Violations::default();
     check::ids(&request.ids, pace, &mut violations).await?;
@@ -126,14 +138,15 @@ async fn check_update(
     );
     check::payloads(&request.payloads, limits, &mut violations);
     check::operation_id(&request.operation_id, &mut violations);
-    if request.if_revision.is_some() && request.uid.is_empty() {
-        violations.add(
-            "uid",
-            "REQUIRED",
-            "if_revision needs the uid of the index it belongs to",
-        );
-    }
-    violations.finish()
+    let if_revision = match &request.if_revision {
+        Some(named) => {
+            let number = revision_number(hosted, "if_revision", Some(named), &mut violations)?;
+            Some(number)
+        }
+        None => None,
+    };
+    violations.finish()?;
+    Ok(if_revision)
 }
 
 /// `old` with the bits of `mask` taken from `new`; without a mask all of them are.

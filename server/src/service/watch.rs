@@ -4,7 +4,12 @@ use std::{collections::VecDeque, sync::Arc};
 
 use wayfold_proto::v1;
 
-use super::{Call, Error, Service, at::failed, check::Violations};
+use super::{
+    Call, Error, Service,
+    answer::PointColumns,
+    at::{failed, revision},
+    check::Violations,
+};
 use crate::{
     log::{LogError, Record},
     registry::{Hosted, RegistryError},
@@ -13,13 +18,16 @@ use crate::{
 /// About how many bytes a message has; less if answers may have less.
 const MESSAGE_BYTES: usize = 256 * 1024;
 
+/// About how many bytes a mutation has besides what it stored and removed.
+const MUTATION_BYTES: usize = 128;
+
 /// A watch under way. It holds no revision, and no more mutations than a message has: what its caller does not ask for
 /// stays in the log, until that forgets it.
 pub struct Watch {
     service: Service,
     call: Call,
     hosted: Arc<Hosted>,
-    /// The newest revision of which all was sent.
+    /// The newest revision of which all was sent; never the greatest number, so that one comes after it.
     after: u64,
     /// Whether it begins at the newest revision, which the first message names.
     from_newest: bool,
@@ -27,7 +35,7 @@ pub struct Watch {
     next: VecDeque<Arc<Record>>,
     /// How many points and removed ids of the first of these were sent, and in how many pieces.
     sent: (usize, u32),
-    payloads: bool,
+    include: Option<v1::Include>,
     message_bytes: usize,
     state: State,
 }
@@ -47,21 +55,27 @@ impl Service {
     pub async fn watch(&self, call: &Call, request: v1::WatchRequest) -> Result<Watch, Error> {
         self.accept(call)?;
         let mut violations = Violations::default();
-        if request.after_revision.is_some() && request.uid.is_empty() {
-            let text = "after_revision needs the uid of the index it belongs to";
-            violations.add("uid", "REQUIRED", text);
+        let after = request.after_revision;
+        if after.as_ref().is_some_and(|after| after.uid.is_empty()) {
+            let text = "a revision needs the uid of the index that it belongs to";
+            violations.add("after_revision.uid", "REQUIRED", text);
+        }
+        if after.as_ref().is_some_and(|it| it.number == u64::MAX) {
+            let text = "it is the greatest revision: none comes after it";
+            violations.add("after_revision.number", "OUT_OF_RANGE", text);
         }
         let hosted = self.index(&request.index, "")?;
         violations.finish()?;
-        let is_strange = !request.uid.is_empty() && request.uid != hosted.uid_text();
+        let is_strange = |after: &v1::Revision| after.uid != hosted.uid_text();
+        let is_strange = after.as_ref().is_some_and(is_strange);
         Ok(Watch {
             service: self.clone(),
             call: *call,
-            after: request.after_revision.unwrap_or_default(),
-            from_newest: request.after_revision.is_none(),
+            from_newest: after.is_none(),
+            after: after.map_or(0, |after| after.number),
             next: VecDeque::new(),
             sent: (0, 0),
-            payloads: request.payloads,
+            include: request.include,
             message_bytes: MESSAGE_BYTES.min(self.limits().answer_bytes / 2),
             state: match is_strange {
                 true => State::Strange,
@@ -81,12 +95,12 @@ impl Watch {
             State::Strange => Ok(self.reset(v1::ResetReason::UidChanged)),
             State::Beginning => {
                 self.state = State::Going;
-                let message = self.message();
+                let newest = self.hosted.published().revision;
                 if self.from_newest {
                     // Not what was the newest when the call began: the message is to name it.
-                    self.after = message.revision;
+                    self.after = newest;
                 }
-                Ok(message)
+                Ok(self.message(newest))
             }
             State::Going => self.mutations().await,
         };
@@ -104,10 +118,9 @@ impl Watch {
         }
     }
 
-    fn message(&self) -> v1::WatchResponse {
+    fn message(&self, newest: u64) -> v1::WatchResponse {
         v1::WatchResponse {
-            uid: self.hosted.uid_text().into(),
-            revision: self.hosted.published().revision,
+            revision: Some(revision(&self.hosted, newest)),
             ..Default::default()
         }
     }
@@ -115,8 +128,8 @@ impl Watch {
     fn reset(&mut self, reason: v1::ResetReason) -> v1::WatchResponse {
         self.state = State::Done;
         v1::WatchResponse {
-            reset: reason.into(),
-            ..self.message()
+            reset: Some(reason.into()),
+            ..self.message(self.hosted.published().revision)
         }
     }
 
@@ -132,14 +145,15 @@ impl Watch {
                 Err(error) => return Err(failed(self.hosted.name(), error)),
             }
         }
-        let mut message = self.message();
+        let mut message = self.message(self.hosted.published().revision);
         let mut left = self.message_bytes;
         while left > 0
             && let Some(record) = self.next.front().cloned()
         {
             let (sent, pieces) = self.sent;
-            let (mut piece, sent) = piece(&record, sent, self.payloads, &mut left);
+            let (mut piece, sent) = piece(&record, sent, self.include, &mut left);
             piece.piece = pieces;
+            piece.revision = Some(revision(&self.hosted, record.revision()));
             self.sent = (sent, pieces + 1);
             if !piece.continued {
                 self.after = record.revision();
@@ -167,28 +181,22 @@ impl Watch {
 
 /// What follows the first `sent` points and removed ids of a record, as much of it as there are bytes `left`, but at
 /// least one; and how many were sent then.
-fn piece(record: &Record, sent: usize, payloads: bool, left: &mut usize) -> (v1::Mutation, usize) {
+fn piece(
+    record: &Record,
+    sent: usize,
+    include: Option<v1::Include>,
+    left: &mut usize,
+) -> (v1::Mutation, usize) {
     let effects = record.effects();
     let stored = effects.stored();
-    let (mut points, mut states) = (v1::Points::default(), v1::States::default());
+    let mut points = PointColumns::new(include);
     let mut at = sent;
-    while at < stored.len() && (*left > 0 || at == sent) {
-        let point = stored.get(at);
-        points.ids.push(point.id);
-        points.tags.push(point.tag);
-        points.revisions.push(point.revision);
-        states.rows += 1;
-        states.coordinates.extend_from_slice(point.row);
-        let mut bytes = 8 * point.row.len() + 28;
-        if payloads {
-            let payload = effects.payload(at);
-            bytes += payload.len() + 8;
-            points.payloads.push(payload);
-        }
-        *left = left.saturating_sub(bytes);
+    while at < stored.len() && (points.bytes() < *left || at == sent) {
+        let payload = points.with_payloads().then(|| effects.payload(at));
+        points.push(stored.get(at), payload);
         at += 1;
     }
-    points.states = Some(states);
+    *left = left.saturating_sub(points.bytes());
     let mut removed_ids = Vec::new();
     while at >= stored.len() && at < effects.len() && (*left > 0 || at == sent) {
         removed_ids.push(effects.removed()[at - stored.len()]);
@@ -196,11 +204,11 @@ fn piece(record: &Record, sent: usize, payloads: bool, left: &mut usize) -> (v1:
         at += 1;
     }
     // For the mutation itself.
-    *left = left.saturating_sub(64);
+    *left = left.saturating_sub(MUTATION_BYTES);
     let mutation = v1::Mutation {
-        revision: record.revision(),
+        revision: None,
         time_ms: record.time_ms(),
-        stored: (!points.ids.is_empty()).then_some(points),
+        stored: (points.len() > 0).then(|| points.finish()),
         removed_ids,
         continued: at < effects.len(),
         piece: 0,

@@ -2,12 +2,11 @@
 
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::task::task_tracker::TaskTrackerToken;
-use tonic::Status;
 use tracing::debug;
 use zenoh::{Wait, key_expr::KeyExpr, query::Query};
 
 use super::{codec::Form, message::Named};
-use crate::status;
+use crate::status::Status;
 use wayfold_proto::v1;
 
 /// Answers to one query, each under a key of its own.
@@ -65,8 +64,7 @@ fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
 
 /// Sends a refusal. Blocks as [`reply`] does.
 fn refuse(query: &Query, form: Form, status: &Status) {
-    let message = status::to_message(status);
-    let payload = form.write(v1::Status::NAME, &message);
+    let payload = form.write(v1::Status::NAME, &status.to_message());
     let payload = payload.unwrap_or_else(|error| error.to_string().into_bytes());
     let sent = query.reply_err(payload).encoding(form.encoding()).wait();
     if let Err(error) = sent {

@@ -86,8 +86,7 @@ impl<'a> Asked<'a> {
             let text = format!("the payload names {index:?}, the key {:?}", self.index);
             return Err(invalid("index", "CONFLICT", text));
         }
-        observe::index(self.index);
-        observe::rows(request.rows());
+        observe::request(&request);
         Ok(request)
     }
 
@@ -122,3 +121,6 @@ fn read_timeout(text: &str, arrived: Instant) -> Result<Option<Instant>, Error> 
     // What lies beyond the clock's range is no deadline.
     Ok(arrived.checked_add(Duration::from_millis(timeout)))
 }
+
+#[cfg(test)]
+mod tests;

@@ -197,18 +197,28 @@ impl Feed {
     async fn publish(
         &self,
         publisher: &Arc<Publisher<'static>>,
-        after: &mut Option<u64>,
+        after: &mut Option<v1::Revision>,
     ) -> Result<(), Error> {
         let request = v1::WatchRequest {
             index: self.index.clone(),
-            uid: self.uid.clone(),
-            after_revision: *after,
-            payloads: true,
+            after_revision: after.clone(),
+            include: Some(v1::Include {
+                states: true,
+                tags: true,
+                revisions: true,
+                payloads: true,
+            }),
         };
         let watch = self.service.watch(&Call::default(), request).await?;
         let mut watch = watch.with_message_bytes(MESSAGE_BYTES);
         while let Some(message) = watch.next().await {
             let message = message?;
+            let reset = message.reset.map(|_| message.reset());
+            let newest = message.revision.clone().unwrap_or_default();
+            if after.is_none() && newest.uid != self.uid {
+                // Another index stands under the name, which has a feed of its own.
+                return Ok(());
+            }
             if publisher
                 .matching_status()
                 .await
@@ -218,15 +228,14 @@ impl Feed {
                 self.put(publisher, payload).await;
             }
             let whole = message.mutations.iter().rfind(|last| !last.continued);
-            *after = match whole {
-                Some(last) => Some(last.revision),
-                None => after.or(Some(message.revision)),
-            };
-            match message.reset() {
-                v1::ResetReason::Unspecified => {}
-                // Another index stands under the name, which has a feed of its own.
-                v1::ResetReason::UidChanged => return Ok(()),
-                v1::ResetReason::WindowPassed => *after = Some(message.revision),
+            match (reset, whole) {
+                (None, Some(last)) => *after = last.revision.clone(),
+                (None, None) => *after = after.take().or(Some(newest)),
+                // The same.
+                (Some(v1::ResetReason::UidChanged), _) => return Ok(()),
+                (Some(v1::ResetReason::WindowPassed | v1::ResetReason::Unspecified), _) => {
+                    *after = Some(newest);
+                }
             }
         }
         // A watch ends by itself only after a reset.

@@ -3,6 +3,8 @@
 use prost::Message;
 use wayfold_proto::v1;
 
+use crate::observe;
+
 /// A message with its name in `wayfold.v1`.
 pub(super) trait Named: Message + Default {
     /// Its name.
@@ -10,14 +12,9 @@ pub(super) trait Named: Message + Default {
 }
 
 /// A request that the key addresses.
-pub(super) trait Request: Named {
+pub(super) trait Request: Named + observe::Request {
     /// Where it names the index.
     fn index_mut(&mut self) -> &mut String;
-
-    /// How many rows or ids it carries.
-    fn rows(&self) -> usize {
-        0
-    }
 }
 
 /// A request for neighbours.
@@ -47,33 +44,29 @@ macro_rules! named {
 }
 
 macro_rules! requests {
-    ($($message:ident: $index:ident $(, $this:ident => $rows:expr)?;)*) => {
+    ($($message:ident),* $(,)?) => {
         named!($($message),*);
         $(impl Request for v1::$message {
             fn index_mut(&mut self) -> &mut String {
-                &mut self.$index
+                &mut self.index
             }
-
-            $(fn rows(&self) -> usize {
-                let $this = self;
-                $rows
-            })?
         })*
     };
 }
 
-requests! {
-    KnnRequest: index, this => rows(this.states.as_ref());
-    QueryRequest: index, this => rows(this.states.as_ref());
-    InsertRequest: index, this => rows(this.states.as_ref());
-    UpdateRequest: index, this => this.ids.len();
-    RemoveRequest: index, this => this.ids.len();
-    GetRequest: index, this => this.ids.len();
-    WatchRequest: index;
-    GetIndexRequest: name;
-}
+requests!(
+    KnnRequest,
+    QueryRequest,
+    InsertRequest,
+    UpdateRequest,
+    RemoveRequest,
+    GetRequest,
+    WatchRequest,
+    GetIndexRequest,
+);
 
 named!(
+    GetServerRequest,
     CreateIndexRequest,
     ListIndexesRequest,
     DeleteIndexRequest,
@@ -88,9 +81,6 @@ named!(
     CreateIndexResponse,
     ListIndexesResponse,
     DeleteIndexResponse,
+    GetServerResponse,
     Status,
 );
-
-fn rows(states: Option<&v1::States>) -> usize {
-    states.map_or(0, |states| states.rows as usize)
-}

@@ -12,12 +12,13 @@ use crate::{
     status,
 };
 
-/// What `verb` answers to what is asked, in the form in which it is asked.
+/// What `verb` answers to what is asked, in the form in which it is asked. `max_message_bytes` is the face's limit.
 pub(super) async fn perform(
     service: &Service,
     call: &Call,
     verb: Verb,
     asked: &Asked<'_>,
+    max_message_bytes: usize,
 ) -> Result<Vec<u8>, Error> {
     match verb {
         Verb::OfIndex(verb) => match verb {
@@ -34,6 +35,10 @@ pub(super) async fn perform(
             PointVerb::Log => told(asked, apart(service.log(call, asked.request()?)).await),
         },
         Verb::OfServer(verb) => match verb {
+            IndexVerb::Server => {
+                let described = service.get_server(call, asked.of_server()?, max_message_bytes);
+                told(asked, apart(described).await)
+            }
             IndexVerb::Create => told(
                 asked,
                 apart(service.create_index(call, asked.of_server()?)).await,

@@ -8,7 +8,6 @@ use tokio_util::{
     sync::CancellationToken,
     task::{TaskTracker, task_tracker::TaskTrackerToken},
 };
-use tonic::{Code, Status};
 use tracing::Instrument;
 use zenoh::{bytes::ZBytes, key_expr::keyexpr, query::Query};
 
@@ -22,10 +21,10 @@ use super::{
     wild,
 };
 use crate::{
-    capacity::Capacity,
-    observe::CallRecord,
+    admission::Admission,
+    observe::{CallRecord, Ending},
     service::{Error, Service, Unavailability},
-    status,
+    status::{self, Status},
 };
 
 const MAX_CALLS: &str = "zenoh.max_calls";
@@ -35,9 +34,9 @@ const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 pub(super) struct Queries {
     pub(super) service: Service,
     pub(super) prefix: String,
-    pub(super) capacity: Capacity,
+    pub(super) capacity: Admission,
     /// Room for refusals on their way.
-    pub(super) refused: Capacity,
+    pub(super) refused: Admission,
     pub(super) max_message_bytes: usize,
     /// Set once the server stops: from then on every query is refused, and takes no place.
     pub(super) stopping: CancellationToken,
@@ -150,7 +149,10 @@ impl Queries {
                 what: format!("Zenoh/{rpc} panicked"),
             })),
         };
-        record.end(told.as_ref().err().map_or(Code::Ok, Status::code));
+        record.end(match &told {
+            Ok(_) => Ending::Ok,
+            Err(status) => Ending::Failed(status.code),
+        });
         Answered {
             query,
             form: answer_in,
@@ -193,7 +195,8 @@ impl Queries {
             }
             let verb = target?.verb;
             asked.check(verb)?;
-            let payload = perform(&self.service, &call, verb, &asked).await?;
+            let limit = self.max_message_bytes;
+            let payload = perform(&self.service, &call, verb, &asked, limit).await?;
             Ok(vec![(query.key_expr().clone().into_owned(), payload)])
         };
         let Some(deadline) = call.deadline else {

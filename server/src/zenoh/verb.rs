@@ -21,6 +21,7 @@ pub(super) enum PointVerb {
 /// What is asked of the server: `<prefix>/<verb>`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum IndexVerb {
+    Server,
     Create,
     List,
     Delete,
@@ -47,7 +48,8 @@ impl PointVerb {
 }
 
 impl IndexVerb {
-    const ALL: [(&str, Self); 3] = [
+    const ALL: [(&str, Self); 4] = [
+        ("server", Self::Server),
         ("create", Self::Create),
         ("list", Self::List),
         ("delete", Self::Delete),
@@ -68,7 +70,7 @@ impl Verb {
             },
             Verb::OfServer(verb) => match verb {
                 IndexVerb::Create | IndexVerb::Delete => true,
-                IndexVerb::List => false,
+                IndexVerb::Server | IndexVerb::List => false,
             },
         }
     }
@@ -141,8 +143,11 @@ mod tests {
         assert_eq!(key("wayfold/v1/list/knn"), Some(("list", knn)));
         let list = Verb::OfServer(IndexVerb::List);
         assert_eq!(key("wayfold/v1/list"), Some(("", list)));
+        let server = Verb::OfServer(IndexVerb::Server);
+        assert_eq!(key("wayfold/v1/server"), Some(("", server)));
         for other in [
             "wayfold/v1",
+            "wayfold/v1/arm/server",
             "wayfold/v1/arm",
             "wayfold/v1/knn",
             "wayfold/v1/arm/list",

@@ -8,6 +8,9 @@ mod raw;
 mod backup;
 mod deadlines;
 mod errors;
+mod extreme_integers;
+#[path = "../extremes/mod.rs"]
+mod extremes;
 mod health;
 mod process;
 mod reflection;

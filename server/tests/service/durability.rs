@@ -6,11 +6,12 @@ use std::{
         Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
+    task::{Context, Wake, Waker},
     thread::ThreadId,
 };
 
 use futures_util::{FutureExt, future::BoxFuture, poll};
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use wayfold_proto::v1;
 use wayfold_server::{
     log::{Effects, Log, LogError, MemoryLog, Record, Uid, View},
@@ -144,6 +145,16 @@ async fn a_retry_is_not_acknowledged_before_the_original_is_durable() {
     assert_eq!(retry.await.unwrap(), original.await.unwrap());
 }
 
+/// Tells that what is polled is to be polled again.
+#[derive(Default)]
+struct Woken(Notify);
+
+impl Wake for Woken {
+    fn wake(self: Arc<Self>) {
+        self.0.notify_one();
+    }
+}
+
 #[tokio::test]
 async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
     let log = Held::new();
@@ -159,16 +170,24 @@ async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
         ..insertion(&[[1.0]], &[1])
     };
     let requests = [
-        (original.clone(), 1),
-        (original, 1),
-        (unchanged.clone(), 1),
-        (unchanged, 1),
-        (insertion(&[[2.0]], &[2]), 2),
+        (original.clone(), 1, false),
+        (original, 1, true),
+        (unchanged.clone(), 1, true),
+        (unchanged, 1, true),
+        (insertion(&[[2.0]], &[2]), 2, false),
     ];
     let mut calls = Vec::new();
-    for (request, logged) in requests {
+    for (request, logged, reads) in requests {
         let mut call = Box::pin(service.insert(&CALL, request));
-        assert!(poll!(&mut call).is_pending());
+        let woken = Arc::new(Woken::default());
+        let waker = Waker::from(Arc::clone(&woken));
+        let mut context = Context::from_waker(&waker);
+        assert!(call.as_mut().poll(&mut context).is_pending());
+        if reads {
+            // First what is stored, on another thread; then it waits for the sync.
+            woken.0.notified().await;
+            assert!(call.as_mut().poll(&mut context).is_pending());
+        }
         assert_eq!(log.points(entry.uid).unwrap().revision(), logged);
         calls.push(call);
     }

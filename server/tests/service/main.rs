@@ -11,6 +11,9 @@ mod concurrent;
 #[path = "../log/copied.rs"]
 mod copied;
 mod durability;
+mod extreme_integers;
+#[path = "../extremes/mod.rs"]
+mod extremes;
 #[path = "../log/fault/mod.rs"]
 mod fault;
 mod faults;
@@ -30,6 +33,7 @@ mod replay;
 mod restore;
 mod scaling;
 mod scan;
+mod slow_disk;
 mod snapshot;
 mod storage_failure;
 mod support;

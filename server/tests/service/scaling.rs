@@ -70,12 +70,14 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         let mut before = Linear::new("R3".parse().unwrap());
         for ((id, revision), row) in &points {
             if *revision < response.revision {
-                before.insert(PointRef {
-                    id: *id,
-                    tag: 0,
-                    revision: *revision,
-                    row,
-                });
+                before
+                    .insert(PointRef {
+                        id: *id,
+                        tag: 0,
+                        revision: *revision,
+                        row,
+                    })
+                    .unwrap();
             }
         }
         let n = before.len() as f64;
@@ -87,7 +89,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
             let radius = factor * (n.ln() / n).powf(1.0 / 3.0);
             search.radius = radius.min(asked.radius_max.unwrap_or(f64::INFINITY));
         }
-        let expected = before.search(row, &search).neighbors;
+        let expected = before.search(row, &search).unwrap().neighbors;
         let expected: Vec<u64> = expected.iter().map(|neighbor| neighbor.id).collect();
         assert!(!expected.is_empty());
         let found = response.neighbors.unwrap().ids;

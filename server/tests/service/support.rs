@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use wayfold_index::{ForestOptions, Space};
+use wayfold_index::Space;
 use wayfold_proto::v1;
 use wayfold_server::{
     log::{Log, MemoryLog},
@@ -16,10 +16,8 @@ pub(crate) const CALL: Call = Call { deadline: None };
 /// Small trees and leaves: a few dozen points reach every corner.
 pub(crate) fn options() -> RegistryOptions {
     RegistryOptions {
-        forest: ForestOptions {
-            growing_rows: 4,
-            leaf_rows: 2,
-        },
+        growing_rows: Some(4),
+        leaf_rows: Some(2),
         ..RegistryOptions::default()
     }
 }

@@ -43,19 +43,26 @@ impl<'a> Case<'a> {
     ) -> Self {
         let mut linear = Linear::new(space.clone());
         for (id, row) in points.iter().enumerate() {
-            linear.insert(PointRef {
-                id: id as u64,
-                tag: 0,
-                revision: 1,
-                row,
-            });
+            linear
+                .insert(PointRef {
+                    id: id as u64,
+                    tag: 0,
+                    revision: 1,
+                    row,
+                })
+                .expect("canonical states");
         }
         // Enough that few radii hold more.
         let search = Search::nearest_k(8 * MANY);
         let nearest: Vec<Vec<Neighbor>> = queries
             .iter()
             .take(checked)
-            .map(|query| linear.search(query, &search).neighbors)
+            .map(|query| {
+                linear
+                    .search(query, &search)
+                    .expect("canonical states")
+                    .neighbors
+            })
             .collect();
         let mut tenth: Vec<f64> = nearest.iter().map(|near| near[MANY - 1].distance).collect();
         tenth.sort_by(f64::total_cmp);
@@ -69,7 +76,10 @@ impl<'a> Case<'a> {
                 let mut within = if is_whole {
                     nearest.clone()
                 } else {
-                    linear.search(query, &Search::nearest_r(radius)).neighbors
+                    linear
+                        .search(query, &Search::nearest_r(radius))
+                        .expect("canonical states")
+                        .neighbors
                 };
                 within.retain(|near| near.distance <= radius);
                 nearest.truncate(MANY);
@@ -137,7 +147,7 @@ impl<'a> Case<'a> {
                 id: u64::from(id),
             })
             .collect();
-        if kind.is_ours() && near != expected {
+        if kind.orders_by_id() && near != expected {
             return Err(differs(format!("{near:?} instead of {expected:?}")));
         }
         near.sort_unstable();

@@ -131,8 +131,8 @@ fn compare(settings: &[Setting], options: &Options, report: &mut Report) -> Resu
         &options.structures,
     )?;
     if options.structures.is_empty() {
-        // The paper's, and thousands of times as slow in most spaces.
-        kinds.retain(|kind| !matches!(kind, Kind::CoverTree | Kind::Brute));
+        // The paper's; the last two are thousands of times as slow in most spaces.
+        kinds.retain(|kind| !matches!(kind, Kind::Mpnn | Kind::CoverTree | Kind::Brute));
     }
     let rounds = usize::from(options.rounds);
     let effort = Effort {

@@ -14,12 +14,14 @@ fn brute_force(rows: &[f64]) -> Linear {
         let mut row = row.to_vec();
         space.canonicalize(&mut row).unwrap();
         let (tag, revision) = (0, 1);
-        points.insert(PointRef {
-            id,
-            tag,
-            revision,
-            row: &row,
-        });
+        points
+            .insert(PointRef {
+                id,
+                tag,
+                revision,
+                row: &row,
+            })
+            .unwrap();
     }
     points
 }
@@ -27,7 +29,10 @@ fn brute_force(rows: &[f64]) -> Linear {
 fn nearest(points: &Linear, state: &[f64], k: usize) -> Vec<(u64, u64)> {
     let mut state = state.to_vec();
     points.space().canonicalize(&mut state).unwrap();
-    let found = points.search(&state, &Search::nearest_k(k)).neighbors;
+    let found = points
+        .search(&state, &Search::nearest_k(k))
+        .unwrap()
+        .neighbors;
     found.iter().map(|n| (n.id, n.distance.to_bits())).collect()
 }
 

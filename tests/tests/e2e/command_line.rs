@@ -91,12 +91,14 @@ fn brute_force(space: &Space, rows: &[f64], ids: impl Iterator<Item = u64>) -> L
     for (row, id) in rows.chunks(space.coordinates()).zip(ids) {
         let mut row = row.to_vec();
         space.canonicalize(&mut row).unwrap();
-        points.insert(PointRef {
-            id,
-            tag: 0,
-            revision: 1,
-            row: &row,
-        });
+        points
+            .insert(PointRef {
+                id,
+                tag: 0,
+                revision: 1,
+                row: &row,
+            })
+            .unwrap();
     }
     points
 }
@@ -105,7 +107,7 @@ fn brute_force(space: &Space, rows: &[f64], ids: impl Iterator<Item = u64>) -> L
 fn line(points: &Linear, state: &[f64], search: &Search<'_>, revision: u64) -> Value {
     let mut state = state.to_vec();
     points.space().canonicalize(&mut state).unwrap();
-    let found = points.search(&state, search).neighbors;
+    let found = points.search(&state, search).unwrap().neighbors;
     let ids: Vec<u64> = found.iter().map(|n| n.id).collect();
     let distances: Vec<f64> = found.iter().map(|n| n.distance).collect();
     parsed(&json!({"ids": ids, "distances": distances, "revision": revision}).to_string())

@@ -143,12 +143,14 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
         let mut scan = index.scan().await.unwrap();
         while let Some(part) = scan.next_part().await.unwrap() {
             for point in part.iter() {
-                points.insert(wayfold_index::PointRef {
-                    id: point.id,
-                    tag: point.tag,
-                    revision: point.revision,
-                    row: point.state,
-                });
+                points
+                    .insert(wayfold_index::PointRef {
+                        id: point.id,
+                        tag: point.tag,
+                        revision: point.revision,
+                        row: point.state,
+                    })
+                    .unwrap();
             }
         }
         compare(&replica, &points);

@@ -119,12 +119,14 @@ async fn what_the_log_has_no_more_is_read_anew() {
             for (id, row) in ids.into_iter().zip(rows.chunks_mut(space.coordinates())) {
                 space.canonicalize(row).unwrap();
                 let tag = 0;
-                points.insert(PointRef {
-                    id,
-                    tag,
-                    revision,
-                    row,
-                });
+                points
+                    .insert(PointRef {
+                        id,
+                        tag,
+                        revision,
+                        row,
+                    })
+                    .unwrap();
             }
         }
         let newest = index.info().await.unwrap().revision;

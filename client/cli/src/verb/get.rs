@@ -6,7 +6,7 @@ use crate::{
     Session,
     failure::Failure,
     options::{IncludeArgs, POINT_COLUMNS},
-    output::{Format, JsonId, Row, json_payload},
+    output::{Format, JsonId, JsonRevision, Row, json_payload},
     parse,
 };
 use wayfold::{Include, Point};
@@ -32,18 +32,21 @@ pub(super) struct PointLine<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     tag: Option<JsonId>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    revision: Option<u64>,
+    revision: Option<JsonRevision<'a>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     payload: Option<String>,
 }
 
-impl PointLine<'_> {
-    pub(super) fn of(point: Point<'_>, include: Include) -> PointLine<'_> {
+impl<'a> PointLine<'a> {
+    /// The line of a point of the index with this uid.
+    pub(super) fn of(point: Point<'a>, uid: &'a str, include: Include) -> PointLine<'a> {
         PointLine {
             id: JsonId(point.id),
             state: include.states.then_some(point.state),
             tag: include.tags.then_some(JsonId(point.tag)),
-            revision: include.revisions.then_some(point.revision),
+            revision: include
+                .revisions
+                .then(|| JsonRevision::new(uid, point.revision)),
             payload: point.payload.map(|payload| json_payload(payload)),
         }
     }
@@ -51,15 +54,12 @@ impl PointLine<'_> {
 
 pub(crate) async fn get(args: GetArgs, session: &mut Session) -> Result<(), Failure> {
     let include = args.include.include_or(POINT_COLUMNS);
-    let mut get = session.index(&args.name).await?.get(args.ids);
-    if include.payloads {
-        get = get.payloads();
-    }
-    let points = get.await?;
+    let index = session.index(&args.name).await?;
+    let points = index.get(args.ids).include(include).await?;
     let output = &mut session.output;
     for point in points.iter() {
         match output.format {
-            Format::Json => output.json(&PointLine::of(point, include))?,
+            Format::Json => output.json(&PointLine::of(point, index.uid(), include))?,
             Format::Text => output.text(text(point, include))?,
         }
     }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::{
     Session,
     failure::Failure,
-    output::{Column, Format, Output, table},
+    output::{Column, Format, JsonRevision, Output, table},
 };
 use wayfold::{DamagedIndex, IndexInfo, IndexList, coordinate_names};
 
@@ -54,10 +54,9 @@ impl DamagedLine<'_> {
 pub(super) struct InfoLine<'a> {
     name: &'a str,
     space: String,
-    points: u64,
-    revision: u64,
-    uid: &'a str,
-    coordinates: usize,
+    point_count: u64,
+    revision: JsonRevision<'a>,
+    coordinate_count: usize,
     dimension: usize,
     memory_bytes: u64,
 }
@@ -67,10 +66,9 @@ impl InfoLine<'_> {
         InfoLine {
             name: &index.name,
             space: index.space.to_string(),
-            points: index.points,
-            revision: index.revision,
-            uid: &index.uid,
-            coordinates: index.coordinates,
+            point_count: index.point_count,
+            revision: (&index.revision).into(),
+            coordinate_count: index.coordinate_count,
             dimension: index.dimension,
             memory_bytes: index.memory_bytes,
         }
@@ -85,11 +83,14 @@ pub(crate) async fn info(args: InfoArgs, session: &mut Session) -> Result<(), Fa
     }
     output.text(format_args!("name         {}", index.name))?;
     output.text(format_args!("space        {}", index.space))?;
-    output.text(format_args!("points       {}", index.points))?;
-    output.text(format_args!("revision     {}", index.revision))?;
-    output.text(format_args!("uid          {}", index.uid))?;
+    output.text(format_args!("points       {}", index.point_count))?;
+    output.text(format_args!("revision     {}", index.revision.number))?;
+    output.text(format_args!("uid          {}", index.revision.uid))?;
     let row = coordinate_names(&index.space).join(", ");
-    output.text(format_args!("coordinates  {} ({row})", index.coordinates))?;
+    output.text(format_args!(
+        "coordinates  {} ({row})",
+        index.coordinate_count
+    ))?;
     output.text(format_args!("dimension    {}", index.dimension))?;
     output.text(format_args!(
         "memory       {}",
@@ -141,8 +142,16 @@ fn check(readable: usize, damaged: usize) -> Result<(), Failure> {
 fn print_table(indexes: &[IndexInfo], output: &mut Output) -> io::Result<()> {
     let columns = [
         Column::new("NAME", false, indexes.iter().map(|index| &index.name)),
-        Column::new("POINTS", true, indexes.iter().map(|index| index.points)),
-        Column::new("REVISION", true, indexes.iter().map(|index| index.revision)),
+        Column::new(
+            "POINTS",
+            true,
+            indexes.iter().map(|index| index.point_count),
+        ),
+        Column::new(
+            "REVISION",
+            true,
+            indexes.iter().map(|index| index.revision.number),
+        ),
         Column::new("SPACE", false, indexes.iter().map(|index| &index.space)),
     ];
     table(output, "", &columns)

@@ -11,11 +11,11 @@ use crate::{
     failure::Failure,
     input::{self, Columns, Source, Table},
     options::{self, Column, RadiusArgs},
-    output::{Format, JsonId, Output},
-    parse::{self, MaskedTag},
+    output::{Format, JsonId, JsonRevision, Output},
+    parse::{self, MaskedTag, RevisionArg},
     progress,
 };
-use wayfold::{Include, IndexHandle, Inserted, NeighborQuery, Neighbors, Outcome, Row, Scaling};
+use wayfold::{Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision, Row};
 
 const EXAMPLES: &str = "\
 A CSV row is one state, its numbers in the order of the space (`wayfold info` names them). A header
@@ -79,8 +79,8 @@ struct NeighborArgs {
     #[arg(long, value_name = "VALUE[/MASK]", value_parser = parse::masked_tag, requires = "neighbors")]
     neighbor_tag: Option<MaskedTag>,
     /// Only neighbours whose state a later revision stored
-    #[arg(long, value_name = "REVISION", requires = "neighbors")]
-    since: Option<u64>,
+    #[arg(long, value_name = "NUMBER[@UID]", value_parser = parse::revision, requires = "neighbors")]
+    since: Option<RevisionArg>,
     /// The columns to print of each neighbour beside its id and distance, separated by commas
     #[arg(
         long,
@@ -93,25 +93,19 @@ struct NeighborArgs {
 }
 
 impl NeighborArgs {
-    fn query(&self) -> Option<NeighborQuery> {
-        let RadiusArgs {
-            radius,
-            radius_factor,
-            radius_max,
-        } = self.radius;
-        let query = NeighborQuery {
-            k: self.knn,
-            radius,
-            filter: options::filter(self.neighbor_tag, self.since),
-            include: self.include(),
-            scaling: Scaling {
-                k_factor: self.k_factor,
-                radius_factor,
-                radius_max,
-            },
+    /// The neighbours to find, if any are wanted.
+    fn spec(&self, index: &IndexHandle) -> Option<NeighborSpec> {
+        let radius = self.radius.radius();
+        let mut spec = match (self.knn, self.k_factor) {
+            (Some(k), _) => NeighborSpec::k(k),
+            (None, Some(factor)) => NeighborSpec::k_factor(factor),
+            (None, None) => NeighborSpec::within(radius?),
         };
-        let is_wanted = self.knn.is_some() || radius.is_some() || !query.scaling.is_none();
-        is_wanted.then_some(query)
+        if let Some(radius) = radius {
+            spec = spec.radius(radius);
+        }
+        let filter = options::filter(self.neighbor_tag, self.since.as_ref(), index);
+        Some(spec.filter(filter).include(self.include()))
     }
 
     fn include(&self) -> Include {
@@ -133,16 +127,13 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
         },
     )?;
     let rows = table.states.len();
-    let query = args.neighbors.query();
-    let bar = progress::bar(Some(rows as u64), "inserting", query.is_some());
-    let mut summary = Summary {
-        revision: index.revision(),
-        ..Summary::default()
-    };
+    let spec = args.neighbors.spec(&index);
+    let bar = progress::bar(Some(rows as u64), "inserting", spec.is_some());
+    let mut summary = Summary::default();
     let mut is_read = true;
     for start in (0..rows).step_by(CALL_ROWS) {
         let end = rows.min(start + CALL_ROWS);
-        let inserted = send(&index, &args, query, &table, start..end).await;
+        let inserted = send(&index, &args, spec.clone(), &table, start..end).await;
         let inserted = inserted.map_err(|failure| stopped(start, rows, failure))?;
         if let (Some(neighbors), true) = (&inserted.neighbors, is_read) {
             let given = table.ids.get(start..end).unwrap_or_default();
@@ -163,13 +154,14 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
         bar.set_position(end as u64);
     }
     bar.finish_and_clear();
-    summary.print(&mut session.output)
+    // The handle knows the revision of the last call.
+    summary.print(&index.revision(), &mut session.output)
 }
 
 async fn send(
     index: &IndexHandle,
     args: &InsertArgs,
-    query: Option<NeighborQuery>,
+    spec: Option<NeighborSpec>,
     table: &Table,
     rows: std::ops::Range<usize>,
 ) -> Result<Inserted, Failure> {
@@ -186,8 +178,8 @@ async fn send(
     if let Some(distance) = args.min_separation {
         insert = insert.min_separation(distance);
     }
-    if let Some(query) = query {
-        insert = insert.neighbors(query);
+    if let Some(spec) = spec {
+        insert = insert.neighbors(spec);
     }
     Ok(insert.await?)
 }
@@ -267,16 +259,27 @@ fn print_row(
     Ok(())
 }
 
-#[derive(Default, Serialize)]
+/// What the calls did.
+#[derive(Default)]
 struct Summary {
     inserted: u64,
     unchanged: u64,
     replaced: u64,
     too_close: u64,
+    first_id: Option<JsonId>,
+    last_id: Option<JsonId>,
+}
+
+#[derive(Serialize)]
+struct SummaryLine<'a> {
+    inserted_count: u64,
+    unchanged_count: u64,
+    replaced_count: u64,
+    too_close_count: u64,
     /// The ids of the first and the last stored row; null if no row is stored.
     first_id: Option<JsonId>,
     last_id: Option<JsonId>,
-    revision: u64,
+    revision: JsonRevision<'a>,
 }
 
 impl Summary {
@@ -293,30 +296,38 @@ impl Summary {
             self.first_id = self.first_id.or(id);
             self.last_id = id.or(self.last_id);
         }
-        self.revision = done.revision;
     }
 
-    fn print(&self, output: &mut Output) -> Result<(), Failure> {
-        if output.format == Format::Json {
-            return Ok(output.json(self)?);
-        }
-        let ids = match (self.first_id, self.last_id) {
-            (Some(JsonId(first)), Some(JsonId(last))) => {
-                format!("; first id {first}, last id {last}")
-            }
-            _ => String::new(),
-        };
+    fn print(&self, revision: &Revision, output: &mut Output) -> Result<(), Failure> {
         let Summary {
             inserted,
             unchanged,
             replaced,
             too_close,
-            revision,
-            ..
-        } = self;
+            first_id,
+            last_id,
+        } = *self;
+        if output.format == Format::Json {
+            return Ok(output.json(&SummaryLine {
+                inserted_count: inserted,
+                unchanged_count: unchanged,
+                replaced_count: replaced,
+                too_close_count: too_close,
+                first_id,
+                last_id,
+                revision: revision.into(),
+            })?);
+        }
+        let ids = match (first_id, last_id) {
+            (Some(JsonId(first)), Some(JsonId(last))) => {
+                format!("; first id {first}, last id {last}")
+            }
+            _ => String::new(),
+        };
         output.text(format_args!(
             "inserted {inserted}, unchanged {unchanged}, replaced {replaced}, too close {too_close}{ids}; \
-             revision {revision}"
+             revision {}",
+            revision.number
         ))?;
         Ok(())
     }

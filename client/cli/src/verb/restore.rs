@@ -65,7 +65,7 @@ pub(crate) async fn restore(args: RestoreArgs, session: &mut Session) -> Result<
         Format::Json => session.output.json(&InfoLine::of(&index))?,
         Format::Text => session.output.text(format_args!(
             "restored {}: {} points of {} at revision {} (uid {})",
-            index.name, index.points, index.space, index.revision, index.uid
+            index.name, index.point_count, index.space, index.revision.number, index.revision.uid
         ))?,
     }
     Ok(())

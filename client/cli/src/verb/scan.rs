@@ -3,6 +3,7 @@
 use std::{
     io,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use serde::Serialize;
@@ -12,7 +13,7 @@ use crate::{
     Session, atomic_file,
     failure::Failure,
     options::{FilterArgs, IncludeArgs, POINT_COLUMNS},
-    output::{Format, Output, Row, json_payload},
+    output::{Format, JsonRevision, Output, Row, json_payload},
     progress,
 };
 use wayfold::{Include, Point, Scan, Space, coordinate_names};
@@ -28,7 +29,7 @@ CSV has a header line, then one row a point: its id and the columns of --include
 state in canonical form. `wayfold insert NAME FILE --ids id` reads it, with --tags tag if the tags are
 included. A file is always CSV; it gets its name once it is whole, and an error or an interrupt leaves
 an existing file as it was. On standard output, with --output json, a point is a line
-{\"id\":...,\"state\":[...],\"tag\":...,\"revision\":...}. All points are of one revision, in the
+{\"id\":...,\"state\":[...],\"tag\":...,\"revision\":{\"uid\":...,\"number\":N}}. All points are of one revision, in the
 order of their ids.";
 
 /// Writes all points as CSV
@@ -57,9 +58,9 @@ fn file(text: &str) -> Result<PathBuf, String> {
 }
 
 #[derive(Serialize)]
-struct Written {
-    points: u64,
-    revision: u64,
+struct Written<'a> {
+    point_count: u64,
+    revision: JsonRevision<'a>,
 }
 
 pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Failure> {
@@ -70,12 +71,9 @@ pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Fa
         true => CSV_COLUMNS,
         false => POINT_COLUMNS,
     });
-    let mut scan = index.scan().filter(args.filter.filter());
-    if include.payloads {
-        scan = scan.payloads();
-    }
-    let scan = scan.await?;
-    let revision = scan.revision();
+    let filter = args.filter.filter(&index);
+    let scan = index.scan().filter(filter).include(include).await?;
+    let revision = scan.revision().clone();
     let header = header(index.space(), include);
     let Some(path) = file else {
         let writer = Writer {
@@ -107,11 +105,15 @@ pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Fa
         _ => atomic_file::write(&path, true, write).await?.0,
     };
     match session.output.format {
-        Format::Json => session.output.json(&Written { points, revision })?,
+        Format::Json => session.output.json(&Written {
+            point_count: points,
+            revision: (&revision).into(),
+        })?,
         Format::Text => {
             let path = path.display();
             session.output.text(format_args!(
-                "{points} points at revision {revision} written to {path}"
+                "{points} points at revision {} written to {path}",
+                revision.number
             ))?;
         }
     }
@@ -119,12 +121,7 @@ pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Fa
 }
 
 /// The default columns of CSV: `insert` reads them back.
-const CSV_COLUMNS: Include = Include {
-    states: true,
-    tags: false,
-    revisions: false,
-    payloads: false,
-};
+const CSV_COLUMNS: Include = Include::none().states();
 
 fn header(space: &Space, include: Include) -> String {
     let mut columns = vec!["id".to_owned()];
@@ -160,18 +157,19 @@ impl Writer<'_> {
         header: &str,
         failed: impl Fn(io::Error) -> Failure,
     ) -> Result<u64, Failure> {
-        let bar = progress::bar(Some(scan.total_points()), "scanning", self.prints);
+        let bar = progress::bar(Some(scan.point_count()), "scanning", self.prints);
         if self.output.format == Format::Text {
             self.output.text(header).map_err(&failed)?;
         }
+        let uid = Arc::clone(&scan.revision().uid);
         let mut points = 0;
         while let Some(part) = scan
-            .next_part()
+            .next()
             .await
             .map_err(|error| self.stopped(points, error.into()))?
         {
             for point in part.iter() {
-                write_point(self.output, point, self.include).map_err(&failed)?;
+                write_point(self.output, point, &uid, self.include).map_err(&failed)?;
             }
             points += part.len() as u64;
             bar.set_position(points);
@@ -193,9 +191,14 @@ impl Writer<'_> {
     }
 }
 
-fn write_point(output: &mut Output, point: Point<'_>, include: Include) -> io::Result<()> {
+fn write_point(
+    output: &mut Output,
+    point: Point<'_>,
+    uid: &str,
+    include: Include,
+) -> io::Result<()> {
     if output.format == Format::Json {
-        return output.json(&PointLine::of(point, include));
+        return output.json(&PointLine::of(point, uid, include));
     }
     let mut line = point.id.to_string();
     if include.states {

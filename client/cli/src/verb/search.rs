@@ -13,10 +13,10 @@ use crate::{
     failure::Failure,
     input::{self, Columns, InputError, Row, Source},
     options::{FilterArgs, IncludeArgs, RadiusArgs},
-    output::{Format, Output},
+    output::{Format, JsonRevision, Output},
     parse, progress,
 };
-use wayfold::{Error, Include, IndexHandle, Neighbors, States};
+use wayfold::{Error, Include, IndexHandle, Neighbors, Radius, States};
 
 const KNN_EXAMPLES: &str = "\
 Examples:
@@ -26,9 +26,9 @@ Examples:
   wayfold knn arm poses.npy --k-factor 5.44       as many as k-nearest PRM* connects
   wayfold knn arm poses.npy -k 5 --tag 0x1/0xff --include tags,states
 
-In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":N}, and a list for each
-column of --include; \"exact\":false is added if --epsilon may have changed an answer. The command
-answers a file while it reads it, and holds neither the rows nor the answers in memory.";
+In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":{\"uid\":...,\"number\":N}},
+and a list for each column of --include. The command answers a file while it reads it, and holds
+neither the rows nor the answers in memory.";
 
 const QUERY_EXAMPLES: &str = "\
 Examples:
@@ -36,9 +36,9 @@ Examples:
   sampler | wayfold query arm - --radius 0.5 --output json
   wayfold query arm poses.npy --radius-factor 2 --radius-max 0.5     the radius of PRM* and RRT*
 
-In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":N}, and a list for each
-column of --include; \"exact\":false is added if --epsilon may have changed an answer. The command
-answers a file while it reads it, and holds neither the rows nor the answers in memory.";
+In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":{\"uid\":...,\"number\":N}},
+and a list for each column of --include. The command answers a file while it reads it, and holds
+neither the rows nor the answers in memory.";
 
 /// The states to search around: one of the two is given.
 #[derive(Debug, clap::Args)]
@@ -125,19 +125,16 @@ pub(crate) async fn knn(args: KnnArgs, session: &mut Session) -> Result<(), Fail
         let mut knn = index
             .knn(states)
             .epsilon(search.epsilon)
-            .filter(search.filter.filter())
+            .filter(search.filter.filter(index))
             .include(search.include());
         if let Some(k) = k {
             knn = knn.k(k);
         }
         if let Some(factor) = k_factor {
-            knn = knn.k_scaled(factor);
+            knn = knn.k_factor(factor);
         }
-        if let Some(radius) = search.radius.radius {
+        if let Some(radius) = search.radius.radius() {
             knn = knn.radius(radius);
-        }
-        if let Some(factor) = search.radius.radius_factor {
-            knn = knn.radius_scaled(factor, search.radius.radius_max);
         }
         knn.into_future()
     })
@@ -146,22 +143,16 @@ pub(crate) async fn knn(args: KnnArgs, session: &mut Session) -> Result<(), Fail
 
 pub(crate) async fn query(args: QueryArgs, session: &mut Session) -> Result<(), Failure> {
     let search = &args.search;
+    // The arguments require a radius.
+    let radius = search.radius.radius();
+    let radius = radius.unwrap_or(Radius::Fixed(f64::INFINITY));
     run(search, session, |index, states| {
-        let RadiusArgs {
-            radius,
-            radius_factor,
-            radius_max,
-        } = search.radius;
-        let radius = radius.or(radius_max).unwrap_or(f64::INFINITY);
-        let mut query = index
+        index
             .query(states, radius)
             .epsilon(search.epsilon)
-            .filter(search.filter.filter())
-            .include(search.include());
-        if let Some(factor) = radius_factor {
-            query = query.radius_scaled(factor);
-        }
-        query.into_future()
+            .filter(search.filter.filter(index))
+            .include(search.include())
+            .into_future()
     })
     .await
 }
@@ -239,18 +230,7 @@ fn split(rows: Vec<Result<Row, InputError>>, width: usize) -> (States, Option<In
 struct NeighborsLine<'a> {
     #[serde(flatten)]
     neighbors: NeighborFields<'a>,
-    revision: u64,
-    /// Present only if it is false.
-    #[serde(skip_serializing_if = "is_true")]
-    exact: bool,
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde passes fields by reference"
-)]
-fn is_true(exact: &bool) -> bool {
-    *exact
+    revision: JsonRevision<'a>,
 }
 
 fn print(
@@ -260,24 +240,19 @@ fn print(
     i: usize,
     include: Include,
 ) -> Result<(), Failure> {
-    let (row, revision, exact) = (
-        neighbors.row(i),
-        neighbors.revision_of(i),
-        neighbors.exact(),
-    );
+    let (row, revision) = (neighbors.row(i), neighbors.revision_of(i));
     if output.format == Format::Json {
         output.json(&NeighborsLine {
             neighbors: NeighborFields::of(row, include),
-            revision,
-            exact,
+            revision: (&revision).into(),
         })?;
         return Ok(());
     }
-    let approximate = if exact { "" } else { ", approximate" };
     let plural = if row.len() == 1 { "point" } else { "points" };
     output.text(format_args!(
-        "state {number}: {} {plural} at revision {revision}{approximate}",
-        row.len()
+        "state {number}: {} {plural} at revision {}",
+        row.len(),
+        revision.number
     ))?;
     neighbor_table(output, row, include)?;
     Ok(())

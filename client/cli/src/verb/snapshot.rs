@@ -8,7 +8,12 @@ use std::{
 use indicatif::HumanBytes;
 use serde::Serialize;
 
-use crate::{Session, atomic_file, failure::Failure, output::Format, progress};
+use crate::{
+    Session, atomic_file,
+    failure::Failure,
+    output::{Format, JsonRevision},
+    progress,
+};
 use wayfold::{Snapshot, SnapshotHeader, SnapshotWriter};
 
 const EXAMPLES: &str = "\
@@ -38,9 +43,8 @@ pub(crate) struct SnapshotArgs {
 struct Written<'a> {
     name: &'a str,
     space: String,
-    points: u64,
-    revision: u64,
-    uid: &'a str,
+    point_count: u64,
+    revision: JsonRevision<'a>,
     bytes: u64,
 }
 
@@ -86,7 +90,7 @@ async fn write(
 ) -> Result<(), Failure> {
     let bar = progress::bar(Some(snapshot.header().points), "reading", false);
     let mut file = SnapshotWriter::new(io::BufWriter::new(to)).map_err(failed)?;
-    while let Some(part) = snapshot.next_part().await? {
+    while let Some(part) = snapshot.next().await? {
         file.write(&part).map_err(failed)?;
         bar.inc(part.points() as u64);
     }
@@ -105,9 +109,8 @@ fn report(
         Format::Json => session.output.json(&Written {
             name: &header.name,
             space: header.space.to_string(),
-            points: header.points,
-            revision: header.revision,
-            uid: &header.uid,
+            point_count: header.points,
+            revision: JsonRevision::new(&header.uid, header.revision),
             bytes,
         })?,
         Format::Text => session.output.text(format_args!(

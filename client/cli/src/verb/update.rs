@@ -6,8 +6,9 @@ use serde::Serialize;
 use crate::{
     Session,
     failure::Failure,
-    output::Format,
-    parse::{self, MaskedTag},
+    options,
+    output::{Format, JsonRevision},
+    parse::{self, MaskedTag, RevisionArg},
 };
 
 const EXAMPLES: &str = "\
@@ -37,20 +38,21 @@ pub(crate) struct UpdateArgs {
     #[arg(long, value_name = "TEXT")]
     payload: Option<String>,
     /// Fail if one of the points changed after this revision
-    #[arg(long, value_name = "REVISION")]
-    if_revision: Option<u64>,
+    #[arg(long, value_name = "NUMBER[@UID]", value_parser = parse::revision)]
+    if_revision: Option<RevisionArg>,
 }
 
 #[derive(Serialize)]
-struct UpdatedLine {
-    updated: u64,
-    unchanged: u64,
-    revision: u64,
+struct UpdatedLine<'a> {
+    updated_count: u64,
+    unchanged_count: u64,
+    revision: JsonRevision<'a>,
 }
 
 pub(crate) async fn update(args: UpdateArgs, session: &mut Session) -> Result<(), Failure> {
     let points = args.ids.len();
-    let mut update = session.index(&args.name).await?.update(args.ids);
+    let index = session.index(&args.name).await?;
+    let mut update = index.update(args.ids);
     if let Some(MaskedTag { value, mask }) = args.tag {
         update = update.tags([value]);
         if mask != u64::MAX {
@@ -60,19 +62,19 @@ pub(crate) async fn update(args: UpdateArgs, session: &mut Session) -> Result<()
     if let Some(payload) = args.payload {
         update = update.payloads(vec![payload; points]);
     }
-    if let Some(revision) = args.if_revision {
-        update = update.if_revision(revision);
+    if let Some(revision) = &args.if_revision {
+        update = update.if_revision(options::revision(revision, &index));
     }
     let done = update.await?;
     match session.output.format {
         Format::Json => session.output.json(&UpdatedLine {
-            updated: done.updated,
-            unchanged: done.unchanged,
-            revision: done.revision,
+            updated_count: done.updated_count,
+            unchanged_count: done.unchanged_count,
+            revision: (&done.revision).into(),
         })?,
         Format::Text => session.output.text(format_args!(
             "updated {}, unchanged {}; revision {}",
-            done.updated, done.unchanged, done.revision
+            done.updated_count, done.unchanged_count, done.revision.number
         ))?,
     }
     Ok(())

@@ -41,10 +41,10 @@ struct VerifiedLine<'a> {
     agrees: bool,
     #[serde(flatten)]
     index: InfoLine<'a>,
-    stored_points: u64,
+    stored_point_count: u64,
     content_hash: String,
-    queries: u64,
-    disagreements: u64,
+    query_count: u64,
+    disagreement_count: u64,
     first_disagreements: &'a [String],
 }
 
@@ -69,7 +69,7 @@ pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<()
             problems.push(format!(
                 "{}: the searched points disagree with the stored points in {} places",
                 client.uri(),
-                verified.disagreements
+                verified.disagreement_count
             ));
         }
     }
@@ -94,8 +94,8 @@ pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<()
 async fn verify_on(client: &Client, args: &VerifyArgs) -> Result<Verified, Failure> {
     let index = client.index(&args.name).await?;
     let bar = progress::bar(Some(0), "verifying", false);
-    let verify = index.verify().queries(args.queries).seed(args.seed);
-    let verified = verify.watched(|read, to_read| {
+    let verify = index.verify().query_count(args.queries).seed(args.seed);
+    let verified = verify.with_progress(|read, to_read| {
         bar.set_length(to_read);
         bar.set_position(read);
     });
@@ -111,10 +111,10 @@ fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<
             server: client.uri(),
             agrees: verified.agrees(),
             index: InfoLine::of(index),
-            stored_points: verified.stored_points,
+            stored_point_count: verified.stored_point_count,
             content_hash: hex(&verified.content_hash),
-            queries: verified.queries,
-            disagreements: verified.disagreements,
+            query_count: verified.query_count,
+            disagreement_count: verified.disagreement_count,
             first_disagreements: &verified.first_disagreements,
         })?;
         return Ok(());
@@ -128,22 +128,22 @@ fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<
     output.text(format_args!("  space     {}", index.space))?;
     output.text(format_args!(
         "  points    {} searched, {} stored",
-        index.points, verified.stored_points
+        index.point_count, verified.stored_point_count
     ))?;
     output.text(format_args!(
         "  queries   {}, each compared with brute force",
-        verified.queries
+        verified.query_count
     ))?;
     output.text(format_args!("  content   {}", hex(&verified.content_hash)))?;
     output.text(format_args!(
         "  revision  {} (uid {})",
-        index.revision, index.uid
+        index.revision.number, index.revision.uid
     ))?;
     for disagreement in &verified.first_disagreements {
         output.text(format_args!("  {disagreement}"))?;
     }
     let more = verified
-        .disagreements
+        .disagreement_count
         .saturating_sub(verified.first_disagreements.len() as u64);
     if more > 0 {
         output.text(format_args!("  and {more} more disagreements"))?;
@@ -188,8 +188,8 @@ fn differences(one: (&Client, &Verified), other: (&Client, &Verified)) -> Vec<St
     );
     add(
         "stored points",
-        one.stored_points.to_string(),
-        other.stored_points.to_string(),
+        one.stored_point_count.to_string(),
+        other.stored_point_count.to_string(),
     );
     add("content", hex(&one.content_hash), hex(&other.content_hash));
     differences

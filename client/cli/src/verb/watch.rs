@@ -8,10 +8,11 @@ use super::get::PointLine;
 use crate::{
     Session,
     failure::Failure,
-    options::{IncludeArgs, POINT_COLUMNS},
-    output::{Format, JsonIds, Output},
+    options::{self, IncludeArgs, POINT_COLUMNS},
+    output::{Format, JsonIds, JsonRevision, Output},
+    parse::{self, RevisionArg},
 };
-use wayfold::{Include, Mutation, Reset, ResetReason, Watch, WatchEvent};
+use wayfold::{Include, Mutation, Reset, ResetReason, Revision, Watch, WatchEvent};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -19,8 +20,8 @@ Examples:
   wayfold watch arm --after 0 --output json | jq -c .removed_ids
 
 Prints a line for each mutation as soon as reads can see it, until Ctrl-C. In JSON the line holds the
-stored points and the removed ids: {\"revision\":...,\"time_ms\":...,\"stored\":[{\"id\":...,
-\"state\":[...],...}],\"removed_ids\":[...]}. The exit status is 3 if the next mutation is not
+stored points and the removed ids: {\"revision\":{\"uid\":...,\"number\":N},\"time_ms\":...,
+\"stored\":[{\"id\":...,\"state\":[...],...}],\"removed_ids\":[...]}. The exit status is 3 if the next mutation is not
 available: the index was deleted or created again, or the server no longer keeps mutations that old.";
 
 /// Prints the mutations of an index as they happen
@@ -30,8 +31,8 @@ pub(crate) struct WatchArgs {
     /// The index
     name: String,
     /// Begin with the mutation after this revision, instead of the next one
-    #[arg(long, value_name = "REVISION")]
-    after: Option<u64>,
+    #[arg(long, value_name = "NUMBER[@UID]", value_parser = parse::revision)]
+    after: Option<RevisionArg>,
     #[command(flatten)]
     include: IncludeArgs,
 }
@@ -39,7 +40,7 @@ pub(crate) struct WatchArgs {
 /// A mutation as a line of JSON.
 #[derive(Serialize)]
 struct MutationLine<'a> {
-    revision: u64,
+    revision: JsonRevision<'a>,
     time_ms: u64,
     stored: Vec<PointLine<'a>>,
     removed_ids: JsonIds<'a>,
@@ -48,12 +49,9 @@ struct MutationLine<'a> {
 pub(crate) async fn watch(args: WatchArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
     let include = args.include.include_or(POINT_COLUMNS);
-    let mut request = index.watch();
-    if let Some(revision) = args.after {
-        request = request.after(revision);
-    }
-    if include.payloads {
-        request = request.payloads();
+    let mut request = index.watch().include(include);
+    if let Some(after) = &args.after {
+        request = request.after(options::revision(after, &index));
     }
     let watch = request.await?;
     tokio::select! {
@@ -82,33 +80,34 @@ fn print(output: &mut Output, mutation: &Mutation, include: Include) -> io::Resu
     let Mutation {
         revision,
         stored,
-        removed,
+        removed_ids,
         ..
     } = mutation;
     match output.format {
         Format::Json => {
             let time = mutation.time.duration_since(UNIX_EPOCH).unwrap_or_default();
             output.json(&MutationLine {
-                revision: *revision,
+                revision: revision.into(),
                 time_ms: u64::try_from(time.as_millis()).unwrap_or(u64::MAX),
                 stored: stored
                     .iter()
-                    .map(|point| PointLine::of(point, include))
+                    .map(|point| PointLine::of(point, &revision.uid, include))
                     .collect(),
-                removed_ids: JsonIds(removed),
+                removed_ids: JsonIds(removed_ids),
             })
         }
         Format::Text => output.text(format_args!(
-            "revision {revision}  {} stored  {} removed",
+            "revision {}  {} stored  {} removed",
+            revision.number,
             stored.len(),
-            removed.len()
+            removed_ids.len()
         )),
     }
 }
 
 /// The reason and the message of a reset.
 fn describe(reset: &Reset) -> (&'static str, String) {
-    let (uid, revision) = (&reset.uid, reset.revision);
+    let Revision { uid, number } = &reset.revision;
     match reset.reason {
         ResetReason::UidChanged => (
             "UID_CHANGED",
@@ -117,7 +116,7 @@ fn describe(reset: &Reset) -> (&'static str, String) {
         ResetReason::WindowPassed => (
             "WINDOW_PASSED",
             format!(
-                "the server no longer keeps the next mutation; the index is at revision {revision}"
+                "the server no longer keeps the next mutation; the index is at revision {number}"
             ),
         ),
         ResetReason::Other(reason) => (

@@ -20,7 +20,7 @@ use std::sync::Arc;
 
 use super::{level::InOrder, tombstones::Tombstones};
 use crate::{
-    PointRef, Space,
+    Point, PointRef, Points, Space,
     kdtree::{Reach, scales},
     kernel::Set,
     search::{Ahead, MOST_HEIGHT, Table, Walk},
@@ -126,8 +126,13 @@ impl Growing {
         }
     }
 
-    pub(super) fn get(&self, slot: usize) -> PointRef<'_> {
-        self.arrivals.get(slot)
+    pub(super) fn get(&self, slot: usize) -> Point {
+        self.arrivals.get(slot).to_point()
+    }
+
+    /// Appends a copy of the point in `slot` to `points`.
+    pub(super) fn copy_to(&self, slot: usize, points: &mut Points) {
+        points.push_point(self.arrivals.get(slot));
     }
 
     pub(super) fn sees(&self, slot: usize, revision: u64) -> bool {

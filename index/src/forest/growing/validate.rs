@@ -5,7 +5,7 @@ use super::{
     branch::{Branch, Cell},
     leaf::{Label, Leaf},
 };
-use crate::{forest::tombstones::HEAD, kernel::CHILDREN};
+use crate::{TreeReport, forest::tombstones::HEAD, kernel::CHILDREN};
 
 impl Growing {
     /// Checks that every living point lies in the one leaf that its row leads to, inside all boxes above it, that all
@@ -13,7 +13,7 @@ impl Growing {
     ///
     /// # Errors
     /// The first invariant found broken.
-    pub(in super::super) fn validate(&self) -> Result<(), String> {
+    pub(in super::super) fn validate(&self) -> Result<TreeReport, String> {
         let mut held = vec![false; self.rows()];
         let mut branches = Vec::new();
         self.check_cell(&self.root, &mut branches, &mut held)?;
@@ -37,7 +37,10 @@ impl Growing {
         if ids.len() != alive || alive + self.dead() != self.rows() {
             return Err(format!("{alive} points of {} are alive", self.rows()));
         }
-        Ok(())
+        Ok(TreeReport {
+            height: self.height,
+            scans: self.reach.scans(),
+        })
     }
 
     /// Checks what lies below `branches`, each with the child that leads here.
@@ -87,8 +90,8 @@ impl Growing {
                     return Err(format!("point {} differs in its leaf", point.id));
                 }
                 let leads_here = |&(branch, child): &(&Branch, usize)| {
-                    let mut ends = branch.boxes.chunks_exact(2 * CHILDREN).zip(point.row);
-                    branch.route(point.row) == child
+                    let mut ends = branch.boxes.chunks_exact(2 * CHILDREN).zip(&point.row);
+                    branch.route(&point.row) == child
                         && branch.newest[child] >= point.revision
                         && branch.boxes.len() == 2 * CHILDREN * width
                         && ends.all(|(ends, &x)| ends[child] <= x && x <= ends[CHILDREN + child])

@@ -1,7 +1,7 @@
 //! The first pass: every stored point against the forest's, and the hash of the content.
 
 use sha2::{Digest as _, Sha256};
-use wayfold_index::{PointRef, Space};
+use wayfold_index::{Point, Space};
 
 use super::{DOING, Disagreements, Pass, sample::Sampler};
 use crate::{log::StoredPoint, service::Error};
@@ -39,22 +39,22 @@ impl Comparison {
         let mut pace = pass.call.pace(DOING);
         let mut searched = pass.published.snapshot.points_after(self.after).peekable();
         while pass.has_time() {
-            let page = pass.page(self.after)?;
+            let page = pass.page(self.after).await?;
             if page.is_empty() {
                 for point in searched {
-                    disagreements.add(|| only_searched(point));
+                    disagreements.add(|| only_searched(&point));
                     pace.step().await?;
                 }
                 return Ok(true);
             }
             for stored in &page {
                 while let Some(point) = searched.next_if(|point| point.id < stored.id) {
-                    disagreements.add(|| only_searched(point));
+                    disagreements.add(|| only_searched(&point));
                     pace.step().await?;
                 }
                 match searched.next_if(|point| point.id == stored.id) {
-                    Some(point) if is_same(point, stored) => {}
-                    Some(point) => disagreements.add(|| different(point, stored)),
+                    Some(point) if is_same(&point, stored) => {}
+                    Some(point) => disagreements.add(|| different(&point, stored)),
                     None => disagreements.add(|| {
                         format!("the point with id {} is stored and not searched", stored.id)
                     }),
@@ -95,18 +95,18 @@ impl Comparison {
     }
 }
 
-fn is_same(searched: PointRef<'_>, stored: &StoredPoint) -> bool {
+fn is_same(searched: &Point, stored: &StoredPoint) -> bool {
     let pairs = || searched.row.iter().zip(&stored.state);
     (searched.tag, searched.revision) == (stored.tag, stored.revision)
         && searched.row.len() == stored.state.len()
         && pairs().all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
-fn only_searched(point: PointRef<'_>) -> String {
+fn only_searched(point: &Point) -> String {
     format!("the point with id {} is searched and not stored", point.id)
 }
 
-fn different(searched: PointRef<'_>, stored: &StoredPoint) -> String {
+fn different(searched: &Point, stored: &StoredPoint) -> String {
     let what = if searched.tag != stored.tag {
         format!("the tag {}, stored {}", searched.tag, stored.tag)
     } else if searched.revision != stored.revision {

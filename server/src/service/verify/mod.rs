@@ -15,14 +15,11 @@ use std::{
 use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
 
 use super::{
-    Call, Error, Service,
-    at::{check_read_at, log_failed},
-    check::Violations,
-    indexes::describe,
-    pin::Pin,
+    Call, Error, Service, at::revision_number, check::Violations, indexes::describe, pin::Pin,
+    stored,
 };
 use crate::{
-    log::StoredPoint,
+    log::{StoredPoint, View},
     registry::{Hosted, Published},
 };
 use compare::Comparison;
@@ -65,10 +62,10 @@ impl Service {
         request: v1::VerifyIndexRequest,
     ) -> Result<Verification, Error> {
         self.accept(call)?;
-        let at = request.at.unwrap_or_default();
-        let hosted = self.index(&request.name, &at.uid)?;
+        let hosted = self.index(&request.index, "")?;
         let mut violations = Violations::default();
-        check_read_at(&at, &mut violations);
+        let min = request.min_revision.as_ref();
+        let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         let mut within = |field, asked: Option<u32>, default, least, most| {
             let asked = asked.unwrap_or(default);
             if !(least..=most).contains(&asked) {
@@ -77,11 +74,11 @@ impl Service {
             }
             asked as usize
         };
-        let queries = within("queries", request.queries, 32, 0, 1000);
+        let queries = within("query_count", request.query_count, 32, 0, 1000);
         let k = within("k", request.k, 10, 1, 100);
         violations.finish()?;
 
-        let published = self.published(call, &hosted, &at, 0).await?;
+        let published = self.published(call, &hosted, min).await?;
         let comparison = Comparison::new(hosted.space(), queries.div_ceil(2), request.seed);
         Ok(Verification {
             call: *call,
@@ -125,10 +122,10 @@ impl Verification {
         };
         let per_pass = published.snapshot.len() as u64;
         let passes = if self.queries > 0 { 2 } else { 1 };
-        let progress = |points_read| {
+        let progress = |read_point_count| {
             Answer::Progress(v1::VerifyProgress {
-                points_read,
-                points_to_read: passes * per_pass,
+                read_point_count,
+                total_point_count: passes * per_pass,
             })
         };
         if let Stage::Comparing(comparison) = &mut self.stage {
@@ -151,10 +148,10 @@ impl Verification {
         searches.compare(&mut self.disagreements);
         Ok(Answer::Report(v1::VerifyReport {
             index: Some(describe(&self.hosted, &published)),
-            stored_points: *stored,
+            stored_point_count: *stored,
             content_hash: hash.to_vec(),
-            queries: self.queries as u64,
-            disagreements: self.disagreements.count,
+            query_count: self.queries as u64,
+            disagreement_count: self.disagreements.count,
             first_disagreements: std::mem::take(&mut self.disagreements.first),
         }))
     }
@@ -179,10 +176,10 @@ struct Pass<'a> {
 
 impl Pass<'_> {
     /// The stored points after an id; none at the end.
-    fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
+    async fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
         held(self.pin)?;
-        let page = self.published.view.page(after, PAGE);
-        page.map_err(|error| log_failed(self.index, error))
+        let read = move |view: &dyn View| view.page(after, PAGE);
+        stored::read(self.call, DOING, self.index, &self.published.view, read).await
     }
 
     fn has_time(&self) -> bool {

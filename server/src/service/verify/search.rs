@@ -43,7 +43,12 @@ impl Searches {
 
     /// Goes on until the end, or until it is time to say how far it is: false.
     pub(super) async fn go_on(&mut self, pass: &Pass<'_>) -> Result<bool, Error> {
+        let space = pass.published.snapshot.space();
         while let Some(state) = self.unasked.pop() {
+            if space.check_canonical(&state).is_err() {
+                // A damaged state cannot be asked about; the comparison has reported it.
+                continue;
+            }
             let query = Query::ask(pass, state, self.k).await?;
             self.queries.push(query);
             if !pass.has_time() {
@@ -55,18 +60,15 @@ impl Searches {
         }
         let mut pace = pass.call.pace(DOING);
         while pass.has_time() {
-            let page = pass.page(self.after)?;
+            let page = pass.page(self.after).await?;
             let Some(last) = page.last() else {
                 return Ok(true);
             };
             let space = pass.published.snapshot.space();
             let mut points = Linear::new(space.clone());
-            // One of another width has no distance; the comparison has told of it.
-            for point in page
-                .iter()
-                .filter(|point| point.state.len() == space.coordinates())
-            {
-                points.insert(PointRef {
+            for point in &page {
+                // A damaged state has no distance; the comparison has reported it.
+                let _ = points.insert(PointRef {
                     id: point.id,
                     tag: point.tag,
                     revision: point.revision,
@@ -74,7 +76,7 @@ impl Searches {
                 });
             }
             for query in &mut self.queries {
-                query.measure(&points, WITHIN * self.k);
+                query.measure(&points, WITHIN * self.k)?;
                 pace.step().await?;
             }
             self.after = Some(last.id);
@@ -112,11 +114,11 @@ impl Query {
             until: pass.call.deadline,
             ..Search::nearest_k(k)
         };
-        let nearest = pass.published.snapshot.search(&state, &search);
+        let nearest = pass.published.snapshot.search(&state, &search)?;
         pace.step().await?;
         let radius = nearest.neighbors.last().map_or(0.0, |last| last.distance);
         (search.k, search.radius) = (WITHIN * k, radius);
-        let within = pass.published.snapshot.search(&state, &search);
+        let within = pass.published.snapshot.search(&state, &search)?;
         if !(nearest.exact && within.exact) {
             // Only because it was out of time.
             pace.check()?;
@@ -132,17 +134,18 @@ impl Query {
     }
 
     /// Merges the nearest of some points into the nearest so far.
-    fn measure(&mut self, points: &Linear, keeps: usize) {
+    fn measure(&mut self, points: &Linear, keeps: usize) -> Result<(), Error> {
         let mut search = Search::nearest_k(keeps);
         if self.brute_force.len() == keeps
             && let Some(last) = self.brute_force.last()
         {
             search.radius = last.distance;
         }
-        let nearest = points.search(&self.state, &search).neighbors;
+        let nearest = points.search(&self.state, &search)?.neighbors;
         self.brute_force.extend(nearest);
         self.brute_force.sort_unstable();
         self.brute_force.truncate(keeps);
+        Ok(())
     }
 }
 

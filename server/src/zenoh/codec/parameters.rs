@@ -1,15 +1,23 @@
-//! What the parameters of a selector say of a request: `?k=10;r=0.5;eps=0`.
+//! What the parameters of a selector say of a request: `?k=10;r=0.5;eps=0;include=states,tags`.
 
-use prost_reflect::{DynamicMessage, FieldDescriptor, Kind, ReflectMessage, Value};
+use prost_reflect::{
+    DynamicMessage, FieldDescriptor, Kind, MessageDescriptor, ReflectMessage, Value,
+};
 
-use super::{invalid, path::Path, read::named};
+use super::{
+    invalid,
+    path::Path,
+    read::{ambiguous, named, rival},
+    schema::special,
+};
 use crate::service::Error;
 
-/// Short names of fields.
-const SHORT: [(&str, &str); 4] = [
+/// Short names of fields. A field of this very name goes before.
+const SHORT: [(&str, &str); 5] = [
     ("r", "radius"),
     ("eps", "epsilon"),
-    ("from", "after_revision"),
+    ("from", "after_revision.number"),
+    ("uid", "after_revision.uid"),
     ("space", "space_text"),
 ];
 
@@ -22,55 +30,105 @@ pub(super) fn apply(
 ) -> Result<(), Error> {
     let mut set = Vec::new();
     for (name, text) in parameters {
-        let full = SHORT.iter().find(|(short, _)| short == name);
-        let full = full.map_or(*name, |(_, full)| full);
-        let field = message.descriptor().get_field_by_name(full);
-        let field = field
-            .filter(can_be_set)
-            .ok_or_else(|| unknown(message, name))?;
+        let descriptor = message.descriptor();
+        let Some((full, parent, field)) = resolve(&descriptor, name) else {
+            return Err(unknown(&descriptor, name));
+        };
         let value = read(&field, text)?;
-        let is_said = message.has_field(&field)
-            || named.iter().any(|named| named == full)
-            || set.contains(&full);
-        if is_said && *message.get_field(&field) != value {
+        let holder = match &parent {
+            None => &mut *message,
+            Some(parent) => match message.get_field_mut(parent) {
+                Value::Message(holder) => holder,
+                _ => return Err(unknown(&descriptor, name)),
+            },
+        };
+        if let Some(rival) = rival(holder, &field) {
+            return Err(ambiguous(&Path::of(&full), &rival));
+        }
+        let is_said = holder.has_field(&field) || named.contains(&full) || set.contains(&full);
+        if is_said && *holder.get_field(&field) != value {
             let text = format!("the parameter {name}={text} and the rest of the query disagree");
             return Err(invalid(full, "CONFLICT", text));
         }
-        message.set_field(&field, value);
+        holder.set_field(&field, value);
         set.push(full);
     }
     Ok(())
 }
 
-/// Whether a value can be written in a few letters. The name of the index is in the key.
-fn can_be_set(field: &FieldDescriptor) -> bool {
-    let is_short = !matches!(field.kind(), Kind::Message(_) | Kind::Bytes);
-    is_short && field.name() != "index"
+/// The path, the message if it is in one, and the field of the request that a parameter sets.
+fn resolve(
+    request: &MessageDescriptor,
+    name: &str,
+) -> Option<(String, Option<FieldDescriptor>, FieldDescriptor)> {
+    let settable =
+        |fields: &MessageDescriptor, name: &str| fields.get_field_by_name(name).filter(can_be_set);
+    if let Some(field) = settable(request, name) {
+        return Some((name.to_owned(), None, field));
+    }
+    let (_, full) = SHORT.iter().find(|(short, _)| *short == name)?;
+    let Some((parent, last)) = full.split_once('.') else {
+        return Some(((*full).to_owned(), None, settable(request, full)?));
+    };
+    let parent = request.get_field_by_name(parent)?;
+    let Kind::Message(fields) = parent.kind() else {
+        return None;
+    };
+    let field = settable(&fields, last)?;
+    Some(((*full).to_owned(), Some(parent), field))
 }
 
-fn unknown(message: &DynamicMessage, name: &str) -> Error {
-    let fields = message.descriptor();
-    let known = fields.fields().filter(can_be_set).map(|field| {
-        let short = SHORT.iter().find(|(_, full)| *full == field.name());
-        short.map_or_else(
-            || field.name().to_owned(),
-            |(short, full)| format!("{short} ({full})"),
-        )
+/// Whether a value can be written in a few letters. The name of the index is in the key, but that of the one to delete.
+fn can_be_set(field: &FieldDescriptor) -> bool {
+    let is_short = match field.kind() {
+        Kind::Message(fields) => fields.full_name() == special::INCLUDE,
+        Kind::Bytes => false,
+        _ => true,
+    };
+    let is_in_key =
+        field.name() == "index" && field.parent_message().full_name() != special::DELETE_INDEX;
+    is_short && !is_in_key
+}
+
+fn unknown(request: &MessageDescriptor, name: &str) -> Error {
+    let direct = request.fields().filter(can_be_set);
+    let direct = direct.map(|field| field.name().to_owned());
+    let short = SHORT.iter().filter_map(|(short, full)| {
+        let (resolved, ..) = resolve(request, short)?;
+        (resolved == *full).then(|| format!("{short} ({full})"))
     });
-    let known: Vec<String> = known.chain(["timeout_ms".to_owned()]).collect();
+    let known = direct.chain(short).chain(["timeout_ms".to_owned()]);
     let text = format!(
         "there is no such parameter here; there is {}",
-        known.join(", ")
+        known.collect::<Vec<_>>().join(", ")
     );
     invalid(name, "UNKNOWN_PARAMETER", text)
 }
 
 fn read(field: &FieldDescriptor, text: &str) -> Result<Value, Error> {
+    if let Kind::Message(columns) = field.kind() {
+        return include(&columns, text).map(Value::Message);
+    }
     if !field.is_list() {
         return value(field, text);
     }
     let values = text.split(',').map(|text| value(field, text));
     values.collect::<Result<_, _>>().map(Value::List)
+}
+
+/// The columns that are named, separated by commas.
+fn include(columns: &MessageDescriptor, text: &str) -> Result<DynamicMessage, Error> {
+    let mut include = DynamicMessage::new(columns.clone());
+    for name in text.split(',').filter(|name| !name.is_empty()) {
+        let Some(column) = columns.get_field_by_name(name) else {
+            let known = columns.fields().map(|field| field.name().to_owned());
+            let known = known.collect::<Vec<_>>().join(", ");
+            let text = format!("{name:?} is none of {known}");
+            return Err(invalid("include", "UNKNOWN_VALUE", text));
+        };
+        include.set_field(&column, Value::Bool(true));
+    }
+    Ok(include)
 }
 
 fn value(field: &FieldDescriptor, text: &str) -> Result<Value, Error> {

@@ -25,8 +25,7 @@ pub(super) fn message(
     match (json, descriptor.get_field_by_name("states")) {
         (Json::Object(fields), _) => {
             fill(&mut message, &fields, None)?;
-            let told = fields.into_iter().filter(|(_, json)| !json.is_null());
-            named.extend(told.map(|(name, _)| name));
+            names(&fields, "", &mut named);
         }
         (json @ Json::Array(_), Some(field)) => {
             let states = value(&field.kind(), &json, &Path::of("states"))?;
@@ -38,6 +37,17 @@ pub(super) fn message(
 }
 
 type Fields = serde_json::Map<String, Json>;
+
+/// Adds the names of the fields that are told, those of messages after their own: `after_revision.number`.
+fn names(fields: &Fields, before: &str, named: &mut Vec<String>) {
+    for (name, json) in fields.iter().filter(|(_, json)| !json.is_null()) {
+        let name = format!("{before}{name}");
+        if let Json::Object(fields) = json {
+            names(fields, &format!("{name}."), named);
+        }
+        named.push(name);
+    }
+}
 
 /// Sets the fields of a message that is at `path`, the request itself if that is None.
 fn fill(
@@ -54,12 +64,8 @@ fn fill(
         if json.is_null() {
             continue;
         }
-        let of_one = field.containing_oneof();
-        if let Some(one) = of_one.filter(|one| !one.is_synthetic())
-            && one.fields().any(|other| message.has_field(&other))
-        {
-            let text = format!("only one of the fields of \"{}\" can be set", one.name());
-            return Err(invalid(here.to_string(), "AMBIGUOUS", text));
+        if let Some(other) = rival(message, &field) {
+            return Err(ambiguous(&here, &other));
         }
         let read = if field.is_list() {
             list(&field, json, &here)?
@@ -69,6 +75,23 @@ fn fill(
         message.set_field(&field, read);
     }
     Ok(())
+}
+
+/// The field that is set where only one of it and `field` can be.
+pub(super) fn rival(message: &DynamicMessage, field: &FieldDescriptor) -> Option<FieldDescriptor> {
+    let one = field.containing_oneof().filter(|one| !one.is_synthetic())?;
+    let is_rival = |other: &FieldDescriptor| other != field && message.has_field(other);
+    one.fields().find(is_rival)
+}
+
+/// The refusal of a field beside its rival.
+pub(super) fn ambiguous(path: &Path<'_>, rival: &FieldDescriptor) -> Error {
+    let text = format!(
+        "{} is set too; set only one of {path} and {}",
+        rival.name(),
+        rival.name()
+    );
+    invalid(path.to_string(), "AMBIGUOUS", text)
 }
 
 fn list(field: &FieldDescriptor, json: &Json, path: &Path<'_>) -> Result<Value, Error> {

@@ -52,6 +52,10 @@ pub(super) mod special {
     pub(crate) const NEIGHBORS: &str = "wayfold.v1.Neighbors";
     /// Columns of which some may be left out.
     pub(crate) const POINTS: &str = "wayfold.v1.Points";
+    /// Names of columns.
+    pub(crate) const INCLUDE: &str = "wayfold.v1.Include";
+    /// The request that names its index, as no key does.
+    pub(crate) const DELETE_INDEX: &str = "wayfold.v1.DeleteIndexRequest";
     /// A message of any type.
     pub(crate) const ANY: &str = "google.protobuf.Any";
     /// Answers that are their neighbours, with a few words on them.

@@ -3,6 +3,7 @@
 //!
 //! It shares no code with the other stores. What a call that failed left behind is drawn: nothing, all of it, or a half.
 
+mod gate;
 mod journal;
 
 use std::{collections::BTreeMap, sync::Arc, time::SystemTime};
@@ -15,16 +16,22 @@ use wayfold_server::log::{
     View,
 };
 
+use gate::Gate;
 use journal::{Item, Journal, Points};
 
 /// See the module.
 #[derive(Clone)]
-pub(crate) struct FaultLog(Arc<Mutex<Journal>>);
+pub(crate) struct FaultLog(Arc<Mutex<Journal>>, Arc<Gate>);
 
 impl FaultLog {
     /// An empty log; `seed` draws what is left after a failure.
     pub(crate) fn new(seed: u64) -> Self {
-        Self(Arc::new(Mutex::new(Journal::new(seed))))
+        Self(Arc::new(Mutex::new(Journal::new(seed))), Arc::default())
+    }
+
+    /// What every read of points and records passes.
+    pub(crate) fn gate(&self) -> &Gate {
+        &self.1
     }
 
     /// Lets a writing call fail: the next, after so many.
@@ -80,6 +87,12 @@ impl Log for FaultLog {
     }
 
     fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
+        // As a store does that sums up its points: it reads those that go.
+        let next_id = self.0.lock().index(uid)?.next_id;
+        let replaces = effects.stored().iter().any(|point| point.id < next_id);
+        if replaces || !effects.removed().is_empty() {
+            self.1.pass();
+        }
         let mut journal = self.0.lock();
         let index = journal.index(uid)?;
         if index.head != expected {
@@ -110,6 +123,7 @@ impl Log for FaultLog {
         after: Option<u64>,
         most: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.1.pass();
         let journal = self.0.lock();
         let index = journal.index(uid)?;
         let oldest = index.head - index.records.len() as u64;
@@ -206,6 +220,7 @@ struct Pinned {
 
 impl Pinned {
     fn points(&self) -> Result<&BTreeMap<u64, Arc<StoredPoint>>, LogError> {
+        self.log.1.pass();
         match self.log.0.lock().opened == self.opened {
             true => Ok(&self.points),
             false => Err(LogError::Closed),

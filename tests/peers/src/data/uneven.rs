@@ -77,13 +77,15 @@ pub(super) fn trees(space: &Space, rows: usize, rng: &mut ChaCha8Rng) -> Vec<Vec
     let mut all: Vec<Vec<f64>> = Vec::with_capacity(rows);
     for tree in 1..=TREES {
         let last = rows * tree / TREES;
-        let mut grown = Forest::new(space.clone(), ForestOptions::default());
+        let mut grown = Forest::new(space.clone(), ForestOptions::for_space(&space));
         let mut edge = vec![canonical(uniform(space, rng))];
         loop {
             for row in edge.drain(..) {
                 let mut point = Points::with_capacity(space.coordinates(), 1);
                 point.push(all.len() as u64, 0, 1, &row);
-                grown.apply(grown.revision() + 1, &point, &[]);
+                grown
+                    .apply(grown.revision() + 1, &point, &[])
+                    .expect("canonical states");
                 grown.settle();
                 all.push(row);
             }
@@ -91,7 +93,9 @@ pub(super) fn trees(space: &Space, rows: usize, rng: &mut ChaCha8Rng) -> Vec<Vec
                 break;
             }
             let towards = canonical(uniform(space, rng));
-            let answer = grown.search(&towards, &Search::nearest_k(1));
+            let answer = grown
+                .search(&towards, &Search::nearest_k(1))
+                .expect("canonical states");
             let from = &all[answer.neighbors[0].id as usize];
             let whole = (TREE_STEP * pairs / space.distance(from, &towards)).min(1.0);
             for step in 1..=STATES_OF_A_STEP {

@@ -4,6 +4,7 @@ mod brute;
 mod cover;
 mod foreign;
 mod kiddo;
+mod mpnn;
 mod scan;
 mod wayfold;
 
@@ -35,6 +36,8 @@ pub enum Kind {
     Wayfold,
     /// The forest in one tree.
     WayfoldRest,
+    /// The paper's tree, in our own version.
+    Mpnn,
     /// kiddo's immutable tree.
     Kiddo,
     /// kiddo's mutable tree, grown by single inserts.
@@ -60,9 +63,10 @@ const NO_CHART: &str =
 
 impl Kind {
     /// All, ours first.
-    pub const ALL: [Kind; 11] = [
+    pub const ALL: [Kind; 12] = [
         Kind::Wayfold,
         Kind::WayfoldRest,
+        Kind::Mpnn,
         Kind::Kiddo,
         Kind::KiddoMutable,
         Kind::Nanoflann,
@@ -75,9 +79,10 @@ impl Kind {
     ];
 
     /// What the paper's tables are measured with.
-    pub const PAPER: [Kind; 5] = [
+    pub const PAPER: [Kind; 6] = [
         Kind::Wayfold,
         Kind::WayfoldRest,
+        Kind::Mpnn,
         Kind::SimdScan,
         Kind::CoverTree,
         Kind::Brute,
@@ -88,6 +93,7 @@ impl Kind {
         match self {
             Kind::Wayfold => "wayfold",
             Kind::WayfoldRest => "wayfold-rest",
+            Kind::Mpnn => "mpnn",
             Kind::Kiddo => "kiddo",
             Kind::KiddoMutable => "kiddo-mutable",
             Kind::Nanoflann => "nanoflann",
@@ -105,17 +111,25 @@ impl Kind {
         matches!(self, Kind::SimdScan | Kind::Brute)
     }
 
-    /// Whether it is one of ours.
+    /// Whether it is the index that is measured against the others.
     pub fn is_ours(self) -> bool {
         matches!(self, Kind::Wayfold | Kind::WayfoldRest)
+    }
+
+    /// Whether it answers in the order (distance, id), and so in the ids that brute force finds.
+    pub fn orders_by_id(self) -> bool {
+        self.is_ours() || self == Kind::Mpnn
     }
 
     /// Why it is not measured in this space, if it is not.
     pub fn refuses(self, space: &Space) -> Option<&'static str> {
         match self {
-            Kind::Wayfold | Kind::WayfoldRest | Kind::SimdScan | Kind::CoverTree | Kind::Brute => {
-                None
-            }
+            Kind::Wayfold
+            | Kind::WayfoldRest
+            | Kind::Mpnn
+            | Kind::SimdScan
+            | Kind::CoverTree
+            | Kind::Brute => None,
             Kind::Kiddo | Kind::KiddoMutable => {
                 if Chart::of(space).is_none() {
                     Some(NO_CHART)
@@ -143,9 +157,12 @@ impl Kind {
             | Kind::OmplGnat
             | Kind::SimdScan
             | Kind::Brute => true,
-            Kind::WayfoldRest | Kind::Kiddo | Kind::Nanoflann | Kind::Ann | Kind::CoverTree => {
-                false
-            }
+            Kind::WayfoldRest
+            | Kind::Mpnn
+            | Kind::Kiddo
+            | Kind::Nanoflann
+            | Kind::Ann
+            | Kind::CoverTree => false,
         }
     }
 
@@ -166,7 +183,12 @@ impl Kind {
             Kind::OmplGnat => Box::new(Gnat::new(shape(space), space.coordinates(), &[], room)),
             Kind::SimdScan => Box::new(scan::Scan::new(space)),
             Kind::Brute => Box::new(brute::Brute::new(space)),
-            Kind::WayfoldRest | Kind::Kiddo | Kind::Nanoflann | Kind::Ann | Kind::CoverTree => {
+            Kind::WayfoldRest
+            | Kind::Mpnn
+            | Kind::Kiddo
+            | Kind::Nanoflann
+            | Kind::Ann
+            | Kind::CoverTree => {
                 unreachable!("{} does not grow", self.name())
             }
         }
@@ -179,6 +201,7 @@ impl Kind {
     pub fn built(self, space: &Space, rows: &Rows) -> Box<dyn Structure> {
         match self {
             Kind::WayfoldRest => Box::new(wayfold::Resting::new(space, rows)),
+            Kind::Mpnn => Box::new(mpnn::Paper::new(space, rows)),
             Kind::Kiddo => kiddo::built(chart(space), rows),
             Kind::Nanoflann => Box::new(Charted::nanoflann(chart(space), rows)),
             Kind::Ann => Box::new(Charted::ann(chart(space), rows)),

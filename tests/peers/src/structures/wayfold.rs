@@ -10,7 +10,7 @@ pub struct Growing(Forest);
 
 impl Growing {
     pub fn new(space: &Space) -> Self {
-        Growing(Forest::new(space.clone(), ForestOptions::default()))
+        Growing(Forest::new(space.clone(), ForestOptions::for_space(space)))
     }
 }
 
@@ -19,48 +19,78 @@ pub struct Resting(Forest);
 
 impl Resting {
     pub fn new(space: &Space, rows: &Rows) -> Self {
-        let mut forest = Forest::new(space.clone(), ForestOptions::default());
-        let mut points = Points::with_capacity(space.coordinates(), rows.len());
-        for (id, row) in rows.iter().enumerate() {
-            points.push(id as u64, 0, 1, row);
-        }
-        forest.apply(1, &points, &[]);
-        drop(points);
+        let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
+        forest
+            .apply(1, &points(space, rows), &[])
+            .expect("canonical states");
         forest.settle();
         Resting(forest)
     }
 }
 
-fn report(answer: &Answer, found: &mut Vec<u32>) {
+/// The rows under their ids.
+pub fn points(space: &Space, rows: &Rows) -> Points {
+    let mut points = Points::with_capacity(space.coordinates(), rows.len());
+    for (id, row) in rows.iter().enumerate() {
+        points.push(id as u64, 0, 1, row);
+    }
+    points
+}
+
+pub fn report(answer: &Answer, found: &mut Vec<u32>) {
     found.clear();
     found.extend(answer.neighbors.iter().map(|neighbor| neighbor.id as u32));
 }
 
 impl Structure for Growing {
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
-        report(&self.0.search(query, &Search::nearest_k(k)), found);
+        report(
+            &self
+                .0
+                .search(query, &Search::nearest_k(k))
+                .expect("canonical states"),
+            found,
+        );
     }
 
     fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
-        report(&self.0.search(query, &Search::nearest_r(radius)), found);
+        report(
+            &self
+                .0
+                .search(query, &Search::nearest_r(radius))
+                .expect("canonical states"),
+            found,
+        );
     }
 
     fn insert(&mut self, row: &[f64]) {
         let id = self.0.revision();
         let mut point = Points::with_capacity(row.len(), 1);
         point.push(id, 0, id + 1, row);
-        self.0.apply(id + 1, &point, &[]);
+        self.0.apply(id + 1, &point, &[]).expect("canonical states");
         self.0.settle();
     }
 }
 
 impl Structure for Resting {
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
-        report(&self.0.search(query, &Search::nearest_k(k)), found);
+        report(
+            &self
+                .0
+                .search(query, &Search::nearest_k(k))
+                .expect("canonical states"),
+            found,
+        );
     }
 
     fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
-        report(&self.0.search(query, &Search::nearest_r(radius)), found);
+        report(
+            &self
+                .0
+                .search(query, &Search::nearest_r(radius))
+                .expect("canonical states"),
+            found,
+        );
     }
 
     fn insert(&mut self, _: &[f64]) {

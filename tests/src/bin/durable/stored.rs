@@ -156,8 +156,8 @@ fn scan_and_build(store: &Path, points: usize) -> Duration {
         rows.push(id, 0, 1, &state);
     }
     assert_eq!(rows.len(), points);
-    let mut forest = Forest::new(space, ForestOptions::default());
-    forest.apply(1, &rows, &[]);
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
+    forest.apply(1, &rows, &[]).expect("canonical states");
     forest.settle();
     began.elapsed()
 }

@@ -114,14 +114,22 @@ pub(crate) async fn replica(
 /// Asks a forest that is fed the same, at the same rate, with no replica.
 pub(crate) async fn forest(client: &Client, echo: &Stubs, setting: &Setting, round: u64) -> Asked {
     let (index, rows) = index(client, setting, format!("forest-{round}")).await;
-    let mut forest = Forest::new(index.space().clone(), ForestOptions::default());
-    forest.apply(1, &points(&index, &rows, 0, 1), &[]);
+    let mut forest = Forest::new(
+        index.space().clone(),
+        ForestOptions::for_space(index.space()),
+    );
+    forest
+        .apply(1, &points(&index, &rows, 0, 1), &[])
+        .expect("canonical states");
     forest.settle();
     let published = Arc::new(ArcSwap::from_pointee(forest.snapshot()));
     let search = {
         let published = Arc::clone(&published);
         move |state: &[f64]| {
-            let answer = published.load().search(state, &Search::nearest_k(K));
+            let answer = published
+                .load()
+                .search(state, &Search::nearest_k(K))
+                .expect("canonical states");
             answer.neighbors.len()
         }
     };
@@ -152,7 +160,7 @@ async fn apply_all(
                 let revision = forest.revision() + 1;
                 let stored = points(&index, &insert.rows, next_id, revision);
                 next_id += stored.len() as u64;
-                forest.apply(revision, &stored, &[]);
+                forest.apply(revision, &stored, &[]).expect("canonical states");
             }
             Some(merged) = merges.join_next() => forest.finish_merge(merged.expect("a merge")),
         }

@@ -22,7 +22,7 @@ impl Inside {
     pub(crate) fn new(points: usize) -> Self {
         let space: Space = SPACE.parse().expect("a space");
         let mut states = States::new(space.clone(), 0);
-        let mut forest = Forest::new(space.clone(), ForestOptions::default());
+        let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
         let mut next_id = 0;
         while next_id < points as u64 {
             let rows = BATCH.min(points - next_id as usize);
@@ -32,7 +32,9 @@ impl Inside {
                 batch.push(next_id, 0, 0, row);
                 next_id += 1;
             }
-            forest.apply(forest.revision() + 1, &batch, &[]);
+            forest
+                .apply(forest.revision() + 1, &batch, &[])
+                .expect("canonical states");
             while let Some(merge) = forest.begin_merge() {
                 forest.finish_merge(merge.run());
             }
@@ -49,7 +51,10 @@ impl Inside {
         }
         let before = thread_time();
         for row in rows.chunks(WIDTH) {
-            let answer = self.points.search(row, &Search::nearest_k(K as usize));
+            let answer = self
+                .points
+                .search(row, &Search::nearest_k(K as usize))
+                .expect("canonical states");
             assert_eq!(answer.neighbors.len(), K as usize);
         }
         let taken: Duration = thread_time() - before;

@@ -130,15 +130,22 @@ fn search_us(space: &Space, rows: &[f64]) -> f64 {
             row,
         });
     }
-    let mut forest = Forest::new(space.clone(), ForestOptions::default());
-    forest.apply(1, &points, &[]);
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
+    forest.apply(1, &points, &[]).expect("canonical states");
     forest.settle();
     let mut asked = States::new(space.clone(), 2).rows(SEARCHES);
     let search = Search::nearest_k(K as usize);
     let before = thread_time();
     for row in asked.chunks_mut(WIDTH) {
         space.canonicalize(row).expect("a state");
-        assert_eq!(forest.search(row, &search).neighbors.len(), K as usize);
+        assert_eq!(
+            forest
+                .search(row, &search)
+                .expect("canonical states")
+                .neighbors
+                .len(),
+            K as usize
+        );
     }
     (thread_time() - before).as_secs_f64() * 1e6 / SEARCHES as f64
 }

@@ -144,7 +144,7 @@ pub(super) fn compare(replica: &Replica, points: &Linear) {
     assert_eq!(view.len(), points.len());
     for expected in points.iter() {
         let point = view.get(expected.id).unwrap();
-        assert_eq!(bits(point.row), bits(expected.row));
+        assert_eq!(bits(&point.row), bits(expected.row));
         assert_eq!(
             (point.tag, point.revision),
             (expected.tag, expected.revision)
@@ -161,7 +161,7 @@ pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> L
         while let Some(answered) = answers.next_if(|next| next.found.revision == revision) {
             let mut state = answered.state;
             space.canonicalize(&mut state).unwrap();
-            let expected = points.search(&state, &answered.search).neighbors;
+            let expected = points.search(&state, &answered.search).unwrap().neighbors;
             let pairs = |found: &[wayfold_index::Neighbor]| {
                 let pairs = found.iter().map(|n| (n.id, n.distance.to_bits()));
                 pairs.collect::<Vec<_>>()
@@ -196,24 +196,28 @@ fn apply(points: &mut Linear, revision: u64, change: &Change) {
             for (&id, row) in ids.iter().zip(rows.chunks(space.coordinates())) {
                 let mut row = row.to_vec();
                 space.canonicalize(&mut row).unwrap();
-                points.insert(PointRef {
-                    id,
-                    tag: *tag,
-                    revision,
-                    row: &row,
-                });
+                points
+                    .insert(PointRef {
+                        id,
+                        tag: *tag,
+                        revision,
+                        row: &row,
+                    })
+                    .unwrap();
             }
         }
         Change::Tagged { ids, tag } => {
             for &id in ids {
                 let point = points.get(id).unwrap();
                 let (row, stored) = (point.row.to_vec(), point.revision);
-                points.insert(PointRef {
-                    id,
-                    tag: *tag,
-                    revision: stored,
-                    row: &row,
-                });
+                points
+                    .insert(PointRef {
+                        id,
+                        tag: *tag,
+                        revision: stored,
+                        row: &row,
+                    })
+                    .unwrap();
             }
         }
         Change::Removed { ids } => {

@@ -1,0 +1,292 @@
+//! How many neighbours, how far, and among which points: what every search sets, by the same names.
+
+use wayfold_index::Scaling;
+use wayfold_proto::v1;
+
+use crate::{Include, Revision};
+
+/// Limits a read to some of the points. The default admits every point.
+///
+/// ```
+/// use wayfold::Filter;
+///
+/// // Points of tree 1, whose number is in the lowest two bits of their tags.
+/// let tree = Filter::default().tag(0b11, 1);
+/// ```
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Filter {
+    pub(crate) tag_mask: u64,
+    pub(crate) tag_value: u64,
+    pub(crate) since: Option<Revision>,
+}
+
+impl Filter {
+    /// Only points with `tag & mask == value`.
+    pub fn tag(mut self, mask: u64, value: u64) -> Filter {
+        (self.tag_mask, self.tag_value) = (mask, value);
+        self
+    }
+
+    /// Only points whose state was stored after this revision. The read waits until it can see the revision.
+    pub fn since(mut self, revision: Revision) -> Filter {
+        self.since = Some(revision);
+        self
+    }
+
+    pub(crate) fn to_message(&self) -> Option<v1::Filter> {
+        (*self != Filter::default()).then(|| v1::Filter {
+            tag_mask: self.tag_mask,
+            tag_value: self.tag_value,
+            since_revision: self.since.as_ref().map(Revision::to_message),
+        })
+    }
+}
+
+/// How far neighbours are at most: a number, or a [`ScaledRadius`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Radius {
+    /// This distance or nearer, the closed ball.
+    Fixed(f64),
+    /// A radius by the number of points.
+    Scaled(ScaledRadius),
+}
+
+impl From<f64> for Radius {
+    fn from(radius: f64) -> Radius {
+        Radius::Fixed(radius)
+    }
+}
+
+impl From<ScaledRadius> for Radius {
+    fn from(radius: ScaledRadius) -> Radius {
+        Radius::Scaled(radius)
+    }
+}
+
+/// The radius of PRM* and RRT*: r(n) = min(max, factor · (ln n / n)^(1/d)), for an index of n points in a space of
+/// dimension d. Whoever answers the search evaluates it, so that workers need not agree on n.
+///
+/// n counts all points, also those that a filter leaves out. [`Scaling::prm_star_bound`] and
+/// [`Scaling::rrt_star_bound`] are the literature's least factors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScaledRadius {
+    pub(crate) factor: f64,
+    pub(crate) max: Option<f64>,
+}
+
+impl ScaledRadius {
+    /// With this factor, in the units of the metric: finite, at least 0.
+    pub fn new(factor: f64) -> ScaledRadius {
+        ScaledRadius { factor, max: None }
+    }
+
+    /// At most this radius. RRT* takes the distance that it steers.
+    pub fn max(mut self, radius: f64) -> ScaledRadius {
+        self.max = Some(radius);
+        self
+    }
+
+    fn to_message(self) -> v1::ScaledRadius {
+        v1::ScaledRadius {
+            factor: self.factor,
+            max: self.max,
+        }
+    }
+}
+
+/// How many neighbours at most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Count {
+    K(u32),
+    /// ⌈factor · ln n⌉.
+    Factor(f64),
+}
+
+/// How many neighbours at most, and how far: unset is without a limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Bounds {
+    pub(crate) count: Option<Count>,
+    pub(crate) radius: Option<Radius>,
+}
+
+impl Bounds {
+    /// The factors among them, for whoever evaluates them.
+    pub(crate) fn scaling(&self) -> Scaling {
+        let mut scaling = Scaling::default();
+        if let Some(Count::Factor(factor)) = self.count {
+            scaling.k_factor = Some(factor);
+        }
+        if let Some(Radius::Scaled(radius)) = self.radius {
+            (scaling.radius_factor, scaling.radius_max) = (Some(radius.factor), radius.max);
+        }
+        scaling
+    }
+
+    /// The most neighbours that a row can have, for dividing rows among calls; `None` if the count has no limit.
+    pub(crate) fn max_neighbors(&self) -> Option<usize> {
+        // The client does not know how many points the server has, but hardly more than this. Should that be wrong, the
+        // server refuses what is too large.
+        const POINTS: usize = u32::MAX as usize;
+        match self.count? {
+            Count::K(k) => Some(k as usize),
+            Count::Factor(_) => self.scaling().k(POINTS),
+        }
+    }
+}
+
+/// The same `oneof`s stand in several messages.
+macro_rules! bounds_messages {
+    ($count:ident, $reach:ident, $module:ident) => {
+        pub(crate) fn $count(self) -> Option<v1::$module::Count> {
+            self.count.map(|count| match count {
+                Count::K(k) => v1::$module::Count::K(k),
+                Count::Factor(factor) => v1::$module::Count::KFactor(factor),
+            })
+        }
+
+        pub(crate) fn $reach(self) -> Option<v1::$module::Reach> {
+            self.radius.map(|radius| match radius {
+                Radius::Fixed(radius) => v1::$module::Reach::Radius(radius),
+                Radius::Scaled(radius) => v1::$module::Reach::ScaledRadius(radius.to_message()),
+            })
+        }
+    };
+}
+
+impl Bounds {
+    bounds_messages!(knn_count, knn_reach, knn_request);
+    bounds_messages!(spec_count, spec_reach, neighbor_spec);
+}
+
+impl Radius {
+    pub(crate) fn to_query_message(self) -> v1::query_request::Reach {
+        match self {
+            Radius::Fixed(radius) => v1::query_request::Reach::Radius(radius),
+            Radius::Scaled(radius) => v1::query_request::Reach::ScaledRadius(radius.to_message()),
+        }
+    }
+}
+
+/// Gives a type with the fields `bounds` and `filter` its constructors and setters.
+macro_rules! bounded {
+    ($type:ident) => {
+        impl $type {
+            /// The `k` nearest, at least 1.
+            pub fn k(k: u32) -> $type {
+                $type::of(Some(Count::K(k)), None)
+            }
+
+            /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. Whoever answers evaluates it, so that
+            /// workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`].
+            pub fn k_factor(factor: f64) -> $type {
+                $type::of(Some(Count::Factor(factor)), None)
+            }
+
+            /// All at distance `radius` or nearer: a number, or a [`ScaledRadius`].
+            pub fn within(radius: impl Into<Radius>) -> $type {
+                $type::of(None, Some(radius.into()))
+            }
+
+            /// Only those at distance `radius` or nearer.
+            pub fn radius(mut self, radius: impl Into<Radius>) -> $type {
+                self.bounds.radius = Some(radius.into());
+                self
+            }
+
+            /// Only some of the points.
+            pub fn filter(mut self, filter: Filter) -> $type {
+                self.filter = filter;
+                self
+            }
+        }
+    };
+}
+
+/// The neighbours that an insert finds for its rows: those that each row has at the moment it is applied, stored by an
+/// earlier mutation or an earlier row.
+///
+/// ```
+/// use wayfold::{Include, NeighborSpec};
+///
+/// let ten_near = NeighborSpec::k(10).radius(0.5).include(Include::none().states());
+/// let all_near = NeighborSpec::within(0.5);
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct NeighborSpec {
+    pub(crate) bounds: Bounds,
+    pub(crate) filter: Filter,
+    pub(crate) include: Include,
+}
+
+bounded!(NeighborSpec);
+
+impl NeighborSpec {
+    fn of(count: Option<Count>, radius: Option<Radius>) -> NeighborSpec {
+        NeighborSpec {
+            bounds: Bounds { count, radius },
+            filter: Filter::default(),
+            include: Include::none(),
+        }
+    }
+
+    /// The columns of the answer beside ids and distances.
+    pub fn include(mut self, include: Include) -> NeighborSpec {
+        self.include = include;
+        self
+    }
+
+    pub(crate) fn to_message(&self) -> v1::NeighborSpec {
+        v1::NeighborSpec {
+            count: self.bounds.spec_count(),
+            reach: self.bounds.spec_reach(),
+            filter: self.filter.to_message(),
+            include: self.include.to_message(),
+        }
+    }
+}
+
+/// A search of a [`Replica`](crate::Replica): how many neighbours, how far, and among which points.
+///
+/// ```
+/// use wayfold::{Filter, ScaledRadius, Search};
+///
+/// let ten_near = Search::k(10).radius(0.5).filter(Filter::default().tag(0b1, 1));
+/// let of_rrt_star = Search::within(ScaledRadius::new(1.1).max(0.5));
+/// ```
+#[cfg(feature = "replica")]
+#[derive(Clone, Debug, PartialEq)]
+pub struct Search {
+    pub(crate) bounds: Bounds,
+    pub(crate) filter: Filter,
+    pub(crate) epsilon: f64,
+    pub(crate) until: Option<std::time::Instant>,
+}
+
+#[cfg(feature = "replica")]
+bounded!(Search);
+
+#[cfg(feature = "replica")]
+impl Search {
+    fn of(count: Option<Count>, radius: Option<Radius>) -> Search {
+        Search {
+            bounds: Bounds { count, radius },
+            filter: Filter::default(),
+            epsilon: 0.0,
+            until: None,
+        }
+    }
+
+    /// Answers may be farther than the true ones by a factor of 1 + epsilon, and points beyond radius / (1 + epsilon) may
+    /// be missing; 0, exact, unless set.
+    pub fn epsilon(mut self, epsilon: f64) -> Search {
+        self.epsilon = epsilon;
+        self
+    }
+
+    /// Gives up at this time with what was found until then: [`Found::exact`](crate::Found::exact) tells whether
+    /// something may be missing.
+    pub fn until(mut self, time: std::time::Instant) -> Search {
+        self.until = Some(time);
+        self
+    }
+}

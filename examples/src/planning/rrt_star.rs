@@ -1,0 +1,294 @@
+//! RRT*: a rapidly exploring random tree that goes on after it has found a way, and makes it shorter.
+//!
+//! S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011, Algorithm 6 in its
+//! k-nearest form: a new node gets, among the k(n) nearest of the n that there are, the parent by which it is nearest to
+//! the root, and becomes the parent of those that are nearer to the root by it.
+
+use std::{
+    collections::HashMap,
+    time::{Duration, Instant},
+};
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use wayfold::{Scaling, States};
+use wayfold_index::Search;
+
+use super::{
+    error::PlanningError,
+    problem::Problem,
+    sampling,
+    source::{NeighborSource, Timed, Usage},
+};
+
+/// k(n): the paper's 2e · ln n, above its bound e(1 + 1/d) · ln n in every dimension above 1.
+const SCALING: Scaling = Scaling {
+    k_factor: Some(Scaling::K_FACTOR),
+    radius_factor: None,
+    radius_max: None,
+};
+
+/// How many resolutions a tree grows at once, at most: η.
+const REACH: f64 = 30.0;
+
+/// Until the goal is reached, every so many samples are the goal.
+const GOAL_EVERY: usize = 50;
+
+/// A tree whose nodes know how far they are from its root, along the tree.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StarTree {
+    /// The nodes' states.
+    pub states: States,
+    /// The nodes' parents; none of the root.
+    pub parents: Vec<Option<usize>>,
+    /// How far each is from its parent.
+    pub lengths: Vec<f64>,
+    /// How far each is from the root, along the tree.
+    pub costs: Vec<f64>,
+    children: Vec<Vec<usize>>,
+    /// The nodes by what the source calls them.
+    nodes: HashMap<u64, usize>,
+}
+
+impl StarTree {
+    /// How many nodes there are.
+    pub fn len(&self) -> usize {
+        self.parents.len()
+    }
+
+    fn push(&mut self, state: &[f64], id: u64) -> Result<usize, PlanningError> {
+        let node = self.len();
+        self.states.push(state)?;
+        self.parents.push(None);
+        self.lengths.push(0.0);
+        self.costs.push(0.0);
+        self.children.push(Vec::new());
+        self.nodes.insert(id, node);
+        Ok(node)
+    }
+
+    /// Makes `node` a child of `parent`, and tells all below it.
+    fn hang(&mut self, node: usize, parent: usize, length: f64) {
+        if let Some(before) = self.parents[node] {
+            self.children[before].retain(|&child| child != node);
+        }
+        self.parents[node] = Some(parent);
+        self.lengths[node] = length;
+        self.children[parent].push(node);
+        let mut changed = vec![node];
+        while let Some(node) = changed.pop() {
+            let parent = self.parents[node].map_or(0.0, |parent| self.costs[parent]);
+            self.costs[node] = parent + self.lengths[node];
+            changed.extend(&self.children[node]);
+        }
+    }
+
+    /// The states from the root to a node.
+    pub fn branch(&self, node: usize) -> Vec<Vec<f64>> {
+        let up = std::iter::successors(Some(node), |&node| self.parents[node]);
+        let mut states: Vec<Vec<f64>> = up.map(|node| self.states.row(node).to_vec()).collect();
+        states.reverse();
+        states
+    }
+}
+
+/// How far a run was after some samples.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// How many states were drawn.
+    pub samples: usize,
+    /// How many nodes there were.
+    pub nodes: usize,
+    /// The length of the way to the goal; infinite where there was none.
+    pub cost: f64,
+    /// The time until then.
+    pub total: Duration,
+    /// What of it went into the source.
+    pub neighbors: Usage,
+}
+
+/// What has grown.
+pub struct Star {
+    /// The tree from the start.
+    pub tree: StarTree,
+    /// The goal's node, if it was reached.
+    pub goal: Option<usize>,
+    /// How it came to that: at every doubling of the samples, and at the end.
+    pub progress: Vec<Progress>,
+    /// After how many samples the way to the goal was found or became shorter, and its length then.
+    pub shortened: Vec<(usize, f64)>,
+}
+
+/// Grows a tree by so many samples. The same seed grows the same tree with any exact source.
+pub fn grow(
+    problem: &impl Problem,
+    source: Box<dyn NeighborSource>,
+    seed: u64,
+    samples: usize,
+) -> Result<Star, PlanningError> {
+    let started = Instant::now();
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut planner = Planner::new(problem, source)?;
+    let (mut progress, mut next) = (Vec::new(), FIRST);
+    let mut shortened: Vec<(usize, f64)> = Vec::new();
+    for drawn in 1..=samples {
+        let random = sampling::uniform(problem.space(), problem.bounds(), &mut rng);
+        let is_for_goal = planner.goal.is_none() && drawn % GOAL_EVERY == 0;
+        planner.extend(if is_for_goal { problem.goal() } else { &random })?;
+        let tree = &planner.tree;
+        let cost = planner.goal.map_or(f64::INFINITY, |node| tree.costs[node]);
+        if cost < shortened.last().map_or(f64::INFINITY, |&(_, known)| known) {
+            shortened.push((drawn, cost));
+        }
+        if drawn == next || drawn == samples {
+            progress.push(Progress {
+                samples: drawn,
+                nodes: tree.len(),
+                cost,
+                total: started.elapsed(),
+                neighbors: planner.source.usage(),
+            });
+            next = drawn * 2;
+        }
+    }
+    Ok(Star {
+        tree: planner.tree,
+        goal: planner.goal,
+        progress,
+        shortened,
+    })
+}
+
+/// After how many samples progress is told first.
+const FIRST: usize = 125;
+
+struct Planner<'a, P> {
+    problem: &'a P,
+    source: Timed,
+    tree: StarTree,
+    goal: Option<usize>,
+}
+
+/// A node that is near, and what is known of the way to it.
+struct Near {
+    node: usize,
+    distance: f64,
+    free: Option<bool>,
+}
+
+impl<'a, P: Problem> Planner<'a, P> {
+    fn new(problem: &'a P, source: Box<dyn NeighborSource>) -> Result<Self, PlanningError> {
+        let tree = StarTree {
+            states: States::new(problem.space().coordinates()),
+            parents: Vec::new(),
+            lengths: Vec::new(),
+            costs: Vec::new(),
+            children: Vec::new(),
+            nodes: HashMap::new(),
+        };
+        let mut planner = Planner {
+            problem,
+            source: Timed::new(source),
+            tree,
+            goal: None,
+        };
+        planner.insert(problem.start())?;
+        Ok(planner)
+    }
+
+    fn insert(&mut self, state: &[f64]) -> Result<usize, PlanningError> {
+        let mut states = States::new(state.len());
+        states.push(state)?;
+        let ids = self.source.insert(&states)?;
+        self.tree.push(state, ids[0])
+    }
+
+    /// Grows the tree by one node towards `target`, if the way is free, and rewires it.
+    fn extend(&mut self, target: &[f64]) -> Result<(), PlanningError> {
+        let Some((nearest, state)) = self.steer(target)? else {
+            return Ok(());
+        };
+        let Some(mut near) = self.around(nearest, &state)? else {
+            return Ok(());
+        };
+        let Some((parent, length)) = self.best_parent(&mut near, &state) else {
+            return Ok(());
+        };
+        let node = self.insert(&state)?;
+        self.tree.hang(node, parent, length);
+        for mut other in near {
+            let by_node = self.tree.costs[node] + other.distance;
+            if by_node < self.tree.costs[other.node] && self.is_free_way(&mut other, &state) {
+                self.tree.hang(other.node, node, other.distance);
+            }
+        }
+        if state == self.problem.goal() {
+            self.goal = Some(node);
+        }
+        Ok(())
+    }
+
+    /// The node nearest to `target`, and the state on the way there that is as far as a tree may grow at once; none if
+    /// that is no new one, or collides.
+    fn steer(&mut self, target: &[f64]) -> Result<Option<(usize, Vec<f64>)>, PlanningError> {
+        let Some(nearest) = self.source.nearest(target)? else {
+            return Ok(None);
+        };
+        if nearest.distance == 0.0 {
+            return Ok(None);
+        }
+        let node = self.tree.nodes[&nearest.id];
+        let share = REACH * self.problem.resolution() / nearest.distance;
+        let mut state = target.to_vec();
+        if share < 1.0 {
+            let from = self.tree.states.row(node);
+            let space = self.problem.space();
+            space.interpolate(from, target, share, &mut state);
+        }
+        let free = self.problem.is_free(&state);
+        Ok(free.then_some((node, state)))
+    }
+
+    /// The k(n) nearest nodes of `state`; none if the way to it from `nearest` is not free.
+    fn around(
+        &mut self,
+        nearest: usize,
+        state: &[f64],
+    ) -> Result<Option<Vec<Near>>, PlanningError> {
+        let (problem, from) = (self.problem, self.tree.states.row(nearest));
+        if !problem.is_free_way(from, state, &mut 0) {
+            return Ok(None);
+        }
+        // Evaluated here, as nobody else inserts, so that all sources answer the same plain search.
+        let mut search = Search::nearest_k(1);
+        SCALING.apply(&mut search, self.tree.len(), problem.space().dimension());
+        let found = self.source.search(state, &search)?;
+        let near = found.iter().map(|near| {
+            let node = self.tree.nodes[&near.id];
+            Near {
+                node,
+                distance: near.distance,
+                free: (node == nearest).then_some(true),
+            }
+        });
+        Ok(Some(near.collect()))
+    }
+
+    /// By which of these nodes the way from the root to `state` is shortest, and how far it is from there. Ways are checked
+    /// in the order of what they promise, so that few are.
+    fn best_parent(&self, near: &mut [Near], state: &[f64]) -> Option<(usize, f64)> {
+        let cost = |near: &Near| self.tree.costs[near.node] + near.distance;
+        near.sort_by(|a, b| cost(a).total_cmp(&cost(b)).then(a.node.cmp(&b.node)));
+        near.iter_mut().find_map(|near| {
+            let free = self.is_free_way(near, state);
+            free.then_some((near.node, near.distance))
+        })
+    }
+
+    fn is_free_way(&self, near: &mut Near, state: &[f64]) -> bool {
+        let from = self.tree.states.row(near.node);
+        *near
+            .free
+            .get_or_insert_with(|| self.problem.is_free_way(from, state, &mut 0))
+    }
+}

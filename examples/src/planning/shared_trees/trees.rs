@@ -1,0 +1,108 @@
+//! Both trees as a whole, read from the server.
+
+use wayfold::{Include, IndexHandle, States};
+
+use super::{
+    super::{error::PlanningError, rrt::Tree},
+    store::Store,
+    vertex::{self, ROOTS},
+};
+
+/// Both trees. Nodes are in the order of their revisions, and parents before their children.
+pub struct SharedTrees {
+    /// The tree from the start, and that from the goal.
+    pub trees: [Tree; 2],
+    /// The worker that made each node.
+    pub makers: [Vec<usize>; 2],
+    /// The revision of its index that stored each node.
+    pub revisions: [Vec<u64>; 2],
+}
+
+impl SharedTrees {
+    /// Reads both, and fails unless they are trees: of each vertex but the roots, the parent is one of the same tree, which
+    /// was there before, or in the same insert in front of it.
+    pub async fn read(store: &Store) -> Result<SharedTrees, PlanningError> {
+        let coordinates = store.index(0).coordinates();
+        let mut read = SharedTrees {
+            trees: [Tree::new(coordinates), Tree::new(coordinates)],
+            makers: [Vec::new(), Vec::new()],
+            revisions: [Vec::new(), Vec::new()],
+        };
+        for trees in store.together() {
+            let index = store.index(trees[0]);
+            // Up to the workers' last revision: what they told is behind what they did.
+            index.info().await?;
+            read.add(Vertices::scan(index).await?)?;
+        }
+        Ok(read)
+    }
+
+    /// Adds all vertices of one index.
+    fn add(&mut self, vertices: Vertices) -> Result<(), PlanningError> {
+        let rows = &vertices.rows;
+        // The rows of one insert have ascending ids, and it is one worker's.
+        let mut order: Vec<usize> = (0..rows.len()).collect();
+        order.sort_by_key(|&row| (rows[row].revision, rows[row].id));
+        for row in order {
+            let vertex = &rows[row];
+            let tree = vertex::tree(vertex.tag);
+            let own = &mut self.trees[tree];
+            let parent = vertex.parent.map(|id| own.node(id));
+            if parent == Some(None) {
+                return Err(wrong(vertex.id, "its parent was not in its tree before it"));
+            }
+            own.push(parent.flatten(), vertices.states.row(row), vertex.id)?;
+            self.makers[tree].push(vertex::worker(vertex.tag));
+            self.revisions[tree].push(vertex.revision);
+        }
+        Ok(())
+    }
+
+    /// How many vertices both have.
+    pub fn len(&self) -> usize {
+        self.trees.iter().map(Tree::len).sum()
+    }
+}
+
+/// The points of one index.
+struct Vertices {
+    states: States,
+    rows: Vec<Vertex>,
+}
+
+struct Vertex {
+    id: u64,
+    tag: u64,
+    revision: u64,
+    parent: Option<u64>,
+}
+
+impl Vertices {
+    async fn scan(index: &IndexHandle) -> Result<Vertices, PlanningError> {
+        let mut read = Vertices {
+            states: States::new(index.coordinates()),
+            rows: Vec::new(),
+        };
+        let mut scan = index.scan().include(Include::all()).await?;
+        while let Some(part) = scan.next().await? {
+            for point in part.iter() {
+                let told = point.payload.and_then(|payload| vertex::parent(payload));
+                if told.is_none() && !ROOTS.contains(&point.id) {
+                    return Err(wrong(point.id, "its payload tells no parent"));
+                }
+                read.states.push(point.state)?;
+                read.rows.push(Vertex {
+                    id: point.id,
+                    tag: point.tag,
+                    revision: point.revision,
+                    parent: told,
+                });
+            }
+        }
+        Ok(read)
+    }
+}
+
+fn wrong(id: u64, problem: &'static str) -> PlanningError {
+    PlanningError::Vertex { id, problem }
+}

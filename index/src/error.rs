@@ -1,0 +1,62 @@
+//! Why a structure refused points or a search.
+
+use thiserror::Error;
+
+use crate::{KdTree, StateError};
+
+/// Why a table of points was refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum PointsError {
+    /// The rows are of another space.
+    #[error("rows of {found} numbers, where the space has {expected} coordinates")]
+    Width {
+        /// The space's coordinates.
+        expected: usize,
+        /// The numbers of a row.
+        found: usize,
+    },
+    /// There are more than [`KdTree::MAX_POINTS`].
+    #[error("{0} points, where a tree holds at most {max}", max = KdTree::MAX_POINTS)]
+    TooMany(usize),
+    /// A row is not a canonical state of the space.
+    #[error("states[{row}].{error}")]
+    State {
+        /// The row's place in the table.
+        row: usize,
+        /// What is wrong with it.
+        error: StateError,
+    },
+    /// Two rows have the same id.
+    #[error("id {0} stands twice among the points")]
+    DuplicateId(u64),
+}
+
+/// Why a mutation was refused; it changed nothing.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum ApplyError {
+    /// The revision is not above the forest's.
+    #[error("revision {revision}, where the forest is at {head} already")]
+    Revision {
+        /// The mutation's revision.
+        revision: u64,
+        /// The forest's.
+        head: u64,
+    },
+    /// The points to store are not points of the forest's space.
+    #[error(transparent)]
+    Points(#[from] PointsError),
+}
+
+/// Why a search was refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SearchError {
+    /// The state is not a canonical state of the space.
+    #[error("state: {0}")]
+    State(#[from] StateError),
+    /// The radius is NaN.
+    #[error("radius: NaN")]
+    Radius,
+    /// Epsilon is NaN, infinite or negative.
+    #[error("epsilon {0}: it is finite and at least 0")]
+    Epsilon(f64),
+}

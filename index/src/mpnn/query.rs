@@ -1,0 +1,282 @@
+//! The query: depth first, the nearer child first, with incremental bounds.
+//!
+//! **Rounding.** A coordinate's distance to an interval uses the operations of the distance to a point, which are monotone.
+//! Increments are at least 0 and telescope, and [`sum_down`] rounds each sum down, so a bound exceeds the exact sum by no
+//! more than the margin that [`Scale::limit`](crate::kernel::Scale::limit) leaves. A cell whose bound equals the worst
+//! distance is visited: one of its points may have a smaller id.
+
+use std::{collections::BinaryHeap, ops::Range, time::Instant};
+
+use super::{Axis, Mpnn, Node};
+use crate::{Answer, Factor, Neighbor, Search, space::SO3_SERIES};
+
+/// The number of leaves between two looks at the clock.
+const LEAVES_PER_CLOCK_READ: usize = 32;
+
+/// Answers a search for a canonical state.
+pub(super) fn search(tree: &Mpnn, state: &[f64], search: &Search<'_>) -> Answer {
+    let mut query = Query::new(tree, state, search);
+    if !tree.is_empty() {
+        query.run();
+    }
+    Answer {
+        neighbors: query.nearest.into_sorted_vec(),
+        exact: query.exact,
+    }
+}
+
+/// A side of a cell, and the bounds that follow from it: what a step down or up the tree changes.
+#[derive(Clone, Copy, Debug)]
+struct Side {
+    /// The node to visit, or none after both children of the cell.
+    node: Option<u32>,
+    axis: u32,
+    lo: f64,
+    hi: f64,
+    /// d²_K(R).
+    factor_2: f64,
+    /// Σ μ·d² of the group.
+    group_2: f64,
+    key: f64,
+}
+
+/// A search under way in the cell R.
+struct Query<'a> {
+    tree: &'a Mpnn,
+    state: &'a [f64],
+    search: &'a Search<'a>,
+    /// The cell.
+    lo: Vec<f64>,
+    hi: Vec<f64>,
+    /// d²_K(R), at the first coordinate of each factor.
+    factors_2: Vec<f64>,
+    /// Σ_K μ_K·d²_K(R), by group.
+    groups_2: Vec<f64>,
+    /// The bound of R, as a key of [`Scale`]: the group's sum where there is one group, else the distance.
+    key: f64,
+    nearest: BinaryHeap<Neighbor>,
+    /// A greater key is farther than the worst neighbour.
+    limit: f64,
+    /// A greater key is given up for `epsilon`.
+    relaxed_limit: f64,
+    relaxed: f64,
+    leaves_left: usize,
+    exact: bool,
+}
+
+impl<'a> Query<'a> {
+    /// At the root.
+    fn new(tree: &'a Mpnn, state: &'a [f64], search: &'a Search<'a>) -> Self {
+        let mut query = Self {
+            tree,
+            state,
+            search,
+            lo: tree.lo.clone(),
+            hi: tree.hi.clone(),
+            factors_2: vec![0.0; tree.axes.len()],
+            groups_2: vec![0.0; tree.space.groups().len()],
+            key: 0.0,
+            nearest: BinaryHeap::new(),
+            limit: 0.0,
+            relaxed_limit: 0.0,
+            relaxed: tree.scale.relaxed(search.epsilon),
+            leaves_left: search.max_leaves,
+            exact: true,
+        };
+        query.tighten();
+        for (axis, factor) in tree.axes.iter().enumerate() {
+            if factor.first == axis {
+                query.enter(query.side(None, axis, tree.lo[axis], tree.hi[axis]));
+            }
+        }
+        query
+    }
+
+    fn run(&mut self) {
+        let root = self.side(Some(0), 0, self.lo[0], self.hi[0]);
+        let mut open = vec![root];
+        while let Some(side) = open.pop() {
+            let Some(node) = side.node else {
+                self.enter(side);
+                continue;
+            };
+            if !self.admits(side.key) {
+                continue;
+            }
+            self.enter(side);
+            match self.tree.nodes[node as usize] {
+                Node::Leaf { start, end } => self.scan(start as usize..end as usize),
+                Node::Split { axis, high, cut } => {
+                    let at = axis as usize;
+                    let (lo, hi) = (self.lo[at], self.hi[at]);
+                    let (low, high) = (
+                        self.side(Some(node + 1), at, lo, cut),
+                        self.side(Some(high), at, cut, hi),
+                    );
+                    let low_is_near =
+                        low.key < high.key || low.key == high.key && self.state[at] < cut;
+                    let (near, far) = if low_is_near {
+                        (low, high)
+                    } else {
+                        (high, low)
+                    };
+                    open.push(self.own_side(at));
+                    open.extend([far, near].iter().filter(|child| child.key <= self.limit));
+                }
+            }
+        }
+    }
+
+    /// The side of the current cell, to come back to.
+    fn own_side(&self, axis: usize) -> Side {
+        let of = &self.tree.axes[axis];
+        Side {
+            node: None,
+            axis: axis as u32,
+            lo: self.lo[axis],
+            hi: self.hi[axis],
+            factor_2: self.factors_2[of.first],
+            group_2: self.groups_2[of.group],
+            key: self.key,
+        }
+    }
+
+    /// The current cell cut down to one side, with its incremental bound.
+    fn side(&self, node: Option<u32>, axis: usize, lo: f64, hi: f64) -> Side {
+        let of = &self.tree.axes[axis];
+        let mut side = Side {
+            node,
+            lo,
+            hi,
+            ..self.own_side(axis)
+        };
+        let (factor_2, group_2) = (self.factor_2(axis, lo, hi), side.group_2);
+        if factor_2 > side.factor_2 {
+            side.group_2 = sum_down(group_2, of.weight * (factor_2 - side.factor_2));
+            side.factor_2 = factor_2;
+            side.key = match self.tree.space.groups() {
+                [_] => side.group_2,
+                groups => {
+                    let grown = side.group_2.sqrt() - group_2.sqrt();
+                    sum_down(side.key, groups[of.group].weight * grown)
+                }
+            };
+        }
+        side
+    }
+
+    fn enter(&mut self, side: Side) {
+        let axis = side.axis as usize;
+        let of = &self.tree.axes[axis];
+        (self.lo[axis], self.hi[axis]) = (side.lo, side.hi);
+        self.factors_2[of.first] = side.factor_2;
+        self.groups_2[of.group] = side.group_2;
+        self.key = side.key;
+    }
+
+    /// d²_K to the current cell cut down to one side, a lower bound of the factor's squared distance to every point in it.
+    fn factor_2(&self, axis: usize, lo: f64, hi: f64) -> f64 {
+        let Axis { factor, first, .. } = self.tree.axes[axis];
+        let x = self.state[axis];
+        match factor {
+            Factor::RealVector(_) => {
+                let d = to_interval(x, lo, hi);
+                d * d
+            }
+            Factor::SO2 { period } => {
+                // The farther end of the interval is the nearer one around the back of the circle.
+                let across = (period - (hi - x).max(x - lo)).max(0.0);
+                let d = to_interval(x, lo, hi).min(across);
+                d * d
+            }
+            Factor::SO3 => {
+                let (mut plus_2, mut minus_2) = (0.0, 0.0);
+                for at in first..first + 4 {
+                    let is_cut = at == axis;
+                    let lo = if is_cut { lo } else { self.lo[at] };
+                    let hi = if is_cut { hi } else { self.hi[at] };
+                    let plus = to_interval(self.state[at], lo, hi);
+                    let minus = to_interval(-self.state[at], lo, hi);
+                    plus_2 += plus * plus;
+                    minus_2 += minus * minus;
+                }
+                // The squared chord to the cell, and the first terms of the squared angle that belongs to it.
+                let s = f64::min(plus_2, minus_2);
+                let [c1, c2, c3] = SO3_SERIES;
+                s * ((1.0 + s * c1) + (s * s) * (c2 + s * c3))
+            }
+        }
+    }
+
+    /// Whether a cell of this bound is to be visited.
+    fn admits(&mut self, key: f64) -> bool {
+        if key > self.limit {
+            return false;
+        }
+        let is_given_up = self.leaves_left == 0 || key > self.relaxed_limit;
+        self.exact &= !is_given_up;
+        !is_given_up
+    }
+
+    /// Measures the points of a leaf.
+    fn scan(&mut self, slots: Range<usize>) {
+        let search = self.search;
+        for point in slots.map(|slot| self.tree.points.get(slot)) {
+            if !search.filter.admits(point.tag, point.revision)
+                || search.excluded.is_some_and(|ids| ids.contains(&point.id))
+            {
+                continue;
+            }
+            let neighbor = Neighbor {
+                distance: self.tree.space.distance(self.state, point.row),
+                id: point.id,
+            };
+            if neighbor.distance > search.radius {
+                continue;
+            }
+            if self.nearest.len() < search.k {
+                self.nearest.push(neighbor);
+            } else if let Some(mut worst) = self.nearest.peek_mut()
+                && neighbor < *worst
+            {
+                *worst = neighbor;
+            } else {
+                continue;
+            }
+            if self.nearest.len() == search.k {
+                self.tighten();
+            }
+        }
+        self.leaves_left -= 1;
+        let leaves = search.max_leaves - self.leaves_left;
+        if let Some(until) = search.until
+            && leaves.is_multiple_of(LEAVES_PER_CLOCK_READ)
+            && Instant::now() >= until
+        {
+            self.leaves_left = 0;
+        }
+    }
+
+    /// Lowers the limits to the worst neighbour once there are k.
+    fn tighten(&mut self) {
+        let worst = if self.nearest.len() < self.search.k {
+            self.search.radius
+        } else {
+            let worst = self.nearest.peek();
+            worst.map_or(f64::NEG_INFINITY, |worst| worst.distance)
+        };
+        self.limit = self.tree.scale.limit(worst);
+        self.relaxed_limit = self.limit * self.relaxed;
+    }
+}
+
+/// How far `x` lies outside an interval.
+fn to_interval(x: f64, lo: f64, hi: f64) -> f64 {
+    (lo - x).max(x - hi).max(0.0)
+}
+
+/// A lower bound of `sum + weight · increment`, given the rounded product; all are at least 0. One step down undoes the
+/// rounding up of both the product and the sum.
+fn sum_down(sum: f64, product: f64) -> f64 {
+    (sum + product).next_down().max(sum)
+}

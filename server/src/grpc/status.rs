@@ -1,0 +1,164 @@
+//! Statuses, answers and streams of the service as tonic has them.
+
+use bytes::Bytes;
+use futures_util::{StreamExt, stream, stream::BoxStream};
+use prost::Message;
+use tonic::{Code, Response, Status};
+use wayfold_proto::v1;
+
+use crate::{
+    observe::Ending,
+    service::{self, Error, Scan, Snapshot, Verification, Watch},
+    status,
+};
+
+/// The answer of a handler.
+pub(crate) type Answer<T> = Result<Response<T>, Status>;
+
+/// The messages that a handler answers with.
+pub(crate) type Messages<T> = BoxStream<'static, Result<T, Status>>;
+
+impl From<status::Status> for Status {
+    fn from(status: status::Status) -> Self {
+        // The details of a gRPC status are a google.rpc.Status, which ours is field for field.
+        let details = Bytes::from(status.to_message().encode_to_vec());
+        let code = Code::from_i32(status::number(status.code));
+        Self::with_details(code, status.message, details)
+    }
+}
+
+/// The status of a failed call.
+pub(crate) fn from_error(error: &Error) -> Status {
+    status::from_error(error).into()
+}
+
+/// The answer of a unary call.
+pub(crate) fn respond<T>(result: Result<T, Error>) -> Answer<T> {
+    result
+        .map(Response::new)
+        .map_err(|error| from_error(&error))
+}
+
+/// What a call is answered with message by message.
+pub(crate) trait Source: Send + Sized + 'static {
+    /// A message.
+    type Message: Send + 'static;
+
+    /// The next message; None after the last.
+    fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send;
+}
+
+macro_rules! sources {
+    ($($source:ident: $message:ident;)*) => {
+        $(impl Source for $source {
+            type Message = v1::$message;
+
+            fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send {
+                $source::next(self)
+            }
+        })*
+    };
+}
+
+sources! {
+    Scan: ScanResponse;
+    Watch: WatchResponse;
+    Snapshot: SnapshotIndexResponse;
+    Verification: VerifyIndexResponse;
+}
+
+/// The answer of a call that is answered message by message. A message is made when the client has room for it, not
+/// before.
+pub(crate) fn respond_all<S: Source>(source: Result<S, Error>) -> Answer<Messages<S::Message>> {
+    respond(source.map(|source| {
+        let messages = stream::unfold(source, async |mut source| {
+            let message = source.next().await?;
+            Some((message.map_err(|error| from_error(&error)), source))
+        });
+        messages.boxed()
+    }))
+}
+
+/// How a call with this code ended.
+pub(crate) fn ending(code: Code) -> Ending {
+    Ending::Failed(match code {
+        Code::Ok => return Ending::Ok,
+        Code::InvalidArgument => service::Code::InvalidArgument,
+        Code::NotFound => service::Code::NotFound,
+        Code::AlreadyExists => service::Code::AlreadyExists,
+        Code::FailedPrecondition => service::Code::FailedPrecondition,
+        Code::ResourceExhausted => service::Code::ResourceExhausted,
+        Code::Unavailable => service::Code::Unavailable,
+        Code::DeadlineExceeded => service::Code::DeadlineExceeded,
+        Code::Unauthenticated => service::Code::Unauthenticated,
+        Code::PermissionDenied => service::Code::PermissionDenied,
+        Code::DataLoss => service::Code::DataLoss,
+        Code::Internal => service::Code::Internal,
+        Code::Cancelled => return Ending::Left,
+        Code::Unknown | Code::Aborted | Code::OutOfRange | Code::Unimplemented => {
+            return Ending::Transport(code.into());
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use tonic_types::StatusExt;
+
+    use super::*;
+    use crate::service::Violation;
+
+    #[test]
+    fn clients_of_grpc_read_the_details() {
+        let status = from_error(&Error::LimitExceeded {
+            limit: "k",
+            value: 10,
+            asked: 11,
+            advice: "ask for fewer",
+        });
+        assert_eq!(status.code(), Code::ResourceExhausted);
+        let info = status.get_details_error_info().unwrap();
+        assert_eq!(info.reason, "LIMIT_EXCEEDED");
+        let violations = status.get_details_quota_failure().unwrap().violations;
+        assert_eq!(
+            (&*violations[0].subject, violations[0].quota_value),
+            ("k", 10)
+        );
+    }
+
+    #[test]
+    fn a_status_fits_into_headers_whatever_the_caller_wrote() {
+        let long = "ü".repeat(100_000);
+        let violation = Violation {
+            field: long.clone(),
+            reason: "NAN",
+            description: long.clone(),
+        };
+        for error in [
+            Error::IndexNotFound { name: long.clone() },
+            Error::InvalidArgument {
+                violations: vec![violation; 100],
+            },
+            Error::RevisionConflict {
+                index: long.clone(),
+                if_revision: u64::MAX,
+                ids: vec![u64::MAX; 100_000],
+            },
+            Error::IndexExists {
+                name: long.clone(),
+                existing: long.clone(),
+                asked: long.clone(),
+            },
+        ] {
+            let mut headers = http::HeaderMap::new();
+            Status::from(crate::status::from_error(&error))
+                .add_header(&mut headers)
+                .unwrap();
+            let bytes: usize = headers
+                .iter()
+                .map(|(name, value)| name.as_str().len() + value.len() + 32)
+                .sum();
+            assert!(bytes < 8 * 1024, "{bytes} bytes");
+        }
+    }
+}

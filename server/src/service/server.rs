@@ -1,0 +1,38 @@
+//! `GetServer`: what a server is, and what it allows.
+
+use wayfold_proto::v1;
+
+use super::{Call, Error, Service};
+use crate::log::Durability;
+
+impl Service {
+    /// Describes the server to the caller of a face that reads requests of at most `request_bytes` bytes.
+    pub async fn get_server(
+        &self,
+        call: &Call,
+        _: v1::GetServerRequest,
+        request_bytes: usize,
+    ) -> Result<v1::GetServerResponse, Error> {
+        self.accept(call)?;
+        let durability = match self.inner.durability {
+            None => v1::Durability::Memory,
+            Some(Durability::None) => v1::Durability::None,
+            Some(Durability::Os) => v1::Durability::Os,
+            Some(Durability::Fsync) => v1::Durability::Fsync,
+        };
+        let limits = self.limits();
+        Ok(v1::GetServerResponse {
+            version: env!("CARGO_PKG_VERSION").into(),
+            durability: durability.into(),
+            limits: Some(v1::Limits {
+                rows_per_call: limits.rows_per_call as u64,
+                ids_per_call: limits.ids_per_call as u64,
+                k: limits.k as u64,
+                request_bytes: request_bytes as u64,
+                answer_bytes: limits.answer_bytes as u64,
+                payload_bytes: limits.payload_bytes as u64,
+                indexes: limits.indexes as u64,
+            }),
+        })
+    }
+}

@@ -1,0 +1,135 @@
+//! Stored points, which may have to come from a disk. They are read on threads that may block, not on those that answer
+//! calls, and not while an index's writer is held: a mutation reads what it needs before ([`ReadAhead`]).
+
+use std::{collections::HashMap, sync::Arc};
+
+use tokio_util::task::AbortOnDropHandle;
+
+use super::{Call, Error, at::log_failed};
+use crate::{
+    log::{LogError, StoredPoint, View},
+    registry::{Hosted, Published, Writer},
+};
+
+/// How many points are read at once. Between two batches a call may be given up.
+pub(super) const BATCH: usize = 256;
+
+/// Reads from the store, on a thread that may block, for the index of this name. A read is not begun once its caller is
+/// gone.
+pub(super) async fn read<T: Send + 'static>(
+    call: &Call,
+    doing: &'static str,
+    index: &str,
+    view: &Arc<dyn View>,
+    read: impl FnOnce(&dyn View) -> Result<T, LogError> + Send + 'static,
+) -> Result<T, Error> {
+    let view = Arc::clone(view);
+    let reading = tokio::task::spawn_blocking(move || read(&*view));
+    match call.bound(doing, AbortOnDropHandle::new(reading)).await? {
+        Ok(read) => read.map_err(|error| log_failed(index, error)),
+        // A read that is awaited fails to come back only if it panicked.
+        Err(_) => Err(Error::Internal {
+            what: format!("index \"{index}\": reading stored points did not come to its end"),
+        }),
+    }
+}
+
+/// From a stored point to what is kept of it.
+type Projection<T> = Arc<dyn Fn(&Arc<StoredPoint>) -> T + Send + Sync>;
+
+/// What a mutation needs to know of stored points: read before it has the writer, and brought up to date once it has.
+pub(super) struct ReadAhead<T> {
+    keep: Projection<T>,
+    /// Points stored after they were read are known, too.
+    takes_new: bool,
+    /// The revision that `points` are of.
+    revision: u64,
+    /// By id; None where no point is stored.
+    points: HashMap<u64, Option<T>>,
+}
+
+impl<T: Send + 'static> ReadAhead<T> {
+    /// Nothing is known yet.
+    pub(super) fn new(
+        takes_new: bool,
+        keep: impl Fn(&Arc<StoredPoint>) -> T + Send + Sync + 'static,
+    ) -> Self {
+        Self {
+            keep: Arc::new(keep),
+            takes_new,
+            revision: 0,
+            points: HashMap::new(),
+        }
+    }
+
+    /// What is known of a point; None also if the point has to be read first.
+    pub(super) fn get(&self, id: u64) -> Option<&T> {
+        self.points.get(&id)?.as_ref()
+    }
+
+    /// What is known is that of `head`, or nothing.
+    pub(super) fn begin_at(&mut self, head: &Published) {
+        self.revision = head.revision;
+    }
+
+    /// Reads points of `head`, the revision that those known before are of.
+    pub(super) async fn read(
+        &mut self,
+        call: &Call,
+        doing: &'static str,
+        hosted: &Hosted,
+        head: &Published,
+        ids: &[u64],
+    ) -> Result<(), Error> {
+        self.begin_at(head);
+        for ids in ids.chunks(BATCH) {
+            let (ids, keep) = (ids.to_vec(), Arc::clone(&self.keep));
+            let batch = move |view: &dyn View| {
+                let points = ids.into_iter().map(|id| {
+                    let point = view.get(id)?;
+                    Ok((id, point.map(|point| keep(&point))))
+                });
+                points.collect::<Result<Vec<_>, LogError>>()
+            };
+            let batch = read(call, doing, hosted.name(), &head.view, batch);
+            self.points.extend(batch.await?);
+        }
+        Ok(())
+    }
+
+    /// Brings what is known up to the writer's head, from the records at hand. Where these do not reach back far enough,
+    /// nothing is known any more: false.
+    pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) -> bool {
+        let before = std::mem::replace(&mut self.revision, writer.head().revision);
+        if self.points.is_empty() && !self.takes_new {
+            return true;
+        }
+        let records = hosted.records_since(before, writer);
+        let Some(records) = records else {
+            self.points.clear();
+            return false;
+        };
+        for record in records {
+            let effects = record.effects();
+            for id in effects.removed() {
+                if let Some(point) = self.points.get_mut(id) {
+                    *point = None;
+                }
+            }
+            for (slot, point) in effects.stored().iter().enumerate() {
+                if self.takes_new || self.points.contains_key(&point.id) {
+                    let stored = Arc::new(StoredPoint {
+                        id: point.id,
+                        revision: point.revision,
+                        modified: record.revision(),
+                        tag: point.tag,
+                        state: point.row.into(),
+                        payload: effects.payload(slot),
+                    });
+                    self.points.insert(point.id, Some((self.keep)(&stored)));
+                }
+            }
+        }
+        true
+    }
+}

@@ -1,0 +1,151 @@
+//! Whatever integers a query holds, in its payload or in its parameters, it is answered or refused.
+
+use std::{sync::Arc, time::Duration};
+
+use prost::Message;
+use prost_reflect::{DynamicMessage, Kind, ReflectMessage, Value};
+use wayfold_proto::v1;
+
+use super::*;
+use crate::{
+    log::MemoryLog,
+    registry::{Registry, RegistryOptions},
+    service::{Code, Limits, Service},
+    zenoh::{perform::perform, verb::Target},
+};
+
+#[path = "../../../tests/extremes/mod.rs"]
+mod extremes;
+
+use extremes::{EXTREMES, requests, variants};
+
+/// Which verb a request is asked under.
+const VERBS: [(&str, &str); 11] = [
+    ("arm/knn", "KnnRequest"),
+    ("arm/query", "QueryRequest"),
+    ("arm/insert", "InsertRequest"),
+    ("arm/update", "UpdateRequest"),
+    ("arm/remove", "RemoveRequest"),
+    ("arm/get", "GetRequest"),
+    ("arm/info", "GetIndexRequest"),
+    ("arm/log", "WatchRequest"),
+    ("create", "CreateIndexRequest"),
+    ("list", "ListIndexesRequest"),
+    ("delete", "DeleteIndexRequest"),
+];
+
+/// A service with `arm`, which has two points and two revisions, and that index's uid.
+async fn two_points() -> (Service, String) {
+    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    let request = v1::CreateIndexRequest {
+        name: "arm".into(),
+        space_text: "R1".into(),
+        ..Default::default()
+    };
+    let call = Call::default();
+    let created = service.create_index(&call, request).await.unwrap();
+    for id in 0..2 {
+        let request = v1::InsertRequest {
+            index: "arm".into(),
+            states: Some(v1::States {
+                rows: 1,
+                coordinates: vec![id as f64],
+            }),
+            ids: vec![id],
+            tags: vec![1],
+            ..Default::default()
+        };
+        service.insert(&call, request).await.unwrap();
+    }
+    (service, created.index.unwrap().uid)
+}
+
+async fn assert_answered(service: &Service, key: &str, asked: &Asked<'_>) {
+    let key = format!("wayfold/v1/{key}");
+    let target = Target::of("wayfold/v1", key.as_str().try_into().unwrap()).unwrap();
+    let call = Call {
+        deadline: Some(Instant::now() + Duration::from_secs(3600)),
+    };
+    // What waits ends at once: the time is that of the test.
+    if let Err(error) = perform(service, &call, target.verb, asked, 1 << 20).await {
+        let is_bug = matches!(error.code(), Code::Internal | Code::DataLoss);
+        assert!(!is_bug, "{key} {:?}: {error}", asked.parameters);
+    }
+}
+
+fn asked_in<'a>(form: Form, key: &'a str, message: &DynamicMessage) -> Asked<'a> {
+    let payload = match form {
+        Form::Protobuf => message.encode_to_vec(),
+        Form::Json => form.write(message.descriptor().name(), message).unwrap(),
+    };
+    Asked {
+        form,
+        index: key.split_once('/').map_or("", |(index, _)| index),
+        parameters: Vec::new(),
+        payload: payload.into(),
+    }
+}
+
+/// In JSON states are rows, of which there are as many as there are.
+fn count_rows(message: &mut DynamicMessage) {
+    if let Some(Value::Message(states)) = message.get_field_by_name_mut("states")
+        && states.has_field_by_name("rows")
+    {
+        states.set_field_by_name("rows", Value::U32(1));
+    }
+}
+
+/// The names of what can be said in a parameter.
+fn parameters(message: &DynamicMessage) -> Vec<String> {
+    let fields = message.descriptor();
+    let fields = fields.fields();
+    let fields = fields.filter(|field| !matches!(field.kind(), Kind::Message(_) | Kind::Bytes));
+    fields.map(|field| field.name().to_owned()).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_verb_answers_or_refuses_whatever_integers_it_is_asked_with() {
+    let (service, uid) = two_points().await;
+    let requests = requests(&uid);
+    for (key, name) in VERBS {
+        let of_verb = |request: &&DynamicMessage| request.descriptor().name() == name;
+        let good: Vec<_> = requests.iter().filter(of_verb).collect();
+        assert!(!good.is_empty(), "{key}");
+        for form in [Form::Protobuf, Form::Json] {
+            for request in &good {
+                for (what, mut variant) in variants(request) {
+                    println!("{what}, {form:?}");
+                    if form == Form::Json {
+                        count_rows(&mut variant);
+                    }
+                    let asked = asked_in(form, key, &variant);
+                    assert_answered(&service, key, &asked).await;
+                }
+                for parameter in parameters(request) {
+                    for text in EXTREMES
+                        .map(|integer| integer.to_string())
+                        .iter()
+                        .map(|it| &**it)
+                        .chain(["-1", "18446744073709551616", "1e30", "0x10", ""])
+                    {
+                        let mut asked = asked_in(form, key, request);
+                        asked.parameters.push((&parameter, text));
+                        assert_answered(&service, key, &asked).await;
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn no_timeout_is_too_long() {
+    let now = Instant::now();
+    for extreme in EXTREMES {
+        let read = read_timeout(&extreme.to_string(), now).unwrap();
+        assert!(read.is_none_or(|deadline| deadline >= now), "{extreme}");
+    }
+    assert!(read_timeout("18446744073709551616", now).is_err());
+}

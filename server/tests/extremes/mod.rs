@@ -1,0 +1,290 @@
+//! Requests with integers that no honest client sends.
+//!
+//! They are made of one good request for each verb, by its descriptor: a field that is added later is tried, too.
+
+use prost::Message;
+use prost_reflect::{
+    DescriptorPool, DynamicMessage, Kind, MessageDescriptor, ReflectMessage, Value,
+};
+use rand::{Rng, RngExt, SeedableRng, seq::IndexedRandom};
+use rand_chacha::ChaCha8Rng;
+use wayfold_proto::v1;
+
+/// Each integer field takes each of these.
+pub(crate) const EXTREMES: [u64; 9] = [
+    0,
+    1,
+    1 << 31,
+    u32::MAX as u64,
+    1 << 53,
+    i64::MAX as u64,
+    1 << 63,
+    u64::MAX - 1,
+    u64::MAX,
+];
+
+/// How many requests of each verb have a random integer in every field.
+const RANDOM: u64 = 64;
+
+/// How deep messages are looked into: a space holds spaces.
+const DEPTH: usize = 5;
+
+/// The descriptors of `wayfold.v1`.
+pub(crate) fn pool() -> DescriptorPool {
+    DescriptorPool::decode(v1::FILE_DESCRIPTOR_SET).unwrap()
+}
+
+/// A good request for each verb, by the name of its message: about the index `arm` in R1 that has this uid, two points
+/// and two revisions.
+pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
+    let (index, uid) = ("arm".to_owned(), uid.to_owned());
+    let states = Some(v1::States {
+        rows: 1,
+        coordinates: vec![0.25],
+    });
+    let at = Some(v1::ReadAt {
+        uid: uid.clone(),
+        min_revision: 1,
+    });
+    let filter = Some(v1::Filter {
+        tag_mask: 3,
+        tag_value: 1,
+        since_revision: 1,
+    });
+    let include = Some(v1::Include {
+        states: true,
+        tags: true,
+        revisions: true,
+        payloads: true,
+    });
+    let knn = v1::KnnRequest {
+        index: index.clone(),
+        states: states.clone(),
+        k: 2,
+        filter,
+        include,
+        at: at.clone(),
+        ..Default::default()
+    };
+    let insert = v1::InsertRequest {
+        index: index.clone(),
+        states: states.clone(),
+        tags: vec![1],
+        payloads: vec![b"payload".as_slice().into()],
+        min_separation: 1e-300,
+        neighbors: Some(v1::NeighborQuery {
+            k: Some(2),
+            filter,
+            include,
+            ..Default::default()
+        }),
+        uid: uid.clone(),
+        ..Default::default()
+    };
+    let with_ids = v1::InsertRequest {
+        ids: vec![1],
+        on_conflict: v1::OnConflict::Replace.into(),
+        ..insert.clone()
+    };
+    vec![
+        dynamic("KnnRequest", &knn),
+        dynamic("StreamKnnRequest", &v1::StreamKnnRequest { knn: Some(knn) }),
+        dynamic(
+            "QueryRequest",
+            &v1::QueryRequest {
+                index: index.clone(),
+                states,
+                radius: Some(f64::INFINITY),
+                filter,
+                include,
+                at: at.clone(),
+                ..Default::default()
+            },
+        ),
+        dynamic("InsertRequest", &insert),
+        dynamic("InsertRequest", &with_ids),
+        dynamic(
+            "UpdateRequest",
+            &v1::UpdateRequest {
+                index: index.clone(),
+                ids: vec![1],
+                tags: vec![1],
+                uid: uid.clone(),
+                ..Default::default()
+            },
+        ),
+        dynamic(
+            "GetRequest",
+            &v1::GetRequest {
+                index: index.clone(),
+                ids: vec![1],
+                payloads: true,
+                at: at.clone(),
+            },
+        ),
+        dynamic(
+            "ScanRequest",
+            &v1::ScanRequest {
+                index: index.clone(),
+                filter,
+                payloads: true,
+                after_id: Some(0),
+                at: at.clone(),
+            },
+        ),
+        dynamic(
+            "WatchRequest",
+            &v1::WatchRequest {
+                index: index.clone(),
+                uid: uid.clone(),
+                after_revision: Some(0),
+                payloads: true,
+            },
+        ),
+        dynamic(
+            "CreateIndexRequest",
+            &v1::CreateIndexRequest {
+                name: "other".into(),
+                space_text: "R1".into(),
+                ..Default::default()
+            },
+        ),
+        dynamic(
+            "CreateIndexRequest",
+            &v1::CreateIndexRequest {
+                name: "third".into(),
+                space: Some(wayfold_proto::space::to_message(&"R1".parse().unwrap())),
+                ..Default::default()
+            },
+        ),
+        dynamic("ListIndexesRequest", &v1::ListIndexesRequest::default()),
+        dynamic(
+            "GetIndexRequest",
+            &v1::GetIndexRequest {
+                name: index.clone(),
+            },
+        ),
+        dynamic(
+            "SnapshotIndexRequest",
+            &v1::SnapshotIndexRequest {
+                name: index.clone(),
+                at: at.clone(),
+            },
+        ),
+        dynamic(
+            "RestoreIndexRequest",
+            &v1::RestoreIndexRequest {
+                name: "restored".into(),
+                part: None,
+            },
+        ),
+        dynamic(
+            "VerifyIndexRequest",
+            &v1::VerifyIndexRequest {
+                name: index.clone(),
+                at,
+                queries: Some(3),
+                k: Some(2),
+                seed: 1,
+            },
+        ),
+        dynamic(
+            "RemoveRequest",
+            &v1::RemoveRequest {
+                index: index.clone(),
+                ids: vec![1 << 40],
+                uid,
+                ..Default::default()
+            },
+        ),
+        dynamic(
+            "DeleteIndexRequest",
+            &v1::DeleteIndexRequest {
+                name: index,
+                uid: "of another".into(),
+            },
+        ),
+    ]
+}
+
+fn dynamic(name: &str, message: &impl Message) -> DynamicMessage {
+    let descriptor = pool().get_message_by_name(&format!("wayfold.v1.{name}"));
+    DynamicMessage::decode(descriptor.unwrap(), &*message.encode_to_vec()).unwrap()
+}
+
+/// `request` with each extreme in each of its integer fields, one at a time, and with random ones in some of them; each
+/// with a text that tells it from the others.
+pub(crate) fn variants(request: &DynamicMessage) -> Vec<(String, DynamicMessage)> {
+    let name = request.descriptor().name().to_owned();
+    let paths = integers(&request.descriptor(), DEPTH);
+    let mut variants = Vec::new();
+    for path in &paths {
+        for extreme in EXTREMES {
+            let mut variant = request.clone();
+            set(&mut variant, path, extreme);
+            variants.push((format!("{name}, field {path:?} = {extreme}"), variant));
+        }
+    }
+    for seed in 0..RANDOM {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut variant = request.clone();
+        for path in &paths {
+            // Of requests with many wrong fields only the first is looked at.
+            if random.random_range(0..3) == 0 {
+                let integer = match random.random() {
+                    true => random.next_u64() >> random.random_range(0..64),
+                    false => *EXTREMES.choose(&mut random).unwrap(),
+                };
+                set(&mut variant, path, integer);
+            }
+        }
+        variants.push((format!("{name}, seed {seed}"), variant));
+    }
+    variants
+}
+
+/// The paths, by field number, of the integers of a message and of those in it.
+fn integers(message: &MessageDescriptor, depth: usize) -> Vec<Vec<u32>> {
+    let mut paths = Vec::new();
+    for field in message.fields() {
+        match field.kind() {
+            Kind::Message(within) if depth > 0 => {
+                for mut path in integers(&within, depth - 1) {
+                    path.insert(0, field.number());
+                    paths.push(path);
+                }
+            }
+            Kind::Message(_) | Kind::Float | Kind::Double | Kind::Bool | Kind::String => {}
+            Kind::Bytes => {}
+            _ => paths.push(vec![field.number()]),
+        }
+    }
+    paths
+}
+
+/// Sets the integer at `path`; of a list the first.
+fn set(message: &mut DynamicMessage, path: &[u32], integer: u64) {
+    let (&number, rest) = path.split_first().unwrap();
+    let field = message.descriptor().get_field(number).unwrap();
+    let value = message.get_field_mut(&field);
+    let value = match value {
+        Value::List(values) => {
+            if values.is_empty() {
+                values.push(Value::default_value(&field.kind()));
+            }
+            &mut values[0]
+        }
+        value => value,
+    };
+    if let Value::Message(within) = value {
+        return set(within, rest, integer);
+    }
+    *value = match value {
+        Value::U32(_) => Value::U32(integer as u32),
+        Value::I32(_) => Value::I32(integer as i32),
+        Value::U64(_) => Value::U64(integer),
+        Value::I64(_) => Value::I64(integer as i64),
+        Value::EnumNumber(_) => Value::EnumNumber(integer as i32),
+        other => panic!("{other:?} is no integer"),
+    };
+}

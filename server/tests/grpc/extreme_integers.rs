@@ -1,0 +1,69 @@
+//! Whatever integers a request holds, every method of both services answers it or refuses it with a status of its own.
+
+use std::time::Duration;
+
+use futures_util::stream;
+use prost::Message;
+use prost_reflect::{DynamicMessage, MethodDescriptor, ReflectMessage};
+use tonic::{Code, Request, Status, client::Grpc, transport::Channel};
+
+use crate::{
+    extremes::{pool, requests, variants},
+    harness::{TestServer, insert},
+    raw::Raw,
+};
+
+/// What waits for more than there is waits for so long.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// Calls a method, whether or not it streams, and reads its answers to their end.
+async fn call(
+    channel: &Channel,
+    method: &MethodDescriptor,
+    message: &DynamicMessage,
+) -> Result<usize, Status> {
+    let service = method.parent_service().full_name();
+    let path = format!("/{service}/{}", method.name());
+    let mut request = Request::new(stream::iter([message.encode_to_vec()]));
+    request.set_timeout(PATIENCE);
+    let mut client = Grpc::new(channel.clone());
+    client.ready().await.unwrap();
+    let answers = client
+        .streaming(request, path.parse().unwrap(), Raw)
+        .await?;
+    let mut answers = answers.into_inner();
+    let mut count = 0;
+    while answers.message().await?.is_some() {
+        count += 1;
+    }
+    Ok(count)
+}
+
+#[tokio::test]
+async fn every_method_answers_or_refuses_whatever_integers_it_is_asked_with() {
+    let server = TestServer::start(|_| ()).await;
+    let uid = server.create_line("arm").await.uid;
+    for coordinate in [0.0, 1.0] {
+        let request = insert("arm", &[coordinate]);
+        server.points().insert(request).await.unwrap();
+    }
+    let requests = requests(&uid);
+    let services = pool().services().collect::<Vec<_>>();
+    for method in services.iter().flat_map(|service| service.methods()) {
+        let name = method.input().full_name().to_owned();
+        let of_method = |request: &&DynamicMessage| request.descriptor().full_name() == name;
+        let good: Vec<_> = requests.iter().filter(of_method).collect();
+        assert!(!good.is_empty(), "{} is not tried", method.full_name());
+        for (what, variant) in good.into_iter().flat_map(variants) {
+            println!("{what}");
+            let Err(status) = call(&server.channel, &method, &variant).await else {
+                continue;
+            };
+            let is_bug = matches!(
+                status.code(),
+                Code::Internal | Code::Unknown | Code::DataLoss | Code::Unavailable
+            );
+            assert!(!is_bug, "{status:?}");
+        }
+    }
+}

@@ -1,0 +1,216 @@
+//! Whatever integers a request holds, it is answered or refused, and a call that waits does nothing meanwhile.
+
+use std::{
+    future::poll_fn,
+    pin::pin,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering::Relaxed},
+    },
+    task::{Context, Poll, Wake, Waker},
+    time::{Duration, Instant},
+};
+
+use prost_reflect::{DynamicMessage, ReflectMessage};
+use wayfold_proto::{
+    snapshot::{Header, Writer},
+    v1,
+};
+use wayfold_server::service::{Call, Code, Error, Service};
+
+use crate::{
+    extremes::{EXTREMES, requests, variants},
+    support::*,
+};
+
+/// A call about two points that is polled more often spins.
+const MOST_POLLS: usize = 300;
+
+/// `arm` with two points and two revisions.
+async fn two_points() -> (Service, String) {
+    let (service, uid) = arm("R1").await;
+    for id in 0..2 {
+        let insert = v1::InsertRequest {
+            tags: vec![1],
+            ..insertion(&[[id as f64]], &[id])
+        };
+        service.insert(&CALL, insert).await.unwrap();
+    }
+    (service, uid)
+}
+
+/// Asks for all that a request is answered with, but for what a watch tells after the newest revision.
+async fn ask(service: &Service, call: &Call, request: &DynamicMessage) -> Result<(), Error> {
+    macro_rules! read {
+        () => {
+            request.transcode_to().unwrap()
+        };
+    }
+    macro_rules! drain {
+        ($stream:expr) => {{
+            let mut stream = $stream;
+            while let Some(part) = stream.next().await {
+                part?;
+            }
+            Ok(())
+        }};
+    }
+    match request.descriptor().name() {
+        "KnnRequest" => service.knn(call, read!()).await.map(drop),
+        "QueryRequest" => service.query(call, read!()).await.map(drop),
+        "InsertRequest" => service.insert(call, read!()).await.map(drop),
+        "UpdateRequest" => service.update(call, read!()).await.map(drop),
+        "RemoveRequest" => service.remove(call, read!()).await.map(drop),
+        "GetRequest" => service.get(call, read!()).await.map(drop),
+        "CreateIndexRequest" => service.create_index(call, read!()).await.map(drop),
+        "GetIndexRequest" => service.get_index(call, read!()).await.map(drop),
+        "ListIndexesRequest" => service.list_indexes(call, read!()).await.map(drop),
+        "DeleteIndexRequest" => service.delete_index(call, read!()).await.map(drop),
+        "ScanRequest" => drain!(service.scan(call, read!()).await?),
+        "SnapshotIndexRequest" => drain!(service.snapshot_index(call, read!()).await?),
+        "VerifyIndexRequest" => drain!(service.verify_index(call, read!()).await?),
+        "WatchRequest" => {
+            service.log(call, read!()).await?;
+            drain!(service.watch(call, read!()).await?)
+        }
+        "RestoreIndexRequest" => {
+            let mut restoring = service.restore_index(call)?;
+            restoring.add(read!()).await?;
+            restoring.finish().await.map(drop)
+        }
+        // A stream of requests is one of the gRPC face.
+        "StreamKnnRequest" => Ok(()),
+        other => panic!("{other} is asked of nobody"),
+    }
+}
+
+/// Awaits a call, which must not be polled as if it were busy.
+async fn quietly<T>(call: impl Future<Output = T>) -> T {
+    let mut call = pin!(call);
+    let mut polls = 0;
+    poll_fn(|context| {
+        polls += 1;
+        assert!(polls <= MOST_POLLS, "a call spins");
+        call.as_mut().poll(context)
+    })
+    .await
+}
+
+/// What waits ends with its deadline, which comes at once: the time is that of the test.
+#[tokio::test(start_paused = true)]
+async fn every_verb_answers_or_refuses_whatever_integers_it_is_asked_with() {
+    let (service, uid) = two_points().await;
+    for request in requests(&uid) {
+        for (what, variant) in variants(&request) {
+            println!("{what}");
+            let deadline = Some(Instant::now() + Duration::from_secs(3600));
+            let answer = quietly(ask(&service, &Call { deadline }, &variant)).await;
+            if let Err(error) = answer {
+                assert_ne!(error.code(), Code::Internal, "{error}");
+                assert_ne!(error.code(), Code::DataLoss, "{error}");
+            }
+        }
+    }
+    assert!(info(&service, "arm").await.revision > 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_requests_that_are_varied_are_good_ones() {
+    let (service, uid) = two_points().await;
+    for request in requests(&uid) {
+        let call = Call {
+            deadline: Some(Instant::now() + Duration::from_secs(3600)),
+        };
+        let answer = ask(&service, &call, &request).await;
+        let code = answer.map_err(|error| error.code());
+        let expected = match request.descriptor().name() {
+            // It waits for more than there is.
+            "WatchRequest" => Err(Code::DeadlineExceeded),
+            "DeleteIndexRequest" => Err(Code::FailedPrecondition),
+            "RestoreIndexRequest" => Err(Code::InvalidArgument),
+            _ => Ok(()),
+        };
+        assert_eq!(code, expected, "{request:?}");
+    }
+}
+
+/// Counts how often what is polled asks to be polled again.
+#[derive(Default)]
+struct Wakes(AtomicUsize);
+
+impl Wake for Wakes {
+    fn wake(self: Arc<Self>) {
+        self.0.fetch_add(1, Relaxed);
+    }
+}
+
+/// Polls what has to wait: it must not be woken before there is news.
+fn assert_rests(waiting: impl Future) {
+    let wakes = Arc::new(Wakes::default());
+    let waker = Waker::from(Arc::clone(&wakes));
+    let mut waiting = pin!(waiting);
+    let polled = waiting.as_mut().poll(&mut Context::from_waker(&waker));
+    assert!(matches!(polled, Poll::Pending));
+    assert_eq!(wakes.0.load(Relaxed), 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_call_that_waits_rests() {
+    let (service, uid) = two_points().await;
+    let head = info(&service, "arm").await.revision;
+    for revision in EXTREMES.into_iter().filter(|revision| *revision > head) {
+        let read = v1::KnnRequest {
+            at: Some(v1::ReadAt {
+                uid: uid.clone(),
+                min_revision: revision,
+            }),
+            ..knn(&[[0.5]], 1)
+        };
+        assert_rests(service.knn(&CALL, read));
+    }
+    for after in EXTREMES.into_iter().filter(|after| *after >= head) {
+        let follow = v1::WatchRequest {
+            index: "arm".into(),
+            uid: uid.clone(),
+            after_revision: Some(after),
+            payloads: false,
+        };
+        match service.watch(&CALL, follow).await {
+            Ok(mut watch) => {
+                assert_eq!(watch.next().await.unwrap().unwrap().revision, head);
+                assert_rests(watch.next());
+            }
+            Err(error) => {
+                assert_eq!(after, u64::MAX);
+                assert_eq!(refusal::<()>(Err(error)).2, "after_revision");
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn an_index_is_restored_only_if_its_revisions_leave_room_for_others() {
+    for revision in EXTREMES {
+        let service = service();
+        let header = Writer::new().header(&Header {
+            name: "arm".into(),
+            uid: "another".into(),
+            space: "R1".parse().unwrap(),
+            revision,
+            next_id: 0,
+            points: 0,
+        });
+        let mut restoring = service.restore_index(&CALL).unwrap();
+        let begun = restoring
+            .add(v1::RestoreIndexRequest {
+                name: "arm".into(),
+                part: Some(header),
+            })
+            .await;
+        if revision < 1 << 63 {
+            begun.unwrap();
+        } else {
+            assert_eq!(refusal(begun).0, Code::InvalidArgument);
+        }
+    }
+}

@@ -1,0 +1,334 @@
+//! While the disk takes its time, other calls are answered: on the one thread there is, and on the same index.
+
+use std::sync::Arc;
+
+use futures_util::{future::BoxFuture, poll};
+use wayfold_proto::v1;
+use wayfold_server::service::{Error, Limits, Service};
+
+use crate::{fault::FaultLog, support::*};
+
+/// Serves what the log holds; nothing of it is at hand.
+fn serving(log: &FaultLog) -> Service {
+    restarted_with(Arc::new(log.clone()), options(), Limits::default())
+}
+
+fn payload(id: u64) -> bytes::Bytes {
+    format!("payload {id}").into()
+}
+
+/// A log of `arm` with the points 0, 1 .. 9 and their payloads, and the index's uid.
+async fn ten_points() -> (FaultLog, String) {
+    let log = FaultLog::new(0);
+    let service = serving(&log);
+    let uid = create(&service, "arm", "R1").await;
+    let insert = insert_point(10);
+    service.insert(&CALL, insert).await.unwrap();
+    (log, uid)
+}
+
+/// The points below `end`, which lie where their ids say.
+fn insert_point(end: u64) -> v1::InsertRequest {
+    let ids: Vec<u64> = (0..end).collect();
+    let rows: Vec<[f64; 1]> = ids.iter().map(|id| [*id as f64]).collect();
+    v1::InsertRequest {
+        payloads: ids.iter().map(|id| payload(*id)).collect(),
+        ..insertion(&rows, &ids)
+    }
+}
+
+fn include() -> Option<v1::Include> {
+    Some(v1::Include {
+        payloads: true,
+        ..Default::default()
+    })
+}
+
+/// A call that reads from the disk, and what it is to answer.
+type Reading = fn(Service, String) -> BoxFuture<'static, Result<(), Error>>;
+
+/// Calls that must not keep the writer while they read.
+const READING: [(&str, Reading); 10] = [
+    ("Get", |service, _| {
+        Box::pin(async move {
+            let points = service.get(&CALL, getting(&[3, 7])).await?.points.unwrap();
+            assert_eq!(points.payloads, [payload(3), payload(7)]);
+            Ok(())
+        })
+    }),
+    ("Scan", |service, _| {
+        Box::pin(async move {
+            let mut scan = service.scan(&CALL, scanning()).await?;
+            let points = scan.next().await.unwrap()?.points.unwrap();
+            assert!(points.payloads.into_iter().eq((0..10).map(payload)));
+            Ok(())
+        })
+    }),
+    ("Knn", |service, _| {
+        Box::pin(async move {
+            let request = v1::KnnRequest {
+                include: include(),
+                ..knn(&[[3.1], [8.9]], 2)
+            };
+            let neighbors = service.knn(&CALL, request).await?.neighbors.unwrap();
+            assert_eq!(neighbors.ids, [3, 4, 9, 8]);
+            assert!(neighbors.payloads.into_iter().eq([3, 4, 9, 8].map(payload)));
+            Ok(())
+        })
+    }),
+    ("Query", |service, _| {
+        Box::pin(async move {
+            let request = v1::QueryRequest {
+                index: "arm".into(),
+                states: states(&[[3.1]]),
+                radius: Some(1.0),
+                include: include(),
+                ..Default::default()
+            };
+            let neighbors = service.query(&CALL, request).await?.neighbors.unwrap();
+            assert!(neighbors.payloads.into_iter().eq([3, 4].map(payload)));
+            Ok(())
+        })
+    }),
+    ("SnapshotIndex", |service, _| {
+        Box::pin(async move {
+            let request = v1::SnapshotIndexRequest {
+                name: "arm".into(),
+                at: None,
+            };
+            let mut snapshot = service.snapshot_index(&CALL, request).await?;
+            let mut parts = 0;
+            while let Some(part) = snapshot.next().await {
+                part?;
+                parts += 1;
+            }
+            assert_eq!(parts, 3);
+            Ok(())
+        })
+    }),
+    ("VerifyIndex", |service, _| {
+        Box::pin(async move {
+            let request = v1::VerifyIndexRequest {
+                name: "arm".into(),
+                ..Default::default()
+            };
+            let mut verification = service.verify_index(&CALL, request).await?;
+            while let Some(told) = verification.next().await {
+                told?;
+            }
+            Ok(())
+        })
+    }),
+    ("Watch", |service, uid| {
+        Box::pin(async move {
+            let request = v1::WatchRequest {
+                index: "arm".into(),
+                uid,
+                after_revision: Some(0),
+                payloads: true,
+            };
+            let mut watch = service.watch(&CALL, request).await?;
+            watch.next().await.unwrap()?;
+            let mutations = watch.next().await.unwrap()?.mutations;
+            let stored = mutations[0].stored.as_ref().unwrap();
+            assert!(stored.payloads.iter().cloned().eq((0..10).map(payload)));
+            Ok(())
+        })
+    }),
+    ("Insert of what is there", |service, _| {
+        Box::pin(async move {
+            let outcomes = service.insert(&CALL, insert_point(10)).await?.outcomes;
+            assert_eq!(outcomes, [i32::from(v1::Outcome::Unchanged); 10]);
+            Ok(())
+        })
+    }),
+    ("Insert with neighbours' payloads", |service, _| {
+        Box::pin(async move {
+            let request = v1::InsertRequest {
+                payloads: vec!["own".into(), "own".into()],
+                neighbors: Some(v1::NeighborQuery {
+                    k: Some(2),
+                    include: include(),
+                    ..Default::default()
+                }),
+                ..insertion(&[[3.1], [3.2]], &[])
+            };
+            let neighbors = service.insert(&CALL, request).await?.neighbors.unwrap();
+            assert_eq!(neighbors.ids[..2], [3, 4]);
+            // The second row finds the first.
+            assert_eq!(neighbors.ids[3], 3);
+            let expected = [payload(3), payload(4), "own".into(), payload(3)];
+            assert_eq!(neighbors.payloads, expected);
+            Ok(())
+        })
+    }),
+    ("Update", |service, uid| {
+        Box::pin(async move {
+            let request = v1::UpdateRequest {
+                index: "arm".into(),
+                ids: vec![3, 4],
+                payloads: vec![payload(3), "new".into()],
+                if_revision: Some(1),
+                uid,
+                ..Default::default()
+            };
+            let told = service.update(&CALL, request).await?;
+            assert_eq!((told.updated, told.unchanged), (1, 1));
+            Ok(())
+        })
+    }),
+];
+
+/// A call that changes nothing and reads nothing, and one that writes what is new.
+async fn go_on(service: &Service, writes: bool) {
+    let told = service.knn(&CALL, knn(&[[7.9]], 1)).await.unwrap();
+    assert_eq!(told.neighbors.unwrap().ids, [8]);
+    if writes {
+        let told = service.insert(&CALL, insertion(&[[100.0]], &[])).await;
+        assert_eq!(told.unwrap().outcomes, [i32::from(v1::Outcome::Inserted)]);
+    }
+}
+
+#[tokio::test]
+async fn other_calls_are_answered_while_one_reads() {
+    for (name, reading) in READING {
+        println!("{name}");
+        let (log, uid) = ten_points().await;
+        let service = serving(&log);
+        log.gate().close();
+        let mut reads = tokio::spawn(reading(service.clone(), uid));
+        tokio::select! {
+            () = log.gate().holds_a_read() => {}
+            ended = &mut reads => panic!("{name} ended without a read: {ended:?}"),
+        }
+        go_on(&service, true).await;
+        assert!(!reads.is_finished());
+        log.gate().open();
+        reads.await.unwrap().unwrap();
+        go_on(&service, true).await;
+    }
+}
+
+/// The log itself reads what it replaces, with the writer held: others read meanwhile.
+#[tokio::test]
+async fn other_calls_are_answered_while_the_log_reads_what_it_replaces() {
+    let (log, _) = ten_points().await;
+    let service = serving(&log);
+    log.gate().close();
+    let removing = service.clone();
+    let mut removes = tokio::spawn(async move { removing.remove(&CALL, removal(&[5])).await });
+    tokio::select! {
+        () = log.gate().holds_a_read() => {}
+        ended = &mut removes => panic!("it ended without a read: {ended:?}"),
+    }
+    go_on(&service, false).await;
+    log.gate().open();
+    assert_eq!(removes.await.unwrap().unwrap().removed, 1);
+}
+
+/// Begins a call, and makes a change once the call has begun to read what is there; says what came of the call.
+async fn overtaken<T>(
+    call: impl AsyncFnOnce(Service) -> Result<T, Error>,
+    change: impl AsyncFnOnce(Service),
+) -> (Service, Result<T, Error>) {
+    let (log, _) = ten_points().await;
+    let service = serving(&log);
+    log.gate().close();
+    let mut call = Box::pin(call(service.clone()));
+    assert!(poll!(&mut call).is_pending());
+    log.gate().holds_a_read().await;
+    log.gate().open();
+    change(service.clone()).await;
+    (service, call.await)
+}
+
+fn update(tags: &[u64], payloads: &[&'static str]) -> v1::UpdateRequest {
+    v1::UpdateRequest {
+        index: "arm".into(),
+        ids: vec![3],
+        tags: tags.into(),
+        payloads: payloads.iter().map(|payload| (*payload).into()).collect(),
+        ..Default::default()
+    }
+}
+
+async fn change_three(service: Service) {
+    let changed = service.update(&CALL, update(&[], &["changed"])).await;
+    assert_eq!(changed.unwrap().updated, 1);
+}
+
+async fn remove_three(service: Service) {
+    assert_eq!(
+        service.remove(&CALL, removal(&[3])).await.unwrap().removed,
+        1
+    );
+}
+
+/// What is read before a mutation has the writer is what it is when the mutation has it.
+#[tokio::test]
+async fn a_mutation_sees_what_changed_while_it_read() {
+    let again = async |service: Service| service.insert(&CALL, insert_point(4)).await;
+    let (_, refused) = overtaken(again, change_three).await;
+    assert!(matches!(refused, Err(Error::PointsExist { ids, .. }) if ids == [3]));
+    let (_, inserted) = overtaken(again, remove_three).await;
+    let [unchanged, inserted_again] =
+        [v1::Outcome::Unchanged, v1::Outcome::Inserted].map(i32::from);
+    let outcomes = [unchanged, unchanged, unchanged, inserted_again];
+    assert_eq!(inserted.unwrap().outcomes, outcomes);
+
+    let tag = async |service: Service| service.update(&CALL, update(&[7], &[])).await;
+    let (service, tagged) = overtaken(tag, change_three).await;
+    assert_eq!(tagged.unwrap().updated, 1);
+    let points = service.get(&CALL, getting(&[3])).await.unwrap().points;
+    let points = points.unwrap();
+    assert_eq!((&*points.payloads[0], points.tags[0]), (&b"changed"[..], 7));
+    let (_, missing) = overtaken(tag, remove_three).await;
+    assert!(matches!(missing, Err(Error::PointsNotFound { ids, .. }) if ids == [3]));
+    let compare = async |service: Service| {
+        let uid = info(&service, "arm").await.uid;
+        let request = v1::UpdateRequest {
+            if_revision: Some(1),
+            uid,
+            ..update(&[7], &[])
+        };
+        service.update(&CALL, request).await
+    };
+    let (_, conflict) = overtaken(compare, change_three).await;
+    assert!(matches!(conflict, Err(Error::RevisionConflict { ids, .. }) if ids == [3]));
+}
+
+/// Among them points that were not there when it began, and points that come to be near because others go.
+#[tokio::test]
+async fn an_insert_is_told_the_payloads_of_the_neighbours_it_has_at_last() {
+    let insert = async |service: Service| {
+        let request = v1::InsertRequest {
+            neighbors: Some(v1::NeighborQuery {
+                k: Some(2),
+                include: include(),
+                ..Default::default()
+            }),
+            ..insertion(&[[3.1]], &[])
+        };
+        let neighbors = service.insert(&CALL, request).await?.neighbors.unwrap();
+        Ok((neighbors.ids, neighbors.payloads))
+    };
+    let (_, told) = overtaken(insert, change_three).await;
+    assert_eq!(
+        told.unwrap(),
+        (vec![3, 4], vec!["changed".into(), payload(4)])
+    );
+    let (_, told) = overtaken(insert, remove_three).await;
+    assert_eq!(told.unwrap(), (vec![4, 2], vec![payload(4), payload(2)]));
+    let add = async |service: Service| {
+        let request = v1::InsertRequest {
+            payloads: vec!["near".into()],
+            ..insertion(&[[3.2]], &[50])
+        };
+        service.insert(&CALL, request).await.unwrap();
+    };
+    let (_, told) = overtaken(insert, add).await;
+    assert_eq!(
+        told.unwrap(),
+        (vec![3, 50], vec![payload(3), "near".into()])
+    );
+}
