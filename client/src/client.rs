@@ -1,5 +1,7 @@
 //! The connection to a server, and the calls about whole indices.
 
+mod health;
+
 use std::{fmt, sync::Arc, time::Duration};
 
 use tokio::{

@@ -1,32 +1,40 @@
-//! The arguments that every verb has, and the list of verbs.
+//! The options that every verb has, and the list of verbs.
 
 use std::{ffi::OsString, time::Duration};
 
 use clap::{CommandFactory, Parser, Subcommand, error::ErrorKind};
 
-use super::{output::Format, parse, verb};
+use super::{output::Format, parse, status::Status, verb};
 
 const EXAMPLES: &str = "\
 Examples:
   wayfold create arm --space 'R3*SO3:0.15'      poses: x, y, z and a quaternion x, y, z, w
-  wayfold insert arm poses.csv                  a row a state; prints how many were inserted
+  wayfold insert arm poses.csv                  one state a row; prints how many were inserted
   wayfold knn arm -k 10 --state 0.1,0.2,0.3,0,0,0,1
   wayfold query arm queries.npy --radius 0.5 --output json
-  wayfold scan arm roadmap.csv                  ids and states; insert reads it with --ids id
-  wayfold snapshot arm arm.snapshot             a backup, of which restore makes an index again
+  wayfold scan arm roadmap.csv                  ids and states; `insert --ids id` reads the file
+  wayfold snapshot arm arm.snapshot             a backup; `restore` creates an index from it
+";
 
-Exit status: 0, 1 for an error (told on standard error), 2 for wrong usage.
-`wayfold COMMAND --help` tells more of a command.";
+fn after_help() -> String {
+    let statuses = Status::help();
+    format!(
+        "{EXAMPLES}\n{statuses}\n\
+         With --output json an error is one line on standard error,\n\
+         {{\"error\":{{\"code\":...,\"reason\":...,\"message\":...}}}}: code is the name of a gRPC status, reason is\n\
+         for programs to match on; ids, fields and metadata follow where the server sent them.\n\n\
+         `wayfold COMMAND --help` describes a command."
+    )
+}
 
 /// Shared, exact nearest-neighbour indices for motion planners: the command line.
 ///
-/// An index holds points in one configuration space. Programs in many processes insert states into it and ask for
-/// neighbours; this command does the same from a shell. Results are printed on standard output, as a table or as a
-/// line of JSON each.
+/// An index holds points in one configuration space. Programs in many processes insert states into it and search it for
+/// neighbours; this command does the same from a shell. Results go to standard output, as a table or as lines of JSON.
 #[derive(Debug, Parser)]
-#[command(name = "wayfold", version, after_help = EXAMPLES, max_term_width = 100)]
+#[command(name = "wayfold", version, after_help = after_help(), max_term_width = 100)]
 pub(super) struct Args {
-    /// Where the server listens; `verify` takes it more than once
+    /// The server's address; `verify` takes several
     #[arg(
         long,
         global = true,
@@ -37,10 +45,10 @@ pub(super) struct Args {
     )]
     pub(super) server: Vec<String>,
 
-    /// How results are printed: a table for people, or a line of JSON each for programs
+    /// The format of results and errors: tables for people, or lines of JSON for programs
     ///
-    /// In JSON, ids from 2^53 up are strings, because not every reader keeps such numbers whole; an infinite distance
-    /// is null.
+    /// In JSON, ids and tags from 2^53 up are strings, because not every reader keeps such numbers exact; an infinite
+    /// distance is null.
     #[arg(
         long,
         global = true,
@@ -51,7 +59,7 @@ pub(super) struct Args {
     )]
     pub(super) output: Format,
 
-    /// How long to wait for a server that is still starting, and for each call: 500ms, 5s, 1m
+    /// The longest wait for each call and for a server that is starting: 500ms, 5s, 1m
     #[arg(long, global = true, help_heading = "Options of every command", value_name = "TIME", default_value = "5s", value_parser = parse::duration)]
     pub(super) timeout: Duration,
 
@@ -64,31 +72,41 @@ pub(super) enum Command {
     Create(verb::CreateArgs),
     /// Lists the indices
     ///
-    /// Those that the server cannot read are listed too, with the reason; the exit status is 1 then.
+    /// Damaged indices, which the server cannot read, are listed with the cause; the exit status is then 1.
     List,
     Info(verb::InfoArgs),
     Delete(verb::DeleteArgs),
     Insert(verb::InsertArgs),
+    Update(verb::UpdateArgs),
+    Remove(verb::RemoveArgs),
     Knn(verb::KnnArgs),
     Query(verb::QueryArgs),
     Get(verb::GetArgs),
-    Remove(verb::RemoveArgs),
     Scan(verb::ScanArgs),
+    Watch(verb::WatchArgs),
     Snapshot(verb::SnapshotArgs),
     Restore(verb::RestoreArgs),
     Verify(verb::VerifyArgs),
-    Watch(verb::WatchArgs),
+    /// Prints the version, the durability and the limits of the server
+    Server,
+    /// Asks the server whether it serves calls
+    ///
+    /// It calls grpc.health.v1.Health. The exit status is 0 if the server serves, 1 if it is starting or stopping, and 4
+    /// if there is no answer.
+    Health,
+    Completions(verb::CompletionsArgs),
+    Man(verb::ManArgs),
 }
 
 impl Args {
-    /// The arguments of the process, if they make sense together.
+    /// The arguments of the process, if they agree with each other.
     pub(super) fn read() -> Result<Args, clap::Error> {
         let args = Args::try_parse()?;
         let refused = |problem| Err(Args::command().error(ErrorKind::ArgumentConflict, problem));
         if args.server.len() > 1 && !matches!(args.command, Command::Verify(_)) {
             return refused("--server is given more than once, which only verify takes");
         }
-        // Of an option that stands on both sides of a verb, clap passes over what stands before it.
+        // If an option stands on both sides of a verb, clap ignores the values before it.
         if std::env::args_os().filter(is_server).count() > args.server.len() {
             return refused("give every --server before the verb, or every one after it");
         }
@@ -99,4 +117,11 @@ impl Args {
 fn is_server(argument: &OsString) -> bool {
     let bytes = argument.as_encoded_bytes();
     bytes == b"--server" || bytes.starts_with(b"--server=")
+}
+
+/// Whether the arguments ask for JSON, where they are too wrong to be parsed.
+pub(super) fn output_is_json() -> bool {
+    let args: Vec<OsString> = std::env::args_os().collect();
+    args.iter().any(|argument| argument == "--output=json")
+        || args.windows(2).any(|pair| pair == ["--output", "json"])
 }

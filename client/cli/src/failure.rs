@@ -1,11 +1,15 @@
-//! Why a command failed, in words for whoever typed it.
+//! Why a command failed: the message, the exit status, and the error as a line of JSON.
+
+mod json;
 
 use std::{io, path::PathBuf, time::Duration};
 
 use thiserror::Error;
-
-use crate::input::InputError;
 use wayfold::{Code, Error, SnapshotError};
+
+use crate::{input::InputError, status::Status};
+
+pub(super) use json::{ErrorLine, usage_line};
 
 #[derive(Debug, Error)]
 pub(super) enum Failure {
@@ -19,23 +23,28 @@ pub(super) enum Failure {
     File { path: PathBuf, source: io::Error },
     #[error("{} exists; --force replaces it", path.display())]
     Exists { path: PathBuf },
-    #[error("{} is there, and is no file", path.display())]
+    #[error("{} exists and is not a regular file", path.display())]
     NoFile { path: PathBuf },
-    #[error("a snapshot is not for a terminal: name a file, or send it through a pipe")]
+    #[error("a snapshot cannot be written to a terminal: name a file, or send it through a pipe")]
     Terminal,
     #[error("interrupted; nothing was written")]
     Interrupted,
     #[error("{file}: {source}")]
     Snapshot { file: String, source: SnapshotError },
-    #[error("{what}")]
-    Disagreement { what: String },
+    #[error("{problems}")]
+    Disagreement { problems: String },
     #[error(
-        "{damaged} of {all} indices cannot be read: the list says why, and what helps; `wayfold delete NAME` frees a \
-         name for `wayfold restore NAME FILE`"
+        "{damaged} of {all} indices cannot be read; the list shows the cause and the remedy of each: \
+         `wayfold delete NAME` frees a name for `wayfold restore NAME FILE`"
     )]
     Damaged { damaged: usize, all: usize },
-    #[error("{what}")]
-    Reset { what: String },
+    #[error("{uri} does not serve: it is starting or stopping")]
+    NotServing { uri: String },
+    #[error("{problem}")]
+    Reset {
+        reason: &'static str,
+        problem: String,
+    },
     #[error("--server names no server")]
     NoServer,
     #[error("the process cannot start its threads: {0}")]
@@ -44,54 +53,74 @@ pub(super) enum Failure {
     #[error("{done}; then: {source}")]
     Stopped { done: String, source: Box<Failure> },
     #[error(
-        "no server answers at {uri} ({problem}), waited {waited:?}: start one with `wayfold-server`, or say where it \
-         is with --server or WAYFOLD_SERVER"
+        "no server answers at {uri} ({problem}) within {timeout:?}: start one with `wayfold-server`, or give its \
+         address with --server or WAYFOLD_SERVER"
     )]
     Unreachable {
         uri: String,
         problem: String,
-        waited: Duration,
+        timeout: Duration,
     },
-    #[error("{source}; --replace does that here")]
+    #[error("{source}; --replace replaces the stored points")]
     Replaceable { source: Error },
-    #[error("{source}; waited {waited:?}, --timeout waits longer")]
-    Late { waited: Duration, source: Error },
+    #[error("{source}; --timeout sets a longer wait than {timeout:?}")]
+    Late { timeout: Duration, source: Error },
 }
 
 impl Failure {
-    /// The failure to connect.
-    pub(super) fn unreachable(error: Error, waited: Duration) -> Failure {
-        Failure::from(error).explained(waited)
-    }
-
-    /// Says of a server that could not be reached what to do about it.
-    pub(super) fn explained(self, waited: Duration) -> Failure {
+    /// Adds the remedy to an error of the client.
+    pub(super) fn explained(self, timeout: Duration) -> Failure {
         match self {
-            // That the last try had no time left tells less.
+            // The try before the last one knows why there was no connection.
             Failure::Client(Error::Timeout {
                 earlier: Some(earlier),
                 ..
             }) if matches!(*earlier, Error::Connection { .. }) => {
-                Failure::Client(*earlier).explained(waited)
+                Failure::Client(*earlier).explained(timeout)
             }
             Failure::Client(Error::Connection { uri, source, .. }) => Failure::Unreachable {
                 uri,
                 problem: root_cause(source.as_ref()),
-                waited,
+                timeout,
             },
             Failure::Client(source)
                 if matches!(source.code(), Code::Unavailable | Code::DeadlineExceeded) =>
             {
-                Failure::Late { waited, source }
+                Failure::Late { timeout, source }
             }
             Failure::Client(source) if source.reason() == Some("POINTS_EXIST") => {
                 Failure::Replaceable { source }
             }
             Failure::Stopped { done, source } => Failure::Stopped {
                 done,
-                source: Box::new(source.explained(waited)),
+                source: Box::new(source.explained(timeout)),
             },
             other => other,
+        }
+    }
+
+    /// The exit status of a command that ends with this failure.
+    pub(super) fn status(&self) -> Status {
+        match self {
+            Failure::Disagreement { .. } | Failure::Damaged { .. } | Failure::NotServing { .. } => {
+                Status::Negative
+            }
+            Failure::Client(Error::Address { .. }) | Failure::NoServer | Failure::Terminal => {
+                Status::Usage
+            }
+            Failure::Unreachable { .. } | Failure::Late { .. } => Status::NoAnswer,
+            Failure::Stopped { source, .. } => source.status(),
+            Failure::Client(_)
+            | Failure::Input(_)
+            | Failure::Output(_)
+            | Failure::File { .. }
+            | Failure::Exists { .. }
+            | Failure::NoFile { .. }
+            | Failure::Interrupted
+            | Failure::Snapshot { .. }
+            | Failure::Reset { .. }
+            | Failure::Runtime(_)
+            | Failure::Replaceable { .. } => Status::Failed,
         }
     }
 
@@ -115,22 +144,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_server_that_went_away_is_told_of_though_the_last_try_had_no_time() {
-        let gone = Error::Connection {
+    fn a_timeout_after_a_lost_connection_is_no_answer_and_names_the_server() {
+        let lost = Error::Connection {
             call: "knn",
             uri: "http://there:1".into(),
             source: "Connection refused".into(),
         };
-        let waited = Duration::from_secs(5);
+        let timeout = Duration::from_secs(5);
         let late = Error::Timeout {
             call: "knn",
-            timeout: waited,
-            earlier: Some(Box::new(gone)),
+            timeout,
+            earlier: Some(Box::new(lost)),
         };
-        let told = Failure::from(late).explained(waited).to_string();
+        let failure = Failure::from(late).explained(timeout);
+        let message = failure.to_string();
         assert!(
-            told.starts_with("no server answers at http://there:1 (Connection refused)"),
-            "{told}"
+            message.starts_with("no server answers at http://there:1 (Connection refused)"),
+            "{message}"
         );
+        assert_eq!(failure.status(), Status::NoAnswer);
     }
 }

@@ -1,8 +1,8 @@
-//! Ctrl-C, and what a supervisor sends.
+//! The signals that end a command: Ctrl-C, and a supervisor's SIGTERM.
 
 use std::io;
 
-/// Listens for SIGINT and SIGTERM from now on, which end the process no more; the future ends at the first.
+/// Listens for SIGINT and SIGTERM, which no longer end the process; the future ends at the first signal.
 #[cfg(unix)]
 pub(super) fn listen() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
@@ -16,7 +16,7 @@ pub(super) fn listen() -> io::Result<impl Future<Output = ()>> {
     })
 }
 
-/// Listens for Ctrl-C from now on, which ends the process no more; the future ends at the first.
+/// Listens for Ctrl-C, which no longer ends the process; the future ends at the first.
 #[cfg(not(unix))]
 pub(super) fn listen() -> io::Result<impl Future<Output = ()>> {
     let mut interrupt = tokio::signal::windows::ctrl_c()?;

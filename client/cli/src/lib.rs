@@ -1,47 +1,80 @@
 //! The command line `wayfold`: one verb a file.
 //!
-//! Results go to standard output and nothing else does; errors and progress go to standard error. The exit status is 0,
-//! 1 for an error, 2 for wrong usage. Nothing here knows the protocol: every verb is made of calls of the library.
+//! Results go to standard output, errors and progress to standard error. The exit status is documented in the help
+//! text. Nothing here knows the protocol: every verb consists of calls of the library.
 
 mod args;
+mod atomic_file;
 mod failure;
 mod input;
 mod interrupt;
+mod options;
 mod output;
 mod parse;
 mod progress;
+mod status;
 mod verb;
 
-use std::{io::Write, process::ExitCode};
+use std::{
+    io::{self, Write},
+    process::ExitCode,
+};
 
 use args::{Args, Command};
-use failure::Failure;
-use output::Output;
+use failure::{ErrorLine, Failure};
+use output::{Format, Output};
+use status::Status;
 use wayfold::{Client, IndexHandle, RetryPolicy};
 
-/// Reads the arguments of the process, does what they say, and tells the exit status.
+/// Reads the arguments of the process, runs the command, and returns the exit status.
 pub fn main() -> ExitCode {
     let args = match Args::read() {
         Ok(args) => args,
-        Err(error) => {
-            // Help and version come this way too. Where standard output is gone there is nobody to tell.
-            let _ = error.print();
-            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
-        }
+        Err(error) => return refuse(&error).into(),
     };
+    let format = args.output;
     match run(args) {
-        Ok(()) => ExitCode::SUCCESS,
-        // Whoever read the output has seen enough of it: `| head`.
-        Err(failure) if failure.is_broken_pipe() => ExitCode::SUCCESS,
+        Ok(()) => Status::Success.into(),
+        // The reader of the output has closed it, as `head` does.
+        Err(failure) if failure.is_broken_pipe() => Status::Success.into(),
         Err(failure) => {
-            let _ = writeln!(std::io::stderr(), "error: {failure}");
-            ExitCode::FAILURE
+            let mut stderr = io::stderr();
+            // There is no one left to tell if standard error is closed.
+            let _ = match format {
+                Format::Text => writeln!(stderr, "error: {failure}"),
+                Format::Json => output::json_line(&mut stderr, &ErrorLine::of(&failure)),
+            };
+            failure.status().into()
         }
     }
 }
 
+/// Prints why the arguments make no command. Help and version come this way too, and are no errors.
+fn refuse(error: &clap::Error) -> Status {
+    let is_error = error.use_stderr();
+    // There is no one left to tell if the output is closed.
+    let _ = if is_error && args::output_is_json() {
+        let message = error.render().to_string();
+        let message = message.strip_prefix("error: ").unwrap_or(&message);
+        output::json_line(&mut io::stderr(), &failure::usage_line(message.trim_end()))
+    } else {
+        error.print()
+    };
+    if is_error {
+        Status::Usage
+    } else {
+        Status::Success
+    }
+}
+
 fn run(args: Args) -> Result<(), Failure> {
-    // Two threads: the connection lives on while the command waits for standard input.
+    // These two call no server.
+    match &args.command {
+        Command::Completions(completions) => return verb::completions(completions),
+        Command::Man(man) => return verb::man(man),
+        _ => {}
+    }
+    // Two threads: the connection stays alive while the command waits for standard input.
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
@@ -49,10 +82,10 @@ fn run(args: Args) -> Result<(), Failure> {
     runtime.map_err(Failure::Runtime)?.block_on(execute(args))
 }
 
-/// What every verb works with.
+/// The connections and the output that every verb works with.
 struct Session {
     client: Client,
-    /// The other servers, where several were named.
+    /// The other servers, if `--server` names several.
     others: Vec<Client>,
     output: Output,
 }
@@ -69,7 +102,7 @@ async fn execute(args: Args) -> Result<(), Failure> {
         .retry(RetryPolicy::until_deadline());
     let connect = async |server: &str| {
         let connected = builder.connect(server).await;
-        connected.map_err(|error| Failure::unreachable(error, args.timeout))
+        connected.map_err(|error| Failure::from(error).explained(args.timeout))
     };
     let (first, rest) = args.server.split_first().ok_or(Failure::NoServer)?;
     let client = connect(first).await?;
@@ -82,23 +115,28 @@ async fn execute(args: Args) -> Result<(), Failure> {
         others,
         output: Output::stdout(args.output),
     };
+    let session = &mut session;
     let done = match args.command {
-        Command::Create(args) => verb::create(args, &mut session).await,
-        Command::List => verb::list(&mut session).await,
-        Command::Info(args) => verb::info(args, &mut session).await,
-        Command::Delete(args) => verb::delete(args, &mut session).await,
-        Command::Insert(args) => verb::insert(args, &mut session).await,
-        Command::Knn(args) => verb::knn(args, &mut session).await,
-        Command::Query(args) => verb::query(args, &mut session).await,
-        Command::Get(args) => verb::get(args, &mut session).await,
-        Command::Remove(args) => verb::remove(args, &mut session).await,
-        Command::Scan(args) => verb::scan(args, &mut session).await,
-        Command::Snapshot(args) => verb::snapshot(args, &mut session).await,
-        Command::Restore(args) => verb::restore(args, &mut session).await,
-        Command::Verify(args) => verb::verify(args, &mut session).await,
-        Command::Watch(args) => verb::watch(args, &mut session).await,
+        Command::Create(args) => verb::create(args, session).await,
+        Command::List => verb::list(session).await,
+        Command::Info(args) => verb::info(args, session).await,
+        Command::Delete(args) => verb::delete(args, session).await,
+        Command::Insert(args) => verb::insert(args, session).await,
+        Command::Update(args) => verb::update(args, session).await,
+        Command::Remove(args) => verb::remove(args, session).await,
+        Command::Knn(args) => verb::knn(args, session).await,
+        Command::Query(args) => verb::query(args, session).await,
+        Command::Get(args) => verb::get(args, session).await,
+        Command::Scan(args) => verb::scan(args, session).await,
+        Command::Watch(args) => verb::watch(args, session).await,
+        Command::Snapshot(args) => verb::snapshot(args, session).await,
+        Command::Restore(args) => verb::restore(args, session).await,
+        Command::Verify(args) => verb::verify(args, session).await,
+        Command::Server => verb::server(session).await,
+        Command::Health => verb::health(session).await,
+        Command::Completions(_) | Command::Man(_) => Ok(()),
     };
-    // What was answered before an error is told.
+    // Results that came before an error are printed.
     let flushed = session.output.flush();
     done.map_err(|failure| failure.explained(args.timeout))?;
     Ok(flushed?)

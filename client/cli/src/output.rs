@@ -5,17 +5,19 @@ use std::{
     io::{self, BufWriter, Write},
 };
 
+use base64::{Engine, prelude::BASE64_STANDARD};
 use clap::ValueEnum;
 use serde::{Serialize, Serializer};
+use wayfold::Revision;
 
-/// How results are printed.
+/// The format of results and errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Format {
     Text,
     Json,
 }
 
-/// Where results are printed, and how.
+/// The destination of results, and their format.
 pub(super) struct Output {
     pub(super) format: Format,
     to: Box<dyn Write + Send>,
@@ -35,8 +37,7 @@ impl Output {
 
     /// A line of JSON.
     pub(super) fn json(&mut self, value: &impl Serialize) -> io::Result<()> {
-        serde_json::to_writer(&mut self.to, value)?;
-        self.to.write_all(b"\n")
+        json_line(&mut self.to, value)
     }
 
     /// A line of text.
@@ -49,7 +50,13 @@ impl Output {
     }
 }
 
-/// An id or a tag in JSON: a number, or from 2^53 up a string, as readers that hold numbers in doubles cut them.
+/// Writes a value as one line of JSON.
+pub(super) fn json_line(to: &mut impl Write, value: &impl Serialize) -> io::Result<()> {
+    serde_json::to_writer(&mut *to, value)?;
+    to.write_all(b"\n")
+}
+
+/// An id or a tag in JSON: a number, or from 2^53 up a string, because readers that hold numbers in doubles round them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct JsonId(pub(super) u64);
 
@@ -63,7 +70,7 @@ impl Serialize for JsonId {
     }
 }
 
-/// Several of them.
+/// Ids or tags in JSON.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct JsonIds<'a>(pub(super) &'a [u64]);
 
@@ -73,7 +80,26 @@ impl Serialize for JsonIds<'_> {
     }
 }
 
-/// Numbers with commas between, each in the fewest digits that read back as the same number.
+/// A revision in JSON: the number means something only with the uid.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct JsonRevision<'a> {
+    uid: &'a str,
+    number: u64,
+}
+
+impl<'a> JsonRevision<'a> {
+    pub(super) fn new(uid: &'a str, number: u64) -> JsonRevision<'a> {
+        JsonRevision { uid, number }
+    }
+}
+
+impl<'a> From<&'a Revision> for JsonRevision<'a> {
+    fn from(revision: &'a Revision) -> JsonRevision<'a> {
+        JsonRevision::new(&revision.uid, revision.number)
+    }
+}
+
+/// Numbers separated by commas, each in the fewest digits that read back as the same number.
 pub(super) struct Row<'a>(pub(super) &'a [f64]);
 
 impl fmt::Display for Row<'_> {
@@ -86,22 +112,54 @@ impl fmt::Display for Row<'_> {
     }
 }
 
-/// The neighbours of one state as a table, a line each.
-pub(super) fn neighbor_table(
-    output: &mut Output,
-    ids: &[u64],
-    distances: &[f64],
-) -> io::Result<()> {
-    let width = ids
-        .iter()
-        .max()
-        .map_or(0, |id| id.to_string().len())
-        .max("id".len());
-    if !ids.is_empty() {
-        output.text(format_args!("  {:>width$}  distance", "id"))?;
+/// A payload in JSON: base64, as in the JSON of protobuf.
+pub(super) fn json_payload(payload: &[u8]) -> String {
+    BASE64_STANDARD.encode(payload)
+}
+
+/// A column of a table.
+pub(super) struct Column {
+    pub(super) name: &'static str,
+    /// Numbers are aligned to the right.
+    pub(super) right: bool,
+    pub(super) cells: Vec<String>,
+}
+
+impl Column {
+    pub(super) fn new<T: ToString>(
+        name: &'static str,
+        right: bool,
+        cells: impl IntoIterator<Item = T>,
+    ) -> Column {
+        Column {
+            name,
+            right,
+            cells: cells.into_iter().map(|cell| cell.to_string()).collect(),
+        }
     }
-    for (id, distance) in ids.iter().zip(distances) {
-        output.text(format_args!("  {id:>width$}  {distance:?}"))?;
+
+    fn padded(&self, text: &str, width: usize) -> String {
+        match self.right {
+            true => format!("{text:>width$}"),
+            false => format!("{text:width$}"),
+        }
+    }
+}
+
+/// A table with a header line, its columns as wide as they need to be.
+pub(super) fn table(output: &mut Output, indent: &str, columns: &[Column]) -> io::Result<()> {
+    let rows = columns.first().map_or(0, |column| column.cells.len());
+    let mut lines = vec![indent.to_owned(); rows + 1];
+    for column in columns {
+        let cells = || std::iter::once(column.name).chain(column.cells.iter().map(String::as_str));
+        let width = cells().map(|cell| cell.chars().count()).max();
+        for (line, cell) in lines.iter_mut().zip(cells()) {
+            line.push_str(&column.padded(cell, width.unwrap_or(0)));
+            line.push_str("  ");
+        }
+    }
+    for line in lines {
+        output.text(line.trim_end())?;
     }
     Ok(())
 }

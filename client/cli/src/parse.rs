@@ -1,4 +1,4 @@
-//! What is typed as the value of a flag.
+//! Parsers of the values of options.
 
 use std::time::Duration;
 
@@ -24,7 +24,7 @@ pub(super) fn duration(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// What the `grpc-timeout` header can say, and more than anybody waits.
+/// The header `grpc-timeout` holds more than this.
 const LONGEST: Duration = Duration::from_secs(10_000 * 3600);
 
 /// A distance: a number, at least 0, or `inf`.
@@ -48,6 +48,64 @@ pub(super) fn id(text: &str) -> Result<u64, String> {
     match text.parse::<u64>() {
         Ok(id) if id < 1 << 63 => Ok(id),
         _ => Err("expected an id, a whole number from 0 to 9223372036854775807".to_owned()),
+    }
+}
+
+/// A tag, or some of its bits: `tag & mask == value`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct MaskedTag {
+    pub(super) value: u64,
+    pub(super) mask: u64,
+}
+
+/// A tag: a whole number below 2^64, decimal or `0x` and hexadecimal.
+pub(super) fn tag(text: &str) -> Result<u64, String> {
+    let number = match text.strip_prefix("0x") {
+        // `from_str_radix` would take a sign.
+        Some(digits) if digits.starts_with('+') => None,
+        Some(digits) => u64::from_str_radix(digits, 16).ok(),
+        None => text.parse().ok(),
+    };
+    number.ok_or_else(|| "expected a tag, a whole number below 2^64, as 3 or 0x3".to_owned())
+}
+
+/// A tag as `VALUE`, or some of its bits as `VALUE/MASK`.
+pub(super) fn masked_tag(text: &str) -> Result<MaskedTag, String> {
+    let masked = match text.split_once('/') {
+        None => MaskedTag {
+            value: tag(text)?,
+            mask: u64::MAX,
+        },
+        Some((value, mask)) => MaskedTag {
+            value: tag(value)?,
+            mask: tag(mask)?,
+        },
+    };
+    match masked.value & !masked.mask {
+        0 => Ok(masked),
+        outside => Err(format!("the value has bits outside the mask: {outside:#x}")),
+    }
+}
+
+/// A revision: its number, and the uid of the index if it is given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct RevisionArg {
+    pub(super) number: u64,
+    pub(super) uid: Option<String>,
+}
+
+/// A revision as `NUMBER` or `NUMBER@UID`.
+pub(super) fn revision(text: &str) -> Result<RevisionArg, String> {
+    let (number, uid) = match text.split_once('@') {
+        Some((number, uid)) => (number, Some(uid)),
+        None => (text, None),
+    };
+    match number.parse() {
+        Ok(number) if uid != Some("") => Ok(RevisionArg {
+            number,
+            uid: uid.map(str::to_owned),
+        }),
+        _ => Err("expected the number of a revision, and @ and a uid after it if known".to_owned()),
     }
 }
 
@@ -88,6 +146,49 @@ mod tests {
         assert_eq!(id("9223372036854775807"), Ok(u64::MAX / 2));
         for wrong in ["9223372036854775808", "-1", "1.0", "", "a"] {
             assert!(id(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn tags_are_decimal_or_hexadecimal_and_may_have_a_mask() {
+        let masked = |value, mask| Ok(MaskedTag { value, mask });
+        assert_eq!(masked_tag("3"), masked(3, u64::MAX));
+        assert_eq!(masked_tag("0xffFFffffFFFFffff"), masked(u64::MAX, u64::MAX));
+        assert_eq!(
+            masked_tag("18446744073709551615"),
+            masked(u64::MAX, u64::MAX)
+        );
+        assert_eq!(masked_tag("0x3/0xff"), masked(3, 255));
+        assert_eq!(masked_tag("0/4"), masked(0, 4));
+        for wrong in [
+            "",
+            "-1",
+            "0x",
+            "0x+1",
+            "ff",
+            "1.0",
+            "18446744073709551616",
+            "1/",
+            "/1",
+            "1/1/1",
+            "2/1",
+        ] {
+            assert!(masked_tag(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn revisions_may_have_a_uid() {
+        let arg = |number, uid: Option<&str>| {
+            Ok(RevisionArg {
+                number,
+                uid: uid.map(str::to_owned),
+            })
+        };
+        assert_eq!(revision("42"), arg(42, None));
+        assert_eq!(revision("0@a-b"), arg(0, Some("a-b")));
+        for wrong in ["", "-1", "x", "@a", "1@", "a@1"] {
+            assert!(revision(wrong).is_err(), "{wrong}");
         }
     }
 }

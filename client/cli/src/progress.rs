@@ -1,11 +1,11 @@
-//! Progress of long work, on a terminal.
+//! Progress bars of long commands.
 
 use std::{borrow::Cow, io::IsTerminal};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// A bar on standard error that counts rows up to `rows`, or on and on if the number is not known. Nothing is drawn
-/// where standard error is no terminal, or where results are printed (`prints`) on the same one.
+/// A bar on standard error that counts up to `rows`, or without an end if the number is not known. It is hidden if
+/// standard error is no terminal, or if results are printed (`prints`) on a terminal.
 pub(super) fn bar(
     rows: Option<u64>,
     what: impl Into<Cow<'static, str>>,
@@ -20,7 +20,7 @@ pub(super) fn bar(
         None => "{msg} {spinner} {human_pos}",
     };
     let bar = ProgressBar::with_draw_target(rows, target).with_message(what);
-    // The templates are fixed; should one not parse, the default does.
+    // The templates are constants; the default stands in for one that does not parse.
     let style =
         ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     bar.with_style(style)

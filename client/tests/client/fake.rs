@@ -46,7 +46,8 @@ struct Inner {
     watches: VecDeque<Vec<Result<v1::WatchResponse, Status>>>,
     watched: Vec<v1::WatchRequest>,
     /// What the next scans answer, one after the other; those after them answer nothing.
-    scans: VecDeque<Vec<v1::ScanResponse>>,
+    /// One that is not ended waits for ever after its last part.
+    scans: VecDeque<(Vec<v1::ScanResponse>, bool)>,
 }
 
 #[derive(Clone)]
@@ -117,9 +118,9 @@ impl Fake {
         self.inner.lock().unwrap().watches.push_back(messages);
     }
 
-    /// Lets the next scan answer so.
-    pub(crate) fn scan_answers(&self, parts: Vec<v1::ScanResponse>) {
-        self.inner.lock().unwrap().scans.push_back(parts);
+    /// Lets the next scan consist of these parts, and then end, or not.
+    pub(crate) fn scan_answers(&self, parts: Vec<v1::ScanResponse>, end: bool) {
+        self.inner.lock().unwrap().scans.push_back((parts, end));
     }
 
     pub(crate) fn watch_requests(&self) -> Vec<v1::WatchRequest> {
@@ -420,8 +421,12 @@ impl PointService for Fake {
         request: Request<v1::ScanRequest>,
     ) -> Result<Response<Self::ScanStream>, Status> {
         self.enter(&request, 0).await?;
-        let parts = self.inner.lock().unwrap().scans.pop_front();
-        let parts = stream::iter(parts.unwrap_or_default().into_iter().map(Ok));
-        Ok(Response::new(Box::pin(parts)))
+        let scan = self.inner.lock().unwrap().scans.pop_front();
+        let (parts, end) = scan.unwrap_or((Vec::new(), true));
+        let parts = stream::iter(parts.into_iter().map(Ok));
+        Ok(Response::new(match end {
+            true => Box::pin(parts),
+            false => Box::pin(parts.chain(stream::pending())),
+        }))
     }
 }

@@ -55,7 +55,7 @@ fn asked_after(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
 #[tokio::test]
 async fn a_stream_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
     let fake = Fake::start().await;
-    fake.scan_answers(scanned(3, &[(1, 0.0), (2, 10.0)]));
+    fake.scan_answers(scanned(3, &[(1, 0.0), (2, 10.0)]), true);
     fake.watch_tells(vec![
         Ok(message(5, vec![])),
         Ok(message(5, vec![piece(4, &[(3, 5.0)], &[], (0, false))])),
@@ -87,7 +87,7 @@ async fn a_stream_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
 #[tokio::test]
 async fn a_gap_and_a_repeat_are_not_applied_but_asked_for_again() {
     let fake = Fake::start().await;
-    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
     fake.watch_tells(vec![
         Ok(message(5, vec![])),
         Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], (0, false))])),
@@ -112,7 +112,7 @@ async fn a_gap_and_a_repeat_are_not_applied_but_asked_for_again() {
 #[tokio::test]
 async fn after_a_reset_all_points_are_read_anew() {
     let fake = Fake::start().await;
-    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
     fake.watch_tells(vec![
         Ok(message(9, vec![])),
         Ok(message(9, vec![piece(4, &[(2, 1.0)], &[], (0, true))])),
@@ -121,9 +121,9 @@ async fn after_a_reset_all_points_are_read_anew() {
     // The first scan tells of more points than come.
     let mut short = scanned(9, &[(8, 1.0)]);
     short[0].total_points = 2;
-    fake.scan_answers(short);
+    fake.scan_answers(short, true);
     fake.watch_tells(vec![Ok(reset(v1::ResetReason::WindowPassed, 9))]);
-    fake.scan_answers(scanned(9, &[(9, 1.0)]));
+    fake.scan_answers(scanned(9, &[(9, 1.0)]), true);
     fake.watch_tells(vec![Ok(message(9, vec![]))]);
     let replica = request(&fake).await.await.unwrap();
     replica.at_least(9).await.unwrap();
@@ -137,9 +137,9 @@ async fn after_a_reset_all_points_are_read_anew() {
 #[tokio::test]
 async fn while_there_is_no_server_it_answers_what_it_had_until_that_is_stale() {
     let fake = Fake::start().await;
-    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
     let replica = request(&fake).await.await.unwrap();
-    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
     let bound = Duration::from_millis(1);
     let bounded = request(&fake).await.max_staleness(bound).await.unwrap();
     fake.fail(|_, _| Some(Status::unavailable("the server is stopping")));
@@ -162,7 +162,7 @@ async fn while_there_is_no_server_it_answers_what_it_had_until_that_is_stale() {
 #[tokio::test]
 async fn a_server_that_cannot_be_followed_ends_it() {
     let fake = Fake::start().await;
-    fake.scan_answers(scanned(3, &[(1, 0.0)]));
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
     fake.watch_tells(vec![Err(Status::unimplemented("an old server"))]);
     let replica = request(&fake).await.await.unwrap();
     let error = replica.at_least(4).await.unwrap_err();

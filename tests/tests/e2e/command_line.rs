@@ -236,7 +236,7 @@ fn an_insert_tells_the_neighbours_of_each_row() {
     let moved = desk.file("moved.csv", "name,x,y\n1,0,0\n2,5,5\n");
     let insert = ["insert", "plane", &moved, "--ids", "name"];
     let (status, complaint) = desk.failed(&insert);
-    assert_eq!(status, 1);
+    assert_eq!(status, 3);
     assert!(
         complaint.contains("on_conflict") || complaint.contains("--replace"),
         "{complaint}"
@@ -277,7 +277,7 @@ fn a_file_is_checked_whole_before_anything_is_sent() {
     rows.push_str("0,0,0,0,0,0,1.5\n");
     let file = desk.file("bad.csv", rows);
     let (status, complaint) = desk.failed(&["insert", "arm", &file]);
-    assert_eq!(status, 1);
+    assert_eq!(status, 3);
     assert!(
         complaint.contains("3001") && complaint.contains("norm"),
         "{complaint}"
@@ -291,17 +291,17 @@ fn errors_go_to_standard_error_with_their_status() {
     let desk = Desk::new();
     desk.text(&["create", "arm", "--space", "R2"]);
     for (arguments, status, part) in [
-        (&["info", "nowhere"][..], 1, "nowhere"),
-        (&["create", "arm", "--space", "R3"], 1, "R3"),
-        (&["create", "Arm", "--space", "R3"], 1, "Arm"),
-        (&["get", "arm", "5"], 1, "5"),
+        (&["info", "nowhere"][..], 3, "nowhere"),
+        (&["create", "arm", "--space", "R3"], 3, "R3"),
+        (&["create", "Arm", "--space", "R3"], 3, "Arm"),
+        (&["get", "arm", "5"], 3, "5"),
         (
             &["insert", "arm", "/nonexistent.csv"],
-            1,
+            3,
             "/nonexistent.csv",
         ),
-        (&["knn", "arm", "-k", "1", "--state", "1,NaN"], 1, "NaN"),
-        (&["knn", "arm", "-k", "1", "--state", "1,2,3"], 1, "3"),
+        (&["knn", "arm", "-k", "1", "--state", "1,NaN"], 3, "NaN"),
+        (&["knn", "arm", "-k", "1", "--state", "1,2,3"], 3, "3"),
         (&["create", "x", "--space", "R3*"], 2, "--space"),
         (&["knn", "arm", "-k", "1"], 2, "--state"),
         (&["query", "arm", "--state", "1,2"], 2, "--radius"),
@@ -322,7 +322,7 @@ fn a_server_that_is_not_there_is_named() {
     let uri = format!("http://{}", nobody.local_addr().unwrap());
     let info = ["--server", &uri, "--timeout", "100ms", "info", "arm"];
     let finished = Process::start(env!("CARGO_BIN_EXE_cli-process"), &info).finish();
-    assert_eq!(finished.status.code(), Some(1));
+    assert_eq!(finished.status.code(), Some(4));
     assert!(finished.stderr.contains(&uri), "{}", finished.stderr);
 }
 

@@ -6,7 +6,7 @@ use csv::{Reader, ReaderBuilder, StringRecord, Trim};
 use wayfold::Space;
 
 use super::{
-    InputError, Row, Rows,
+    Columns, InputError, Row, Rows,
     place::{File, Place},
 };
 use crate::parse;
@@ -16,7 +16,7 @@ pub(super) fn rows(
     name: &str,
     input: impl Read + Send + 'static,
     space: &Space,
-    ids: Option<&str>,
+    columns: Columns<'_>,
 ) -> Result<Rows, InputError> {
     let mut reader = ReaderBuilder::new()
         .has_headers(false)
@@ -24,23 +24,29 @@ pub(super) fn rows(
         .trim(Trim::All)
         .from_reader(input);
     let mut first = StringRecord::new();
-    if !read(name, &mut reader, &mut first)? {
-        return match ids {
-            Some(_) => Err(no_header(name)),
-            None => Ok(Box::new(std::iter::empty())),
-        };
+    let is_empty = !read(name, &mut reader, &mut first)?;
+    let has_header = !is_empty && is_header(&first);
+    if let Some(option) = columns.option()
+        && !has_header
+    {
+        return Err(InputError::NoHeader {
+            file: name.to_owned(),
+            option,
+            problem: "the first line is not a header",
+        });
     }
-    let has_header = ids.is_some() || is_header(&first);
-    let id_column = match ids {
-        None => None,
-        Some(_) if !is_header(&first) => return Err(no_header(name)),
-        Some(column) => Some(find(name, &first, column)?),
-    };
+    if is_empty {
+        return Ok(Box::new(std::iter::empty()));
+    }
+    let column = |named: Option<&str>| named.map(|column| find(name, &first, column));
+    let id_column = column(columns.ids).transpose()?;
+    let tag_column = column(columns.tags).transpose()?;
     let rows = CsvRows {
         file: Arc::new(File {
             name: name.to_owned(),
             coordinates: coordinate_names(space),
             id_column,
+            tag_column,
         }),
         space: space.to_string(),
         names_id: has_header
@@ -52,7 +58,7 @@ pub(super) fn rows(
     Ok(Box::new(rows))
 }
 
-/// A finite number, or where it is not one.
+/// A finite number, or an error that names its place.
 pub(super) fn number(text: &str, place: impl Fn() -> String) -> Result<f64, InputError> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
@@ -71,14 +77,8 @@ fn shortened(text: &str) -> String {
     }
 }
 
-fn no_header(file: &str) -> InputError {
-    InputError::NoIds {
-        file: file.to_owned(),
-        problem: "the first line is none",
-    }
-}
-
-/// A first line is a header if nothing in it is a number. (`nan` reads as one: a file may begin with a bad row.)
+/// A first line is a header if none of its fields is a number. (`nan` counts as a number, so that a file whose first row
+/// is bad has no header.)
 fn is_header(record: &StringRecord) -> bool {
     record.iter().all(|field| field.parse::<f64>().is_err())
 }
@@ -115,9 +115,9 @@ fn read(
 struct CsvRows<R> {
     file: Arc<File>,
     space: String,
-    /// Whether the header has a column `id` that nobody named.
+    /// Whether the header has a column `id` that no option names.
     names_id: bool,
-    /// The first line, if it was no header.
+    /// The first line, if it is not a header.
     unread: Option<StringRecord>,
     reader: Reader<R>,
 }
@@ -144,9 +144,7 @@ impl<R> CsvRows<R> {
             file: Arc::clone(&self.file),
             line: record.position().map_or(0, csv::Position::line),
         };
-        let found = record
-            .len()
-            .saturating_sub(usize::from(self.file.id_column.is_some()));
+        let found = record.len().saturating_sub(self.file.other_columns());
         if found != self.file.coordinates.len() {
             return Err(self.wrong_width(&place, found));
         }
@@ -155,18 +153,25 @@ impl<R> CsvRows<R> {
             let text = record.get(self.file.column(coordinate)).unwrap_or_default();
             state.push(number(text, || place.of(coordinate))?);
         }
-        let id = match self.file.id_column {
-            None => None,
-            Some(column) => {
-                let text = record.get(column).unwrap_or_default();
-                let id = parse::id(text).map_err(|_| InputError::Id {
-                    place: place.of_id(),
-                    text: shortened(text),
-                })?;
-                Some(id)
-            }
+        let field = |column: usize| record.get(column).unwrap_or_default();
+        let id = |column| {
+            parse::id(field(column)).map_err(|_| InputError::Id {
+                place: place.of_id(),
+                text: shortened(field(column)),
+            })
         };
-        Ok(Row { state, id, place })
+        let tag = |column| {
+            parse::tag(field(column)).map_err(|_| InputError::Tag {
+                place: place.of_column(column),
+                text: shortened(field(column)),
+            })
+        };
+        Ok(Row {
+            state,
+            id: self.file.id_column.map(id).transpose()?,
+            tag: self.file.tag_column.map(tag).transpose()?,
+            place,
+        })
     }
 
     fn wrong_width(&self, place: &Place, found: usize) -> InputError {

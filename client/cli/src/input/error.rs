@@ -1,11 +1,11 @@
-//! What can be wrong with input.
+//! Errors of input.
 
 use std::io;
 
 use thiserror::Error;
 use wayfold::StateProblem;
 
-/// Why input cannot be used. A place is `FILE:LINE:COLUMN (NAME)` in CSV, with the columns counted from 1, and
+/// Why input is refused. A place is `FILE:LINE:COLUMN (NAME)` in CSV, with the columns counted from 1, and
 /// `FILE[ROW, COLUMN] (NAME)` in npy, as numpy counts.
 #[derive(Debug, Error)]
 pub(crate) enum InputError {
@@ -36,8 +36,16 @@ pub(crate) enum InputError {
         column: String,
         columns: Vec<String>,
     },
-    #[error("{file}: --ids names a column of a CSV header, and {problem}")]
-    NoIds { file: String, problem: &'static str },
+    #[error(
+        "{place}: {text:?} is not a tag, a whole number below 2^64, decimal or hexadecimal after 0x"
+    )]
+    Tag { place: String, text: String },
+    #[error("{file}: {option} names a column of a CSV header, and {problem}")]
+    NoHeader {
+        file: String,
+        option: &'static str,
+        problem: &'static str,
+    },
     #[error("{place}: {problem}")]
     Format { place: String, problem: String },
     #[error(transparent)]

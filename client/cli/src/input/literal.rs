@@ -1,6 +1,4 @@
-//! One state, typed: `--state 0.1,0.2`.
-
-use std::sync::Arc;
+//! One state on the command line: `--state 0.1,0.2`.
 
 use wayfold::Space;
 
@@ -11,11 +9,7 @@ use super::{
 use wayfold::coordinate_names;
 
 pub(super) fn rows(text: &str, space: &Space) -> Result<Rows, InputError> {
-    let file = Arc::new(File {
-        name: "--state".to_owned(),
-        coordinates: coordinate_names(space),
-        id_column: None,
-    });
+    let file = File::of_states("--state", space);
     let place = Place::Flag { file };
     let mut state = Vec::with_capacity(space.coordinates());
     for (coordinate, number) in text.split(',').enumerate() {
@@ -33,6 +27,7 @@ pub(super) fn rows(text: &str, space: &Space) -> Result<Rows, InputError> {
     let row = Row {
         state,
         id: None,
+        tag: None,
         place,
     };
     Ok(Box::new(std::iter::once(Ok(row))))

@@ -1,4 +1,4 @@
-//! States from files, standard input and the command line, checked against a space row by row.
+//! States from files, standard input and the command line, checked row by row against a space.
 
 mod csv;
 mod error;
@@ -14,10 +14,10 @@ use wayfold::Space;
 pub(super) use error::InputError;
 use place::Place;
 
-/// Where states come from.
+/// A source of states.
 #[derive(Clone, Debug)]
 pub(super) enum Source {
-    /// One state, typed.
+    /// One state on the command line.
     Literal(String),
     /// CSV on standard input.
     Stdin,
@@ -41,26 +41,47 @@ impl Source {
     }
 }
 
+/// The columns of a CSV header that are not coordinates.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Columns<'a> {
+    pub(super) ids: Option<&'a str>,
+    pub(super) tags: Option<&'a str>,
+}
+
+impl Columns<'_> {
+    /// The first option that needs a CSV header.
+    fn option(self) -> Option<&'static str> {
+        let ids = self.ids.map(|_| "--ids");
+        ids.or(self.tags.map(|_| "--tags"))
+    }
+}
+
 /// One row of input.
 #[derive(Debug)]
 pub(super) struct Row {
-    /// A state of the space, as it was given.
+    /// A state of the space, not in canonical form.
     pub(super) state: Vec<f64>,
-    /// Its id, if a column of ids was named.
+    /// Its id, if there is a column of ids.
     pub(super) id: Option<u64>,
+    /// Its tag, if there is a column of tags.
+    pub(super) tag: Option<u64>,
     place: Place,
 }
 
 type Rows = Box<dyn Iterator<Item = Result<Row, InputError>> + Send>;
 
-/// The rows of a source, in order, each checked: finite numbers, as many as `space` has coordinates, that make a
-/// state. `ids` names the column that holds the ids and is no coordinate.
-pub(super) fn rows(source: &Source, space: &Space, ids: Option<&str>) -> Result<Rows, InputError> {
+/// The rows of a source in order. Each is checked: it has as many finite numbers as `space` has coordinates, and they
+/// are a state.
+pub(super) fn rows(
+    source: &Source,
+    space: &Space,
+    columns: Columns<'_>,
+) -> Result<Rows, InputError> {
     let rows = match source {
         Source::Literal(text) => literal::rows(text, space)?,
-        Source::Stdin => csv::rows("stdin", std::io::stdin(), space, ids)?,
-        Source::Csv(path) => csv::rows(&path.display().to_string(), open(path)?, space, ids)?,
-        Source::Npy(path) => npy::rows(&path.display().to_string(), open(path)?, space, ids)?,
+        Source::Stdin => csv::rows("stdin", std::io::stdin(), space, columns)?,
+        Source::Csv(path) => csv::rows(&path.display().to_string(), open(path)?, space, columns)?,
+        Source::Npy(path) => npy::rows(&path.display().to_string(), open(path)?, space, columns)?,
     };
     let space = space.clone();
     Ok(Box::new(rows.map(move |row| check(&space, row?))))
@@ -83,25 +104,28 @@ fn check(space: &Space, row: Row) -> Result<Row, InputError> {
     }
 }
 
-/// All rows of a source, checked whole: also that no id is given twice.
+/// All rows of a source. No id is in it twice.
 pub(super) struct Table {
-    /// The rows' numbers.
+    /// One state a row.
     pub(super) states: wayfold::States,
-    /// One a row, or none.
+    /// One id a row, or none at all.
     pub(super) ids: Vec<u64>,
+    /// One tag a row, or none at all.
+    pub(super) tags: Vec<u64>,
 }
 
 pub(super) fn table(
     source: &Source,
     space: &Space,
-    ids: Option<&str>,
+    columns: Columns<'_>,
 ) -> Result<Table, InputError> {
     let mut table = Table {
         states: wayfold::States::new(space.coordinates()),
         ids: Vec::new(),
+        tags: Vec::new(),
     };
     let mut lines = std::collections::HashMap::new();
-    for row in rows(source, space, ids)? {
+    for row in rows(source, space, columns)? {
         let row = row?;
         if let Some(id) = row.id {
             if let Some(first) = lines.insert(id, row.place.line()) {
@@ -113,15 +137,16 @@ pub(super) fn table(
             }
             table.ids.push(id);
         }
+        table.tags.extend(row.tag);
         table.states.push(&row.state)?;
     }
     Ok(table)
 }
 
-/// The rows of a source, read by a thread of its own as fast as they are taken: who writes a row into a pipe and waits
-/// for its answer gets it. At most so many rows wait.
-pub(super) fn spawn(rows: Rows, waiting: usize) -> mpsc::Receiver<Result<Row, InputError>> {
-    let (sender, receiver) = mpsc::channel(waiting);
+/// Reads rows on a thread of their own, so that a row in a pipe is answered before the next one is written. At most
+/// `capacity` rows wait.
+pub(super) fn spawn(rows: Rows, capacity: usize) -> mpsc::Receiver<Result<Row, InputError>> {
+    let (sender, receiver) = mpsc::channel(capacity);
     std::thread::spawn(move || {
         for row in rows {
             let failed = row.is_err();

@@ -9,7 +9,7 @@ use npyz::{NpyFile, Order};
 use wayfold::Space;
 
 use super::{
-    InputError, Row, Rows,
+    Columns, InputError, Row, Rows,
     place::{File, Place},
 };
 use wayfold::coordinate_names;
@@ -21,11 +21,12 @@ pub(super) fn rows(
     name: &str,
     bytes: impl Read + Send + 'static,
     space: &Space,
-    ids: Option<&str>,
+    columns: Columns<'_>,
 ) -> Result<Rows, InputError> {
-    if ids.is_some() {
-        return Err(InputError::NoIds {
+    if let Some(option) = columns.option() {
+        return Err(InputError::NoHeader {
             file: name.to_owned(),
+            option,
             problem: "npy has none",
         });
     }
@@ -63,11 +64,7 @@ pub(super) fn rows(
         numbers = transposed(numbers, rows, width).map_err(|error| wrong(error.to_string()))?;
     }
     Ok(Box::new(NpyRows {
-        file: Arc::new(File {
-            name: name.to_owned(),
-            coordinates: coordinate_names(space),
-            id_column: None,
-        }),
+        file: File::of_states(name, space),
         numbers,
         next: 0,
         rows,
@@ -89,7 +86,7 @@ fn numbers(array: Array) -> Result<Numbers, String> {
     }
 }
 
-/// What is stored column after column, row after row. It takes all of it at once.
+/// Numbers that are stored by column, by row. All of them are in memory at once.
 fn transposed(numbers: Numbers, rows: u64, width: usize) -> io::Result<Numbers> {
     let stored: Vec<f64> = numbers.collect::<io::Result<_>>()?;
     let rows = usize::try_from(rows)
@@ -139,6 +136,7 @@ impl NpyRows {
         Ok(Row {
             state,
             id: None,
+            tag: None,
             place,
         })
     }

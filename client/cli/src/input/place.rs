@@ -1,8 +1,10 @@
-//! Where a number stood, to name it in an error.
+//! The place of a number in the input, for error messages.
 
 use std::sync::Arc;
 
-/// Where a row stood.
+use wayfold::{Space, coordinate_names};
+
+/// The place of a row.
 #[derive(Clone, Debug)]
 pub(super) enum Place {
     /// A line of CSV, from 1.
@@ -13,23 +15,39 @@ pub(super) enum Place {
     Flag { file: Arc<File> },
 }
 
-/// What the rows of one input have in common.
+/// The file that the rows of a source share.
 #[derive(Debug)]
 pub(super) struct File {
     pub(super) name: String,
     /// The names of the space's coordinates.
     pub(super) coordinates: Vec<String>,
-    /// The column, from 0, that holds the ids.
+    /// The column of CSV, from 0, that holds the ids.
     pub(super) id_column: Option<usize>,
+    /// The column of CSV, from 0, that holds the tags.
+    pub(super) tag_column: Option<usize>,
 }
 
 impl File {
+    /// The rows of a file without ids and tags.
+    pub(super) fn of_states(name: &str, space: &Space) -> Arc<File> {
+        Arc::new(File {
+            name: name.to_owned(),
+            coordinates: coordinate_names(space),
+            id_column: None,
+            tag_column: None,
+        })
+    }
+
+    /// How many columns are not coordinates.
+    pub(super) fn other_columns(&self) -> usize {
+        usize::from(self.id_column.is_some()) + usize::from(self.tag_column.is_some())
+    }
+
     /// The column, from 0, of a coordinate.
     pub(super) fn column(&self, coordinate: usize) -> usize {
-        match self.id_column {
-            Some(ids) if coordinate >= ids => coordinate + 1,
-            _ => coordinate,
-        }
+        let others = [self.id_column, self.tag_column];
+        let mut columns = (0..).filter(|column| !others.contains(&Some(*column)));
+        columns.nth(coordinate).unwrap_or(coordinate)
     }
 
     fn coordinate(&self, coordinate: usize) -> &str {
@@ -69,13 +87,18 @@ impl Place {
         }
     }
 
+    /// The place of a column of CSV, from 0; the row's where there are no columns.
+    pub(super) fn of_column(&self, column: usize) -> String {
+        match self {
+            Place::Line { file, line } => format!("{}:{line}:{}", file.name, column + 1),
+            Place::Row { .. } | Place::Flag { .. } => self.whole(),
+        }
+    }
+
     /// The place of the row's id.
     pub(super) fn of_id(&self) -> String {
         match self {
-            Place::Line { file, line } => {
-                let column = file.id_column.map_or(1, |column| column + 1);
-                format!("{}:{line}:{column}", file.name)
-            }
+            Place::Line { file, .. } => self.of_column(file.id_column.unwrap_or(0)),
             Place::Row { .. } | Place::Flag { .. } => self.whole(),
         }
     }

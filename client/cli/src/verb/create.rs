@@ -15,10 +15,10 @@ Spaces:
   R1^6, SO2^6      six prismatic, six revolute joints  a number each
   sum(R3, SO3)     poses in space, distances added     x, y, z, qx, qy, qz, qw
   (R3*SO3:0.15)^2  two bodies                          x0, y0, z0, qx0, ... qw1
-Factors are Rn, SO2 (SO2[P] for a period P other than 2 pi) and SO3. In A*B:w the weight w
+The factors are Rn, SO2 (SO2[P] for a period P other than 2 pi) and SO3. In A*B:w the weight w
 multiplies the squared distance in B, and the distance is the root of the sum; in sum(A, B:w) w
 multiplies the distance in B, and the distance is the sum.
-Names for some: mpnn-se3, ompl-se2, ompl-se3, ompl-torus, moveit-joints-N.
+Presets: mpnn-se3, ompl-se2, ompl-se3, ompl-torus, moveit-joints-N.
 
 Creating an index that exists with an equal space changes nothing and succeeds.";
 
@@ -48,14 +48,13 @@ pub(crate) async fn create(args: CreateArgs, session: &mut Session) -> Result<()
             created,
         })?,
         Format::Text => {
-            let did = if created {
-                "created"
-            } else {
-                "exists already:"
+            let outcome = match created {
+                true => "created",
+                false => "exists already:",
             };
             let row = coordinate_names(&index.space).join(", ");
             session.output.text(format_args!(
-                "{did} {} in {}; a row is {row}",
+                "{outcome} {} in {}; a row is {row}",
                 index.name, index.space
             ))?;
         }

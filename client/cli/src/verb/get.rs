@@ -5,12 +5,13 @@ use serde::Serialize;
 use crate::{
     Session,
     failure::Failure,
-    output::{Format, JsonId, Row},
+    options::{IncludeArgs, POINT_COLUMNS},
+    output::{Format, JsonId, JsonRevision, Row, json_payload},
     parse,
 };
-use wayfold::Point;
+use wayfold::{Include, Point};
 
-/// Prints points: their states in canonical form, tags, and the revisions that stored them
+/// Prints points by id: their states in canonical form, tags, and the revisions that stored them
 #[derive(Debug, clap::Args)]
 pub(crate) struct GetArgs {
     /// The index
@@ -18,42 +19,66 @@ pub(crate) struct GetArgs {
     /// The points
     #[arg(value_name = "ID", required = true, value_parser = parse::id)]
     ids: Vec<u64>,
+    #[command(flatten)]
+    include: IncludeArgs,
 }
 
 /// A point as a line of JSON.
 #[derive(Serialize)]
 pub(super) struct PointLine<'a> {
     id: JsonId,
-    state: &'a [f64],
-    tag: JsonId,
-    revision: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    state: Option<&'a [f64]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tag: Option<JsonId>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    revision: Option<JsonRevision<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    payload: Option<String>,
 }
 
-impl PointLine<'_> {
-    pub(super) fn of(point: Point<'_>) -> PointLine<'_> {
+impl<'a> PointLine<'a> {
+    /// The line of a point of the index with this uid.
+    pub(super) fn of(point: Point<'a>, uid: &'a str, include: Include) -> PointLine<'a> {
         PointLine {
             id: JsonId(point.id),
-            state: point.state,
-            tag: JsonId(point.tag),
-            revision: point.revision,
+            state: include.states.then_some(point.state),
+            tag: include.tags.then_some(JsonId(point.tag)),
+            revision: include
+                .revisions
+                .then(|| JsonRevision::new(uid, point.revision)),
+            payload: point.payload.map(|payload| json_payload(payload)),
         }
     }
 }
 
 pub(crate) async fn get(args: GetArgs, session: &mut Session) -> Result<(), Failure> {
-    let points = session.index(&args.name).await?.get(args.ids).await?;
+    let include = args.include.include_or(POINT_COLUMNS);
+    let index = session.index(&args.name).await?;
+    let points = index.get(args.ids).include(include).await?;
     let output = &mut session.output;
     for point in points.iter() {
         match output.format {
-            Format::Json => output.json(&PointLine::of(point))?,
-            Format::Text => {
-                let state = Row(point.state);
-                output.text(format_args!(
-                    "{}  state {state}  tag {}  revision {}",
-                    point.id, point.tag, point.revision
-                ))?;
-            }
+            Format::Json => output.json(&PointLine::of(point, index.uid(), include))?,
+            Format::Text => output.text(text(point, include))?,
         }
     }
     Ok(())
+}
+
+fn text(point: Point<'_>, include: Include) -> String {
+    let mut line = point.id.to_string();
+    if include.states {
+        line += &format!("  state {}", Row(point.state));
+    }
+    if include.tags {
+        line += &format!("  tag {}", point.tag);
+    }
+    if include.revisions {
+        line += &format!("  revision {}", point.revision);
+    }
+    if let Some(payload) = point.payload {
+        line += &format!("  payload \"{}\"", payload.escape_ascii());
+    }
+    line
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::{
     Session,
     failure::Failure,
-    output::{Format, Output},
+    output::{Column, Format, JsonRevision, Output, table},
 };
 use wayfold::{DamagedIndex, IndexInfo, IndexList, coordinate_names};
 
@@ -19,7 +19,7 @@ pub(crate) struct InfoArgs {
     name: String,
 }
 
-/// An index that cannot be read as a line of JSON.
+/// A damaged index as a line of JSON.
 #[derive(Serialize)]
 struct DamagedLine<'a> {
     name: &'a str,
@@ -54,10 +54,9 @@ impl DamagedLine<'_> {
 pub(super) struct InfoLine<'a> {
     name: &'a str,
     space: String,
-    points: u64,
-    revision: u64,
-    uid: &'a str,
-    coordinates: usize,
+    point_count: u64,
+    revision: JsonRevision<'a>,
+    coordinate_count: usize,
     dimension: usize,
     memory_bytes: u64,
 }
@@ -67,10 +66,9 @@ impl InfoLine<'_> {
         InfoLine {
             name: &index.name,
             space: index.space.to_string(),
-            points: index.point_count,
-            revision: index.revision.number,
-            uid: &index.revision.uid,
-            coordinates: index.coordinate_count,
+            point_count: index.point_count,
+            revision: (&index.revision).into(),
+            coordinate_count: index.coordinate_count,
             dimension: index.dimension,
             memory_bytes: index.memory_bytes,
         }
@@ -113,13 +111,13 @@ pub(crate) async fn list(session: &mut Session) -> Result<(), Failure> {
         for index in &damaged {
             output.json(&DamagedLine::of(index))?;
         }
-        return whole(indexes.len(), damaged.len());
+        return check(indexes.len(), damaged.len());
     }
     if indexes.is_empty() && damaged.is_empty() {
-        output.text("no indices; `wayfold create NAME --space SPACE` makes one")?;
+        output.text("no indices; `wayfold create NAME --space SPACE` creates one")?;
     }
     if !indexes.is_empty() {
-        table(&indexes, output)?;
+        print_table(&indexes, output)?;
     }
     for index in &damaged {
         output.text(format_args!(
@@ -127,11 +125,11 @@ pub(crate) async fn list(session: &mut Session) -> Result<(), Failure> {
             index.name, index.error
         ))?;
     }
-    whole(indexes.len(), damaged.len())
+    check(indexes.len(), damaged.len())
 }
 
-/// A list with damaged indices in it is no success, so that a script that only asks for the status hears of them.
-fn whole(readable: usize, damaged: usize) -> Result<(), Failure> {
+/// A damaged index in the list is a failure, so that a script can rely on the exit status.
+fn check(readable: usize, damaged: usize) -> Result<(), Failure> {
     match damaged {
         0 => Ok(()),
         damaged => Err(Failure::Damaged {
@@ -141,30 +139,20 @@ fn whole(readable: usize, damaged: usize) -> Result<(), Failure> {
     }
 }
 
-fn table(indexes: &[IndexInfo], output: &mut Output) -> io::Result<()> {
-    let longest = |text: fn(&IndexInfo) -> usize, least: usize| {
-        indexes.iter().map(text).fold(least, usize::max)
-    };
-    let name = longest(|index| index.name.len(), "NAME".len());
-    let points = longest(|index| index.point_count.to_string().len(), "POINTS".len());
-    let revision = longest(
-        |index| index.revision.number.to_string().len(),
-        "REVISION".len(),
-    );
-    output.text(format_args!(
-        "{:name$}  {:>points$}  {:>revision$}  SPACE",
-        "NAME", "POINTS", "REVISION"
-    ))?;
-    for index in indexes {
-        let IndexInfo {
-            name: called,
-            space,
-            ..
-        } = index;
-        output.text(format_args!(
-            "{called:name$}  {:>points$}  {:>revision$}  {space}",
-            index.point_count, index.revision.number
-        ))?;
-    }
-    Ok(())
+fn print_table(indexes: &[IndexInfo], output: &mut Output) -> io::Result<()> {
+    let columns = [
+        Column::new("NAME", false, indexes.iter().map(|index| &index.name)),
+        Column::new(
+            "POINTS",
+            true,
+            indexes.iter().map(|index| index.point_count),
+        ),
+        Column::new(
+            "REVISION",
+            true,
+            indexes.iter().map(|index| index.revision.number),
+        ),
+        Column::new("SPACE", false, indexes.iter().map(|index| &index.space)),
+    ];
+    table(output, "", &columns)
 }

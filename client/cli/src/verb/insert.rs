@@ -2,31 +2,42 @@
 
 use std::path::PathBuf;
 
+use clap::ArgGroup;
 use serde::Serialize;
 
+use super::neighbors::{NeighborFields, neighbor_table};
 use crate::{
     Session,
     failure::Failure,
-    input::{self, Source, Table},
-    output::{Format, JsonId, JsonIds, Output, neighbor_table},
-    parse, progress,
+    input::{self, Columns, Source, Table},
+    options::{self, Column, RadiusArgs},
+    output::{Format, JsonId, JsonRevision, Output},
+    parse::{self, MaskedTag, RevisionArg},
+    progress,
 };
-use wayfold::{IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Row};
+use wayfold::{Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision, Row};
 
 const EXAMPLES: &str = "\
 A CSV row is one state, its numbers in the order of the space (`wayfold info` names them). A header
-line is allowed, and needed to name a column of ids; without ids the server assigns them. An npy
-file holds float64 or float32, a row a state. The whole file is checked before anything is sent;
-then it is sent in calls of 1000 rows, each of which is stored as a whole or not at all.
+line is optional, and names the columns for --ids and --tags; without ids the server assigns them. An
+npy file holds float64 or float32, one state a row. The command checks the whole file before it sends
+anything; then it sends calls of 1000 rows, and each call is stored as a whole or not at all.
+
+With --knn, --radius or a factor, each row is printed with the neighbours that it had when it was
+inserted: of any two inserts the later one sees the earlier one.
 
 Examples:
-  wayfold insert arm poses.csv
-  wayfold insert arm roadmap.csv --ids id        what `wayfold scan arm roadmap.csv` wrote
-  sampler | wayfold insert arm - --min-separation 0.05 --knn 10 --output json";
+  wayfold insert arm poses.csv --tag 0x1
+  wayfold insert arm roadmap.csv --ids id        reads what `wayfold scan arm roadmap.csv` wrote
+  sampler | wayfold insert arm - --min-separation 0.05 --knn 10 --output json
+  wayfold insert arm poses.csv --k-factor 5.44 --since 42 --include states";
 
 /// Inserts the states of a file
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(
+    after_help = EXAMPLES,
+    group = ArgGroup::new("neighbors").multiple(true).args(["knn", "k_factor", "radius", "radius_factor"])
+)]
 pub(crate) struct InsertArgs {
     /// The index
     name: String,
@@ -36,18 +47,73 @@ pub(crate) struct InsertArgs {
     /// The column of the CSV header that holds the ids
     #[arg(long, value_name = "COLUMN")]
     ids: Option<String>,
-    /// Replace points that are stored under one of the ids, where another point there is an error otherwise
+    /// The column of the CSV header that holds the tags
+    #[arg(long, value_name = "COLUMN")]
+    tags: Option<String>,
+    /// The tag of all rows: decimal, or hexadecimal after 0x
+    #[arg(long, value_name = "VALUE", value_parser = parse::tag, conflicts_with = "tags")]
+    tag: Option<u64>,
+    /// Replace different points that are stored under the ids; without it they are an error
     #[arg(long)]
     replace: bool,
-    /// Print the K nearest points that each row had when it was inserted
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
-    knn: Option<u32>,
     /// Leave out rows that have a point at a distance below D
     #[arg(long, value_name = "D", value_parser = parse::finite, allow_negative_numbers = true)]
     min_separation: Option<f64>,
+    #[command(flatten)]
+    neighbors: NeighborArgs,
 }
 
-/// Rows a call: enough to be fast, and few enough not to hold up others or a deadline.
+/// The neighbours that are printed of each row.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Neighbours of each row")]
+struct NeighborArgs {
+    /// Print the K nearest points that each row had
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
+    knn: Option<u32>,
+    /// In the place of --knn: F * ln n, rounded up, for n points
+    #[arg(long, value_name = "F", value_parser = parse::finite, allow_negative_numbers = true, conflicts_with = "knn")]
+    k_factor: Option<f64>,
+    #[command(flatten)]
+    radius: RadiusArgs,
+    /// Only neighbours with this tag, or with these bits under the mask
+    #[arg(long, value_name = "VALUE[/MASK]", value_parser = parse::masked_tag, requires = "neighbors")]
+    neighbor_tag: Option<MaskedTag>,
+    /// Only neighbours whose state a later revision stored
+    #[arg(long, value_name = "NUMBER[@UID]", value_parser = parse::revision, requires = "neighbors")]
+    since: Option<RevisionArg>,
+    /// The columns to print of each neighbour beside its id and distance, separated by commas
+    #[arg(
+        long,
+        value_enum,
+        value_name = "COLUMNS",
+        value_delimiter = ',',
+        requires = "neighbors"
+    )]
+    include: Vec<Column>,
+}
+
+impl NeighborArgs {
+    /// The neighbours to find, if any are wanted.
+    fn spec(&self, index: &IndexHandle) -> Option<NeighborSpec> {
+        let radius = self.radius.radius();
+        let mut spec = match (self.knn, self.k_factor) {
+            (Some(k), _) => NeighborSpec::k(k),
+            (None, Some(factor)) => NeighborSpec::k_factor(factor),
+            (None, None) => NeighborSpec::within(radius?),
+        };
+        if let Some(radius) = radius {
+            spec = spec.radius(radius);
+        }
+        let filter = options::filter(self.neighbor_tag, self.since.as_ref(), index);
+        Some(spec.filter(filter).include(self.include()))
+    }
+
+    fn include(&self) -> Include {
+        options::include(&self.include)
+    }
+}
+
+/// Rows a call: enough to be fast, and few enough not to delay other callers or exceed a deadline.
 const CALL_ROWS: usize = 1000;
 
 pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<(), Failure> {
@@ -55,18 +121,19 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
     let table = input::table(
         &Source::file(&args.file),
         index.space(),
-        args.ids.as_deref(),
+        Columns {
+            ids: args.ids.as_deref(),
+            tags: args.tags.as_deref(),
+        },
     )?;
     let rows = table.states.len();
-    let bar = progress::bar(Some(rows as u64), "inserting", args.knn.is_some());
-    let mut summary = Summary {
-        revision: index.revision().number,
-        ..Summary::default()
-    };
+    let spec = args.neighbors.spec(&index);
+    let bar = progress::bar(Some(rows as u64), "inserting", spec.is_some());
+    let mut summary = Summary::default();
     let mut is_read = true;
     for start in (0..rows).step_by(CALL_ROWS) {
         let end = rows.min(start + CALL_ROWS);
-        let inserted = send(&index, &args, &table, start..end).await;
+        let inserted = send(&index, &args, spec.clone(), &table, start..end).await;
         let inserted = inserted.map_err(|failure| stopped(start, rows, failure))?;
         if let (Some(neighbors), true) = (&inserted.neighbors, is_read) {
             let given = table.ids.get(start..end).unwrap_or_default();
@@ -76,8 +143,9 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
                 &inserted.outcomes,
                 given,
                 neighbors,
+                args.neighbors.include(),
             ) {
-                // Who stops reading has not asked to stop inserting.
+                // A closed pipe ends the output, not the insert.
                 Err(failure) if failure.is_broken_pipe() => is_read = false,
                 printed => printed?,
             }
@@ -86,30 +154,37 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
         bar.set_position(end as u64);
     }
     bar.finish_and_clear();
-    summary.print(&mut session.output)
+    // The handle knows the revision of the last call.
+    summary.print(&index.revision(), &mut session.output)
 }
 
 async fn send(
     index: &IndexHandle,
     args: &InsertArgs,
+    spec: Option<NeighborSpec>,
     table: &Table,
     rows: std::ops::Range<usize>,
 ) -> Result<Inserted, Failure> {
     let ids = table.ids.get(rows.clone()).unwrap_or_default();
-    let mut insert = index.insert(rows.map(|row| table.states.row(row))).ids(ids);
+    let tags = match args.tag {
+        Some(tag) => vec![tag; rows.len()],
+        None => table.tags.get(rows.clone()).unwrap_or_default().to_vec(),
+    };
+    let states = rows.map(|row| table.states.row(row));
+    let mut insert = index.insert(states).ids(ids).tags(tags);
     if args.replace {
         insert = insert.replace();
     }
     if let Some(distance) = args.min_separation {
         insert = insert.min_separation(distance);
     }
-    if let Some(k) = args.knn {
-        insert = insert.neighbors(NeighborSpec::k(k));
+    if let Some(spec) = spec {
+        insert = insert.neighbors(spec);
     }
     Ok(insert.await?)
 }
 
-/// Says how many rows the calls before the failed one have inserted.
+/// Adds how many rows the calls before the failed one inserted.
 fn stopped(done: usize, rows: usize, failure: Failure) -> Failure {
     match done {
         0 => failure,
@@ -122,13 +197,13 @@ fn stopped(done: usize, rows: usize, failure: Failure) -> Failure {
 
 #[derive(Serialize)]
 struct RowLine<'a> {
-    /// Null for a row that was left out before it was assigned one.
+    /// Null for a row that was left out and had no id of its own.
     id: Option<JsonId>,
     outcome: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     blocker: Option<JsonId>,
-    ids: JsonIds<'a>,
-    distances: &'a [f64],
+    #[serde(flatten)]
+    neighbors: NeighborFields<'a>,
 }
 
 /// Prints the rows of one call, the first of which is row `start` of the file.
@@ -138,10 +213,13 @@ fn print_rows(
     outcomes: &[Outcome],
     given: &[u64],
     neighbors: &Neighbors,
+    include: Include,
 ) -> Result<(), Failure> {
     for (i, outcome) in outcomes.iter().enumerate() {
         let given = given.get(i).copied();
-        print_row(output, start + i + 1, *outcome, given, neighbors.row(i))?;
+        let id = outcome.id().or(given);
+        let row = neighbors.row(i);
+        print_row(output, start + i + 1, id, *outcome, row, include)?;
     }
     Ok(output.flush()?)
 }
@@ -149,24 +227,23 @@ fn print_rows(
 fn print_row(
     output: &mut Output,
     number: usize,
+    id: Option<u64>,
     outcome: Outcome,
-    given: Option<u64>,
-    near: Row<'_>,
+    row: Row<'_>,
+    include: Include,
 ) -> Result<(), Failure> {
-    let (name, said, blocker) = match outcome {
+    let (name, text, blocker) = match outcome {
         Outcome::Inserted { .. } => ("INSERTED", "inserted", None),
         Outcome::Unchanged { .. } => ("UNCHANGED", "unchanged", None),
         Outcome::Replaced { .. } => ("REPLACED", "replaced", None),
         Outcome::TooClose { blocker } => ("TOO_CLOSE", "too close", Some(blocker)),
     };
-    let id = outcome.id().or(given);
     if output.format == Format::Json {
         output.json(&RowLine {
             id: id.map(JsonId),
             outcome: name,
             blocker: blocker.map(JsonId),
-            ids: JsonIds(near.ids),
-            distances: near.distances,
+            neighbors: NeighborFields::of(row, include),
         })?;
         return Ok(());
     }
@@ -175,23 +252,34 @@ fn print_row(
         .map(|blocker| format!(" to id {blocker}"))
         .unwrap_or_default();
     output.text(format_args!(
-        "row {number}: {said}{to}{id}, {} nearest",
-        near.len()
+        "row {number}: {text}{to}{id}, {} nearest",
+        row.len()
     ))?;
-    neighbor_table(output, near.ids, near.distances)?;
+    neighbor_table(output, row, include)?;
     Ok(())
 }
 
-#[derive(Default, Serialize)]
+/// What the calls did.
+#[derive(Default)]
 struct Summary {
     inserted: u64,
     unchanged: u64,
     replaced: u64,
     too_close: u64,
-    /// The ids of the first and the last row that is stored; null if none is.
     first_id: Option<JsonId>,
     last_id: Option<JsonId>,
-    revision: u64,
+}
+
+#[derive(Serialize)]
+struct SummaryLine<'a> {
+    inserted_count: u64,
+    unchanged_count: u64,
+    replaced_count: u64,
+    too_close_count: u64,
+    /// The ids of the first and the last stored row; null if no row is stored.
+    first_id: Option<JsonId>,
+    last_id: Option<JsonId>,
+    revision: JsonRevision<'a>,
 }
 
 impl Summary {
@@ -208,30 +296,38 @@ impl Summary {
             self.first_id = self.first_id.or(id);
             self.last_id = id.or(self.last_id);
         }
-        self.revision = done.revision.number;
     }
 
-    fn print(&self, output: &mut Output) -> Result<(), Failure> {
-        if output.format == Format::Json {
-            return Ok(output.json(self)?);
-        }
-        let ids = match (self.first_id, self.last_id) {
-            (Some(JsonId(first)), Some(JsonId(last))) => {
-                format!("; first id {first}, last id {last}")
-            }
-            _ => String::new(),
-        };
+    fn print(&self, revision: &Revision, output: &mut Output) -> Result<(), Failure> {
         let Summary {
             inserted,
             unchanged,
             replaced,
             too_close,
-            revision,
-            ..
-        } = self;
+            first_id,
+            last_id,
+        } = *self;
+        if output.format == Format::Json {
+            return Ok(output.json(&SummaryLine {
+                inserted_count: inserted,
+                unchanged_count: unchanged,
+                replaced_count: replaced,
+                too_close_count: too_close,
+                first_id,
+                last_id,
+                revision: revision.into(),
+            })?);
+        }
+        let ids = match (first_id, last_id) {
+            (Some(JsonId(first)), Some(JsonId(last))) => {
+                format!("; first id {first}, last id {last}")
+            }
+            _ => String::new(),
+        };
         output.text(format_args!(
             "inserted {inserted}, unchanged {unchanged}, replaced {replaced}, too close {too_close}{ids}; \
-             revision {revision}"
+             revision {}",
+            revision.number
         ))?;
         Ok(())
     }

@@ -2,7 +2,12 @@
 
 use serde::Serialize;
 
-use crate::{Session, failure::Failure, output::Format, parse};
+use crate::{
+    Session,
+    failure::Failure,
+    output::{Format, JsonRevision},
+    parse,
+};
 
 /// Removes points
 ///
@@ -17,19 +22,19 @@ pub(crate) struct RemoveArgs {
 }
 
 #[derive(Serialize)]
-struct RemovedLine {
-    removed: u64,
-    missing: u64,
-    revision: u64,
+struct RemovedLine<'a> {
+    removed_count: u64,
+    missing_count: u64,
+    revision: JsonRevision<'a>,
 }
 
 pub(crate) async fn remove(args: RemoveArgs, session: &mut Session) -> Result<(), Failure> {
     let done = session.index(&args.name).await?.remove(args.ids).await?;
     match session.output.format {
         Format::Json => session.output.json(&RemovedLine {
-            removed: done.removed_count,
-            missing: done.missing_count,
-            revision: done.revision.number,
+            removed_count: done.removed_count,
+            missing_count: done.missing_count,
+            revision: (&done.revision).into(),
         })?,
         Format::Text => session.output.text(format_args!(
             "removed {}, missing {}; revision {}",

@@ -17,15 +17,15 @@ Examples:
   wayfold restore arm arm.snapshot
   wayfold --server far:50051 restore arm-2 arm.snapshot
 
-The index has the points, ids, tags, payloads and revisions of the snapshot, and answers as the index
-did of which it was taken; its uid is its own. The file is checked as it is read, and the index is
-there once all of it was good: a command that fails or is interrupted leaves nothing.";
+The index has the points, ids, tags, payloads and revisions of the snapshot, and a uid of its own. The
+server checks the file while it reads it, and creates the index at the end: a command that fails or is
+interrupted leaves nothing.";
 
-/// Makes an index of a snapshot
+/// Creates an index from a snapshot
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct RestoreArgs {
-    /// The index to make; no index may have this name
+    /// The index to create; no index may have this name
     name: String,
     /// The file that `wayfold snapshot` wrote, or - for standard input
     #[arg(value_name = "FILE")]

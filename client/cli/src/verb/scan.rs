@@ -1,32 +1,36 @@
 //! `wayfold scan`
 
 use std::{
-    fs::File,
     io,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use serde::Serialize;
 
 use super::get::PointLine;
 use crate::{
-    Session,
+    Session, atomic_file,
     failure::Failure,
-    output::{Format, Output, Row},
+    options::{FilterArgs, IncludeArgs, POINT_COLUMNS},
+    output::{Format, JsonRevision, Output, Row, json_payload},
     progress,
 };
-use wayfold::{Point, Scan, coordinate_names};
+use wayfold::{Include, Point, Scan, Space, coordinate_names};
 
 const EXAMPLES: &str = "\
 Examples:
   wayfold scan arm roadmap.csv
   wayfold scan arm | head
   wayfold scan arm --output json
+  wayfold scan arm new.csv --since 42 --include states,tags
 
-As CSV there is a header, and then a row a point: its id and its state in canonical form, which
-`wayfold insert NAME FILE --ids id` reads back. A file is always CSV. On standard output, with
---output json, a point is a line {\"id\":...,\"state\":[...],\"tag\":...,\"revision\":...}. All
-points are of one revision, in the order of their ids.";
+CSV has a header line, then one row a point: its id and the columns of --include, by default its
+state in canonical form. `wayfold insert NAME FILE --ids id` reads it, with --tags tag if the tags are
+included. A file is always CSV; it gets its name once it is whole, and an error or an interrupt leaves
+an existing file as it was. On standard output, with --output json, a point is a line
+{\"id\":...,\"state\":[...],\"tag\":...,\"revision\":{\"uid\":...,\"number\":N}}. All points are of one revision, in the
+order of their ids.";
 
 /// Writes all points as CSV
 #[derive(Debug, clap::Args)]
@@ -34,9 +38,13 @@ points are of one revision, in the order of their ids.";
 pub(crate) struct ScanArgs {
     /// The index
     name: String,
-    /// The file to write; standard output without it
+    /// The file to write or replace; standard output without it
     #[arg(value_name = "FILE", value_parser = file)]
     file: Option<PathBuf>,
+    #[command(flatten)]
+    filter: FilterArgs,
+    #[command(flatten)]
+    include: IncludeArgs,
 }
 
 fn file(text: &str) -> Result<PathBuf, String> {
@@ -50,83 +58,160 @@ fn file(text: &str) -> Result<PathBuf, String> {
 }
 
 #[derive(Serialize)]
-struct Written {
-    points: u64,
-    revision: u64,
+struct Written<'a> {
+    point_count: u64,
+    revision: JsonRevision<'a>,
 }
 
 pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
-    let scan = index.scan().await?;
-    let revision = scan.revision().number;
-    let mut header = vec!["id".to_owned()];
-    header.extend(coordinate_names(index.space()));
-    let header = header.join(",");
-    let path = match args.file {
-        Some(path) if path != Path::new("-") => path,
-        _ => {
-            write(scan, &header, &mut session.output, true, Failure::Output).await?;
-            return Ok(());
-        }
+    let file = args.file.filter(|path| path != Path::new("-"));
+    let is_csv = file.is_some() || session.output.format == Format::Text;
+    let include = args.include.include_or(match is_csv {
+        true => CSV_COLUMNS,
+        false => POINT_COLUMNS,
+    });
+    let filter = args.filter.filter(&index);
+    let scan = index.scan().filter(filter).include(include).await?;
+    let revision = scan.revision().clone();
+    let header = header(index.space(), include);
+    let Some(path) = file else {
+        let writer = Writer {
+            output: &mut session.output,
+            include,
+            prints: true,
+        };
+        writer.write(scan, &header, Failure::Output).await?;
+        return Ok(());
     };
     let failed = |source| Failure::File {
         path: path.clone(),
         source,
     };
-    let mut output = Output::to(Format::Text, File::create(&path).map_err(failed)?);
-    let points = write(scan, &header, &mut output, false, failed).await?;
+    let write = async |file: std::fs::File| {
+        let writer = Writer {
+            output: &mut Output::to(Format::Text, file),
+            include,
+            prints: false,
+        };
+        writer.write(scan, &header, failed).await
+    };
+    let points = match path.metadata() {
+        // A pipe or a device cannot be replaced, and holds nothing to keep.
+        Ok(found) if !found.is_file() => {
+            let file = std::fs::File::create(&path).map_err(failed)?;
+            write(file).await?
+        }
+        _ => atomic_file::write(&path, true, write).await?.0,
+    };
     match session.output.format {
-        Format::Json => session.output.json(&Written { points, revision })?,
+        Format::Json => session.output.json(&Written {
+            point_count: points,
+            revision: (&revision).into(),
+        })?,
         Format::Text => {
             let path = path.display();
             session.output.text(format_args!(
-                "{points} points at revision {revision} written to {path}"
+                "{points} points at revision {} written to {path}",
+                revision.number
             ))?;
         }
     }
     Ok(())
 }
 
-/// Writes all points, and tells how many there were.
-async fn write(
-    mut scan: Scan,
-    header: &str,
-    output: &mut Output,
+/// The default columns of CSV: `insert` reads them back.
+const CSV_COLUMNS: Include = Include::none().states();
+
+fn header(space: &Space, include: Include) -> String {
+    let mut columns = vec!["id".to_owned()];
+    if include.states {
+        columns.extend(coordinate_names(space));
+    }
+    let more = [
+        (include.tags, "tag"),
+        (include.revisions, "revision"),
+        (include.payloads, "payload"),
+    ];
+    columns.extend(
+        more.into_iter()
+            .filter(|(is_included, _)| *is_included)
+            .map(|(_, name)| name.to_owned()),
+    );
+    columns.join(",")
+}
+
+/// Writes the points of a scan.
+struct Writer<'a> {
+    output: &'a mut Output,
+    include: Include,
+    /// Whether the output is standard output.
     prints: bool,
-    failed: impl Fn(io::Error) -> Failure,
-) -> Result<u64, Failure> {
-    let bar = progress::bar(Some(scan.point_count()), "scanning", prints);
-    if output.format == Format::Text {
-        output.text(header).map_err(&failed)?;
-    }
-    let mut points = 0;
-    while let Some(part) = scan
-        .next()
-        .await
-        .map_err(|error| stopped(points, error.into()))?
-    {
-        for point in part.iter() {
-            write_point(output, point).map_err(&failed)?;
+}
+
+impl Writer<'_> {
+    /// Writes all points, and returns their number.
+    async fn write(
+        self,
+        mut scan: Scan,
+        header: &str,
+        failed: impl Fn(io::Error) -> Failure,
+    ) -> Result<u64, Failure> {
+        let bar = progress::bar(Some(scan.point_count()), "scanning", self.prints);
+        if self.output.format == Format::Text {
+            self.output.text(header).map_err(&failed)?;
         }
-        points += part.len() as u64;
-        bar.set_position(points);
+        let uid = Arc::clone(&scan.revision().uid);
+        let mut points = 0;
+        while let Some(part) = scan
+            .next()
+            .await
+            .map_err(|error| self.stopped(points, error.into()))?
+        {
+            for point in part.iter() {
+                write_point(self.output, point, &uid, self.include).map_err(&failed)?;
+            }
+            points += part.len() as u64;
+            bar.set_position(points);
+        }
+        self.output.flush().map_err(&failed)?;
+        bar.finish_and_clear();
+        Ok(points)
     }
-    output.flush().map_err(&failed)?;
-    bar.finish_and_clear();
-    Ok(points)
+
+    /// Adds that the printed points are not all of them; a file that fails is not left behind.
+    fn stopped(&self, points: u64, failure: Failure) -> Failure {
+        match self.prints {
+            false => failure,
+            true => Failure::Stopped {
+                done: format!("only {points} points were written"),
+                source: Box::new(failure),
+            },
+        }
+    }
 }
 
-/// Says that what was written is not all.
-fn stopped(points: u64, failure: Failure) -> Failure {
-    Failure::Stopped {
-        done: format!("only {points} points were written"),
-        source: Box::new(failure),
+fn write_point(
+    output: &mut Output,
+    point: Point<'_>,
+    uid: &str,
+    include: Include,
+) -> io::Result<()> {
+    if output.format == Format::Json {
+        return output.json(&PointLine::of(point, uid, include));
     }
-}
-
-fn write_point(output: &mut Output, point: Point<'_>) -> io::Result<()> {
-    match output.format {
-        Format::Json => output.json(&PointLine::of(point)),
-        Format::Text => output.text(format_args!("{},{}", point.id, Row(point.state))),
+    let mut line = point.id.to_string();
+    if include.states {
+        line += &format!(",{}", Row(point.state));
     }
+    if include.tags {
+        line += &format!(",{}", point.tag);
+    }
+    if include.revisions {
+        line += &format!(",{}", point.revision);
+    }
+    if let Some(payload) = point.payload {
+        line += &format!(",{}", json_payload(payload));
+    }
+    output.text(line)
 }

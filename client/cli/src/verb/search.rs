@@ -2,149 +2,189 @@
 
 use std::path::PathBuf;
 
+use clap::ArgGroup;
 use futures_util::{StreamExt, future::BoxFuture};
 use serde::Serialize;
 use tokio_stream::wrappers::ReceiverStream;
 
+use super::neighbors::{NeighborFields, neighbor_table};
 use crate::{
     Session,
     failure::Failure,
-    input::{self, InputError, Row, Source},
-    output::{Format, JsonIds, Output, neighbor_table},
+    input::{self, Columns, InputError, Row, Source},
+    options::{FilterArgs, IncludeArgs, RadiusArgs},
+    output::{Format, JsonRevision, Output},
     parse, progress,
 };
-use wayfold::{Error, IndexHandle, Neighbors, States};
+use wayfold::{Error, Include, IndexHandle, Neighbors, Radius, States};
 
 const KNN_EXAMPLES: &str = "\
 Examples:
   wayfold knn arm -k 10 --state 0.1,0.2,0.3,0,0,0,1
   wayfold knn arm poses.npy -k 1 --output json | jq '.ids[0]'
-  wayfold knn arm roadmap.csv --ids id -k 11      a scan's rows, asked about
+  wayfold knn arm roadmap.csv --ids id -k 11      the neighbours of a scan's own points
+  wayfold knn arm poses.npy --k-factor 5.44       as many as k-nearest PRM* connects
+  wayfold knn arm poses.npy -k 5 --tag 0x1/0xff --include tags,states
 
-In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":N}. A file is
-read as it is answered: neither its rows nor the answers are held.";
+In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":{\"uid\":...,\"number\":N}},
+and a list for each column of --include. The command answers a file while it reads it, and holds
+neither the rows nor the answers in memory.";
 
 const QUERY_EXAMPLES: &str = "\
 Examples:
   wayfold query arm --radius 0.5 --state 0.1,0.2,0.3,0,0,0,1
   sampler | wayfold query arm - --radius 0.5 --output json
+  wayfold query arm poses.npy --radius-factor 2 --radius-max 0.5     the radius of PRM* and RRT*
 
-In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":N}. A file is
-read as it is answered: neither its rows nor the answers are held.";
+In JSON each state has a line {\"ids\":[...],\"distances\":[...],\"revision\":{\"uid\":...,\"number\":N}},
+and a list for each column of --include. The command answers a file while it reads it, and holds
+neither the rows nor the answers in memory.";
 
-/// The states that are asked about: one of the two.
+/// The states to search around: one of the two is given.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
-struct Given {
-    /// FILE.csv, FILE.npy, or - for CSV on standard input: a row a state
+struct StatesArgs {
+    /// FILE.csv, FILE.npy, or - for CSV on standard input: one state a row
     #[arg(value_name = "FILE")]
     file: Option<PathBuf>,
-    /// One state, its numbers with commas between
+    /// One state, its numbers separated by commas
     #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
     state: Option<String>,
 }
 
-/// What both verbs have.
+/// The arguments that both verbs have.
 #[derive(Debug, clap::Args)]
-struct Asked {
+struct SearchArgs {
+    /// The index
+    name: String,
     #[command(flatten)]
-    given: Given,
-    /// A column of the CSV header that holds ids, which are no coordinates
+    states: StatesArgs,
+    /// The column of the CSV header that holds ids, which are not part of the states
     #[arg(long, value_name = "COLUMN", conflicts_with = "state")]
     ids: Option<String>,
+    /// The column of the CSV header that holds tags, which are not part of the states
+    #[arg(long, value_name = "COLUMN", conflicts_with = "state")]
+    tags: Option<String>,
+    #[command(flatten)]
+    radius: RadiusArgs,
     /// Allow answers that are farther than the true ones by a factor of 1 + E
     #[arg(long, value_name = "E", value_parser = parse::finite, allow_negative_numbers = true, default_value = "0")]
     epsilon: f64,
+    #[command(flatten)]
+    filter: FilterArgs,
+    #[command(flatten)]
+    include: IncludeArgs,
+}
+
+impl SearchArgs {
+    fn columns(&self) -> Columns<'_> {
+        Columns {
+            ids: self.ids.as_deref(),
+            tags: self.tags.as_deref(),
+        }
+    }
+
+    fn include(&self) -> Include {
+        self.include.include_or(Include::default())
+    }
 }
 
 /// Prints the k nearest points of each state, nearest first
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = KNN_EXAMPLES,
-    override_usage = "wayfold knn [OPTIONS] -k <K> <NAME> <FILE | --state <NUMBERS>>"
+    override_usage = "wayfold knn [OPTIONS] <-k <K> | --k-factor <F>> <NAME> <FILE | --state <NUMBERS>>",
+    group = ArgGroup::new("count").required(true).args(["k", "k_factor"])
 )]
 pub(crate) struct KnnArgs {
-    /// The index
-    name: String,
     #[command(flatten)]
-    asked: Asked,
-    /// How many
+    search: SearchArgs,
+    /// How many neighbours each state has at most
     #[arg(short, value_parser = clap::value_parser!(u32).range(1..))]
-    k: u32,
-    /// Only points at this distance or nearer
-    #[arg(long, value_name = "R", value_parser = parse::distance, allow_negative_numbers = true)]
-    radius: Option<f64>,
+    k: Option<u32>,
+    /// In the place of -k: F * ln n, rounded up, for n points
+    #[arg(long, value_name = "F", value_parser = parse::finite, allow_negative_numbers = true)]
+    k_factor: Option<f64>,
 }
 
 /// Prints all points within a radius of each state, nearest first
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = QUERY_EXAMPLES,
-    override_usage = "wayfold query [OPTIONS] --radius <R> <NAME> <FILE | --state <NUMBERS>>"
+    override_usage = "wayfold query [OPTIONS] <--radius <R> | --radius-factor <F>> <NAME> <FILE | --state <NUMBERS>>",
+    group = ArgGroup::new("reach").required(true).args(["radius", "radius_factor"])
 )]
 pub(crate) struct QueryArgs {
-    /// The index
-    name: String,
     #[command(flatten)]
-    asked: Asked,
-    /// The distance up to which points count, itself included
-    #[arg(long, value_name = "R", value_parser = parse::distance, allow_negative_numbers = true)]
-    radius: f64,
+    search: SearchArgs,
 }
 
 pub(crate) async fn knn(args: KnnArgs, session: &mut Session) -> Result<(), Failure> {
-    let epsilon = args.asked.epsilon;
-    search(&args.name, &args.asked, session, |index, states| {
-        let knn = index.knn(states).k(args.k).epsilon(epsilon);
-        match args.radius {
-            Some(radius) => knn.radius(radius),
-            None => knn,
+    let (k, k_factor, search) = (args.k, args.k_factor, &args.search);
+    run(search, session, |index, states| {
+        let mut knn = index
+            .knn(states)
+            .epsilon(search.epsilon)
+            .filter(search.filter.filter(index))
+            .include(search.include());
+        if let Some(k) = k {
+            knn = knn.k(k);
         }
-        .into_future()
+        if let Some(factor) = k_factor {
+            knn = knn.k_factor(factor);
+        }
+        if let Some(radius) = search.radius.radius() {
+            knn = knn.radius(radius);
+        }
+        knn.into_future()
     })
     .await
 }
 
 pub(crate) async fn query(args: QueryArgs, session: &mut Session) -> Result<(), Failure> {
-    let epsilon = args.asked.epsilon;
-    search(&args.name, &args.asked, session, |index, states| {
+    let search = &args.search;
+    // The arguments require a radius.
+    let radius = search.radius.radius();
+    let radius = radius.unwrap_or(Radius::Fixed(f64::INFINITY));
+    run(search, session, |index, states| {
         index
-            .query(states, args.radius)
-            .epsilon(epsilon)
+            .query(states, radius)
+            .epsilon(search.epsilon)
+            .filter(search.filter.filter(index))
+            .include(search.include())
             .into_future()
     })
     .await
 }
 
-/// States a call: as many as are there, up to this.
+/// States a call: as many as wait, up to this.
 const CALL_ROWS: usize = 250;
 
-/// Calls under way at once. Their answers are printed in the order of the states.
+/// Concurrent calls. Their answers are printed in the order of the states.
 const CALLS: usize = 4;
 
 type Answer = BoxFuture<'static, Result<Neighbors, Error>>;
 
-async fn search(
-    name: &str,
-    asked: &Asked,
+async fn run(
+    args: &SearchArgs,
     session: &mut Session,
-    ask: impl Fn(&IndexHandle, &States) -> Answer,
+    request: impl Fn(&IndexHandle, &States) -> Answer,
 ) -> Result<(), Failure> {
-    let index = session.index(name).await?;
-    let source = match (&asked.given.state, &asked.given.file) {
+    let index = session.index(&args.name).await?;
+    let source = match (&args.states.state, &args.states.file) {
         (Some(state), _) => Source::Literal(state.clone()),
         (None, Some(file)) => Source::file(file),
-        // One of the two is required.
+        // The arguments require one of the two.
         (None, None) => Source::Stdin,
     };
-    let rows = input::rows(&source, index.space(), asked.ids.as_deref())?;
+    let rows = input::rows(&source, index.space(), args.columns())?;
     let rows = ReceiverStream::new(input::spawn(rows, CALL_ROWS * CALLS));
     let width = index.coordinates();
     let mut answers = rows
         .ready_chunks(CALL_ROWS)
         .map(|rows| {
             let (states, wrong) = split(rows, width);
-            let answer = (!states.is_empty()).then(|| ask(&index, &states));
+            let answer = (!states.is_empty()).then(|| request(&index, &states));
             async move {
                 let answer = match answer {
                     Some(answer) => Some(answer.await),
@@ -154,14 +194,14 @@ async fn search(
             }
         })
         .buffered(CALLS);
-    let bar = progress::bar(None, "asking", true);
+    let bar = progress::bar(None, "searching", true);
     let mut number = 0;
     while let Some((answer, wrong)) = answers.next().await {
         if let Some(answer) = answer {
             let neighbors = answer?;
             for i in 0..neighbors.len() {
                 number += 1;
-                print(&mut session.output, number, &neighbors, i)?;
+                print(&mut session.output, number, &neighbors, i, args.include())?;
             }
             session.output.flush()?;
             bar.inc(neighbors.len() as u64);
@@ -174,7 +214,7 @@ async fn search(
     Ok(())
 }
 
-/// The states up to the first row that is wrong, and what is wrong with it.
+/// The states before the first wrong row, and what is wrong with that row.
 fn split(rows: Vec<Result<Row, InputError>>, width: usize) -> (States, Option<InputError>) {
     let mut states = States::new(width);
     for row in rows {
@@ -188,9 +228,9 @@ fn split(rows: Vec<Result<Row, InputError>>, width: usize) -> (States, Option<In
 
 #[derive(Serialize)]
 struct NeighborsLine<'a> {
-    ids: JsonIds<'a>,
-    distances: &'a [f64],
-    revision: u64,
+    #[serde(flatten)]
+    neighbors: NeighborFields<'a>,
+    revision: JsonRevision<'a>,
 }
 
 fn print(
@@ -198,21 +238,22 @@ fn print(
     number: usize,
     neighbors: &Neighbors,
     i: usize,
+    include: Include,
 ) -> Result<(), Failure> {
-    let (row, revision) = (neighbors.row(i), neighbors.revision_of(i).number);
+    let (row, revision) = (neighbors.row(i), neighbors.revision_of(i));
     if output.format == Format::Json {
         output.json(&NeighborsLine {
-            ids: JsonIds(row.ids),
-            distances: row.distances,
-            revision,
+            neighbors: NeighborFields::of(row, include),
+            revision: (&revision).into(),
         })?;
         return Ok(());
     }
     let plural = if row.len() == 1 { "point" } else { "points" };
     output.text(format_args!(
-        "state {number}: {} {plural} at revision {revision}",
-        row.len()
+        "state {number}: {} {plural} at revision {}",
+        row.len(),
+        revision.number
     ))?;
-    neighbor_table(output, row.ids, row.distances)?;
+    neighbor_table(output, row, include)?;
     Ok(())
 }

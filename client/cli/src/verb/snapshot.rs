@@ -1,16 +1,19 @@
 //! `wayfold snapshot`
 
 use std::{
-    fs,
     io::{self, IsTerminal, Write},
     path::{Path, PathBuf},
 };
 
 use indicatif::HumanBytes;
 use serde::Serialize;
-use tempfile::NamedTempFile;
 
-use crate::{Session, failure::Failure, interrupt, output::Format, progress};
+use crate::{
+    Session, atomic_file,
+    failure::Failure,
+    output::{Format, JsonRevision},
+    progress,
+};
 use wayfold::{Snapshot, SnapshotHeader, SnapshotWriter};
 
 const EXAMPLES: &str = "\
@@ -18,11 +21,11 @@ Examples:
   wayfold snapshot arm arm.snapshot
   wayfold snapshot arm - | ssh far wayfold restore arm -
 
-The file holds the space, and every point of one revision with its id, state, tag, payload and
-revisions, and checksums over all of it. Writers and readers of the index go on meanwhile. The file
-gets its name once it is whole and on disk; `wayfold restore NAME FILE` makes an index of it.";
+The file holds the space, every point of one revision with its id, state, tag, payload and revision,
+and checksums over all of it. Reads and writes of the index continue meanwhile. The file gets its
+name once it is whole and on disk; `wayfold restore NAME FILE` creates an index from it.";
 
-/// Writes all of an index, at one revision, into a file, as a backup or for another server
+/// Writes a whole index at one revision to a file, as a backup or for another server
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct SnapshotArgs {
@@ -40,9 +43,8 @@ pub(crate) struct SnapshotArgs {
 struct Written<'a> {
     name: &'a str,
     space: String,
-    points: u64,
-    revision: u64,
-    uid: &'a str,
+    point_count: u64,
+    revision: JsonRevision<'a>,
     bytes: u64,
 }
 
@@ -61,7 +63,7 @@ pub(crate) async fn snapshot(args: SnapshotArgs, session: &mut Session) -> Resul
     }
     let snapshot = session.index(&args.name).await?.snapshot().await?;
     if to_stdout {
-        // Whoever stops reading has not got a snapshot: a broken pipe is no success here.
+        // A broken pipe is a failure here, because the reader has not got the whole snapshot.
         let failed = |source| Failure::File {
             path: "standard output".into(),
             source,
@@ -70,53 +72,15 @@ pub(crate) async fn snapshot(args: SnapshotArgs, session: &mut Session) -> Resul
         return Ok(());
     }
     let header = snapshot.header().clone();
-    let bytes = keep(snapshot, &args).await?;
-    tell(session, &header, bytes, &args.file)
-}
-
-/// Writes the file under another name beside its own, which it gets at the end; tells its length.
-async fn keep(snapshot: Snapshot, args: &SnapshotArgs) -> Result<u64, Failure> {
     let failed = |source| Failure::File {
         path: args.file.clone(),
         source,
     };
-    let directory = match args.file.parent() {
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
-    // Before there is a file: it goes with the command that is interrupted.
-    let interrupted = interrupt::listen().map_err(failed)?;
-    let mut file = unnamed(directory).map_err(failed)?;
-    tokio::select! {
-        written = write(snapshot, file.as_file_mut(), &failed) => { written?; }
-        () = interrupted => return Err(Failure::Interrupted),
-    }
-    file.as_file().sync_all().map_err(failed)?;
-    let bytes = file.as_file().metadata().map_err(failed)?.len();
-    let named = match args.force {
-        true => file.persist(&args.file),
-        false => file.persist_noclobber(&args.file),
-    };
-    named.map_err(|error| match error.error.kind() {
-        io::ErrorKind::AlreadyExists => Failure::Exists {
-            path: args.file.clone(),
-        },
-        _ => failed(error.error),
-    })?;
-    // So that the name too is on disk; not every system lets a directory be opened.
-    if let Ok(directory) = fs::File::open(directory) {
-        directory.sync_all().map_err(failed)?;
-    }
-    Ok(bytes)
-}
-
-/// A file that is removed when it is dropped, and that others may read as they may read new files.
-fn unnamed(directory: &Path) -> io::Result<NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".wayfold-").suffix(".snapshot.part");
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(directory)
+    let ((), bytes) = atomic_file::write(&args.file, args.force, async |file| {
+        write(snapshot, file, &failed).await
+    })
+    .await?;
+    report(session, &header, bytes, &args.file)
 }
 
 async fn write(
@@ -135,7 +99,7 @@ async fn write(
     Ok(())
 }
 
-fn tell(
+fn report(
     session: &mut Session,
     header: &SnapshotHeader,
     bytes: u64,
@@ -145,9 +109,8 @@ fn tell(
         Format::Json => session.output.json(&Written {
             name: &header.name,
             space: header.space.to_string(),
-            points: header.points,
-            revision: header.revision,
-            uid: &header.uid,
+            point_count: header.points,
+            revision: JsonRevision::new(&header.uid, header.revision),
             bytes,
         })?,
         Format::Text => session.output.text(format_args!(

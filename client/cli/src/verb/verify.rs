@@ -15,21 +15,21 @@ Examples:
   wayfold --server one:50051 --server other:50051 verify arm
 
 The server compares, at one revision, every point that it searches with the one that it stores, and
-the answers to sampled queries with brute force over the stored points. The content hash is that of
-the space and the stored points, whatever their revisions: with --server given more than once, all
-servers are verified, and their spaces, counts and hashes compared. Give all of them before the word
-verify, or all after it. The exit status is 1 if anything disagrees.";
+the answers to sampled queries with brute force over the stored points. The content hash covers the
+space and the stored points, and not their revisions. If --server is given more than once, the command
+verifies all servers and compares their spaces, counts and hashes; give every --server before the word
+verify, or every one after it. The exit status is 1 if anything disagrees.";
 
-/// Compares what an index answers with what is stored, and servers with each other
+/// Compares the answers of an index with its stored points, and servers with each other
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct VerifyArgs {
     /// The index
     name: String,
-    /// How many states to ask about
+    /// The number of sampled queries
     #[arg(long, value_name = "N", default_value = "32", value_parser = clap::value_parser!(u32).range(..=1000))]
     queries: u32,
-    /// What the states are drawn from
+    /// The seed of the sampled queries
     #[arg(long, value_name = "SEED", default_value = "0")]
     seed: u64,
 }
@@ -41,14 +41,14 @@ struct VerifiedLine<'a> {
     agrees: bool,
     #[serde(flatten)]
     index: InfoLine<'a>,
-    stored_points: u64,
+    stored_point_count: u64,
     content_hash: String,
-    queries: u64,
-    disagreements: u64,
+    query_count: u64,
+    disagreement_count: u64,
     first_disagreements: &'a [String],
 }
 
-/// What comparing servers found, as a line of JSON.
+/// The comparison of servers as a line of JSON.
 #[derive(Serialize)]
 struct ComparedLine<'a> {
     same_content: bool,
@@ -59,7 +59,7 @@ pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<()
     let mut all: Vec<(Client, Verified)> = Vec::new();
     let clients = [vec![session.client.clone()], session.others.clone()].concat();
     for client in clients {
-        let verified = ask(&args, &client).await?;
+        let verified = verify_on(&client, &args).await?;
         print(session, &client, &verified)?;
         all.push((client, verified));
     }
@@ -67,7 +67,7 @@ pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<()
     for (client, verified) in &all {
         if !verified.agrees() {
             problems.push(format!(
-                "{}: what is searched disagrees with what is stored in {} places",
+                "{}: the searched points disagree with the stored points in {} places",
                 client.uri(),
                 verified.disagreement_count
             ));
@@ -80,18 +80,18 @@ pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<()
             .iter()
             .flat_map(|(client, other)| differences((first, one), (client, other)))
             .collect();
-        compared(session, &args.name, &differences)?;
+        print_comparison(session, &args.name, &differences)?;
         problems.extend(differences);
     }
     if problems.is_empty() {
         return Ok(());
     }
     Err(Failure::Disagreement {
-        what: problems.join("; "),
+        problems: problems.join("; "),
     })
 }
 
-async fn ask(args: &VerifyArgs, client: &Client) -> Result<Verified, Failure> {
+async fn verify_on(client: &Client, args: &VerifyArgs) -> Result<Verified, Failure> {
     let index = client.index(&args.name).await?;
     let bar = progress::bar(Some(0), "verifying", false);
     let verify = index.verify().query_count(args.queries).seed(args.seed);
@@ -111,18 +111,18 @@ fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<
             server: client.uri(),
             agrees: verified.agrees(),
             index: InfoLine::of(index),
-            stored_points: verified.stored_point_count,
+            stored_point_count: verified.stored_point_count,
             content_hash: hex(&verified.content_hash),
-            queries: verified.query_count,
-            disagreements: verified.disagreement_count,
+            query_count: verified.query_count,
+            disagreement_count: verified.disagreement_count,
             first_disagreements: &verified.first_disagreements,
         })?;
         return Ok(());
     }
     let verdict = if verified.agrees() {
-        "agrees with what is stored"
+        "agrees with its stored points"
     } else {
-        "DISAGREES with what is stored"
+        "DISAGREES with its stored points"
     };
     output.text(format_args!("{} on {} {verdict}", index.name, client.uri()))?;
     output.text(format_args!("  space     {}", index.space))?;
@@ -139,18 +139,23 @@ fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<
         "  revision  {} (uid {})",
         index.revision.number, index.revision.uid
     ))?;
-    for words in &verified.first_disagreements {
-        output.text(format_args!("  {words}"))?;
+    for disagreement in &verified.first_disagreements {
+        output.text(format_args!("  {disagreement}"))?;
     }
-    let untold = verified.disagreement_count - verified.first_disagreements.len() as u64;
-    if untold > 0 {
-        output.text(format_args!("  and {untold} more disagreements"))?;
+    let more = verified
+        .disagreement_count
+        .saturating_sub(verified.first_disagreements.len() as u64);
+    if more > 0 {
+        output.text(format_args!("  and {more} more disagreements"))?;
     }
     Ok(())
 }
 
-/// Tells whether the servers agree.
-fn compared(session: &mut Session, name: &str, differences: &[String]) -> Result<(), Failure> {
+fn print_comparison(
+    session: &mut Session,
+    name: &str,
+    differences: &[String],
+) -> Result<(), Failure> {
     match session.output.format {
         Format::Json => session.output.json(&ComparedLine {
             same_content: differences.is_empty(),
@@ -164,15 +169,14 @@ fn compared(session: &mut Session, name: &str, differences: &[String]) -> Result
     Ok(())
 }
 
-/// What two servers do not have in common. Their revisions and uids may differ: how an index came to hold what it holds
-/// is no part of it.
+/// The differences between the contents of two servers. Their uids and revisions may differ.
 fn differences(one: (&Client, &Verified), other: (&Client, &Verified)) -> Vec<String> {
     let mut differences = Vec::new();
-    let mut add = |what: &str, one_has: String, other_has: String| {
+    let mut add = |part: &str, one_has: String, other_has: String| {
         if one_has != other_has {
             let (one, other) = (one.0.uri(), other.0.uri());
             differences.push(format!(
-                "{what}: {one_has} on {one}, and {other_has} on {other}"
+                "{part}: {one_has} on {one}, and {other_has} on {other}"
             ));
         }
     };

@@ -8,19 +8,21 @@ use super::get::PointLine;
 use crate::{
     Session,
     failure::Failure,
-    output::{Format, JsonIds, Output},
+    options::{self, IncludeArgs, POINT_COLUMNS},
+    output::{Format, JsonIds, JsonRevision, Output},
+    parse::{self, RevisionArg},
 };
-use wayfold::{Mutation, Reset, ResetReason, Watch, WatchEvent};
+use wayfold::{Include, Mutation, Reset, ResetReason, Revision, Watch, WatchEvent};
 
 const EXAMPLES: &str = "\
 Examples:
   wayfold watch arm
   wayfold watch arm --after 0 --output json | jq -c .removed_ids
 
-A line a mutation, as soon as readers can see it, until Ctrl-C. In JSON it has the stored points and
-the removed ids: {\"revision\":...,\"time_ms\":...,\"stored\":[{\"id\":...,\"state\":[...],...}],
-\"removed_ids\":[...]}. The exit status is 1 if what comes next cannot be told: the index was deleted
-or made anew, or the server does not keep the mutations that far back.";
+Prints a line for each mutation as soon as reads can see it, until Ctrl-C. In JSON the line holds the
+stored points and the removed ids: {\"revision\":{\"uid\":...,\"number\":N},\"time_ms\":...,
+\"stored\":[{\"id\":...,\"state\":[...],...}],\"removed_ids\":[...]}. The exit status is 3 if the next mutation is not
+available: the index was deleted or created again, or the server no longer keeps mutations that old.";
 
 /// Prints the mutations of an index as they happen
 #[derive(Debug, clap::Args)]
@@ -28,15 +30,17 @@ or made anew, or the server does not keep the mutations that far back.";
 pub(crate) struct WatchArgs {
     /// The index
     name: String,
-    /// Begins with the mutation after this revision, instead of with the next one
-    #[arg(long, value_name = "REV")]
-    after: Option<u64>,
+    /// Begin with the mutation after this revision, instead of the next one
+    #[arg(long, value_name = "NUMBER[@UID]", value_parser = parse::revision)]
+    after: Option<RevisionArg>,
+    #[command(flatten)]
+    include: IncludeArgs,
 }
 
 /// A mutation as a line of JSON.
 #[derive(Serialize)]
 struct MutationLine<'a> {
-    revision: u64,
+    revision: JsonRevision<'a>,
     time_ms: u64,
     stored: Vec<PointLine<'a>>,
     removed_ids: JsonIds<'a>,
@@ -44,69 +48,80 @@ struct MutationLine<'a> {
 
 pub(crate) async fn watch(args: WatchArgs, session: &mut Session) -> Result<(), Failure> {
     let index = session.index(&args.name).await?;
-    let request = match args.after {
-        Some(revision) => index.watch().after(index.revision_at(revision)),
-        None => index.watch(),
-    };
+    let include = args.include.include_or(POINT_COLUMNS);
+    let mut request = index.watch().include(include);
+    if let Some(after) = &args.after {
+        request = request.after(options::revision(after, &index));
+    }
     let watch = request.await?;
     tokio::select! {
-        ended = print_all(watch, &mut session.output) => ended,
-        // What was printed is whole lines.
+        ended = print_all(watch, include, &mut session.output) => ended,
+        // Only whole lines were printed.
         interrupted = tokio::signal::ctrl_c() => Ok(interrupted?),
     }
 }
 
-async fn print_all(mut watch: Watch, output: &mut Output) -> Result<(), Failure> {
+async fn print_all(mut watch: Watch, include: Include, output: &mut Output) -> Result<(), Failure> {
     while let Some(event) = watch.next().await? {
         match event {
-            WatchEvent::Mutation(mutation) => print(output, &mutation)?,
+            WatchEvent::Mutation(mutation) => print(output, &mutation, include)?,
             WatchEvent::Reset(reset) => {
-                return Err(Failure::Reset {
-                    what: words(&reset),
-                });
+                let (reason, problem) = describe(&reset);
+                return Err(Failure::Reset { reason, problem });
             }
         }
-        // Somebody waits for this line.
+        // A reader may wait for this line.
         output.flush()?;
     }
     Ok(())
 }
 
-fn print(output: &mut Output, mutation: &Mutation) -> io::Result<()> {
+fn print(output: &mut Output, mutation: &Mutation, include: Include) -> io::Result<()> {
     let Mutation {
         revision,
         stored,
         removed_ids,
         ..
     } = mutation;
-    let revision = revision.number;
     match output.format {
         Format::Json => {
             let time = mutation.time.duration_since(UNIX_EPOCH).unwrap_or_default();
             output.json(&MutationLine {
-                revision,
+                revision: revision.into(),
                 time_ms: u64::try_from(time.as_millis()).unwrap_or(u64::MAX),
-                stored: stored.iter().map(PointLine::of).collect(),
+                stored: stored
+                    .iter()
+                    .map(|point| PointLine::of(point, &revision.uid, include))
+                    .collect(),
                 removed_ids: JsonIds(removed_ids),
             })
         }
         Format::Text => output.text(format_args!(
-            "revision {revision}  {} stored  {} removed",
+            "revision {}  {} stored  {} removed",
+            revision.number,
             stored.len(),
             removed_ids.len()
         )),
     }
 }
 
-fn words(reset: &Reset) -> String {
-    let (uid, revision) = (&reset.revision.uid, reset.revision.number);
+/// The reason and the message of a reset.
+fn describe(reset: &Reset) -> (&'static str, String) {
+    let Revision { uid, number } = &reset.revision;
     match reset.reason {
-        ResetReason::UidChanged => format!("the index was made anew: its uid is {uid} now"),
-        ResetReason::WindowPassed => format!(
-            "the server does not keep the next mutation any more; the index is at revision {revision}"
+        ResetReason::UidChanged => (
+            "UID_CHANGED",
+            format!("the index was created again or restored: its uid is now {uid}"),
         ),
-        ResetReason::Other(reason) => {
-            format!("the server cannot tell the next mutation (reset {reason})")
-        }
+        ResetReason::WindowPassed => (
+            "WINDOW_PASSED",
+            format!(
+                "the server no longer keeps the next mutation; the index is at revision {number}"
+            ),
+        ),
+        ResetReason::Other(reason) => (
+            "RESET",
+            format!("the server cannot send the next mutation (reset {reason})"),
+        ),
     }
 }

@@ -1,5 +1,6 @@
-//! What goes wrong is told on standard error, with a status, and changes nothing.
+//! An error goes to standard error, has an exit status, and changes nothing.
 
+use serde_json::json;
 use wayfold::Client;
 
 use crate::{
@@ -42,7 +43,7 @@ fn help_and_version_are_no_errors() {
 #[test]
 fn no_server_is_named_with_what_to_do() {
     let run = run_alone(&["list", "--timeout", "50ms"]);
-    let told = run.error(1);
+    let message = run.error(4);
     for part in [
         "http://127.0.0.1:0",
         "Connection refused",
@@ -51,14 +52,14 @@ fn no_server_is_named_with_what_to_do() {
         "--server",
         "WAYFOLD_SERVER",
     ] {
-        assert!(told.contains(part), "{told} has no {part:?}");
+        assert!(message.contains(part), "{message} has no {part:?}");
     }
     let run = run_alone(&["list", "--server", "https://127.0.0.1:0"]);
-    assert!(run.error(1).contains("only http"), "{}", run.stderr);
+    assert!(run.error(2).contains("only http"), "{}", run.stderr);
 }
 
 #[test]
-fn refusals_of_the_server_are_status_1() {
+fn refusals_of_the_server_are_status_3() {
     let server = Server::start();
     server.run(&["create", "line", "--space", "R1"]);
     server.run_with(&["insert", "line", "-", "--ids", "id"], "id,x\n1,0\n");
@@ -75,11 +76,11 @@ fn refusals_of_the_server_are_status_1() {
         ),
     ] {
         let run = server.run(args);
-        assert!(run.error(1).contains(expected), "{}", run.stderr);
+        assert!(run.error(3).contains(expected), "{}", run.stderr);
     }
     let conflict = server.run_with(&["insert", "line", "-", "--ids", "id"], "id,x\n1,5\n");
     assert!(
-        conflict.error(1).contains("--replace"),
+        conflict.error(3).contains("--replace"),
         "{}",
         conflict.stderr
     );
@@ -156,13 +157,13 @@ async fn a_file_with_one_bad_row_is_named_and_not_sent() {
         };
         let run = server.run_with(&[&["insert", "arm", "-"], args].concat(), &input);
         assert!(
-            run.error(1).contains(expected),
+            run.error(3).contains(expected),
             "{} has no {expected:?}",
             run.stderr
         );
     }
     let missing = server.run(&["insert", "arm", "no/such/file.csv"]);
-    assert!(missing.error(1).contains("no/such/file.csv"));
+    assert!(missing.error(3).contains("no/such/file.csv"));
     let client = Client::connect(&server.uri).await.unwrap();
     assert_eq!(client.index_info("arm").await.unwrap().revision, 0);
 }
@@ -173,16 +174,16 @@ fn rows_before_a_bad_one_are_answered() {
     server.run(&["create", "line", "--space", "R1"]);
     server.run_with(&["insert", "line", "-"], "0\n");
     let run = server.json_with(&["knn", "line", "-", "-k", "1"], "1\n2\nx\n3\n");
-    assert_eq!(run.status, Some(1));
+    assert_eq!(run.status, Some(3));
     assert_eq!(run.stdout.lines().count(), 2);
     assert!(
-        run.stderr.contains("stdin:3:1 (x): \"x\""),
+        run.stderr.contains(r#"stdin:3:1 (x): \"x\""#),
         "{}",
         run.stderr
     );
     let run = server.run(&["knn", "line", "-k", "1", "--state", "1,2"]);
     assert!(
-        run.error(1)
+        run.error(3)
             .contains("--state: 2 numbers, where a state of R1 has 1"),
         "{}",
         run.stderr
@@ -203,10 +204,84 @@ async fn a_server_that_is_starting_is_waited_for() {
     let run = command(&fake.uri, &["list", "--timeout", "1s"])
         .output()
         .unwrap();
-    assert_eq!(run.status.code(), Some(1));
-    let told = String::from_utf8(run.stderr).unwrap();
+    assert_eq!(run.status.code(), Some(4));
+    let message = String::from_utf8(run.stderr).unwrap();
     assert!(
-        told.contains("(UNAVAILABLE)") && told.contains("--timeout"),
-        "{told}"
+        message.contains("(UNAVAILABLE)") && message.contains("--timeout"),
+        "{message}"
     );
+    fake.fail(|_, _| None);
+    fake.fall_silent();
+    let run = command(&fake.uri, &["list", "--timeout", "50ms"])
+        .output()
+        .unwrap();
+    assert_eq!(run.status.code(), Some(4));
+}
+
+#[test]
+fn help_documents_every_status() {
+    let help = run_alone(&["--help"]).stdout;
+    let (_, statuses) = help.split_once("Exit status:\n").unwrap();
+    for status in ["  0  ", "  1  ", "  2  ", "  3  ", "  4  "] {
+        assert!(statuses.contains(status), "{statuses}");
+    }
+}
+
+#[test]
+fn an_error_in_json_is_one_line_on_standard_error() {
+    let server = Server::start();
+    server.run(&["create", "line", "--space", "R1"]);
+    let rows = "id,x\n1,0\n2,5\n";
+    server.run_with(&["insert", "line", "-", "--ids", "id"], rows);
+
+    let missing = server.json(&["get", "line", "1", "7", "8"]);
+    let error = missing.json_error(3);
+    assert_eq!(error["code"], "NOT_FOUND");
+    assert_eq!(error["reason"], "POINTS_NOT_FOUND");
+    assert_eq!(error["ids"], json!([7, 8]));
+    assert_eq!(error["metadata"]["ids"], "7,8");
+    assert!(
+        error["message"].as_str().unwrap().contains("7, 8"),
+        "{error}"
+    );
+
+    let field = server.json(&["create", "Line", "--space", "R1"]);
+    let error = field.json_error(3);
+    assert_eq!(error["code"], "INVALID_ARGUMENT");
+    assert_eq!(error["fields"][0]["field"], "name");
+
+    let input = server.json_with(&["insert", "line", "-"], "0\nzero\n");
+    let error = input.json_error(3);
+    assert_eq!(
+        (&error["code"], &error["reason"]),
+        (&json!("INVALID_ARGUMENT"), &json!("INPUT"))
+    );
+    assert!(
+        error["message"]
+            .as_str()
+            .unwrap()
+            .starts_with("stdin:2:1 (x)")
+    );
+    assert_eq!(error.get("ids"), None);
+
+    let error = run_alone(&["list", "--timeout", "50ms", "--output", "json"]).json_error(4);
+    assert_eq!(
+        (&error["code"], &error["reason"]),
+        (&json!("UNAVAILABLE"), &json!("UNREACHABLE"))
+    );
+
+    for usage in [
+        &["knn", "arm", "--output", "json"][..],
+        &["--output=json", "frobnicate"],
+    ] {
+        let error = run_alone(usage).json_error(2);
+        assert_eq!(
+            (&error["code"], &error["reason"]),
+            (&json!("INVALID_ARGUMENT"), &json!("USAGE"))
+        );
+        assert!(
+            error["message"].as_str().unwrap().contains("Usage:"),
+            "{error}"
+        );
+    }
 }

@@ -158,7 +158,7 @@ fn npy_of_one_dimension_is_one_state_and_floats_are_widened() {
 }
 
 #[test]
-fn npy_can_be_asked_about() {
+fn npy_holds_queries() {
     let files = Files::new();
     files.insert(
         "a.npy",
@@ -215,7 +215,7 @@ fn a_wrong_npy_says_what_is_wrong_with_it() {
     for (bytes, expected) in cases {
         let run = files.insert("a.npy", bytes);
         assert!(
-            run.error(1).contains(expected),
+            run.error(3).contains(expected),
             "{} has no {expected:?}",
             run.stderr
         );

@@ -7,10 +7,13 @@ use std::{
 };
 
 use serde_json::{Value, json};
-use wayfold_proto::snapshot::{Header, Writer};
+use wayfold_proto::{
+    snapshot::{Header, Writer},
+    v1,
+};
 
 use crate::{
-    fake::Fake,
+    fake::{Fake, UID},
     process::{command, send},
     server::Server,
 };
@@ -43,9 +46,82 @@ async fn an_interrupted_snapshot_leaves_no_file() {
         send(signal, &child);
         let ended = tokio::task::spawn_blocking(move || child.wait_with_output());
         let output = ended.await.unwrap().unwrap();
-        assert_eq!(output.status.code(), Some(1), "SIG{signal}");
+        assert_eq!(output.status.code(), Some(3), "SIG{signal}");
         assert!(String::from_utf8_lossy(&output.stderr).contains("interrupted"));
         assert_eq!(files(), 0, "SIG{signal}");
+    }
+}
+
+/// A part of a scan with these points; only one with as many states as ids is good.
+fn scanned(ids: &[u64], coordinates: &[f64]) -> v1::ScanResponse {
+    v1::ScanResponse {
+        points: Some(v1::Points {
+            ids: ids.to_vec(),
+            states: Some(v1::States {
+                rows: u32::try_from(coordinates.len()).unwrap(),
+                coordinates: coordinates.to_vec(),
+            }),
+            tags: vec![0; ids.len()],
+            revisions: vec![1; ids.len()],
+            ..Default::default()
+        }),
+        uid: UID.to_owned(),
+        total_points: 3,
+        ..Default::default()
+    }
+}
+
+/// A directory with the file `line.csv` of an earlier scan.
+fn directory_with_a_file() -> (tempfile::TempDir, std::path::PathBuf) {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("line.csv");
+    fs::write(&file, EARLIER).unwrap();
+    (directory, file)
+}
+
+const EARLIER: &str = "id,x\n0,0.5\n";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_scan_that_fails_leaves_the_file_as_it_was() {
+    let fake = Fake::start().await;
+    let (directory, file) = directory_with_a_file();
+    for name in [file, directory.path().join("other.csv")] {
+        fake.scan_answers(vec![scanned(&[0], &[0.5]), scanned(&[1, 2], &[1.5])], true);
+        let run = command(&fake.uri, &["scan", "line", name.to_str().unwrap()]).output();
+        let run = run.unwrap();
+        assert_eq!(run.status.code(), Some(3));
+        let message = String::from_utf8(run.stderr).unwrap();
+        assert!(message.contains("not a state for each id"), "{message}");
+        let left: Vec<_> = fs::read_dir(directory.path()).unwrap().collect();
+        assert_eq!(left.len(), 1, "{left:?}");
+        assert_eq!(
+            fs::read_to_string(left[0].as_ref().unwrap().path()).unwrap(),
+            EARLIER
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_interrupted_scan_leaves_the_file_as_it_was() {
+    let fake = Fake::start().await;
+    for signal in ["INT", "TERM"] {
+        fake.scan_answers(vec![scanned(&[0], &[0.25])], false);
+        let (directory, file) = directory_with_a_file();
+        let files = || fs::read_dir(directory.path()).unwrap().count();
+        let mut child = command(&fake.uri, &["scan", "line", file.to_str().unwrap()])
+            .stdin(Stdio::null())
+            .spawn()
+            .unwrap();
+        while files() == 1 && fs::read_to_string(&file).unwrap() == EARLIER {
+            assert!(child.try_wait().unwrap().is_none());
+            tokio::task::yield_now().await;
+        }
+        send(signal, &child);
+        let ended = tokio::task::spawn_blocking(move || child.wait_with_output());
+        let output = ended.await.unwrap().unwrap();
+        assert_eq!(fs::read_to_string(&file).unwrap(), EARLIER, "SIG{signal}");
+        assert_eq!(files(), 1, "SIG{signal}");
+        assert_eq!(output.status.code(), Some(3), "SIG{signal}");
     }
 }
 
@@ -90,7 +166,7 @@ fn the_command_says_why_it_cannot_go_on() {
     assert_eq!(line, "revision 1  1 stored  0 removed\n");
     server.json(&["delete", "line"]).line();
     let ended = child.wait_with_output().unwrap();
-    assert_eq!(ended.status.code(), Some(1));
-    let told = String::from_utf8(ended.stderr).unwrap();
-    assert!(told.contains("no index is named \"line\""), "{told}");
+    assert_eq!(ended.status.code(), Some(3));
+    let message = String::from_utf8(ended.stderr).unwrap();
+    assert!(message.contains("no index is named \"line\""), "{message}");
 }

@@ -1,4 +1,4 @@
-//! The command line as a process, against a real server in this process and against a fake one that fails as it is told.
+//! The command line as a process, against a real server in this process and against a fake one.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -8,8 +8,11 @@ mod errors;
 #[path = "../../../tests/client/fake.rs"]
 mod fake;
 mod files;
+mod generate;
+mod health;
 mod lasting;
 mod process;
+mod selection;
 #[path = "../../../tests/client/server.rs"]
 mod server;
 mod verbs;

@@ -18,12 +18,12 @@ pub(crate) struct Run {
 }
 
 impl Run {
-    /// What was printed, a value a line.
+    /// The values on standard output, one a line.
     pub(crate) fn lines(&self) -> Vec<Value> {
         self.lines_and(0)
     }
 
-    /// What was printed, a value a line, before it ended so.
+    /// The values on standard output, one a line, of a run that ended with this status.
     pub(crate) fn lines_and(&self, status: i32) -> Vec<Value> {
         assert_eq!(self.status, Some(status), "{}", self.stderr);
         let lines = self.stdout.lines();
@@ -32,14 +32,23 @@ impl Run {
             .collect()
     }
 
-    /// The one value that was printed.
+    /// The only value on standard output.
     pub(crate) fn line(&self) -> Value {
         let mut lines = self.lines();
         assert_eq!(lines.len(), 1, "{}", self.stdout);
         lines.remove(0)
     }
 
-    /// The error that was told, where nothing was printed.
+    /// The error in JSON of a run without output.
+    pub(crate) fn json_error(&self, status: i32) -> Value {
+        let error = self.error(status);
+        assert_eq!(error.matches('\n').count(), 1, "{error}");
+        let mut error: Value = serde_json::from_str(error).expect(error);
+        assert_eq!(error.as_object().unwrap().len(), 1, "{error}");
+        error["error"].take()
+    }
+
+    /// The message on standard error of a run without output.
     pub(crate) fn error(&self, status: i32) -> &str {
         assert_eq!(self.status, Some(status), "{}{}", self.stdout, self.stderr);
         assert_eq!(self.stdout, "");

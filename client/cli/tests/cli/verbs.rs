@@ -1,4 +1,4 @@
-//! What each verb prints.
+//! The output of each verb.
 
 use std::{
     io::{BufRead, BufReader, Read, Write},
@@ -174,7 +174,7 @@ fn insert_tells_the_neighbours_each_row_had() {
     ];
     assert_eq!(lines, expected);
 
-    // A given id is told also where the row is left out; the same point again is unchanged.
+    // A given id is printed even if the row is left out; the same point again is unchanged.
     let args = [
         "insert",
         "line",
@@ -269,7 +269,7 @@ fn a_scan_reads_back_as_the_same_points() {
     assert_eq!(points[0]["state"][2], json!(3.5 - std::f64::consts::TAU));
     assert_eq!(points[1], server.json(&["get", "torus", "1"]).line());
 
-    // A scan's rows, asked about.
+    // The rows of a scan as queries.
     let own = server
         .json(&["knn", "torus", file, "--ids", "id", "-k", "1"])
         .lines();
@@ -290,8 +290,8 @@ fn a_row_in_a_pipe_is_answered_before_the_next_is_written() {
     .unwrap();
     let mut stdin = asking.stdin.take().unwrap();
     let mut answers = BufReader::new(asking.stdout.take().unwrap()).lines();
-    for (asked, id) in [("1\n", 0), ("19\n", 2), ("11\n", 1)] {
-        stdin.write_all(asked.as_bytes()).unwrap();
+    for (row, id) in [("1\n", 0), ("19\n", 2), ("11\n", 1)] {
+        stdin.write_all(row.as_bytes()).unwrap();
         let answer: serde_json::Value =
             serde_json::from_str(&answers.next().unwrap().unwrap()).unwrap();
         assert_eq!(answer["ids"], json!([id]));
@@ -308,8 +308,8 @@ async fn answers_keep_the_order_of_a_long_file() {
     line.insert((0..5000).map(|x| [f64::from(x)]))
         .await
         .unwrap();
-    let asked: Vec<u32> = (0..3000).map(|i| i * 7919 % 5000).collect();
-    let rows: String = asked.iter().map(|x| format!("{x}.25\n")).collect();
+    let queries: Vec<u32> = (0..3000).map(|i| i * 7919 % 5000).collect();
+    let rows: String = queries.iter().map(|x| format!("{x}.25\n")).collect();
     let lines = server
         .json_with(&["knn", "line", "-", "-k", "1"], &rows)
         .lines();
@@ -319,7 +319,7 @@ async fn answers_keep_the_order_of_a_long_file() {
         .collect();
     assert_eq!(
         found,
-        asked.iter().map(|x| u64::from(*x)).collect::<Vec<_>>()
+        queries.iter().map(|x| u64::from(*x)).collect::<Vec<_>>()
     );
 }
 
@@ -338,13 +338,13 @@ async fn a_closed_pipe_ends_a_scan_quietly() {
     drop(stdout);
     assert_eq!(first, "id,x\n");
     assert!(scan.wait().unwrap().success());
-    let mut told = String::new();
+    let mut errors = String::new();
     scan.stderr
         .take()
         .unwrap()
-        .read_to_string(&mut told)
+        .read_to_string(&mut errors)
         .unwrap();
-    assert_eq!(told, "");
+    assert_eq!(errors, "");
 }
 
 #[tokio::test(flavor = "multi_thread")]

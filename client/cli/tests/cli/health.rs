@@ -1,0 +1,54 @@
+//! `wayfold health`.
+
+use serde_json::json;
+use tokio::net::TcpListener;
+use tokio_stream::wrappers::TcpListenerStream;
+use tonic_health::{ServingStatus, server::health_reporter};
+
+use crate::{
+    process::{command, run_alone},
+    server::Server,
+};
+
+#[test]
+fn a_server_that_serves_is_healthy() {
+    let server = Server::start();
+    // Ready, once a call is answered.
+    server.json(&["list"]).lines();
+    let health = server.json(&["health"]);
+    assert_eq!(
+        health.line(),
+        json!({"server": server.uri, "serving": true})
+    );
+    let health = server.run(&["health"]);
+    assert_eq!(health.stdout, format!("{} serves\n", server.uri));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_does_not_serve_is_status_1() {
+    let (reporter, service) = health_reporter();
+    let not_serving = ServingStatus::NotServing;
+    reporter.set_service_status("", not_serving).await;
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let uri = format!("http://{}", listener.local_addr().unwrap());
+    let serving = tonic::transport::Server::builder()
+        .add_service(service)
+        .serve_with_incoming(TcpListenerStream::new(listener));
+    tokio::spawn(serving);
+
+    let run = command(&uri, &["health", "--output", "json"]).output();
+    let run = run.unwrap();
+    assert_eq!(run.status.code(), Some(1));
+    let lines = |bytes: &[u8]| serde_json::from_slice::<serde_json::Value>(bytes).unwrap();
+    assert_eq!(lines(&run.stdout), json!({"server": uri, "serving": false}));
+    let error = &lines(&run.stderr)["error"];
+    assert_eq!(
+        (&error["code"], &error["reason"]),
+        (&json!("UNAVAILABLE"), &json!("NOT_SERVING"))
+    );
+}
+
+#[test]
+fn no_server_is_status_4() {
+    run_alone(&["health", "--timeout", "50ms"]).error(4);
+}

@@ -1,0 +1,26 @@
+//! The health of a server, by `grpc.health.v1`.
+
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
+
+use super::{Client, within};
+use crate::Error;
+
+impl Client {
+    /// Whether the server serves calls: false while it starts and while it stops.
+    ///
+    /// # Errors
+    /// Those of every call.
+    pub async fn is_serving(&self) -> Result<bool, Error> {
+        let stub = HealthClient::new(self.channel.clone());
+        let check = |remaining| {
+            // The empty name is the server as a whole.
+            let request = within(remaining, HealthCheckRequest::default());
+            let mut stub = stub.clone();
+            async move { stub.check(request).await }
+        };
+        let answer = self.call("health", self.timeout(), check).await?;
+        Ok(answer.status() == ServingStatus::Serving)
+    }
+}
