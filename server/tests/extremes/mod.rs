@@ -206,7 +206,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "DeleteIndexRequest",
             &v1::DeleteIndexRequest {
-                index: index,
+                index,
                 uid: "of another".into(),
             },
         ),
