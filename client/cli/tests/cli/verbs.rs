@@ -286,6 +286,30 @@ fn a_scan_reads_back_as_the_same_points() {
     assert_eq!(nearest, [json!(0), json!(1), json!(2)]);
 }
 
+#[cfg(unix)]
+#[test]
+fn a_scan_follows_links_to_files_and_to_pipes() {
+    let server = Server::start();
+    let directory = tempfile::tempdir().unwrap();
+    server.run(&["create", "line", "--space", "R1"]);
+    server.run_with(&["insert", "line", "-"], "0.5\n");
+    let scan = "id,x\n0,0.5\n";
+    let link_to = |target: &std::path::Path| {
+        let link = directory.path().join("link");
+        std::os::unix::fs::symlink(target, &link).unwrap();
+        let run = server.run(&["scan", "line", link.to_str().unwrap()]);
+        assert_eq!((run.status, &*run.stderr), (Some(0), ""));
+        assert!(link.is_symlink());
+        std::fs::remove_file(link).unwrap();
+        run.stdout
+    };
+    let file = directory.path().join("file.csv");
+    std::fs::write(&file, "old").unwrap();
+    link_to(&file);
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), scan);
+    assert!(link_to("/dev/stdout".as_ref()).starts_with(scan));
+}
+
 #[test]
 fn a_row_in_a_pipe_is_answered_before_the_next_is_written() {
     let server = Server::start();
