@@ -1,6 +1,8 @@
 //! Where a worker's candidates come from: the milestones that are near enough for an edge.
 
-use wayfold::{Include, IndexHandle, Neighbor, Replica, ReplicaView, Revision, Row, Scaling, Search};
+use wayfold::{
+    Include, IndexHandle, Neighbor, Replica, ReplicaView, Revision, Row, Scaling, Search,
+};
 
 use crate::planning::error::PlanningError;
 pub use crate::planning::prm_star::SCALING;

@@ -6,7 +6,6 @@ use std::cell::Cell;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold::{Neighbor, Space, States};
-use wayfold_index::Search;
 use wayfold_examples::{
     bodies::scene::Room,
     maze::scene::Maze,
@@ -22,6 +21,7 @@ use wayfold_examples::{
         report, rrt, rrt_star, sampling,
     },
 };
+use wayfold_index::Search;
 
 use crate::server::Server;
 
