@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use prost::encoding::encoded_len_varint;
-use wayfold_index::{Neighbor, Point, Search};
+use wayfold_index::{Neighbor, Point, PointRef, Search};
 use wayfold_proto::v1;
 
 use super::{
@@ -275,13 +275,13 @@ impl PointColumns {
     }
 
     /// Adds a point; with its payload, or all of them without.
-    pub(super) fn push(&mut self, point: Point, payload: Option<Bytes>) {
+    pub(super) fn push(&mut self, point: PointRef<'_>, payload: Option<Bytes>) {
         self.bytes += 8;
         self.columns.ids.push(point.id);
         if let Some(states) = &mut self.columns.states {
             self.bytes += 8 * point.row.len();
             states.rows += 1;
-            states.coordinates.extend(point.row);
+            states.coordinates.extend_from_slice(point.row);
         }
         if self.include.tags {
             self.bytes += 8;

@@ -60,7 +60,7 @@ impl Service {
             for &id in ids {
                 let point = published.snapshot.get(id).ok_or_else(|| missing(id))?;
                 let before = points.bytes();
-                points.push(point, payloads.next());
+                points.push(point.by_ref(), payloads.next());
                 // It fails with the last payload, if those were too many.
                 room.take(points.bytes() - before)?;
                 pace.step().await?;

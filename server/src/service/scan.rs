@@ -125,7 +125,7 @@ impl Scan {
                 && let Some(point) = batch.next()
             {
                 after = Some(point.id);
-                points.push(point, payloads.next());
+                points.push(point.by_ref(), payloads.next());
             }
             if batch.peek().is_some() {
                 // They are the first of the next part.

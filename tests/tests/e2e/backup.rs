@@ -8,19 +8,20 @@ use std::{
     process::{Command, Stdio},
 };
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use wayfold_index::Space;
 use wayfold_proto::{
     snapshot::FileReader,
     v1::{
-        Filter, Include, InsertRequest, KnnRequest, OnConflict, ReadAt, RemoveRequest,
-        RestoreIndexRequest, UpdateRequest,
+        Filter, InsertRequest, KnnRequest, OnConflict, RemoveRequest, RestoreIndexRequest,
+        Revision, UpdateRequest, knn_request::Count,
     },
 };
 use wayfold_tests::{
-    Content, Finished, Process, ServerProcess, Signal, States, Stubs, bits, row_states, server,
+    Content, Finished, INCLUDE_ALL, Process, ServerProcess, Signal, States, Stubs, bits, revision,
+    row_states, server,
 };
 
 const CLI: &str = env!("CARGO_BIN_EXE_cli-process");
@@ -90,25 +91,17 @@ async fn seen(stubs: &mut Stubs, name: &str) -> (Content, Vec<Vec<u64>>) {
     let mut content = Content::read(stubs, name).await.unwrap();
     let uid = std::mem::take(&mut content.uid);
     let mut answers = Vec::new();
-    for since_revision in 0..content.revision {
+    for since in 0..content.revision {
         let request = KnnRequest {
             index: name.into(),
             states: Some(row_states(&States::new(Space::se3(), 5).rows(20), 7)),
-            k: 20,
+            count: Some(Count::K(20)),
             filter: Some(Filter {
-                since_revision,
+                since_revision: revision(&uid, since),
                 ..Default::default()
             }),
-            include: Some(Include {
-                states: true,
-                tags: true,
-                revisions: true,
-                payloads: true,
-            }),
-            at: Some(ReadAt {
-                uid: uid.clone(),
-                min_revision: content.revision,
-            }),
+            include: Some(INCLUDE_ALL),
+            min_revision: revision(&uid, content.revision),
             ..Default::default()
         };
         let answer = stubs.points.knn(request).await.unwrap().into_inner();
@@ -144,9 +137,12 @@ impl Source {
             &["snapshot", "arm", source.file().to_str().unwrap()],
         );
         let index = source.stubs.clone().describe("arm").await;
-        assert_eq!(written["points"], index.points);
-        assert_eq!(written["revision"], index.revision);
-        assert_eq!(written["uid"], index.uid);
+        assert_eq!(written["points"], index.point_count);
+        let Revision { uid, number } = index.revision.unwrap();
+        assert_eq!(
+            (&written["revision"], &written["uid"]),
+            (&json!(number), &json!(uid))
+        );
         let length = fs::metadata(source.file()).unwrap().len();
         assert_eq!(written["bytes"], length);
         source
@@ -187,8 +183,9 @@ async fn an_index_restored_elsewhere_is_the_same_and_goes_on_as_the_same() {
     let file = file.to_str().unwrap();
     let restored = told(&target, &["restore", "arm", file]);
     let original = source.stubs.describe("arm").await;
-    assert_eq!(restored["revision"], original.revision);
-    assert_ne!(restored["uid"], original.uid);
+    let Revision { uid, number } = original.revision.unwrap();
+    assert_eq!(restored["revision"], number);
+    assert_ne!(restored["uid"], uid);
     let expected = seen(&mut source.stubs, "arm").await;
     assert_eq!(seen(&mut stubs, "arm").await, expected);
 
@@ -215,7 +212,9 @@ async fn an_index_restored_elsewhere_is_the_same_and_goes_on_as_the_same() {
     };
     let mut one = source.stubs.insert(insert.clone()).await;
     let mut other = stubs.insert(insert).await;
-    (one.uid, other.uid) = Default::default();
+    for answer in [&mut one, &mut other] {
+        answer.revision.as_mut().unwrap().uid.clear();
+    }
     assert_eq!(one, other);
     let expected = seen(&mut source.stubs, "arm").await;
     assert_eq!(seen(&mut stubs, "arm").await, expected);

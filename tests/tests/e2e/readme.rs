@@ -3,7 +3,7 @@
 use std::error::Error;
 
 use nalgebra::Isometry3;
-use wayfold::{Client, NeighborQuery};
+use wayfold::{Client, NeighborSpec};
 use wayfold_tests::{Stubs, server};
 
 const README: &str = include_str!("../../../README.md");
@@ -17,11 +17,10 @@ async fn example(uri: &str) -> Result<(), Box<dyn Error>> {
         Isometry3::translation(0.1, 0.2, 0.3),
         Isometry3::translation(0.4, 0.2, 0.3),
     ];
-    let around = NeighborQuery {
-        k: Some(10),
-        ..Default::default()
-    };
-    let inserted = roadmap.insert(poses).neighbors(around).await?;
+    let inserted = roadmap
+        .insert(poses)
+        .neighbors(NeighborSpec::k(10))
+        .await?;
     let nearest = roadmap.knn(poses).k(10).radius(0.5).await?;
     println!(
         "stored {:?}; near the first: {:?}",
@@ -36,7 +35,7 @@ async fn the_example_runs() {
     let server = server!();
     example(server.uri()).await.unwrap();
     let mut stubs = Stubs::connect(server.uri()).await;
-    assert_eq!(stubs.describe("arm").await.points, 2);
+    assert_eq!(stubs.describe("arm").await.point_count, 2);
 }
 
 #[test]

@@ -164,7 +164,7 @@ async fn a_file_with_one_bad_row_is_named_and_not_sent() {
     let missing = server.run(&["insert", "arm", "no/such/file.csv"]);
     assert!(missing.error(1).contains("no/such/file.csv"));
     let client = Client::connect(&server.uri).await.unwrap();
-    assert_eq!(client.index_info("arm").await.unwrap().revision, 0);
+    assert_eq!(client.index_info("arm").await.unwrap().revision.number, 0);
 }
 
 #[test]

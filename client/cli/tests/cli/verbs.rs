@@ -366,5 +366,5 @@ async fn a_closed_pipe_does_not_end_an_insert() {
         .unwrap();
     assert!(insert.wait().unwrap().success());
     let client = Client::connect(&server.uri).await.unwrap();
-    assert_eq!(client.index_info("line").await.unwrap().points, 5000);
+    assert_eq!(client.index_info("line").await.unwrap().point_count, 5000);
 }
