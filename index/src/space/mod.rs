@@ -8,24 +8,24 @@
 //! `RealVector(n)`, the shorter arc for `SO2`, half the angle of the relative rotation for `SO3`. One group is the
 //! weighted product metric of Yershova and LaValle; every factor a group of its own is OMPL's `CompoundStateSpace`.
 //!
-//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and what
-//! is not correctly rounded by IEEE 754 comes from `libm`. Whatever is reported anywhere has its bits.
+//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and functions that
+//! IEEE 754 does not round correctly come from `libm`. Every reported distance has these bits.
 
 mod error;
 mod geodesic;
 mod presets;
-mod real_vector;
-mod so2;
-mod so3;
+pub(crate) mod real_vector;
+pub(crate) mod so2;
+pub(crate) mod so3;
 #[cfg(test)]
 pub(crate) mod tests;
 mod text;
 
 pub use error::{SpaceError, StateError, StateProblem};
-pub(crate) use so3::SERIES as SO3_SERIES;
 
 use std::f64::consts::TAU;
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 /// The bits of −0.0, which no canonical row has.
@@ -55,7 +55,7 @@ impl Factor {
         Factor::SO2 { period: TAU }
     }
 
-    /// How many numbers of a row belong to it: n, 1, 4.
+    /// The number of its coordinates in a row: n, 1, 4.
     pub const fn coordinates(&self) -> usize {
         match *self {
             Factor::RealVector(n) => n,
@@ -100,7 +100,7 @@ impl Factor {
         }
     }
 
-    /// What lies the share `t` of the way from `a` to `b`, strictly between the two; canonical but for the wrapping.
+    /// The coordinates at the share `t`, strictly between 0 and 1, of the way from `a` to `b`; canonical except for wrapping.
     fn interpolate(&self, a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
         match *self {
             Factor::RealVector(_) => real_vector::interpolate(a, b, t, between),
@@ -146,7 +146,7 @@ pub struct Group {
     pub terms: Vec<Term>,
 }
 
-/// One factor of a space, where it stands in a row and what it counts.
+/// One factor of a space, with its coordinates in a row and its weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Part {
     pub(crate) factor: Factor,
@@ -154,9 +154,11 @@ pub(crate) struct Part {
     pub(crate) offset: usize,
     /// μ; 0 also in a group of weight 0, so that an overflowing μ·d² cannot meet that 0 and make a NaN.
     pub(crate) weight: f64,
+    /// The length of a unit of its coordinates in the metric: w · √μ.
+    pub(crate) scale: f64,
     /// The index of its group.
     pub(crate) group: usize,
-    /// Whether it is the last of its group.
+    /// True if it is the last of its group.
     pub(crate) ends_group: bool,
 }
 
@@ -164,13 +166,17 @@ impl Part {
     /// The squared distance in this factor of two canonical rows of the space.
     #[inline]
     pub(crate) fn distance_2(&self, a: &[f64], b: &[f64]) -> f64 {
-        let coordinates = self.offset..self.offset + self.factor.coordinates();
-        self.factor
-            .distance_2(&a[coordinates.clone()], &b[coordinates])
+        self.factor.distance_2(&a[self.axes()], &b[self.axes()])
+    }
+
+    /// The coordinates of the factor in a row.
+    #[inline(always)]
+    pub(crate) fn axes(&self) -> Range<usize> {
+        self.offset..self.offset + self.factor.coordinates()
     }
 }
 
-/// A configuration space: what a row of numbers means, and how far two rows are apart.
+/// A configuration space: the meaning of a row of numbers, and the distance of two rows.
 ///
 /// A space is made from groups, from the terms of one group, or from text, and is valid from then on. It prints its
 /// canonical text, and parsing that gives an equal space. Spaces are equal when they are equal after expansion:
@@ -271,10 +277,12 @@ impl Space {
             let last = group.terms.len() - 1;
             for (t, term) in group.terms.iter_mut().enumerate() {
                 term.weight += 0.0;
+                let weight = if group.weight > 0.0 { term.weight } else { 0.0 };
                 parts.push(Part {
                     factor: term.factor,
                     offset,
-                    weight: if group.weight > 0.0 { term.weight } else { 0.0 },
+                    weight,
+                    scale: group.weight * weight.sqrt(),
                     group: g,
                     ends_group: t == last,
                 });
@@ -300,7 +308,7 @@ impl Space {
         &self.groups
     }
 
-    /// How many numbers a row has (SE(3): 7).
+    /// The number of coordinates in a row (SE(3): 7).
     pub fn coordinates(&self) -> usize {
         self.coordinates
     }
@@ -324,9 +332,8 @@ impl Space {
             return Err(StateError::width(self.coordinates, row.len()));
         }
         for part in &self.parts {
-            let coordinates = part.offset..part.offset + part.factor.coordinates();
             part.factor
-                .canonicalize(&mut row[coordinates])
+                .canonicalize(&mut row[part.axes()])
                 .map_err(|error| error.shifted(part.offset))?;
         }
         Ok(())
@@ -356,7 +363,7 @@ impl Space {
                 .all(|&at| so3::is_canonical(&row[at..at + 4]))
     }
 
-    /// What is wrong with a row that is not canonical.
+    /// The problem of a row that is not canonical.
     #[cold]
     fn canonical_problem(&self, row: &[f64]) -> StateError {
         let mut canonical = row.to_vec();
@@ -392,6 +399,14 @@ impl Space {
     /// The factors of all groups, in row order.
     pub(crate) fn parts(&self) -> &[Part] {
         &self.parts
+    }
+
+    /// The length of a unit of each coordinate in the metric.
+    pub(crate) fn scales(&self) -> Vec<f64> {
+        let parts = self.parts.iter();
+        parts
+            .flat_map(|part| part.axes().map(|_| part.scale))
+            .collect()
     }
 }
 
