@@ -1,19 +1,19 @@
 //! The Wayfold server: shared nearest-neighbour indices for motion planners.
 //!
-//! Direction of dependencies: `log ← registry ← service ← grpc, zenoh ← run ← cli`. The [`service`] knows no transport;
-//! the faces translate and hold no policy; the mutation [`log`] is the only truth about an index's past.
+//! Dependencies point one way: `log ← registry ← service ← grpc, zenoh ← run ← cli`. The [`service`] knows no transport.
+//! `grpc` and `zenoh` translate and hold no policy. The mutation [`log`] is the only record of an index's past.
 
 pub mod config;
 pub mod log;
 pub mod registry;
 pub mod service;
 
-mod background;
-mod brevity;
-mod capacity;
+mod admission;
 mod cli;
 mod grpc;
+mod latency_gate;
 mod lifecycle;
+mod low_priority;
 mod observe;
 mod run;
 mod status;
@@ -29,7 +29,7 @@ pub use zenoh::ZenohError;
 mod testing {
     use proptest::{prelude::ProptestConfig, test_runner::RngSeed};
 
-    /// How the property tests run: `cases` cases, the same in every run.
+    /// Property tests run `cases` cases, the same ones in every run.
     pub(crate) fn cases(cases: u32) -> ProptestConfig {
         ProptestConfig {
             cases,

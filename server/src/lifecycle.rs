@@ -1,15 +1,15 @@
-//! The phases a server goes through, and the one place where they are announced.
+//! The phases of a server's life, announced in one place.
 
 use tokio::sync::watch;
 
-/// What a server is doing; phases follow one another in this order and never go back.
+/// A phase of a server's life. Phases only advance, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Phase {
-    /// The listener is open, the stored points are not all there yet: calls are answered UNAVAILABLE.
+    /// The listener is open and the log is being replayed: calls get `UNAVAILABLE`.
     Starting,
     /// Calls are answered.
     Serving,
-    /// Accepted calls are finished, new ones are refused.
+    /// Accepted calls finish; new ones are refused.
     Stopping,
 }
 
@@ -18,12 +18,12 @@ pub(crate) enum Phase {
 pub(crate) struct Lifecycle(watch::Sender<Phase>);
 
 impl Lifecycle {
-    /// A server that has just been started.
+    /// The lifecycle of a server that starts.
     pub(crate) fn starting() -> Self {
         Self(watch::Sender::new(Phase::Starting))
     }
 
-    /// Goes on to `phase`; a phase that lies behind is ignored.
+    /// Advances to `phase`. An earlier phase than the current one is ignored.
     pub(crate) fn advance(&self, phase: Phase) {
         self.0.send_if_modified(|current| {
             let forward = phase > *current;
@@ -34,18 +34,18 @@ impl Lifecycle {
         });
     }
 
-    /// A view on the phases for somebody who reacts to them.
+    /// A receiver of the phases from now on.
     pub(crate) fn watch(&self) -> PhaseWatch {
         PhaseWatch(self.0.subscribe())
     }
 }
 
-/// Sees the phases as they are announced. When the `Lifecycle` is gone, the server counts as stopping.
+/// Receives the phases. Once the `Lifecycle` is dropped, the phase is `Stopping`.
 #[derive(Clone, Debug)]
 pub(crate) struct PhaseWatch(watch::Receiver<Phase>);
 
 impl PhaseWatch {
-    /// The phase now.
+    /// The current phase.
     pub(crate) fn current(&self) -> Phase {
         *self.0.borrow()
     }
@@ -58,9 +58,9 @@ impl PhaseWatch {
         }
     }
 
-    /// Ends when the server begins to stop.
+    /// Resolves when the server begins to stop.
     pub(crate) async fn stopping(mut self) {
-        // An error means that the sender is gone, and the server with it.
+        // An error means that the sender was dropped, and the server with it.
         let _ = self.0.wait_for(|phase| *phase == Phase::Stopping).await;
     }
 }

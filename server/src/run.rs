@@ -1,4 +1,4 @@
-//! The life of a server: from a bound listener to the last accepted call.
+//! A server from the bound listener to the last accepted call.
 
 use std::{convert::Infallible, io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
 
@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 use tracing::{info, warn};
 
 use crate::{
-    capacity::Capacity,
+    admission::Admission,
     config::{Config, DataConfig},
     grpc::{self, GrpcError},
     lifecycle::{Lifecycle, Phase},
@@ -21,55 +21,56 @@ use crate::{
     zenoh::{ZenohError, ZenohFace},
 };
 
-/// How long connections without calls are waited for once the server stops. A peer that lives says goodbye at once,
-/// and takes what is left of its last answer; one that is frozen, or never spoke, does neither.
-const QUIET_WAIT: Duration = Duration::from_secs(5);
+/// A stopping server waits this long for connections without calls to close. A live peer closes at once, after it has read
+/// the rest of its last answer. A frozen peer, or one that never spoke, does not close.
+const IDLE_WAIT: Duration = Duration::from_secs(5);
 
-/// How long connections that were cut may take to notice.
+/// Aborted connections may take this long to close.
 const CUT_WAIT: Duration = Duration::from_secs(1);
 
-/// Why a server ended otherwise than well.
+/// Why a server failed.
 #[derive(Debug, Error)]
 pub enum ServerError {
-    /// The listener is not usable.
-    #[error("the listener is not usable: {0}")]
+    /// The listener cannot be used.
+    #[error("cannot use the listener: {0}")]
     Listener(#[from] io::Error),
-    /// gRPC could not be served.
+    /// gRPC failed.
     #[error(transparent)]
     Grpc(#[from] GrpcError),
-    /// Zenoh could not be served.
+    /// Zenoh failed.
     #[error(transparent)]
     Zenoh(#[from] ZenohError),
     /// The data directory could not be opened.
     #[error(transparent)]
     Data(#[from] OpenError),
-    /// The log holds something that cannot be replayed.
+    /// The log cannot be replayed.
     #[error("cannot replay the log: {0}")]
     Replay(#[from] RegistryError),
-    /// Serving ended although nobody asked for it.
-    #[error("serving ended by itself; this is a bug")]
+    /// The server ended without a shutdown signal: a bug.
+    #[error("the server ended without a shutdown signal; this is a bug")]
     Ended,
-    /// The server stopped, but not all calls were done when its time was up. Connections that were cut without a call
-    /// do not count.
+    /// The server stopped and cut the calls that were not done after `shutdown.grace_ms`. Connections without a call do
+    /// not count.
     #[error(
         "{calls} calls were cut: they were not done {grace_ms} ms after the server began to stop (shutdown.grace_ms)"
     )]
     Cut {
-        /// How many.
+        /// The number of calls that were cut.
         calls: usize,
-        /// How long they had.
+        /// The time they had to finish, in milliseconds.
         grace_ms: u64,
     },
 }
 
-/// Where a server listens.
+/// The addresses that a server listens on.
 pub(crate) struct Addresses {
     pub(crate) grpc: SocketAddr,
-    /// Zenoh's locators; none if it is off.
+    /// Zenoh's locators; empty if Zenoh is off.
     pub(crate) zenoh: Vec<String>,
 }
 
-/// Serves on `listener`, and over Zenoh as the settings say, until `shutdown` ends, finishes what was accepted, and returns.
+/// Serves gRPC on `listener`, and Zenoh as configured, until `shutdown` resolves. Then it finishes the accepted calls and
+/// returns.
 pub async fn run(
     config: Config,
     listener: TcpListener,
@@ -78,7 +79,7 @@ pub async fn run(
     serve(config, listener, shutdown, |_| ()).await
 }
 
-/// As [`run`], and calls `ready` with the addresses once calls are answered.
+/// As [`run`], and calls `ready` with the addresses once the server answers calls.
 pub(crate) async fn serve(
     config: Config,
     listener: TcpListener,
@@ -89,13 +90,13 @@ pub(crate) async fn serve(
     if !address.ip().is_loopback() {
         warn!(
             %address,
-            "listening beyond this machine: there is no authentication and no encryption yet, \
-             whoever reaches this address can read and change every index"
+            "listening beyond this machine without authentication and encryption, which do not exist yet: \
+             anyone who can reach this address can read and change every index"
         );
     }
     let service = Service::starting(config.limits.clone());
     let lifecycle = Lifecycle::starting();
-    let capacity = Capacity::new(config.grpc.max_calls);
+    let capacity = Admission::new(config.grpc.max_calls);
     let cut = CancellationToken::new();
     let mut zenoh = ZenohFace::open(&config.zenoh, service.clone()).await?;
     let addresses = Addresses {
@@ -114,13 +115,13 @@ pub(crate) async fn serve(
         cut.clone(),
     ));
 
-    // Connections are accepted meanwhile, and calls told to come again.
-    let replayed = replayed(config.index.options(), config.data);
+    // Meanwhile connections are accepted, and calls get UNAVAILABLE.
+    let opening = open_registry(config.index.options(), config.data);
     let live = async {
-        let registry = Arc::new(replayed.await?);
+        let registry = Arc::new(opening.await?);
         service.set_registry(Arc::clone(&registry));
         service.set_ready();
-        // With a store that cannot be opened no index is served; why, is told to every call.
+        // If the store cannot be opened, every call fails with the cause.
         if registry.failure().is_none() {
             lifecycle.advance(Phase::Serving);
             info!(%address, "serving");
@@ -130,7 +131,7 @@ pub(crate) async fn serve(
         }
         ready(&addresses);
         registry
-            .look_after(|| lifecycle.advance(Phase::Serving))
+            .maintain(|| lifecycle.advance(Phase::Serving))
             .await;
         std::future::pending::<Result<Infallible, ServerError>>().await
     };
@@ -140,17 +141,17 @@ pub(crate) async fn serve(
         () = shutdown => {}
     }
 
-    // In this order, so that whoever has been told that the server stops can count on it.
+    // The service refuses new calls first, so that all of them fail once the phase announces the shutdown.
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
     let grace_ms = config.shutdown.grace_ms;
-    let faces: Vec<Capacity> = [capacity]
+    let faces: Vec<Admission> = [capacity]
         .into_iter()
         .chain(zenoh.as_ref().map(ZenohFace::capacity))
         .collect();
     info!(
         calls = in_use(&faces),
-        grace_ms, "stopping: finishing what was accepted"
+        grace_ms, "stopping: finishing accepted calls"
     );
     let grace_end = Instant::now() + Duration::from_millis(grace_ms);
     let zenoh_stopped = async {
@@ -164,16 +165,16 @@ pub(crate) async fn serve(
             info!("stopped");
             return drained.map_err(ServerError::from);
         }
-        () = quiet(&faces) => 0,
+        () = idle(&faces) => 0,
         () = sleep_until(grace_end) => in_use(&faces),
     };
     if calls > 0 {
-        warn!(calls, grace_ms, "cutting what is not done");
+        warn!(calls, grace_ms, "cutting unfinished calls");
     } else {
-        info!("cutting connections that have no calls and do not end");
+        info!("cutting idle connections that do not close");
     }
     cut.cancel();
-    // It ends or it does not; either way this server has said what there is to say.
+    // A timeout changes nothing: the outcome is reported below.
     let _ = timeout(CUT_WAIT, stopped).await;
     if calls > 0 {
         return Err(ServerError::Cut { calls, grace_ms });
@@ -182,28 +183,31 @@ pub(crate) async fn serve(
     Ok(())
 }
 
-/// How many calls are under way.
-fn in_use(faces: &[Capacity]) -> usize {
-    faces.iter().map(Capacity::in_use).sum()
+/// The number of calls in flight over all faces.
+fn in_use(faces: &[Admission]) -> usize {
+    faces.iter().map(Admission::in_use).sum()
 }
 
-/// Returns once no call has been under way for [`QUIET_WAIT`].
-async fn quiet(faces: &[Capacity]) {
-    let mut ticks = interval(QUIET_WAIT / 10);
+/// Returns once no call has been in flight for [`IDLE_WAIT`].
+async fn idle(faces: &[Admission]) {
+    let mut ticks = interval(IDLE_WAIT / 10);
     let mut since = Instant::now();
     loop {
         let now = ticks.tick().await;
         if in_use(faces) > 0 {
             since = now;
-        } else if now.saturating_duration_since(since) >= QUIET_WAIT {
+        } else if now.saturating_duration_since(since) >= IDLE_WAIT {
             return;
         }
     }
 }
 
-/// A registry of what the log holds. Read on a thread that may block, as reading a log does.
-async fn replayed(options: RegistryOptions, data: DataConfig) -> Result<Registry, ServerError> {
-    let replay = move || {
+/// Opens the log and replays it into a registry, on a blocking thread.
+async fn open_registry(
+    options: RegistryOptions,
+    data: DataConfig,
+) -> Result<Registry, ServerError> {
+    let open = move || {
         let log: Arc<dyn Log> = match data.directory() {
             Some(directory) => Arc::new(FjallLog::open(directory, data.durability)?),
             None => Arc::new(MemoryLog::default()),
@@ -212,7 +216,7 @@ async fn replayed(options: RegistryOptions, data: DataConfig) -> Result<Registry
         registry.replay()?;
         Ok(registry)
     };
-    // It fails to come back only if it panicked.
-    let replayed = tokio::task::spawn_blocking(replay).await;
-    replayed.unwrap_or(Err(ServerError::Ended))
+    // The join fails only if the task panicked.
+    let opened = tokio::task::spawn_blocking(open).await;
+    opened.unwrap_or(Err(ServerError::Ended))
 }

@@ -1,4 +1,4 @@
-"""OMPL's planners in the scene of the example `rigid`: its bounds, its questions and its collision checks.
+"""OMPL's planners in the scene of the program `rigid`: its bounds, its questions and its collision checks.
 
 OMPL's SE3StateSpace adds up what R3 and SO3 contribute, d = |p - q| + w * angle, where ours is the root of the sum of
 squares, d = sqrt(|p - q|^2 + 0.15 * angle^2), both with half the rotation's angle. With w = sqrt(0.15) they are the same for
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ompl import base, geometric
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "client" / "examples" / "rigid"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "src" / "rigid"))
 from checks import Scene  # noqa: E402
 
 ROTATION_WEIGHT = math.sqrt(0.15)

@@ -1,4 +1,4 @@
-"""OMPL's planners beside the example `rigid`: `tests/ompl/rigid` is the way to start it."""
+"""OMPL's planners beside the program `rigid`: `tests/ompl/rigid` is the way to start it."""
 
 import argparse
 import json
@@ -24,12 +24,13 @@ rigid: a process for each worker, a server for all, and the time includes what t
 checked for the milestone at which they are ended, is not counted."""
 
 
-def ours(examples: Path, arguments: list, directory: str) -> dict:
-    """What the example says of one run with each number of workers."""
+def ours(programs: Path, arguments: list, directory: str) -> list[tuple[dict, Run]]:
+    """What the program says of one run with each number of workers, in each of its rows."""
     figures = Path(directory, "figures.json")
-    command = [examples / "rigid", *map(str, arguments), "--scaling", "--runs", "1", "--json", figures]
+    command = [programs / "rigid", *map(str, arguments), "--scaling", "--runs", "1", "--json", figures]
     subprocess.run(command, check=True, stdout=subprocess.PIPE, cwd=directory)
-    return json.loads(figures.read_text())
+    rows = json.loads(figures.read_text())
+    return [(row, Run(row["total_s"], row["nodes"], row["checks"], (0, 0), row["path_lengths"])) for row in rows]
 
 
 def line(name: str, runs: list[Run], calls: tuple) -> str:
@@ -44,15 +45,15 @@ def line(name: str, runs: list[Run], calls: tuple) -> str:
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--examples", type=Path, required=True, help="the directory of the client's examples")
+    parser.add_argument("--programs", type=Path, required=True, help="the directory of `rigid`")
     parser.add_argument("--runs", type=int, default=21, help="how often each planner runs; medians are told")
     growing = "how many milestones the roadmaps have whose growth is compared too, by --runs / 4 runs; 0 for none"
     parser.add_argument("--milestones", type=int, default=1500, help=growing)
     parser.add_argument("--json", type=Path, help="writes all figures to a file")
     arguments = parser.parse_args()
-    examples, runs = arguments.examples.resolve(), max(arguments.runs, 1)
+    programs, runs = arguments.programs.resolve(), max(arguments.runs, 1)
     problems.seed()
-    scene = Scene(examples)
+    scene = Scene(programs)
     calls = calls_us(scene)
 
     solved: dict[str, list[Run]] = {}
@@ -60,25 +61,21 @@ def main():
     checking: list[float] = []
     few = max(runs // 4, 1) if arguments.milestones > 0 else 0
     with tempfile.TemporaryDirectory() as directory:
-        # Not counted, as the example's own first run.
+        # Not counted, as the program's own first run.
         for name in PLANNERS:
             answer(scene, name)
         # In turns, so that what else the machine does meets all.
         for seed in range(1, runs + 1):
             for name in PLANNERS:
                 solved.setdefault(f"OMPL {name}", []).append(answer(scene, name))
-            for one in ours(examples, ["--until-solved", "--seed", seed], directory)["until_solved"]:
-                run = Run(one["seconds"], one["milestones"], one["checks"], (0, 0), one["path_lengths"])
-                solved.setdefault(f"rigid, {workers(one['workers'])}", []).append(run)
-                if one["workers"] == 1:
-                    checking.append(one["checking_seconds"] / one["checks"])
+            for row, run in ours(programs, ["--until-solved", "--seed", seed], directory):
+                solved.setdefault(f"rigid, {workers(row['workers'])}", []).append(run)
+                if row["workers"] == 1:
+                    checking.append(row["check_s"] / row["checks"])
         for seed in range(1, few + 1):
             grown.setdefault("OMPL PRM*", []).append(grow(scene, arguments.milestones))
-            for one in ours(examples, ["--milestones", arguments.milestones, "--seed", seed], directory)["runs"]:
-                of = one["workers"]
-                milestones, checks = (sum(worker[figure] for worker in of) for figure in ("milestones", "checks"))
-                name = f"rigid, {workers(len(of))}, {one['source']}"
-                run = Run(one["seconds"], milestones, checks, (0, 0), one["path_lengths"])
+            for row, run in ours(programs, ["--milestones", arguments.milestones, "--seed", seed], directory):
+                name = f"rigid, {workers(row['workers'])}, {row['source']}"
                 grown.setdefault(name, []).append(run)
     check = median(checking) * 1e9
 

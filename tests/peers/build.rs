@@ -1,10 +1,15 @@
-//! Compiles the peers that are written in C++, for this CPU, and links their libraries.
+//! Compiles the peers that are written in C++, for this CPU, and links their libraries. With `PEERS_CPP=off` it does
+//! neither, so that the Rust code can be checked where they are not installed.
 
 use std::{env, fs, path::PathBuf};
 
 fn main() {
     println!("cargo::rerun-if-changed=cpp");
     println!("cargo::rerun-if-env-changed=PEERS_PORTABLE");
+    println!("cargo::rerun-if-env-changed=PEERS_CPP");
+    if env::var("PEERS_CPP").is_ok_and(|cpp| cpp == "off") {
+        return;
+    }
     let mut build = cc::Build::new();
     build
         .cpp(true)

@@ -24,3 +24,8 @@ pub use stubs::{Stubs, bits, neighbor_rows, row_states};
 #[cfg(doctest)]
 #[doc = include_str!("../../README.md")]
 struct Readme;
+
+/// Compiles the examples of the page on Rust.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/rust.md")]
+struct RustPage;

@@ -11,7 +11,7 @@ from processes import PATIENCE_S, Server
 
 INDEX = "prm"
 SEED = 5
-# Those of the example `rigid`, and where their first neighbours come from.
+# Those of the program `rigid`, and where their first neighbours come from.
 SOURCES = ["server", "replica"]
 FORMS = ["protobuf", "json"]
 # How many milestones each worker over Zenoh makes at least.
@@ -53,8 +53,7 @@ class Planner:
 
 def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
     """Builds a roadmap in the index, which exists, and checks it; returns a summary."""
-    examples = programs / "examples"
-    rigid, worker = examples / "rigid", Path(__file__).with_name("roadmap.py")
+    rigid, worker = programs / "rigid", Path(__file__).with_name("roadmap.py")
     planners = []
     try:
         for number, source in enumerate(SOURCES):
@@ -62,7 +61,7 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
             job |= {"source": source, "batch": 3, "min-separation": 0.0, "progress-ms": 0}
             planners.append(Planner([rigid, "work", *(f"--{name}={value}" for name, value in job.items())]))
         for number, form in enumerate(FORMS, len(SOURCES)):
-            job = [server.locator, INDEX, form, number, SEED, milestones, LEAST, examples, stubs]
+            job = [server.locator, INDEX, form, number, SEED, milestones, LEAST, programs, stubs]
             planners.append(Planner([sys.executable, worker, *map(str, job)]))
         for planner in planners:
             if planner.next() != "ready":

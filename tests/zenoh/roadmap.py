@@ -1,9 +1,9 @@
-"""A worker of the example `rigid` in Python, over Zenoh:
-roadmap.py LOCATOR INDEX FORM NUMBER SEED MILESTONES LEAST EXAMPLES STUBS.
+"""A worker of the program `rigid` in Python, over Zenoh:
+roadmap.py LOCATOR INDEX FORM NUMBER SEED MILESTONES LEAST PROGRAMS STUBS.
 
-It keeps what `client/examples/rigid/milestone.rs` says of milestones, and makes those that `worker.rs` would make. It looks
+It keeps what `examples/src/rigid/milestone.rs` says of milestones, and makes those that `worker.rs` would make. It looks
 at its first state, says that it is ready, and waits for a line; then it extends the roadmap until there are so many
-milestones, at least LEAST of them its own. It tells its progress as the example's own workers do.
+milestones, at least LEAST of them its own. It tells its progress as the program's own workers do.
 """
 
 import json
@@ -16,7 +16,7 @@ from pathlib import Path
 from faces import Json, Protobuf, connect
 from processes import load_stubs
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "client" / "examples" / "rigid"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "src" / "rigid"))
 from checks import Scene  # noqa: E402
 
 PENDING = 1
@@ -169,12 +169,12 @@ def tell(line):
 
 
 def main():
-    locator, index, form, number, seed, milestones, least, examples, stubs = sys.argv[1:]
+    locator, index, form, number, seed, milestones, least, programs, stubs = sys.argv[1:]
     index_pb, pb = load_stubs(stubs)
     session = connect(locator)
     face = Json(session) if form == "json" else Protobuf(session, pb.Status)
     described = face.ask(f"{index}/info", index_pb.GetIndexRequest(name=index), index_pb.GetIndexResponse)
-    worker = Worker(face, pb, index, described.index.uid, Scene(Path(examples)), int(number), int(seed))
+    worker = Worker(face, pb, index, described.index.uid, Scene(Path(programs)), int(number), int(seed))
     checked = worker.look(worker.sample())
     tell("ready")
     sys.stdin.readline()

@@ -1,4 +1,4 @@
-//! The flags, and the page that `--help` prints.
+//! The command line flags and the `--help` page.
 
 use std::{collections::BTreeMap, env, path::PathBuf};
 
@@ -9,7 +9,7 @@ use crate::{
     observe::LogFormat,
 };
 
-// Kept to 80 columns: clap breaks longer lines where it must, and so breaks the tables.
+// Lines stay within 80 columns: clap wraps longer ones, which breaks the tables.
 const ABOUT: &str = "\
 Wayfold: shared nearest-neighbour indices for sampling-based motion planners.
 
@@ -20,20 +20,20 @@ force.";
 
 const AFTER: &str = "\
 Settings:
-  Everything else is set in a file or in the environment. --print-config prints
-  all settings with their defaults and what they mean. Flags win over the
-  environment, the environment wins over the file:
+  A file or the environment sets everything else. --print-config prints all
+  settings with their defaults and explanations. Flags override the environment,
+  the environment overrides the file:
     in the file          [limits]
                          k = 500
     in the environment   WAYFOLD_LIMITS__K=500
 
 Examples:
   wayfold-server                             this machine only, port 50051
-  wayfold-server --grpc 127.0.0.1:0          any free port; the first line says it
+  wayfold-server --grpc 127.0.0.1:0          any free port; the first line names it
   wayfold-server --zenoh off                 gRPC only
-  wayfold-server --data /var/lib/wayfold     indices are kept there
-  wayfold-server --data memory               and here they are gone with the server
-  wayfold-server --grpc 0.0.0.0:50051        every network; no authentication yet
+  wayfold-server --data /var/lib/wayfold     keeps the indices there
+  wayfold-server --data memory               loses the indices when it stops
+  wayfold-server --grpc 0.0.0.0:50051        every network, without authentication
   wayfold-server --print-config > my.toml    a file to edit, for --config my.toml
   wayfold-server --log wayfold_server=debug  a log line for every call
 
@@ -43,31 +43,32 @@ Examples:
   wayfold knn arm --state 0,0,0,0,0,0,1 -k 10
 
 Output:
-  Standard output gets a line `listening on http://ADDRESS` once calls are
-  answered, one `listening on tcp/ADDRESS` for Zenoh, and then what to type next. Log lines go to standard error.
+  Once the server answers calls, it prints a line `listening on http://ADDRESS`
+  to standard output, a line `listening on tcp/ADDRESS` for Zenoh, and the next
+  commands to type. Log lines go to standard error.
 
 Data:
-  Indices are kept in ./wayfold-data, and every mutation that was acknowledged is
-  on disk; see data.durability in --print-config. A server that starts answers
+  Indices are kept in ./wayfold-data, and every acknowledged mutation is on disk;
+  see data.durability in --print-config. While the server starts, calls fail with
   UNAVAILABLE until it has read its indices.
 
 Stopping:
-  On SIGINT (Ctrl-C) or SIGTERM the server takes no new calls, finishes those it
-  accepted, and exits. A second signal ends it at once.
+  On SIGINT (Ctrl-C) or SIGTERM the server refuses new calls, finishes the accepted
+  ones, and exits. A second signal ends it at once.
 
 Exit status:
-  0          stopped, with every accepted call finished
-  1          could not start, for example because another server uses the data
-             directory, or had to cut calls after shutdown.grace_ms
+  0          the server stopped and finished every accepted call
+  1          the server could not start, for example because another server uses
+             the data directory, or it cut calls after shutdown.grace_ms
   2          the command line or the settings are wrong
   130, 143   ended by a second SIGINT or SIGTERM
 
 Next:
   wayfold --help describes the client, proto/wayfold/v1/ the calls. The server
-  describes them too:
+  describes its calls by reflection:
   grpcurl -plaintext 127.0.0.1:50051 describe wayfold.v1.PointService";
 
-/// The flags as they were given.
+/// The parsed flags.
 #[derive(Debug, Parser)]
 #[command(
     name = "wayfold-server",
@@ -77,7 +78,7 @@ Next:
     max_term_width = 100
 )]
 pub(super) struct Flags {
-    /// Settings to take from FILE, in TOML
+    /// Read settings from FILE, in TOML
     #[arg(
         long,
         value_name = "FILE",
@@ -91,24 +92,24 @@ pub(super) struct Flags {
     /// Zenoh locator to listen on, or off [default: tcp/127.0.0.1:7448]
     #[arg(long, value_name = "LOCATOR")]
     zenoh: Option<String>,
-    /// Directory for the indices, or memory for none [default: ./wayfold-data]
+    /// Directory of the indices, or memory [default: ./wayfold-data]
     #[arg(long, value_name = "DIR")]
     data: Option<String>,
-    /// Log lines to write: error, warn, info, debug, trace [default: info]
+    /// Log level: error, warn, info, debug, trace [default: info]
     #[arg(long, value_name = "FILTER")]
     log: Option<String>,
-    /// How to write them: text, json [default: text]
+    /// Form of the log lines: text, json [default: text]
     #[arg(long, value_name = "FORMAT", hide_possible_values = true)]
     log_format: Option<LogFormat>,
-    /// Print all settings with their defaults, explained, and exit
+    /// Print all settings with defaults and explanations, and exit
     #[arg(long)]
     pub(super) print_config: bool,
 }
 
 impl Flags {
-    /// The settings of all layers.
+    /// The settings from all layers.
     pub(super) fn settings(&self) -> Result<Config, ConfigError> {
-        // A variable that is not Unicode can be none of ours.
+        // All our variables are Unicode: skip the others.
         let environment: BTreeMap<String, String> = env::vars_os()
             .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
             .collect();

@@ -1,4 +1,4 @@
-//! The command line of `wayfold-server`: settings, logging, runtime, serve, drain, exit status.
+//! The command line of `wayfold-server`: settings, logging, runtime, serving, draining, exit status.
 
 mod flags;
 mod signals;
@@ -22,16 +22,16 @@ use crate::{
 };
 use flags::Flags;
 
-/// The command line or the settings are wrong.
-const USAGE: u8 = 2;
-/// The server could not start, or calls were cut when it stopped.
-const FAILURE: u8 = 1;
+/// Exit status: the command line or the settings are wrong.
+const USAGE_STATUS: u8 = 2;
+/// Exit status: the server could not start, or cut calls when it stopped.
+const FAILURE_STATUS: u8 = 1;
 
-/// Runs the server as its command line says, until it has stopped.
+/// Runs the server that the command line describes, until it has stopped.
 pub fn main() -> ExitCode {
     let flags = Flags::parse();
     if flags.print_config {
-        // Whoever closed standard output has read enough.
+        // A failed write means that the reader closed standard output.
         let _ = io::stdout().write_all(DEFAULTS.as_bytes());
         return ExitCode::SUCCESS;
     }
@@ -41,22 +41,22 @@ pub fn main() -> ExitCode {
         Ok(config)
     }) {
         Ok(config) => config,
-        Err(error) => return fail(&*error, USAGE),
+        Err(error) => return fail(&*error, USAGE_STATUS),
     };
     match serve(config) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => fail(&*error, FAILURE),
+        Err(error) => fail(&*error, FAILURE_STATUS),
     }
 }
 
 fn fail(error: &dyn Error, status: u8) -> ExitCode {
-    // With standard error gone there is nobody left to tell.
+    // A closed standard error has no reader to report to.
     let _ = writeln!(io::stderr(), "wayfold-server: {error}");
     ExitCode::from(status)
 }
 
-/// How many threads there may be for the store, merges and all else that blocks: tokio's own number.
-const BLOCKING: usize = 512;
+/// The most threads for the store, merges and other blocking work: tokio's default.
+const BLOCKING_THREADS: usize = 512;
 
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     let mut threads = runtime::Builder::new_multi_thread();
@@ -64,16 +64,16 @@ fn serve(config: Config) -> Result<(), Box<dyn Error>> {
         threads.worker_threads(config.runtime.workers);
     }
     let waiting = zenoh::most_senders(&config.zenoh);
-    threads.max_blocking_threads(BLOCKING.saturating_add(waiting));
+    threads.max_blocking_threads(BLOCKING_THREADS.saturating_add(waiting));
     let runtime = threads.enable_all().build()?;
     let ended = runtime.block_on(listen_and_serve(config));
-    // What still runs belongs to calls that were cut.
+    // Tasks that still run belong to calls that were cut.
     runtime.shutdown_background();
     ended
 }
 
 async fn listen_and_serve(config: Config) -> Result<(), Box<dyn Error>> {
-    // Before the listener, so that a signal that comes early finds somebody.
+    // Signals are watched before the listener is bound, so that an early one is not lost.
     let shutdown = signals::first()?;
     let listen = config.grpc.listen.clone();
     let listener = TcpListener::bind(&listen)
@@ -89,17 +89,17 @@ async fn listen_and_serve(config: Config) -> Result<(), Box<dyn Error>> {
 fn cannot_listen(listen: &str, error: &io::Error) -> String {
     let advice = match error.kind() {
         io::ErrorKind::AddrInUse => {
-            "another program listens there, perhaps another wayfold-server: stop it, or choose another port; \
-             --grpc 127.0.0.1:0 takes any free one"
+            "another program listens there, perhaps another wayfold-server: stop it, or choose another port \
+             (--grpc 127.0.0.1:0 takes any free port)"
         }
         io::ErrorKind::PermissionDenied => {
-            "ports below 1024 are usually reserved: choose a higher one with --grpc"
+            "ports below 1024 usually need extra rights: choose a higher port with --grpc"
         }
         io::ErrorKind::AddrNotAvailable => {
-            "this machine does not have that address: 127.0.0.1 is for this machine only, 0.0.0.0 for every network \
-             it is on"
+            "this machine does not have that address: 127.0.0.1 serves this machine only, 0.0.0.0 every network \
+             interface"
         }
-        _ => "an address is HOST:PORT, such as 127.0.0.1:50051: give one with --grpc",
+        _ => "give an address as HOST:PORT with --grpc, such as 127.0.0.1:50051",
     };
     format!("cannot listen on {listen}: {error}\n  {advice}")
 }

@@ -1,27 +1,27 @@
-//! SIGINT and SIGTERM: the first asks the server to stop, the second ends it.
+//! SIGINT and SIGTERM: the first stops the server, the second ends the process at once.
 
 use std::{io, process};
 
 use tokio::sync::oneshot;
 use tracing::warn;
 
-/// What a shell reports for a program that a signal ended is this, plus the signal's number.
-const ENDED_BY_SIGNAL: i32 = 128;
+/// A shell reports a process that a signal ended by this plus the signal's number.
+const SIGNAL_STATUS_BASE: i32 = 128;
 
-/// Watches for signals from now on; the future ends at the first one.
+/// Watches for signals from now on. The future resolves at the first one.
 pub(super) fn first() -> io::Result<impl Future<Output = ()>> {
     let mut signals = Signals::listen()?;
-    let (tell, told) = oneshot::channel();
+    let (sender, receiver) = oneshot::channel();
     tokio::spawn(async move {
         signals.next().await;
-        // Nobody listens any more if the server has failed meanwhile.
-        let _ = tell.send(());
+        // The receiver is gone if the server has failed.
+        let _ = sender.send(());
         let number = signals.next().await;
         warn!("second signal: ending at once");
-        process::exit(ENDED_BY_SIGNAL + number);
+        process::exit(SIGNAL_STATUS_BASE + number);
     });
     Ok(async move {
-        let _ = told.await;
+        let _ = receiver.await;
     })
 }
 
@@ -29,12 +29,12 @@ pub(super) fn first() -> io::Result<impl Future<Output = ()>> {
 struct Signals {
     interrupt: tokio::signal::unix::Signal,
     terminate: tokio::signal::unix::Signal,
-    /// Never waited for: while it is listened for, a file that may not grow is an error of the write, as a full disk is,
-    /// and not the end of the server.
+    /// A handler for SIGXFSZ that nothing reads: with it, a write beyond the file size limit fails as on a full disk
+    /// instead of ending the process.
     _file_size: tokio::signal::unix::Signal,
 }
 
-/// SIGXFSZ, on every system but those on MIPS.
+/// SIGXFSZ has this number on every architecture but MIPS.
 #[cfg(unix)]
 const FILE_SIZE: i32 = 25;
 
@@ -70,7 +70,7 @@ impl Signals {
     async fn next(&mut self) -> i32 {
         const SIGINT: i32 = 2;
         if tokio::signal::ctrl_c().await.is_err() {
-            // Without Ctrl-C the server is stopped from outside.
+            // Without a Ctrl-C handler only an outside kill stops the server.
             std::future::pending::<()>().await;
         }
         SIGINT

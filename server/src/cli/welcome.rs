@@ -1,4 +1,4 @@
-//! What the server prints when it is ready: its address, for programs, and what to type next, for people.
+//! The welcome on standard output: the addresses first, for programs, then the next commands, for people.
 
 use std::{
     env,
@@ -9,18 +9,21 @@ use std::{
 
 use crate::run::Addresses;
 
-/// Where the client looks for a server unless it is told otherwise.
+/// The port that the client connects to by default.
 const DEFAULT_PORT: u16 = 50051;
+
+/// Runs the client from the source tree.
+const CARGO_CLIENT: &str = "cargo run --release -p wayfold-cli --";
 
 /// Prints the welcome to standard output.
 pub(super) fn print(addresses: &Addresses, directory: Option<&Path>) {
-    // Cargo tells what it runs where it is; somebody who built it just now has no `wayfold` on the path.
+    // Under `cargo run` the `wayfold` binary is probably not on the path.
     let client = match env::var_os("CARGO_MANIFEST_DIR") {
-        Some(_) => "cargo run --release -p wayfold --",
+        Some(_) => CARGO_CLIENT,
         None => "wayfold",
     };
     let mut out = io::stdout().lock();
-    // A server whose output nobody reads goes on all the same.
+    // The server keeps running without a reader of its output.
     let _ = out.write_all(text(addresses, directory, client).as_bytes());
     let _ = out.flush();
 }
@@ -31,9 +34,11 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
     let zenoh: String = zenoh
         .map(|locator| format!("listening on {locator}\n"))
         .collect();
-    let kept = match directory {
+    let storage = match directory {
         Some(directory) => format!("Indices are kept in {}.", directory.display()),
-        None => "Indices live in memory and are gone when the server stops (Ctrl-C).".to_owned(),
+        None => {
+            "Indices are kept in memory and are lost when the server stops (Ctrl-C).".to_owned()
+        }
     };
     let client = if address.port() == DEFAULT_PORT {
         client.to_owned()
@@ -44,7 +49,7 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
         "listening on http://{address}\n\
          {zenoh}\
          \n\
-         {kept} Next, in another terminal:\n\
+         {storage} Next, in another terminal:\n\
          \x20 {client} create arm --space 'R3*SO3:0.15'\n\
          \x20 echo '0.1,0.2,0.3,0,0,0,1' | {client} insert arm -\n\
          \x20 {client} knn arm --state 0,0,0,0,0,0,1 -k 1\n\
@@ -73,6 +78,16 @@ mod tests {
             grpc: grpc.parse().unwrap(),
             zenoh: zenoh.iter().map(ToString::to_string).collect(),
         }
+    }
+
+    #[test]
+    fn cargo_runs_the_package_of_the_client() {
+        let manifest = concat!(env!("CARGO_MANIFEST_DIR"), "/../client/cli/Cargo.toml");
+        let manifest = std::fs::read_to_string(manifest).unwrap();
+        let (_, package) = CARGO_CLIENT.split_once("-p ").unwrap();
+        let package = package.trim_end_matches(" --");
+        assert!(manifest.contains(&format!("\nname = \"{package}\"\n")));
+        assert!(manifest.contains("\n[[bin]]\nname = \"wayfold\"\n"));
     }
 
     #[test]

@@ -1,10 +1,10 @@
-//! What can be wrong with settings.
+//! Errors in the settings.
 
 use std::{io, path::PathBuf};
 
 use thiserror::Error;
 
-/// Why the settings could not be taken. Every message names the key and where it was set.
+/// Why the settings could not be loaded. Every message names the key and its origin.
 #[derive(Debug, Error)]
 pub enum ConfigError {
     /// The file cannot be read.
@@ -12,49 +12,49 @@ pub enum ConfigError {
     Read {
         /// The file.
         file: PathBuf,
-        /// Why.
+        /// The cause.
         source: io::Error,
     },
-    /// The file is not TOML.
+    /// The file is not valid TOML.
     #[error("{origin} is not valid TOML: {problem}")]
     Syntax {
         /// The file.
         origin: String,
-        /// What is wrong, and where.
+        /// The problem and its line.
         problem: String,
     },
-    /// There is no such setting.
+    /// The setting does not exist.
     #[error(
         "{origin}: there is no setting `{key}`; did you mean `{nearest}`? (wayfold-server --print-config lists all)"
     )]
     Unknown {
-        /// Where it was set.
+        /// The origin: a file, an environment variable or the command line.
         origin: String,
-        /// What was set.
+        /// The key that was set.
         key: String,
-        /// The setting whose name is most like it, written as the origin writes it.
+        /// The setting with the most similar name, spelled as the origin spells settings.
         nearest: String,
     },
-    /// The value is of another type than the setting.
+    /// The value has the wrong type.
     #[error("{origin}: `{key}` takes {expected}, not {found}")]
     Type {
-        /// Where it was set.
+        /// The origin: a file, an environment variable or the command line.
         origin: String,
         /// The setting.
         key: String,
-        /// What it takes.
+        /// The type of the setting.
         expected: &'static str,
-        /// What it was given.
+        /// The value that was set.
         found: String,
     },
-    /// The value is of the right type, and yet none that the setting can have.
+    /// The value has the right type but is out of range.
     #[error("{origin}: `{key}`: {problem}")]
     Value {
-        /// Where it was set.
+        /// The origin: a file, an environment variable or the command line.
         origin: String,
         /// The setting.
         key: String,
-        /// Why not.
+        /// The problem.
         problem: String,
     },
 }

@@ -1,5 +1,5 @@
-//! Puts the layers one over the other. Each value is checked against its default before, so that an error can name
-//! the layer it came from: every setting has a default, which says what exists and of which type it is.
+//! Merges the layers of settings. Every setting has a default, which defines its name and type. Each value is checked
+//! against its default before the merge, so that an error can name the layer it came from.
 
 use std::{
     collections::BTreeMap,
@@ -14,7 +14,7 @@ use super::{Config, ConfigError, DEFAULTS, nearest::nearest};
 const PREFIX: &str = "WAYFOLD_";
 const SEPARATOR: &str = "__";
 
-/// Settings for which 0 means something, as `default.toml` explains.
+/// Settings that may be 0; `default.toml` says what 0 means for each.
 const MAY_BE_ZERO: [&str; 5] = [
     "grpc.keepalive_interval_ms",
     "limits.operations_remembered",
@@ -79,20 +79,20 @@ fn flatten(key: String, value: Value, settings: &mut Settings) {
                 flatten(format!("{key}.{inner}"), value, settings);
             }
         }
-        // An empty section sets nothing, but a wrong name is wrong also there.
+        // An empty section sets nothing; it is kept so that an unknown name is still refused.
         _ => {
             settings.insert(key, value);
         }
     }
 }
 
-/// The key that an environment variable sets, or None for a variable that is none of ours.
+/// The key that an environment variable sets, or None for a variable of another program.
 fn key_of_variable(name: &str, defaults: &Settings) -> Result<Option<String>, ConfigError> {
     let Some(written) = name.strip_prefix(PREFIX) else {
         return Ok(None);
     };
     if !written.contains(SEPARATOR) {
-        // Other programs of the family have variables too, so only what is almost one of ours is an error.
+        // Wayfold's other programs read variables with this prefix, so only a near match is an error.
         let collapsed = |key: &&String| key.replace('.', "_").eq_ignore_ascii_case(written);
         return match defaults.keys().find(collapsed) {
             Some(key) => Err(ConfigError::Unknown {
@@ -119,7 +119,7 @@ fn variable_of_key(key: &str) -> String {
     format!("{PREFIX}{}", key.replace('.', SEPARATOR).to_uppercase())
 }
 
-/// A layer of one value that was written as text, read as the type of its default.
+/// A layer of one value, parsed from text as the type of its default.
 fn typed_text(
     origin: &str,
     key: String,
@@ -143,7 +143,7 @@ fn typed_text(
     Ok(Settings::from([(key, Value::new(None, kind))]))
 }
 
-/// Puts `layer` over `settings`, after a check of each value against its default.
+/// Checks each value of `layer` against its default, then lets it override `settings`.
 fn overlay(
     settings: &mut Settings,
     defaults: &Settings,
@@ -188,7 +188,7 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
             return Err(ConfigError::Value {
                 origin: origin.to_owned(),
                 key: key.to_owned(),
-                problem: "it is empty; leave it out for the default".to_owned(),
+                problem: "it is empty; leave the setting out to get the default".to_owned(),
             });
         }
         (ValueKind::String(_), ValueKind::String(_)) => return Ok(()),
@@ -206,7 +206,7 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
     })
 }
 
-/// The typed settings. What can still be wrong is a value outside of the range of its type.
+/// The typed settings. A value outside the range of its type can still fail here.
 fn build(settings: Settings) -> Result<Config, ConfigError> {
     let mut builder = config::Config::builder();
     for (key, value) in &settings {

@@ -1,4 +1,4 @@
-//! The settings: `default.toml`, then `--config FILE`, then the environment, then flags.
+//! The settings: `default.toml`, overridden by `--config FILE`, the environment and the flags, in this order.
 
 mod error;
 mod layers;
@@ -22,17 +22,17 @@ pub struct Config {
     pub grpc: GrpcConfig,
     /// The Zenoh face.
     pub zenoh: ZenohConfig,
-    /// What a call may ask for.
+    /// Limits on calls.
     pub limits: Limits,
-    /// The structure of the indices.
+    /// The structure of the indices in memory.
     pub index: IndexConfig,
     /// Threads.
     pub runtime: RuntimeConfig,
-    /// Stopping.
+    /// Shutdown.
     pub shutdown: ShutdownConfig,
     /// Log lines.
     pub log: LogConfig,
-    /// Where the indices are kept.
+    /// Storage of the indices.
     pub data: DataConfig,
 }
 
@@ -41,19 +41,19 @@ pub struct Config {
 pub struct GrpcConfig {
     /// The address to listen on, as `host:port`.
     pub listen: String,
-    /// The largest request message in bytes.
+    /// The largest request message, in bytes.
     pub max_message_bytes: usize,
-    /// Most calls under way.
+    /// The most calls in flight.
     pub max_calls: usize,
-    /// Most calls under way on one connection.
+    /// The most calls in flight on one connection.
     pub max_calls_per_connection: u32,
-    /// Most open connections.
+    /// The most open connections.
     pub max_connections: usize,
-    /// Most requests of one `StreamKnn` evaluated at a time.
+    /// The most requests of one `StreamKnn` that are evaluated at a time.
     pub stream_window: usize,
-    /// Silence after which a connection is probed, in milliseconds; 0 for never.
+    /// A connection is probed after this much silence, in milliseconds; 0 for never.
     pub keepalive_interval_ms: u64,
-    /// How long a probed connection may take to answer, in milliseconds.
+    /// A probed connection is closed without an answer after this time, in milliseconds.
     pub keepalive_timeout_ms: u64,
 }
 
@@ -62,21 +62,21 @@ pub struct GrpcConfig {
 pub struct ZenohConfig {
     /// The locator to listen on, as `tcp/host:port`, or [`ZenohConfig::OFF`].
     pub listen: String,
-    /// With what every key begins.
+    /// The prefix of every key.
     pub prefix: String,
-    /// Most queries under way.
+    /// The most queries in flight.
     pub max_calls: usize,
-    /// The largest payload of a query in bytes.
+    /// The largest payload of a query, in bytes.
     pub max_message_bytes: usize,
-    /// What else Zenoh has to set, in JSON5.
+    /// Further settings of Zenoh, in JSON5.
     pub config: String,
 }
 
 impl ZenohConfig {
-    /// In the place of a locator: there is no Zenoh face.
+    /// The locator that turns Zenoh off.
     pub const OFF: &str = "off";
 
-    /// Whether there is no Zenoh face.
+    /// True if Zenoh is off.
     pub(crate) fn is_off(&self) -> bool {
         self.listen == Self::OFF
     }
@@ -89,11 +89,11 @@ pub struct IndexConfig {
     pub growing_rows: usize,
     /// Points in a leaf.
     pub leaf_rows: usize,
-    /// Merges at a time.
+    /// The most merges at a time, over all indices.
     pub merge_threads: usize,
-    /// Bytes of recent mutations kept for each index.
+    /// Bytes of recent mutations that each index keeps, about.
     pub window_bytes: usize,
-    /// For how long it keeps them, in seconds.
+    /// The age up to which it keeps them, in seconds.
     pub window_seconds: u64,
 }
 
@@ -112,48 +112,48 @@ impl IndexConfig {
 /// `[runtime]`
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct RuntimeConfig {
-    /// Threads that answer calls; 0 for one a core.
+    /// Threads that answer calls; 0 for one per core.
     pub workers: usize,
 }
 
 /// `[shutdown]`
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ShutdownConfig {
-    /// How long accepted calls may take to finish, in milliseconds.
+    /// The time that accepted calls have to finish, in milliseconds.
     pub grace_ms: u64,
 }
 
 /// `[log]`
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct LogConfig {
-    /// Which lines are written.
+    /// The filter of log lines: a level, or levels by module.
     pub filter: String,
-    /// In which form.
+    /// The form of log lines.
     pub format: LogFormat,
 }
 
 /// `[data]`
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct DataConfig {
-    /// The directory to keep the indices in, or [`DataConfig::MEMORY`].
+    /// The directory of the indices, or [`DataConfig::MEMORY`].
     pub dir: String,
-    /// What an acknowledged mutation survives.
+    /// The failures that an acknowledged mutation survives.
     pub durability: Durability,
 }
 
 impl DataConfig {
-    /// In the place of a directory: the indices live in memory alone.
+    /// The directory that stands for none: indices are kept in memory only.
     pub const MEMORY: &str = "memory";
 
-    /// The directory, if there is one.
+    /// The directory; None if the indices are kept in memory.
     pub(crate) fn directory(&self) -> Option<&Path> {
         (self.dir != Self::MEMORY).then(|| Path::new(&self.dir))
     }
 }
 
 impl Config {
-    /// The settings from all layers: the defaults, `file` if given, the `environment`, and `flags`, which are pairs of
-    /// a key such as `grpc.listen` and its value.
+    /// Loads the settings from all layers: the defaults, the `file` if given, the `environment`, and the `flags`, which are
+    /// pairs of a key such as `grpc.listen` and its value. A later layer overrides an earlier one.
     pub fn load(
         file: Option<&Path>,
         environment: &BTreeMap<String, String>,
@@ -165,6 +165,6 @@ impl Config {
 
 impl Default for Config {
     fn default() -> Self {
-        layers::load(None, &BTreeMap::new(), &[]).expect("default.toml is whole")
+        layers::load(None, &BTreeMap::new(), &[]).expect("default.toml is valid")
     }
 }

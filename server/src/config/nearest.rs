@@ -1,7 +1,7 @@
-//! Finds what somebody meant who misspelt a name.
+//! Finds the known name closest to a misspelt one.
 
-/// The one of `known` that is most like `written`; the first of several. Also its last part is compared, for the key
-/// that was written outside of its section.
+/// The name in `known` closest to `written`, the first one on a tie. The last parts are compared too, for a key that was
+/// written outside its section.
 pub(super) fn nearest<'a>(written: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     known.min_by_key(|candidate| {
         let whole = distance(written, candidate);
@@ -13,7 +13,7 @@ fn last(key: &str) -> &str {
     key.rsplit('.').next().unwrap_or(key)
 }
 
-/// How many characters must be inserted, removed or exchanged to make `a` of `b` (Levenshtein).
+/// The Levenshtein distance between `a` and `b`.
 fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
@@ -47,7 +47,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_is_what_was_meant() {
+    fn a_misspelt_name_finds_its_setting() {
         let known = ["grpc.listen", "grpc.max_calls", "limits.k", "log.filter"];
         for (written, meant) in [
             ("grpc.listne", "grpc.listen"),

@@ -17,7 +17,7 @@ use tower::{Layer, Service};
 use tracing::Instrument;
 
 use super::{body::CallBody, deadline, refusals};
-use crate::{capacity::Capacity, observe::CallRecord, service::Call};
+use crate::{admission::Admission, observe::CallRecord, service::Call};
 
 /// The calls that this layer is for.
 const OURS: &str = "/wayfold.v1.";
@@ -39,7 +39,7 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
 /// Wraps services in [`Calls`].
 #[derive(Clone, Debug)]
 pub(crate) struct CallsLayer {
-    pub(crate) capacity: Capacity,
+    pub(crate) capacity: Admission,
     pub(crate) max_message_bytes: usize,
 }
 
@@ -154,7 +154,7 @@ mod tests {
         }
     }
 
-    async fn call(capacity: &Capacity, answer: fn() -> Response<Body>) -> Response<Body> {
+    async fn call(capacity: &Admission, answer: fn() -> Response<Body>) -> Response<Body> {
         let layer = CallsLayer {
             capacity: capacity.clone(),
             max_message_bytes: 1000,
@@ -166,7 +166,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_call_that_panics_is_a_bug_and_frees_its_place() {
-        let capacity = Capacity::new(1);
+        let capacity = Admission::new(1);
         for _ in 0..2 {
             let answer = call(&capacity, || panic!("a bug")).await;
             let status = Status::from_header_map(answer.headers()).unwrap();
@@ -178,7 +178,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place() {
-        let capacity = Capacity::new(1);
+        let capacity = Admission::new(1);
         let answer = call(&capacity, || {
             let parts = stream::once(async { panic!("a bug") });
             let encoder = tonic_prost::ProstEncoder::<()>::default();

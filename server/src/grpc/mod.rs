@@ -25,7 +25,7 @@ use index_service::IndexFace;
 use point_service::{PointFace, TolerantPointServer};
 use stream_knn::KnnStreams;
 
-use crate::{capacity::Capacity, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
+use crate::{admission::Admission, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
 
 /// Why the gRPC face could not be served.
 #[derive(Debug, Error)]
@@ -49,7 +49,7 @@ pub(crate) async fn serve(
     service: Service,
     phases: PhaseWatch,
     listener: TcpListener,
-    capacity: Capacity,
+    capacity: Admission,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
     let points = TolerantPointServer::new(PointFace {

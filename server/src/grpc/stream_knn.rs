@@ -23,7 +23,7 @@ use wayfold_proto::v1;
 
 use super::{calls::call_of, refusals};
 use crate::{
-    brevity::Brevity,
+    latency_gate::LatencyGate,
     lifecycle::PhaseWatch,
     service::{Call, Service},
     status,
@@ -71,7 +71,7 @@ impl KnnStreams {
             ended: false,
         };
         let service = self.service.clone();
-        let brevity = Arc::new(Brevity::new(BRIEF));
+        let brevity = Arc::new(LatencyGate::new(BRIEF));
         stream::unfold(reader, Reader::next)
             .map(move |read| answer_one(service.clone(), Arc::clone(&brevity), call, read))
             .buffered(self.window)
@@ -82,7 +82,7 @@ impl KnnStreams {
 /// The answer to what was read; an error ends the stream.
 async fn answer_one(
     service: Service,
-    brevity: Arc<Brevity>,
+    brevity: Arc<LatencyGate>,
     call: Call,
     read: Read,
 ) -> Result<v1::StreamKnnResponse, Status> {

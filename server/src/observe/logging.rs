@@ -1,4 +1,4 @@
-//! Log lines: to standard error, as text or as JSON, through a filter.
+//! Log lines: filtered, as text or JSON, on standard error.
 
 use std::io::{self, IsTerminal};
 
@@ -43,22 +43,21 @@ pub enum LoggingError {
     Filter {
         /// The filter.
         filter: String,
-        /// What is wrong with it.
+        /// The problem.
         source: ParseError,
     },
-    /// Something in this process logs already.
-    #[error("logging was started already: {0}")]
+    /// This process has a logger already.
+    #[error("this process has a logger already: {0}")]
     Started(#[from] TryInitError),
 }
 
-/// Libraries that write lines of their own, which say what this server says better or nothing that helps: silent unless
-/// the filter names them.
-const SILENT: [&str; 3] = ["zenoh", "fjall", "lsm_tree"];
+/// These libraries log only if the filter names them: their lines repeat the server's, or do not help.
+const SILENCED_LIBRARIES: [&str; 3] = ["zenoh", "fjall", "lsm_tree"];
 
-/// Sends the log lines of this process that pass `filter` to standard error.
+/// Starts logging to standard error: the lines of this process that pass `filter`.
 pub(crate) fn start(filter: &str, format: LogFormat) -> Result<(), LoggingError> {
     let mut lines = EnvFilter::try_new(filter);
-    for library in SILENT {
+    for library in SILENCED_LIBRARIES {
         if !filter.contains(library) {
             let directive = format!("{library}=off").parse();
             lines = lines.and_then(|lines| Ok(lines.add_directive(directive?)));

@@ -1,4 +1,4 @@
-//! What the server tells of itself: log lines on standard error, and a span with an outcome for every call.
+//! Log lines on standard error, and a span with an outcome for every call.
 
 mod call;
 mod logging;

@@ -1,23 +1,23 @@
-//! Why the registry refused.
+//! Errors of the registry.
 
 use thiserror::Error;
 use wayfold_index::Space;
 
 use crate::log::{LogError, Uid};
 
-/// Why the registry refused, or failed.
+/// Why a call of the registry failed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum RegistryError {
-    /// The index is not there, or not any more.
+    /// The index does not exist, or no longer.
     #[error("the index was deleted")]
     Deleted,
-    /// An index of this name exists with another space.
+    /// An index of this name exists and has another space.
     #[error("an index of this name exists with the space {space}")]
     Exists {
         /// Its space.
         space: Space,
     },
-    /// An index of this name exists, and a restored one cannot be it.
+    /// An index of this name exists, so none can be restored under it.
     #[error("an index of this name exists")]
     Taken,
     /// The index has another uid.
@@ -26,16 +26,16 @@ pub enum RegistryError {
         /// Its uid.
         found: Uid,
     },
-    /// There are as many indices as there may be.
-    #[error("there are {limit} indices already")]
+    /// The registry has reached its limit of indices.
+    #[error("the server holds {limit} indices, the limit")]
     Full {
-        /// How many there may be.
+        /// The limit.
         limit: usize,
     },
-    /// The index stopped in the middle of a mutation: a bug.
-    #[error("a mutation of the index did not come to its end")]
+    /// A task of the index panicked or was aborted: a bug.
+    #[error("a task of the index did not finish")]
     Stopped,
-    /// The log refused, or failed.
+    /// The log failed.
     #[error(transparent)]
     Log(LogError),
 }

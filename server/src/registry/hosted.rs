@@ -1,4 +1,4 @@
-//! One index of the registry: what its readers see, and the way to its writer.
+//! One index: the state that its readers see, and access to its writer.
 
 use std::{
     collections::VecDeque,
@@ -12,20 +12,21 @@ use tracing::{debug, warn};
 use wayfold_index::{Snapshot, Space};
 
 use super::{
-    Host, OperationWindow, RegistryError, WriteGuard, Writer, merging::Ran, recent::Recent,
+    Host, OperationWindow, RegistryError, WriteGuard, Writer, merging::FinishedMerge,
+    recent::RecentRecords,
 };
 use crate::log::{Effects, Entry, Keep, LogError, Record, Uid, View};
 
-/// A mutation of more points or more bytes than these, or one that changes points that there are, is committed on a thread
-/// of its own: it would hold up the calls that share the caller's.
-const POINTS_IN_PLACE: usize = 1024;
-const BYTES_IN_PLACE: usize = 128 * 1024;
+/// A mutation above these sizes, or one that changes existing points, is committed on a blocking thread. Inline it would
+/// delay the calls that share the caller's thread.
+const MAX_INLINE_POINTS: usize = 1024;
+const MAX_INLINE_BYTES: usize = 128 * 1024;
 
-/// One frozen revision of an index, for as long as it is held.
+/// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
     /// The points, for search.
     pub snapshot: Snapshot,
-    /// The same points as the log stores them, with payloads.
+    /// The same points in the log, with payloads.
     pub view: Arc<dyn View>,
     /// The revision of both.
     pub revision: u64,
@@ -40,30 +41,30 @@ pub struct Hosted {
     pub(super) host: Arc<Host>,
     state: watch::Sender<State>,
     writer: Arc<Mutex<Writer>>,
-    /// Merges that are to be swapped in.
-    pub(super) ran: parking_lot::Mutex<Vec<Ran>>,
-    /// The head's revision when it was last looked whether anybody writes, and when nobody did.
-    pub(super) looked_at: AtomicU64,
-    pub(super) paused_at: AtomicU64,
+    /// Merges that wait to be swapped in.
+    pub(super) finished_merges: parking_lot::Mutex<Vec<FinishedMerge>>,
+    /// The head's revision at the last check for idleness, and at the last check that found the index idle.
+    pub(super) last_seen_revision: AtomicU64,
+    pub(super) last_idle_revision: AtomicU64,
     unsynced: parking_lot::Mutex<Unsynced>,
-    recent: parking_lot::Mutex<Recent>,
+    recent: parking_lot::Mutex<RecentRecords>,
 }
 
-/// Heads that are not yet as durable as configured.
+/// Heads that are not yet as durable as configured, and so not published.
 #[derive(Default)]
 struct Unsynced {
-    /// The oldest first.
+    /// Oldest first.
     heads: VecDeque<Arc<Published>>,
-    /// Whether somebody sees to it that they are published.
+    /// True if a task publishes them.
     publishing: bool,
 }
 
 struct State {
-    /// The writer's head, in its newest form.
+    /// The writer's head, with all finished merges.
     head: Arc<Published>,
     /// The newest revision that is as durable as configured.
     published: Arc<Published>,
-    /// Why there will be no other.
+    /// The error that closed the index; no later state comes.
     closed: Option<RegistryError>,
 }
 
@@ -82,11 +83,11 @@ impl Hosted {
             host: Arc::clone(host),
             state: watch::Sender::new(state),
             writer: Arc::new(Mutex::new(writer)),
-            ran: parking_lot::Mutex::default(),
-            looked_at: AtomicU64::new(u64::MAX),
-            paused_at: AtomicU64::new(u64::MAX),
+            finished_merges: parking_lot::Mutex::default(),
+            last_seen_revision: AtomicU64::new(u64::MAX),
+            last_idle_revision: AtomicU64::new(u64::MAX),
             unsynced: parking_lot::Mutex::default(),
-            recent: parking_lot::Mutex::new(Recent::new(host.options.window_bytes)),
+            recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
         })
     }
 
@@ -110,17 +111,17 @@ impl Hosted {
         &self.space
     }
 
-    /// What readers see now.
+    /// The state that readers see.
     pub fn published(&self) -> Arc<Published> {
         Arc::clone(&self.state.borrow().published)
     }
 
-    /// What the writer is at, which readers may not be shown yet.
+    /// The writer's head, which readers may not see yet.
     pub fn newest(&self) -> Arc<Published> {
         Arc::clone(&self.state.borrow().head)
     }
 
-    /// Waits until readers see `revision`, or a later one.
+    /// Waits until `revision` or a later one is published.
     pub async fn reached(&self, revision: u64) -> Result<Arc<Published>, RegistryError> {
         let published = self.published();
         if published.revision >= revision {
@@ -137,26 +138,26 @@ impl Hosted {
         }
     }
 
-    /// The mutations after the revision `after` that readers see, the first of them that take `most` bytes (see
-    /// [`Effects::bytes`]), but at least one unless there are none. [`LogError::Trimmed`] if they are not held any more.
+    /// The published mutations after the revision `after`: the first ones that fit into `max_bytes` (see
+    /// [`Effects::bytes`]), but at least one if there is any. [`LogError::Trimmed`] if the log no longer holds them.
     pub async fn mutations(
         self: &Arc<Self>,
         after: u64,
-        most: usize,
+        max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, RegistryError> {
         let last = self.published().revision;
-        if let Some(records) = self.recent.lock().after(after, last, most) {
+        if let Some(records) = self.recent.lock().after(after, last, max_bytes) {
             return Ok(records);
         }
         let hosted = Arc::clone(self);
-        let read = move || hosted.host.log.tail(hosted.uid, Some(after), most);
+        let read = move || hosted.host.log.tail(hosted.uid, Some(after), max_bytes);
         let read = tokio::task::spawn_blocking(read).await;
         let mut records = read.map_err(|_| RegistryError::Stopped)??;
         records.retain(|record| record.revision() <= last);
         Ok(records)
     }
 
-    /// The records after `revision` up to the head of `writer`, the index's own; None if they are not all at hand.
+    /// The records after `revision` up to the head of `writer`, this index's writer; None if some are not cached.
     pub fn records_since(&self, revision: u64, writer: &Writer) -> Option<Vec<Arc<Record>>> {
         let head = writer.head().revision;
         if revision == head {
@@ -165,7 +166,7 @@ impl Hosted {
         self.recent.lock().after(revision, head, usize::MAX)
     }
 
-    /// Waits for the writer; those who wait get it in the order in which they came.
+    /// Waits for the writer, in the order of arrival.
     pub async fn write(&self) -> Result<WriteGuard, RegistryError> {
         let writer = self.write_closed().await;
         match &self.state.borrow().closed {
@@ -174,25 +175,25 @@ impl Hosted {
         }
     }
 
-    /// Commits a mutation that was evaluated under `writer`: appends `effects`, which are not empty, applies them and
-    /// publishes. Returns the revision made once it is as durable as configured. From the first poll on it takes
-    /// place, whether or not the caller waits.
+    /// Commits a mutation that was evaluated under `writer`: appends the non-empty `effects`, applies them and publishes
+    /// them. Returns the new revision once it is as durable as configured. From the first poll on the commit completes,
+    /// even if the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,
         effects: Effects,
         window: OperationWindow,
     ) -> Result<u64, RegistryError> {
-        let is_small = effects.len() <= POINTS_IN_PLACE && effects.bytes() <= BYTES_IN_PLACE;
+        let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
         // The log reads a point before it replaces or removes it.
         let next_id = writer.head().view.next_id();
         let is_new = effects.removed().is_empty()
             && effects.stored().iter().all(|point| point.id >= next_id);
         let revision = if is_small && is_new && !self.host.log.is_busy() {
-            self.commit_here(writer, effects, window)?
+            self.append_and_publish(writer, effects, window)?
         } else {
             let hosted = Arc::clone(self);
-            tokio::task::spawn_blocking(move || hosted.commit_here(writer, effects, window))
+            tokio::task::spawn_blocking(move || hosted.append_and_publish(writer, effects, window))
                 .await
                 .map_err(|_| RegistryError::Stopped)??
         };
@@ -200,7 +201,7 @@ impl Hosted {
         Ok(revision)
     }
 
-    fn commit_here(
+    fn append_and_publish(
         self: &Arc<Self>,
         mut writer: WriteGuard,
         effects: Effects,
@@ -214,33 +215,33 @@ impl Hosted {
         match log.points(self.uid) {
             Ok(view) => writer.advance(view),
             Err(error) => {
-                // The log has the mutation, and readers can never be shown it.
+                // The log holds the mutation, but no view of it can be published.
                 self.close(error.clone().into());
                 return Err(error.into());
             }
         }
-        self.show(writer.head());
+        self.set_head(writer.head());
         self.start_merging(&mut writer);
-        let keep = self.keep(writer.window(), SystemTime::now());
+        let keep = self.retention(writer.window(), SystemTime::now());
         if let Err(error) = log.trim(self.uid, &keep) {
-            warn!(index = self.name, %error, "could not trim the log");
+            warn!(index = self.name, %error, "cannot trim the log");
         }
         let revision = writer.head().revision;
         self.publish_once_synced(writer);
         Ok(revision)
     }
 
-    /// Sees to it that the writer's head is published once it is synced. One task does so for all heads of an index, and
-    /// publishes only the newest that a sync has reached: those who wait are woken once a sync.
+    /// Has the writer's head published once it is synced. One task publishes all heads of an index, and only the newest
+    /// head of each sync, so that waiting calls wake once per sync.
     fn publish_once_synced(self: &Arc<Self>, writer: WriteGuard) {
         let mut unsynced = self.unsynced.lock();
         unsynced.heads.push_back(Arc::clone(writer.head()));
-        let others_do = std::mem::replace(&mut unsynced.publishing, true);
+        let already_publishing = std::mem::replace(&mut unsynced.publishing, true);
         drop(unsynced);
-        // Not before: the next head would come to stand before this one, and be taken for the older.
+        // The writer is released only now: otherwise the next head could be queued before this one.
         drop(writer);
-        if !others_do {
-            // What is synced already is published here; the rest without the caller, who may go away.
+        if !already_publishing {
+            // Heads that are synced already are published here. A task publishes the rest, since the caller may leave.
             let mut publishing = Box::pin(Arc::clone(self).publish_synced());
             if (&mut publishing).now_or_never().is_none() {
                 tokio::spawn(publishing);
@@ -257,8 +258,8 @@ impl Hosted {
                     }
                 }
                 Err(error) => {
-                    // That the log has failed is told once, by itself, and not by each index.
-                    debug!(index = self.name, %error, "the log could not be synced");
+                    // The log reports its failure once, so an index logs it at debug level only.
+                    debug!(index = self.name, %error, "cannot sync the log");
                     self.close(error.into());
                     *self.unsynced.lock() = Unsynced::default();
                     return;
@@ -267,7 +268,7 @@ impl Hosted {
         }
     }
 
-    /// The revision of the oldest head that is not synced; with the last of them publishing ends.
+    /// The revision of the oldest unsynced head. Without one, publishing ends.
     fn oldest_unsynced(&self) -> Option<u64> {
         let mut unsynced = self.unsynced.lock();
         let oldest = unsynced.heads.front().map(|head| head.revision);
@@ -275,7 +276,7 @@ impl Hosted {
         oldest
     }
 
-    /// Takes the heads up to the revision `synced`; of these the newest is of interest.
+    /// Removes the heads up to the revision `synced` and returns the newest of them.
     fn take_synced(&self, synced: u64) -> Option<Arc<Published>> {
         let mut unsynced = self.unsynced.lock();
         let count = unsynced
@@ -284,8 +285,7 @@ impl Hosted {
         unsynced.heads.drain(..count).next_back()
     }
 
-    /// Lets readers see what was the writer's head at `head.revision`, in its newest form, unless they see a later
-    /// revision.
+    /// Publishes `head`, with all merges since if it is still the writer's head, unless a later revision is published.
     fn publish(&self, head: Arc<Published>) {
         self.state.send_if_modified(|state| {
             let newer = head.revision > state.published.revision;
@@ -297,8 +297,8 @@ impl Hosted {
         });
     }
 
-    /// Takes note of a new head of the writer, or of a new form of the same; readers who see that revision get it.
-    pub(super) fn show(&self, head: &Arc<Published>) {
+    /// Sets the writer's new head, or the same head after a merge. It replaces a published head of the same revision.
+    pub(super) fn set_head(&self, head: &Arc<Published>) {
         self.state.send_if_modified(|state| {
             state.head = Arc::clone(head);
             if state.published.revision == head.revision {
@@ -308,8 +308,8 @@ impl Hosted {
         });
     }
 
-    /// What the log is to keep of the past.
-    fn keep(&self, window: OperationWindow, now: SystemTime) -> Keep {
+    /// The records and operations that the log is to keep.
+    fn retention(&self, window: OperationWindow, now: SystemTime) -> Keep {
         let since = now.checked_sub(self.host.options.window);
         Keep {
             record_bytes: self.host.options.window_bytes,
@@ -319,19 +319,19 @@ impl Hosted {
         }
     }
 
-    /// Forgets records that are too old. What is being written is trimmed by who writes it.
+    /// Trims records that are too old. Every commit trims too, so a busy writer is skipped.
     pub(super) fn trim(&self, now: SystemTime) -> Result<(), LogError> {
         match self.writer.try_lock() {
             Ok(writer) => self
                 .host
                 .log
-                .trim(self.uid, &self.keep(writer.window(), now)),
+                .trim(self.uid, &self.retention(writer.window(), now)),
             Err(_) => Ok(()),
         }
     }
 
-    /// Goes on after the log was opened anew, if `view`, its points as they are stored, is what the writer's head is;
-    /// all of it is durable then. It blocks.
+    /// Resumes after the log was reopened, if the stored points `view` are at the writer's head; then the head is durable.
+    /// Returns false otherwise. Blocks.
     pub(super) fn resume(&self, view: Arc<dyn View>) -> bool {
         let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
         if !writer.is_at(view.revision()) {
@@ -347,12 +347,12 @@ impl Hosted {
         true
     }
 
-    /// Ends the index: nothing is written any more.
+    /// Closes the index: later writes, and calls that wait for it, get `why`.
     pub(super) fn close(&self, why: RegistryError) {
         self.state.send_modify(|state| state.closed = Some(why));
     }
 
-    /// Waits for the writer even of an index that is closed.
+    /// Waits for the writer, also if the index is closed.
     pub(super) async fn write_closed(&self) -> WriteGuard {
         Arc::clone(&self.writer).lock_owned().await.into()
     }

@@ -1,4 +1,4 @@
-//! Merging in the background, so that no writer and no reader pays for it in a call of its own.
+//! Merging in the background, so that no call pays for it.
 
 use std::sync::{Arc, atomic::Ordering::Relaxed};
 
@@ -8,15 +8,15 @@ use wayfold_index::{Merge, Merged};
 
 use super::{Hosted, Writer};
 
-/// What has become of a merge.
-pub(super) struct Ran {
+/// A merge that ran and is not yet swapped in.
+pub(super) struct FinishedMerge {
     rows: usize,
     merged: Result<Merged, JoinError>,
 }
 
 impl Hosted {
-    /// Starts merging if a merge is due. An index has at most as many mergers as there are turns for all indices:
-    /// what comes due meanwhile waits in the forest, where it may yet become part of one merge instead of many.
+    /// Starts the merges that are due. An index runs at most as many merge tasks as all indices may run merges. Further
+    /// levels wait in the forest, where they may become part of one merge instead of several.
     pub(super) fn start_merging(self: &Arc<Self>, writer: &mut Writer) {
         while writer.mergers < self.host.options.merge_threads.max(1)
             && let Some(merge) = writer.forest.begin_merge()
@@ -26,11 +26,11 @@ impl Hosted {
         }
     }
 
-    /// Called now and then: if there was no mutation since the last time, merges work towards a single level.
-    pub(super) fn look_for_pause(self: &Arc<Self>) {
+    /// Called periodically. Starts merging towards a single level if no mutation came since the previous call.
+    pub(super) fn merge_if_idle(self: &Arc<Self>) {
         let revision = self.newest().revision;
-        let is_pause = self.looked_at.swap(revision, Relaxed) == revision;
-        if is_pause && self.paused_at.swap(revision, Relaxed) != revision {
+        let is_pause = self.last_seen_revision.swap(revision, Relaxed) == revision;
+        if is_pause && self.last_idle_revision.swap(revision, Relaxed) != revision {
             let hosted = Arc::clone(self);
             tokio::spawn(async move {
                 let mut writer = hosted.write_closed().await;
@@ -42,37 +42,39 @@ impl Hosted {
         }
     }
 
-    /// Runs a merge, when it is its turn among those of all indices, on a thread for blocking work, and sees to it that
-    /// it is swapped in between two mutations. Goes on also past the end of the index.
+    /// Waits for a merge permit, runs the merge on a blocking thread, and swaps it in between two mutations. It continues
+    /// after the index is closed.
     async fn merge(self: Arc<Self>, merge: Merge) {
         let turn = self.host.merges.acquire().await;
         let rows = merge.rows();
         let merged = tokio::task::spawn_blocking(move || merge.run()).await;
         drop(turn);
-        self.ran.lock().push(Ran { rows, merged });
-        // Most often a mutation has the writer before, and has swapped it in by then.
+        self.finished_merges
+            .lock()
+            .push(FinishedMerge { rows, merged });
+        // Usually a mutation gets the writer first and has swapped the merge in by then.
         let mut writer = self.write_closed().await;
         if self.swap_in(&mut writer) {
             writer.refresh();
-            self.show(writer.head());
+            self.set_head(writer.head());
         }
         self.start_merging(&mut writer);
     }
 
-    /// Swaps in the merges that have run; whether there were any. Who writes does so, too: where many wait for the writer,
-    /// a merge that waited behind them all would come late, and searches would visit small levels by the dozen.
+    /// Swaps in the finished merges; true if there were any. Every mutation calls this too: a merge that queued for a
+    /// contended writer would come late, and searches would visit dozens of small levels meanwhile.
     pub(super) fn swap_in(&self, writer: &mut Writer) -> bool {
-        let ran = std::mem::take(&mut *self.ran.lock());
-        let any = !ran.is_empty();
-        for Ran { rows, merged } in ran {
+        let finished = std::mem::take(&mut *self.finished_merges.lock());
+        let any = !finished.is_empty();
+        for FinishedMerge { rows, merged } in finished {
             writer.mergers -= 1;
             match merged {
                 Ok(merged) => {
                     writer.forest.finish_merge(merged);
                     debug!(index = self.name(), rows, "merged levels");
                 }
-                // Its levels stay as they are: answers stay right, and take longer.
-                Err(error) => error!(index = self.name(), rows, %error, "a merge stopped"),
+                // The levels stay unmerged: answers stay exact, and searches are slower.
+                Err(error) => error!(index = self.name(), rows, %error, "a merge failed"),
             }
         }
         any

@@ -1,21 +1,21 @@
 //! The indices of the server by name, each with one writer and many readers.
 //!
 //! Architecture:
-//! - A [`Hosted`] index is fed by the log alone: its [`Writer`] appends effects, applies the record to the forest, and
-//!   publishes the outcome. Nothing else changes a forest, save merging, which changes no answer.
+//! - The log alone feeds a [`Hosted`] index: its [`Writer`] appends effects, applies the record to the forest, and
+//!   publishes the result. Only merging changes a forest besides, and merging changes no answer.
 //! - Readers take the [`Published`] state, one frozen revision, and never wait for the writer.
-//! - A mutation is evaluated by whoever holds the writer, and decided before it is committed; from the append to the
-//!   publication nothing waits for the caller, so a dropped call has happened whole or not at all.
+//! - The holder of the writer evaluates a mutation and decides it before the commit. From the append to the publication
+//!   nothing waits for the caller, so a dropped call takes effect whole or not at all.
 //! - The registry knows no requests, no limits and no transport.
 
 mod error;
 mod hosted;
+mod maintenance;
 mod merging;
 mod operations;
 mod recent;
 mod replay;
 mod restore;
-mod upkeep;
 mod writer;
 
 use std::{collections::BTreeMap, ops::Bound, sync::Arc, time::Duration};
@@ -32,7 +32,7 @@ pub use operations::OperationWindow;
 pub use restore::Restore;
 pub use writer::{WriteGuard, Writer};
 
-/// How the registry hosts its indices.
+/// Options of the registry, for all its indices.
 #[derive(Clone, Copy, Debug)]
 pub struct RegistryOptions {
     /// The greatest number of points in the tree of an index that grows; None to choose it by the space.
@@ -41,9 +41,9 @@ pub struct RegistryOptions {
     pub leaf_rows: Option<usize>,
     /// How many merges run at once, over all indices.
     pub merge_threads: usize,
-    /// About how many bytes of its newest records each index keeps, beside its points.
+    /// Each index keeps about this many bytes of its newest records beside its points.
     pub window_bytes: usize,
-    /// For how long it keeps them.
+    /// Each index forgets records older than this.
     pub window: Duration,
 }
 
@@ -74,55 +74,55 @@ impl RegistryOptions {
 /// The indices of the server.
 pub struct Registry {
     host: Arc<Host>,
-    indexes: RwLock<BTreeMap<String, Place>>,
-    /// Held by who creates, deletes, restores or recovers indices, so that readers need not wait for the log meanwhile.
-    changing: Mutex<()>,
-    /// Told of every change of what the names stand for.
+    indexes: RwLock<BTreeMap<String, IndexState>>,
+    /// Serialises creating, deleting, restoring and recovering indices. Readers do not take it and never wait for the log.
+    change_lock: Mutex<()>,
+    /// Notified of every change of `indexes`.
     changed: watch::Sender<()>,
 }
 
-/// What a name stands for.
+/// The state of a named index.
 #[derive(Clone)]
-enum Place {
+enum IndexState {
     Hosted(Arc<Hosted>),
-    /// An index that could not be replayed, and why. It can be deleted.
+    /// An index that could not be replayed, and the cause. It can be deleted.
     Damaged(Uid, RegistryError),
 }
 
-impl Place {
+impl IndexState {
     fn hosted(&self) -> Result<&Arc<Hosted>, RegistryError> {
         match self {
-            Place::Hosted(hosted) => Ok(hosted),
-            Place::Damaged(_, why) => Err(why.clone()),
+            IndexState::Hosted(hosted) => Ok(hosted),
+            IndexState::Damaged(_, why) => Err(why.clone()),
         }
     }
 }
 
-/// An index as it is listed.
+/// An entry in the list of indices.
 pub enum Listed {
-    /// One that is hosted.
+    /// An index that is served.
     Hosted(Arc<Hosted>),
-    /// One that cannot be read.
+    /// An index that cannot be read.
     Damaged {
         /// Its name.
         name: String,
         /// Its uid.
         uid: Uid,
-        /// Why every call for it fails.
+        /// The error that every call to it gets.
         why: RegistryError,
     },
 }
 
-/// What all indices share.
+/// The log, the options and the merge slots that all indices share.
 struct Host {
     log: Arc<dyn Log>,
     options: RegistryOptions,
-    /// The turns of merges.
+    /// A permit per merge that may run.
     merges: Semaphore,
 }
 
 impl Registry {
-    /// A registry over `log` that hosts nothing yet: see [`Registry::replay`].
+    /// An empty registry over `log`. [`Registry::replay`] fills it.
     pub fn new(log: Arc<dyn Log>, options: RegistryOptions) -> Self {
         let merges = Semaphore::new(options.merge_threads.max(1));
         Self {
@@ -132,58 +132,58 @@ impl Registry {
                 merges,
             }),
             indexes: RwLock::default(),
-            changing: Mutex::new(()),
+            change_lock: Mutex::new(()),
             changed: watch::Sender::new(()),
         }
     }
 
-    /// Hosts every index that the log holds. To be called once, before the first call is answered; with an empty log
-    /// it does nothing. An index that is damaged does not keep the others from being hosted: [`Registry::get`] tells.
+    /// Hosts every index that the log holds. Call it once, before the first call is answered; with an empty log it does
+    /// nothing. A damaged index does not prevent the others: [`Registry::get`] returns its error.
     pub fn replay(&self) -> Result<(), RegistryError> {
         let entries = self.host.log.indexes()?;
         for (done, entry) in entries.iter().enumerate() {
-            let place = replay::replayed(&self.host, entry);
-            self.change(|indexes| indexes.insert(entry.name.clone(), place));
+            let state = replay::replay_or_damaged(&self.host, entry);
+            self.change(|indexes| indexes.insert(entry.name.clone(), state));
             if (done + 1).is_multiple_of(1000) {
                 info!(done = done + 1, of = entries.len(), "replaying");
             }
         }
-        self.take_gone();
+        self.add_lost();
         info!(indexes = entries.len(), "replayed the log");
         Ok(())
     }
 
-    /// Tells of every change of what the names stand for from now on.
+    /// A receiver of every change from now on: an index is created, deleted, restored, damaged or recovered.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.changed.subscribe()
     }
 
-    /// Changes what the names stand for.
-    fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<String, Place>) -> T) -> T {
+    /// Changes `indexes` and notifies the receivers.
+    fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<String, IndexState>) -> T) -> T {
         let changed = change(&mut self.indexes.write());
         self.changed.send_replace(());
         changed
     }
 
-    /// Takes note of the indices of which nothing is left, unless their names stand for others.
-    fn take_gone(&self) {
+    /// Adds the indices whose data is lost as damaged, unless other indices have their names.
+    fn add_lost(&self) {
         for gone in self.host.log.gone() {
-            let damaged = Place::Damaged(gone.uid, RegistryError::Log(gone.why));
+            let damaged = IndexState::Damaged(gone.uid, RegistryError::Log(gone.why));
             self.change(|indexes| {
                 indexes.entry(gone.name).or_insert(damaged);
             });
         }
     }
 
-    /// The index of this name: [`RegistryError::Deleted`] if there is none, or why it cannot be read.
+    /// The index of this name. [`RegistryError::Deleted`] if it does not exist; another error if it cannot be read.
     pub fn get(&self, name: &str) -> Result<Arc<Hosted>, RegistryError> {
         match self.indexes.read().get(name) {
-            Some(place) => place.hosted().cloned(),
+            Some(state) => state.hosted().cloned(),
             None => Err(self.unopened().unwrap_or(RegistryError::Deleted)),
         }
     }
 
-    /// Why the log is not open, if so: then it may hold what is not known by name.
+    /// The error of a log that is not open. Such a log may hold indices that the registry does not know.
     fn unopened(&self) -> Option<RegistryError> {
         let not_open =
             |why: &LogError| matches!(why, LogError::Unopened { .. } | LogError::Shut { .. });
@@ -191,8 +191,8 @@ impl Registry {
         why.map(RegistryError::Log)
     }
 
-    /// Up to `limit` indices with names after `after` (from the first if None), by name; also those that are damaged.
-    /// Fails if none is known and the log is not open.
+    /// Up to `limit` indices with names after `after` (from the first if None), by name. Damaged indices are listed too.
+    /// Fails if no index is known and the log is not open.
     pub fn page(&self, after: Option<&str>, limit: usize) -> Result<Vec<Listed>, RegistryError> {
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
         let indexes = self.indexes.read();
@@ -202,9 +202,9 @@ impl Registry {
             return Err(why);
         }
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
-        let listed = page.take(limit).map(|(name, place)| match place {
-            Place::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
-            Place::Damaged(uid, why) => Listed::Damaged {
+        let listed = page.take(limit).map(|(name, state)| match state {
+            IndexState::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
+            IndexState::Damaged(uid, why) => Listed::Damaged {
                 name: name.clone(),
                 uid: *uid,
                 why: why.clone(),
@@ -213,16 +213,16 @@ impl Registry {
         Ok(listed.collect())
     }
 
-    /// Creates an index, or finds the one of this name with an equal space; says whether it was created.
-    /// [`RegistryError::Exists`] if its space is another, [`RegistryError::Full`] if there are `limit` of them. It
-    /// blocks while the log works.
+    /// Creates an index, or finds the one of this name with an equal space; the flag is true if it was created.
+    /// [`RegistryError::Exists`] if its space differs, [`RegistryError::Full`] if the registry holds `limit` indices.
+    /// Blocks on the log.
     pub fn create(
         &self,
         name: &str,
         space: Space,
         limit: usize,
     ) -> Result<(Arc<Hosted>, bool), RegistryError> {
-        let _changing = self.changing.lock();
+        let _change = self.change_lock.lock();
         match self.get(name) {
             Ok(hosted) if *hosted.space() == space => return Ok((hosted, false)),
             Ok(hosted) => {
@@ -245,27 +245,27 @@ impl Registry {
         let forest = self.host.options.forest(&entry.space);
         let view = self.host.log.points(entry.uid)?;
         let hosted = Hosted::new(&self.host, &entry, Writer::new(forest, view));
-        let place = Place::Hosted(Arc::clone(&hosted));
-        self.change(|indexes| indexes.insert(entry.name, place));
+        let state = IndexState::Hosted(Arc::clone(&hosted));
+        self.change(|indexes| indexes.insert(entry.name, state));
         info!(index = name, uid = %entry.uid, space = %entry.space, "created an index");
         Ok((hosted, true))
     }
 
-    /// Deletes the index of this name, if it has `uid` or `uid` is None. Whoever reads it goes on with what it has;
-    /// whoever waits for it, or comes to write it, is told [`RegistryError::Deleted`]. It blocks while the log works.
+    /// Deletes the index of this name if it has `uid`, or if `uid` is None. Readers keep the snapshots they hold. Calls
+    /// that wait for the index, and later writes, get [`RegistryError::Deleted`]. Blocks on the log.
     pub fn delete(&self, name: &str, uid: Option<&str>) -> Result<Uid, RegistryError> {
-        let _changing = self.changing.lock();
-        let place = self.indexes.read().get(name).cloned();
-        let found = match place.as_ref().ok_or(RegistryError::Deleted)? {
-            Place::Hosted(hosted) => hosted.uid(),
-            Place::Damaged(uid, _) => *uid,
+        let _change = self.change_lock.lock();
+        let state = self.indexes.read().get(name).cloned();
+        let found = match state.as_ref().ok_or(RegistryError::Deleted)? {
+            IndexState::Hosted(hosted) => hosted.uid(),
+            IndexState::Damaged(uid, _) => *uid,
         };
         if uid.is_some_and(|uid| uid != found.to_string()) {
             return Err(RegistryError::OtherUid { found });
         }
         self.host.log.delete(found)?;
         self.change(|indexes| indexes.remove(name));
-        if let Some(Place::Hosted(hosted)) = place {
+        if let Some(IndexState::Hosted(hosted)) = state {
             hosted.close(RegistryError::Deleted);
         }
         info!(index = name, uid = %found, "deleted an index");

@@ -1,4 +1,4 @@
-//! The operations that an index remembers, so that a retry takes no second effect.
+//! The operations that an index remembers, so that a retry has no second effect.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -7,20 +7,22 @@ use std::{
 
 use crate::log::Operation;
 
-/// How much is remembered. The newest operation always is.
+/// The bounds on the operations that an index remembers. The newest operation is always remembered.
 #[derive(Clone, Copy, Debug)]
 pub struct OperationWindow {
-    /// Most operations.
+    /// The most operations.
     pub count: usize,
-    /// Most bytes of them (see [`Operation::bytes`]).
+    /// The most bytes of operations (see [`Operation::bytes`]).
     pub bytes: usize,
 }
 
-/// As many as there are: the log bounds this by itself, and the next mutation by what is configured.
-pub(super) const EVERY_OPERATION: OperationWindow = OperationWindow {
-    count: usize::MAX,
-    bytes: usize::MAX,
-};
+impl OperationWindow {
+    /// No bound. Replay uses it: the log bounds its operations, and the next mutation applies the configured window.
+    pub(super) const UNBOUNDED: Self = Self {
+        count: usize::MAX,
+        bytes: usize::MAX,
+    };
+}
 
 /// The newest operations, by id.
 #[derive(Default)]
@@ -35,7 +37,7 @@ impl Operations {
         self.by_id.get(id)
     }
 
-    /// `operation`'s id is none that is remembered.
+    /// Adds an operation with a new id and forgets the oldest ones outside `window`.
     pub(super) fn remember(&mut self, operation: Arc<Operation>, window: OperationWindow) {
         self.bytes += operation.bytes();
         self.by_id

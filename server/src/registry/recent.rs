@@ -1,27 +1,27 @@
-//! The newest records of an index, at hand for who follows it.
+//! The newest records of an index, cached in memory for its subscribers.
 
 use std::{collections::VecDeque, sync::Arc};
 
 use crate::log::Record;
 
-/// Most bytes of records that are kept at hand, but always the newest one. Who falls further behind reads the log.
-const BYTES: usize = 4 * 1024 * 1024;
+/// The most bytes of cached records. The newest record is always cached. A subscriber further behind reads the log.
+const MAX_BYTES: usize = 4 * 1024 * 1024;
 
-/// See the module.
-pub(super) struct Recent {
-    /// Without a gap up to the newest.
+/// A cache of the newest records.
+pub(super) struct RecentRecords {
+    /// Consecutive revisions up to the newest.
     records: VecDeque<Arc<Record>>,
     bytes: usize,
-    most_bytes: usize,
+    max_bytes: usize,
 }
 
-impl Recent {
-    /// Of an index of which the log keeps so many bytes of records.
+impl RecentRecords {
+    /// A cache of at most `window_bytes`, the bytes of records that the log keeps.
     pub(super) fn new(window_bytes: usize) -> Self {
         Self {
             records: VecDeque::new(),
             bytes: 0,
-            most_bytes: window_bytes.min(BYTES),
+            max_bytes: window_bytes.min(MAX_BYTES),
         }
     }
 
@@ -30,23 +30,28 @@ impl Recent {
         self.bytes += record.effects().bytes();
         self.records.push_back(record);
         while self.records.len() > 1
-            && self.bytes > self.most_bytes
+            && self.bytes > self.max_bytes
             && let Some(oldest) = self.records.pop_front()
         {
             self.bytes -= oldest.effects().bytes();
         }
     }
 
-    /// The records after the revision `after` up to `last`, the first of them that take `most` bytes, at least one;
-    /// None if they are not all at hand.
-    pub(super) fn after(&self, after: u64, last: u64, most: usize) -> Option<Vec<Arc<Record>>> {
+    /// The records after the revision `after` up to `last`: the first ones that fit into `max_bytes`, but at least one.
+    /// None if some of them are not cached.
+    pub(super) fn after(
+        &self,
+        after: u64,
+        last: u64,
+        max_bytes: usize,
+    ) -> Option<Vec<Arc<Record>>> {
         let first = self.records.front()?.revision();
         let skipped = after.checked_add(1)?.checked_sub(first)? as usize;
         let mut page = Vec::new();
         let mut bytes = 0;
         for record in self.records.iter().skip(skipped) {
             bytes += record.effects().bytes();
-            if record.revision() > last || (bytes > most && !page.is_empty()) {
+            if record.revision() > last || (bytes > max_bytes && !page.is_empty()) {
                 break;
             }
             page.push(Arc::clone(record));
@@ -60,14 +65,14 @@ mod tests {
     use super::*;
     use crate::log::Effects;
 
-    fn revisions(recent: &Recent, after: u64, last: u64, most: usize) -> Option<Vec<u64>> {
+    fn revisions(recent: &RecentRecords, after: u64, last: u64, most: usize) -> Option<Vec<u64>> {
         let page = recent.after(after, last, most)?;
         Some(page.iter().map(|record| record.revision()).collect())
     }
 
     #[test]
-    fn pages_follow_one_another_and_what_is_not_at_hand_is_told() {
-        let mut recent = Recent::new(usize::MAX);
+    fn pages_are_consecutive_and_uncached_records_give_none() {
+        let mut recent = RecentRecords::new(usize::MAX);
         assert_eq!(revisions(&recent, 0, 9, 1000), None);
         for revision in 5..=9 {
             let record = Record::new(revision, [0; 32], 0, Effects::new(1));
@@ -83,11 +88,11 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_go_and_the_newest_stays_however_large_it_is() {
-        let mut recent = Recent::new(usize::MAX);
+    fn the_oldest_records_go_and_the_newest_stays_at_any_size() {
+        let mut recent = RecentRecords::new(usize::MAX);
         for revision in 1..=3 {
             let mut effects = Effects::new(1);
-            (0..BYTES as u64 / 16 * revision).for_each(|id| effects.remove(id));
+            (0..MAX_BYTES as u64 / 16 * revision).for_each(|id| effects.remove(id));
             recent.push(Arc::new(Record::new(revision, [0; 32], 0, effects)));
         }
         assert_eq!(revisions(&recent, 1, 3, usize::MAX), None);
@@ -95,8 +100,8 @@ mod tests {
     }
 
     #[test]
-    fn no_more_is_kept_than_the_log_keeps() {
-        let mut recent = Recent::new(0);
+    fn the_cache_holds_no_more_bytes_than_the_log() {
+        let mut recent = RecentRecords::new(0);
         for revision in 1..=3 {
             let record = Record::new(revision, [0; 32], 0, Effects::new(1));
             recent.push(Arc::new(record));

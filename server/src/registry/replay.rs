@@ -1,32 +1,32 @@
-//! From the log to a hosted index: what a restart does.
+//! Replay: builds a hosted index from the log at a restart.
 
 use std::sync::Arc;
 
 use tracing::{error, info};
 use wayfold_index::{ApplyError, PointRef, Points, PointsError};
 
-use super::{Host, Hosted, Place, RegistryError, Writer, operations::EVERY_OPERATION};
+use super::{Host, Hosted, IndexState, OperationWindow, RegistryError, Writer};
 use crate::log::{Entry, LogError, View};
 
-/// How many points are read at a time.
-const PAGE: usize = 4096;
+/// The points that one read of the log returns.
+const PAGE_POINTS: usize = 4096;
 
-/// After how many points a line of the log says how far it is.
-const PROGRESS: usize = 250 * PAGE;
+/// Replay logs its progress once per this many points.
+const PROGRESS_POINTS: usize = 250 * PAGE_POINTS;
 
-/// The index of an entry, or why it cannot be replayed.
-pub(super) fn replayed(host: &Arc<Host>, entry: &Entry) -> Place {
+/// Replays the index of an entry. It is damaged if that fails.
+pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     match replay(host, entry) {
-        Ok(hosted) => Place::Hosted(hosted),
+        Ok(hosted) => IndexState::Hosted(hosted),
         Err(error) => {
             error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");
-            Place::Damaged(entry.uid, error)
+            IndexState::Damaged(entry.uid, error)
         }
     }
 }
 
-/// Builds an index from its points, with the operations that the log remembers. A call that changed nothing left
-/// none: its retry is evaluated anew, which it cannot tell from a first try.
+/// Builds an index from its points and from the operations that the log remembers. The log remembers no call that changed
+/// nothing: the server evaluates its retry again, with the same outcome as a first try.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
     let view = host.log.points(entry.uid)?;
     let mut forest = host.options.forest(&entry.space);
@@ -39,7 +39,7 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
     }
     let mut writer = Writer::new(forest, Arc::clone(&view));
     for operation in host.log.operations(entry.uid)? {
-        writer.remember(operation, EVERY_OPERATION);
+        writer.remember(operation, OperationWindow::UNBOUNDED);
     }
     info!(
         index = entry.name,
@@ -78,7 +78,7 @@ fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
     let mut points = Points::new(entry.space.coordinates());
     let mut after = None;
     loop {
-        let page = view.page(after, PAGE)?;
+        let page = view.page(after, PAGE_POINTS)?;
         let Some(last) = page.last() else {
             return Ok(points);
         };
@@ -98,7 +98,7 @@ fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
                 row: &point.state,
             });
         }
-        if points.len() >= PROGRESS && points.len() % PROGRESS < page.len() {
+        if points.len() >= PROGRESS_POINTS && points.len() % PROGRESS_POINTS < page.len() {
             info!(index = entry.name, points = points.len(), "reading points");
         }
     }

@@ -1,14 +1,14 @@
-//! An index made from the points of another.
+//! Restores an index from the points of another.
 
 use std::sync::Arc;
 
 use tracing::info;
 use wayfold_index::{PointRef, Points, Space};
 
-use super::{Host, Hosted, Place, Registry, RegistryError, Writer};
+use super::{Host, Hosted, IndexState, Registry, RegistryError, Writer};
 use crate::log::{Entry, Origin, Restoring, StoredPoint, Uid};
 
-/// An index in the making. Dropped before it is hosted, it leaves nothing.
+/// An index that is being restored. Dropping it before [`Registry::host`] leaves nothing behind.
 pub struct Restore {
     host: Arc<Host>,
     entry: Entry,
@@ -19,9 +19,9 @@ pub struct Restore {
 }
 
 impl Registry {
-    /// Begins an index that is a copy of another, with a uid of its own. [`RegistryError::Taken`] if the name is taken,
-    /// [`RegistryError::Full`] if there are `limit` indices; both are found again at the end. It blocks while the log
-    /// works.
+    /// Begins to restore an index as a copy of another, under a new uid. [`RegistryError::Taken`] if the name is taken,
+    /// [`RegistryError::Full`] if the registry holds `limit` indices; [`Registry::host`] checks both again. Blocks on the
+    /// log.
     pub fn restore(
         &self,
         name: &str,
@@ -45,7 +45,7 @@ impl Registry {
         })
     }
 
-    /// Hosts the index that was restored, now that it is whole. It blocks while the log works and the forest grows.
+    /// Hosts a restored index that has all its points. Blocks on the log and on building the forest.
     pub fn host(&self, restore: Restore) -> Result<Arc<Hosted>, RegistryError> {
         let Restore {
             host,
@@ -62,14 +62,14 @@ impl Registry {
                 .expect("restored points are checked as they arrive");
             forest.settle();
         }
-        let _changing = self.changing.lock();
+        let _change = self.change_lock.lock();
         self.room_for(&entry.name, limit)?;
         stored.finish()?;
         let view = host.log.points(entry.uid)?;
         let hosted = Hosted::new(&host, &entry, Writer::new(forest, view));
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points = points.len(), "restored an index");
-        let place = Place::Hosted(Arc::clone(&hosted));
-        self.change(|indexes| indexes.insert(entry.name, place));
+        let state = IndexState::Hosted(Arc::clone(&hosted));
+        self.change(|indexes| indexes.insert(entry.name, state));
         Ok(hosted)
     }
 
@@ -86,8 +86,8 @@ impl Registry {
 }
 
 impl Restore {
-    /// Adds the next points, by ascending id: canonical rows of the space, below the origin's next id. It blocks while
-    /// the log works.
+    /// Adds the next points, by ascending id: canonical rows of the space with ids below the origin's next id. Blocks on
+    /// the log.
     pub fn add(&mut self, points: &[StoredPoint]) -> Result<(), RegistryError> {
         self.stored.add(points)?;
         for point in points {

@@ -1,4 +1,4 @@
-//! The one writer of an index: its forest at the head, and what evaluation needs to know of the past.
+//! The single writer of an index: the forest at the head, and the operations and revisions that evaluation needs.
 
 use std::{
     ops::{Deref, DerefMut},
@@ -9,13 +9,10 @@ use std::{
 use tokio::sync::OwnedMutexGuard;
 use wayfold_index::Forest;
 
-use super::{
-    OperationWindow, Published,
-    operations::{EVERY_OPERATION, Operations},
-};
+use super::{OperationWindow, Published, operations::Operations};
 use crate::log::{Operation, Record, View};
 
-/// Exclusive hold of an index's writer.
+/// Exclusive access to an index's writer.
 pub struct WriteGuard {
     writer: OwnedMutexGuard<Writer>,
     since: Instant,
@@ -48,25 +45,25 @@ impl Drop for WriteGuard {
     }
 }
 
-/// The state that records are applied to. Its head may be ahead of what readers see, where the log is not yet synced.
+/// The state that records are applied to. Its head is ahead of the published revision while the log is not yet synced.
 pub struct Writer {
     pub(super) forest: Forest,
-    /// How many tasks merge this forest's levels.
+    /// The number of tasks that merge this forest's levels.
     pub(super) mergers: usize,
     head: Arc<Published>,
     operations: Operations,
-    /// The newest revision that did anything else than add points, or may have.
-    changed: u64,
-    /// What was asked to be remembered last.
+    /// The newest revision that may have done more than add points.
+    last_change: u64,
+    /// The bounds that the last mutation gave.
     window: OperationWindow,
-    /// By all guards that are gone.
+    /// The time that dropped guards held the writer, in total.
     held: Duration,
 }
 
 impl Writer {
     /// A writer whose head is `view`, with a forest of the same points.
     pub(super) fn new(forest: Forest, view: Arc<dyn View>) -> Self {
-        let changed = view.revision();
+        let last_change = view.revision();
         let head = Published {
             snapshot: forest.snapshot(),
             revision: view.revision(),
@@ -77,38 +74,38 @@ impl Writer {
             mergers: 0,
             head: Arc::new(head),
             operations: Operations::default(),
-            changed,
-            window: EVERY_OPERATION,
+            last_change,
+            window: OperationWindow::UNBOUNDED,
             held: Duration::ZERO,
         }
     }
 
-    /// The state that the next mutation is evaluated against.
+    /// The state against which the next mutation is evaluated.
     pub fn head(&self) -> &Arc<Published> {
         &self.head
     }
 
-    /// For how long it was held in all: what mutations of one index cannot do side by side.
+    /// The total time the writer was held: the serial part of the index's mutations.
     pub fn held(&self) -> Duration {
         self.held
     }
 
-    /// The operation of this id, if it took effect and is remembered.
+    /// The remembered operation with this id; None if it had no effect or is forgotten.
     pub fn recall(&self, id: &str) -> Option<&Arc<Operation>> {
         self.operations.recall(id)
     }
 
-    /// Whether every point of that revision is what it was, and every other point newer.
+    /// True if every point of that revision is unchanged and every other point is newer.
     pub fn only_added_since(&self, revision: u64) -> bool {
-        self.changed <= revision
+        self.last_change <= revision
     }
 
-    /// How many operations are remembered.
+    /// The bounds on remembered operations.
     pub(super) fn window(&self) -> OperationWindow {
         self.window
     }
 
-    /// Whether the forest is at `revision`, and so is the head.
+    /// True if the forest and the head are at `revision`.
     pub(super) fn is_at(&self, revision: u64) -> bool {
         self.head.revision == revision && self.forest.revision() == revision
     }
@@ -118,12 +115,12 @@ impl Writer {
         self.operations.remember(operation, window);
     }
 
-    /// Applies a record: the only way in which the forest's points change.
+    /// Applies a record. The forest's points change here only.
     pub(super) fn apply(&mut self, record: &Record, window: OperationWindow) {
         let effects = record.effects();
         self.window = window;
         if !effects.only_adds() {
-            self.changed = record.revision();
+            self.last_change = record.revision();
         }
         self.forest
             .apply(record.revision(), effects.stored(), effects.removed())
@@ -133,7 +130,7 @@ impl Writer {
         }
     }
 
-    /// Takes the forest and `view`, its points as the log has them, for the new head.
+    /// Makes the forest and `view`, the same points in the log, the new head.
     pub(super) fn advance(&mut self, view: Arc<dyn View>) {
         self.head = Arc::new(Published {
             snapshot: self.forest.snapshot(),
@@ -142,7 +139,7 @@ impl Writer {
         });
     }
 
-    /// Takes the forest as it is now for the head, at the same revision.
+    /// Makes the current forest the head, at the same revision.
     pub(super) fn refresh(&mut self) {
         self.advance(Arc::clone(&self.head.view));
     }

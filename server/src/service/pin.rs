@@ -1,16 +1,18 @@
-//! A revision held for a stream, for as long as a stream may.
+//! A revision held for a stream, for a bounded time.
 
 use std::{sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
-use tokio::sync::oneshot;
+use tokio::{sync::oneshot, time::Instant};
 
 use crate::registry::Published;
 
-/// A pinned revision. It is let go of when this is dropped or when the time is up, also while nobody asks for it.
+/// A pinned revision. A drop releases it, and so does the end of its time, even if no reader comes back.
 pub(super) struct Pin {
     held: Arc<Mutex<Option<Arc<Published>>>>,
     seconds: u64,
+    /// The end of its time, which a reader must see before the watch has run. None lies beyond what the clock can tell.
+    end: Option<Instant>,
     /// Ends the watch over the time together with the pin.
     _watch: oneshot::Sender<()>,
 }
@@ -30,12 +32,16 @@ impl Pin {
         Self {
             held,
             seconds,
+            end: Instant::now().checked_add(Duration::from_secs(seconds)),
             _watch: watch,
         }
     }
 
     /// The revision, unless the time is up.
     pub(super) fn get(&self) -> Option<Arc<Published>> {
+        if self.end.is_some_and(|end| Instant::now() >= end) {
+            self.release();
+        }
         self.held.lock().clone()
     }
 

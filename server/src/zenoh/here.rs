@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 use tokio::{runtime::Handle, task};
 
 use super::answer::Answered;
-use crate::brevity::Brevity;
+use crate::latency_gate::LatencyGate;
 
 /// As long as searches take less of late, they are not worth another thread.
 const BRIEF: Duration = Duration::from_micros(50);
@@ -35,7 +35,7 @@ pub(super) type Answering = BoxFuture<'static, Answered>;
 pub(super) struct Here {
     /// Where is done what is not done here.
     runtime: Handle,
-    brevity: Brevity,
+    brevity: LatencyGate,
     /// What waits until the task that reads the link has nothing more to read. Never that of two links together: the
     /// answers to one of them may have to wait.
     waiting: Mutex<HashMap<task::Id, Vec<Answering>>>,
@@ -46,7 +46,7 @@ impl Here {
     pub(super) fn new(runtime: Handle) -> Self {
         Self {
             runtime,
-            brevity: Brevity::new(BRIEF),
+            brevity: LatencyGate::new(BRIEF),
             waiting: Mutex::default(),
             sending: Mutex::default(),
         }

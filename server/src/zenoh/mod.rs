@@ -31,7 +31,7 @@ use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
 
 pub use session::ZenohError;
 
-use crate::{capacity::Capacity, config::ZenohConfig, service::Service};
+use crate::{admission::Admission, config::ZenohConfig, service::Service};
 use feed::Announcer;
 use here::Here;
 use others::Alone;
@@ -74,8 +74,8 @@ impl ZenohFace {
         let queries = Arc::new(Queries {
             service,
             prefix: config.prefix.clone(),
-            capacity: Capacity::new(config.max_calls),
-            refused: Capacity::new(REFUSALS),
+            capacity: Admission::new(config.max_calls),
+            refused: Admission::new(REFUSALS),
             max_message_bytes: config.max_message_bytes,
             stopping: CancellationToken::new(),
             here: Arc::new(Here::new(Handle::current())),
@@ -111,7 +111,7 @@ impl ZenohFace {
     }
 
     /// How many queries may be under way, and how many are.
-    pub(crate) fn capacity(&self) -> Capacity {
+    pub(crate) fn capacity(&self) -> Admission {
         self.queries.capacity.clone()
     }
 

@@ -22,7 +22,7 @@ use super::{
     wild,
 };
 use crate::{
-    capacity::Capacity,
+    admission::Admission,
     observe::CallRecord,
     service::{Error, Service, Unavailability},
     status,
@@ -35,9 +35,9 @@ const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 pub(super) struct Queries {
     pub(super) service: Service,
     pub(super) prefix: String,
-    pub(super) capacity: Capacity,
+    pub(super) capacity: Admission,
     /// Room for refusals on their way.
-    pub(super) refused: Capacity,
+    pub(super) refused: Admission,
     pub(super) max_message_bytes: usize,
     /// Set once the server stops: from then on every query is refused, and takes no place.
     pub(super) stopping: CancellationToken,

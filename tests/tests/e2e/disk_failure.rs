@@ -31,7 +31,7 @@ const FAILURES: u64 = 1;
 /// Reads by each reader while it fails.
 const READS: usize = 40;
 /// What a server says once it writes again.
-const RECOVERED: &str = "the log is written again";
+const RECOVERED: &str = "the log is writable again";
 
 fn failures() -> u64 {
     std::env::var("DISK_FAILURES").map_or(FAILURES, |failures| failures.parse().unwrap())
@@ -147,7 +147,7 @@ async fn a_disk_without_the_room_that_the_store_needs_is_waited_for() {
     let mut scene = Scene::new(HEAVY).await;
     for _ in 0..failures() {
         scene.fail("large 28 8000000").await;
-        scene.server.log_until("cannot be opened anew yet");
+        scene.server.log_until("cannot reopen the log yet");
         scene.check_reason("No space left on device").await;
         scene.look().await;
         scene.recover().await;

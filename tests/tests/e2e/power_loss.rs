@@ -89,7 +89,7 @@ async fn what_a_failed_sync_has_left_is_written_before_more_is_acknowledged() {
         server = disk.serve(&[FSYNC, &[("POWER_FAILS", &fails)]].concat());
         let refused = clients.work_until_refused(&server, Moment::Acknowledged(1), || ());
         refused.await;
-        server.log_until("the log is written again");
+        server.log_until("the log is writable again");
         clients.check(&server).await;
         server.stop(Signal::Kill);
         disk.cut();

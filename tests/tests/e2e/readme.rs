@@ -1,4 +1,4 @@
-//! The README's example does what it says: here it runs, to the letter, against a server on another port.
+//! The README's programs do what it says: they run here, to the letter, against a server on another port.
 
 use std::error::Error;
 
@@ -47,6 +47,24 @@ fn the_example_is_the_readmes() {
     let here = between(THIS_FILE, "async fn example(", "\n}");
     let here = here.split_once('{').unwrap().1;
     assert_eq!(letters(here), letters(&readme));
+}
+
+/// The lines of the quick start after the installation, in a shell where `wayfold` is the one that was just built.
+#[test]
+fn the_quick_start_runs() {
+    let server = server!();
+    let lines = between(README, "cargo install --path client/cli\n", "```");
+    let script = format!("wayfold() {{ \"$WAYFOLD\" \"$@\"; }}\n{lines}");
+    let shell = wayfold_tests::Process::spawn(
+        std::process::Command::new("sh")
+            .args(["-euc", &script])
+            .env("WAYFOLD", env!("CARGO_BIN_EXE_cli-process"))
+            .env("WAYFOLD_SERVER", server.uri()),
+    );
+    let finished = shell.finish();
+    assert!(finished.status.success(), "{}", finished.stderr);
+    let told = finished.stdout.join("\n");
+    assert!(told.contains("2 points"), "{told}");
 }
 
 fn between<'a>(text: &'a str, start: &str, end: &str) -> &'a str {

@@ -59,7 +59,7 @@ async fn stopped_under_load() {
     robot.json("arm/info", Value::Null).await.unwrap();
 
     server.process().signal(Signal::Terminate);
-    server.log_until("stopping: finishing what was accepted");
+    server.log_until("stopping: finishing accepted calls");
     // Whoever goes on asking must not cost anybody the answer.
     let mut later = JoinSet::new();
     for _ in 0..200 {
@@ -123,7 +123,7 @@ async fn what_is_not_done_in_time_is_cut_and_shows_in_the_exit_status() {
         .unwrap();
     robot.json("arm/info", Value::Null).await.unwrap();
     server.process().signal(Signal::Terminate);
-    server.log_until("cutting what is not done");
+    server.log_until("cutting unfinished calls");
     let ended = tokio::task::spawn_blocking(|| server.finish())
         .await
         .unwrap();

@@ -7,8 +7,8 @@ use parking_lot::{MappedRwLockReadGuard, RwLock, RwLockReadGuard};
 
 use super::Durability;
 use crate::{
-    background,
     log::{LogError, Uid},
+    low_priority,
 };
 
 /// Most bytes of journal before the store moves points out of it: what a restart reads again at most.
@@ -42,7 +42,7 @@ impl Store {
     /// Opens the store in a directory, or makes it there.
     pub(super) fn open(directory: &Path, durability: Durability) -> fjall::Result<Self> {
         // The threads that it starts yield as this one does. On files that it did not expect fjall may panic.
-        let opened = background::run("wayfold-open", || -> fjall::Result<Handles> {
+        let opened = low_priority::run("wayfold-open", || -> fjall::Result<Handles> {
             let database = Database::builder(directory)
                 .max_journaling_size(JOURNAL_BYTES)
                 // The syncer hands batches on to the operating system, or nobody does.

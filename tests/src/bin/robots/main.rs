@@ -130,7 +130,7 @@ fn search_us(space: &Space, rows: &[f64]) -> f64 {
             row,
         });
     }
-    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
     forest.apply(1, &points, &[]).expect("canonical states");
     forest.settle();
     let mut asked = States::new(space.clone(), 2).rows(SEARCHES);

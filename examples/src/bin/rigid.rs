@@ -1,0 +1,83 @@
+//! A chair through three rooms, several times, on one roadmap that several processes build together: PRM* for a rigid body
+//! with six degrees of freedom, the kind of experiment of Fig. 10 in A. Yershova, S. M. LaValle, "Improving Motion Planning
+//! Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
+//!
+//!     cargo run --release --bin rigid -- [--workers 4] [--source server] [--kill | --restart]
+//!     cargo run --release --bin rigid -- --scaling [--runs 5]
+//!     cargo run --release --bin rigid -- --until-solved [--scaling] [--runs 5]
+//!     cargo run --release --bin rigid -- --compare [--runs 5]
+
+use std::{path::Path, process::ExitCode};
+
+use clap::Parser;
+use wayfold_examples::{
+    planning::{
+        error::PlanningError,
+        figures,
+        report::can_write,
+        server::{self, ServerProcess},
+    },
+    rigid::{
+        audit,
+        build::{self, Built},
+        options::{Options, Role},
+        picture, processes, report,
+        scene::Rooms,
+        sources, until_solved,
+    },
+};
+
+fn main() -> ExitCode {
+    if let Some(ended) = server::serve_if_told() {
+        return ended;
+    }
+    let options = Options::parse();
+    // Calls are made on the main thread, which computes between them; the replica follows on the other.
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build();
+    let ended = match (runtime, &options.role) {
+        (Err(error), _) => Err(PlanningError::Server(error)),
+        // Its sources wait on threads of their own.
+        (Ok(_), None) if options.compare => sources::compare(&Rooms::new(), &options),
+        (Ok(runtime), Some(Role::Work(job))) => runtime.block_on(processes::work(job)),
+        (Ok(runtime), Some(Role::Audit(of))) => {
+            runtime.block_on(audit::audit(&of.server, &of.index))
+        }
+        (Ok(runtime), None) => runtime.block_on(run(&options)),
+    };
+    match ended {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+async fn run(options: &Options) -> Result<(), PlanningError> {
+    let picture = Path::new("rigid.svg");
+    let drawn = (!options.until_solved && !options.scaling).then_some(picture);
+    can_write(options.json.as_deref().into_iter().chain(drawn))?;
+    let mut own = match options.server {
+        None if options.restart => Some(ServerProcess::durable()?),
+        None => Some(ServerProcess::start()?),
+        Some(_) => None,
+    };
+    let uri = own.as_ref().map(|own| own.uri().to_owned());
+    let uri = &options.server.clone().or(uri).unwrap_or_default();
+    let scene = Rooms::new();
+    if options.until_solved {
+        return until_solved::run(&scene, uri, options).await;
+    }
+    if options.scaling {
+        let runs = build::compare(&scene, uri, options).await?;
+        print!("{}", report::comparison(&runs));
+        return figures::write(runs.iter().map(Built::row), options.json.as_deref());
+    }
+    let built = build::build(&scene, uri, own.as_mut(), options, options.seed).await?;
+    print!("{}", report::table(&built));
+    figures::write([built.row()], options.json.as_deref())?;
+    picture::draw(&scene, &built, picture)
+}

@@ -1,0 +1,231 @@
+//! One problem, solved with several sources from the same seeds.
+
+use std::{io, rc::Rc};
+
+use super::{
+    account::{Account, Growth},
+    error::PlanningError,
+    figures::{Row, Spent},
+    local::{BruteForce, LocalForest},
+    options::{Options, Wanted, seeds},
+    path,
+    problem::Problem,
+    remote::{Remote, ReplicaSource, ServerSource},
+    rrt::Solution,
+    rrt_star::{self, Star},
+    server::ServerProcess,
+    source::NeighborSource,
+};
+
+/// What is compared.
+pub struct Trials<'a> {
+    /// The sources.
+    pub sources: Vec<Wanted>,
+    /// The seeds; each is a run with each source.
+    pub seeds: Vec<u64>,
+    /// A server that runs already; one is started if it is needed, unless given.
+    pub server: Option<&'a str>,
+}
+
+impl<'a> From<&'a Options> for Trials<'a> {
+    fn from(options: &'a Options) -> Trials<'a> {
+        Trials {
+            sources: options.source.sources(),
+            seeds: seeds(options.seed, options.runs).collect(),
+            server: options.server.as_deref(),
+        }
+    }
+}
+
+/// What a planner has made, with where its time went.
+pub trait Planned {
+    /// What the planner is called.
+    const PLANNER: &'static str;
+
+    /// What one insert stores.
+    const INSERT: &'static str;
+
+    /// The nodes of all trees, or the milestones.
+    fn nodes(&self) -> usize;
+
+    /// Where the time went.
+    fn account(&self) -> Account;
+
+    /// How it came to that.
+    fn growth(&self) -> &[Growth];
+
+    /// The paths that were found.
+    fn paths(&self) -> impl Iterator<Item = &[Vec<f64>]>;
+
+    /// Whether that is the same, whatever time it took.
+    fn is_like(&self, other: &Self) -> bool;
+}
+
+/// One run with one source.
+pub struct Run {
+    /// The source.
+    pub source: Wanted,
+    /// The seed.
+    pub seed: u64,
+    /// The nodes of all trees, or the milestones.
+    pub nodes: usize,
+    /// Where the time went.
+    pub account: Account,
+    /// How it came to that.
+    pub growth: Vec<Growth>,
+    /// The lengths of the paths that were found.
+    pub path_lengths: Vec<f64>,
+}
+
+/// All runs of a planner.
+pub struct Comparison<R = Solution> {
+    /// The sources, in the order of the trials.
+    pub sources: Vec<Wanted>,
+    /// The runs, seed by seed.
+    pub runs: Vec<Run>,
+    /// The solution from the first seed, which is the same with all sources.
+    pub solution: R,
+}
+
+impl<R> Comparison<R> {
+    /// The runs with one source.
+    pub fn runs_of(&self, source: Wanted) -> impl Iterator<Item = &Run> {
+        self.runs.iter().filter(move |run| run.source == source)
+    }
+}
+
+impl<R: Planned> Comparison<R> {
+    /// The figures of all runs.
+    pub fn rows(&self) -> impl Iterator<Item = Row> {
+        self.runs.iter().map(|run| Row {
+            planner: R::PLANNER,
+            source: run.source.name(),
+            workers: 1,
+            seed: run.seed,
+            nodes: run.nodes as u64,
+            spent: Spent::from(&run.account),
+            checks: run.account.checks as u64,
+            path_lengths: run.path_lengths.clone(),
+        })
+    }
+}
+
+/// What opens a source, empty, as often as a planner needs one.
+pub type Open<'a> = dyn Fn() -> Result<Box<dyn NeighborSource>, PlanningError> + 'a;
+
+/// Solves `problem` by a planner that is given its sources and a seed. Whatever the source, the same seed has to come to the
+/// same.
+pub fn compare<R: Planned>(
+    problem: &impl Problem,
+    trials: &Trials<'_>,
+    plan: impl Fn(&Open<'_>, u64) -> Result<R, PlanningError>,
+) -> Result<Comparison<R>, PlanningError> {
+    let (_server, remote) = remote(trials)?;
+    let (mut runs, mut shown) = (Vec::new(), None);
+    for &seed in &trials.seeds {
+        let solved = each(problem, trials, remote.as_ref(), seed, &plan, R::is_like)?;
+        runs.extend(solved.iter().map(|(source, solution)| {
+            Run {
+                source: *source,
+                seed,
+                nodes: solution.nodes(),
+                account: solution.account(),
+                growth: solution.growth().to_vec(),
+                path_lengths: solution
+                    .paths()
+                    .map(|path| path::length(problem, path))
+                    .collect(),
+            }
+        }));
+        shown = shown.or(solved.into_iter().next());
+    }
+    let (_, solution) = shown.ok_or(PlanningError::Unsolved { nodes: 0 })?;
+    Ok(Comparison {
+        sources: trials.sources.clone(),
+        runs,
+        solution,
+    })
+}
+
+/// Grows the tree of RRT* with each source, from the same seed. It has to be the same tree.
+pub fn grow(
+    problem: &impl Problem,
+    options: &Options,
+    samples: usize,
+) -> Result<Vec<(Wanted, Star)>, PlanningError> {
+    let trials = Trials::from(options);
+    let (_server, remote) = remote(&trials)?;
+    let plan = |own: &Open<'_>, seed| rrt_star::grow(problem, own()?, seed, samples);
+    let is_like = |one: &Star, other: &Star| one.tree == other.tree;
+    each(
+        problem,
+        &trials,
+        remote.as_ref(),
+        options.seed,
+        &plan,
+        is_like,
+    )
+}
+
+/// What comes of one seed with each source; it has to be the same.
+fn each<R>(
+    problem: &impl Problem,
+    trials: &Trials<'_>,
+    remote: Option<&Rc<Remote>>,
+    seed: u64,
+    plan: &impl Fn(&Open<'_>, u64) -> Result<R, PlanningError>,
+    is_like: impl Fn(&R, &R) -> bool,
+) -> Result<Vec<(Wanted, R)>, PlanningError> {
+    let mut all: Vec<(Wanted, R)> = Vec::new();
+    for &source in &trials.sources {
+        eprintln!("{}, seed {seed} ...", source.name());
+        let made = plan(&|| open(source, problem, remote), seed)?;
+        if let Some((first, known)) = all.first()
+            && !is_like(known, &made)
+        {
+            return Err(PlanningError::Differing {
+                first: first.name().to_owned(),
+                other: source.name().to_owned(),
+                seed,
+            });
+        }
+        all.push((source, made));
+    }
+    Ok(all)
+}
+
+/// What the sources need of a server: one that is started for them, unless one runs already, and its threads.
+fn remote(
+    trials: &Trials<'_>,
+) -> Result<(Option<ServerProcess>, Option<Rc<Remote>>), PlanningError> {
+    let is_remote = |source: &Wanted| matches!(source, Wanted::Server | Wanted::Replica);
+    if !trials.sources.iter().any(is_remote) {
+        return Ok((None, None));
+    }
+    if let Some(uri) = trials.server {
+        return Ok((None, Some(Remote::new(uri)?)));
+    }
+    let started = ServerProcess::start()?;
+    let remote = Remote::new(started.uri())?;
+    Ok((Some(started), Some(remote)))
+}
+
+/// An empty source; `remote` is needed for those behind a server.
+pub fn open(
+    source: Wanted,
+    problem: &impl Problem,
+    remote: Option<&Rc<Remote>>,
+) -> Result<Box<dyn NeighborSource>, PlanningError> {
+    let space = problem.space();
+    let remote = || {
+        let missing = || PlanningError::Server(io::Error::other("none is known"));
+        remote.ok_or_else(missing)
+    };
+    Ok(match source {
+        Wanted::Brute => Box::new(BruteForce::new(space)),
+        Wanted::Scan => Box::new(LocalForest::scan(space)),
+        Wanted::Forest | Wanted::All => Box::new(LocalForest::trees(space)),
+        Wanted::Server => Box::new(ServerSource::new(remote()?, space)?),
+        Wanted::Replica => Box::new(ReplicaSource::new(remote()?, space)?),
+    })
+}

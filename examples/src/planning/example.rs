@@ -1,0 +1,186 @@
+//! The whole of an example that solves one problem with every source, and by several workers.
+
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use clap::Parser;
+use tokio::runtime::{Builder, Runtime};
+
+use super::{
+    comparison::{self, Comparison, Open, Trials},
+    error::PlanningError,
+    figures,
+    options::{Options, Role},
+    path::{self, Verify},
+    report, rrt,
+    rrt_star::Star,
+    server::{self, ServerProcess},
+    shared_trees::{
+        job, report as shared_report,
+        solve::{self as shared, Solved},
+    },
+};
+
+/// How often a path is tried to be shortened before it is drawn.
+const SHORTENINGS: usize = 2000;
+
+/// What draws a result, with a path to be shown, into a file.
+pub type Draw<P, R> = fn(&P, &R, &[Vec<f64>], &Path) -> Result<(), PlanningError>;
+
+/// What is particular to an example.
+pub struct Example<P> {
+    /// What its pictures are called.
+    pub name: &'static str,
+    /// By what the paper's planner became faster.
+    pub paper: Option<f64>,
+    /// Draws the trees of one planner, and how the sources differ.
+    pub draw: Draw<P, Comparison>,
+    /// Draws the trees that several workers share.
+    pub draw_shared: Option<Draw<P, Solved>>,
+    /// Draws the tree of RRT*.
+    pub draw_star: Option<Draw<P, Star>>,
+}
+
+impl<P: Verify> Example<P> {
+    /// Solves `problem` as the command line says, checks the path by other code, tells where the time went and draws the
+    /// picture.
+    pub fn run(&self, problem: impl FnOnce() -> P) -> ExitCode {
+        if let Some(ended) = server::serve_if_told() {
+            return ended;
+        }
+        let options = Options::parse();
+        let problem = problem();
+        let ended = match &options.role {
+            Some(Role::Grow(job)) => {
+                runtime().and_then(|runtime| runtime.block_on(job::grow(&problem, job)))
+            }
+            None => self.start(&problem, &options),
+        };
+        match ended {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("error: {error}");
+                ExitCode::FAILURE
+            }
+        }
+    }
+
+    fn start(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
+        let picture = self.picture(options);
+        report::can_write(options.json.iter().chain(&picture).map(PathBuf::as_path))?;
+        match (options.rrt_star, options.workers) {
+            (Some(samples), _) => self.optimize(problem, options, samples),
+            (None, Some(workers)) => self.share(problem, options, workers),
+            (None, None) if options.scaling => self.scale(problem, options),
+            (None, None) => self.solve(problem, options),
+        }
+    }
+
+    /// Where the picture is going to be, if one is to be drawn.
+    fn picture(&self, options: &Options) -> Option<PathBuf> {
+        let of = match (options.rrt_star, options.workers) {
+            (Some(_), _) => self.draw_star.map(|_| "-rrt-star"),
+            (None, Some(_)) => self.draw_shared.map(|_| "-shared"),
+            (None, None) => (!options.scaling).then_some(""),
+        };
+        of.map(|of| format!("{}{of}.svg", self.name).into())
+    }
+
+    fn solve(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
+        let plan =
+            |own: &Open<'_>, seed| rrt::solve(problem, [own()?, own()?], seed, options.max_nodes);
+        let comparison = comparison::compare(problem, &Trials::from(options), plan)?;
+        print!("{}", report::table(&comparison, self.paper));
+        let path = &comparison.solution.path;
+        let checked = path::verify(problem, path)?;
+        println!(
+            "The path of seed {} is free in {checked} states, by other code.",
+            options.seed
+        );
+        figures::write(comparison.rows(), options.json.as_deref())?;
+        let shorter = path::shorten(problem, path.clone(), SHORTENINGS, options.seed)?;
+        match self.picture(options) {
+            Some(file) => (self.draw)(problem, &comparison, &shorter, &file),
+            None => Ok(()),
+        }
+    }
+
+    /// Grows the tree of RRT* with each source, checks its path by other code, and tells how it became shorter.
+    fn optimize(
+        &self,
+        problem: &P,
+        options: &Options,
+        samples: usize,
+    ) -> Result<(), PlanningError> {
+        let grown = comparison::grow(problem, options, samples)?;
+        print!("{}", report::progress(&grown));
+        let star = grown.first().map(|(_, star)| star);
+        let Some((star, goal)) = star.and_then(|star| Some((star, star.goal?))) else {
+            let nodes = star.map_or(0, |star| star.tree.len());
+            return Err(PlanningError::Unsolved { nodes });
+        };
+        let path = star.tree.branch(goal);
+        let checked = path::verify(problem, &path)?;
+        println!(
+            "The path has {} states and the length {:.3}, and is free in {checked} states, by other code.",
+            path.len(),
+            path::length(problem, &path),
+        );
+        let (Some(draw), Some(file)) = (self.draw_star, self.picture(options)) else {
+            return Ok(());
+        };
+        draw(problem, star, &path, &file)
+    }
+
+    /// Has several workers solve it together.
+    fn share(&self, problem: &P, options: &Options, workers: usize) -> Result<(), PlanningError> {
+        let source = options.source.shared().first().copied();
+        let source = source.ok_or(PlanningError::Unshared {
+            source_name: options.source.name(),
+        })?;
+        let (_server, uri) = server_of(options)?;
+        let seed = options.seed;
+        let solved = shared::solve(problem, &uri, options, workers, source, seed);
+        let solved = runtime()?.block_on(solved)?;
+        print!("{}", shared_report::table(&solved));
+        figures::write([solved.row(problem)], options.json.as_deref())?;
+        let (Some(draw), Some(file)) = (self.draw_shared, self.picture(options)) else {
+            return Ok(());
+        };
+        let shorter = path::shorten(problem, solved.path.clone(), SHORTENINGS, seed)?;
+        draw(problem, &solved, &shorter, &file)
+    }
+
+    /// Compares numbers of workers.
+    fn scale(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
+        if options.source.shared().is_empty() {
+            return Err(PlanningError::Unshared {
+                source_name: options.source.name(),
+            });
+        }
+        let (_server, uri) = server_of(options)?;
+        let all = runtime()?.block_on(shared::compare(problem, &uri, options))?;
+        print!("{}", shared_report::comparison(&all));
+        let rows = all.iter().map(|solved| solved.row(problem));
+        figures::write(rows, options.json.as_deref())
+    }
+}
+
+/// Calls are made on the main thread, which computes between them; a replica follows on the other.
+fn runtime() -> Result<Runtime, PlanningError> {
+    let mut runtime = Builder::new_multi_thread();
+    let runtime = runtime.worker_threads(1).enable_all().build();
+    runtime.map_err(PlanningError::Threads)
+}
+
+/// The server of the options, or one that is started.
+fn server_of(options: &Options) -> Result<(Option<ServerProcess>, String), PlanningError> {
+    if let Some(uri) = &options.server {
+        return Ok((None, uri.clone()));
+    }
+    let started = ServerProcess::start()?;
+    let uri = started.uri().to_owned();
+    Ok((Some(started), uri))
+}

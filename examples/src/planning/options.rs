@@ -1,0 +1,140 @@
+//! What a planner can be told on its command line.
+
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand, ValueEnum};
+
+use super::shared_trees::{job::Job, store::Layout};
+
+/// Solves a motion planning problem, tells where the time went, and draws a picture of it.
+#[derive(Clone, Debug, Parser)]
+pub struct Options {
+    /// The role of this process, if it is not the one that starts the others
+    #[command(subcommand)]
+    pub role: Option<Role>,
+    /// Where the neighbours come from
+    #[arg(long, value_enum, default_value_t = Wanted::All)]
+    pub source: Wanted,
+    /// What the random states are drawn from; the next run takes the next one
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// How often to solve the problem with each source; medians are told
+    #[arg(long, default_value_t = 1, conflicts_with_all = ["workers", "rrt_star"])]
+    pub runs: u64,
+    /// A server that runs already; one is started for the time of the planner unless given
+    #[arg(long, value_name = "URI")]
+    pub server: Option<String>,
+    /// Grows the same two trees by so many processes instead, on one server
+    #[arg(long, value_parser = at_least_one, group = "several")]
+    pub workers: Option<usize>,
+    /// How many random states such a worker connects the trees to between two inserts
+    #[arg(long, default_value_t = 32, value_parser = at_least_one, requires = "several")]
+    pub batch: usize,
+    /// How they tell the trees apart
+    #[arg(long, value_enum, default_value_t = Layout::Indices, requires = "several")]
+    pub trees: Layout,
+    /// Compares 1, 2, 4 and 8 such workers with both sources instead; no picture
+    #[arg(long, group = "several")]
+    pub scaling: bool,
+    /// Grows one tree by so many samples instead, by RRT*, and tells how its path becomes shorter
+    #[arg(long, value_name = "SAMPLES", conflicts_with_all = ["several", "max_nodes", "json"])]
+    pub rrt_star: Option<usize>,
+    /// Gives up with so many nodes
+    #[arg(long, default_value_t = 1_000_000)]
+    pub max_nodes: usize,
+    /// Writes the figures of all runs to a file
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// What a process may be told to be.
+#[derive(Clone, Debug, Subcommand)]
+pub enum Role {
+    /// One of the workers that share two trees
+    #[command(hide = true)]
+    Grow(Job),
+}
+
+/// One source, or all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Wanted {
+    /// A scalar loop over all states
+    Brute,
+    /// A SIMD scan of all states
+    Scan,
+    /// The index in this process
+    Forest,
+    /// A server, over gRPC
+    Server,
+    /// A replica that follows a server
+    Replica,
+    /// Each of these, with the same seeds
+    All,
+}
+
+impl Wanted {
+    /// Its sources, brute force first.
+    pub fn sources(self) -> Vec<Wanted> {
+        use Wanted::{All, Brute, Forest, Replica, Scan, Server};
+        match self {
+            All => vec![Brute, Scan, Forest, Server, Replica],
+            one => vec![one],
+        }
+    }
+
+    /// Those of its sources that several workers can share. The first is the one that more workers burden less: to replicas
+    /// every insert is told as often as there are workers.
+    pub fn shared(self) -> Vec<Kind> {
+        match self {
+            Wanted::All => vec![Kind::Server, Kind::Replica],
+            Wanted::Replica => vec![Kind::Replica],
+            Wanted::Server => vec![Kind::Server],
+            Wanted::Brute | Wanted::Scan | Wanted::Forest => Vec::new(),
+        }
+    }
+
+    /// What it is called in tables and pictures.
+    pub fn name(self) -> &'static str {
+        match self {
+            Wanted::Brute => "brute force",
+            Wanted::Scan => "SIMD scan",
+            Wanted::Forest => "forest",
+            Wanted::Server => "server",
+            Wanted::Replica => "replica",
+            Wanted::All => "all",
+        }
+    }
+}
+
+/// Where a worker's first neighbours come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// The server, over gRPC
+    Server,
+    /// A replica in the worker's process
+    Replica,
+}
+
+impl Kind {
+    /// What it is called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::Server => "server",
+            Kind::Replica => "replica",
+        }
+    }
+}
+
+/// The seeds of so many runs: each takes the next one, and after the largest comes 0.
+pub fn seeds(first: u64, runs: u64) -> impl Iterator<Item = u64> {
+    (0..runs.max(1)).map(move |run| first.wrapping_add(run))
+}
+
+/// A number above 0.
+pub fn at_least_one(text: &str) -> Result<usize, String> {
+    let number = text.parse::<usize>().map_err(|error| error.to_string())?;
+    match number {
+        0 => Err("at least one is needed".to_owned()),
+        number => Ok(number),
+    }
+}

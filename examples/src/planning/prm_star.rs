@@ -1,0 +1,218 @@
+//! PRM*: one roadmap for several questions, whose paths become shorter with every milestone.
+//!
+//! S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011: PRM* in its k-nearest
+//! form. Theirs draws all n milestones first; here they come one after the other, and each tries the ways to its k(n)
+//! nearest among the n that were there before it, as the workers of `rigid` do, who build such a roadmap together. This is
+//! one planner alone, so that sources of neighbours can be compared and nothing else differs.
+
+use std::{
+    collections::HashMap,
+    time::{Duration, Instant},
+};
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use wayfold::{Scaling, Search, States};
+
+use super::{
+    account::{Account, Growth, Record},
+    comparison::Planned,
+    error::PlanningError,
+    path,
+    problem::Problem,
+    sampling,
+    source::{NeighborSource, Timed},
+};
+
+/// k(n): the paper's 2e · ln n, above its bound e(1 + 1/d) · ln n in every dimension above 1.
+pub const SCALING: Scaling = Scaling {
+    k_factor: Some(Scaling::K_FACTOR),
+    radius_factor: None,
+    radius_max: None,
+};
+
+/// How many states are drawn for each milestone, at most: where nothing is free, there is an end to it.
+const TRIES: usize = 100;
+
+/// The milestones, by numbers from 0 up, and their edges.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Roadmap {
+    /// The milestones' states.
+    pub states: States,
+    /// The edges of each, to milestones before it; ascending.
+    pub edges: Vec<Vec<usize>>,
+}
+
+impl Roadmap {
+    /// How many milestones there are.
+    pub fn len(&self) -> usize {
+        self.edges.len()
+    }
+
+    /// How many edges there are.
+    pub fn edge_count(&self) -> usize {
+        self.edges.iter().map(Vec::len).sum()
+    }
+}
+
+/// A roadmap, and what it was asked.
+pub struct Answered {
+    /// All milestones, those of the questions last.
+    pub roadmap: Roadmap,
+    /// The shortest path on it for each question; none where it leads from the start to no goal.
+    pub paths: Vec<Option<Vec<Vec<f64>>>>,
+    /// Where the time went, up to the last path.
+    pub account: Account,
+    /// How it came to that, in steps of about the same number of milestones.
+    pub growth: Vec<Growth>,
+}
+
+impl Planned for Answered {
+    const PLANNER: &'static str = "PRM*";
+    const INSERT: &'static str = "a milestone";
+
+    fn nodes(&self) -> usize {
+        self.roadmap.len()
+    }
+
+    fn account(&self) -> Account {
+        self.account
+    }
+
+    fn growth(&self) -> &[Growth] {
+        &self.growth
+    }
+
+    fn paths(&self) -> impl Iterator<Item = &[Vec<f64>]> {
+        self.paths.iter().flatten().map(Vec::as_slice)
+    }
+
+    fn is_like(&self, other: &Answered) -> bool {
+        self.roadmap == other.roadmap
+    }
+}
+
+/// Builds a roadmap of so many milestones, adds the starts and goals of all questions to it, and answers these. The same
+/// seed builds the same roadmap with any exact source.
+pub fn solve(
+    problem: &impl Problem,
+    source: Box<dyn NeighborSource>,
+    seed: u64,
+    milestones: usize,
+    questions: &[[&[f64]; 2]],
+) -> Result<Answered, PlanningError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut planner = Planner::new(problem, source);
+    for _ in 0..TRIES.saturating_mul(milestones) {
+        if planner.roadmap.len() == milestones {
+            break;
+        }
+        let random = sampling::uniform(problem.space(), problem.bounds(), &mut rng);
+        if planner.is_free(&random) {
+            planner.add(&random)?;
+            planner.note();
+        }
+    }
+    let mut ends = Vec::with_capacity(questions.len());
+    for [start, goal] in questions {
+        ends.push([planner.add(start)?, planner.add(goal)?]);
+    }
+    Ok(planner.answer(&ends))
+}
+
+struct Planner<'a, P> {
+    problem: &'a P,
+    source: Timed,
+    roadmap: Roadmap,
+    /// The milestones by what the source calls them.
+    milestones: HashMap<u64, usize>,
+    started: Instant,
+    checking: Duration,
+    checks: u64,
+    record: Record,
+}
+
+impl<'a, P: Problem> Planner<'a, P> {
+    fn new(problem: &'a P, source: Box<dyn NeighborSource>) -> Self {
+        Planner {
+            problem,
+            source: Timed::new(source),
+            roadmap: Roadmap {
+                states: States::new(problem.space().coordinates()),
+                edges: Vec::new(),
+            },
+            milestones: HashMap::new(),
+            started: Instant::now(),
+            checking: Duration::ZERO,
+            checks: 0,
+            record: Record::new(),
+        }
+    }
+
+    fn is_free(&mut self, state: &[f64]) -> bool {
+        let start = Instant::now();
+        let free = self.problem.is_free(state);
+        self.checking += start.elapsed();
+        self.checks += 1;
+        free
+    }
+
+    /// Makes a free state a milestone with all its edges, and returns its number.
+    fn add(&mut self, state: &[f64]) -> Result<usize, PlanningError> {
+        let milestone = self.roadmap.len();
+        let mut search = Search::nearest_k(1);
+        // Evaluated here, as nobody else inserts, so that all sources answer the same plain search.
+        SCALING.apply(&mut search, milestone, self.problem.space().dimension());
+        let found = self.source.search(state, &search)?;
+        let start = Instant::now();
+        let near = found.iter().map(|near| self.milestones[&near.id]);
+        let (problem, checks) = (self.problem, &mut self.checks);
+        let states = &self.roadmap.states;
+        let free = near.filter(|&other| problem.is_free_way(state, states.row(other), checks));
+        let mut edges: Vec<usize> = free.collect();
+        edges.sort_unstable();
+        self.checking += start.elapsed();
+        let mut inserted = States::new(state.len());
+        inserted.push(state)?;
+        let ids = self.source.insert(&inserted)?;
+        self.milestones
+            .extend(ids.iter().map(|&id| (id, milestone)));
+        self.roadmap.states.push(state)?;
+        self.roadmap.edges.push(edges);
+        Ok(milestone)
+    }
+
+    fn account(&self) -> Account {
+        Account {
+            total: self.started.elapsed(),
+            neighbors: self.source.usage(),
+            checking: self.checking,
+            checks: self.checks as usize,
+        }
+    }
+
+    fn note(&mut self) {
+        let milestones = self.roadmap.len();
+        if self.record.is_due(milestones) {
+            let account = self.account();
+            self.record.note(milestones, account);
+        }
+    }
+
+    /// The shortest paths between these milestones.
+    fn answer(self, ends: &[[usize; 2]]) -> Answered {
+        let Roadmap { states, edges } = &self.roadmap;
+        let space = self.problem.space();
+        let shortest =
+            |&[start, goal]: &[usize; 2]| path::shortest(space, states, edges, start, goal);
+        let paths = ends.iter().map(shortest).collect();
+        let account = self.account();
+        let growth = self.record.finish(self.roadmap.len(), account);
+        Answered {
+            roadmap: self.roadmap,
+            paths,
+            account,
+            growth,
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! A server for the run of one planner: this program again, in another role.
+
+use std::{
+    env,
+    ffi::OsStr,
+    io::{self, BufRead, BufReader},
+    process::{self, Child, ChildStdout, Command, ExitCode, Stdio},
+    thread,
+};
+
+use tempfile::TempDir;
+
+use super::error::PlanningError;
+
+/// Set in the process that is the server.
+const ROLE: &str = "WAYFOLD_PLANNER_ROLE";
+
+/// Serves until the end, or until who started it is gone, if this process was started to do so: the first call of a
+/// planner's `main`.
+pub fn serve_if_told() -> Option<ExitCode> {
+    if env::var(ROLE).as_deref() != Ok("server") {
+        return None;
+    }
+    thread::spawn(|| {
+        // Nobody writes to it: it ends when the process is gone that holds the other end, however that ended.
+        let _ = io::copy(&mut io::stdin().lock(), &mut io::sink());
+        process::exit(0);
+    });
+    Some(wayfold_server::main())
+}
+
+/// A server on a free port of this machine, killed when it is dropped; it ends by itself where this process is killed.
+pub struct ServerProcess {
+    child: Child,
+    uri: String,
+    /// Held, or what the server prints later would meet a closed pipe.
+    _output: Option<BufReader<ChildStdout>>,
+    /// Where it keeps its indices, unless that is its memory; removed when it is dropped.
+    data: Option<TempDir>,
+}
+
+impl ServerProcess {
+    /// Starts one that keeps its indices in memory, and returns once it answers.
+    pub fn start() -> Result<ServerProcess, PlanningError> {
+        ServerProcess::listening("127.0.0.1:0", None)
+    }
+
+    /// Starts one that keeps its indices on disk while this exists, and returns once it answers.
+    pub fn durable() -> Result<ServerProcess, PlanningError> {
+        let data = TempDir::new().map_err(PlanningError::Server)?;
+        ServerProcess::listening("127.0.0.1:0", Some(data))
+    }
+
+    fn listening(address: &str, data: Option<TempDir>) -> Result<ServerProcess, PlanningError> {
+        let mut started = ServerProcess {
+            child: spawn(address, data.as_ref())?,
+            uri: String::new(),
+            _output: None,
+            data,
+        };
+        started.listened()?;
+        Ok(started)
+    }
+
+    /// Waits until it says where it listens.
+    fn listened(&mut self) -> Result<(), PlanningError> {
+        let mut line = String::new();
+        let output = self.child.stdout.take().map(BufReader::new);
+        let mut output = output.ok_or_else(|| silent("it has no output"))?;
+        output.read_line(&mut line).map_err(PlanningError::Server)?;
+        let uri = line.trim_end().strip_prefix("listening on ");
+        let uri = uri.ok_or_else(|| silent("it did not say where it listens"))?;
+        self.uri = uri.to_owned();
+        self._output = Some(output);
+        Ok(())
+    }
+
+    /// Where it listens.
+    pub fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    /// Kills it, and returns once it is gone.
+    pub fn kill(&mut self) -> Result<(), PlanningError> {
+        let killed = self.child.kill().and_then(|()| self.child.wait());
+        killed.map(drop).map_err(PlanningError::Server)
+    }
+
+    /// Starts it again after its end, with the same data and where it listened before; returns once it answers.
+    pub fn start_again(&mut self) -> Result<(), PlanningError> {
+        let address = self.uri.trim_start_matches("http://");
+        self.child = spawn(address, self.data.as_ref())?;
+        self.listened()
+    }
+}
+
+fn spawn(address: &str, data: Option<&TempDir>) -> Result<Child, PlanningError> {
+    let data = data.map_or(OsStr::new("memory"), |data| data.path().as_os_str());
+    let program = env::current_exe().map_err(PlanningError::Server)?;
+    let child = Command::new(program)
+        .env(ROLE, "server")
+        .args(["--grpc", address, "--zenoh", "off", "--log", "warn"])
+        .arg("--data")
+        .arg(data)
+        // Held by the child's handle, and closed by the system where this process is killed.
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn();
+    child.map_err(PlanningError::Server)
+}
+
+fn silent(problem: &str) -> PlanningError {
+    PlanningError::Server(io::Error::other(problem.to_owned()))
+}
+
+impl Drop for ServerProcess {
+    fn drop(&mut self) {
+        // Either fails only if it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

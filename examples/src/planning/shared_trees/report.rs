@@ -1,0 +1,103 @@
+//! The tables.
+
+use std::{fmt::Write, time::Duration};
+
+use super::{
+    super::{options::Kind, processes::Times, report::median},
+    account::Account,
+    solve::{Solved, WORKERS},
+};
+
+/// The account of one solution, worker by worker.
+pub fn table(solved: &Solved) -> String {
+    let mut text = format!(
+        "{:<10} {:>8} {:>9} {:>8} {:>10} {:>8} {:>9} {:>8} {:>8}\n",
+        "", "samples", "vertices", "inserts", "checks", "wall s", "search %", "check %", "wait %"
+    );
+    let mut row = |name: &str, wall: Duration, account: &Account| {
+        let times = account.times;
+        let _ = writeln!(
+            text,
+            "{name:<10} {:>8} {:>9} {:>8} {:>10} {:>8.3} {:>9.1} {:>8.1} {:>8.1}",
+            account.samples,
+            account.vertices,
+            account.inserts,
+            account.checks,
+            wall.as_secs_f64(),
+            times.percent(times.searching),
+            times.percent(times.checking),
+            times.percent(times.waiting),
+        );
+    };
+    for (number, account) in solved.crew.accounts.iter().enumerate() {
+        row(&format!("worker {number}"), account.times.total, account);
+    }
+    row("all", solved.crew.wall, &solved.sum());
+    let _ = writeln!(
+        text,
+        "Neighbours from the {}; both trees are read from the server, with {} vertices that have their parents.\n\
+         The path of seed {} has {} states, and is free in {} states, by other code.",
+        solved.source.name(),
+        solved.shared.len(),
+        solved.seed,
+        solved.path.len(),
+        solved.checked,
+    );
+    text
+}
+
+/// Medians by source and number of workers, and how much faster these are than one worker with the same seed.
+pub fn comparison(all: &[Solved]) -> String {
+    let mut text = format!(
+        "{:<8} {:>8} {:>9} {:>26} {:>11} {:>9} {:>8} {:>8} {:>13} {:>10}\n",
+        "source",
+        "workers",
+        "vertices",
+        "to solution, s (min..max)",
+        "vertices/s",
+        "search %",
+        "check %",
+        "wait %",
+        "to one worker",
+        "vertices/s"
+    );
+    for source in [Kind::Replica, Kind::Server] {
+        for workers in WORKERS {
+            let of = |source, workers| {
+                let wanted =
+                    move |one: &&Solved| one.source == source && one.crew.accounts.len() == workers;
+                all.iter().filter(wanted)
+            };
+            let wall = |one: &Solved| one.crew.wall.as_secs_f64();
+            let rate = |one: &Solved| one.sum().vertices as f64 / wall(one);
+            let mut walls: Vec<f64> = of(source, workers).map(wall).collect();
+            walls.sort_by(f64::total_cmp);
+            let [Some(least), Some(most)] = [walls.first(), walls.last()] else {
+                continue;
+            };
+            let span = format!(
+                "{:.2} ({least:.2}..{most:.2})",
+                median(walls.iter().copied())
+            );
+            let share = |part: fn(Times) -> Duration| {
+                let times = of(source, workers).map(|one| one.sum().times);
+                median(times.map(|times| times.percent(part(times))))
+            };
+            // Seed by seed, as these are of one moment.
+            let pairs = || of(source, workers).zip(of(source, 1));
+            let _ = writeln!(
+                text,
+                "{:<8} {workers:>8} {:>9.0} {span:>26} {:>11.0} {:>9.1} {:>8.1} {:>8.1} {:>12.2}× {:>9.2}×",
+                source.name(),
+                median(of(source, workers).map(|one| one.sum().vertices as f64)),
+                median(of(source, workers).map(rate)),
+                share(|times| times.searching),
+                share(|times| times.checking),
+                share(|times| times.waiting),
+                median(pairs().map(|(many, one)| wall(one) / wall(many))),
+                median(pairs().map(|(many, one)| rate(many) / rate(one))),
+            );
+        }
+    }
+    text + "Shares are of the workers' time. Other workers draw other states, and so grow other trees until these meet.\n"
+}

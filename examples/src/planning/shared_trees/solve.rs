@@ -1,0 +1,141 @@
+//! One problem, from empty indices to the path.
+
+use wayfold::Client;
+
+use super::{
+    super::{
+        comparison::Planned,
+        error::PlanningError,
+        figures::{Row, Spent},
+        options::{Kind, Options, seeds},
+        path::{self, Verify},
+        problem::Problem,
+        processes::{self, Crew, Incident, PROGRESS_MS},
+        rrt::{self, Solution},
+    },
+    account::Account,
+    job::Job,
+    store::Store,
+    trees::SharedTrees,
+};
+
+/// A problem that several workers have solved.
+pub struct Solved {
+    /// Where their neighbours came from.
+    pub source: Kind,
+    /// What the states were drawn from.
+    pub seed: u64,
+    /// What each did, until it knew that the trees had met.
+    pub crew: Crew<Account>,
+    /// The trees.
+    pub shared: SharedTrees,
+    /// From start to goal.
+    pub path: Vec<Vec<f64>>,
+    /// At how many states the path was checked anew.
+    pub checked: usize,
+}
+
+impl Solved {
+    /// What all workers did together.
+    pub fn sum(&self) -> Account {
+        self.crew.accounts.iter().copied().sum()
+    }
+
+    /// Its figures.
+    pub fn row(&self, problem: &impl Problem) -> Row {
+        let sum = self.sum();
+        Row {
+            planner: Solution::PLANNER,
+            source: self.source.name(),
+            workers: self.crew.accounts.len(),
+            seed: self.seed,
+            nodes: self.shared.len() as u64,
+            spent: Spent::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            checks: sum.checks as u64,
+            path_lengths: vec![path::length(problem, &self.path)],
+        }
+    }
+}
+
+/// Solves `problem` on the server at `uri`, by so many workers.
+pub async fn solve(
+    problem: &impl Verify,
+    uri: &str,
+    options: &Options,
+    workers: usize,
+    source: Kind,
+    seed: u64,
+) -> Result<Solved, PlanningError> {
+    let client = Client::connect(uri).await?;
+    let (name, layout) = (format!("planning-{}", uuid::Uuid::new_v4()), options.trees);
+    let store = Store::create(&client, &name, layout, problem).await?;
+    let max_vertices = (options.max_nodes / workers) as u64;
+    let job = |number| Job {
+        server: uri.to_owned(),
+        store: name.clone(),
+        layout,
+        number,
+        seed,
+        max_vertices,
+        source,
+        batch: options.batch,
+        progress_ms: PROGRESS_MS,
+        halt_at: None,
+    };
+    let jobs: Vec<Job> = (0..workers).map(job).collect();
+    let crew = processes::run(&jobs, Incident::None);
+    let read = read(&store).await;
+    store.delete(&client).await;
+    let (crew, (shared, path)) = (crew?, read?);
+    Ok(Solved {
+        source,
+        seed,
+        crew,
+        shared,
+        checked: path::verify(problem, &path)?,
+        path,
+    })
+}
+
+/// The trees as they are, and the path by the vertices at which they have met.
+pub async fn read(store: &Store) -> Result<(SharedTrees, Vec<Vec<f64>>), PlanningError> {
+    let vertices = store.meeting().vertices().await?;
+    let shared = SharedTrees::read(store).await?;
+    let unsolved = PlanningError::Unsolved {
+        nodes: shared.len(),
+    };
+    let Some([start, goal]) = vertices else {
+        return Err(unsolved);
+    };
+    let [from, to] = &shared.trees;
+    let (Some(start), Some(goal)) = (from.node(start), to.node(goal)) else {
+        return Err(PlanningError::Vertex {
+            id: start,
+            problem: "where the trees are said to meet, it or its like is missing",
+        });
+    };
+    let path = rrt::path(&shared.trees, [start, goal]);
+    Ok((shared, path))
+}
+
+/// How many workers are compared.
+pub const WORKERS: [usize; 4] = [1, 2, 4, 8];
+
+/// Solves the problem by all numbers of workers, with each source that they can share, in turns, so that what else the machine
+/// does meets all.
+pub async fn compare(
+    problem: &impl Verify,
+    uri: &str,
+    options: &Options,
+) -> Result<Vec<Solved>, PlanningError> {
+    let mut all = Vec::new();
+    for seed in seeds(options.seed, options.runs) {
+        for workers in WORKERS {
+            for source in options.source.shared() {
+                eprintln!("{workers} workers, {}, seed {seed} ...", source.name());
+                all.push(solve(problem, uri, options, workers, source, seed).await?);
+            }
+        }
+    }
+    Ok(all)
+}

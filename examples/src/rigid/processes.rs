@@ -1,0 +1,32 @@
+//! What a process does that is told to be a worker.
+
+use wayfold::{Client, RetryPolicy};
+
+use super::{
+    nearby::Source,
+    options::{Job, Kind},
+    scene::Rooms,
+    worker::Worker,
+};
+use crate::planning::{error::PlanningError, processes::Reporter};
+
+/// The role of a worker.
+pub async fn work(job: &Job) -> Result<(), PlanningError> {
+    // A server that is started again is worth a pause.
+    let client = Client::builder().retry(RetryPolicy::until_deadline());
+    let client = client.connect(&job.server).await?;
+    let index = client.index(&job.index).await?;
+    let source = match job.source {
+        Kind::Server => Source::Server,
+        Kind::Replica => Source::Replica(client.replica(&job.index).await?),
+    };
+    let scene = Rooms::new();
+    let worker = Worker::new(&scene, index, source, job.number, job.seed);
+    let worker = worker.batch(job.batch);
+    let mut worker = worker.min_separation(job.min_separation);
+
+    let mut reporter = Reporter::ready(job, job.progress_ms, job.halt_at)?;
+    let extended = worker.extend(job.milestones, |account| reporter.progress(account));
+    extended.await?;
+    reporter.done(&worker.account())
+}

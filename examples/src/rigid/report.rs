@@ -1,0 +1,183 @@
+//! The tables.
+
+use std::{fmt::Write, time::Duration};
+
+use super::{
+    account::Account,
+    build::{Answer, Built, WORKERS},
+    options::Kind,
+};
+use crate::planning::{
+    comparison::Planned,
+    figures::{Row, Spent},
+    prm_star::Answered,
+    processes::Times,
+    report::median,
+};
+
+impl Built {
+    /// What all workers did together.
+    fn sum(&self) -> Account {
+        self.crew.accounts.iter().copied().sum()
+    }
+
+    /// The milestones that the workers made in a second.
+    pub fn rate(&self) -> f64 {
+        self.sum().milestones as f64 / self.crew.wall.as_secs_f64()
+    }
+
+    /// Its figures: of the workers, not of the questions.
+    pub fn row(&self) -> Row {
+        let sum = self.sum();
+        Row {
+            planner: Answered::PLANNER,
+            source: self.source.name(),
+            workers: self.workers,
+            seed: self.seed,
+            nodes: sum.milestones,
+            spent: Spent::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            checks: sum.checks,
+            path_lengths: self.paths.iter().map(|path| path.length).collect(),
+        }
+    }
+}
+
+/// The account of one roadmap, worker by worker.
+pub fn table(built: &Built) -> String {
+    let mut text = String::new();
+    let mut row = |name: &str, wall: Duration, account: &Account| {
+        let times = account.times;
+        let _ = writeln!(
+            text,
+            "{name:<10} {:>9} {:>10} {:>9} {:>9} {:>8.2} {:>9.1} {:>8.1} {:>8.1} {:>10.0}",
+            account.samples,
+            account.milestones,
+            account.edges,
+            account.meanwhile,
+            wall.as_secs_f64(),
+            times.percent(times.searching),
+            times.percent(times.checking),
+            times.percent(times.waiting),
+            account.milestones as f64 / wall.as_secs_f64().max(f64::MIN_POSITIVE),
+        );
+    };
+    for (number, account) in built.crew.accounts.iter().enumerate() {
+        row(&format!("worker {number}"), account.times.total, account);
+    }
+    row("all", built.crew.wall, &built.sum());
+    let head = format!(
+        "{:<10} {:>9} {:>10} {:>9} {:>9} {:>8} {:>9} {:>8} {:>8} {:>10}\n",
+        "",
+        "samples",
+        "milestones",
+        "edges",
+        "meanwhile",
+        "wall s",
+        "search %",
+        "check %",
+        "wait %",
+        "per second",
+    );
+    let mut text = head + &text;
+    if let Some((worker, at)) = built.crew.killed {
+        let _ = writeln!(
+            text,
+            "Worker {worker} was killed after {:.2} s.",
+            at.as_secs_f64()
+        );
+    }
+    if let Some((killed, listened)) = built.crew.restarted {
+        let _ = writeln!(
+            text,
+            "The server was killed after {:.2} s, and listened again after {:.2} s; for {:.2} s no worker told of more milestones.",
+            killed.as_secs_f64(),
+            listened.as_secs_f64(),
+            built.crew.longest_pause().as_secs_f64(),
+        );
+    }
+    let _ = writeln!(
+        text,
+        "{} pending milestones were completed in {:.3} s; the roadmap has {} milestones and {} edges.",
+        built.adopted,
+        built.adopting.as_secs_f64(),
+        built.roadmap.len(),
+        built.roadmap.edge_count(),
+    );
+    if let Some((found, wanted)) = built.separation {
+        let _ = writeln!(
+            text,
+            "The two nearest of the workers' milestones are {found:.3} apart; at least {wanted} was wanted."
+        );
+    }
+    text += &answers(&built.paths);
+    let _ = writeln!(
+        text,
+        "All of them were found in {:.3} s.",
+        built.asking.as_secs_f64()
+    );
+    text
+}
+
+/// What the paths are like.
+pub fn answers(paths: &[Answer]) -> String {
+    let mut text = String::new();
+    for answer in paths {
+        let _ = writeln!(
+            text,
+            "The path {} has {} milestones and the length {:.2}, and is free in {} states, by other code.",
+            answer.name,
+            answer.states.len(),
+            answer.length,
+            answer.checked,
+        );
+    }
+    text
+}
+
+/// Medians by source and number of workers, and their ratios to one worker and to the other source in the same run.
+pub fn comparison(all: &[Built]) -> String {
+    let of = |source, workers| {
+        let wanted = move |one: &&Built| one.source == source && one.workers == workers;
+        all.iter().filter(wanted)
+    };
+    let mut text = format!(
+        "{:<10} {:>8} {:>10} {:>8} {:>10} {:>9} {:>8} {:>8} {:>13} {:>10}\n",
+        "source",
+        "workers",
+        "milestones",
+        "wall s",
+        "per second",
+        "search %",
+        "check %",
+        "wait %",
+        "to one worker",
+        "to server",
+    );
+    for source in [Kind::Replica, Kind::Server] {
+        for workers in WORKERS {
+            let share = |part: fn(Times) -> Duration| {
+                let times = of(source, workers).map(|one| one.sum().times);
+                median(times.map(|times| times.percent(part(times))))
+            };
+            // Seed by seed, as both are of the same states where there is one worker, and of one moment.
+            let ratio = |other_source, other_workers| {
+                let pairs = of(source, workers).zip(of(other_source, other_workers));
+                median(pairs.map(|(one, other)| one.rate() / other.rate()))
+            };
+            let _ = writeln!(
+                text,
+                "{:<10} {workers:>8} {:>10.0} {:>8.2} {:>10.0} {:>9.1} {:>8.1} {:>8.1} {:>13.2} {:>10.2}",
+                source.name(),
+                median(of(source, workers).map(|one| one.sum().milestones as f64)),
+                median(of(source, workers).map(|one| one.crew.wall.as_secs_f64())),
+                median(of(source, workers).map(Built::rate)),
+                share(|times| times.searching),
+                share(|times| times.checking),
+                share(|times| times.waiting),
+                ratio(source, 1),
+                ratio(Kind::Server, workers),
+            );
+        }
+    }
+    text
+}

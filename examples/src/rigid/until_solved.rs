@@ -1,0 +1,291 @@
+//! Time to solution: workers extend the roadmap until it answers all questions, and not a milestone further.
+//!
+//! The ends of the questions are its first milestones. Who asks follows the roadmap as it grows, and joins what its edges
+//! connect; once both ends of every question are in one part, the workers are ended, and the paths are searched. Workers
+//! need no goodbye: what one leaves pending lacks edges, but has none that is not free.
+
+use std::{
+    fmt::Write,
+    time::{Duration, Instant},
+};
+
+use petgraph::unionfind::UnionFind;
+use tokio::sync::mpsc::{self, UnboundedReceiver};
+use wayfold::{Client, IndexHandle, Watch, WatchEvent};
+
+use super::{
+    account::Account,
+    build::WORKERS,
+    milestone::{self, PENDING},
+    nearby::Source,
+    options::{Job, Kind, Options},
+    roadmap::Roadmap,
+    scene::Rooms,
+    worker::Worker,
+};
+use crate::planning::{
+    comparison::Planned,
+    error::PlanningError,
+    figures::{self, Row, Spent},
+    options::seeds,
+    path,
+    prm_star::Answered,
+    problem::Problem,
+    processes::{Heard, Line, Process, lost},
+    report::median,
+};
+
+/// A roadmap that answers all questions.
+struct Solved {
+    source: Kind,
+    workers: usize,
+    seed: u64,
+    /// From the first milestone to the last path.
+    wall: Duration,
+    /// How many milestones there were.
+    milestones: usize,
+    /// What workers and questions have cost together; of a worker, what it told last.
+    account: Account,
+    /// The lengths of the paths.
+    lengths: Vec<f64>,
+}
+
+/// Solves all questions by as many workers as the options say (with `--scaling` by 1, 2, 4 and 8), several times, and
+/// tells how long it took.
+pub async fn run(scene: &Rooms, uri: &str, options: &Options) -> Result<(), PlanningError> {
+    let workers = match options.scaling {
+        true => &WORKERS[..],
+        false => &[options.workers],
+    };
+    // Not counted: the first calls of a server that has just started take longer.
+    solve_anew(scene, uri, options, options.seed).await?;
+    let mut all = Vec::new();
+    // In turns, so that what else the machine does meets all.
+    for seed in seeds(options.seed, options.runs) {
+        for &workers in workers {
+            let options = Options {
+                workers,
+                ..options.clone()
+            };
+            all.push(solve_anew(scene, uri, &options, seed).await?);
+        }
+    }
+    print!("{}", table(&all, workers));
+    figures::write(all.iter().map(Solved::row), options.json.as_deref())
+}
+
+/// Solves them in an index of its own.
+async fn solve_anew(
+    scene: &Rooms,
+    uri: &str,
+    options: &Options,
+    seed: u64,
+) -> Result<Solved, PlanningError> {
+    let client = Client::connect(uri).await?;
+    let name = format!("rigid-{}", uuid::Uuid::new_v4());
+    let index = client.create_index(&name, scene.space()).await?;
+    let solved = solve(scene, uri, &index, options, seed).await;
+    // What is left behind on a server that is gone, goes with it.
+    let _ = client.delete_index(&name).await;
+    solved
+}
+
+async fn solve(
+    scene: &Rooms,
+    uri: &str,
+    index: &IndexHandle,
+    options: &Options,
+    seed: u64,
+) -> Result<Solved, PlanningError> {
+    let mut watch = index.watch().after(0).payloads().await?;
+    let (told, mut lines) = mpsc::unbounded_channel();
+    let mut crew = Vec::new();
+    for number in 0..options.workers {
+        let job = Job {
+            server: uri.to_owned(),
+            index: index.name().to_owned(),
+            number,
+            seed,
+            milestones: options.milestones,
+            source: options.source,
+            // A milestone that answers the last question is to be heard of at once.
+            batch: 1,
+            min_separation: options.min_separation,
+            // What a solution costs is to be known to a milestone of each.
+            progress_ms: 0,
+            halt_at: None,
+        };
+        let told = told.clone();
+        crew.push(Process::start(&job, move |heard| told.send(heard).is_ok())?);
+    }
+    drop(told);
+    for _ in 0..options.workers {
+        match lines.recv().await {
+            Some((_, Some(Line::Ready), _)) => {}
+            heard => {
+                let number = heard.map_or(0, |(number, ..)| number);
+                return Err(lost(number, "it ended before it was ready"));
+            }
+        }
+    }
+
+    let start = Instant::now();
+    let mut asker = Worker::new(scene, index.clone(), Source::Server, options.workers, seed);
+    let mut ends = Vec::new();
+    for task in scene.tasks() {
+        let (from, to) = (task.start.clone(), task.goal.clone());
+        match (asker.add(from).await?, asker.add(to).await?) {
+            (Some(from), Some(to)) => ends.push((from, to)),
+            _ => return Err(unconnected(task.name, ends.len())),
+        }
+    }
+    for process in &mut crew {
+        process.begin()?;
+    }
+    let mut accounts = vec![Account::default(); options.workers];
+    let joined = follow(&mut watch, &mut lines, &mut accounts, &ends).await;
+    // They end here, also where there was an error.
+    drop(crew);
+    joined?;
+    let roadmap = Roadmap::read(index).await?;
+    let mut paths = Vec::new();
+    for (task, (from, to)) in scene.tasks().iter().zip(ends) {
+        let found = roadmap.path(scene.space(), from, to);
+        paths.push(found.ok_or_else(|| unconnected(task.name, roadmap.len()))?);
+    }
+    let wall = start.elapsed();
+
+    // What they told before they ended.
+    while let Some((number, line, _)) = lines.recv().await {
+        note(&mut accounts, number, line);
+    }
+    for path in &paths {
+        path::verify(scene, path)?;
+    }
+    Ok(Solved {
+        source: options.source,
+        workers: options.workers,
+        seed,
+        wall,
+        milestones: roadmap.len(),
+        account: accounts.into_iter().chain([asker.account()]).sum(),
+        lengths: paths.iter().map(|path| path::length(scene, path)).collect(),
+    })
+}
+
+/// Follows the roadmap until its edges connect these pairs of milestones, or all workers are done.
+async fn follow(
+    watch: &mut Watch,
+    lines: &mut UnboundedReceiver<Heard<Account>>,
+    accounts: &mut [Account],
+    ends: &[(u64, u64)],
+) -> Result<(), PlanningError> {
+    let mut parts = UnionFind::<usize>::new(0);
+    let mut done = vec![false; accounts.len()];
+    loop {
+        tokio::select! {
+            event = watch.next() => {
+                let stored = match event? {
+                    Some(WatchEvent::Mutation(mutation)) => mutation.stored,
+                    // The server forgot what comes next before it was taken, or the index is gone.
+                    Some(WatchEvent::Reset(_)) | None => return Err(PlanningError::Unfollowed),
+                };
+                for point in stored.iter() {
+                    // Ids are assigned from 0 on, and edges lead to smaller ones.
+                    let id = point.id as usize;
+                    while parts.len() <= id {
+                        parts.new_set();
+                    }
+                    let edges = point.payload.and_then(|payload| milestone::edges(payload));
+                    let edges = edges.ok_or(PlanningError::Payload { id: point.id })?;
+                    // Before it is complete, it may keep an edge that it is going to lose to a nearer neighbour.
+                    let complete = point.tag & PENDING == 0;
+                    for other in edges.into_iter().filter(|_| complete) {
+                        parts.try_union(id, other as usize).map_err(|_| PlanningError::Payload { id: point.id })?;
+                    }
+                }
+                let connected = |&(from, to): &(u64, u64)| parts.try_equiv(from as usize, to as usize) == Ok(true);
+                if ends.iter().all(connected) {
+                    return Ok(());
+                }
+            }
+            Some((number, line, _)) = lines.recv() => {
+                if line.is_none() && !done[number] {
+                    return Err(lost(number, "it ended early; what it said is above"));
+                }
+                done[number] |= note(accounts, number, line);
+                // All that there may be is there; whether it is enough, the search for paths will tell.
+                if done.iter().all(|done| *done) {
+                    return Ok(());
+                }
+            }
+        }
+    }
+}
+
+/// Notes what a worker told; returns whether it is done.
+fn note(accounts: &mut [Account], number: usize, line: Option<Line<Account>>) -> bool {
+    match line {
+        Some(Line::Progress(account)) => accounts[number] = account,
+        Some(Line::Done(account)) => {
+            accounts[number] = account;
+            return true;
+        }
+        Some(Line::Ready | Line::Halted(_)) | None => {}
+    }
+    false
+}
+
+/// The figures of all, a line for each number of workers.
+fn table(all: &[Solved], workers: &[usize]) -> String {
+    let mut text =
+        "workers   time to solution (least .. most), s   milestones   collision checks\n"
+            .to_owned();
+    for &workers in workers {
+        let of = |figure: fn(&Solved) -> f64| {
+            let mut figures: Vec<f64> = all
+                .iter()
+                .filter(|one| one.workers == workers)
+                .map(figure)
+                .collect();
+            figures.sort_by(f64::total_cmp);
+            let at = |at: usize| figures.get(at).copied().unwrap_or(f64::NAN);
+            [
+                at(0),
+                median(figures.iter().copied()),
+                at(figures.len().saturating_sub(1)),
+            ]
+        };
+        let [least, median, most] = of(|one| one.wall.as_secs_f64());
+        let [_, milestones, _] = of(|one| one.milestones as f64);
+        let [_, checks, _] = of(|one| one.account.checks as f64);
+        let time = format!("{median:.3} ({least:.3} .. {most:.3})");
+        let _ = writeln!(
+            text,
+            "{workers:>7}   {time:>36}   {milestones:>10.0}   {checks:>16.0}"
+        );
+    }
+    text
+}
+
+impl Solved {
+    fn row(&self) -> Row {
+        Row {
+            planner: Answered::PLANNER,
+            source: self.source.name(),
+            workers: self.workers,
+            seed: self.seed,
+            nodes: self.milestones as u64,
+            spent: Spent::by_workers(self.wall.as_secs_f64(), self.account.times),
+            checks: self.account.checks,
+            path_lengths: self.lengths.clone(),
+        }
+    }
+}
+
+fn unconnected(task: &str, milestones: usize) -> PlanningError {
+    PlanningError::Unconnected {
+        task: task.to_owned(),
+        milestones,
+    }
+}

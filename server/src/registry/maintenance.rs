@@ -1,0 +1,150 @@
+//! Periodic maintenance: reopens a failed store, merges idle indices further, and trims old records.
+
+use std::{
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use tokio::time::{Instant, MissedTickBehavior, interval};
+use tracing::{error, info, warn};
+
+use super::{Hosted, IndexState, Registry, RegistryError, replay};
+use crate::log::{Entry, LogError};
+
+/// The time between two rounds of maintenance.
+const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The longest wait before the next attempt to reopen a failed store.
+const MAX_RETRY_WAIT: Duration = Duration::from_secs(15);
+
+/// The time between two trims of old records.
+const TRIM_INTERVAL: Duration = Duration::from_secs(60);
+
+impl Registry {
+    /// Maintains the registry forever. Calls `recovered` each time a failed log becomes writable again.
+    pub async fn maintain(self: Arc<Self>, recovered: impl Fn()) {
+        let mut ticks = interval(MAINTENANCE_INTERVAL);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let (mut wait, mut next_try, mut trimmed_at) =
+            (MAINTENANCE_INTERVAL, Instant::now(), Instant::now());
+        let mut last_error = None;
+        loop {
+            let now = ticks.tick().await;
+            if self.failure().is_some() && now >= next_try {
+                let registry = Arc::clone(&self);
+                let outcome = tokio::task::spawn_blocking(move || registry.recover()).await;
+                match outcome {
+                    Ok(Ok(())) => {
+                        (wait, last_error) = (MAINTENANCE_INTERVAL, None);
+                        recovered();
+                    }
+                    Ok(Err(error)) => {
+                        wait = (2 * wait).min(MAX_RETRY_WAIT);
+                        // The failure may last for days: log it only when it changes.
+                        if last_error.as_ref() != Some(&error) {
+                            warn!(%error, "cannot reopen the log yet");
+                            last_error = Some(error);
+                        }
+                    }
+                    // The join fails only if the task panicked; the panic hook has printed it.
+                    Err(_) => wait = MAX_RETRY_WAIT,
+                }
+                next_try = Instant::now() + wait;
+            }
+            for hosted in self.hosted() {
+                hosted.merge_if_idle();
+            }
+            if now >= trimmed_at + TRIM_INTERVAL && self.failure().is_none() {
+                trimmed_at = now;
+                self.trim();
+            }
+        }
+    }
+
+    /// The error of a log that can no longer be written.
+    pub fn failure(&self) -> Option<RegistryError> {
+        self.host.log.failure().map(RegistryError::Log)
+    }
+
+    /// Reopens a failed log and brings every index to its stored state. An index whose stored revision is its writer's head
+    /// resumes. Any other index is replayed, and the calls that waited for it fail and can be retried. Blocks.
+    pub fn recover(&self) -> Result<(), RegistryError> {
+        let _change = self.change_lock.lock();
+        if let Err(why) = self.host.log.reopen() {
+            if matches!(why, LogError::Unopened { .. }) {
+                self.mark_damaged(&why);
+            }
+            return Err(why.into());
+        }
+        let entries = self.host.log.indexes()?;
+        let states = self.indexes.read().clone();
+        for (name, state) in &states {
+            let is_stored = entries.iter().any(|entry| entry.name == *name);
+            if !is_stored {
+                self.change(|indexes| indexes.remove(name));
+                if let IndexState::Hosted(hosted) = state {
+                    hosted.close(RegistryError::Deleted);
+                }
+            }
+        }
+        for entry in &entries {
+            let state = self.state_after_reopen(states.get(&entry.name), entry);
+            self.change(|indexes| indexes.insert(entry.name.clone(), state));
+        }
+        self.add_lost();
+        info!(indexes = entries.len(), "the log is writable again");
+        Ok(())
+    }
+
+    /// Marks every index as damaged, as a restart would: nothing of the log can be read.
+    fn mark_damaged(&self, why: &LogError) {
+        let gone = self.host.log.gone();
+        self.change(|indexes| {
+            for (name, state) in indexes.iter_mut() {
+                if let IndexState::Hosted(hosted) = state {
+                    let lost = gone.iter().find(|gone| gone.name == *name);
+                    let why = lost.map_or(why, |gone| &gone.why).clone();
+                    let uid = hosted.uid();
+                    hosted.close(RegistryError::Log(why.clone()));
+                    *state = IndexState::Damaged(uid, RegistryError::Log(why));
+                }
+            }
+        });
+    }
+
+    /// The state of an index after the log was reopened.
+    fn state_after_reopen(&self, before: Option<&IndexState>, entry: &Entry) -> IndexState {
+        if let Some(IndexState::Hosted(hosted)) = before {
+            if hosted.uid() == entry.uid && self.resumes(hosted) {
+                return IndexState::Hosted(Arc::clone(hosted));
+            }
+            hosted.close(RegistryError::Log(LogError::Closed));
+        }
+        replay::replay_or_damaged(&self.host, entry)
+    }
+
+    fn resumes(&self, hosted: &Arc<Hosted>) -> bool {
+        match self.host.log.points(hosted.uid()) {
+            Ok(view) => hosted.resume(view),
+            Err(error) => {
+                error!(index = hosted.name(), %error, "cannot read an index after the log was reopened");
+                false
+            }
+        }
+    }
+
+    fn hosted(&self) -> Vec<Arc<Hosted>> {
+        let states = self.indexes.read();
+        let hosted = states.values().filter_map(|state| state.hosted().ok());
+        hosted.cloned().collect()
+    }
+
+    /// Trims records that are too old, in idle indices too.
+    fn trim(&self) {
+        for hosted in self.hosted() {
+            if let Err(error) = hosted.trim(SystemTime::now()) {
+                warn!(index = hosted.name(), %error, "cannot trim the log");
+            }
+        }
+    }
+}
