@@ -323,7 +323,7 @@ mod tests {
     use crate::service::Unavailability;
 
     /// A message of google.rpc among the details of a status.
-    fn detail<M: Message + Default>(status: &Status, name: &str) -> M {
+    fn decoded<M: Message + Default>(status: &Status, name: &str) -> M {
         let details = status.to_message().details;
         let is_asked = |any: &&Any| any.type_url.ends_with(&format!("google.rpc.{name}"));
         let found = details.iter().find(is_asked).expect(name);
@@ -478,7 +478,7 @@ mod tests {
             let status = from_error(&error);
             assert_eq!(status.code, code, "{error:?}");
             assert_eq!(status.message, error.to_string());
-            let info: pb::ErrorInfo = detail(&status, "ErrorInfo");
+            let info: pb::ErrorInfo = decoded(&status, "ErrorInfo");
             assert_eq!((&*info.domain, &*info.reason), (DOMAIN, error.reason()));
             let message = status.to_message();
             assert_eq!(message.code, number(code));
@@ -503,7 +503,7 @@ mod tests {
         let status = from_error(&Error::InvalidArgument {
             violations: vec![violation],
         });
-        let fields = detail::<pb::BadRequest>(&status, "BadRequest").field_violations;
+        let fields = decoded::<pb::BadRequest>(&status, "BadRequest").field_violations;
         assert_eq!(fields[0].field, "states[37].coords[3]");
         assert_eq!(fields[0].reason, "NAN");
 
@@ -511,7 +511,7 @@ mod tests {
             index: "arm".into(),
             ids: (0..100).collect(),
         });
-        let metadata = detail::<pb::ErrorInfo>(&status, "ErrorInfo").metadata;
+        let metadata = decoded::<pb::ErrorInfo>(&status, "ErrorInfo").metadata;
         assert!(metadata["ids"].starts_with("0,1,2,"));
         assert_eq!(metadata["ids_total"], "100");
 
@@ -521,7 +521,7 @@ mod tests {
             asked: 11,
             advice: "ask for fewer",
         });
-        let violations = detail::<pb::QuotaFailure>(&status, "QuotaFailure").violations;
+        let violations = decoded::<pb::QuotaFailure>(&status, "QuotaFailure").violations;
         assert_eq!(violations[0].subject, "k");
         assert_eq!(violations[0].quota_value, 10);
     }

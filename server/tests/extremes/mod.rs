@@ -8,7 +8,7 @@ use prost_reflect::{
 };
 use rand::{Rng, RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use wayfold_proto::v1;
+use wayfold_proto::v1::{self, create_index_request::SpaceForm};
 
 /// Each integer field takes each of these.
 pub(crate) const EXTREMES: [u64; 9] = [
@@ -42,14 +42,14 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         rows: 1,
         coordinates: vec![0.25],
     });
-    let at = Some(v1::ReadAt {
+    let revision = Some(v1::Revision {
         uid: uid.clone(),
-        min_revision: 1,
+        number: 1,
     });
     let filter = Some(v1::Filter {
         tag_mask: 3,
         tag_value: 1,
-        since_revision: 1,
+        since_revision: revision.clone(),
     });
     let include = Some(v1::Include {
         states: true,
@@ -60,10 +60,10 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
     let knn = v1::KnnRequest {
         index: index.clone(),
         states: states.clone(),
-        k: 2,
-        filter,
+        count: Some(v1::knn_request::Count::K(2)),
+        filter: filter.clone(),
         include,
-        at: at.clone(),
+        min_revision: revision.clone(),
         ..Default::default()
     };
     let insert = v1::InsertRequest {
@@ -72,9 +72,9 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         tags: vec![1],
         payloads: vec![b"payload".as_slice().into()],
         min_separation: 1e-300,
-        neighbors: Some(v1::NeighborQuery {
-            k: Some(2),
-            filter,
+        neighbors: Some(v1::NeighborSpec {
+            count: Some(v1::neighbor_spec::Count::K(2)),
+            filter: filter.clone(),
             include,
             ..Default::default()
         }),
@@ -94,10 +94,10 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
             &v1::QueryRequest {
                 index: index.clone(),
                 states,
-                radius: Some(f64::INFINITY),
-                filter,
+                reach: Some(v1::query_request::Reach::Radius(f64::INFINITY)),
+                filter: filter.clone(),
                 include,
-                at: at.clone(),
+                min_revision: revision.clone(),
                 ..Default::default()
             },
         ),
@@ -110,6 +110,10 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 ids: vec![1],
                 tags: vec![1],
                 uid: uid.clone(),
+                if_revision: Some(v1::Revision {
+                    uid: uid.clone(),
+                    number: 2,
+                }),
                 ..Default::default()
             },
         ),
@@ -118,8 +122,8 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
             &v1::GetRequest {
                 index: index.clone(),
                 ids: vec![1],
-                payloads: true,
-                at: at.clone(),
+                include,
+                min_revision: revision.clone(),
             },
         ),
         dynamic(
@@ -127,25 +131,24 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
             &v1::ScanRequest {
                 index: index.clone(),
                 filter,
-                payloads: true,
+                include,
                 after_id: Some(0),
-                at: at.clone(),
+                min_revision: revision.clone(),
             },
         ),
         dynamic(
             "WatchRequest",
             &v1::WatchRequest {
                 index: index.clone(),
-                uid: uid.clone(),
-                after_revision: Some(0),
-                payloads: true,
+                after_revision: revision.clone(),
+                include,
             },
         ),
         dynamic(
             "CreateIndexRequest",
             &v1::CreateIndexRequest {
                 name: "other".into(),
-                space_text: "R1".into(),
+                space_form: Some(SpaceForm::SpaceText("R1".into())),
                 ..Default::default()
             },
         ),
@@ -153,22 +156,25 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
             "CreateIndexRequest",
             &v1::CreateIndexRequest {
                 name: "third".into(),
-                space: Some(wayfold_proto::space::to_message(&"R1".parse().unwrap())),
+                space_form: Some(SpaceForm::Space(wayfold_proto::space::to_message(
+                    &"R1".parse().unwrap(),
+                ))),
                 ..Default::default()
             },
         ),
+        dynamic("GetServerRequest", &v1::GetServerRequest {}),
         dynamic("ListIndexesRequest", &v1::ListIndexesRequest::default()),
         dynamic(
             "GetIndexRequest",
             &v1::GetIndexRequest {
-                name: index.clone(),
+                index: index.clone(),
             },
         ),
         dynamic(
             "SnapshotIndexRequest",
             &v1::SnapshotIndexRequest {
-                name: index.clone(),
-                at: at.clone(),
+                index: index.clone(),
+                min_revision: revision.clone(),
             },
         ),
         dynamic(
@@ -181,9 +187,9 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "VerifyIndexRequest",
             &v1::VerifyIndexRequest {
-                name: index.clone(),
-                at,
-                queries: Some(3),
+                index: index.clone(),
+                min_revision: revision.clone(),
+                query_count: Some(3),
                 k: Some(2),
                 seed: 1,
             },
@@ -200,7 +206,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "DeleteIndexRequest",
             &v1::DeleteIndexRequest {
-                name: index,
+                index: index,
                 uid: "of another".into(),
             },
         ),

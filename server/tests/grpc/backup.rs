@@ -9,12 +9,12 @@ use wayfold_proto::{
     v1::{self, verify_index_response::Result as Answer},
 };
 
-use crate::harness::{TestServer, insert, reason};
+use crate::harness::{TestServer, insert, reason, uid_of};
 
 fn snapshot_of(name: &str) -> v1::SnapshotIndexRequest {
     v1::SnapshotIndexRequest {
-        name: name.into(),
-        at: None,
+        index: name.into(),
+        min_revision: None,
     }
 }
 
@@ -91,7 +91,7 @@ async fn a_restore_that_is_refused_says_why() {
     server.create_ruler("line", 30_000).await;
     let good = parts(&server, "line").await;
     let index = restore(&server, "copy", &good).await.unwrap();
-    assert_eq!((index.name.as_str(), index.points), ("copy", 30_000));
+    assert_eq!((index.name.as_str(), index.point_count), ("copy", 30_000));
 
     let taken = restore(&server, "copy", &good).await.unwrap_err();
     assert_eq!(reason(&taken, Code::AlreadyExists), "INDEX_EXISTS");
@@ -99,8 +99,8 @@ async fn a_restore_that_is_refused_says_why() {
     let full = restore(&server, "third", &good).await.unwrap_err();
     assert_eq!(reason(&full, Code::ResourceExhausted), "LIMIT_EXCEEDED");
     let request = v1::DeleteIndexRequest {
-        name: "copy".into(),
-        uid: index.uid,
+        index: "copy".into(),
+        uid: uid_of(&index),
     };
     server.indices().delete_index(request).await.unwrap();
 
@@ -135,8 +135,8 @@ async fn a_verification_ends_with_its_report_or_at_its_deadline() {
     let server = TestServer::start(|_| ()).await;
     server.create_ruler("line", 50_000).await;
     let request = v1::VerifyIndexRequest {
-        name: "line".into(),
-        queries: Some(20),
+        index: "line".into(),
+        query_count: Some(20),
         ..Default::default()
     };
     let answer = server.indices().verify_index(request.clone()).await;
@@ -149,10 +149,13 @@ async fn a_verification_ends_with_its_report_or_at_its_deadline() {
     let Some(Answer::Report(report)) = last else {
         panic!("no report but {last:?}");
     };
-    assert_eq!((report.disagreements, report.stored_points), (0, 50_000));
+    assert_eq!(
+        (report.disagreement_count, report.stored_point_count),
+        (0, 50_000)
+    );
 
     let mut late = tonic::Request::new(v1::VerifyIndexRequest {
-        queries: Some(1000),
+        query_count: Some(1000),
         k: Some(100),
         ..request
     });

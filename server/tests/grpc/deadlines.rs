@@ -71,10 +71,9 @@ async fn a_read_that_waits_for_a_revision_ends_at_its_deadline() {
     let server = TestServer::start(|_| ()).await;
     let index = server.create_line("line").await;
     let mut wait = knn("line", &[0.0], 1);
-    wait.at = Some(v1::ReadAt {
-        uid: index.uid,
-        min_revision: 1,
-    });
+    wait.min_revision = index
+        .revision
+        .map(|empty| v1::Revision { number: 1, ..empty });
     let (answer, mut request) = begin(&server, "PointService/Knn", "20m").await;
     request.send_data(frame(&wait), true).unwrap();
     let status = status(answer).await;

@@ -1,6 +1,6 @@
 //! A failed call carries its code and `google.rpc` details that a program can read.
 
-use crate::harness::{TestServer, insert, knn, reason};
+use crate::harness::{TestServer, insert, knn, reason, uid_of};
 use tonic::{Code, Request};
 use tonic_types::StatusExt;
 use wayfold_proto::v1;
@@ -49,7 +49,7 @@ async fn what_is_not_found_or_in_the_way_is_named() {
 
     let request = v1::CreateIndexRequest {
         name: "line".into(),
-        space_text: "SO3".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("SO3".into())),
         ..Default::default()
     };
     let status = server.indices().create_index(request).await.unwrap_err();
@@ -64,14 +64,14 @@ async fn a_precondition_that_fails_is_named() {
     let server = TestServer::start(|_| ()).await;
     let index = server.create_line("line").await;
     let mut request = insert("line", &[0.0]);
-    request.uid = format!("not-{}", index.uid);
+    request.uid = format!("not-{}", uid_of(&index));
     let status = server.points().insert(request).await.unwrap_err();
     assert_eq!(reason(&status, Code::FailedPrecondition), "UID_MISMATCH");
     let failure = status.get_details_precondition_failure().unwrap();
     assert_eq!(failure.violations[0].r#type, "UID_MISMATCH");
     assert_eq!(failure.violations[0].subject, "line");
     let metadata = status.get_details_error_info().unwrap().metadata;
-    assert_eq!(metadata["found"], index.uid);
+    assert_eq!(metadata["found"], uid_of(&index));
     server.stop().await.unwrap().unwrap();
 }
 

@@ -9,7 +9,7 @@ use tonic::{Code, Request, Status, client::Grpc, transport::Channel};
 
 use crate::{
     extremes::{pool, requests, variants},
-    harness::{TestServer, insert},
+    harness::{TestServer, insert, uid_of},
     raw::Raw,
 };
 
@@ -42,7 +42,7 @@ async fn call(
 #[tokio::test]
 async fn every_method_answers_or_refuses_whatever_integers_it_is_asked_with() {
     let server = TestServer::start(|_| ()).await;
-    let uid = server.create_line("arm").await.uid;
+    let uid = uid_of(&server.create_line("arm").await);
     for coordinate in [0.0, 1.0] {
         let request = insert("arm", &[coordinate]);
         server.points().insert(request).await.unwrap();

@@ -74,7 +74,7 @@ impl TestServer {
     pub async fn create_line(&self, name: &str) -> v1::Index {
         let request = v1::CreateIndexRequest {
             name: name.into(),
-            space_text: "R1".into(),
+            space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
             ..Default::default()
         };
         let response = self.indices().create_index(request).await.unwrap();
@@ -114,11 +114,15 @@ pub fn insert(index: &str, coordinates: &[f64]) -> v1::InsertRequest {
     }
 }
 
+pub fn uid_of(index: &v1::Index) -> String {
+    index.revision.clone().unwrap().uid
+}
+
 pub fn knn(index: &str, coordinates: &[f64], k: u32) -> v1::KnnRequest {
     v1::KnnRequest {
         index: index.into(),
         states: Some(column(coordinates)),
-        k,
+        count: Some(v1::knn_request::Count::K(k)),
         ..Default::default()
     }
 }

@@ -109,7 +109,7 @@ async fn what_is_cut_shows_in_the_exit_status() {
     let channel = connect(server.address).await;
     let line = v1::CreateIndexRequest {
         name: "line".into(),
-        space_text: "R1".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
         ..Default::default()
     };
     let mut indices = IndexServiceClient::new(channel.clone());
@@ -125,7 +125,10 @@ async fn what_is_cut_shows_in_the_exit_status() {
     }
     let request = v1::ScanRequest {
         index: "line".into(),
-        payloads: true,
+        include: Some(v1::Include {
+            payloads: true,
+            ..Default::default()
+        }),
         ..Default::default()
     };
     let mut parts = points.scan(request).await.unwrap().into_inner();
@@ -199,7 +202,7 @@ async fn a_file_of_marks_that_is_gone_is_told_of_once() {
     let server = Server::start(&data);
     let line = v1::CreateIndexRequest {
         name: "line".into(),
-        space_text: "R1".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
         ..Default::default()
     };
     let mut indices = IndexServiceClient::new(connect(server.address).await);

@@ -22,8 +22,8 @@ pub(crate) struct Held {
 
 pub(crate) async fn snapshot(service: &Service, name: &str) -> Vec<v1::SnapshotPart> {
     let request = v1::SnapshotIndexRequest {
-        name: name.into(),
-        at: None,
+        index: name.into(),
+        min_revision: None,
     };
     let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();
     let mut parts = Vec::new();
@@ -78,7 +78,7 @@ pub(crate) async fn restore(
 
 pub(crate) fn verification() -> v1::VerifyIndexRequest {
     v1::VerifyIndexRequest {
-        name: "arm".into(),
+        index: "arm".into(),
         ..Default::default()
     }
 }
@@ -94,9 +94,9 @@ pub(crate) async fn verify(
         let answer = verification.next().await.unwrap()?;
         match answer.result.unwrap() {
             Progress(progress) => {
-                assert!(last <= progress.points_read);
-                assert!(progress.points_read <= progress.points_to_read);
-                last = progress.points_read;
+                assert!(last <= progress.read_point_count);
+                assert!(progress.read_point_count <= progress.total_point_count);
+                last = progress.read_point_count;
             }
             Report(report) => {
                 assert!(verification.next().await.is_none());
@@ -127,8 +127,16 @@ pub(crate) async fn lived_in(service: &Service, space: &str, seed: u64) -> Strin
         let revision = info(service, "arm").await.revision;
         // Refusals are as good as any.
         match round % 4 {
-            0 | 1 => drop(service.insert(&CALL, requests.insert(revision)).await),
-            2 => drop(service.update(&CALL, requests.update(revision)).await),
+            0 | 1 => drop(
+                service
+                    .insert(&CALL, requests.insert(revision.number()))
+                    .await,
+            ),
+            2 => drop(
+                service
+                    .update(&CALL, requests.update(revision.number()))
+                    .await,
+            ),
             _ => drop(service.remove(&CALL, requests.remove()).await),
         }
     }

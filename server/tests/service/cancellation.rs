@@ -54,10 +54,10 @@ async fn a_call_dropped_while_it_is_evaluated_changes_nothing() {
     // The writer is free again, and knows nothing of the rows that were evaluated.
     let response = short.await.unwrap();
     assert_eq!(
-        (response.revision, response.ids),
+        (response.revision.number(), response.ids),
         (stored + 1, vec![stored])
     );
-    assert_eq!(everything(&service).await.total_points, stored + 1);
+    assert_eq!(everything(&service).await.point_count, stored + 1);
 }
 
 /// Polls until the deadline, and says what came of the call.
@@ -78,7 +78,7 @@ async fn a_deadline_is_kept_inside_a_long_batch() {
     let (call, deadline) = in_20_ms();
     let answer = past(deadline, service.insert(&call, request)).await;
     assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
-    assert_eq!(info(&service, "arm").await.revision, 0);
+    assert_eq!(info(&service, "arm").await.revision.number(), 0);
 
     service
         .insert(&CALL, insertion(&cube(3, 20_000), &[]))
@@ -120,7 +120,7 @@ async fn a_call_whose_deadline_has_passed_does_nothing() {
     };
     let answer = service.insert(&call, insertion(&[[1.0; 3]], &[])).await;
     assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
-    assert_eq!(info(&service, "arm").await.revision, 0);
+    assert_eq!(info(&service, "arm").await.revision.number(), 0);
 }
 
 /// On one thread, where a call that does not yield would be the only one to run.

@@ -52,9 +52,9 @@ impl Request {
 impl Response {
     fn revision(&self) -> u64 {
         match self {
-            Response::Insert(response) => response.revision,
-            Response::Update(response) => response.revision,
-            Response::Remove(response) => response.revision,
+            Response::Insert(response) => response.revision.number(),
+            Response::Update(response) => response.revision.number(),
+            Response::Remove(response) => response.revision.number(),
         }
     }
 }
@@ -68,9 +68,9 @@ async fn write(
     for call in 0..CALLS {
         let revision = info(&service, "arm").await.revision;
         let request = match call % 6 {
-            4 if !only_inserts => Request::Update(requests.update(revision)),
+            4 if !only_inserts => Request::Update(requests.update(revision.number())),
             5 if !only_inserts => Request::Remove(requests.remove()),
-            _ => Request::Insert(requests.insert(revision)),
+            _ => Request::Insert(requests.insert(revision.number())),
         };
         if let Some(response) = request.send(&service).await {
             answered.push((request, response));
@@ -94,7 +94,7 @@ async fn calls_at_once_are_calls_one_after_another() {
             answered.extend(writer.await.unwrap());
         }
         let mut model = Model::new(space, uid);
-        let last = info(&service, "arm").await.revision;
+        let last = info(&service, "arm").await.revision.number();
         assert!(last > 50, "{last}");
         for revision in 1..=last {
             let of_it = answered

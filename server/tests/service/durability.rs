@@ -75,18 +75,18 @@ async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
     let mut first = pin!(service.insert(&CALL, insertion(&[[1.0]], &[])));
     assert!(poll!(&mut first).is_pending());
     let request = v1::InsertRequest {
-        neighbors: Some(v1::NeighborQuery {
-            k: Some(9),
+        neighbors: Some(v1::NeighborSpec {
+            count: nearest(9),
             ..Default::default()
         }),
         ..insertion(&[[2.0]], &[])
     };
     let mut second = pin!(service.insert(&CALL, request));
     assert!(poll!(&mut second).is_pending());
-    assert_eq!(everything(&service).await.total_points, 0);
+    assert_eq!(everything(&service).await.point_count, 0);
 
     log.synced.send_replace(1);
-    assert_eq!(first.await.unwrap().revision, 1);
+    assert_eq!(first.await.unwrap().revision.number(), 1);
     assert!(poll!(&mut second).is_pending());
     assert_eq!(everything(&service).await.points.unwrap().ids, [0]);
 
@@ -94,7 +94,7 @@ async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
     let response = second.await.unwrap();
     // It was evaluated against the writer's own head, before anybody could see that.
     assert_eq!(
-        (response.revision, response.neighbors.unwrap().ids),
+        (response.revision.number(), response.neighbors.unwrap().ids),
         (2, vec![0])
     );
     assert_eq!(everything(&service).await.points.unwrap().ids, [0, 1]);
@@ -118,13 +118,13 @@ async fn a_call_dropped_after_it_was_logged_takes_place() {
         }
         log.synced.send_replace(1);
         let request = v1::GetRequest {
-            at: Some(v1::ReadAt {
-                uid,
-                min_revision: 1,
-            }),
+            min_revision: revision(&uid, 1),
             ..getting(&[rows as u64 - 1])
         };
-        assert_eq!(service.get(&CALL, request).await.unwrap().revision, 1);
+        assert_eq!(
+            service.get(&CALL, request).await.unwrap().revision.number(),
+            1
+        );
     }
 }
 
@@ -198,7 +198,11 @@ async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
     }
     assert_eq!(responses[0], responses[1]);
     assert_eq!(responses[2], responses[3]);
-    assert!(responses.iter().all(|response| response.revision == 1));
+    assert!(
+        responses
+            .iter()
+            .all(|response| response.revision.number() == 1)
+    );
 }
 
 #[tokio::test]

@@ -62,6 +62,7 @@ async fn ask(service: &Service, call: &Call, request: &DynamicMessage) -> Result
         "UpdateRequest" => service.update(call, read!()).await.map(drop),
         "RemoveRequest" => service.remove(call, read!()).await.map(drop),
         "GetRequest" => service.get(call, read!()).await.map(drop),
+        "GetServerRequest" => service.get_server(call, read!(), 1 << 20).await.map(drop),
         "CreateIndexRequest" => service.create_index(call, read!()).await.map(drop),
         "GetIndexRequest" => service.get_index(call, read!()).await.map(drop),
         "ListIndexesRequest" => service.list_indexes(call, read!()).await.map(drop),
@@ -111,7 +112,7 @@ async fn every_verb_answers_or_refuses_whatever_integers_it_is_asked_with() {
             }
         }
     }
-    assert!(info(&service, "arm").await.revision > 2);
+    assert!(info(&service, "arm").await.revision.number() > 2);
 }
 
 #[tokio::test(start_paused = true)]
@@ -157,13 +158,10 @@ fn assert_rests(waiting: impl Future) {
 #[tokio::test(start_paused = true)]
 async fn a_call_that_waits_rests() {
     let (service, uid) = two_points().await;
-    let head = info(&service, "arm").await.revision;
-    for revision in EXTREMES.into_iter().filter(|revision| *revision > head) {
+    let head = info(&service, "arm").await.revision.number();
+    for number in EXTREMES.into_iter().filter(|number| *number > head) {
         let read = v1::KnnRequest {
-            at: Some(v1::ReadAt {
-                uid: uid.clone(),
-                min_revision: revision,
-            }),
+            min_revision: revision(&uid, number),
             ..knn(&[[0.5]], 1)
         };
         assert_rests(service.knn(&CALL, read));
@@ -171,18 +169,18 @@ async fn a_call_that_waits_rests() {
     for after in EXTREMES.into_iter().filter(|after| *after >= head) {
         let follow = v1::WatchRequest {
             index: "arm".into(),
-            uid: uid.clone(),
-            after_revision: Some(after),
-            payloads: false,
+            after_revision: revision(&uid, after),
+            include: None,
         };
         match service.watch(&CALL, follow).await {
             Ok(mut watch) => {
-                assert_eq!(watch.next().await.unwrap().unwrap().revision, head);
+                let first = watch.next().await.unwrap().unwrap();
+                assert_eq!(first.revision.number(), head);
                 assert_rests(watch.next());
             }
             Err(error) => {
                 assert_eq!(after, u64::MAX);
-                assert_eq!(refusal::<()>(Err(error)).2, "after_revision");
+                assert_eq!(refusal::<()>(Err(error)).2, "after_revision.number");
             }
         }
     }

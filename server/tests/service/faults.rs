@@ -102,9 +102,9 @@ impl Mutation {
     /// The revision that it made.
     async fn send(&self, service: &Service) -> Result<u64, Error> {
         Ok(match self.clone() {
-            Mutation::Insert(request) => service.insert(&CALL, request).await?.revision,
-            Mutation::Update(request) => service.update(&CALL, request).await?.revision,
-            Mutation::Remove(request) => service.remove(&CALL, request).await?.revision,
+            Mutation::Insert(request) => service.insert(&CALL, request).await?.revision.number(),
+            Mutation::Update(request) => service.update(&CALL, request).await?.revision.number(),
+            Mutation::Remove(request) => service.remove(&CALL, request).await?.revision.number(),
         })
     }
 }
@@ -120,7 +120,10 @@ async fn read(service: &Service) -> (u64, BTreeMap<u64, Point>) {
         let payload = String::from_utf8(payload.to_vec()).unwrap();
         (*row, *tag, payload)
     });
-    (part.revision, points.ids.into_iter().zip(told).collect())
+    (
+        part.revision.number(),
+        points.ids.into_iter().zip(told).collect(),
+    )
 }
 
 fn registry(log: &FaultLog) -> Arc<Registry> {
@@ -177,7 +180,7 @@ async fn run(seed: u64, calls: u64) -> u64 {
         revision += 1;
         assert_eq!(sent.unwrap_or(revision), revision);
         assert_eq!(read(&service).await, (revision, points.clone()));
-        assert_eq!(info(&service, "arm").await.uid, uid);
+        assert_eq!(info(&service, "arm").await.revision.uid(), uid);
     }
     // Other servers, after an orderly end and after a loss of power.
     drop(service);

@@ -2,7 +2,10 @@
 
 use std::{sync::Arc, time::Duration};
 
-use wayfold_proto::{space, v1};
+use wayfold_proto::{
+    space,
+    v1::{self, create_index_request::SpaceForm},
+};
 use wayfold_server::{
     log::{Log, MemoryLog},
     registry::Registry,
@@ -10,6 +13,10 @@ use wayfold_server::{
 };
 
 use crate::support::*;
+
+fn as_message(space: &str) -> SpaceForm {
+    SpaceForm::Space(space::to_message(&space.parse().unwrap()))
+}
 
 #[tokio::test]
 async fn creating_twice_finds_the_same_index_and_another_space_is_refused() {
@@ -21,7 +28,7 @@ async fn creating_twice_finds_the_same_index_and_another_space_is_refused() {
     assert!(first.created);
     let equal = v1::CreateIndexRequest {
         name: "arm".into(),
-        space: Some(space::to_message(&"R3*RP3:0.15".parse().unwrap())),
+        space_form: Some(as_message("R3*RP3:0.15")),
         ..Default::default()
     };
     let second = service.create_index(&CALL, equal).await.unwrap();
@@ -46,33 +53,40 @@ async fn an_index_describes_itself() {
             .to_string(),
         "R3*SO3:0.15"
     );
-    assert_eq!((index.coordinates, index.dimension), (7, 6));
-    assert_eq!((index.revision, index.points, index.uid), (0, 0, uid));
+    assert_eq!((index.coordinate_count, index.dimension), (7, 6));
+    assert_eq!(
+        (
+            index.revision.number(),
+            index.point_count,
+            index.revision.uid()
+        ),
+        (0, 0, uid)
+    );
 
     let row = [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]];
     service.insert(&CALL, insertion(&row, &[])).await.unwrap();
     let index = info(&service, "arm").await;
-    assert_eq!((index.revision, index.points), (1, 1));
+    assert_eq!((index.revision.number(), index.point_count), (1, 1));
     assert!(index.memory_bytes >= 7 * 8);
 }
 
 #[tokio::test]
 async fn names_spaces_and_tokens_are_checked() {
     let service = service();
-    let both = v1::CreateIndexRequest {
-        space: Some(space::to_message(&"R3".parse().unwrap())),
-        ..creation("arm", "R3")
+    let none = v1::CreateIndexRequest {
+        space_form: None,
+        ..creation("arm", "")
     };
     let empty = v1::CreateIndexRequest {
-        space: Some(v1::Space { kind: None }),
+        space_form: Some(SpaceForm::Space(v1::Space { kind: None })),
         ..creation("arm", "")
     };
     for (request, reason, field) in [
         (creation("Arm", "R3"), "NAME", "name"),
         (creation("", "R3"), "NAME", "name"),
-        (creation("arm", ""), "REQUIRED", "space"),
+        (none, "REQUIRED", "space"),
+        (creation("arm", ""), "SPACE", "space_text"),
         (creation("arm", "R3*"), "SPACE", "space_text"),
-        (both, "AMBIGUOUS", "space_text"),
     ] {
         let refused = refusal(service.create_index(&CALL, request).await);
         assert_eq!(refused, (Code::InvalidArgument, reason, field.into()));
@@ -122,7 +136,7 @@ async fn pages_are_in_order_and_survive_a_delete_between_them() {
         if names.len() == 2 {
             // The one that the token was made of.
             let request = v1::DeleteIndexRequest {
-                name: "b".into(),
+                index: "b".into(),
                 ..Default::default()
             };
             service.delete_index(&CALL, request).await.unwrap();
@@ -170,7 +184,7 @@ async fn the_log_forgets_what_is_deleted() {
     create(&service, "arm", "R1").await;
     assert_eq!(log.indexes().unwrap().len(), 1);
     let request = v1::DeleteIndexRequest {
-        name: "arm".into(),
+        index: "arm".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, request).await.unwrap();
@@ -185,7 +199,7 @@ async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
         .await
         .unwrap();
     let delete = |uid: &str| v1::DeleteIndexRequest {
-        name: "arm".into(),
+        index: "arm".into(),
         uid: uid.into(),
     };
     let other = refusal(service.delete_index(&CALL, delete("another")).await);
@@ -204,12 +218,9 @@ async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
 
     let again = create(&service, "arm", "R1").await;
     assert_ne!(again, uid);
-    assert_eq!(info(&service, "arm").await.points, 0);
+    assert_eq!(info(&service, "arm").await.point_count, 0);
     let stale = v1::KnnRequest {
-        at: Some(v1::ReadAt {
-            uid,
-            min_revision: 1,
-        }),
+        min_revision: revision(&uid, 1),
         ..knn(&[[1.0]], 1)
     };
     let refused = refusal(service.knn(&CALL, stale).await);
@@ -223,16 +234,13 @@ async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
 async fn who_waits_for_a_revision_of_a_deleted_index_is_told() {
     let (service, uid) = arm("R1").await;
     let request = v1::KnnRequest {
-        at: Some(v1::ReadAt {
-            uid: uid.clone(),
-            min_revision: 1,
-        }),
+        min_revision: revision(&uid, 1),
         ..knn(&[[1.0]], 1)
     };
     let waiting = service.knn(&CALL, request);
     let deleting = async {
         let request = v1::DeleteIndexRequest {
-            name: "arm".into(),
+            index: "arm".into(),
             uid,
         };
         service.delete_index(&CALL, request).await.unwrap();
@@ -261,7 +269,7 @@ async fn no_call_is_answered_before_the_service_is_ready_or_after_it_stops() {
     let mut scan = service.scan(&CALL, scanning()).await.unwrap();
     service.begin_shutdown();
     assert!(!service.is_serving());
-    assert_eq!(scan.next().await.unwrap().unwrap().total_points, 0);
+    assert_eq!(scan.next().await.unwrap().unwrap().point_count, 0);
     let answer = service.list_indexes(&CALL, Default::default()).await;
     assert_eq!(answer, unavailable(Unavailability::Stopping));
 }

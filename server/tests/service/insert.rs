@@ -21,7 +21,10 @@ async fn assigned_ids_run_upwards_and_are_never_used_again() {
         .insert(&CALL, insertion(&[[1.0], [2.0]], &[]))
         .await
         .unwrap();
-    assert_eq!((first.ids, first.revision, first.uid), (vec![0, 1], 1, uid));
+    assert_eq!(
+        (first.ids, first.revision.number(), first.revision.uid()),
+        (vec![0, 1], 1, uid)
+    );
     service
         .insert(&CALL, insertion(&[[3.0]], &[40]))
         .await
@@ -85,7 +88,10 @@ async fn the_same_point_again_is_unchanged_and_makes_no_revision() {
     let response = service.insert(&CALL, again).await.unwrap();
     assert_eq!(outcomes(&response), [Outcome::Unchanged]);
     assert_eq!(
-        (response.revision, info(&service, "arm").await.revision),
+        (
+            response.revision.number(),
+            info(&service, "arm").await.revision.number()
+        ),
         (1, 1)
     );
 
@@ -117,7 +123,7 @@ async fn the_same_point_again_is_unchanged_and_makes_no_revision() {
         };
         let response = service.insert(&CALL, replace).await.unwrap();
         assert_eq!(outcomes(&response), [Outcome::Replaced]);
-        assert_eq!(response.revision, 2 + made as u64);
+        assert_eq!(response.revision.number(), 2 + made as u64);
     }
     let points = everything(&service).await.points.unwrap();
     assert_eq!(
@@ -175,8 +181,8 @@ async fn a_replaced_point_is_neither_in_its_own_way_nor_its_own_neighbour() {
     let request = v1::InsertRequest {
         on_conflict: v1::OnConflict::Replace.into(),
         min_separation: 1.0,
-        neighbors: Some(v1::NeighborQuery {
-            k: Some(10),
+        neighbors: Some(v1::NeighborSpec {
+            count: nearest(10),
             include: Some(v1::Include {
                 revisions: true,
                 ..Default::default()
@@ -215,8 +221,8 @@ async fn neighbours_since_a_revision_are_what_came_meanwhile_and_the_same_call()
         .unwrap();
     let request = v1::InsertRequest {
         uid,
-        neighbors: Some(v1::NeighborQuery {
-            radius: Some(f64::INFINITY),
+        neighbors: Some(v1::NeighborSpec {
+            reach: within(f64::INFINITY),
             filter: Some(v1::Filter {
                 since_revision: checked_at,
                 ..Default::default()
@@ -242,8 +248,8 @@ async fn of_any_two_concurrent_inserts_the_later_sees_the_earlier() {
     for row in cube(5, 200) {
         let service = service.clone();
         let request = v1::InsertRequest {
-            neighbors: Some(v1::NeighborQuery {
-                radius: Some(f64::INFINITY),
+            neighbors: Some(v1::NeighborSpec {
+                reach: within(f64::INFINITY),
                 ..Default::default()
             }),
             ..insertion(&[row], &[])
@@ -254,7 +260,10 @@ async fn of_any_two_concurrent_inserts_the_later_sees_the_earlier() {
         let mut seen = response.neighbors.unwrap().ids;
         seen.sort_unstable();
         // Revision n stores the n-th row, with the id n - 1.
-        assert_eq!(seen, (0..response.revision - 1).collect::<Vec<_>>());
+        assert_eq!(
+            seen,
+            (0..response.revision.number() - 1).collect::<Vec<_>>()
+        );
     }
 }
 
@@ -263,9 +272,14 @@ async fn no_rows_change_nothing() {
     let (service, _) = arm("R3").await;
     let none: [[f64; 3]; 0] = [];
     let response = service.insert(&CALL, insertion(&none, &[])).await.unwrap();
-    assert_eq!((response.outcomes, response.revision), (vec![], 0));
+    assert_eq!((response.outcomes, response.revision.number()), (vec![], 0));
     assert_eq!(
-        service.remove(&CALL, removal(&[])).await.unwrap().revision,
+        service
+            .remove(&CALL, removal(&[]))
+            .await
+            .unwrap()
+            .revision
+            .number(),
         0
     );
 }
@@ -275,7 +289,7 @@ async fn a_bulk_insert_is_one_revision_and_merges_go_on_behind_it() {
     let (service, _) = arm("R3").await;
     let rows = cube(1, 5000);
     let response = service.insert(&CALL, insertion(&rows, &[])).await.unwrap();
-    assert_eq!(response.revision, 1);
+    assert_eq!(response.revision.number(), 1);
     assert_eq!(response.ids, (0..5000).collect::<Vec<_>>());
     for (id, row) in rows.iter().enumerate().step_by(500) {
         let answer = service.knn(&CALL, knn(&[*row], 1)).await.unwrap();

@@ -138,7 +138,7 @@ async fn oversize_answers_of_every_verb_are_refused() {
     let whole = v1::QueryRequest {
         index: "arm".into(),
         states: states(&[[0.5; 3]]),
-        radius: Some(f64::INFINITY),
+        reach: within(f64::INFINITY),
         ..Default::default()
     };
     let refused = ("answer_bytes", ANSWER_BYTES as u64);
@@ -155,14 +155,19 @@ async fn oversize_answers_of_every_verb_are_refused() {
         refused
     );
     assert_eq!(
-        service.get(&CALL, getting(&[0])).await.unwrap().revision,
-        before.revision + 1
+        service
+            .get(&CALL, getting(&[0]))
+            .await
+            .unwrap()
+            .revision
+            .number(),
+        before.revision.number() + 1
     );
 
     // An insert is refused before anything is stored.
     let request = v1::InsertRequest {
-        neighbors: Some(v1::NeighborQuery {
-            k: Some(30),
+        neighbors: Some(v1::NeighborSpec {
+            count: nearest(30),
             ..Default::default()
         }),
         ..insertion(&cube(9, 20), &[])
@@ -170,8 +175,8 @@ async fn oversize_answers_of_every_verb_are_refused() {
     assert_eq!(exceeded(service.insert(&CALL, request).await), refused);
     let after = info(&service, "arm").await;
     assert_eq!(
-        (after.revision, after.points),
-        (before.revision + 1, before.points)
+        (after.revision.number(), after.point_count),
+        (before.revision.number() + 1, before.point_count)
     );
 }
 
@@ -189,5 +194,5 @@ async fn an_insert_whose_outcomes_alone_are_too_many_is_refused() {
         .unwrap();
     let many = service.insert(&CALL, insertion(&cube(2, 60), &[])).await;
     assert_eq!(exceeded(many), ("answer_bytes", 600));
-    assert_eq!(info(&service, "arm").await.points, 30);
+    assert_eq!(info(&service, "arm").await.point_count, 30);
 }

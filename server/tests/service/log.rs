@@ -11,12 +11,11 @@ use wayfold_server::{
 
 use crate::support::*;
 
-fn after(uid: &str, revision: u64) -> v1::WatchRequest {
+fn after(uid: &str, number: u64) -> v1::WatchRequest {
     v1::WatchRequest {
         index: "arm".into(),
-        uid: uid.into(),
-        after_revision: Some(revision),
-        payloads: true,
+        after_revision: revision(uid, number),
+        include: ALL,
     }
 }
 
@@ -26,7 +25,7 @@ async fn watched(service: &Service, uid: &str, revision: u64) -> Vec<v1::Mutatio
     let mut mutations: Vec<v1::Mutation> = Vec::new();
     while mutations
         .last()
-        .is_none_or(|last| last.revision < revision || last.continued)
+        .is_none_or(|last| last.revision.number() < revision || last.continued)
     {
         mutations.extend(watch.next().await.unwrap().unwrap().mutations);
     }
@@ -52,13 +51,16 @@ async fn answers_that_fit_amount_to_what_a_watch_tells() {
             service.remove(&CALL, removal(&[seed * 9])).await.unwrap();
         }
     }
-    let last = info(&service, "arm").await.revision;
+    let last = info(&service, "arm").await.revision.number();
     let mut told: Vec<v1::Mutation> = Vec::new();
     let mut answers = 0;
     loop {
-        let from = told.last().map_or(0, |mutation| mutation.revision);
+        let from = told.last().map_or(0, |mutation| mutation.revision.number());
         let answer = service.log(&CALL, after(&uid, from)).await.unwrap();
-        assert_eq!((&answer.uid, answer.revision), (&uid, last));
+        assert_eq!(
+            (answer.revision.uid(), answer.revision.number()),
+            (uid.clone(), last)
+        );
         assert!(answer.encoded_len() <= 8_000, "{}", answer.encoded_len());
         if answer.mutations.is_empty() {
             break;
@@ -79,7 +81,7 @@ async fn it_waits_for_nothing_and_says_when_it_can_not_tell() {
         ..after("", 0)
     };
     let head = service.log(&CALL, newest.clone()).await.unwrap();
-    assert_eq!((&head.uid, head.revision), (&uid, 0));
+    assert_eq!(head.revision, revision(&uid, 0));
     let request = insertion(&[[1.0]], &[3]);
     service.insert(&CALL, request).await.unwrap();
     for (request, mutations) in [
@@ -89,11 +91,14 @@ async fn it_waits_for_nothing_and_says_when_it_can_not_tell() {
         (after(&uid, 9), 0),
     ] {
         let answer = service.log(&CALL, request).await.unwrap();
-        assert_eq!((answer.revision, answer.mutations.len()), (1, mutations));
+        assert_eq!(
+            (answer.revision.number(), answer.mutations.len()),
+            (1, mutations)
+        );
     }
     let strange = service.log(&CALL, after("strange", 0)).await.unwrap();
     assert_eq!(strange.reset(), ResetReason::UidChanged);
-    assert_eq!(strange.uid, uid);
+    assert_eq!(strange.revision.uid(), uid);
     let unnamed = service.log(&CALL, after("", 0)).await;
     assert_eq!(
         refusal(unnamed),
@@ -122,7 +127,7 @@ async fn a_mutation_that_no_answer_holds_is_refused_and_not_cut() {
         (Code::ResourceExhausted, "LIMIT_EXCEEDED")
     );
     let behind = service.log(&CALL, after(&uid, 2)).await.unwrap();
-    assert_eq!(behind.mutations[0].revision, 3);
+    assert_eq!(behind.mutations[0].revision.number(), 3);
 }
 
 #[tokio::test]
@@ -137,7 +142,7 @@ async fn whoever_follows_which_indices_are_served_is_told_of_each_change() {
         [("arm".to_owned(), uid.clone())]
     );
     let deletion = v1::DeleteIndexRequest {
-        name: "arm".into(),
+        index: "arm".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, deletion).await.unwrap();

@@ -5,9 +5,12 @@ use std::collections::BTreeMap;
 
 use bytes::Bytes;
 use wayfold_index::{Factor, Space};
-use wayfold_proto::v1::{self, Outcome};
+use wayfold_proto::v1::{
+    self, Outcome,
+    neighbor_spec::{Count, Reach},
+};
 
-use crate::support::canonical;
+use crate::support::{canonical, revision};
 
 #[derive(Clone, Debug)]
 pub(crate) struct Point {
@@ -53,7 +56,7 @@ impl Model {
         let mut next = self.clone();
         let rows = canonical(&self.space, &request.states.as_ref().unwrap().coordinates);
         let (mut outcomes, mut ids, mut conflicts) = (Vec::new(), Vec::new(), Vec::new());
-        let mut found = Columns::new(request.neighbors.and_then(|query| query.include));
+        let mut found = Columns::new(request.neighbors.as_ref().and_then(|query| query.include));
         let mut changed = false;
         for (at, row) in rows.chunks(self.space.coordinates()).enumerate() {
             let id = request.ids.get(at).copied().unwrap_or(next.next_id);
@@ -64,9 +67,9 @@ impl Model {
                 stored: self.revision + 1,
                 modified: self.revision + 1,
             };
-            if let Some(query) = request.neighbors {
-                let (k, radius) = next.bounds(query.k, query.radius, query.scaling);
-                let mut all = next.within(row, radius, query.filter);
+            if let Some(query) = &request.neighbors {
+                let (k, radius) = next.bounds(query.count, query.reach);
+                let mut all = next.within(row, radius, query.filter.as_ref());
                 all.retain(|(_, other)| *other != id);
                 all.truncate(k);
                 found.push(&next, &all);
@@ -111,9 +114,8 @@ impl Model {
         Ok(v1::InsertResponse {
             outcomes,
             ids,
-            neighbors: request.neighbors.map(|_| found.columns),
-            revision: self.revision,
-            uid: self.uid.clone(),
+            neighbors: request.neighbors.as_ref().map(|_| found.columns),
+            revision: revision(&self.uid, self.revision),
         })
     }
 
@@ -131,7 +133,8 @@ impl Model {
             };
             if request
                 .if_revision
-                .is_some_and(|revision| point.modified > revision)
+                .as_ref()
+                .is_some_and(|revision| point.modified > revision.number)
             {
                 conflicts.push(id);
             }
@@ -162,10 +165,9 @@ impl Model {
         }
         self.take(next, updated > 0);
         Ok(v1::UpdateResponse {
-            updated,
-            unchanged: request.ids.len() as u64 - updated,
-            revision: self.revision,
-            uid: self.uid.clone(),
+            updated_count: updated,
+            unchanged_count: request.ids.len() as u64 - updated,
+            revision: revision(&self.uid, self.revision),
         })
     }
 
@@ -178,10 +180,9 @@ impl Model {
             .count() as u64;
         self.take(next, removed > 0);
         v1::RemoveResponse {
-            removed,
-            missing: request.ids.len() as u64 - removed,
-            revision: self.revision,
-            uid: self.uid.clone(),
+            removed_count: removed,
+            missing_count: request.ids.len() as u64 - removed,
+            revision: revision(&self.uid, self.revision),
         }
     }
 
@@ -193,30 +194,27 @@ impl Model {
     pub(crate) fn knn(&self, request: &v1::KnnRequest) -> v1::KnnResponse {
         let rows = canonical(&self.space, &request.states.as_ref().unwrap().coordinates);
         let mut found = Columns::new(request.include);
-        let (k, radius) = self.bounds(Some(request.k), request.radius, request.scaling);
+        let (k, radius) = self.bounds(request.count.map(Into::into), request.reach.map(Into::into));
         for row in rows.chunks(self.space.coordinates()) {
-            let mut all = self.within(row, radius, request.filter);
+            let mut all = self.within(row, radius, request.filter.as_ref());
             all.truncate(k);
             found.push(self, &all);
         }
         v1::KnnResponse {
             neighbors: Some(found.columns),
-            exact: true,
-            revision: self.revision,
-            uid: self.uid.clone(),
+            revision: revision(&self.uid, self.revision),
         }
     }
 
     pub(crate) fn scan(&self, request: &v1::ScanRequest) -> v1::ScanResponse {
         let after = request.after_id;
         let passing = self.points.iter().filter(|(id, point)| {
-            after.is_none_or(|after| **id > after) && passes(request.filter, point)
+            after.is_none_or(|after| **id > after) && passes(request.filter.as_ref(), point)
         });
         v1::ScanResponse {
-            points: Some(columns(passing, request.payloads)),
-            revision: self.revision,
-            uid: self.uid.clone(),
-            total_points: self.points.len() as u64,
+            points: Some(columns(passing, request.include)),
+            revision: revision(&self.uid, self.revision),
+            point_count: self.points.len() as u64,
         }
     }
 
@@ -232,31 +230,24 @@ impl Model {
         }
         let asked = request.ids.iter().map(|id| (id, &self.points[id]));
         Ok(v1::GetResponse {
-            points: Some(columns(asked, request.payloads)),
-            revision: self.revision,
-            uid: self.uid.clone(),
+            points: Some(columns(asked, request.include)),
+            revision: revision(&self.uid, self.revision),
         })
     }
 
     /// The number and the radius that a request asks for, as Karaman and Frazzoli scale them by the points of now. The
     /// radius is no distance of the few states that there are, so its last bit does not matter.
-    fn bounds(
-        &self,
-        k: Option<u32>,
-        radius: Option<f64>,
-        scaling: Option<v1::Scaling>,
-    ) -> (usize, f64) {
-        let mut bounds = (
-            k.map_or(usize::MAX, |k| k as usize),
-            radius.unwrap_or(f64::INFINITY),
-        );
+    fn bounds(&self, count: Option<Count>, reach: Option<Reach>) -> (usize, f64) {
         let n = self.points.len() as f64;
-        let scaling = scaling.unwrap_or_default();
-        if let Some(factor) = scaling.k_factor {
-            bounds.0 = if n > 1.0 { factor * n.ln() } else { 0.0 }.ceil() as usize;
-            bounds.0 = bounds.0.max(1);
-        }
-        if let Some(factor) = scaling.radius_factor {
+        let k = match count {
+            None => usize::MAX,
+            Some(Count::K(k)) => k as usize,
+            Some(Count::KFactor(factor)) => {
+                let k = if n > 1.0 { factor * n.ln() } else { 0.0 };
+                (k.ceil() as usize).max(1)
+            }
+        };
+        let scaled = |scaled: v1::ScaledRadius| {
             let terms = self.space.groups().iter().flat_map(|group| &group.terms);
             let dimensions = terms.map(|term| match term.factor {
                 Factor::RealVector(n) => n,
@@ -264,16 +255,22 @@ impl Model {
                 Factor::SO3 => 3,
             });
             let root = 1.0 / dimensions.sum::<usize>() as f64;
-            bounds.1 = scaling.radius_max.unwrap_or(f64::INFINITY);
-            if n > 1.0 {
-                bounds.1 = bounds.1.min(factor * (n.ln() / n).powf(root));
+            let max = scaled.max.unwrap_or(f64::INFINITY);
+            match n > 1.0 {
+                true => max.min(scaled.factor * (n.ln() / n).powf(root)),
+                false => max,
             }
-        }
-        bounds
+        };
+        let radius = match reach {
+            None => f64::INFINITY,
+            Some(Reach::Radius(radius)) => radius,
+            Some(Reach::ScaledRadius(radius)) => scaled(radius),
+        };
+        (k, radius)
     }
 
     /// All points within `radius`, by (distance, id).
-    fn within(&self, row: &[f64], radius: f64, filter: Option<v1::Filter>) -> Vec<(f64, u64)> {
+    fn within(&self, row: &[f64], radius: f64, filter: Option<&v1::Filter>) -> Vec<(f64, u64)> {
         let passing = self
             .points
             .iter()
@@ -287,25 +284,42 @@ impl Model {
     }
 }
 
-fn passes(filter: Option<v1::Filter>, point: &Point) -> bool {
-    let filter = filter.unwrap_or_default();
-    point.tag & filter.tag_mask == filter.tag_value && point.stored > filter.since_revision
+fn passes(filter: Option<&v1::Filter>, point: &Point) -> bool {
+    let filter = filter.cloned().unwrap_or_default();
+    let since = filter.since_revision.map_or(0, |since| since.number);
+    point.tag & filter.tag_mask == filter.tag_value && point.stored > since
 }
 
-fn columns<'a>(points: impl Iterator<Item = (&'a u64, &'a Point)>, payloads: bool) -> v1::Points {
-    let mut columns = v1::Points::default();
-    let mut states = v1::States::default();
+fn columns<'a>(
+    points: impl Iterator<Item = (&'a u64, &'a Point)>,
+    include: Option<v1::Include>,
+) -> v1::Points {
+    let include = include.unwrap_or(v1::Include {
+        states: true,
+        tags: true,
+        revisions: true,
+        payloads: false,
+    });
+    let mut columns = v1::Points {
+        states: include.states.then(v1::States::default),
+        ..Default::default()
+    };
     for (id, point) in points {
         columns.ids.push(*id);
-        columns.tags.push(point.tag);
-        columns.revisions.push(point.stored);
-        states.rows += 1;
-        states.coordinates.extend(&point.row);
-        if payloads {
+        if include.tags {
+            columns.tags.push(point.tag);
+        }
+        if include.revisions {
+            columns.revisions.push(point.stored);
+        }
+        if let Some(states) = &mut columns.states {
+            states.rows += 1;
+            states.coordinates.extend(&point.row);
+        }
+        if include.payloads {
             columns.payloads.push(point.payload.clone());
         }
     }
-    columns.states = Some(states);
     columns
 }
 

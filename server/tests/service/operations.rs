@@ -14,8 +14,8 @@ use crate::support::*;
 fn once(id: &str, row: f64) -> v1::InsertRequest {
     v1::InsertRequest {
         operation_id: id.into(),
-        neighbors: Some(v1::NeighborQuery {
-            k: Some(3),
+        neighbors: Some(v1::NeighborSpec {
+            count: nearest(3),
             ..Default::default()
         }),
         ..insertion(&[[row]], &[])
@@ -36,7 +36,7 @@ async fn a_retry_gets_the_original_response_bit_for_bit() {
         .unwrap();
     let retry = service.insert(&CALL, once("op", 0.1)).await.unwrap();
     assert_eq!(retry.encode_to_vec(), first.encode_to_vec());
-    assert_eq!(info(&service, "arm").await.points, 4);
+    assert_eq!(info(&service, "arm").await.point_count, 4);
 
     let removal = v1::RemoveRequest {
         operation_id: "remove".into(),
@@ -52,7 +52,7 @@ async fn a_retry_gets_the_original_response_bit_for_bit() {
         ..Default::default()
     };
     let first = service.update(&CALL, update.clone()).await.unwrap();
-    assert_eq!(first.updated, 1);
+    assert_eq!(first.updated_count, 1);
     assert_eq!(service.update(&CALL, update).await.unwrap(), first);
 }
 
@@ -75,7 +75,7 @@ async fn other_content_or_another_verb_under_the_same_id_is_refused() {
         };
         assert_eq!(error, mismatch);
     }
-    assert_eq!(info(&service, "arm").await.revision, 1);
+    assert_eq!(info(&service, "arm").await.revision.number(), 1);
 }
 
 #[tokio::test]
@@ -86,13 +86,13 @@ async fn a_call_that_changed_nothing_is_remembered_too() {
         ..removal(&[5])
     };
     let first = service.remove(&CALL, removal.clone()).await.unwrap();
-    assert_eq!((first.removed, first.revision), (0, 0));
+    assert_eq!((first.removed_count, first.revision.number()), (0, 0));
     service
         .insert(&CALL, insertion(&[[1.0]], &[5]))
         .await
         .unwrap();
     assert_eq!(service.remove(&CALL, removal).await.unwrap(), first);
-    assert_eq!(info(&service, "arm").await.points, 1);
+    assert_eq!(info(&service, "arm").await.point_count, 1);
 }
 
 #[tokio::test]
@@ -109,7 +109,7 @@ async fn a_call_that_failed_is_not_remembered() {
     service.insert(&CALL, request.clone()).await.unwrap_err();
     service.remove(&CALL, removal(&[5])).await.unwrap();
     let response = service.insert(&CALL, request).await.unwrap();
-    assert_eq!(response.revision, 3);
+    assert_eq!(response.revision.number(), 3);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -124,7 +124,10 @@ async fn twins_in_flight_take_effect_once() {
         }
         let responses = twins.join_all().await;
         assert!(responses.iter().all(|response| *response == responses[0]));
-        assert_eq!(info(&service, "arm").await.points, u64::from(round) + 1);
+        assert_eq!(
+            info(&service, "arm").await.point_count,
+            u64::from(round) + 1
+        );
     }
 }
 
@@ -145,7 +148,8 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
             .insert(&CALL, once("c", 2.0))
             .await
             .unwrap()
-            .revision,
+            .revision
+            .number(),
         3
     );
     assert_eq!(
@@ -153,7 +157,8 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
             .insert(&CALL, once("b", 1.0))
             .await
             .unwrap()
-            .revision,
+            .revision
+            .number(),
         2
     );
     assert_eq!(
@@ -161,12 +166,13 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
             .insert(&CALL, once("a", 0.0))
             .await
             .unwrap()
-            .revision,
+            .revision
+            .number(),
         4
     );
 
     let delete = v1::DeleteIndexRequest {
-        name: "arm".into(),
+        index: "arm".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, delete).await.unwrap();
@@ -176,7 +182,8 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
             .insert(&CALL, once("a", 0.0))
             .await
             .unwrap()
-            .revision,
+            .revision
+            .number(),
         1
     );
 }

@@ -5,7 +5,10 @@ use prost::Message;
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold_index::{Factor, Space};
-use wayfold_proto::v1;
+use wayfold_proto::v1::{
+    self,
+    neighbor_spec::{Count, Reach},
+};
 use wayfold_server::service::{Error, Scan, Service};
 
 use crate::{
@@ -93,10 +96,11 @@ impl Requests {
 
     fn filter(&mut self, revision: u64) -> Option<v1::Filter> {
         let tag_mask = self.pick(&[0, 0b01, 0b11]);
-        self.random.random_bool(0.5).then(|| v1::Filter {
+        let is_filtered = self.random.random_bool(0.5);
+        is_filtered.then(|| v1::Filter {
             tag_mask,
             tag_value: self.random.random_range(0..4) & tag_mask,
-            since_revision: self.random.random_range(0..=revision),
+            since_revision: self.at(revision),
         })
     }
 
@@ -135,13 +139,11 @@ impl Requests {
                 .then(|| self.random.random_range(1..6));
             let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
             let radius = (k.is_none() || self.random.random()).then_some(radius);
-            let scaling = self.scaling();
-            v1::NeighborQuery {
-                k: k.filter(|_| !scales_k(scaling)),
-                radius: radius.filter(|_| !scales_radius(scaling)),
+            v1::NeighborSpec {
+                count: self.k_factor().or(k.map(Count::K)),
+                reach: self.scaled_radius().or(radius.map(Reach::Radius)),
                 filter: self.filter(revision + 1),
                 include: self.include(),
-                scaling,
             }
         });
         v1::InsertRequest {
@@ -150,7 +152,7 @@ impl Requests {
             ids,
             tags,
             payloads,
-            on_conflict: self.pick(&[0, 1, 1]),
+            on_conflict: self.pick(&[0, 1, 2, 2]),
             min_separation: self.pick(&[0.0, 0.0, 0.25, 0.5, 0.7]),
             neighbors,
             operation_id: String::new(),
@@ -173,7 +175,7 @@ impl Requests {
             tags,
             tag_mask,
             payloads: self.payloads(payload_count),
-            if_revision: compares.then(|| self.random.random_range(0..=revision)),
+            if_revision: self.at(revision).filter(|_| compares),
             operation_id: String::new(),
             uid: self.uid.clone(),
             ids,
@@ -187,36 +189,33 @@ impl Requests {
         }
     }
 
-    /// Number and radius by the size of the index, now and then.
-    fn scaling(&mut self) -> Option<v1::Scaling> {
-        let scaled = v1::Scaling {
-            k_factor: self.pick(&[None, None, Some(0.0), Some(0.7), Some(1.5), Some(5.5)]),
-            radius_factor: self.pick(&[None, None, Some(0.0), Some(0.4), Some(1.1)]),
-            radius_max: self.pick(&[None, Some(0.3), Some(f64::INFINITY)]),
-        };
-        let scaled = v1::Scaling {
-            radius_max: scaled.radius_max.filter(|_| scaled.radius_factor.is_some()),
-            ..scaled
-        };
-        Some(scaled).filter(|scaled| *scaled != v1::Scaling::default())
+    /// A number by the size of the index, now and then.
+    fn k_factor(&mut self) -> Option<Count> {
+        let factor = self.pick(&[None, None, Some(0.0), Some(0.7), Some(1.5), Some(5.5)]);
+        factor.map(Count::KFactor)
+    }
+
+    /// A radius by the size of the index, now and then.
+    fn scaled_radius(&mut self) -> Option<Reach> {
+        let factor = self.pick(&[None, None, Some(0.0), Some(0.4), Some(1.1)])?;
+        let max = self.pick(&[None, Some(0.3), Some(f64::INFINITY)]);
+        Some(Reach::ScaledRadius(v1::ScaledRadius { factor, max }))
     }
 
     pub(crate) fn knn(&mut self, revision: u64) -> v1::KnnRequest {
         let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
         let radius = self.random.random_bool(0.5).then_some(radius);
-        let scaling = self.scaling();
+        let count = self.k_factor();
+        let count = count.unwrap_or_else(|| Count::K(self.random.random_range(1..80)));
+        let reach = self.scaled_radius().or(radius.map(Reach::Radius));
         v1::KnnRequest {
             index: self.name.clone(),
             states: self.states(2),
-            k: match scales_k(scaling) {
-                true => 0,
-                false => self.random.random_range(1..80),
-            },
-            radius: radius.filter(|_| !scales_radius(scaling)),
-            scaling,
+            count: Some(count.into()),
+            reach: reach.map(Into::into),
             filter: self.filter(revision),
             include: self.include(),
-            at: self.at(revision),
+            min_revision: self.at(revision),
             ..Default::default()
         }
     }
@@ -225,45 +224,36 @@ impl Requests {
         v1::ScanRequest {
             index: self.name.clone(),
             filter: self.filter(revision),
-            payloads: self.random.random(),
+            include: self.columns(),
             after_id: self
                 .random
                 .random_bool(0.3)
                 .then(|| self.random.random_range(0..60)),
-            at: self.at(revision),
+            min_revision: self.at(revision),
         }
     }
 
-    fn at(&mut self, revision: u64) -> Option<v1::ReadAt> {
-        Some(v1::ReadAt {
-            uid: self.uid.clone(),
-            min_revision: self.random.random_range(0..=revision),
-        })
+    fn at(&mut self, newest: u64) -> Option<v1::Revision> {
+        revision(&self.uid, self.random.random_range(0..=newest))
     }
-}
 
-fn scales_k(scaling: Option<v1::Scaling>) -> bool {
-    scaling.is_some_and(|scaling| scaling.k_factor.is_some())
-}
-
-fn scales_radius(scaling: Option<v1::Scaling>) -> bool {
-    scaling.is_some_and(|scaling| scaling.radius_factor.is_some())
+    /// The columns of points; now and then what there is without a word.
+    fn columns(&mut self) -> Option<v1::Include> {
+        let include = self.include();
+        include.filter(|_| self.random.random())
+    }
 }
 
 /// `Query` is `Knn` without k.
 fn as_query(knn: &v1::KnnRequest) -> v1::QueryRequest {
-    let scaling = knn.scaling.filter(|_| scales_radius(knn.scaling));
+    let reach = knn.reach.map_or(Reach::Radius(0.5), Into::into);
     v1::QueryRequest {
         index: knn.index.clone(),
         states: knn.states.clone(),
-        radius: scaling.is_none().then(|| knn.radius.unwrap_or(0.5)),
-        scaling: scaling.map(|scaling| v1::Scaling {
-            k_factor: None,
-            ..scaling
-        }),
-        filter: knn.filter,
+        reach: Some(reach.into()),
+        filter: knn.filter.clone(),
         include: knn.include,
-        at: knn.at.clone(),
+        min_revision: knn.min_revision.clone(),
         ..Default::default()
     }
 }
@@ -299,19 +289,18 @@ pub(crate) async fn compare(service: &Service, model: &Model, requests: &mut Req
 
     let query = as_query(&knn);
     let unlimited = v1::KnnRequest {
-        k: u32::MAX,
-        radius: query.radius,
-        scaling: query.scaling,
+        count: nearest(u32::MAX).map(Into::into),
+        reach: query.reach.map(Reach::from).map(Into::into),
         ..knn
     };
     let expected = model.knn(&unlimited);
     let answer = service.query(&CALL, query.clone()).await.unwrap();
     assert_eq!(answer.neighbors, expected.neighbors, "{query:?}");
-    assert_eq!((answer.exact, answer.revision), (true, model.revision));
+    assert_eq!(answer.revision, revision(&model.uid, model.revision));
 
     let get = v1::GetRequest {
         index: requests.name.clone(),
-        payloads: requests.random.random(),
+        include: requests.columns(),
         ..getting(&requests.ids(4))
     };
     assert_same(
@@ -371,7 +360,7 @@ async fn run(space: &str, seed: u64) {
     }
     let index = info(&service, "arm").await;
     assert_eq!(
-        (index.revision, index.points),
+        (index.revision.number(), index.point_count),
         (model.revision, model.points.len() as u64)
     );
 }

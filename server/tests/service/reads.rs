@@ -35,8 +35,10 @@ async fn neighbours_come_with_what_was_asked_for() {
         ..knn(&[[1.25], [-1.0]], 2)
     };
     let response = service.knn(&CALL, request).await.unwrap();
-    assert!(response.exact);
-    assert_eq!((response.revision, response.uid), (1, uid));
+    assert_eq!(
+        (response.revision.number(), response.revision.uid()),
+        (1, uid)
+    );
     let found = response.neighbors.unwrap();
     assert_eq!(found.counts, [2, 2]);
     assert_eq!(found.ids, [1, 2, 0, 1]);
@@ -72,18 +74,14 @@ async fn filters_by_tag_and_by_revision() {
         };
         service.insert(&CALL, request).await.unwrap();
     }
-    let ask = |tag_mask, tag_value, since_revision| v1::QueryRequest {
+    let ask = |tag_mask, tag_value, since| v1::QueryRequest {
         index: "arm".into(),
         states: states(&[[0.0]]),
-        radius: Some(f64::INFINITY),
+        reach: within(f64::INFINITY),
         filter: Some(v1::Filter {
             tag_mask,
             tag_value,
-            since_revision,
-        }),
-        at: Some(v1::ReadAt {
-            uid: uid.clone(),
-            min_revision: 0,
+            since_revision: revision(&uid, since),
         }),
         ..Default::default()
     };
@@ -114,14 +112,14 @@ async fn the_ball_is_closed_and_both_limits_hold() {
     let query = |radius| v1::QueryRequest {
         index: "arm".into(),
         states: states(&[[0.0]]),
-        radius: Some(radius),
+        reach: within(radius),
         ..Default::default()
     };
     let ids = |response: v1::QueryResponse| response.neighbors.unwrap().ids;
     assert_eq!(ids(service.query(&CALL, query(0.0)).await.unwrap()), [0]);
     assert_eq!(ids(service.query(&CALL, query(1.0)).await.unwrap()), [0, 1]);
     let both = |k, radius| v1::KnnRequest {
-        radius: Some(radius),
+        reach: within(radius),
         ..knn(&[[0.0]], k)
     };
     let ids = |response: v1::KnnResponse| response.neighbors.unwrap().ids;
@@ -134,40 +132,10 @@ async fn the_ball_is_closed_and_both_limits_hold() {
 }
 
 #[tokio::test]
-async fn less_than_exact_only_where_it_was_asked_for() {
-    let (service, _) = arm("R3").await;
-    service
-        .insert(&CALL, insertion(&cube(3, 3000), &[]))
-        .await
-        .unwrap();
-    let capped = v1::KnnRequest {
-        max_leaves: 1,
-        ..knn(&cube(4, 20), 50)
-    };
-    // Once the trees are built, one leaf of two points does not do.
-    let built = async {
-        loop {
-            let response = service.knn(&CALL, capped.clone()).await.unwrap();
-            if !response.exact {
-                break response.neighbors.unwrap();
-            }
-            tokio::task::yield_now().await;
-        }
-    };
-    let capped = timeout(Duration::from_secs(60), built).await.unwrap();
-    let exact = service.knn(&CALL, knn(&cube(4, 20), 50)).await.unwrap();
-    assert!(exact.exact);
-    assert!(capped.ids.len() < exact.neighbors.unwrap().ids.len());
-}
-
-#[tokio::test]
 async fn a_read_waits_for_its_revision() {
     let (service, uid) = arm("R1").await;
     let request = v1::KnnRequest {
-        at: Some(v1::ReadAt {
-            uid,
-            min_revision: 2,
-        }),
+        min_revision: revision(&uid, 2),
         ..knn(&[[0.0]], 9)
     };
     let reading = tokio::spawn({
@@ -180,7 +148,7 @@ async fn a_read_waits_for_its_revision() {
     }
     let response = reading.await.unwrap().unwrap();
     assert_eq!(
-        (response.revision, response.neighbors.unwrap().ids),
+        (response.revision.number(), response.neighbors.unwrap().ids),
         (2, vec![0, 1])
     );
 }
@@ -191,12 +159,8 @@ async fn a_read_waits_for_the_revision_it_asks_after() {
     let (service, uid) = arm("R1").await;
     let request = v1::KnnRequest {
         filter: Some(v1::Filter {
-            since_revision: 2,
+            since_revision: revision(&uid, 2),
             ..Default::default()
-        }),
-        at: Some(v1::ReadAt {
-            uid,
-            min_revision: 0,
         }),
         ..knn(&[[0.0]], 9)
     };
@@ -207,7 +171,7 @@ async fn a_read_waits_for_the_revision_it_asks_after() {
     }
     let response = reading.await.unwrap();
     assert_eq!(
-        (response.revision, response.neighbors.unwrap().ids),
+        (response.revision.number(), response.neighbors.unwrap().ids),
         (2, vec![])
     );
     service
@@ -223,10 +187,7 @@ async fn a_read_waits_for_the_revision_it_asks_after() {
 async fn the_wait_for_a_revision_ends_after_five_seconds_or_at_the_deadline() {
     let (service, uid) = arm("R1").await;
     let request = v1::GetRequest {
-        at: Some(v1::ReadAt {
-            uid,
-            min_revision: 1,
-        }),
+        min_revision: revision(&uid, 1),
         ..getting(&[])
     };
     let hour = Duration::from_secs(3600);

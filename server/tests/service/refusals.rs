@@ -26,16 +26,16 @@ async fn bad_inserts() {
         .await
         .unwrap();
     let good = || insertion(&[GOOD, GOOD], &[]);
-    let query = |k, radius| {
-        Some(v1::NeighborQuery {
-            k,
-            radius,
+    let query = |k: Option<u32>, radius: Option<f64>| {
+        Some(v1::NeighborSpec {
+            count: k.and_then(nearest),
+            reach: radius.and_then(within),
             ..Default::default()
         })
     };
     let filtered = |filter| {
-        Some(v1::NeighborQuery {
-            k: Some(1),
+        Some(v1::NeighborSpec {
+            count: nearest(1),
             filter: Some(filter),
             ..Default::default()
         })
@@ -144,20 +144,20 @@ async fn bad_inserts() {
         (
             v1::InsertRequest {
                 neighbors: filtered(v1::Filter {
-                    since_revision: 1,
+                    since_revision: revision("", 1),
                     ..Default::default()
                 }),
                 ..good()
             },
             "REQUIRED",
-            "uid",
+            "neighbors.filter.since_revision.uid",
         ),
         (
             v1::InsertRequest {
                 neighbors: filtered(v1::Filter {
                     tag_mask: 2,
                     tag_value: 3,
-                    since_revision: 0,
+                    since_revision: None,
                 }),
                 ..good()
             },
@@ -223,17 +223,15 @@ async fn bad_reads() {
         .await
         .unwrap();
     let good = || knn(&[[0.0; 3]], 1);
-    let filter = |tag_mask, tag_value, since_revision| {
-        Some(v1::Filter {
-            tag_mask,
-            tag_value,
-            since_revision,
-        })
+    let masked = v1::Filter {
+        tag_mask: 1,
+        tag_value: 2,
+        since_revision: None,
     };
-    let at = |uid: &str, min_revision| {
-        Some(v1::ReadAt {
-            uid: uid.into(),
-            min_revision,
+    let since = |uid| {
+        Some(v1::Filter {
+            since_revision: revision(uid, 1),
+            ..Default::default()
         })
     };
     let cases = [
@@ -246,7 +244,7 @@ async fn bad_reads() {
         (knn(&[[0.0; 2]], 1), "WIDTH", "states.coordinates"),
         (
             v1::KnnRequest {
-                radius: Some(f64::NAN),
+                reach: within(f64::NAN),
                 ..good()
             },
             "NAN",
@@ -254,7 +252,7 @@ async fn bad_reads() {
         ),
         (
             v1::KnnRequest {
-                radius: Some(-1.0),
+                reach: within(-1.0),
                 ..good()
             },
             "NEGATIVE",
@@ -278,7 +276,7 @@ async fn bad_reads() {
         ),
         (
             v1::KnnRequest {
-                filter: filter(1, 2, 0),
+                filter: Some(masked),
                 ..good()
             },
             "OUTSIDE_MASK",
@@ -286,19 +284,19 @@ async fn bad_reads() {
         ),
         (
             v1::KnnRequest {
-                filter: filter(0, 0, 1),
+                filter: since(""),
                 ..good()
             },
             "REQUIRED",
-            "at.uid",
+            "filter.since_revision.uid",
         ),
         (
             v1::KnnRequest {
-                at: at("", 1),
+                min_revision: revision("", 1),
                 ..good()
             },
             "REQUIRED",
-            "at.uid",
+            "min_revision.uid",
         ),
     ];
     for (request, reason, field) in cases {
@@ -308,7 +306,7 @@ async fn bad_reads() {
     let query = |radius, epsilon| v1::QueryRequest {
         index: "arm".into(),
         states: states(&[[0.0; 3]]),
-        radius: Some(radius),
+        reach: within(radius),
         epsilon,
         ..Default::default()
     };
@@ -322,7 +320,7 @@ async fn bad_reads() {
     );
     // A radius that was forgotten is not one of 0.
     let forgotten = v1::QueryRequest {
-        radius: None,
+        reach: None,
         ..query(1.0, 0.0)
     };
     assert_eq!(
@@ -334,19 +332,27 @@ async fn bad_reads() {
         invalid("DUPLICATE_ID", "ids[1]")
     );
     let scan = v1::ScanRequest {
-        filter: filter(0, 0, 1),
+        filter: since(""),
         ..scanning()
     };
     let refused = service.scan(&CALL, scan).await.map(|_| ());
-    assert_eq!(refusal(refused), invalid("REQUIRED", "at.uid"));
-    let other = v1::KnnRequest {
-        at: at("another", 0),
-        ..good()
-    };
-    assert_eq!(refusal(service.knn(&CALL, other).await).1, "UID_MISMATCH");
+    let field = "filter.since_revision.uid";
+    assert_eq!(refusal(refused), invalid("REQUIRED", field));
+    for other in [
+        v1::KnnRequest {
+            min_revision: revision("another", 0),
+            ..good()
+        },
+        v1::KnnRequest {
+            filter: since("another"),
+            ..good()
+        },
+    ] {
+        assert_eq!(refusal(service.knn(&CALL, other).await).1, "UID_MISMATCH");
+    }
     let right = v1::KnnRequest {
-        at: at(&uid, 0),
-        filter: filter(0, 0, 1),
+        min_revision: revision(&uid, 0),
+        filter: since(&uid),
         ..good()
     };
     assert!(service.knn(&CALL, right).await.is_ok());
@@ -391,11 +397,11 @@ async fn bad_updates_and_removals() {
         ),
         (
             v1::UpdateRequest {
-                if_revision: Some(1),
+                if_revision: revision("", 1),
                 ..good()
             },
             "REQUIRED",
-            "uid",
+            "if_revision.uid",
         ),
         (
             v1::UpdateRequest {
@@ -429,5 +435,5 @@ async fn bad_updates_and_removals() {
     }
     let twice = refusal(service.remove(&CALL, removal(&[2, 2])).await);
     assert_eq!(twice, invalid("DUPLICATE_ID", "ids[1]"));
-    assert_eq!(info(&service, "arm").await.revision, 1);
+    assert_eq!(info(&service, "arm").await.revision.number(), 1);
 }

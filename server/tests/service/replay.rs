@@ -35,8 +35,16 @@ async fn a_restart_changes_nothing() {
             let revision = info(&before, "arm").await.revision;
             // Refusals are as good as any.
             match random.random_range(0..4) {
-                0..=1 => drop(before.insert(&CALL, requests.insert(revision)).await),
-                2 => drop(before.update(&CALL, requests.update(revision)).await),
+                0..=1 => drop(
+                    before
+                        .insert(&CALL, requests.insert(revision.number()))
+                        .await,
+                ),
+                2 => drop(
+                    before
+                        .update(&CALL, requests.update(revision.number()))
+                        .await,
+                ),
                 _ => drop(before.remove(&CALL, requests.remove()).await),
             }
         }
@@ -171,11 +179,11 @@ async fn damaged_indices_are_listed_among_the_others_page_by_page() {
             let page = service.list_indexes(&CALL, request.clone()).await.unwrap();
             let mut names = Vec::new();
             for index in page.indexes {
-                names.push((index.name, index.uid));
+                names.push((index.name, index.revision.uid()));
             }
             for damaged in page.damaged {
                 let get = v1::GetIndexRequest {
-                    name: damaged.name.clone(),
+                    index: damaged.name.clone(),
                 };
                 let refused = service.get_index(&CALL, get).await.unwrap_err();
                 assert_eq!(refused, damaged.error);
@@ -218,9 +226,9 @@ async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
     let again = service.create_index(&CALL, creation("damaged", "R1")).await;
     assert_eq!(refusal(again).0, Code::DataLoss);
     // The others are there, and it can make room for a new one.
-    assert_eq!(info(&service, "other").await.points, 0);
+    assert_eq!(info(&service, "other").await.point_count, 0);
     let deletion = v1::DeleteIndexRequest {
-        name: "damaged".into(),
+        index: "damaged".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, deletion).await.unwrap();
@@ -262,8 +270,16 @@ async fn operations_are_remembered_for_their_own_window_whatever_becomes_of_thei
             let retried = after.insert(&CALL, request(at)).await.unwrap();
             assert_eq!(retried, responses[at as usize]);
         }
-        assert_eq!(info(&after, "arm").await.revision, 9);
+        assert_eq!(info(&after, "arm").await.revision.number(), 9);
         // Out of the window: a new call.
-        assert_eq!(after.insert(&CALL, request(3)).await.unwrap().revision, 10);
+        assert_eq!(
+            after
+                .insert(&CALL, request(3))
+                .await
+                .unwrap()
+                .revision
+                .number(),
+            10
+        );
     }
 }

@@ -20,8 +20,8 @@ const SPACES: [&str; 5] = ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3
 
 /// All that reads tell of `arm`, encoded: equal to the last bit, or not equal.
 async fn answers(service: &Service, space: &Space) -> Vec<Vec<u8>> {
-    let revision = info(service, "arm").await.revision;
-    let uid = info(service, "arm").await.uid;
+    let index = info(service, "arm").await;
+    let (uid, newest) = (index.revision.uid(), index.revision.number());
     let mut rows = vec![0.25; space.coordinates()];
     if space.to_string().contains("SO3") {
         let start = space.coordinates() - 4;
@@ -34,47 +34,49 @@ async fn answers(service: &Service, space: &Space) -> Vec<Vec<u8>> {
         payloads: true,
     };
     let mut answers = Vec::new();
-    for since_revision in [0, revision / 2, revision - 1] {
+    for since in [0, newest / 2, newest - 1] {
         let filter = v1::Filter {
-            since_revision,
+            since_revision: revision(&uid, since),
             ..Default::default()
         };
-        let at = v1::ReadAt {
-            uid: uid.clone(),
-            min_revision: revision,
-        };
+        let min_revision = revision(&uid, newest);
         let knn = v1::KnnRequest {
             index: "arm".into(),
             states: Some(v1::States {
                 rows: 1,
                 coordinates: rows.clone(),
             }),
-            k: 1000,
-            filter: Some(filter),
+            count: nearest(1000).map(Into::into),
+            filter: Some(filter.clone()),
             include: Some(include),
-            at: Some(at.clone()),
+            min_revision: min_revision.clone(),
             ..Default::default()
         };
         let query = v1::QueryRequest {
             index: "arm".into(),
             states: knn.states.clone(),
-            radius: Some(0.75),
+            reach: within(0.75),
             filter: Some(filter),
             include: Some(include),
-            at: Some(at.clone()),
+            min_revision,
             ..Default::default()
         };
         let mut knn = service.knn(&CALL, knn).await.unwrap();
         let mut query = service.query(&CALL, query).await.unwrap();
-        (knn.uid, query.uid) = Default::default();
+        (knn.revision, query.revision) = (numbered(&knn.revision), numbered(&query.revision));
         answers.extend([knn.encode_to_vec(), query.encode_to_vec()]);
     }
     let mut scanned = everything(service).await;
     let ids = scanned.points.as_ref().unwrap().ids.clone();
     let mut got = service.get(&CALL, getting(&ids)).await.unwrap();
-    (scanned.uid, got.uid) = Default::default();
+    (scanned.revision, got.revision) = (numbered(&scanned.revision), numbered(&got.revision));
     answers.extend([scanned.encode_to_vec(), got.encode_to_vec()]);
     answers
+}
+
+/// The revision without the uid, which is another one of a restored index.
+fn numbered(named: &Option<v1::Revision>) -> Option<v1::Revision> {
+    revision("", named.number())
 }
 
 /// The same calls on both, one after the other, have the same effects: the revisions that changed each point, and the
@@ -83,18 +85,17 @@ async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
     let ids = everything(service).await.points.unwrap().ids;
     let index = info(service, "arm").await;
     let mut told = Vec::new();
-    for if_revision in 0..=index.revision {
+    for if_revision in 0..=index.revision.number() {
         let update = v1::UpdateRequest {
             index: "arm".into(),
             ids: ids.clone(),
             tags: vec![if_revision],
-            if_revision: Some(if_revision),
-            uid: index.uid.clone(),
+            if_revision: revision(&index.revision.uid(), if_revision),
             ..Default::default()
         };
         // The points that changed later are named.
         told.push(match service.update(&CALL, update).await {
-            Ok(updated) => updated.updated.to_string().into_bytes(),
+            Ok(updated) => updated.updated_count.to_string().into_bytes(),
             Err(error) => error.to_string().into_bytes(),
         });
     }
@@ -111,7 +112,7 @@ async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
         ..Default::default()
     };
     let mut inserted = service.insert(&CALL, insert).await.unwrap();
-    inserted.uid.clear();
+    inserted.revision = numbered(&inserted.revision);
     told.push(inserted.encode_to_vec());
     told.extend(answers(service, space).await);
     told
@@ -132,10 +133,10 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
             let target = over(log);
             let restored = restore(&target, "arm", &parts).await.unwrap();
             let original = info(&source, "arm").await;
-            assert_ne!(restored.uid, original.uid);
+            assert_ne!(restored.revision.uid(), original.revision.uid());
             assert_eq!(settled(restored.clone()), described(&target, "arm").await);
             let same = |index: v1::Index| v1::Index {
-                uid: String::new(),
+                revision: numbered(&index.revision),
                 memory_bytes: 0,
                 ..index
             };
@@ -149,7 +150,7 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
                 report(&target).await.unwrap(),
                 report(&source).await.unwrap(),
             );
-            assert_eq!((one.disagreements, other.disagreements), (0, 0));
+            assert_eq!((one.disagreement_count, other.disagreement_count), (0, 0));
             assert_eq!(one.content_hash, other.content_hash);
 
             // A copy of the copy holds the same.
@@ -163,8 +164,8 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
         let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
         let service = restarted(Arc::new(log));
         let report = verify(&service, verification()).await.unwrap();
-        assert_eq!(report.disagreements, 0);
-        assert!(report.stored_points > 0);
+        assert_eq!(report.disagreement_count, 0);
+        assert!(report.stored_point_count > 0);
         restore(&service, "copy", &snapshot(&service, "arm").await)
             .await
             .unwrap();
@@ -184,13 +185,13 @@ async fn an_index_without_points_is_restored() {
     for (name, revision) in [("arm", 2), ("fresh", 0)] {
         let parts = snapshot(&source, name).await;
         let index = restore(&target, name, &parts).await.unwrap();
-        assert_eq!((index.revision, index.points), (revision, 0));
+        assert_eq!((index.revision.number(), index.point_count), (revision, 0));
     }
     let inserted = target
         .insert(&CALL, insertion(&[[0.0, 0.0, 0.0, 1.0]], &[]))
         .await;
     let inserted = inserted.unwrap();
-    assert_eq!((inserted.ids, inserted.revision), (vec![8], 3));
+    assert_eq!((inserted.ids, inserted.revision.number()), (vec![8], 3));
 }
 
 #[tokio::test]
@@ -296,7 +297,7 @@ async fn what_is_not_whole_leaves_nothing() {
         }
         // The name is free as before.
         restore(&target, "arm", &parts).await.unwrap();
-        assert_eq!(info(&target, "arm").await.points, 16_000);
+        assert_eq!(info(&target, "arm").await.point_count, 16_000);
     }
 }
 

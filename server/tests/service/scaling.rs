@@ -4,21 +4,20 @@ use std::collections::HashSet;
 
 use futures_util::future::join_all;
 use wayfold_index::{Linear, PointRef, Search, Space};
-use wayfold_proto::v1;
+use wayfold_proto::v1::{
+    self,
+    neighbor_spec::{Count, Reach},
+};
 use wayfold_server::service::{Code, Error, Limits};
 
 use crate::{cancellation::poll_into_evaluation, support::*};
 
-fn scaling(k_factor: f64) -> Option<v1::Scaling> {
-    Some(all(Some(k_factor), None, None))
+fn by(k_factor: f64) -> Option<Count> {
+    Some(Count::KFactor(k_factor))
 }
 
-fn all(k_factor: Option<f64>, radius_factor: Option<f64>, radius_max: Option<f64>) -> v1::Scaling {
-    v1::Scaling {
-        k_factor,
-        radius_factor,
-        radius_max,
-    }
+fn scaled(factor: f64, max: Option<f64>) -> Option<Reach> {
+    Some(Reach::ScaledRadius(v1::ScaledRadius { factor, max }))
 }
 
 /// Inserts that searched ahead of a long one, and come after it: each is evaluated by the size of the index at its turn.
@@ -36,16 +35,17 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
     let mut long = Box::pin(service.insert(&CALL, long));
     let (_, waiting) = poll_into_evaluation(&service, &mut long).await;
     let scalings = [
-        all(Some(4.0), None, None),
-        all(None, Some(1.4), Some(0.7)),
-        all(Some(30.0), Some(1.2), None),
+        (by(4.0), None),
+        (None, scaled(1.4, Some(0.7))),
+        (by(30.0), scaled(1.2, None)),
     ];
     let rows = cube(5, 30);
     let calls = rows.iter().zip(scalings.iter().cycle());
     let calls = calls.map(async |(row, asked)| {
         let request = v1::InsertRequest {
-            neighbors: Some(v1::NeighborQuery {
-                scaling: Some(*asked),
+            neighbors: Some(v1::NeighborSpec {
+                count: asked.0,
+                reach: asked.1,
                 ..Default::default()
             }),
             ..insertion(&[*row], &[])
@@ -69,7 +69,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
     for (row, asked, response) in told {
         let mut before = Linear::new("R3".parse().unwrap());
         for ((id, revision), row) in &points {
-            if *revision < response.revision {
+            if *revision < response.revision.number() {
                 before
                     .insert(PointRef {
                         id: *id,
@@ -82,12 +82,12 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         }
         let n = before.len() as f64;
         let mut search = Search::nearest_k(usize::MAX);
-        if let Some(factor) = asked.k_factor {
+        if let Some(Count::KFactor(factor)) = asked.0 {
             search.k = (factor * n.ln()).ceil() as usize;
         }
-        if let Some(factor) = asked.radius_factor {
-            let radius = factor * (n.ln() / n).powf(1.0 / 3.0);
-            search.radius = radius.min(asked.radius_max.unwrap_or(f64::INFINITY));
+        if let Some(Reach::ScaledRadius(scaled)) = asked.1 {
+            let radius = scaled.factor * (n.ln() / n).powf(1.0 / 3.0);
+            search.radius = radius.min(scaled.max.unwrap_or(f64::INFINITY));
         }
         let expected = before.search(row, &search).unwrap().neighbors;
         let expected: Vec<u64> = expected.iter().map(|neighbor| neighbor.id).collect();
@@ -108,8 +108,8 @@ async fn rows_count_the_rows_before_them_that_are_new() {
     let request = v1::InsertRequest {
         on_conflict: v1::OnConflict::Replace.into(),
         min_separation: 0.5,
-        neighbors: Some(v1::NeighborQuery {
-            scaling: scaling(3.0),
+        neighbors: Some(v1::NeighborSpec {
+            count: by(3.0),
             ..Default::default()
         }),
         ..insertion(
@@ -154,19 +154,15 @@ async fn a_filter_does_not_change_how_many_points_there_are() {
         ),
         (
             v1::Filter {
-                since_revision: 1,
+                since_revision: revision(&uid, 1),
                 ..Default::default()
             },
             vec![100, 101, 102],
         ),
     ] {
         let request = v1::KnnRequest {
-            filter: Some(filter),
-            scaling: scaling(2.0),
-            at: Some(v1::ReadAt {
-                uid: uid.clone(),
-                min_revision: 0,
-            }),
+            filter: Some(filter.clone()),
+            count: by(2.0).map(Into::into),
             ..knn(&[[0.0]], 0)
         };
         let answer = service.knn(&CALL, request).await.unwrap();
@@ -188,10 +184,7 @@ async fn the_dimension_is_the_manifolds() {
     let query = v1::QueryRequest {
         index: "arm".into(),
         states: states(&rows[..20]),
-        scaling: Some(v1::Scaling {
-            radius_factor: Some(0.5),
-            ..Default::default()
-        }),
+        reach: scaled(0.5, None).map(Into::into),
         ..Default::default()
     };
     let answer = service.query(&CALL, query).await.unwrap();
@@ -233,7 +226,7 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
             .unwrap();
     }
     let ask = |k_factor, rows: usize| v1::KnnRequest {
-        scaling: scaling(k_factor),
+        count: by(k_factor).map(Into::into),
         ..knn(&cube(7, rows), 0)
     };
     // ln 100 = 4.6052: 8.6 of it are 39.6, and 9 are 41.4.
@@ -250,8 +243,8 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
     // An insert is refused before anything is stored, at whichever row: ceil(8.65 ln n) is 40 for 100 and 101, and 41 for
     // 102.
     let insert = |k_factor, rows: usize| v1::InsertRequest {
-        neighbors: Some(v1::NeighborQuery {
-            scaling: scaling(k_factor),
+        neighbors: Some(v1::NeighborSpec {
+            count: by(k_factor),
             ..Default::default()
         }),
         ..insertion(&cube(9, rows), &[])
@@ -261,11 +254,11 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
     let error = service.insert(&CALL, insert(8.0, 4)).await.unwrap_err();
     assert_eq!(exceeded(error).0, "answer_bytes");
     let after = info(&service, "arm").await;
-    assert_eq!((after.revision, after.points), (2, 100));
+    assert_eq!((after.revision.number(), after.point_count), (2, 100));
 }
 
-const NAN: Option<f64> = Some(f64::NAN);
-const INFINITE: Option<f64> = Some(f64::INFINITY);
+const NAN: f64 = f64::NAN;
+const INFINITE: f64 = f64::INFINITY;
 
 #[tokio::test]
 async fn what_is_wrong_is_named() {
@@ -275,102 +268,60 @@ async fn what_is_wrong_is_named() {
         .await
         .unwrap();
     let invalid = |reason, field: String| (Code::InvalidArgument, reason, field);
-    let (two, half, less) = (Some(2.0), Some(0.5), Some(-1.0));
-    for (k, radius, scaling, reason, field) in [
-        (None, None, all(None, None, None), "REQUIRED", ""),
-        (Some(1), None, all(None, None, None), "REQUIRED", ""),
-        (
-            Some(1),
-            None,
-            all(two, None, None),
-            "AMBIGUOUS",
-            ".k_factor",
-        ),
-        (None, None, all(less, None, None), "NEGATIVE", ".k_factor"),
-        (
-            None,
-            None,
-            all(INFINITE, None, None),
-            "INFINITE",
-            ".k_factor",
-        ),
-        (None, None, all(NAN, None, None), "NAN", ".k_factor"),
-        (
-            None,
-            half,
-            all(None, two, None),
-            "AMBIGUOUS",
-            ".radius_factor",
-        ),
-        (
-            Some(1),
-            None,
-            all(None, less, None),
-            "NEGATIVE",
-            ".radius_factor",
-        ),
-        (
-            None,
-            None,
-            all(None, INFINITE, None),
-            "INFINITE",
-            ".radius_factor",
-        ),
-        (None, None, all(two, NAN, None), "NAN", ".radius_factor"),
-        (None, None, all(None, two, less), "NEGATIVE", ".radius_max"),
-        (None, None, all(None, two, NAN), "NAN", ".radius_max"),
-        (
-            None,
-            None,
-            all(two, None, half),
-            "REQUIRED",
-            ".radius_factor",
-        ),
+    let (factor, max) = ("scaled_radius.factor", "scaled_radius.max");
+    for (count, reach, reason, field) in [
+        (by(-1.0), None, "NEGATIVE", "k_factor"),
+        (by(INFINITE), None, "INFINITE", "k_factor"),
+        (by(NAN), None, "NAN", "k_factor"),
+        (nearest(1), scaled(-1.0, None), "NEGATIVE", factor),
+        (None, scaled(INFINITE, None), "INFINITE", factor),
+        (by(2.0), scaled(NAN, None), "NAN", factor),
+        (None, scaled(2.0, Some(-1.0)), "NEGATIVE", max),
+        (None, scaled(2.0, Some(NAN)), "NAN", max),
     ] {
-        let neighbors = v1::NeighborQuery {
-            k,
-            radius,
-            scaling: Some(scaling),
+        let neighbors = Some(v1::NeighborSpec {
+            count,
+            reach,
             ..Default::default()
-        };
+        });
         let request = v1::InsertRequest {
-            neighbors: Some(neighbors),
+            neighbors,
             ..insertion(&[[0.0; 3]], &[])
         };
         let refused = refusal(service.insert(&CALL, request).await);
-        let expected = invalid(reason, format!("neighbors.scaling{field}"));
-        assert_eq!(refused, expected, "{neighbors:?}");
+        let expected = invalid(reason, format!("neighbors.{field}"));
+        assert_eq!(refused, expected, "{count:?} {reach:?}");
 
         // A Knn needs a number, too.
-        let is_scaled = scaling.k_factor.is_some();
         let request = v1::KnnRequest {
-            radius,
-            scaling: Some(scaling),
-            ..knn(&[[0.0; 3]], k.unwrap_or(if is_scaled { 0 } else { 1 }))
+            count: count.or(nearest(1)).map(Into::into),
+            reach: reach.map(Into::into),
+            ..knn(&[[0.0; 3]], 1)
         };
         let refused = refusal(service.knn(&CALL, request.clone()).await);
-        let expected = invalid(reason, format!("scaling{field}"));
-        assert_eq!(refused, expected, "{request:?}");
-        if !is_scaled {
-            let none = v1::KnnRequest { k: 0, ..request };
-            let refused = refusal(service.knn(&CALL, none).await);
-            assert_eq!(refused, invalid("ZERO", "k".into()));
+        assert_eq!(refused, invalid(reason, field.into()), "{request:?}");
+        if count.is_none() {
+            for (count, reason) in [(None, "REQUIRED"), (nearest(0), "ZERO")] {
+                let count = count.map(Into::into);
+                let none = v1::KnnRequest {
+                    count,
+                    ..request.clone()
+                };
+                let refused = refusal(service.knn(&CALL, none).await);
+                assert_eq!(refused, invalid(reason, "k".into()));
+            }
         }
 
-        let query = v1::QueryRequest {
-            index: "arm".into(),
-            states: states(&[[0.0; 3]]),
-            radius,
-            scaling: Some(scaling),
-            ..Default::default()
-        };
-        let refused = refusal(service.query(&CALL, query).await);
-        let expected = if is_scaled {
-            invalid("NOT_APPLICABLE", "scaling.k_factor".into())
-        } else {
-            expected
-        };
-        assert_eq!(refused, expected, "{scaling:?}");
+        if reach.is_some() {
+            let query = v1::QueryRequest {
+                index: "arm".into(),
+                states: states(&[[0.0; 3]]),
+                reach: reach.map(Into::into),
+                ..Default::default()
+            };
+            let refused = refusal(service.query(&CALL, query).await);
+            assert_eq!(refused, invalid(reason, field.into()), "{reach:?}");
+        }
     }
-    assert_eq!(info(&service, "arm").await.points, 1);
+    assert_eq!(info(&service, "arm").await.point_count, 1);
 }

@@ -28,7 +28,7 @@ async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
     let mut parts = 0;
     while let Some(part) = scan.next().await {
         let part = part.unwrap();
-        assert_eq!((part.revision, part.total_points), (1, 10_000));
+        assert_eq!((part.revision.number(), part.point_count), (1, 10_000));
         let points = part.points.unwrap();
         assert_eq!(points.states.unwrap().rows as usize, points.ids.len());
         seen.ids.extend(points.ids);
@@ -76,7 +76,14 @@ async fn parts_are_bounded_by_bytes_too() {
 async fn an_empty_index_has_one_part() {
     let (service, uid) = arm("R1").await;
     let part = everything(&service).await;
-    assert_eq!((part.revision, part.total_points, part.uid), (0, 0, uid));
+    assert_eq!(
+        (
+            part.revision.number(),
+            part.point_count,
+            part.revision.uid()
+        ),
+        (0, 0, uid)
+    );
     assert!(part.points.unwrap().ids.is_empty());
 }
 

@@ -81,7 +81,7 @@ const READING: [(&str, Reading); 10] = [
             let request = v1::QueryRequest {
                 index: "arm".into(),
                 states: states(&[[3.1]]),
-                radius: Some(1.0),
+                reach: within(1.0),
                 include: include(),
                 ..Default::default()
             };
@@ -93,8 +93,8 @@ const READING: [(&str, Reading); 10] = [
     ("SnapshotIndex", |service, _| {
         Box::pin(async move {
             let request = v1::SnapshotIndexRequest {
-                name: "arm".into(),
-                at: None,
+                index: "arm".into(),
+                min_revision: None,
             };
             let mut snapshot = service.snapshot_index(&CALL, request).await?;
             let mut parts = 0;
@@ -109,7 +109,7 @@ const READING: [(&str, Reading); 10] = [
     ("VerifyIndex", |service, _| {
         Box::pin(async move {
             let request = v1::VerifyIndexRequest {
-                name: "arm".into(),
+                index: "arm".into(),
                 ..Default::default()
             };
             let mut verification = service.verify_index(&CALL, request).await?;
@@ -123,9 +123,8 @@ const READING: [(&str, Reading); 10] = [
         Box::pin(async move {
             let request = v1::WatchRequest {
                 index: "arm".into(),
-                uid,
-                after_revision: Some(0),
-                payloads: true,
+                after_revision: revision(&uid, 0),
+                include: ALL,
             };
             let mut watch = service.watch(&CALL, request).await?;
             watch.next().await.unwrap()?;
@@ -146,8 +145,8 @@ const READING: [(&str, Reading); 10] = [
         Box::pin(async move {
             let request = v1::InsertRequest {
                 payloads: vec!["own".into(), "own".into()],
-                neighbors: Some(v1::NeighborQuery {
-                    k: Some(2),
+                neighbors: Some(v1::NeighborSpec {
+                    count: nearest(2),
                     include: include(),
                     ..Default::default()
                 }),
@@ -168,12 +167,12 @@ const READING: [(&str, Reading); 10] = [
                 index: "arm".into(),
                 ids: vec![3, 4],
                 payloads: vec![payload(3), "new".into()],
-                if_revision: Some(1),
+                if_revision: revision(&uid, 1),
                 uid,
                 ..Default::default()
             };
             let told = service.update(&CALL, request).await?;
-            assert_eq!((told.updated, told.unchanged), (1, 1));
+            assert_eq!((told.updated_count, told.unchanged_count), (1, 1));
             Ok(())
         })
     }),
@@ -223,7 +222,7 @@ async fn other_calls_are_answered_while_the_log_reads_what_it_replaces() {
     }
     go_on(&service, false).await;
     log.gate().open();
-    assert_eq!(removes.await.unwrap().unwrap().removed, 1);
+    assert_eq!(removes.await.unwrap().unwrap().removed_count, 1);
 }
 
 /// Begins a call, and makes a change once the call has begun to read what is there; says what came of the call.
@@ -254,12 +253,16 @@ fn update(tags: &[u64], payloads: &[&'static str]) -> v1::UpdateRequest {
 
 async fn change_three(service: Service) {
     let changed = service.update(&CALL, update(&[], &["changed"])).await;
-    assert_eq!(changed.unwrap().updated, 1);
+    assert_eq!(changed.unwrap().updated_count, 1);
 }
 
 async fn remove_three(service: Service) {
     assert_eq!(
-        service.remove(&CALL, removal(&[3])).await.unwrap().removed,
+        service
+            .remove(&CALL, removal(&[3]))
+            .await
+            .unwrap()
+            .removed_count,
         1
     );
 }
@@ -278,16 +281,16 @@ async fn a_mutation_sees_what_changed_while_it_read() {
 
     let tag = async |service: Service| service.update(&CALL, update(&[7], &[])).await;
     let (service, tagged) = overtaken(tag, change_three).await;
-    assert_eq!(tagged.unwrap().updated, 1);
+    assert_eq!(tagged.unwrap().updated_count, 1);
     let points = service.get(&CALL, getting(&[3])).await.unwrap().points;
     let points = points.unwrap();
     assert_eq!((&*points.payloads[0], points.tags[0]), (&b"changed"[..], 7));
     let (_, missing) = overtaken(tag, remove_three).await;
     assert!(matches!(missing, Err(Error::PointsNotFound { ids, .. }) if ids == [3]));
     let compare = async |service: Service| {
-        let uid = info(&service, "arm").await.uid;
+        let uid = info(&service, "arm").await.revision.uid();
         let request = v1::UpdateRequest {
-            if_revision: Some(1),
+            if_revision: revision(&uid, 1),
             uid,
             ..update(&[7], &[])
         };
@@ -302,8 +305,8 @@ async fn a_mutation_sees_what_changed_while_it_read() {
 async fn an_insert_is_told_the_payloads_of_the_neighbours_it_has_at_last() {
     let insert = async |service: Service| {
         let request = v1::InsertRequest {
-            neighbors: Some(v1::NeighborQuery {
-                k: Some(2),
+            neighbors: Some(v1::NeighborSpec {
+                count: nearest(2),
                 include: include(),
                 ..Default::default()
             }),

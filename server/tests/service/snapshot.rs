@@ -14,8 +14,8 @@ use crate::{backup::*, support::*};
 
 fn request() -> v1::SnapshotIndexRequest {
     v1::SnapshotIndexRequest {
-        name: "arm".into(),
-        at: None,
+        index: "arm".into(),
+        min_revision: None,
     }
 }
 
@@ -117,30 +117,29 @@ async fn an_empty_index_has_a_header_and_a_trailer() {
 #[tokio::test]
 async fn what_cannot_be_read_is_refused() {
     let (service, uid) = arm("R1").await;
-    let ask = async |name: &str, at: v1::ReadAt| {
+    let ask = async |name: &str, min_revision| {
         let request = v1::SnapshotIndexRequest {
-            name: name.into(),
-            at: Some(at),
+            index: name.into(),
+            min_revision,
         };
         let snapshot = service.snapshot_index(&CALL, request).await;
         let (code, reason, _) = refusal(snapshot.map(drop));
         (code, reason)
     };
-    let at = |uid: &str, min_revision| v1::ReadAt {
-        uid: uid.into(),
-        min_revision,
-    };
-    assert_eq!(ask("leg", at("", 0)).await.0, Code::NotFound);
-    assert_eq!(ask("arm", at("x", 0)).await.0, Code::FailedPrecondition);
+    assert_eq!(ask("leg", revision("", 0)).await.0, Code::NotFound);
+    assert_eq!(
+        ask("arm", revision("x", 0)).await.0,
+        Code::FailedPrecondition
+    );
     let without_uid = (Code::InvalidArgument, "REQUIRED");
-    assert_eq!(ask("arm", at("", 3)).await, without_uid);
+    assert_eq!(ask("arm", revision("", 3)).await, without_uid);
     let past = wayfold_server::service::Call {
         deadline: Some(std::time::Instant::now()),
     };
     let late = service.snapshot_index(&past, request()).await;
     assert_eq!(refusal(late.map(drop)).0, Code::DeadlineExceeded);
     let snapshot = v1::SnapshotIndexRequest {
-        at: Some(at(&uid, 0)),
+        min_revision: revision(&uid, 0),
         ..request()
     };
     assert!(service.snapshot_index(&CALL, snapshot).await.is_ok());

@@ -93,7 +93,7 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
         unavailable(service.insert(&CALL, operation(99)).await);
         unavailable(service.create_index(&CALL, creation("new", "R1")).await);
         let delete = v1::DeleteIndexRequest {
-            name: "idle".into(),
+            index: "idle".into(),
             ..Default::default()
         };
         unavailable(service.delete_index(&CALL, delete).await);
@@ -116,16 +116,24 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
         failing.recover().await.unwrap();
         assert_eq!(
             (
-                info(service, "arm").await.uid,
-                info(service, "idle").await.uid
+                info(service, "arm").await.revision.uid(),
+                info(service, "idle").await.revision.uid()
             ),
             (uid.clone(), idle.clone())
         );
         // Whatever became of it, asking again makes it take place, once.
-        let revision = service.insert(&CALL, operation(id)).await.unwrap().revision;
+        let revision = service
+            .insert(&CALL, operation(id))
+            .await
+            .unwrap()
+            .revision
+            .number();
         assert_eq!(revision, 21 + round as u64);
         let after = everything(service).await;
-        assert_eq!((after.revision, after.total_points), (revision, id + 1));
+        assert_eq!(
+            (after.revision.number(), after.point_count),
+            (revision, id + 1)
+        );
         assert_eq!(after.points.unwrap().ids, (0..=id).collect::<Vec<_>>());
     }
     let found = service.get(&CALL, getting(&[7, 22])).await.unwrap();
@@ -146,7 +154,7 @@ async fn what_is_read_across_the_end_of_it_is_asked_for_again() {
     failing.mend();
     failing.recover().await.unwrap();
     unavailable(scan.next().await.unwrap());
-    assert_eq!(everything(service).await.total_points, 6);
+    assert_eq!(everything(service).await.point_count, 6);
 }
 
 /// The newest journal of a store, with a bit in the middle of it flipped.

@@ -3,7 +3,10 @@
 use std::sync::Arc;
 
 use wayfold_index::Space;
-use wayfold_proto::v1;
+use wayfold_proto::v1::{
+    self,
+    neighbor_spec::{Count, Reach},
+};
 use wayfold_server::{
     log::{Log, MemoryLog},
     registry::{Registry, RegistryOptions},
@@ -58,19 +61,19 @@ pub(crate) async fn arm(space: &str) -> (Service, String) {
 
 pub(crate) async fn create(service: &Service, name: &str, space: &str) -> String {
     let created = service.create_index(&CALL, creation(name, space)).await;
-    created.unwrap().index.unwrap().uid
+    created.unwrap().index.unwrap().revision.uid()
 }
 
 pub(crate) fn creation(name: &str, space: &str) -> v1::CreateIndexRequest {
     v1::CreateIndexRequest {
         name: name.into(),
-        space_text: space.into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText(space.into())),
         ..Default::default()
     }
 }
 
 pub(crate) async fn info(service: &Service, name: &str) -> v1::Index {
-    let request = v1::GetIndexRequest { name: name.into() };
+    let request = v1::GetIndexRequest { index: name.into() };
     service
         .get_index(&CALL, request)
         .await
@@ -115,7 +118,7 @@ pub(crate) fn knn<const N: usize>(rows: &[[f64; N]], k: u32) -> v1::KnnRequest {
     v1::KnnRequest {
         index: "arm".into(),
         states: states(rows),
-        k,
+        count: nearest(k).map(Into::into),
         ..Default::default()
     }
 }
@@ -124,15 +127,15 @@ pub(crate) fn getting(ids: &[u64]) -> v1::GetRequest {
     v1::GetRequest {
         index: "arm".into(),
         ids: ids.into(),
-        payloads: true,
-        at: None,
+        include: ALL,
+        min_revision: None,
     }
 }
 
 pub(crate) fn scanning() -> v1::ScanRequest {
     v1::ScanRequest {
         index: "arm".into(),
-        payloads: true,
+        include: ALL,
         ..Default::default()
     }
 }
@@ -163,4 +166,44 @@ pub(crate) fn refusal<T: std::fmt::Debug>(
         _ => String::new(),
     };
     (error.code(), error.reason(), field)
+}
+
+/// All columns.
+pub(crate) const ALL: Option<v1::Include> = Some(v1::Include {
+    states: true,
+    tags: true,
+    revisions: true,
+    payloads: true,
+});
+
+/// This many neighbours.
+pub(crate) fn nearest(k: u32) -> Option<Count> {
+    Some(Count::K(k))
+}
+
+/// All neighbours at this distance or nearer.
+pub(crate) fn within<R: From<Reach>>(radius: f64) -> Option<R> {
+    Some(Reach::Radius(radius).into())
+}
+
+/// A revision of the index that has this uid.
+pub(crate) fn revision(uid: &str, number: u64) -> Option<v1::Revision> {
+    let uid = uid.into();
+    Some(v1::Revision { uid, number })
+}
+
+/// The parts of the revision that an answer names.
+pub(crate) trait Named {
+    fn number(&self) -> u64;
+    fn uid(&self) -> String;
+}
+
+impl Named for Option<v1::Revision> {
+    fn number(&self) -> u64 {
+        self.as_ref().expect("a revision").number
+    }
+
+    fn uid(&self) -> String {
+        self.as_ref().expect("a revision").uid.clone()
+    }
 }

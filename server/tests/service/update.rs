@@ -30,18 +30,33 @@ async fn tags_and_payloads_change_and_the_state_keeps_its_revision() {
     };
     let response = service.update(&CALL, masked.clone()).await.unwrap();
     assert_eq!(
-        (response.updated, response.unchanged, response.revision),
+        (
+            response.updated_count,
+            response.unchanged_count,
+            response.revision.number()
+        ),
         (2, 0, 2)
     );
     let again = service.update(&CALL, masked).await.unwrap();
-    assert_eq!((again.updated, again.unchanged, again.revision), (0, 2, 2));
+    assert_eq!(
+        (
+            again.updated_count,
+            again.unchanged_count,
+            again.revision.number()
+        ),
+        (0, 2, 2)
+    );
     let payloads = v1::UpdateRequest {
         payloads: vec![Bytes::from_static(b"c"), Bytes::from_static(b"b")],
         ..update(&[0, 1])
     };
     let response = service.update(&CALL, payloads).await.unwrap();
     assert_eq!(
-        (response.updated, response.unchanged, response.revision),
+        (
+            response.updated_count,
+            response.unchanged_count,
+            response.revision.number()
+        ),
         (1, 1, 3)
     );
 
@@ -69,14 +84,13 @@ async fn if_revision_compares_with_the_last_change_of_the_whole_point() {
         .unwrap();
     let set = |ids: &[u64], tag, if_revision| v1::UpdateRequest {
         tags: vec![tag],
-        if_revision,
-        uid: uid.clone(),
+        if_revision: revision(&uid, if_revision),
         ..update(ids)
     };
-    service.update(&CALL, set(&[1], 5, Some(1))).await.unwrap();
+    service.update(&CALL, set(&[1], 5, 1)).await.unwrap();
     // Only the tag of 1 has changed, at revision 2.
     let error = service
-        .update(&CALL, set(&[0, 1, 2], 6, Some(1)))
+        .update(&CALL, set(&[0, 1, 2], 6, 1))
         .await
         .unwrap_err();
     let conflict = Error::RevisionConflict {
@@ -85,12 +99,9 @@ async fn if_revision_compares_with_the_last_change_of_the_whole_point() {
         ids: vec![1],
     };
     assert_eq!(error, conflict);
-    assert_eq!(info(&service, "arm").await.revision, 2);
-    let response = service
-        .update(&CALL, set(&[0, 1, 2], 6, Some(2)))
-        .await
-        .unwrap();
-    assert_eq!((response.updated, response.revision), (3, 3));
+    assert_eq!(info(&service, "arm").await.revision.number(), 2);
+    let response = service.update(&CALL, set(&[0, 1, 2], 6, 2)).await.unwrap();
+    assert_eq!((response.updated_count, response.revision.number()), (3, 3));
 }
 
 #[tokio::test]
@@ -105,8 +116,7 @@ async fn of_concurrent_compare_and_sets_one_wins() {
         let service = service.clone();
         let request = v1::UpdateRequest {
             tags: vec![tag],
-            if_revision: Some(1),
-            uid: uid.clone(),
+            if_revision: revision(&uid, 1),
             ..update(&[0])
         };
         calls.spawn(async move { service.update(&CALL, request).await });
@@ -117,7 +127,7 @@ async fn of_concurrent_compare_and_sets_one_wins() {
         .into_iter()
         .filter(|answer| answer.is_ok())
         .count();
-    assert_eq!((won, info(&service, "arm").await.revision), (1, 2));
+    assert_eq!((won, info(&service, "arm").await.revision.number()), (1, 2));
 }
 
 #[tokio::test]
@@ -137,7 +147,7 @@ async fn missing_points_are_named_and_nothing_is_updated() {
         ids: vec![8, 9],
     };
     assert_eq!(error, missing);
-    assert_eq!(info(&service, "arm").await.revision, 1);
+    assert_eq!(info(&service, "arm").await.revision.number(), 1);
     assert_eq!(
         service.get(&CALL, getting(&[8, 0, 9])).await.unwrap_err(),
         missing
@@ -153,10 +163,21 @@ async fn removals_count_what_was_missing() {
         .unwrap();
     let response = service.remove(&CALL, removal(&[1, 7])).await.unwrap();
     assert_eq!(
-        (response.removed, response.missing, response.revision),
+        (
+            response.removed_count,
+            response.missing_count,
+            response.revision.number()
+        ),
         (1, 1, 2)
     );
     let again = service.remove(&CALL, removal(&[1, 7])).await.unwrap();
-    assert_eq!((again.removed, again.missing, again.revision), (0, 2, 2));
+    assert_eq!(
+        (
+            again.removed_count,
+            again.missing_count,
+            again.revision.number()
+        ),
+        (0, 2, 2)
+    );
     assert_eq!(everything(&service).await.points.unwrap().ids, [0]);
 }

@@ -45,7 +45,7 @@ async fn what_is_so_is_agreed_to() {
         let service = service();
         lived_in(&service, space, seed as u64).await;
         let request = v1::VerifyIndexRequest {
-            queries: Some(101),
+            query_count: Some(101),
             k: Some(7),
             seed: seed as u64,
             ..verification()
@@ -53,8 +53,8 @@ async fn what_is_so_is_agreed_to() {
         let report = verify(&service, request).await.unwrap();
         let index = described(&service, "arm").await;
         assert_eq!(report.first_disagreements, Vec::<String>::new(), "{space}");
-        assert_eq!((report.disagreements, report.queries), (0, 101));
-        assert_eq!(report.stored_points, index.points);
+        assert_eq!((report.disagreement_count, report.query_count), (0, 101));
+        assert_eq!(report.stored_point_count, index.point_count);
         assert_eq!(report.content_hash, content_hash(&service, space).await);
         assert_eq!(settled(report.index.unwrap()), index);
     }
@@ -64,15 +64,18 @@ async fn what_is_so_is_agreed_to() {
 async fn an_index_without_points_and_one_without_queries_are_verified() {
     let (service, _) = arm("R3*SO3:0.15").await;
     let report = verify(&service, verification()).await.unwrap();
-    assert_eq!((report.disagreements, report.stored_points), (0, 0));
-    assert_eq!(report.queries, 32);
+    assert_eq!(
+        (report.disagreement_count, report.stored_point_count),
+        (0, 0)
+    );
+    assert_eq!(report.query_count, 32);
     let none = v1::VerifyIndexRequest {
-        queries: Some(0),
+        query_count: Some(0),
         ..verification()
     };
     let bare = verify(&service, none).await.unwrap();
     assert_eq!(bare.content_hash, report.content_hash);
-    assert_eq!(bare.queries, 0);
+    assert_eq!(bare.query_count, 0);
 }
 
 #[tokio::test]
@@ -107,13 +110,13 @@ async fn the_hash_is_the_contents_and_not_the_pasts() {
 #[tokio::test]
 async fn what_is_asked_for_is_bounded() {
     let (service, _) = arm("R1").await;
-    for (queries, k, field) in [
-        (Some(1001), None, "queries"),
+    for (query_count, k, field) in [
+        (Some(1001), None, "query_count"),
         (None, Some(0), "k"),
         (None, Some(101), "k"),
     ] {
         let request = v1::VerifyIndexRequest {
-            queries,
+            query_count,
             k,
             ..verification()
         };
@@ -122,7 +125,7 @@ async fn what_is_asked_for_is_bounded() {
         assert_eq!(refused, expected);
     }
     let elsewhere = v1::VerifyIndexRequest {
-        name: "leg".into(),
+        index: "leg".into(),
         ..verification()
     };
     assert_eq!(refusal(verify(&service, elsewhere).await).0, Code::NotFound);
@@ -230,11 +233,11 @@ async fn a_point_that_differs_is_found_and_named() {
     for (lie, words) in lies {
         let service = lying(lie).await;
         let none = v1::VerifyIndexRequest {
-            queries: Some(0),
+            query_count: Some(0),
             ..verification()
         };
         let report = verify(&service, none).await.unwrap();
-        assert!(report.disagreements > 0, "{words}");
+        assert!(report.disagreement_count > 0, "{words}");
         let told = report.first_disagreements.join("; ");
         assert!(told.contains(words), "{words}: {told}");
         // With queries too, whatever is stored.
@@ -242,7 +245,7 @@ async fn a_point_that_differs_is_found_and_named() {
             verify(&service, verification())
                 .await
                 .unwrap()
-                .disagreements
+                .disagreement_count
                 > 0
         );
     }
@@ -259,7 +262,7 @@ async fn an_answer_that_differs_is_found() {
     .await;
     let report = verify(&service, verification()).await.unwrap();
     // A thousand points, and both answers to each query.
-    assert_eq!(report.disagreements, 1000 + 2 * 32);
+    assert_eq!(report.disagreement_count, 1000 + 2 * 32);
     assert_eq!(report.first_disagreements.len(), 10);
 }
 
@@ -278,8 +281,8 @@ async fn stored_points_that_cannot_be_read_are_data_loss() {
     assert_eq!(error.code(), Code::DataLoss);
     assert!(error.to_string().contains("\"arm\""), "{error}");
     let request = v1::SnapshotIndexRequest {
-        name: "arm".into(),
-        at: None,
+        index: "arm".into(),
+        min_revision: None,
     };
     let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();
     snapshot.next().await.unwrap().unwrap();
@@ -291,8 +294,8 @@ async fn stored_points_that_cannot_be_read_are_data_loss() {
 async fn a_snapshot_that_lacks_points_is_not_finished() {
     let service = lying(|point| Ok((point.id != 500).then_some(point))).await;
     let request = v1::SnapshotIndexRequest {
-        name: "arm".into(),
-        at: None,
+        index: "arm".into(),
+        min_revision: None,
     };
     let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();
     let mut last = None;

@@ -18,9 +18,8 @@ use crate::{random::Requests, support::*};
 fn watching(uid: &str, after_revision: u64) -> v1::WatchRequest {
     v1::WatchRequest {
         index: "arm".into(),
-        uid: uid.into(),
-        after_revision: Some(after_revision),
-        payloads: true,
+        after_revision: revision(uid, after_revision),
+        include: ALL,
     }
 }
 
@@ -41,7 +40,7 @@ impl Follower {
     fn take(&mut self, message: v1::WatchResponse) {
         assert_eq!(message.reset(), ResetReason::Unspecified);
         for mutation in message.mutations {
-            assert_eq!(mutation.revision, self.revision + 1);
+            assert_eq!(mutation.revision.number(), self.revision + 1);
             let continued = mutation.continued;
             self.pieces.push(mutation);
             if continued {
@@ -75,7 +74,7 @@ impl Follower {
 
     async fn check(&self, service: &Service) {
         let all = everything(service).await;
-        assert_eq!(all.revision, self.revision);
+        assert_eq!(all.revision.number(), self.revision);
         let points = all.points.unwrap();
         let states = points.states.unwrap().coordinates;
         assert!(points.ids.iter().eq(self.points.keys()));
@@ -100,20 +99,24 @@ async fn the_mutations_amount_to_the_points_wherever_one_begins() {
         let mut watch = service.watch(&CALL, watching(&uid, 0)).await.unwrap();
         let first = message(&mut watch).await;
         assert_eq!(
-            (first.revision, first.mutations.len(), &first.uid),
-            (0, 0, &uid)
+            (
+                first.revision.number(),
+                first.mutations.len(),
+                first.revision.uid()
+            ),
+            (0, 0, uid.clone())
         );
         let mut follower = Follower::default();
         let mut late: Vec<(Follower, u64)> = Vec::new();
         for step in 0..60 {
-            let revision = info(&service, "arm").await.revision;
+            let revision = info(&service, "arm").await.revision.number();
             // Refusals are as good as any.
             match step % 4 {
                 0..=1 => drop(service.insert(&CALL, requests.insert(revision)).await),
                 2 => drop(service.update(&CALL, requests.update(revision)).await),
                 _ => drop(service.remove(&CALL, requests.remove()).await),
             }
-            let revision = info(&service, "arm").await.revision;
+            let revision = info(&service, "arm").await.revision.number();
             if step % 7 == 0 {
                 follower.follow(&mut watch, revision).await;
                 follower.check(&service).await;
@@ -129,10 +132,10 @@ async fn the_mutations_amount_to_the_points_wherever_one_begins() {
                 ));
             }
         }
-        let last = info(&service, "arm").await.revision;
+        let last = info(&service, "arm").await.revision.number();
         for (mut follower, from) in late {
             let mut watch = service.watch(&CALL, watching(&uid, from)).await.unwrap();
-            assert_eq!(message(&mut watch).await.revision, last);
+            assert_eq!(message(&mut watch).await.revision.number(), last);
             follower.follow(&mut watch, last).await;
             follower.check(&service).await;
         }
@@ -193,35 +196,35 @@ async fn what_can_not_be_told_any_more_is_a_reset() {
     let service = served();
     let mut watch = service.watch(&CALL, watching(&uid, 3)).await.unwrap();
     assert_eq!(message(&mut watch).await.mutations, []);
-    assert_eq!(message(&mut watch).await.mutations[0].revision, 4);
+    assert_eq!(message(&mut watch).await.mutations[0].revision.number(), 4);
     let mut watch = service.watch(&CALL, watching(&uid, 2)).await.unwrap();
     assert_eq!(message(&mut watch).await.reset(), ResetReason::Unspecified);
     let reset = message(&mut watch).await;
     assert_eq!(
-        (reset.reset(), reset.revision),
+        (reset.reset(), reset.revision.number()),
         (ResetReason::WindowPassed, 4)
     );
     assert!(watch.next().await.is_none());
 
     let deletion = v1::DeleteIndexRequest {
-        name: "arm".into(),
+        index: "arm".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, deletion).await.unwrap();
     let other = create(&service, "arm", "R1").await;
     let mut watch = service.watch(&CALL, watching(&uid, 4)).await.unwrap();
     let reset = message(&mut watch).await;
-    assert_eq!((reset.reset(), reset.uid), (ResetReason::UidChanged, other));
+    assert_eq!(
+        (reset.reset(), reset.revision.uid()),
+        (ResetReason::UidChanged, other)
+    );
     assert!(watch.next().await.is_none());
 }
 
 #[tokio::test]
 async fn a_watch_ends_with_its_index_its_deadline_and_its_server() {
     let (service, uid) = arm("R1").await;
-    let unnamed = v1::WatchRequest {
-        uid: String::new(),
-        ..watching("", 0)
-    };
+    let unnamed = v1::WatchRequest { ..watching("", 0) };
     let refused = service.watch(&CALL, unnamed).await;
     assert_eq!(refused.err().unwrap().reason(), "REQUIRED");
     let now = v1::WatchRequest {
@@ -238,7 +241,7 @@ async fn a_watch_ends_with_its_index_its_deadline_and_its_server() {
         waiting.push(service.watch(&call, now.clone()).await.unwrap());
     }
     for watch in &mut waiting {
-        assert_eq!(message(watch).await.uid, uid);
+        assert_eq!(message(watch).await.revision.uid(), uid);
     }
     let late = waiting[1].next().await.unwrap();
     assert_eq!(refusal(late).0, Code::DeadlineExceeded);
@@ -247,7 +250,7 @@ async fn a_watch_ends_with_its_index_its_deadline_and_its_server() {
         let mut next = pin!(waiting[0].next());
         assert!(poll!(&mut next).is_pending());
         let deletion = v1::DeleteIndexRequest {
-            name: "arm".into(),
+            index: "arm".into(),
             ..Default::default()
         };
         service.delete_index(&CALL, deletion).await.unwrap();

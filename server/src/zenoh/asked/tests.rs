@@ -20,7 +20,8 @@ mod extremes;
 use extremes::{EXTREMES, requests, variants};
 
 /// Which verb a request is asked under.
-const VERBS: [(&str, &str); 11] = [
+const VERBS: [(&str, &str); 12] = [
+    ("server", "GetServerRequest"),
     ("arm/knn", "KnnRequest"),
     ("arm/query", "QueryRequest"),
     ("arm/insert", "InsertRequest"),
@@ -41,7 +42,7 @@ async fn two_points() -> (Service, String) {
     service.set_ready();
     let request = v1::CreateIndexRequest {
         name: "arm".into(),
-        space_text: "R1".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
         ..Default::default()
     };
     let call = Call::default();
@@ -59,7 +60,7 @@ async fn two_points() -> (Service, String) {
         };
         service.insert(&call, request).await.unwrap();
     }
-    (service, created.index.unwrap().uid)
+    (service, created.index.unwrap().revision.unwrap().uid)
 }
 
 async fn assert_answered(service: &Service, key: &str, asked: &Asked<'_>) {

@@ -1,5 +1,5 @@
 use proptest::{collection::vec, prelude::*};
-use wayfold_proto::v1;
+use wayfold_proto::v1::{self, knn_request::Count};
 
 use super::*;
 use crate::{service::Code, testing};
@@ -24,6 +24,11 @@ fn refused(name: &str, json: &str, parameters: &[(&str, &str)]) -> (String, &'st
     (violations[0].field.clone(), violations[0].reason)
 }
 
+fn revision(uid: &str, number: u64) -> Option<v1::Revision> {
+    let uid = uid.into();
+    Some(v1::Revision { uid, number })
+}
+
 fn states(rows: u32, coordinates: &[f64]) -> Option<v1::States> {
     Some(v1::States {
         rows,
@@ -35,7 +40,7 @@ fn states(rows: u32, coordinates: &[f64]) -> Option<v1::States> {
 fn states_are_rows_or_one_row_or_the_message() {
     let two = v1::KnnRequest {
         states: states(2, &[1.0, 2.0, 3.0, 4.5]),
-        k: 10,
+        count: Some(Count::K(10)),
         ..Default::default()
     };
     for json in [
@@ -69,11 +74,18 @@ fn what_json_has_not_is_written_as_text() {
     assert!(coordinates[0].is_nan() && coordinates[1] == f64::NEG_INFINITY);
     assert_eq!(request.ids, [(1 << 53) - 1, (1 << 63) - 1]);
     assert_eq!(request.payloads, [&[0, 255][..], &[]]);
-    assert_eq!(request.on_conflict, 1);
+    assert_eq!(request.on_conflict, 2);
     let neighbors = request.neighbors.unwrap();
-    assert_eq!((neighbors.k, neighbors.radius), (None, Some(f64::INFINITY)));
+    assert_eq!(neighbors.count, None);
+    let radius = v1::neighbor_spec::Reach::Radius(f64::INFINITY);
+    assert_eq!(neighbors.reach, Some(radius));
     assert_eq!(neighbors.filter.unwrap().tag_mask, u64::MAX);
-    for (json, value) in [(r#""ON_CONFLICT_REPLACE""#, 1), ("0", 0), ("7", 7)] {
+    for (json, value) in [
+        (r#""ON_CONFLICT_REPLACE""#, 2),
+        (r#""FAIL""#, 1),
+        ("0", 0),
+        ("7", 7),
+    ] {
         let json = format!(r#"{{"on_conflict": {json}}}"#);
         let request: v1::InsertRequest = read("InsertRequest", &json);
         assert_eq!(request.on_conflict, value);
@@ -91,30 +103,29 @@ fn answers_are_rows_under_the_names_of_the_message() {
             payloads: vec![vec![0, 255].into(), vec![].into(), vec![].into()],
             ..Default::default()
         }),
-        exact: true,
-        revision: 7,
-        uid: "a\"b".into(),
+        revision: revision("a\"b", 7),
     };
     assert_eq!(
         write("KnnResponse", &answer),
         concat!(
             r#"{"ids":[[3,"9007199254740992"],[],[4]],"distances":[[0.1,"Infinity"],[],[0.0]],"#,
             r#""states":[[[1.0,-0.0],[0.3,4.0]],[],[[5.0,6.0]]],"payloads":[["AP8=",""],[],[""]],"#,
-            r#""exact":true,"revision":7,"uid":"a\"b"}"#,
+            r#""revision":{"uid":"a\"b","number":7}}"#,
         )
     );
     let answer = v1::InsertResponse {
         outcomes: vec![1, 4],
         ids: vec![5, 6],
+        revision: revision("", 0),
         ..Default::default()
     };
     assert_eq!(
         write("InsertResponse", &answer),
-        r#"{"outcomes":["INSERTED","TOO_CLOSE"],"ids":[5,6],"revision":0,"uid":""}"#
+        r#"{"outcomes":["INSERTED","TOO_CLOSE"],"ids":[5,6],"revision":{"uid":"","number":0}}"#
     );
     let answer = v1::WatchResponse {
         mutations: vec![v1::Mutation {
-            revision: 2,
+            revision: revision("u", 2),
             stored: Some(v1::Points {
                 ids: vec![1],
                 states: states(1, &[0.5]),
@@ -124,13 +135,14 @@ fn answers_are_rows_under_the_names_of_the_message() {
             }),
             ..Default::default()
         }],
-        reset: 2,
+        reset: Some(2),
+        revision: revision("u", 3),
         ..Default::default()
     };
     assert_eq!(
         write("WatchResponse", &answer),
         concat!(
-            r#"{"uid":"","revision":0,"mutations":[{"revision":2,"time_ms":0,"stored":{"ids":[1],"states":[[0.5]],"#,
+            r#"{"revision":{"uid":"u","number":3},"mutations":[{"revision":{"uid":"u","number":2},"time_ms":0,"stored":{"ids":[1],"states":[[0.5]],"#,
             r#""tags":["18446744073709551615"],"revisions":[2]},"removed_ids":[],"continued":false,"piece":0}],"#,
             r#""reset":"WINDOW_PASSED"}"#,
         )
@@ -152,6 +164,12 @@ fn what_is_wrong_is_named() {
         (r#"{"filter": {"mask": 1}}"#, "filter.mask", "UNKNOWN_FIELD"),
         (r#"{"filter": 3}"#, "filter", "TYPE"),
         (r#"{"include": {"tags": 1}}"#, "include.tags", "TYPE"),
+        (r#"{"k": 1, "k_factor": 2}"#, "k_factor", "AMBIGUOUS"),
+        (
+            r#"{"k": 1, "max_leaves": 2}"#,
+            "max_leaves",
+            "UNKNOWN_FIELD",
+        ),
     ] {
         let found = refused("KnnRequest", json, &[]);
         assert_eq!((&*found.0, found.1), (field, reason), "{json}");
@@ -177,6 +195,12 @@ fn what_is_wrong_is_named() {
             "space.so3",
             "AMBIGUOUS",
         ),
+        (
+            "CreateIndexRequest",
+            r#"{"space": {"so3": {}}, "space_text": "SO3"}"#,
+            "space_text",
+            "AMBIGUOUS",
+        ),
     ] {
         let found = refused(name, json, &[]);
         assert_eq!((&*found.0, found.1), (field, reason), "{json}");
@@ -185,12 +209,21 @@ fn what_is_wrong_is_named() {
 
 #[test]
 fn parameters_say_what_the_message_does_not() {
-    let parameters = [("k", "10"), ("r", "0.5"), ("eps", "0"), ("max_leaves", "3")];
+    let parameters = [
+        ("k", "10"),
+        ("r", "0.5"),
+        ("eps", "0"),
+        ("include", "tags,payloads"),
+    ];
     let expected = v1::KnnRequest {
         states: states(1, &[1.0]),
-        k: 10,
-        radius: Some(0.5),
-        max_leaves: 3,
+        count: Some(Count::K(10)),
+        reach: Some(v1::knn_request::Reach::Radius(0.5)),
+        include: Some(v1::Include {
+            tags: true,
+            payloads: true,
+            ..Default::default()
+        }),
         ..Default::default()
     };
     let protobuf = v1::KnnRequest {
@@ -209,19 +242,45 @@ fn parameters_say_what_the_message_does_not() {
         .read(
             "GetRequest",
             b"",
-            &[("ids", "3,9223372036854775807"), ("payloads", "")],
+            &[("ids", "3,9223372036854775807"), ("include", "payloads")],
         )
         .unwrap();
-    assert_eq!((get.ids, get.payloads), (vec![3, (1 << 63) - 1], true));
+    assert_eq!(get.ids, [3, (1 << 63) - 1]);
+    assert!(get.include.unwrap().payloads);
+    let followed = [("from", "7"), ("uid", "u")];
+    let watch = |json: &str, parameters| {
+        Form::Json.read::<v1::WatchRequest>("WatchRequest", json.as_bytes(), parameters)
+    };
+    for json in ["", r#"{"after_revision":{"uid":"u"}}"#] {
+        let read = watch(json, &followed).unwrap();
+        assert_eq!(read.after_revision, revision("u", 7));
+    }
+    for json in [
+        r#"{"after_revision":{"uid":"v"}}"#,
+        r#"{"after_revision":{"uid":"u","number":0}}"#,
+    ] {
+        assert!(watch(json, &followed).is_err(), "{json}");
+    }
+    let deletion: v1::DeleteIndexRequest = Form::Json
+        .read(
+            "DeleteIndexRequest",
+            b"{}",
+            &[("index", "arm"), ("uid", "u")],
+        )
+        .unwrap();
+    assert_eq!((&*deletion.index, &*deletion.uid), ("arm", "u"));
     for (parameters, field, reason) in [
         (&[("k", "5")][..], "k", "CONFLICT"),
         (&[("r", "1"), ("radius", "2")], "radius", "CONFLICT"),
         (
-            &[("max_leaves", "0"), ("max_leaves", "2")],
-            "max_leaves",
+            &[("include", "tags"), ("include", "states")],
+            "include",
             "CONFLICT",
         ),
         (&[("eps", "0.5")], "epsilon", "CONFLICT"),
+        (&[("include", "tag")], "include", "UNKNOWN_VALUE"),
+        (&[("k_factor", "2")], "k_factor", "AMBIGUOUS"),
+        (&[("from", "2")], "from", "UNKNOWN_PARAMETER"),
         (&[("timeout_ms", "5")], "timeout_ms", "UNKNOWN_PARAMETER"),
         (&[("r", "far")], "radius", "TYPE"),
         (&[("k", "-1")], "k", "TYPE"),
@@ -257,7 +316,7 @@ fn the_encoding_names_the_form() {
 #[test]
 fn details_of_errors_are_written_out() {
     let error = invalid("k", "TOO_SMALL", "0");
-    let status = crate::status::to_message(&crate::status::from_error(&error));
+    let status = crate::status::from_error(&error).to_message();
     let json: serde_json::Value = serde_json::from_str(&write("Status", &status)).unwrap();
     assert_eq!(json["code"], 3);
     assert_eq!(json["details"][0]["reason"], "TOO_SMALL");
@@ -281,7 +340,10 @@ proptest! {
             states: states(coordinates.len() as u32, &coordinates),
             ids,
             payloads: vec![payload.into()],
-            neighbors: Some(v1::NeighborQuery { k: Some(k), ..Default::default() }),
+            neighbors: Some(v1::NeighborSpec {
+                count: Some(v1::neighbor_spec::Count::K(k)),
+                ..Default::default()
+            }),
             ..Default::default()
         };
         let json = Form::Json.write("InsertRequest", &request).unwrap();

@@ -102,7 +102,7 @@ impl<'a> Life<'a> {
             let created = created.unwrap();
             assert!(created.created);
             let index = settled(created.index.unwrap());
-            let model = Model::new(space, index.uid.clone());
+            let model = Model::new(space, index.revision.uid());
             assert_eq!(index, described(name, &model));
             self.world.add(name, model);
             return;
@@ -123,7 +123,7 @@ impl<'a> Life<'a> {
         let uid = held.map_or(String::new(), |model| model.uid.clone());
         let asked = self.world.pick(&["", "another", &uid]).to_owned();
         let request = v1::DeleteIndexRequest {
-            name: name.clone(),
+            index: name.clone(),
             uid: asked.clone(),
         };
         let deleted = self.service.delete_index(&CALL, request).await;
@@ -191,8 +191,8 @@ impl<'a> Life<'a> {
             false => any.into(),
         };
         let request = v1::SnapshotIndexRequest {
-            name: name.clone(),
-            at: None,
+            index: name.clone(),
+            min_revision: None,
         };
         let begun = self.service.snapshot_index(&CALL, request).await;
         let Some(kept) = self.world.indexes.get(&name) else {
@@ -299,7 +299,7 @@ impl<'a> Life<'a> {
         }
         let index = settled(finished.unwrap().index.unwrap());
         let model = Model {
-            uid: index.uid.clone(),
+            uid: index.revision.uid(),
             ..copied.model
         };
         assert_eq!(index, described(&name, &model));
@@ -310,16 +310,16 @@ impl<'a> Life<'a> {
 
     async fn verify(&mut self, name: &str) {
         let request = v1::VerifyIndexRequest {
-            name: name.into(),
-            queries: Some(8),
+            index: name.into(),
+            query_count: Some(8),
             seed: self.world.random.random(),
             ..verification()
         };
         let report = verify(&self.service, request).await.unwrap();
         assert_eq!(report.first_disagreements, Vec::<String>::new());
-        assert_eq!(report.disagreements, 0);
+        assert_eq!(report.disagreement_count, 0);
         let model = &self.world.indexes[name].model;
-        assert_eq!(report.stored_points, model.points.len() as u64);
+        assert_eq!(report.stored_point_count, model.points.len() as u64);
         let points = model.scan(&scanning()).points.unwrap();
         let expected = hash_of(&points, &model.space.to_string());
         assert_eq!(report.content_hash, expected);
@@ -354,9 +354,8 @@ impl<'a> Life<'a> {
                 payloads: true,
             };
             let knn = v1::KnnRequest {
-                k: 1000,
-                radius: None,
-                scaling: None,
+                count: nearest(1000).map(Into::into),
+                reach: None,
                 filter: None,
                 include: Some(include),
                 ..requests.knn(model.revision)

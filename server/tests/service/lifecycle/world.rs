@@ -11,6 +11,7 @@ use crate::{
     backup::{Held, read},
     model::Model,
     random::Requests,
+    support::revision,
 };
 
 pub(super) struct World {
@@ -113,10 +114,9 @@ pub(super) fn described(name: &str, model: &Model) -> v1::Index {
         name: name.into(),
         space: Some(space::to_message(&model.space)),
         space_text: model.space.to_string(),
-        uid: model.uid.clone(),
-        revision: model.revision,
-        points: model.points.len() as u64,
-        coordinates: model.space.coordinates() as u32,
+        revision: revision(&model.uid, model.revision),
+        point_count: model.points.len() as u64,
+        coordinate_count: model.space.coordinates() as u32,
         dimension: model.space.dimension() as u32,
         memory_bytes: 0,
     }
