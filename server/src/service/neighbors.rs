@@ -55,8 +55,8 @@ impl Service {
 
         let min = min.max(filter.since_revision);
         let published = self.published(call, &hosted, min).await?;
-        let mut wanted = spec.among(published.snapshot.len())?;
-        wanted.until = call.deadline;
+        let mut completed = spec.among(published.snapshot.len())?;
+        completed.until = call.deadline;
         let seen = Seen {
             call,
             doing: DOING,
@@ -64,7 +64,7 @@ impl Service {
             published: &published,
         };
         let found = Found::new(include, space.coordinates(), Room::new(limits));
-        let neighbors = search(&seen, &states, wanted, found, &mut pace).await?;
+        let neighbors = search(&seen, &states, completed, found, &mut pace).await?;
         Ok((neighbors, revision(&hosted, published.revision)))
     }
 }
