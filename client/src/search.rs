@@ -64,7 +64,8 @@ impl From<ScaledRadius> for Radius {
 }
 
 /// The radius of PRM* and RRT*: r(n) = min(max, factor · (ln n / n)^(1/d)), for an index of n points in a space of
-/// dimension d. Whoever answers the search evaluates it, so that workers need not agree on n.
+/// dimension d. The server or the replica evaluates it, so that workers
+/// need not agree on n.
 ///
 /// n counts all points, also those that a filter leaves out. [`Scaling::prm_star_bound`] and
 /// [`Scaling::rrt_star_bound`] are the literature's least factors.
@@ -103,7 +104,7 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// The factors among them, for whoever evaluates them.
+    /// The factors among them.
     pub(crate) fn scaling(&self) -> Scaling {
         let mut scaling = Scaling::default();
         if let Some(Count::Factor(factor)) = self.count {
@@ -156,8 +157,8 @@ macro_rules! bounded {
                 $type::of(Some(Count::K(k)), None)
             }
 
-            /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. Whoever answers evaluates it, so that
-            /// workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`].
+            /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. The server or the replica
+            /// evaluates it, so that workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`].
             pub fn k_factor(factor: f64) -> $type {
                 $type::of(Some(Count::Factor(factor)), None)
             }
@@ -263,7 +264,7 @@ impl Search {
         self
     }
 
-    /// Gives up at this time with what was found until then: [`Found::exact`](crate::Found::exact) tells whether
+    /// Gives up at this time with what was found until then: [`Found::exact`](crate::Found::exact) says whether
     /// something may be missing.
     pub fn until(mut self, time: std::time::Instant) -> Search {
         self.until = Some(time);
