@@ -137,7 +137,6 @@ fn answers_are_rows_under_the_names_of_the_message() {
         }],
         reset: Some(2),
         revision: revision("u", 3),
-        ..Default::default()
     };
     assert_eq!(
         write("WatchResponse", &answer),
