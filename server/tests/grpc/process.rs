@@ -110,7 +110,6 @@ async fn what_is_cut_shows_in_the_exit_status() {
     let line = v1::CreateIndexRequest {
         name: "line".into(),
         space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
-        ..Default::default()
     };
     let mut indices = IndexServiceClient::new(channel.clone());
     indices.create_index(line).await.unwrap();
@@ -203,7 +202,6 @@ async fn a_file_of_marks_that_is_gone_is_told_of_once() {
     let line = v1::CreateIndexRequest {
         name: "line".into(),
         space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
-        ..Default::default()
     };
     let mut indices = IndexServiceClient::new(connect(server.address).await);
     indices.create_index(line).await.unwrap();

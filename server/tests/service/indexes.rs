@@ -29,7 +29,6 @@ async fn creating_twice_finds_the_same_index_and_another_space_is_refused() {
     let equal = v1::CreateIndexRequest {
         name: "arm".into(),
         space_form: Some(as_message("R3*RP3:0.15")),
-        ..Default::default()
     };
     let second = service.create_index(&CALL, equal).await.unwrap();
     assert!(!second.created);

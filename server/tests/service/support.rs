@@ -68,7 +68,6 @@ pub(crate) fn creation(name: &str, space: &str) -> v1::CreateIndexRequest {
     v1::CreateIndexRequest {
         name: name.into(),
         space_form: Some(v1::create_index_request::SpaceForm::SpaceText(space.into())),
-        ..Default::default()
     }
 }
 
