@@ -60,14 +60,14 @@ impl Health for HealthFace {
             return Ok(Response::new(unknown.chain(until_stopping).boxed()));
         }
         let first = phases.current();
-        let changes = stream::unfold(first, move |told| {
-            // `told` is what the watcher knows; after STOPPING nothing follows.
+        let changes = stream::unfold(first, move |reported| {
+            // `reported` is what the watcher knows; after STOPPING nothing follows.
             let mut phases = phases.clone();
             async move {
-                if told == Phase::Stopping {
+                if reported == Phase::Stopping {
                     return None;
                 }
-                let phase = phases.changed_from(told).await;
+                let phase = phases.changed_from(reported).await;
                 Some((Ok(report(status_in(phase))), phase))
             }
         });
@@ -128,16 +128,16 @@ mod tests {
         let lifecycle = Lifecycle::starting();
         let health = HealthFace::new(lifecycle.watch());
         let mut watch = health.watch(request("")).await.unwrap().into_inner();
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for phase in [Phase::Serving, Phase::Stopping] {
-            told.push(watch.next().await.unwrap().unwrap().status());
+            reported.push(watch.next().await.unwrap().unwrap().status());
             lifecycle.advance(phase);
         }
         while let Some(report) = watch.next().await {
-            told.push(report.unwrap().status());
+            reported.push(report.unwrap().status());
         }
         assert_eq!(
-            told,
+            reported,
             [
                 ServingStatus::NotServing,
                 ServingStatus::Serving,

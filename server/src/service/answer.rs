@@ -58,7 +58,7 @@ pub(super) trait Source {
 }
 
 /// What a call reads: a published revision of the index of this name.
-pub(super) struct Seen<'a> {
+pub(super) struct ReadView<'a> {
     pub(super) call: &'a Call,
     /// What the call is doing when its deadline passes.
     pub(super) doing: &'static str,
@@ -66,7 +66,7 @@ pub(super) struct Seen<'a> {
     pub(super) published: &'a Published,
 }
 
-impl Seen<'_> {
+impl ReadView<'_> {
     /// The payloads of points, [`BATCH`] of them at most, in their order, until they take more than `most` bytes of an
     /// answer: the last may be too much.
     pub(super) async fn payloads(&self, ids: Vec<u64>, most: usize) -> Result<Vec<Bytes>, Error> {
@@ -91,7 +91,7 @@ impl Seen<'_> {
     }
 }
 
-impl Source for Seen<'_> {
+impl Source for ReadView<'_> {
     fn point(&self, id: u64) -> Option<Point> {
         self.published.snapshot.get(id)
     }
@@ -185,10 +185,10 @@ impl Found {
     }
 
     /// Adds the payloads of all neighbours so far.
-    async fn read_payloads(&mut self, seen: &Seen<'_>) -> Result<(), Error> {
+    async fn read_payloads(&mut self, view: &ReadView<'_>) -> Result<(), Error> {
         while !self.without_payload().is_empty() {
             let batch = self.without_payload().iter().take(BATCH).copied().collect();
-            for payload in seen.payloads(batch, self.room.left()).await? {
+            for payload in view.payloads(batch, self.room.left()).await? {
                 self.push_payload(payload)?;
             }
         }
@@ -217,7 +217,7 @@ impl Found {
 
 /// Searches for every state.
 pub(super) async fn search(
-    seen: &Seen<'_>,
+    view: &ReadView<'_>,
     states: &Rows,
     search: Search<'_>,
     mut found: Found,
@@ -228,16 +228,16 @@ pub(super) async fn search(
             k: search.k.min(found.too_many()),
             ..search
         };
-        let answer = seen.published.snapshot.search(state, &search)?;
+        let answer = view.published.snapshot.search(state, &search)?;
         // A search that runs out of time ends early, with what it found.
         pace.check()?;
-        found.push(seen, &answer.neighbors)?;
+        found.push(view, &answer.neighbors)?;
         if found.without_payload().len() >= BATCH {
-            found.read_payloads(seen).await?;
+            found.read_payloads(view).await?;
         }
         pace.step().await?;
     }
-    found.read_payloads(seen).await?;
+    found.read_payloads(view).await?;
     Ok(found.finish())
 }
 

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use wayfold_index::{Filter, Space, StateError, StateProblem};
 use wayfold_proto::v1;
 
-use super::{Error, Limits, Violation, at::revision_number, call::Pace};
+use super::{Error, Limits, Violation, call::Pace, read_view::revision_number};
 use crate::registry::Hosted;
 
 /// The first id that is too large.

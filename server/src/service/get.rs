@@ -4,9 +4,9 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{PointColumns, Room, Seen, missing},
-    at::{revision, revision_number},
+    answer::{PointColumns, ReadView, Room, missing},
     check::{self, Violations},
+    read_view::{revision, revision_number},
     stored::BATCH,
 };
 
@@ -43,7 +43,7 @@ impl Service {
                 ids: absent,
             });
         }
-        let seen = Seen {
+        let view = ReadView {
             call,
             doing: DOING,
             index: hosted.name(),
@@ -53,7 +53,7 @@ impl Service {
         let mut points = PointColumns::new(request.include);
         for ids in request.ids.chunks(BATCH) {
             let mut payloads = match points.with_payloads() {
-                true => seen.payloads(ids.to_vec(), room.left()).await?,
+                true => view.payloads(ids.to_vec(), room.left()).await?,
                 false => Vec::new(),
             }
             .into_iter();

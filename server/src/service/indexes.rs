@@ -9,8 +9,9 @@ use wayfold_proto::{
 
 use super::{
     Call, Error, Service,
-    at::{failed, revision, unlisted},
     check::Violations,
+    error_map::{catalog_error, registry_error},
+    read_view::revision,
 };
 use crate::registry::{Hosted, Listed, Published, Registry, RegistryError};
 
@@ -77,7 +78,7 @@ impl Service {
                 asked: limit as u64 + 1,
                 advice: "delete an index first",
             },
-            error => failed(&request.name, error),
+            error => registry_error(&request.name, error),
         })?;
         Ok(v1::CreateIndexResponse {
             index: Some(describe(&hosted, &hosted.published())),
@@ -116,7 +117,7 @@ impl Service {
 
         let mut pace = call.pace("while listing the indices");
         let listed = self.registry()?.page(after.as_deref(), size + 1);
-        let listed = listed.map_err(unlisted)?;
+        let listed = listed.map_err(catalog_error)?;
         let mut page = Listing::default();
         let (mut bytes, mut last) = (0, None::<String>);
         for (at, listed) in listed.into_iter().enumerate() {
@@ -129,7 +130,7 @@ impl Service {
                     let damaged = Damaged {
                         name: name.clone(),
                         uid: uid.to_string(),
-                        error: failed(&name, why),
+                        error: registry_error(&name, why),
                     };
                     (name, Err(damaged))
                 }
@@ -170,7 +171,7 @@ impl Service {
                 asked: request.uid.clone(),
                 found: found.to_string(),
             },
-            error => failed(&request.index, error),
+            error => registry_error(&request.index, error),
         })?;
         Ok(v1::DeleteIndexResponse {
             uid: uid.to_string(),

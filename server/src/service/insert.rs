@@ -8,14 +8,14 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
-    ahead::{Ahead, Around},
     answer::{Found, Room},
-    at::revision,
     call::Pace,
     check::{self, END_OF_IDS, Rows, Violations},
     mutation::{Begun, Claim},
     neighbor_spec::NeighborSpec,
     payloads::{Payloads, Unread},
+    prefetch::{Prefetch, PrefetchedRow},
+    read_view::revision,
     staging::Staging,
 };
 use crate::{
@@ -53,27 +53,31 @@ impl Service {
         let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;
 
         let mut head = hosted.newest();
-        let ahead = insertion
-            .search_ahead(&head, self.limits(), &mut pace)
-            .await?;
-        let mut payloads = Payloads::new(insertion.tells_payloads());
+        let prefetch = insertion.prefetch(&head, self.limits(), &mut pace).await?;
+        let mut payloads = Payloads::new(insertion.answers_payloads());
         let unread = insertion
-            .unread_in(&head, ahead.as_ref(), &mut pace)
+            .unread_in(&head, prefetch.as_ref(), &mut pace)
             .await?;
         let most = self.limits().answer_bytes;
         let read = payloads.read(call, &hosted, &head, unread, most);
         read.await?;
-        let (writer, effects, told) = loop {
+        let (writer, effects, evaluated) = loop {
             let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
                 Begun::Answered(response) => return Ok(response),
                 Begun::Writing(writer) => writer,
             };
             head = Arc::clone(writer.head());
             payloads.catch_up(&hosted, &writer);
-            let ahead = ahead.as_ref().filter(|ahead| ahead.holds(&writer));
+            let prefetch = prefetch.as_ref().filter(|prefetch| prefetch.holds(&writer));
             let base = Arc::clone(&head);
-            let mut evaluation =
-                Evaluation::new(&insertion, &hosted, base, self.limits(), ahead, &payloads)?;
+            let mut evaluation = Evaluation::new(
+                &insertion,
+                &hosted,
+                base,
+                self.limits(),
+                prefetch,
+                &payloads,
+            )?;
             for (at, row) in insertion.rows.iter().enumerate() {
                 match evaluation.row(at, row) {
                     Ok(()) => {}
@@ -88,8 +92,8 @@ impl Service {
             }
             let unread = std::mem::take(&mut evaluation.unread);
             if unread.is_empty() {
-                let (effects, told) = evaluation.finish()?;
-                break (writer, effects, told);
+                let (effects, response) = evaluation.finish()?;
+                break (writer, effects, response);
             }
             // Others have changed what there was. The rest is read without the writer, and the rows are evaluated anew.
             drop(writer);
@@ -100,7 +104,7 @@ impl Service {
         let found = head.revision;
         let response = v1::InsertResponse {
             revision: Some(revision(&hosted, found + u64::from(!effects.is_empty()))),
-            ..told
+            ..evaluated
         };
         self.commit(call, &hosted, writer, effects, claim, &response)
             .await?;
@@ -113,14 +117,14 @@ struct Evaluation<'a> {
     insertion: &'a Insertion,
     index: &'a str,
     staging: Staging,
-    ahead: Option<&'a Ahead>,
+    prefetch: Option<&'a Prefetch>,
     payloads: &'a Payloads,
     /// What has to be read before the rows can be evaluated.
     unread: Unread,
     /// The next id to assign.
     next_id: u64,
     found: Option<Found>,
-    told: v1::InsertResponse,
+    response: v1::InsertResponse,
     /// Ids that hold another point. From the first on nothing but further ones is of interest.
     conflicts: Vec<u64>,
 }
@@ -131,7 +135,7 @@ impl<'a> Evaluation<'a> {
         hosted: &'a Hosted,
         head: Arc<Published>,
         limits: &Limits,
-        ahead: Option<&'a Ahead>,
+        prefetch: Option<&'a Prefetch>,
         payloads: &'a Payloads,
     ) -> Result<Self, Error> {
         let space = hosted.space();
@@ -142,13 +146,13 @@ impl<'a> Evaluation<'a> {
             index: hosted.name(),
             next_id: head.view.next_id(),
             staging: Staging::new(head, space, insertion.is_searched()),
-            ahead,
+            prefetch,
             payloads,
             unread: Unread::default(),
             found: insertion
                 .neighbors
                 .map(|(_, include)| Found::new(include, space.coordinates(), room)),
-            told: v1::InsertResponse::default(),
+            response: v1::InsertResponse::default(),
             conflicts: Vec::new(),
         })
     }
@@ -181,8 +185,8 @@ impl<'a> Evaluation<'a> {
         if is_held {
             self.staging.hide(id);
         }
-        self.tell_neighbors(at, row)?;
-        let (outcome, told_id) = if is_unchanged {
+        self.answer_neighbors(at, row)?;
+        let (outcome, answered_id) = if is_unchanged {
             (v1::Outcome::Unchanged, id)
         } else if let Some(blocker) = self.blocker(at, row)? {
             (v1::Outcome::TooClose, blocker)
@@ -191,8 +195,8 @@ impl<'a> Evaluation<'a> {
         } else {
             (v1::Outcome::Inserted, id)
         };
-        self.told.outcomes.push(outcome.into());
-        self.told.ids.push(told_id);
+        self.response.outcomes.push(outcome.into());
+        self.response.ids.push(answered_id);
         let outcome = match outcome {
             v1::Outcome::Inserted => Outcome::Inserted,
             v1::Outcome::Replaced => Outcome::Replaced,
@@ -213,7 +217,7 @@ impl<'a> Evaluation<'a> {
         self.staging.accept(id, tag, row, payload, outcome)
     }
 
-    fn tell_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
+    fn answer_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
         let (Some(found), Some((spec, _))) = (&mut self.found, &self.insertion.neighbors) else {
             return Ok(());
         };
@@ -222,14 +226,14 @@ impl<'a> Evaluation<'a> {
             k: search.k.min(found.too_many()),
             ..search
         };
-        let ahead = self.ahead.filter(|ahead| ahead.reaches(&search));
-        let known = known(ahead, at, |around| &around.neighbors);
+        let prefetch = self.prefetch.filter(|prefetch| prefetch.reaches(&search));
+        let known = known(prefetch, at, |row| &row.neighbors);
         found.push(&self.staging, &self.staging.search(row, &search, known)?)?;
         for id in found.without_payload().to_vec() {
             let accepted = self.staging.accepted_payload(id);
             let payload = accepted.or_else(|| self.payloads.of_neighbor(id).cloned());
             if payload.is_none() {
-                self.unread.told.push(id);
+                self.unread.neighbors.push(id);
             }
             found.push_payload(payload.unwrap_or_default())?;
         }
@@ -242,7 +246,7 @@ impl<'a> Evaluation<'a> {
         let Some(nearest) = self.insertion.nearest() else {
             return Ok(None);
         };
-        let known = known(self.ahead, at, |around| &around.nearest);
+        let known = known(self.prefetch, at, |row| &row.nearest);
         let neighbors = self.staging.search(row, &nearest, known)?;
         let blocker = neighbors
             .first()
@@ -258,51 +262,53 @@ impl<'a> Evaluation<'a> {
                 ids: self.conflicts,
             });
         }
-        let told = v1::InsertResponse {
+        let response = v1::InsertResponse {
             neighbors: self.found.map(Found::finish),
-            ..self.told
+            ..self.response
         };
-        Ok((self.staging.into_effects(), told))
+        Ok((self.staging.into_effects(), response))
     }
 }
 
 /// What is known of a row's surroundings, and as of which revision.
 fn known<'a>(
-    ahead: Option<&'a Ahead>,
+    prefetch: Option<&'a Prefetch>,
     at: usize,
-    what: impl FnOnce(&'a Around) -> &'a Vec<Neighbor>,
+    what: impl FnOnce(&'a PrefetchedRow) -> &'a Vec<Neighbor>,
 ) -> Option<(u64, &'a [Neighbor])> {
-    let ahead = ahead?;
-    Some((ahead.revision(), what(ahead.row(at)?)))
+    let prefetch = prefetch?;
+    Some((prefetch.revision(), what(prefetch.row(at)?)))
 }
 
 impl Insertion {
     /// The search for what is nearer than the separation asked for.
     fn nearest(&self) -> Option<Search<'static>> {
-        let asked = self.min_separation > 0.0;
-        asked.then(|| Search {
+        let is_set = self.min_separation > 0.0;
+        is_set.then(|| Search {
             radius: self.min_separation,
             ..Search::nearest_k(1)
         })
     }
 
     /// Looks around the rows in what the index is now.
-    async fn search_ahead(
+    async fn prefetch(
         &self,
         head: &Arc<Published>,
         limits: &Limits,
         pace: &mut Pace,
-    ) -> Result<Option<Ahead>, Error> {
+    ) -> Result<Option<Prefetch>, Error> {
         if !self.is_searched() {
             return Ok(None);
         }
         // More than an answer holds are not asked for by anybody who gets one.
         let most = limits.answer_bytes / 16;
         let (points, rows) = (head.snapshot.len(), self.rows.len());
-        let neighbors = self.neighbors.map(|(spec, _)| spec.ahead(points, rows));
+        let neighbors = self
+            .neighbors
+            .map(|(spec, _)| spec.prefetch_search(points, rows));
         let head = Arc::clone(head);
-        let ahead = Ahead::search(head, &self.rows, neighbors, self.nearest(), most, pace);
-        ahead.await.map(Some)
+        let prefetch = Prefetch::search(head, &self.rows, neighbors, self.nearest(), most, pace);
+        prefetch.await.map(Some)
     }
 
     /// The payload of a row.
@@ -314,7 +320,7 @@ impl Insertion {
     async fn unread_in(
         &self,
         head: &Published,
-        ahead: Option<&Ahead>,
+        prefetch: Option<&Prefetch>,
         pace: &mut Pace,
     ) -> Result<Unread, Error> {
         let mut compared = Vec::new();
@@ -328,15 +334,15 @@ impl Insertion {
                 pace.step().await?;
             }
         }
-        let told = ahead.filter(|_| self.tells_payloads());
+        let prefetch = prefetch.filter(|_| self.answers_payloads());
         Ok(Unread {
             compared,
-            told: told.map(Ahead::neighbor_ids).unwrap_or_default(),
+            neighbors: prefetch.map(Prefetch::neighbor_ids).unwrap_or_default(),
         })
     }
 
     /// Whether the payloads of neighbours are told.
-    fn tells_payloads(&self) -> bool {
+    fn answers_payloads(&self) -> bool {
         let include = self.neighbors.and_then(|(_, include)| include);
         include.is_some_and(|include| include.payloads)
     }
@@ -366,9 +372,9 @@ impl Insertion {
         check::finite("min_separation", request.min_separation, &mut violations);
         check::operation_id(&request.operation_id, &mut violations);
         let neighbors = match request.neighbors {
-            Some(asked) => {
-                let include = asked.include;
-                let spec = neighbor_spec(asked, hosted, limits, &mut violations)?;
+            Some(spec) => {
+                let include = spec.include;
+                let spec = neighbor_spec(spec, hosted, limits, &mut violations)?;
                 Some((spec, include))
             }
             None => None,
@@ -397,19 +403,19 @@ impl Insertion {
 }
 
 fn neighbor_spec(
-    asked: v1::NeighborSpec,
+    request: v1::NeighborSpec,
     hosted: &Hosted,
     limits: &Limits,
     violations: &mut Violations,
 ) -> Result<NeighborSpec, Error> {
-    let (count, reach) = (asked.count, asked.reach);
+    let (count, reach) = (request.count, request.reach);
     if count.is_none() && reach.is_none() {
         let text = "set k or k_factor, radius or scaled_radius, or one of each";
         violations.add("neighbors", "REQUIRED", text);
     }
     let space = hosted.space();
     let mut spec = NeighborSpec::check("neighbors.", count, reach, space, limits, violations)?;
-    spec.fixed.filter = check::filter("neighbors.filter", asked.filter, hosted, violations)?;
+    spec.fixed.filter = check::filter("neighbors.filter", request.filter, hosted, violations)?;
     Ok(spec)
 }
 

@@ -3,7 +3,8 @@
 use wayfold_proto::v1;
 
 use super::{
-    Call, Error, Service, check::Violations, neighbor_spec::NeighborSpec, neighbors::Asked,
+    Call, Error, Service, check::Violations, neighbor_spec::NeighborSpec,
+    neighbors::NeighborRequest,
 };
 
 impl Service {
@@ -27,7 +28,7 @@ impl Service {
             self.limits(),
             &mut violations,
         )?;
-        let asked = Asked {
+        let request_fields = NeighborRequest {
             states: request.states,
             epsilon: request.epsilon,
             filter: request.filter,
@@ -35,7 +36,7 @@ impl Service {
             min_revision: request.min_revision,
         };
         let (neighbors, revision) = self
-            .neighbors(call, hosted, asked, spec, violations)
+            .neighbors(call, hosted, request_fields, spec, violations)
             .await?;
         Ok(v1::KnnResponse {
             neighbors: Some(neighbors),

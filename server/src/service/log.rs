@@ -17,13 +17,13 @@ impl Service {
         let after = after.map_or(u64::MAX, |after| after.number);
         let watch = self.watch(call, request).await?;
         let mut watch = watch.with_message_bytes(message_bytes(self.limits()));
-        let head = told(&mut watch).await?;
+        let head = next_message(&mut watch).await?;
         let newest = head.revision.as_ref();
         let newest = newest.map_or(0, |newest| newest.number);
         if head.reset.is_some() || after >= newest {
             return Ok(head);
         }
-        let mut answer = told(&mut watch).await?;
+        let mut answer = next_message(&mut watch).await?;
         let cut = answer.mutations.pop_if(|last| last.continued);
         if cut.is_some() && answer.mutations.is_empty() {
             let value = self.limits().answer_bytes as u64;
@@ -46,7 +46,7 @@ fn message_bytes(limits: &Limits) -> usize {
     most.max(limits.answer_bytes / 2)
 }
 
-async fn told(watch: &mut Watch) -> Result<v1::WatchResponse, Error> {
+async fn next_message(watch: &mut Watch) -> Result<v1::WatchResponse, Error> {
     let message = watch.next().await.ok_or_else(|| Error::Internal {
         what: "a watch ended before it told anything".into(),
     });

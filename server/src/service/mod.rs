@@ -1,20 +1,26 @@
-//! The use cases of the contract, and the limits that protect the server. Knows no transport.
+//! The use cases of the contract, and the limits that protect the server. No transport is known here.
 //!
-//! Requests and responses are the messages of `wayfold.v1`: they are the contract, whatever carries them. Every face
-//! translates its calls into these and holds no policy of its own.
+//! Requests and responses are the messages of `wayfold.v1`: they are the contract on every transport. A face translates
+//! its calls into these and holds no policy of its own.
 //!
-//! One verb a file; what they share: `check` (requests become canonical rows and searches, or violations), `at`
-//! (which index and which revision), `neighbor_spec` (number and radius, fixed or by the size of the index), `mutation` (from an
-//! evaluated mutation to its acknowledgement), `staging` (rows that see the rows before them), `ahead` (searching before
-//! it is a call's turn to write), `stored` (reading the store where one may block), `answer` (columns that never outgrow their limit), `call` (deadlines, and letting others
-//! on in between), `error`, `limits`.
+//! One verb a file. The shared files:
+//! - `call`: deadlines, and time slices for long work;
+//! - `check`: requests become canonical rows and searches, or violations;
+//! - `read_view`: the index and the revision that a call reads;
+//! - `neighbor_spec`: number and radius of neighbours, fixed or scaled by the size of the index;
+//! - `prefetch`: the searches of an insert before its turn to write;
+//! - `staging`: rows that see the rows before them;
+//! - `mutation`: from an evaluated mutation to its acknowledgement;
+//! - `stored`: reads of the store on threads that may block;
+//! - `answer`: columns that never outgrow their limit;
+//! - `error`, `error_map`, `limits`.
 
-mod ahead;
 mod answer;
-mod at;
 mod call;
+mod catalog_watch;
 mod check;
 mod error;
+mod error_map;
 mod get;
 mod indexes;
 mod insert;
@@ -25,12 +31,13 @@ mod mutation;
 mod neighbor_spec;
 mod neighbors;
 mod payloads;
-mod pin;
+mod prefetch;
 mod query;
+mod read_view;
 mod remove;
 mod restore;
+mod revision_pin;
 mod scan;
-mod served;
 mod server;
 mod snapshot;
 mod staging;
@@ -48,12 +55,12 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{log::Durability, registry::Registry};
 pub use call::Call;
+pub use catalog_watch::CatalogWatch;
 pub use error::{Code, Error, Unavailability, Violation};
 pub use indexes::{Damaged, Listing};
 pub use limits::Limits;
 pub use restore::Restoring;
 pub use scan::Scan;
-pub use served::Served;
 pub use snapshot::Snapshot;
 pub use verify::Verification;
 pub use watch::Watch;

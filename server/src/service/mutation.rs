@@ -6,7 +6,7 @@ use std::sync::Arc;
 use prost::Message;
 use sha2::{Digest as _, Sha256};
 
-use super::{Call, Error, Service, at::failed, call::Pace};
+use super::{Call, Error, Service, call::Pace, error_map::registry_error};
 use crate::{
     log::{Digest, Effects, Operation},
     registry::{Hosted, OperationWindow, WriteGuard, Writer},
@@ -68,7 +68,7 @@ impl Service {
                 hosted.write(),
             )
             .await?
-            .map_err(|error| failed(hosted.name(), error))?;
+            .map_err(|error| registry_error(hosted.name(), error))?;
         let Some(response) = recalled(&writer, claim)? else {
             return Ok(Begun::Writing(writer));
         };
@@ -117,7 +117,7 @@ impl Service {
             hosted.commit(writer, effects, window),
         )
         .await?
-        .map_err(|error| failed(hosted.name(), error))?;
+        .map_err(|error| registry_error(hosted.name(), error))?;
         Ok(())
     }
 }
@@ -151,6 +151,6 @@ fn recalled<R: Message + Default>(
 async fn acknowledge(call: &Call, hosted: &Hosted, revision: u64) -> Result<(), Error> {
     call.bound("while the log was being synced", hosted.reached(revision))
         .await?
-        .map_err(|error| failed(hosted.name(), error))?;
+        .map_err(|error| registry_error(hosted.name(), error))?;
     Ok(())
 }

@@ -74,7 +74,7 @@ impl NeighborSpec {
 
     /// A search among this many points that most likely suffices after `rows` more and those that others add meanwhile: for
     /// as many as it takes among an eighth more points. The radius needs no such margin, as it falls.
-    pub(super) fn ahead(&self, points: usize, rows: usize) -> Search<'static> {
+    pub(super) fn prefetch_search(&self, points: usize, rows: usize) -> Search<'static> {
         let mut search = self.scaled(points);
         if let Some(k) = self.scaling.k(points + points / 8 + rows) {
             search.k = k.min(self.k_limit);

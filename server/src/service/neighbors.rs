@@ -6,17 +6,17 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{Found, Room, Seen, search},
-    at::{revision, revision_number},
+    answer::{Found, ReadView, Room, search},
     check::{self, Violations},
     neighbor_spec::NeighborSpec,
+    read_view::{revision, revision_number},
 };
 use crate::registry::Hosted;
 
 const DOING: &str = "while searching";
 
 /// What a request says beside which neighbours it wants.
-pub(super) struct Asked {
+pub(super) struct NeighborRequest {
     pub(super) states: Option<v1::States>,
     pub(super) epsilon: f64,
     pub(super) filter: Option<v1::Filter>,
@@ -31,11 +31,11 @@ impl Service {
         &self,
         call: &Call,
         hosted: Arc<Hosted>,
-        asked: Asked,
+        asked: NeighborRequest,
         mut spec: NeighborSpec,
         mut violations: Violations,
     ) -> Result<(v1::Neighbors, v1::Revision), Error> {
-        let Asked {
+        let NeighborRequest {
             states,
             epsilon,
             filter,
@@ -57,14 +57,14 @@ impl Service {
         let published = self.published(call, &hosted, min).await?;
         let mut completed = spec.among(published.snapshot.len())?;
         completed.until = call.deadline;
-        let seen = Seen {
+        let view = ReadView {
             call,
             doing: DOING,
             index: hosted.name(),
             published: &published,
         };
         let found = Found::new(include, space.coordinates(), Room::new(limits));
-        let neighbors = search(&seen, &states, completed, found, &mut pace).await?;
+        let neighbors = search(&view, &states, completed, found, &mut pace).await?;
         Ok((neighbors, revision(&hosted, published.revision)))
     }
 }

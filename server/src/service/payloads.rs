@@ -1,5 +1,5 @@
 //! The stored payloads that an insert needs: those that its rows are compared with, and those of the neighbours that it
-//! tells. They are read before the insert has the writer.
+//! answers. They are read before the insert has the writer.
 
 use bytes::Bytes;
 use sha2::{Digest as _, Sha256};
@@ -21,7 +21,7 @@ pub(super) struct Payloads {
     /// Payloads that rows are compared with: their digests, as all of them together may be large.
     compared: ReadAhead<Digest>,
     /// Payloads of neighbours; None if they are not told.
-    told: Option<ReadAhead<Bytes>>,
+    neighbors: Option<ReadAhead<Bytes>>,
 }
 
 /// Ids of points whose payloads have to be read.
@@ -30,22 +30,22 @@ pub(super) struct Unread {
     /// To compare them.
     pub(super) compared: Vec<u64>,
     /// To tell them.
-    pub(super) told: Vec<u64>,
+    pub(super) neighbors: Vec<u64>,
 }
 
 impl Unread {
     pub(super) fn is_empty(&self) -> bool {
-        self.compared.is_empty() && self.told.is_empty()
+        self.compared.is_empty() && self.neighbors.is_empty()
     }
 }
 
 impl Payloads {
     /// Nothing is read yet.
-    pub(super) fn new(tells: bool) -> Self {
-        let told = || ReadAhead::new(true, |point| point.payload.clone());
+    pub(super) fn new(answers: bool) -> Self {
+        let neighbors = || ReadAhead::new(true, |point| point.payload.clone());
         Self {
             compared: ReadAhead::new(false, |point| Sha256::digest(&point.payload).into()),
-            told: tells.then(told),
+            neighbors: answers.then(neighbors),
         }
     }
 
@@ -57,7 +57,7 @@ impl Payloads {
 
     /// The payload of a neighbour; None if it has to be read.
     pub(super) fn of_neighbor(&self, id: u64) -> Option<&Bytes> {
-        self.told.as_ref()?.get(id)
+        self.neighbors.as_ref()?.get(id)
     }
 
     /// Reads payloads of `head`; of those that are told, until they take more than `most` bytes of an answer. Returns how
@@ -73,19 +73,19 @@ impl Payloads {
         let compared = &unread.compared;
         let compared = self.compared.read(call, DOING, hosted, head, compared);
         compared.await?;
-        let Some(told) = &mut self.told else {
+        let Some(neighbors) = &mut self.neighbors else {
             return Ok(0);
         };
-        told.begin_at(head);
-        unread.told.sort_unstable();
-        unread.told.dedup();
+        neighbors.begin_at(head);
+        unread.neighbors.sort_unstable();
+        unread.neighbors.dedup();
         let mut bytes = 0;
-        for ids in unread.told.chunks(BATCH) {
+        for ids in unread.neighbors.chunks(BATCH) {
             if bytes > most {
                 break;
             }
-            told.read(call, DOING, hosted, head, ids).await?;
-            let payloads = ids.iter().filter_map(|id| told.get(*id));
+            neighbors.read(call, DOING, hosted, head, ids).await?;
+            let payloads = ids.iter().filter_map(|id| neighbors.get(*id));
             bytes += payloads.map(payload_bytes).sum::<usize>();
         }
         Ok(bytes)
@@ -94,8 +94,8 @@ impl Payloads {
     /// Brings what was read up to the writer's head, or forgets it.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) {
         self.compared.catch_up(hosted, writer);
-        if let Some(told) = &mut self.told {
-            told.catch_up(hosted, writer);
+        if let Some(neighbors) = &mut self.neighbors {
+            neighbors.catch_up(hosted, writer);
         }
     }
 }

@@ -3,7 +3,8 @@
 use wayfold_proto::v1;
 
 use super::{
-    Call, Error, Service, check::Violations, neighbor_spec::NeighborSpec, neighbors::Asked,
+    Call, Error, Service, check::Violations, neighbor_spec::NeighborSpec,
+    neighbors::NeighborRequest,
 };
 
 impl Service {
@@ -28,7 +29,7 @@ impl Service {
             self.limits(),
             &mut violations,
         )?;
-        let asked = Asked {
+        let asked = NeighborRequest {
             states: request.states,
             epsilon: request.epsilon,
             filter: request.filter,

@@ -4,9 +4,9 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    at::revision,
     check::{self, Violations},
     mutation::{Begun, Claim},
+    read_view::revision,
 };
 use crate::log::Effects;
 

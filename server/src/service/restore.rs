@@ -9,8 +9,8 @@ use wayfold_proto::{
 
 use super::{
     Call, Error, Service,
-    at::failed,
     check::Violations,
+    error_map::registry_error,
     indexes::{check_name, describe},
 };
 use crate::{
@@ -197,7 +197,7 @@ fn not_restored(name: &str, error: RegistryError) -> Error {
             asked: limit as u64 + 1,
             advice: "delete an index first",
         },
-        error => failed(name, error),
+        error => registry_error(name, error),
     }
 }
 

@@ -7,10 +7,10 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{PointColumns, Seen},
-    at::{revision, revision_number},
+    answer::{PointColumns, ReadView},
     check::{self, Violations},
-    pin::Pin,
+    read_view::{revision, revision_number},
+    revision_pin::RevisionPin,
     stored::BATCH,
 };
 use crate::registry::{Hosted, Published};
@@ -27,7 +27,7 @@ const DOING: &str = "while scanning";
 pub struct Scan {
     call: Call,
     hosted: Arc<Hosted>,
-    pin: Pin,
+    pin: RevisionPin,
     part_bytes: usize,
     filter: Filter,
     include: Option<v1::Include>,
@@ -52,7 +52,7 @@ impl Service {
         Ok(Scan {
             call: *call,
             hosted,
-            pin: Pin::new(published, limits.scan_seconds),
+            pin: RevisionPin::new(published, limits.scan_seconds),
             part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
             filter,
             include: request.include,
@@ -79,7 +79,7 @@ impl Scan {
 
     async fn part(&mut self) -> Result<v1::ScanResponse, Error> {
         let published = self.still_held()?;
-        let seen = Seen {
+        let view = ReadView {
             call: &self.call,
             doing: DOING,
             index: self.hosted.name(),
@@ -113,7 +113,7 @@ impl Scan {
                 true => {
                     let ids = batch.iter().map(|point| point.id).collect();
                     let most = self.part_bytes.saturating_sub(points.bytes());
-                    let payloads = seen.payloads(ids, most).await?;
+                    let payloads = view.payloads(ids, most).await?;
                     self.still_held()?;
                     payloads
                 }
@@ -130,16 +130,16 @@ impl Scan {
             if batch.peek().is_some() {
                 // They are the first of the next part.
                 self.after = after;
-                return Ok(self.told(points, &published));
+                return Ok(self.message(points, &published));
             }
             after = passed_to;
         }
         self.done = rest.peek().is_none();
         self.after = after;
-        Ok(self.told(points, &published))
+        Ok(self.message(points, &published))
     }
 
-    fn told(&self, points: PointColumns, published: &Published) -> v1::ScanResponse {
+    fn message(&self, points: PointColumns, published: &Published) -> v1::ScanResponse {
         v1::ScanResponse {
             points: Some(points.finish()),
             revision: Some(revision(&self.hosted, published.revision)),

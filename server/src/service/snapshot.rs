@@ -7,7 +7,10 @@ use wayfold_proto::{
     v1,
 };
 
-use super::{Call, Error, Service, at::revision_number, check::Violations, pin::Pin, stored};
+use super::{
+    Call, Error, Service, check::Violations, read_view::revision_number, revision_pin::RevisionPin,
+    stored,
+};
 use crate::{
     log::{LogError, StoredPoint, View},
     registry::{Hosted, Published},
@@ -23,7 +26,7 @@ const PAGE: usize = 128;
 pub struct Snapshot {
     call: Call,
     hosted: Arc<Hosted>,
-    pin: Pin,
+    pin: RevisionPin,
     part_bytes: usize,
     writer: Writer,
     after: Option<u64>,
@@ -57,7 +60,7 @@ impl Service {
         Ok(Snapshot {
             call: *call,
             hosted,
-            pin: Pin::new(published, limits.scan_seconds),
+            pin: RevisionPin::new(published, limits.scan_seconds),
             part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
             writer: Writer::new(),
             after: None,

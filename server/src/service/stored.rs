@@ -5,7 +5,7 @@ use std::{collections::HashMap, sync::Arc};
 
 use tokio_util::task::AbortOnDropHandle;
 
-use super::{Call, Error, at::log_failed};
+use super::{Call, Error, error_map::log_error};
 use crate::{
     log::{LogError, StoredPoint, View},
     registry::{Hosted, Published, Writer},
@@ -26,7 +26,7 @@ pub(super) async fn read<T: Send + 'static>(
     let view = Arc::clone(view);
     let reading = tokio::task::spawn_blocking(move || read(&*view));
     match call.bound(doing, AbortOnDropHandle::new(reading)).await? {
-        Ok(read) => read.map_err(|error| log_failed(index, error)),
+        Ok(read) => read.map_err(|error| log_error(index, error)),
         // A read that is awaited fails to come back only if it panicked.
         Err(_) => Err(Error::Internal {
             what: format!("index \"{index}\": reading stored points did not come to its end"),

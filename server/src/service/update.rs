@@ -8,10 +8,10 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
-    at::{revision, revision_number},
     call::Pace,
     check::{self, Violations},
     mutation::{Begun, Claim},
+    read_view::{revision, revision_number},
     stored::ReadAhead,
 };
 use crate::{

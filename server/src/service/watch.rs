@@ -5,10 +5,8 @@ use std::{collections::VecDeque, sync::Arc};
 use wayfold_proto::v1;
 
 use super::{
-    Call, Error, Service,
-    answer::PointColumns,
-    at::{failed, revision},
-    check::Violations,
+    Call, Error, Service, answer::PointColumns, check::Violations, error_map::registry_error,
+    read_view::revision,
 };
 use crate::{
     log::{LogError, Record},
@@ -142,7 +140,7 @@ impl Watch {
                 Err(RegistryError::Log(LogError::Trimmed { .. })) => {
                     return Ok(self.reset(v1::ResetReason::WindowPassed));
                 }
-                Err(error) => return Err(failed(self.hosted.name(), error)),
+                Err(error) => return Err(registry_error(self.hosted.name(), error)),
             }
         }
         let mut message = self.message(self.hosted.published().revision);
@@ -174,7 +172,7 @@ impl Watch {
             () = self.service.stopping() => return self.service.accept(&self.call),
             reached = reached => reached?,
         };
-        reached.map_err(|error| failed(self.hosted.name(), error))?;
+        reached.map_err(|error| registry_error(self.hosted.name(), error))?;
         Ok(())
     }
 }

@@ -13,19 +13,19 @@ use wayfold_proto::v1;
 pub(super) type Replies = Vec<(KeyExpr<'static>, Vec<u8>)>;
 
 /// A query, and what there is to tell.
-pub(super) struct Answered {
+pub(super) struct Response {
     pub(super) query: Query,
     pub(super) form: Form,
-    pub(super) told: Result<Replies, Status>,
+    pub(super) result: Result<Replies, Status>,
     /// None if there was no room for it.
     pub(super) place: Option<OwnedSemaphorePermit>,
     pub(super) under_way: TaskTrackerToken,
 }
 
-impl Answered {
+impl Response {
     /// How large what is told is.
     pub(super) fn bytes(&self) -> usize {
-        let replies = self.told.iter().flatten();
+        let replies = self.result.iter().flatten();
         replies.map(|(_, payload)| payload.len()).sum()
     }
 
@@ -34,11 +34,11 @@ impl Answered {
         let Self {
             query,
             form,
-            told,
+            result,
             place,
             under_way,
         } = self;
-        match told {
+        match result {
             Ok(replies) => {
                 for (key, payload) in replies {
                     reply(&query, key, form, payload);

@@ -17,7 +17,7 @@ use zenoh::{
 };
 
 use super::{codec::Form, message::Named};
-use crate::service::{Call, Code, Error, Served, Service, Unavailability};
+use crate::service::{Call, CatalogWatch, Code, Error, Service, Unavailability};
 
 /// How long to leave an index alone of which the log could not be read.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(1);
@@ -56,7 +56,7 @@ struct Interest {
 impl Announcer {
     /// Announces what is served. Ends only if it fails.
     pub(super) async fn run(self) {
-        let failed = match self.service.served() {
+        let failed = match self.service.watch_catalog() {
             Ok(served) => self.announce(served).await,
             Err(error) => Err(error.to_string()),
         };
@@ -65,7 +65,7 @@ impl Announcer {
         }
     }
 
-    async fn announce(&self, mut served: Served) -> Result<(), String> {
+    async fn announce(&self, mut served: CatalogWatch) -> Result<(), String> {
         let [protobuf, json] = FEEDS.map(|(_, name)| self.interest(name));
         let (mut protobuf, mut json) = (protobuf.await?, json.await?);
         let mut indices = BTreeMap::new();

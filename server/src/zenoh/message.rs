@@ -12,13 +12,13 @@ pub(super) trait Named: Message + Default {
 }
 
 /// A request that the key addresses.
-pub(super) trait Request: Named + observe::Request {
+pub(super) trait IndexRequest: Named + observe::Request {
     /// Where it names the index.
     fn index_mut(&mut self) -> &mut String;
 }
 
 /// A request for neighbours.
-pub(super) trait SearchRequest: Request {
+pub(super) trait SearchRequest: IndexRequest {
     /// What is to be told of each neighbour.
     fn include(&self) -> Option<v1::Include>;
 }
@@ -46,7 +46,7 @@ macro_rules! named {
 macro_rules! requests {
     ($($message:ident),* $(,)?) => {
         named!($($message),*);
-        $(impl Request for v1::$message {
+        $(impl IndexRequest for v1::$message {
             fn index_mut(&mut self) -> &mut String {
                 &mut self.index
             }

@@ -1,23 +1,23 @@
-//! The Zenoh face: translates queries to calls of the service and back, publishes what `Watch` tells, and holds no policy
-//! of its own.
+//! The Zenoh face: translates queries to calls of the service and back, publishes mutations as `Watch` reports them, and
+//! holds no policy of its own.
 //!
-//! Under the prefix, `wayfold/v1` unless set: `<index>/<verb>` and `<verb>` are asked (`verb`), with the selector's
-//! parameters and a payload (`asked`) in Protocol Buffers or JSON (`codec`), and answered once each (`queries`, `here`,
-//! `perform`, `answer`); a query with a wildcard reaches only what tells of the indices (`wild`). `<index>/events` and
-//! `<index>/@alive` are announced (`feed`).
+//! `<prefix>/<index>/<verb>` and `<prefix>/<verb>` (`verb`) take queries; the prefix is `wayfold/v1` unless set. A query
+//! (`request`) has a selector with parameters and a payload in Protocol Buffers or JSON (`codec`), and gets one reply
+//! (`queries`, `inline`, `dispatch`, `answer`). A query with a wildcard (`wildcard`) reaches only descriptions of indices.
+//! `feed` announces `<index>/events` and `<index>/@alive`.
 
 mod answer;
-mod asked;
 mod codec;
+mod dispatch;
 mod feed;
-mod here;
+mod inline;
 mod message;
-mod others;
-mod perform;
+mod peers;
 mod queries;
+mod request;
 mod session;
 mod verb;
-mod wild;
+mod wildcard;
 
 use std::{sync::Arc, time::Duration};
 
@@ -33,8 +33,8 @@ pub use session::ZenohError;
 
 use crate::{admission::Admission, config::ZenohConfig, service::Service};
 use feed::Announcer;
-use here::Here;
-use others::Alone;
+use inline::Inline;
+use peers::ServerWatch;
 use queries::Queries;
 
 /// How long links stay open after the last answer. Zenoh closes a link there and then; a peer that has not read its answer
@@ -55,7 +55,7 @@ pub(crate) struct ZenohFace {
     queryable: Queryable<()>,
     queries: Arc<Queries>,
     announcing: Option<AbortOnDropHandle<()>>,
-    _alone: Alone,
+    _servers: ServerWatch,
     _links: Option<AbortOnDropHandle<()>>,
 }
 
@@ -78,7 +78,7 @@ impl ZenohFace {
             refused: Admission::new(REFUSALS),
             max_message_bytes: config.max_message_bytes,
             stopping: CancellationToken::new(),
-            here: Arc::new(Here::new(Handle::current())),
+            inline: Arc::new(Inline::new(Handle::current())),
             under_way: TaskTracker::new(),
         });
         let taking = Arc::clone(&queries);
@@ -87,17 +87,17 @@ impl ZenohFace {
             .callback(move |query| taking.take(query))
             .await
             .map_err(ZenohError::declare)?;
-        let alone = Alone::watch(&session, &config.prefix).await?;
+        let servers = ServerWatch::watch(&session, &config.prefix).await?;
         let links = connects_to.map(|endpoints| {
-            let telling = others::tell_links(session.clone(), endpoints);
-            AbortOnDropHandle::new(tokio::spawn(telling))
+            let reporting = peers::report_links(session.clone(), endpoints);
+            AbortOnDropHandle::new(tokio::spawn(reporting))
         });
         let face = Self {
             session,
             queryable,
             queries,
             announcing: None,
-            _alone: alone,
+            _servers: servers,
             _links: links,
         };
         face.warn_beyond_this_machine().await;

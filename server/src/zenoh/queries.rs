@@ -12,13 +12,13 @@ use tracing::Instrument;
 use zenoh::{bytes::ZBytes, key_expr::keyexpr, query::Query};
 
 use super::{
-    answer::{Answered, Replies},
-    asked::Asked,
+    answer::{Replies, Response},
     codec::Form,
-    here::{self, Here},
-    perform::perform,
+    dispatch::dispatch,
+    inline::{self, Inline},
+    request::Request,
     verb::Target,
-    wild,
+    wildcard,
 };
 use crate::{
     admission::Admission,
@@ -40,7 +40,7 @@ pub(super) struct Queries {
     pub(super) max_message_bytes: usize,
     /// Set once the server stops: from then on every query is refused, and takes no place.
     pub(super) stopping: CancellationToken,
-    pub(super) here: Arc<Here>,
+    pub(super) inline: Arc<Inline>,
     /// The queries under way.
     pub(super) under_way: TaskTracker,
 }
@@ -82,9 +82,9 @@ impl Queries {
             under_way,
         });
         if may_be_brief {
-            self.here.answer(answering.boxed());
+            self.inline.answer(answering.boxed());
         } else {
-            self.here.answer_elsewhere(answering.boxed());
+            self.inline.answer_elsewhere(answering.boxed());
         }
     }
 
@@ -100,16 +100,16 @@ impl Queries {
         if let Some(payload) = query.payload_mut() {
             *payload = ZBytes::new();
         }
-        let refused = Answered {
+        let refused = Response {
             query,
             form: form.unwrap_or(Form::Json),
-            told: Err(status),
+            result: Err(status),
             place: None,
             under_way,
         };
         let room = self.refused.take();
         if room.is_some() {
-            self.here.send(vec![Answered {
+            self.inline.send(vec![Response {
                 place: room,
                 ..refused
             }]);
@@ -123,10 +123,10 @@ impl Queries {
     fn may_be_brief(&self, query: &Query) -> bool {
         let bytes = query.payload().map_or(0, |payload| payload.len());
         let target = Target::of(&self.prefix, query.key_expr());
-        bytes <= here::MAX_BYTES && target.is_ok_and(|target| target.verb.is_search())
+        bytes <= inline::MAX_BYTES && target.is_ok_and(|target| target.verb.is_search())
     }
 
-    async fn answer(self: Arc<Self>, accepted: Accepted) -> Answered {
+    async fn answer(self: Arc<Self>, accepted: Accepted) -> Response {
         let Accepted {
             query,
             form,
@@ -142,21 +142,21 @@ impl Queries {
         };
         let mut record = CallRecord::begin(format!("Zenoh/{rpc}"), arrived);
         let span = record.span().clone();
-        let asked = AssertUnwindSafe(self.ask(&query, form, target, arrived)).catch_unwind();
-        let told = match asked.instrument(span).await {
+        let answering = AssertUnwindSafe(self.ask(&query, form, target, arrived)).catch_unwind();
+        let result = match answering.instrument(span).await {
             Ok(answer) => answer,
             Err(_panic) => Err(status::from_error(&Error::Internal {
                 what: format!("Zenoh/{rpc} panicked"),
             })),
         };
-        record.end(match &told {
+        record.end(match &result {
             Ok(_) => Ending::Ok,
             Err(status) => Ending::Failed(status.code),
         });
-        Answered {
+        Response {
             query,
             form: answer_in,
-            told,
+            result,
             place: Some(place),
             under_way,
         }
@@ -173,11 +173,11 @@ impl Queries {
         if bytes > self.max_message_bytes {
             return Err(self.too_large(bytes));
         }
-        let told = self.told(query, form, target, arrived).await;
-        told.map_err(|error| status::from_error(&error))
+        let replies = self.replies(query, form, target, arrived).await;
+        replies.map_err(|error| status::from_error(&error))
     }
 
-    async fn told(
+    async fn replies(
         &self,
         query: &Query,
         form: Result<Form, Error>,
@@ -187,16 +187,16 @@ impl Queries {
         let form = form?;
         let key: &keyexpr = query.key_expr();
         let index = target.as_ref().map_or("", |target| target.index);
-        let (asked, call) = Asked::of(query, form, index, arrived)?;
+        let (request, call) = Request::of(query, form, index, arrived)?;
         let answered = async {
             if key.is_wild() {
-                let told = wild::answer(&self.service, &call, &self.prefix, key, form);
-                return Box::pin(told).await;
+                let replies = wildcard::answer(&self.service, &call, &self.prefix, key, form);
+                return Box::pin(replies).await;
             }
             let verb = target?.verb;
-            asked.check(verb)?;
+            request.check(verb)?;
             let limit = self.max_message_bytes;
-            let payload = perform(&self.service, &call, verb, &asked, limit).await?;
+            let payload = dispatch(&self.service, &call, verb, &request, limit).await?;
             Ok(vec![(query.key_expr().clone().into_owned(), payload)])
         };
         let Some(deadline) = call.deadline else {

@@ -116,17 +116,17 @@ fn check_listen(listen: &str) -> Result<(), ZenohError> {
 
 /// Zenoh's errors tell where in its source they arose: " at /…/orchestrator.rs:447.".
 fn without_places(problem: &str) -> String {
-    let mut told = String::new();
+    let mut cleaned = String::new();
     let mut rest = problem;
     while let Some(at) = rest.find(" at /") {
         let place = &rest[at..];
         let Some(line) = place.find(".rs:") else {
             break;
         };
-        told.push_str(&rest[..at]);
+        cleaned.push_str(&rest[..at]);
         rest = place[line + 4..].trim_start_matches(|c: char| c.is_ascii_digit() || c == '.');
     }
-    told + rest
+    cleaned + rest
 }
 
 /// The settings of this face, and over them `zenoh.config`, whatever Zenoh has to set.
@@ -226,8 +226,8 @@ mod tests {
     #[test]
     fn errors_do_not_tell_where_in_a_source_they_arose() {
         let problem = "Unable to open: tcp/1:2 at /a/b.rs:12. - Caused by - no at /c d.rs:3.";
-        let told = without_places(problem);
-        assert_eq!(told, "Unable to open: tcp/1:2 - Caused by - no");
+        let cleaned = without_places(problem);
+        assert_eq!(cleaned, "Unable to open: tcp/1:2 - Caused by - no");
         assert_eq!(without_places("no at /x"), "no at /x");
     }
 

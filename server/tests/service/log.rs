@@ -133,7 +133,7 @@ async fn a_mutation_that_no_answer_holds_is_refused_and_not_cut() {
 #[tokio::test]
 async fn whoever_follows_which_indices_are_served_is_told_of_each_change() {
     let service = service();
-    let mut served = service.served().unwrap();
+    let mut served = service.watch_catalog().unwrap();
     assert!(served.changed().await.unwrap().is_empty());
     let uid = create(&service, "arm", "R1").await;
     let now = served.changed().await.unwrap();

@@ -15,8 +15,8 @@ use std::{
 use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
 
 use super::{
-    Call, Error, Service, at::revision_number, check::Violations, indexes::describe, pin::Pin,
-    stored,
+    Call, Error, Service, check::Violations, indexes::describe, read_view::revision_number,
+    revision_pin::RevisionPin, stored,
 };
 use crate::{
     log::{StoredPoint, View},
@@ -40,7 +40,7 @@ const DOING: &str = "while verifying";
 pub struct Verification {
     call: Call,
     hosted: Arc<Hosted>,
-    pin: Pin,
+    pin: RevisionPin,
     queries: usize,
     k: usize,
     disagreements: Disagreements,
@@ -66,13 +66,13 @@ impl Service {
         let mut violations = Violations::default();
         let min = request.min_revision.as_ref();
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
-        let mut within = |field, asked: Option<u32>, default, least, most| {
-            let asked = asked.unwrap_or(default);
-            if !(least..=most).contains(&asked) {
-                let text = format!("{asked}; it is from {least} to {most}");
+        let mut within = |field, requested: Option<u32>, default, least, most| {
+            let requested = requested.unwrap_or(default);
+            if !(least..=most).contains(&requested) {
+                let text = format!("{requested}; it is from {least} to {most}");
                 violations.add(field, "OUT_OF_RANGE", text);
             }
-            asked as usize
+            requested as usize
         };
         let queries = within("query_count", request.query_count, 32, 0, 1000);
         let k = within("k", request.k, 10, 1, 100);
@@ -83,7 +83,7 @@ impl Service {
         Ok(Verification {
             call: *call,
             hosted,
-            pin: Pin::new(published, self.limits().scan_seconds),
+            pin: RevisionPin::new(published, self.limits().scan_seconds),
             queries,
             k,
             disagreements: Disagreements::default(),
@@ -157,7 +157,7 @@ impl Verification {
     }
 }
 
-fn held(pin: &Pin) -> Result<Arc<Published>, Error> {
+fn held(pin: &RevisionPin) -> Result<Arc<Published>, Error> {
     pin.get().ok_or(Error::HeldTooLong {
         what: "verification",
         scan_seconds: pin.seconds(),
@@ -169,7 +169,7 @@ struct Pass<'a> {
     call: &'a Call,
     index: &'a str,
     published: &'a Published,
-    pin: &'a Pin,
+    pin: &'a RevisionPin,
     /// When to say how far it is.
     until: Instant,
 }

@@ -63,11 +63,11 @@ impl Sampler {
     }
 
     /// A canonical state, beside another or anywhere.
-    fn state(&mut self, beside: Option<&[f64]>) -> Option<Vec<f64>> {
+    fn state(&mut self, center: Option<&[f64]>) -> Option<Vec<f64>> {
         let mut state: Vec<f64> = Vec::with_capacity(self.bounds.len());
         for (at, &(low, high)) in self.bounds.iter().enumerate() {
             let share: f64 = self.random.random();
-            state.push(match beside.and_then(|beside| beside.get(at)) {
+            state.push(match center.and_then(|center| center.get(at)) {
                 Some(coordinate) => coordinate + (share - 0.5) * BESIDE * (high - low),
                 None => low + share * (high - low),
             });

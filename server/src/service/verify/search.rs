@@ -98,10 +98,10 @@ impl Searches {
                 .brute_force
                 .iter()
                 .filter(|neighbor| neighbor.distance <= query.radius);
-            let asked = || format!("the {} nearest of {:?}", self.k, query.state);
-            compare(&query.nearest, nearest, asked, disagreements);
-            let asked = || format!("those within {:?} of {:?}", query.radius, query.state);
-            compare(&query.within, within, asked, disagreements);
+            let question = || format!("the {} nearest of {:?}", self.k, query.state);
+            compare(&query.nearest, nearest, question, disagreements);
+            let question = || format!("those within {:?} of {:?}", query.radius, query.state);
+            compare(&query.within, within, question, disagreements);
         }
     }
 }
@@ -153,17 +153,17 @@ impl Query {
 fn compare<'a>(
     answer: &[Neighbor],
     brute_force: impl Iterator<Item = &'a Neighbor>,
-    asked: impl Fn() -> String,
+    question: impl Fn() -> String,
     disagreements: &mut Disagreements,
 ) {
     let (mut found, mut expected) = (answer.iter(), brute_force);
     loop {
         let (one, other) = (found.next(), expected.next());
         if one != other {
-            let asked = asked();
-            let (one, other) = (told(one), told(other));
+            let question = question();
+            let (one, other) = (describe(one), describe(other));
             disagreements
-                .add(|| format!("{asked}: the answer has {one}, where brute force has {other}"));
+                .add(|| format!("{question}: the answer has {one}, where brute force has {other}"));
         }
         if one != other || one.is_none() {
             return;
@@ -171,7 +171,7 @@ fn compare<'a>(
     }
 }
 
-fn told(neighbor: Option<&Neighbor>) -> String {
+fn describe(neighbor: Option<&Neighbor>) -> String {
     match neighbor {
         Some(Neighbor { id, distance }) => format!("id {id} at {distance:?}"),
         None => "no more".into(),

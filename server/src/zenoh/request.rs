@@ -9,7 +9,7 @@ use zenoh::query::Query;
 
 use super::{
     codec::{Form, invalid},
-    message::{Named, Request},
+    message::{IndexRequest, Named},
     verb::Verb,
 };
 use crate::{
@@ -24,7 +24,7 @@ const TIMEOUT: &str = "timeout_ms";
 const BYTES_IN_PLACE: usize = 64 * 1024;
 
 /// A query, taken apart.
-pub(super) struct Asked<'a> {
+pub(super) struct Request<'a> {
     /// In which form it is asked, and so answered.
     pub(super) form: Form,
     /// The index that the key names.
@@ -33,7 +33,7 @@ pub(super) struct Asked<'a> {
     payload: Cow<'a, [u8]>,
 }
 
-impl<'a> Asked<'a> {
+impl<'a> Request<'a> {
     /// Takes apart a query that arrived at `arrived`, and is about `index`.
     pub(super) fn of(
         query: &'a Query,
@@ -57,14 +57,14 @@ impl<'a> Asked<'a> {
             }
         }
         let payload = query.payload().map(|payload| payload.to_bytes());
-        let asked = Self {
+        let request = Self {
             form,
             index,
             parameters,
             payload: payload.unwrap_or_default(),
         };
         let deadline = deadline.flatten();
-        Ok((asked, Call { deadline }))
+        Ok((request, Call { deadline }))
     }
 
     /// Refuses a mutation without a payload.
@@ -77,8 +77,8 @@ impl<'a> Asked<'a> {
     }
 
     /// The request, about the index that the key names.
-    pub(super) fn request<R: Request>(&self) -> Result<R, Error> {
-        let mut request: R = self.of_server()?;
+    pub(super) fn decode_for_index<R: IndexRequest>(&self) -> Result<R, Error> {
+        let mut request: R = self.decode()?;
         let index = request.index_mut();
         if index.is_empty() {
             index.push_str(self.index);
@@ -91,14 +91,14 @@ impl<'a> Asked<'a> {
     }
 
     /// The request where the key names no index.
-    pub(super) fn of_server<R: Named>(&self) -> Result<R, Error> {
+    pub(super) fn decode<R: Named>(&self) -> Result<R, Error> {
         let read = || self.form.read(R::NAME, &self.payload, &self.parameters);
         let parameters = self.parameters.iter().map(|(_, value)| value.len());
         at_length(self.payload.len() + parameters.sum::<usize>(), read)
     }
 
     /// An answer as it is sent.
-    pub(super) fn answer<M: Named>(&self, answer: &M) -> Result<Vec<u8>, Error> {
+    pub(super) fn encode<M: Named>(&self, answer: &M) -> Result<Vec<u8>, Error> {
         let write = || self.form.write(M::NAME, answer);
         at_length(answer.encoded_len(), write)
     }

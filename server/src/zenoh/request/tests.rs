@@ -11,7 +11,7 @@ use crate::{
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
     service::{Code, Limits, Service},
-    zenoh::{perform::perform, verb::Target},
+    zenoh::{dispatch::dispatch, verb::Target},
 };
 
 #[path = "../../../tests/extremes/mod.rs"]
@@ -62,25 +62,25 @@ async fn two_points() -> (Service, String) {
     (service, created.index.unwrap().revision.unwrap().uid)
 }
 
-async fn assert_answered(service: &Service, key: &str, asked: &Asked<'_>) {
+async fn assert_answered(service: &Service, key: &str, request: &Request<'_>) {
     let key = format!("wayfold/v1/{key}");
     let target = Target::of("wayfold/v1", key.as_str().try_into().unwrap()).unwrap();
     let call = Call {
         deadline: Some(Instant::now() + Duration::from_secs(3600)),
     };
     // What waits ends at once: the time is that of the test.
-    if let Err(error) = perform(service, &call, target.verb, asked, 1 << 20).await {
+    if let Err(error) = dispatch(service, &call, target.verb, request, 1 << 20).await {
         let is_bug = matches!(error.code(), Code::Internal | Code::DataLoss);
-        assert!(!is_bug, "{key} {:?}: {error}", asked.parameters);
+        assert!(!is_bug, "{key} {:?}: {error}", request.parameters);
     }
 }
 
-fn asked_in<'a>(form: Form, key: &'a str, message: &DynamicMessage) -> Asked<'a> {
+fn request_in<'a>(form: Form, key: &'a str, message: &DynamicMessage) -> Request<'a> {
     let payload = match form {
         Form::Protobuf => message.encode_to_vec(),
         Form::Json => form.write(message.descriptor().name(), message).unwrap(),
     };
-    Asked {
+    Request {
         form,
         index: key.split_once('/').map_or("", |(index, _)| index),
         parameters: Vec::new(),
@@ -114,25 +114,25 @@ async fn every_verb_answers_or_refuses_whatever_integers_it_is_asked_with() {
         let good: Vec<_> = requests.iter().filter(of_verb).collect();
         assert!(!good.is_empty(), "{key}");
         for form in [Form::Protobuf, Form::Json] {
-            for request in &good {
-                for (what, mut variant) in variants(request) {
+            for good in &good {
+                for (what, mut variant) in variants(good) {
                     println!("{what}, {form:?}");
                     if form == Form::Json {
                         count_rows(&mut variant);
                     }
-                    let asked = asked_in(form, key, &variant);
-                    assert_answered(&service, key, &asked).await;
+                    let request = request_in(form, key, &variant);
+                    assert_answered(&service, key, &request).await;
                 }
-                for parameter in parameters(request) {
+                for parameter in parameters(good) {
                     for text in EXTREMES
                         .map(|integer| integer.to_string())
                         .iter()
                         .map(|it| &**it)
                         .chain(["-1", "18446744073709551616", "1e30", "0x10", ""])
                     {
-                        let mut asked = asked_in(form, key, request);
-                        asked.parameters.push((&parameter, text));
-                        assert_answered(&service, key, &asked).await;
+                        let mut request = request_in(form, key, good);
+                        request.parameters.push((&parameter, text));
+                        assert_answered(&service, key, &request).await;
                     }
                 }
             }

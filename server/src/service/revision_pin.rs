@@ -8,7 +8,7 @@ use tokio::{sync::oneshot, time::Instant};
 use crate::registry::Published;
 
 /// A pinned revision. A drop releases it, and so does the end of its time, even if no reader comes back.
-pub(super) struct Pin {
+pub(super) struct RevisionPin {
     held: Arc<Mutex<Option<Arc<Published>>>>,
     seconds: u64,
     /// The end of its time, which a reader must see before the watch has run. None lies beyond what the clock can tell.
@@ -17,7 +17,7 @@ pub(super) struct Pin {
     _watch: oneshot::Sender<()>,
 }
 
-impl Pin {
+impl RevisionPin {
     /// Holds `published` for `seconds`.
     pub(super) fn new(published: Arc<Published>, seconds: u64) -> Self {
         let held = Arc::new(Mutex::new(Some(published)));

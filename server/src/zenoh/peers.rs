@@ -13,12 +13,12 @@ const LOOK: Duration = Duration::from_secs(2);
 
 /// A server makes itself known to others that answer under the same prefix, and hears of them. Two that share routers and a
 /// prefix both take what is asked: mutations are applied twice, and answers come from either. Each says so in its log.
-pub(super) struct Alone {
+pub(super) struct ServerWatch {
     _token: LivelinessToken,
     _others: Subscriber<()>,
 }
 
-impl Alone {
+impl ServerWatch {
     /// Warns of every other server, until it is dropped.
     pub(super) async fn watch(session: &Session, prefix: &str) -> Result<Self, ZenohError> {
         let own = session.zid().to_string();
@@ -54,9 +54,9 @@ impl Alone {
 }
 
 /// Tells if none of the `endpoints` is reached at once, and when one is. Zenoh itself tries on without a word.
-pub(super) async fn tell_links(session: Session, endpoints: String) {
+pub(super) async fn report_links(session: Session, endpoints: String) {
     let mut looks = interval_at(Instant::now() + LOOK, LOOK);
-    let mut told = false;
+    let mut warned = false;
     loop {
         looks.tick().await;
         if session.info().transports().await.next().is_some() {
@@ -65,15 +65,15 @@ pub(super) async fn tell_links(session: Session, endpoints: String) {
         if session.is_closed() {
             return;
         }
-        if !told {
+        if !warned {
             warn!(
                 endpoints,
                 "no Zenoh router or peer is reached yet, which is tried on: see connect in zenoh.config"
             );
-            told = true;
+            warned = true;
         }
     }
-    if told {
+    if warned {
         info!(endpoints, "a Zenoh router or peer is reached");
     }
 }

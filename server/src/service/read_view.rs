@@ -4,17 +4,14 @@ use std::sync::Arc;
 
 use wayfold_proto::v1;
 
-use super::{Call, Error, Service, check::Violations};
-use crate::{
-    log::LogError,
-    registry::{Hosted, Published, RegistryError},
-};
+use super::{Call, Error, Service, check::Violations, error_map::registry_error};
+use crate::registry::{Hosted, Published};
 
 impl Service {
     /// The index of this name, which must have `uid` unless that is empty.
     pub(super) fn index(&self, name: &str, uid: &str) -> Result<Arc<Hosted>, Error> {
         let hosted = self.registry()?.get(name);
-        let hosted = hosted.map_err(|error| failed(name, error))?;
+        let hosted = hosted.map_err(|error| registry_error(name, error))?;
         check_uid(&hosted, uid)?;
         Ok(hosted)
     }
@@ -39,7 +36,7 @@ impl Service {
                 .await
                 .map_err(|_| Error::DeadlineExceeded { doing: WAITING })?,
         };
-        reached.map_err(|error| failed(hosted.name(), error))
+        reached.map_err(|error| registry_error(hosted.name(), error))
     }
 }
 
@@ -80,56 +77,4 @@ fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
         asked: uid.into(),
         found: hosted.uid_text().into(),
     })
-}
-
-/// What a failure of the registry means to a caller.
-pub(super) fn failed(index: &str, error: RegistryError) -> Error {
-    let what = format!("index \"{index}\": {error}");
-    match error {
-        RegistryError::Deleted => Error::IndexNotFound { name: index.into() },
-        RegistryError::Log(error) => log_failed(index, error),
-        RegistryError::Exists { .. }
-        | RegistryError::Taken
-        | RegistryError::OtherUid { .. }
-        | RegistryError::Full { .. }
-        | RegistryError::Stopped => Error::Internal { what },
-    }
-}
-
-/// What a failure of the log means to a caller.
-pub(super) fn log_failed(index: &str, error: LogError) -> Error {
-    match error {
-        LogError::UnknownIndex { .. } => Error::IndexNotFound { name: index.into() },
-        error => {
-            let what = format!("index \"{index}\": {error}");
-            told(what, error)
-        }
-    }
-}
-
-/// As [`log_failed`], of no index in particular.
-pub(super) fn unlisted(error: RegistryError) -> Error {
-    let what = error.to_string();
-    match error {
-        RegistryError::Log(error) => told(what, error),
-        _ => Error::Internal { what },
-    }
-}
-
-fn told(what: String, error: LogError) -> Error {
-    match error {
-        LogError::Damaged { .. }
-        | LogError::DamagedPoint { .. }
-        | LogError::Lost { .. }
-        | LogError::Incomplete { .. }
-        | LogError::Unreadable { .. }
-        | LogError::Unopened { .. }
-        | LogError::Trimmed { .. } => Error::DataLoss { what },
-        LogError::Storage { .. } | LogError::Shut { .. } | LogError::Closed => {
-            Error::StorageFailed { what }
-        }
-        LogError::UnknownIndex { .. } | LogError::UidTaken { .. } | LogError::Fenced { .. } => {
-            Error::Internal { what }
-        }
-    }
 }

@@ -15,7 +15,7 @@ use futures_util::future::BoxFuture;
 use parking_lot::Mutex;
 use tokio::{runtime::Handle, task};
 
-use super::answer::Answered;
+use super::answer::Response;
 use crate::latency_gate::LatencyGate;
 
 /// As long as searches take less of late, they are not worth another thread.
@@ -29,10 +29,10 @@ pub(super) const MAX_BYTES: usize = 4096;
 const TOGETHER: usize = 16;
 
 /// A query on its way to its answer.
-pub(super) type Answering = BoxFuture<'static, Answered>;
+pub(super) type Answering = BoxFuture<'static, Response>;
 
 /// See the module.
-pub(super) struct Here {
+pub(super) struct Inline {
     /// Where is done what is not done here.
     runtime: Handle,
     brevity: LatencyGate,
@@ -42,7 +42,7 @@ pub(super) struct Here {
     sending: Mutex<()>,
 }
 
-impl Here {
+impl Inline {
     pub(super) fn new(runtime: Handle) -> Self {
         Self {
             runtime,
@@ -63,9 +63,9 @@ impl Here {
         of_link.push(answering);
         match of_link.len() {
             1 => {
-                let here = Arc::clone(self);
+                let inline = Arc::clone(self);
                 // On this thread, as soon as the task that reads the link waits for more.
-                task::spawn(async move { here.answer_waiting(reader) });
+                task::spawn(async move { inline.answer_waiting(reader) });
             }
             TOGETHER.. => {
                 drop(waiting);
@@ -93,7 +93,7 @@ impl Here {
     }
 
     /// Sends answers from this thread, one of Zenoh's, unless another of them is at it.
-    pub(super) fn send(&self, all: Vec<Answered>) {
+    pub(super) fn send(&self, all: Vec<Response>) {
         match self.sending.try_lock() {
             Some(_only_one) => send(all),
             None => self.send_elsewhere(all),
@@ -102,17 +102,17 @@ impl Here {
 
     /// Answers a query on another thread.
     pub(super) fn answer_elsewhere(self: &Arc<Self>, answering: Answering) {
-        let here = Arc::clone(self);
-        let answered = async move { here.send_elsewhere(vec![answering.await]) };
+        let inline = Arc::clone(self);
+        let answered = async move { inline.send_elsewhere(vec![answering.await]) };
         self.runtime.spawn(answered);
     }
 
     /// Sends answers from a thread that may wait for room on the caller's link.
-    fn send_elsewhere(&self, all: Vec<Answered>) {
+    fn send_elsewhere(&self, all: Vec<Response>) {
         self.runtime.spawn_blocking(|| send(all));
     }
 }
 
-fn send(all: Vec<Answered>) {
-    all.into_iter().for_each(Answered::send);
+fn send(all: Vec<Response>) {
+    all.into_iter().for_each(Response::send);
 }

@@ -10,22 +10,22 @@ use crate::registry::{Published, Writer};
 
 /// What rows have around them in one revision of the index, in what the rows' searches have in common: nothing is
 /// excluded, and the rows do not see each other.
-pub(super) struct Ahead {
+pub(super) struct Prefetch {
     revision: u64,
     /// What neighbours were searched for.
     neighbors: Option<Search<'static>>,
     /// One a row, as long as there was room for them.
-    rows: Vec<Around>,
+    rows: Vec<PrefetchedRow>,
 }
 
 /// What one row has around it.
-pub(super) struct Around {
+pub(super) struct PrefetchedRow {
     pub(super) neighbors: Vec<Neighbor>,
     /// The nearest, within the separation asked for.
     pub(super) nearest: Vec<Neighbor>,
 }
 
-impl Ahead {
+impl Prefetch {
     /// Searches for `rows` in `head`, until more than `most` neighbours are found.
     pub(super) async fn search(
         head: Arc<Published>,
@@ -40,7 +40,7 @@ impl Ahead {
             ..search
         };
         let (neighbors, nearest) = (neighbors.map(bounded), nearest.map(bounded));
-        let mut ahead = Self {
+        let mut prefetch = Self {
             revision: head.revision,
             neighbors,
             rows: Vec::new(),
@@ -56,15 +56,15 @@ impl Ahead {
                     None => Ok(Vec::new()),
                 }
             };
-            let around = Around {
+            let row_neighbors = PrefetchedRow {
                 neighbors: search(neighbors)?,
                 nearest: search(nearest)?,
             };
-            found += around.neighbors.len();
-            ahead.rows.push(around);
+            found += row_neighbors.neighbors.len();
+            prefetch.rows.push(row_neighbors);
             pace.step().await?;
         }
-        Ok(ahead)
+        Ok(prefetch)
     }
 
     /// Whether it is still so at the head of `writer`, but for points that were added since.
@@ -85,12 +85,12 @@ impl Ahead {
 
     /// The ids of the neighbours that were found.
     pub(super) fn neighbor_ids(&self) -> Vec<u64> {
-        let neighbors = self.rows.iter().flat_map(|around| &around.neighbors);
+        let neighbors = self.rows.iter().flat_map(|row| &row.neighbors);
         neighbors.map(|neighbor| neighbor.id).collect()
     }
 
     /// What the row has around it, if it was searched for.
-    pub(super) fn row(&self, at: usize) -> Option<&Around> {
+    pub(super) fn row(&self, at: usize) -> Option<&PrefetchedRow> {
         self.rows.get(at)
     }
 }

@@ -16,17 +16,17 @@ use crate::{
 /// How many indices are described at a time.
 const PAGE: u32 = 1000;
 
-/// The answers to a query for `asked`, which has a wildcard.
+/// The answers to a query for `key_expr`, which has a wildcard.
 pub(super) async fn answer(
     service: &Service,
     call: &Call,
     prefix: &str,
-    asked: &keyexpr,
+    key_expr: &keyexpr,
     form: Form,
 ) -> Result<Replies, Error> {
     let list = key(format!("{prefix}/list"))?;
-    let lists = asked.intersects(&list);
-    if !lists && !asked.intersects(&key(format!("{prefix}/*/info"))?) {
+    let lists = key_expr.intersects(&list);
+    if !lists && !key_expr.intersects(&key(format!("{prefix}/*/info"))?) {
         let text = format!(
             "a wildcard reaches only {prefix}/list and {prefix}/INDEX/info: name the index and the verb"
         );
@@ -47,9 +47,9 @@ pub(super) async fn answer(
         let page = service.list_indexes(call, request.clone()).await?;
         for index in page.indexes {
             let info = key(format!("{prefix}/{}/info", index.name))?;
-            if asked.intersects(&info) {
-                let told = v1::GetIndexResponse { index: Some(index) };
-                let payload = form.write(v1::GetIndexResponse::NAME, &told)?;
+            if key_expr.intersects(&info) {
+                let response = v1::GetIndexResponse { index: Some(index) };
+                let payload = form.write(v1::GetIndexResponse::NAME, &response)?;
                 replies.push((KeyExpr::from(info), payload));
             }
         }

@@ -1,0 +1,56 @@
+//! The failures of the registry and of the log as the errors of a call.
+
+use super::Error;
+use crate::{log::LogError, registry::RegistryError};
+
+/// What a failure of the registry means to a caller.
+pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
+    let what = format!("index \"{index}\": {error}");
+    match error {
+        RegistryError::Deleted => Error::IndexNotFound { name: index.into() },
+        RegistryError::Log(error) => log_error(index, error),
+        RegistryError::Exists { .. }
+        | RegistryError::Taken
+        | RegistryError::OtherUid { .. }
+        | RegistryError::Full { .. }
+        | RegistryError::Stopped => Error::Internal { what },
+    }
+}
+
+/// What a failure of the log means to a caller.
+pub(super) fn log_error(index: &str, error: LogError) -> Error {
+    match error {
+        LogError::UnknownIndex { .. } => Error::IndexNotFound { name: index.into() },
+        error => {
+            let what = format!("index \"{index}\": {error}");
+            storage_error(what, error)
+        }
+    }
+}
+
+/// As [`log_error`], of no index in particular.
+pub(super) fn catalog_error(error: RegistryError) -> Error {
+    let what = error.to_string();
+    match error {
+        RegistryError::Log(error) => storage_error(what, error),
+        _ => Error::Internal { what },
+    }
+}
+
+fn storage_error(what: String, error: LogError) -> Error {
+    match error {
+        LogError::Damaged { .. }
+        | LogError::DamagedPoint { .. }
+        | LogError::Lost { .. }
+        | LogError::Incomplete { .. }
+        | LogError::Unreadable { .. }
+        | LogError::Unopened { .. }
+        | LogError::Trimmed { .. } => Error::DataLoss { what },
+        LogError::Storage { .. } | LogError::Shut { .. } | LogError::Closed => {
+            Error::StorageFailed { what }
+        }
+        LogError::UnknownIndex { .. } | LogError::UidTaken { .. } | LogError::Fenced { .. } => {
+            Error::Internal { what }
+        }
+    }
+}
