@@ -143,7 +143,7 @@ def readme(session: zenoh.Session, server: Server):
     example = text.split("```python\n")[1].split("```")[0]
     expect(example.count(USUAL), 1)
     exec(example.replace(USUAL, server.locator), {})
-    reply = only(session, "arm/info")
+    reply = only(session, "wrist/info")
     expect(json.loads(reply.ok.payload.to_string())["index"]["point_count"], 2)
 
 
