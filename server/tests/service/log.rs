@@ -102,7 +102,11 @@ async fn it_waits_for_nothing_and_says_when_it_can_not_tell() {
     let unnamed = service.log(&CALL, after("", 0)).await;
     assert_eq!(
         refusal(unnamed),
-        (Code::InvalidArgument, "REQUIRED", "uid".into())
+        (
+            Code::InvalidArgument,
+            "REQUIRED",
+            "after_revision.uid".into()
+        )
     );
 }
 

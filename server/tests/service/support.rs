@@ -206,3 +206,8 @@ impl Named for Option<v1::Revision> {
         self.as_ref().expect("a revision").uid.clone()
     }
 }
+
+/// Lets this much time pass on a clock that stands still; what is due meanwhile takes place, in its order.
+pub(crate) async fn pass(time: std::time::Duration) {
+    let _ = tokio::time::timeout(time, std::future::pending::<()>()).await;
+}
