@@ -1,5 +1,7 @@
 //! Opens the session as the settings say.
 
+use std::{io, net::TcpListener};
+
 use serde_json::{Value, json};
 use thiserror::Error;
 use zenoh::{Config, Session, config::EndPoint};
@@ -87,15 +89,24 @@ pub(super) async fn open(config: &ZenohConfig) -> Result<(Session, Option<String
     let settings = settings(config)?;
     let connects_to = settings.get_json("connect/endpoints").ok();
     let connects_to = connects_to.filter(|endpoints| !matches!(&**endpoints, "[]" | "null" | "{}"));
+    // Tried before: a session that fails to open may still hold the address for a moment.
+    let is_in_use = is_in_use(&config.listen);
     let session = zenoh::open(settings).await.map_err(|error| {
         let listen = config.listen.clone();
         let problem = without_places(&error.to_string());
-        match problem.contains("in use") {
+        match is_in_use {
             true => ZenohError::InUse { listen },
             false => ZenohError::Open { listen, problem },
         }
     })?;
     Ok((session, connects_to))
+}
+
+/// True if another program listens at this address. Zenoh reports the cause of a failure only as text.
+fn is_in_use(listen: &str) -> bool {
+    let endpoint = listen.parse::<EndPoint>().ok();
+    let bound = endpoint.map(|endpoint| TcpListener::bind(endpoint.address().as_str()));
+    matches!(bound, Some(Err(error)) if error.kind() == io::ErrorKind::AddrInUse)
 }
 
 fn check_listen(listen: &str) -> Result<(), ZenohError> {
@@ -221,6 +232,14 @@ mod tests {
         for listen in ["tcp/127.0.0.1:7448", "tls/robot.local:1#iface=eth0"] {
             check_listen(listen).unwrap();
         }
+    }
+
+    #[test]
+    fn an_address_is_in_use_while_another_listens_there() {
+        let other = TcpListener::bind("127.0.0.1:0").unwrap();
+        let listen = format!("tcp/{}", other.local_addr().unwrap());
+        assert!(is_in_use(&listen));
+        assert!(!is_in_use("tcp/127.0.0.1:0"));
     }
 
     #[test]
