@@ -61,7 +61,7 @@ impl Service {
                 let point = published.snapshot.get(id).ok_or_else(|| missing(id))?;
                 let before = points.bytes();
                 points.push(point.by_ref(), payloads.next());
-                // It fails with the last payload, if those were too many.
+                // Fails at the last payload if they exceed the room.
                 room.take(points.bytes() - before)?;
                 pace.step().await?;
             }

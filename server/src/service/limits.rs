@@ -1,4 +1,4 @@
-//! What one call may ask for, and what the service keeps on its behalf.
+//! The limits of one call, and of the memory kept for retries.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ pub struct Limits {
     pub rows_per_call: usize,
     /// Most ids of one `Get`, `Update` or `Remove`.
     pub ids_per_call: usize,
-    /// Most neighbours a state may ask for.
+    /// Most neighbours of a state.
     pub k: usize,
     /// Most bytes of one encoded answer. Stock gRPC clients refuse messages above 4 MiB, so the default stays below.
     pub answer_bytes: usize,
