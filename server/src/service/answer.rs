@@ -9,7 +9,7 @@ use super::{
     Call, Error, Limits,
     call::Pace,
     check::Rows,
-    stored::{self, BATCH},
+    stored::{self, BATCH_ROWS},
 };
 use crate::{log::View, registry::Published};
 
@@ -67,7 +67,7 @@ pub(super) struct ReadView<'a> {
 }
 
 impl ReadView<'_> {
-    /// The payloads of at most [`BATCH`] points, in their order, up to the first that exceeds `most` bytes of an
+    /// The payloads of at most [`BATCH_ROWS`] points, in their order, up to the first that exceeds `most` bytes of an
     /// answer.
     pub(super) async fn payloads(&self, ids: Vec<u64>, most: usize) -> Result<Vec<Bytes>, Error> {
         let read = move |view: &dyn View| {
@@ -107,14 +107,14 @@ pub(super) fn missing(id: u64) -> Error {
 }
 
 /// Columns of neighbours.
-pub(super) struct Found {
+pub(super) struct NeighborColumns {
     include: v1::Include,
     width: usize,
     room: Room,
     columns: v1::Neighbors,
 }
 
-impl Found {
+impl NeighborColumns {
     /// Empty columns, for states of `width` coordinates.
     pub(super) fn new(include: Option<v1::Include>, width: usize, room: Room) -> Self {
         let include = include.unwrap_or_default();
@@ -187,7 +187,12 @@ impl Found {
     /// Adds all missing payloads.
     async fn read_payloads(&mut self, view: &ReadView<'_>) -> Result<(), Error> {
         while !self.without_payload().is_empty() {
-            let batch = self.without_payload().iter().take(BATCH).copied().collect();
+            let batch = self
+                .without_payload()
+                .iter()
+                .take(BATCH_ROWS)
+                .copied()
+                .collect();
             for payload in view.payloads(batch, self.room.left()).await? {
                 self.push_payload(payload)?;
             }
@@ -220,7 +225,7 @@ pub(super) async fn search(
     view: &ReadView<'_>,
     states: &Rows,
     search: Search<'_>,
-    mut found: Found,
+    mut found: NeighborColumns,
     pace: &mut Pace,
 ) -> Result<v1::Neighbors, Error> {
     for state in states.iter() {
@@ -232,7 +237,7 @@ pub(super) async fn search(
         // A search past its deadline ends early with a partial answer.
         pace.check()?;
         found.push(view, &answer.neighbors)?;
-        if found.without_payload().len() >= BATCH {
+        if found.without_payload().len() >= BATCH_ROWS {
             found.read_payloads(view).await?;
         }
         pace.step().await?;

@@ -7,7 +7,7 @@ use super::{
     answer::{PointColumns, ReadView, Room, missing},
     check::{self, Violations},
     read_view::{revision, revision_number},
-    stored::BATCH,
+    stored::BATCH_ROWS,
 };
 
 const DOING: &str = "while reading points";
@@ -51,7 +51,7 @@ impl Service {
         };
         let mut room = Room::new(self.limits());
         let mut points = PointColumns::new(request.include);
-        for ids in request.ids.chunks(BATCH) {
+        for ids in request.ids.chunks(BATCH_ROWS) {
             let mut payloads = match points.with_payloads() {
                 true => view.payloads(ids.to_vec(), room.left()).await?,
                 false => Vec::new(),

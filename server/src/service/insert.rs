@@ -8,10 +8,10 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
-    answer::{Found, Room},
+    answer::{NeighborColumns, Room},
     call::Pace,
     check::{self, END_OF_IDS, Rows, Violations},
-    mutation::{Begun, Claim},
+    mutation::{Claim, Start},
     neighbor_spec::NeighborSpec,
     payloads::{Payloads, Unread},
     prefetch::{Prefetch, PrefetchedRow},
@@ -63,8 +63,8 @@ impl Service {
         read.await?;
         let (writer, effects, evaluated) = loop {
             let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-                Begun::Answered(response) => return Ok(response),
-                Begun::Writing(writer) => writer,
+                Start::Remembered(response) => return Ok(response),
+                Start::Writing(writer) => writer,
             };
             head = Arc::clone(writer.head());
             payloads.catch_up(&hosted, &writer);
@@ -123,7 +123,7 @@ struct Evaluation<'a> {
     unread: Unread,
     /// The next id to assign.
     next_id: u64,
-    found: Option<Found>,
+    found: Option<NeighborColumns>,
     response: v1::InsertResponse,
     /// Ids that hold another point. After the first, only further conflicts are collected.
     conflicts: Vec<u64>,
@@ -151,7 +151,7 @@ impl<'a> Evaluation<'a> {
             unread: Unread::default(),
             found: insertion
                 .neighbors
-                .map(|(_, include)| Found::new(include, space.coordinates(), room)),
+                .map(|(_, include)| NeighborColumns::new(include, space.coordinates(), room)),
             response: v1::InsertResponse::default(),
             conflicts: Vec::new(),
         })
@@ -263,7 +263,7 @@ impl<'a> Evaluation<'a> {
             });
         }
         let response = v1::InsertResponse {
-            neighbors: self.found.map(Found::finish),
+            neighbors: self.found.map(NeighborColumns::finish),
             ..self.response
         };
         Ok((self.staging.into_effects(), response))

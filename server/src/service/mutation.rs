@@ -45,10 +45,10 @@ impl Claim {
     }
 }
 
-/// How a mutation begins.
-pub(super) enum Begun<R> {
+/// The start of a mutation.
+pub(super) enum Start<R> {
     /// The operation took effect before; this is its response.
-    Answered(R),
+    Remembered(R),
     /// The call holds the writer.
     Writing(WriteGuard),
 }
@@ -60,7 +60,7 @@ impl Service {
         call: &Call,
         hosted: &Hosted,
         claim: Option<&Claim>,
-    ) -> Result<Begun<R>, Error> {
+    ) -> Result<Start<R>, Error> {
         let writer = call
             .bound(
                 "while waiting for other mutations of the index",
@@ -69,13 +69,13 @@ impl Service {
             .await?
             .map_err(|error| registry_error(hosted.name(), error))?;
         let Some(response) = recalled(&writer, claim)? else {
-            return Ok(Begun::Writing(writer));
+            return Ok(Start::Writing(writer));
         };
         let revision = writer.head().revision;
         // Nothing is left to write: release the writer before waiting for the log.
         drop(writer);
         acknowledge(call, hosted, revision).await?;
-        Ok(Begun::Answered(response))
+        Ok(Start::Remembered(response))
     }
 
     /// Commits a mutation that was evaluated under `writer`; returns once it may be acknowledged with `response`.

@@ -4,7 +4,7 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{Found, ReadView, Room, search},
+    answer::{NeighborColumns, ReadView, Room, search},
     check::{self, Violations},
     neighbor_spec::NeighborSpec,
     read_view::{revision, revision_number},
@@ -115,7 +115,7 @@ impl Service {
             index: hosted.name(),
             published: &published,
         };
-        let found = Found::new(include, space.coordinates(), Room::new(limits));
+        let found = NeighborColumns::new(include, space.coordinates(), Room::new(limits));
         let neighbors = search(&view, &states, search_for, found, &mut pace).await?;
         Ok((neighbors, revision(&hosted, published.revision)))
     }

@@ -7,7 +7,7 @@ use sha2::{Digest as _, Sha256};
 use super::{
     Call, Error,
     answer::payload_bytes,
-    stored::{BATCH, ReadAhead},
+    stored::{BATCH_ROWS, ReadAhead},
 };
 use crate::{
     log::Digest,
@@ -79,7 +79,7 @@ impl Payloads {
         unread.neighbors.sort_unstable();
         unread.neighbors.dedup();
         let mut bytes = 0;
-        for ids in unread.neighbors.chunks(BATCH) {
+        for ids in unread.neighbors.chunks(BATCH_ROWS) {
             if bytes > most {
                 break;
             }

@@ -11,7 +11,7 @@ use super::{
     check::{self, Violations},
     read_view::{revision, revision_number},
     revision_pin::RevisionPin,
-    stored::BATCH,
+    stored::BATCH_ROWS,
 };
 use crate::registry::{Hosted, Published};
 
@@ -97,7 +97,7 @@ impl Scan {
             |points: &PointColumns| points.len() >= PART_ROWS || points.bytes() >= self.part_bytes;
         while rest.peek().is_some() && !is_full(&points) {
             let (mut batch, mut passed_to) = (Vec::new(), after);
-            while batch.len() < BATCH
+            while batch.len() < BATCH_ROWS
                 && let Some((passed, point)) = rest.next()
             {
                 passed_to = Some(point.id);

@@ -20,7 +20,7 @@ use crate::{
 const PART_BYTES: usize = 256 * 1024;
 
 /// Points read from the log at once.
-const PAGE: usize = 128;
+const PAGE_ROWS: usize = 128;
 
 /// A running snapshot. It pins its revision until it ends, is dropped, or its time is up.
 pub struct Snapshot {
@@ -155,7 +155,7 @@ impl Rows {
     ) -> Result<(Self, Option<u64>), LogError> {
         let mut rows = Self::default();
         while rows.bytes < most {
-            let page = view.page(after, PAGE)?;
+            let page = view.page(after, PAGE_ROWS)?;
             if page.is_empty() {
                 break;
             }

@@ -202,8 +202,8 @@ mod tests {
     proptest! {
         #![proptest_config(crate::testing::cases(256))]
 
-        /// On a grid most distances are ties. A search answers as over one set of head and accepted rows, with or without
-        /// a known answer of an earlier head, which may be wider than the search.
+        /// On a grid most distances are ties. A search answers as over one set of head and accepted rows, with or
+        /// without a known answer of an earlier head, which may be wider than the search.
         #[test]
         fn a_row_finds_the_nearest_of_the_head_and_the_rows_before_it(
             head in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),

@@ -12,7 +12,7 @@ use crate::{
 };
 
 /// Points read at once. A call can be cancelled between two batches.
-pub(super) const BATCH: usize = 256;
+pub(super) const BATCH_ROWS: usize = 256;
 
 /// Reads from the store of the named index on a thread that may block. A queued read does not start once its caller has
 /// left.
@@ -82,7 +82,7 @@ impl<T: Send + 'static> ReadAhead<T> {
         ids: &[u64],
     ) -> Result<(), Error> {
         self.begin_at(head);
-        for ids in ids.chunks(BATCH) {
+        for ids in ids.chunks(BATCH_ROWS) {
             let (ids, keep) = (ids.to_vec(), Arc::clone(&self.keep));
             let batch = move |view: &dyn View| {
                 let points = ids.into_iter().map(|id| {

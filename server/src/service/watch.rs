@@ -43,8 +43,8 @@ enum State {
     /// Nothing was sent.
     Beginning,
     /// The caller's uid is another one.
-    Strange,
-    Going,
+    OtherUid,
+    Following,
     Done,
 }
 
@@ -64,8 +64,8 @@ impl Service {
         }
         let hosted = self.index(&request.index, "")?;
         violations.finish()?;
-        let is_strange = |after: &v1::Revision| after.uid != hosted.uid_text();
-        let is_strange = after.as_ref().is_some_and(is_strange);
+        let is_other_uid = |after: &v1::Revision| after.uid != hosted.uid_text();
+        let is_other_uid = after.as_ref().is_some_and(is_other_uid);
         Ok(Watch {
             service: self.clone(),
             call: *call,
@@ -75,8 +75,8 @@ impl Service {
             sent: (0, 0),
             include: request.include,
             message_bytes: MESSAGE_BYTES.min(self.limits().answer_bytes / 2),
-            state: match is_strange {
-                true => State::Strange,
+            state: match is_other_uid {
+                true => State::OtherUid,
                 false => State::Beginning,
             },
             hosted,
@@ -90,9 +90,9 @@ impl Watch {
     pub async fn next(&mut self) -> Option<Result<v1::WatchResponse, Error>> {
         let message = match self.state {
             State::Done => return None,
-            State::Strange => Ok(self.reset(v1::ResetReason::UidChanged)),
+            State::OtherUid => Ok(self.reset(v1::ResetReason::UidChanged)),
             State::Beginning => {
-                self.state = State::Going;
+                self.state = State::Following;
                 let newest = self.hosted.published().revision;
                 if self.from_newest {
                     // The newest revision now, not at the call's start: the message names it.
@@ -100,7 +100,7 @@ impl Watch {
                 }
                 Ok(self.message(newest))
             }
-            State::Going => self.mutations().await,
+            State::Following => self.mutations().await,
         };
         if message.is_err() {
             self.state = State::Done;

@@ -26,7 +26,7 @@ use compare::Comparison;
 use search::Searches;
 
 /// Points read from the log at once.
-const PAGE: usize = 256;
+const PAGE_ROWS: usize = 256;
 
 /// Time between two messages of progress.
 const SILENCE: Duration = Duration::from_millis(250);
@@ -178,7 +178,7 @@ impl Pass<'_> {
     /// The stored points after an id; none at the end.
     async fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
         held(self.pin)?;
-        let read = move |view: &dyn View| view.page(after, PAGE);
+        let read = move |view: &dyn View| view.page(after, PAGE_ROWS);
         stored::read(self.call, DOING, self.index, &self.published.view, read).await
     }
 
