@@ -23,7 +23,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         out.join("descriptors.bin"),
         compiler.encode_file_descriptor_set(),
     )?;
+    let grpc = env::var_os("CARGO_FEATURE_GRPC").is_some();
     tonic_prost_build::configure()
+        .build_client(grpc)
+        .build_server(grpc)
         .bytes(".wayfold.v1.InsertRequest.payloads")
         .bytes(".wayfold.v1.UpdateRequest.payloads")
         .bytes(".wayfold.v1.Neighbors.payloads")

@@ -35,7 +35,7 @@ pub async fn hello(uri: &str) -> Result<Vec<u64>, Box<dyn Error>> {
     let include = Include::none().states();
     let found = docks.knn([robot]).k(2).include(include).await?;
     let near = found.row(0);
-    println!("at revision {}, near {robot:?}:", found.revision());
+    println!("at revision {}, near {robot:?}:", found.revision().number);
     for (i, dock) in near.iter().enumerate() {
         let pose = near.state(i).unwrap_or_default();
         println!(

@@ -64,11 +64,7 @@ pub async fn replica(uri: &str) -> Result<[Duration; 2], Box<dyn Error>> {
     // Another planner's insert arrives by itself. A planner that needs it waits for its revision.
     let inserted = index.insert([[0.5, 0.5, 0.5]]).await?;
     let view = replica.at_least(&inserted.revision).await?;
-    println!(
-        "the replica has revision {} of {}",
-        view.revision(),
-        inserted.revision
-    );
+    println!("the replica has revision {}", view.revision().number);
     client.delete_index(&name).await?;
     Ok([server_time, replica_time])
 }

@@ -1,5 +1,4 @@
-//! A probabilistic roadmap (PRM*) that several workers build together. They are tasks here, and might as well be processes
-//! on several machines: they share nothing but the index.
+//! A roadmap (PRM*) that several workers build together: tasks here, which share nothing but the index.
 //!
 //!     cargo run --release                         # the server
 //!     cargo run --release --example shared_prm    # in another terminal; WAYFOLD_SERVER names a server elsewhere
@@ -23,10 +22,9 @@ async fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The milestones, each with those before it to which the way is free.
 type Roadmap = BTreeMap<u64, Vec<u64>>;
 
-/// Returns what all workers have made.
+/// Returns the milestones, each with those before it to which the way is free.
 pub async fn shared_prm(uri: &str) -> Result<Roadmap, Box<dyn Error>> {
     let client = Client::connect(uri).await?;
     let name = format!("prm-{}", std::process::id());

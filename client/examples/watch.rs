@@ -34,7 +34,7 @@ pub async fn watch(uri: &str) -> Result<Vec<u64>, Box<dyn Error>> {
     while !is_last && let Some(event) = watch.next().await? {
         match event {
             WatchEvent::Mutation(mutation) => {
-                println!("revision {}:", mutation.revision);
+                println!("revision {}:", mutation.revision.number);
                 for point in mutation.stored.iter() {
                     println!(
                         "  point {} at {:?}, tag {}",
@@ -52,7 +52,7 @@ pub async fn watch(uri: &str) -> Result<Vec<u64>, Box<dyn Error>> {
                 is_last = !mutation.removed_ids.is_empty();
             }
             // The server cannot tell what came next: a program that goes on reads all points and watches from there.
-            WatchEvent::Reset(reset) => println!("reset at revision {}", reset.revision),
+            WatchEvent::Reset(reset) => println!("reset at revision {}", reset.revision.number),
         }
     }
     writer.await??;

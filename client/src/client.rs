@@ -25,7 +25,7 @@ use crate::{DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, RetryPolicy,
 
 /// A connection to a Wayfold server. Clones share it; any number of calls can be under way on it at once.
 ///
-/// A connection that breaks is made anew when the next call needs it.
+/// A connection that breaks is made again when the next call needs it.
 #[derive(Clone)]
 pub struct Client {
     channel: Channel,
@@ -157,8 +157,8 @@ impl Client {
         &self.uri
     }
 
-    /// The server's version, durability and limits. They are asked for once and remembered for all clones of the
-    /// client, which keep the limits where they divide requests.
+    /// The server's version, durability and limits. The client asks for them once, where it first needs them, and divides
+    /// requests by the limits.
     ///
     /// # Errors
     /// Those of every call.
@@ -267,7 +267,7 @@ impl Client {
     /// deleted too.
     ///
     /// # Errors
-    /// `NOT_FOUND`: there is no index of this name. `FAILED_PRECONDITION`: it was made anew during the call.
+    /// `NOT_FOUND`: there is no index of this name. `FAILED_PRECONDITION`: it was created again during the call.
     pub async fn delete_index(&self, name: &str) -> Result<String, Error> {
         // With its uid, a retried delete cannot hit an index that was created in between.
         let uid = match self.index_info(name).await {

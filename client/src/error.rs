@@ -100,7 +100,7 @@ pub enum Error {
         bound: Duration,
     },
     /// A filter of a replica's search names a revision that the replica has not reached.
-    #[error("the replica is at revision {revision}, and cannot tell what came after {since}")]
+    #[error("the replica is at revision {revision}, which is before revision {since}")]
     Behind {
         /// The filter's revision.
         since: u64,

@@ -18,7 +18,7 @@ use crate::{
     client::within,
 };
 
-/// An index of a server, of one uid: when the index is deleted and made anew, the calls of this handle fail with
+/// An index of a server, of one uid: when the index is deleted and created again, the calls of this handle fail with
 /// `FAILED_PRECONDITION`, and [`Client::index`] gives a new one.
 ///
 /// Clones are cheap and share the last revision that any answer named. Reads see that revision or a later one: a caller
@@ -214,7 +214,7 @@ impl IndexHandle {
         Ok(revision)
     }
 
-    /// The server's limits, to divide `rows` rows by. Of a single row, which cannot be divided, the server is not asked.
+    /// The server's limits, to divide `rows` rows by. A single row cannot be divided, so the server need not be asked.
     pub(crate) async fn limits(&self, call: &'static str, rows: usize) -> Result<Limits, Error> {
         match rows {
             0 | 1 => Ok(Limits::NONE),

@@ -62,7 +62,7 @@ impl Include {
         self
     }
 
-    /// What reads of points include unless told otherwise: all but the payloads.
+    /// The default of reads of points: all but the payloads.
     pub(crate) const fn points() -> Include {
         Include::none().states().tags().revisions()
     }

@@ -40,8 +40,8 @@
 //! **States** are whatever implements [`State`]: arrays, slices, vectors, with the feature `nalgebra` its types, your own.
 //!
 //! **Searches** have the same settings everywhere: `k` or `k_factor`, `radius` (a number or a [`ScaledRadius`]), `filter`
-//! ([`Filter`]), `include` ([`Include`]). The scaled ones depend on the size of the index, as PRM\* and RRT\* ask, and
-//! whoever answers evaluates them.
+//! ([`Filter`]), `include` ([`Include`]). The scaled ones depend on the size of the index, as PRM\* and RRT\* ask; the
+//! server or the replica evaluates them.
 //!
 //! **Revisions.** Every answer names its [`Revision`]. A handle's reads see at least the last revision that an answer to
 //! the handle named: a caller reads its own writes.

@@ -1,4 +1,4 @@
-//! When a call is tried again, and after how long.
+//! When a call is retried, and after which pause.
 
 use std::time::Duration;
 
@@ -7,13 +7,13 @@ use uuid::Uuid;
 
 use crate::Error;
 
-/// How often, and after which pauses, a call is tried again that failed with `UNAVAILABLE` or lost its connection.
+/// How often, and after which pauses, the client retries a call that failed with `UNAVAILABLE` or lost its connection.
 ///
-/// Only calls are tried again that take effect once: reads, and mutations, which carry an operation id. The n-th pause
-/// is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. No try begins after the call's deadline.
+/// The client retries only calls that take effect once: reads, and mutations, which carry an operation id. The n-th pause
+/// is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. No attempt begins after the call's deadline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryPolicy {
-    /// At most so many tries, the first included.
+    /// The most attempts, the first included.
     pub attempts: u32,
     /// The bound of the first pause.
     pub first: Duration,
@@ -22,7 +22,7 @@ pub struct RetryPolicy {
 }
 
 impl Default for RetryPolicy {
-    /// Five tries, within two seconds or so.
+    /// Five attempts, within about two seconds.
     fn default() -> RetryPolicy {
         RetryPolicy {
             attempts: 5,
@@ -33,7 +33,7 @@ impl Default for RetryPolicy {
 }
 
 impl RetryPolicy {
-    /// No call is tried again.
+    /// No retries.
     pub fn never() -> RetryPolicy {
         RetryPolicy {
             attempts: 1,
@@ -41,7 +41,7 @@ impl RetryPolicy {
         }
     }
 
-    /// Calls are tried again until their deadline: for programs that start together with their server.
+    /// Retries until the call's deadline: for programs that start together with their server.
     pub fn until_deadline() -> RetryPolicy {
         RetryPolicy {
             attempts: u32::MAX,
@@ -49,8 +49,8 @@ impl RetryPolicy {
         }
     }
 
-    /// The pause before try number `attempt` + 1, at a point within its range that `chance` in [0, 1] chooses; `None`
-    /// if there is no such try.
+    /// The pause before attempt number `attempt` + 1, at a point within its range that `chance` in [0, 1] chooses; `None`
+    /// if there is no such attempt.
     fn pause(&self, attempt: u32, chance: f64) -> Option<Duration> {
         if attempt >= self.attempts {
             return None;
@@ -60,7 +60,7 @@ impl RetryPolicy {
         Some(bound.mul_f64(0.5 + 0.5 * chance))
     }
 
-    /// The pause after so many failures in a row, for who tries without an end.
+    /// The pause after `failures` failures in a row, for retries without an end.
     #[cfg(feature = "replica")]
     pub(crate) fn endless_pause(&self, failures: u32) -> Duration {
         let endless = RetryPolicy {
@@ -70,7 +70,7 @@ impl RetryPolicy {
         endless.pause(failures, chance()).unwrap_or(self.longest)
     }
 
-    /// Makes tries until one succeeds, fails for good, or the next would begin after `deadline`.
+    /// Makes attempts until one succeeds, fails for good, or the next would begin after `deadline`.
     pub(crate) async fn run<T, F, Fut>(&self, deadline: Instant, mut attempt: F) -> Result<T, Error>
     where
         F: FnMut() -> Fut,

@@ -59,7 +59,7 @@ impl Revision {
         Err(Error::Refused(Box::new(Refusal {
             code: Code::FailedPrecondition,
             message: format!(
-                "the index has the uid {found}, not {}: it was made anew",
+                "the index has the uid {found}, not {}: it was created again, or restored",
                 self.uid
             ),
             reason: "UID_MISMATCH".to_owned(),

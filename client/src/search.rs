@@ -1,7 +1,7 @@
 //! How many neighbours, how far, and among which points: what every search sets, by the same names.
 
 use wayfold_index::Scaling;
-use wayfold_proto::v1;
+use wayfold_proto::v1::{self, neighbor_spec};
 
 use crate::{Include, Revision};
 
@@ -64,7 +64,8 @@ impl From<ScaledRadius> for Radius {
 }
 
 /// The radius of PRM* and RRT*: r(n) = min(max, factor · (ln n / n)^(1/d)), for an index of n points in a space of
-/// dimension d. Whoever answers the search evaluates it, so that workers need not agree on n.
+/// dimension d. The server or the replica evaluates it, so that workers
+/// need not agree on n.
 ///
 /// n counts all points, also those that a filter leaves out. [`Scaling::prm_star_bound`] and
 /// [`Scaling::rrt_star_bound`] are the literature's least factors.
@@ -85,13 +86,6 @@ impl ScaledRadius {
         self.max = Some(radius);
         self
     }
-
-    fn to_message(self) -> v1::ScaledRadius {
-        v1::ScaledRadius {
-            factor: self.factor,
-            max: self.max,
-        }
-    }
 }
 
 /// How many neighbours at most.
@@ -110,7 +104,7 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// The factors among them, for whoever evaluates them.
+    /// The factors among them.
     pub(crate) fn scaling(&self) -> Scaling {
         let mut scaling = Scaling::default();
         if let Some(Count::Factor(factor)) = self.count {
@@ -134,35 +128,22 @@ impl Bounds {
     }
 }
 
-/// The same `oneof`s stand in several messages.
-macro_rules! bounds_messages {
-    ($count:ident, $reach:ident, $module:ident) => {
-        pub(crate) fn $count(self) -> Option<v1::$module::Count> {
-            self.count.map(|count| match count {
-                Count::K(k) => v1::$module::Count::K(k),
-                Count::Factor(factor) => v1::$module::Count::KFactor(factor),
-            })
+impl From<Count> for neighbor_spec::Count {
+    fn from(count: Count) -> neighbor_spec::Count {
+        match count {
+            Count::K(k) => neighbor_spec::Count::K(k),
+            Count::Factor(factor) => neighbor_spec::Count::KFactor(factor),
         }
-
-        pub(crate) fn $reach(self) -> Option<v1::$module::Reach> {
-            self.radius.map(|radius| match radius {
-                Radius::Fixed(radius) => v1::$module::Reach::Radius(radius),
-                Radius::Scaled(radius) => v1::$module::Reach::ScaledRadius(radius.to_message()),
-            })
-        }
-    };
+    }
 }
 
-impl Bounds {
-    bounds_messages!(knn_count, knn_reach, knn_request);
-    bounds_messages!(spec_count, spec_reach, neighbor_spec);
-}
-
-impl Radius {
-    pub(crate) fn to_query_message(self) -> v1::query_request::Reach {
-        match self {
-            Radius::Fixed(radius) => v1::query_request::Reach::Radius(radius),
-            Radius::Scaled(radius) => v1::query_request::Reach::ScaledRadius(radius.to_message()),
+impl From<Radius> for neighbor_spec::Reach {
+    fn from(radius: Radius) -> neighbor_spec::Reach {
+        match radius {
+            Radius::Fixed(radius) => neighbor_spec::Reach::Radius(radius),
+            Radius::Scaled(ScaledRadius { factor, max }) => {
+                neighbor_spec::Reach::ScaledRadius(v1::ScaledRadius { factor, max })
+            }
         }
     }
 }
@@ -176,8 +157,8 @@ macro_rules! bounded {
                 $type::of(Some(Count::K(k)), None)
             }
 
-            /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. Whoever answers evaluates it, so that
-            /// workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`].
+            /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. The server or the replica
+            /// evaluates it, so that workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`].
             pub fn k_factor(factor: f64) -> $type {
                 $type::of(Some(Count::Factor(factor)), None)
             }
@@ -237,8 +218,8 @@ impl NeighborSpec {
 
     pub(crate) fn to_message(&self) -> v1::NeighborSpec {
         v1::NeighborSpec {
-            count: self.bounds.spec_count(),
-            reach: self.bounds.spec_reach(),
+            count: self.bounds.count.map(Into::into),
+            reach: self.bounds.radius.map(Into::into),
             filter: self.filter.to_message(),
             include: self.include.to_message(),
         }
@@ -283,7 +264,7 @@ impl Search {
         self
     }
 
-    /// Gives up at this time with what was found until then: [`Found::exact`](crate::Found::exact) tells whether
+    /// Gives up at this time with what was found until then: [`Found::exact`](crate::Found::exact) says whether
     /// something may be missing.
     pub fn until(mut self, time: std::time::Instant) -> Search {
         self.until = Some(time);

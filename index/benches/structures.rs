@@ -1,5 +1,5 @@
-//! The index's own curves: building, growing by single inserts, and asking the forest as it is after the last of these
-//! and one tree of all (for the nearest, for ten, and for all within a radius that holds about ten), at 50,000 points.
+//! Times of the index alone at 50,000 points: building a tree, growing a forest by single inserts, and searching both (for the
+//! nearest, for ten, and within a radius that holds about ten).
 //!
 //! Coordinates are uniform in [0, 1), angles and rotations uniform. Times of one machine do not carry to another:
 //! compare rows of one run.
@@ -61,7 +61,7 @@ fn table(space: &Space, rows: &[Vec<f64>]) -> Points {
     points
 }
 
-/// The distance of the tenth neighbour, at the median of some queries.
+/// The median distance of the tenth neighbour over some queries.
 fn tenth_nearest(tree: &KdTree, queries: &[Vec<f64>]) -> f64 {
     let tenth = |query: &Vec<f64>| {
         tree.search(query, &Search::nearest_k(10))
@@ -74,7 +74,7 @@ fn tenth_nearest(tree: &KdTree, queries: &[Vec<f64>]) -> f64 {
     distances[distances.len() / 2]
 }
 
-/// A forest as it is right after the last of many single inserts, its merges run as they fell due.
+/// A forest after single inserts, each followed by the merges that were due.
 fn grown(space: &Space, rows: &[Vec<f64>]) -> Forest {
     let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
     for (id, row) in rows.iter().enumerate() {

@@ -1,10 +1,10 @@
-//! What several threads do to each other: readers of one snapshot, bulk inserts side by side, a reader beside a writer, and
-//! the slowest calls while levels merge.
+//! The cost of concurrency: readers of one snapshot, parallel bulk inserts, a reader next to a writer, and the slowest calls
+//! while levels merge.
 //!
 //!     cargo bench -p wayfold-index --bench together [-- POINTS]
 //!
-//! In SE(3), `R3*SO3:0.15`, uniform, ten neighbours. Two threads of one process are compared with two processes, in turns:
-//! what the machine does not give to two processes, no structure can give to two threads. The median of the rounds is told.
+//! In SE(3), `R3*SO3:0.15`, uniform, ten neighbours. Two threads of one process are compared with two processes, in turns: no
+//! structure can give two threads more than the machine gives two processes. Each figure is the median of the rounds.
 
 use std::{
     env,
@@ -28,25 +28,25 @@ use wayfold_index::{
 const WIDTH: usize = 7;
 const K: usize = 10;
 const SEED: u64 = 7;
-/// Points of what is read, and of a bulk insert.
+/// The points that readers search, and those of a bulk insert.
 const POINTS: usize = 50_000;
-/// Points that are inserted one by one while the slowest calls are sought, unless told otherwise.
+/// The default number of single inserts in the measurement of the slowest calls.
 const MANY: usize = 1_000_000;
 const ROUNDS: usize = 5;
 const DURATION: Duration = Duration::from_secs(2);
-/// For so long a writer rests, and then writes as long: so many turns in all, half of them at rest.
+/// The length of a turn: the writer rests in even turns and writes in odd ones.
 const TURN: Duration = Duration::from_millis(100);
 const TURNS: usize = 40;
-/// Queries between two looks at whose turn it is.
-const A_LOOK: usize = 16;
-/// States that are asked about, over and over.
-const ASKED: usize = 4_096;
-/// Which work a process is to do, if it is not the one that measures.
+/// The number of queries between two checks of the turn.
+const QUERIES_PER_CHECK: usize = 16;
+/// The number of distinct queries.
+const QUERIES: usize = 4_096;
+/// The work of a process that the measuring one has started.
 const ROLE: &str = "TOGETHER_ROLE";
 
 fn main() {
     match env::var(ROLE) {
-        Ok(role) => work_when_told(&role),
+        Ok(role) => serve_one_round(&role),
         Err(_) => measure(),
     }
 }
@@ -70,10 +70,10 @@ fn measure() {
             "{what}: one does {one:.0}/s, two threads {threads:.2} times that, two processes {processes:.2}, ratio {ratio:.2}"
         );
     }
-    let rounds: Vec<_> = (0..ROUNDS).map(|_| beside_a_writer()).collect();
+    let rounds: Vec<_> = (0..ROUNDS).map(|_| next_to_a_writer()).collect();
     let [alone, beside, ratio, inserts] = medians(&rounds);
     println!(
-        "a reader beside a writer: {beside:.0}/s of {alone:.0}/s alone, ratio {ratio:.2}; {inserts:.0} inserts/s"
+        "a reader next to a writer: {beside:.0}/s of {alone:.0}/s alone, ratio {ratio:.2}; {inserts:.0} inserts/s"
     );
     slowest(points.unwrap_or(MANY));
 }
@@ -132,7 +132,7 @@ fn forest(states: &[f64]) -> Forest {
     forest
 }
 
-/// Work of one kind, made ready.
+/// Work of one kind, with its data.
 enum Work {
     Read(Snapshot, Vec<f64>),
     Bulk(Vec<f64>),
@@ -143,18 +143,18 @@ impl Work {
         let stored = states(POINTS, SEED);
         match role {
             "bulk" => Work::Bulk(stored),
-            _ => Work::Read(forest(&stored).snapshot(), states(ASKED, SEED + 1)),
+            _ => Work::Read(forest(&stored).snapshot(), states(QUERIES, SEED + 1)),
         }
     }
 
-    /// How often it is done a second.
+    /// The number of times a second that it is done.
     fn rate(&self) -> f64 {
         let (started, mut done) = (Instant::now(), 0);
         while started.elapsed() < DURATION {
             match self {
-                Work::Read(points, asked) => {
-                    asked.chunks(WIDTH).for_each(|row| ask(points, row));
-                    done += ASKED;
+                Work::Read(points, queries) => {
+                    queries.chunks(WIDTH).for_each(|row| query(points, row));
+                    done += QUERIES;
                 }
                 Work::Bulk(stored) => {
                     assert_eq!(forest(stored).len(), POINTS);
@@ -166,14 +166,14 @@ impl Work {
     }
 }
 
-fn ask(points: &Snapshot, row: &[f64]) {
+fn query(points: &Snapshot, row: &[f64]) {
     let answer = points
         .search(row, &Search::nearest_k(K))
         .expect("points and states of the space");
     assert_eq!(answer.neighbors.len(), K);
 }
 
-/// What so many threads do a second together.
+/// The sum of the rates of `count` threads.
 fn by_threads(role: &str, count: usize) -> f64 {
     let (work, start) = (Work::new(role), Barrier::new(count));
     thread::scope(|scope| {
@@ -189,11 +189,11 @@ fn by_threads(role: &str, count: usize) -> f64 {
     })
 }
 
-/// Another process that does it.
+/// Another process that does the same work.
 struct Worker {
     child: Child,
-    tell: ChildStdin,
-    told: BufReader<ChildStdout>,
+    stdin: ChildStdin,
+    stdout: BufReader<ChildStdout>,
 }
 
 impl Worker {
@@ -204,12 +204,12 @@ impl Worker {
             .stdout(Stdio::piped())
             .spawn()
             .expect("a process");
-        let (tell, told) = (child.stdin.take(), child.stdout.take());
-        let told = BufReader::new(told.expect("a pipe"));
+        let (stdin, stdout) = (child.stdin.take(), child.stdout.take());
+        let stdout = BufReader::new(stdout.expect("a pipe"));
         let mut worker = Self {
             child,
-            tell: tell.expect("a pipe"),
-            told,
+            stdin: stdin.expect("a pipe"),
+            stdout,
         };
         assert_eq!(worker.line(), "ready");
         worker
@@ -217,7 +217,7 @@ impl Worker {
 
     fn line(&mut self) -> String {
         let mut line = String::new();
-        self.told.read_line(&mut line).expect("a line");
+        self.stdout.read_line(&mut line).expect("a line");
         line.trim_end().to_owned()
     }
 }
@@ -225,7 +225,7 @@ impl Worker {
 fn by_processes(role: &str) -> f64 {
     let mut workers = [Worker::start(role), Worker::start(role)];
     for worker in &mut workers {
-        writeln!(worker.tell, "go").expect("somebody who reads");
+        writeln!(worker.stdin, "go").expect("somebody who reads");
     }
     let mut rate = 0.0;
     for mut worker in workers {
@@ -235,19 +235,19 @@ fn by_processes(role: &str) -> f64 {
     rate
 }
 
-fn work_when_told(role: &str) {
+fn serve_one_round(role: &str) {
     let work = Work::new(role);
     println!("ready");
     io::stdin().read_line(&mut String::new()).expect("a line");
     println!("{}", work.rate());
 }
 
-/// What a reader reaches alone and beside a writer who inserts point by point as fast as it can, and merges itself. Every
-/// query is of the newest snapshot. The writer rests and writes by turns, so that both are of nearly the same points: alone, it is
-/// those of the turn before.
+/// The rate of a reader alone and next to a writer, which inserts single points as fast as it can and merges on its own thread.
+/// Every query is of the newest snapshot. The writer rests and writes in turns, so that both rates are of nearly the same
+/// points.
 #[expect(clippy::disallowed_methods, reason = "the writer's rest")]
-fn beside_a_writer() -> [f64; 4] {
-    let asked = states(ASKED, SEED + 1);
+fn next_to_a_writer() -> [f64; 4] {
+    let queries = states(QUERIES, SEED + 1);
     let mut forest = forest(&states(POINTS, SEED));
     let more = states(20 * POINTS, SEED + 2);
     let mut more = more.chunks(WIDTH).zip(POINTS as u64..);
@@ -255,18 +255,18 @@ fn beside_a_writer() -> [f64; 4] {
     let turn = AtomicUsize::new(0);
     let read = || {
         let (mut done, mut taken) = ([0.0; 2], [0.0; 2]);
-        let mut asked = asked.chunks(WIDTH).cycle();
+        let mut queries = queries.chunks(WIDTH).cycle();
         loop {
             let (now, started) = (turn.load(Relaxed), Instant::now());
             if now == TURNS {
                 return [done[0] / taken[0], done[1] / taken[1]];
             }
-            for row in asked.by_ref().take(A_LOOK) {
+            for row in queries.by_ref().take(QUERIES_PER_CHECK) {
                 let points = published.lock().expect("no panic").clone();
-                ask(&points, row);
+                query(&points, row);
             }
             if turn.load(Relaxed) == now {
-                done[now % 2] += A_LOOK as f64;
+                done[now % 2] += QUERIES_PER_CHECK as f64;
                 taken[now % 2] += started.elapsed().as_secs_f64();
             }
         }
@@ -290,7 +290,7 @@ fn beside_a_writer() -> [f64; 4] {
                 let snapshot = forest.snapshot();
                 let mut published = published.lock().expect("no panic");
                 let replaced = std::mem::replace(&mut *published, snapshot);
-                // What it frees is not freed under the lock.
+                // The replaced snapshot is freed outside the lock.
                 drop(published);
                 drop(replaced);
                 inserted += 1.0;
@@ -306,7 +306,7 @@ fn beside_a_writer() -> [f64; 4] {
 
 /// The slowest of `count` single inserts, and of queries made between them, while another thread merges.
 fn slowest(count: usize) {
-    let (rows, asked) = (states(count, SEED), states(ASKED, SEED + 1));
+    let (rows, query_rows) = (states(count, SEED), states(QUERIES, SEED + 1));
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     let (mut inserts, mut queries) = (Vec::with_capacity(count), Vec::with_capacity(count / 10));
     thread::scope(|scope| {
@@ -314,7 +314,7 @@ fn slowest(count: usize) {
         let (ran, merged) = mpsc::channel::<Merged>();
         scope.spawn(move || {
             for merge in due {
-                // Who is done does not wait for the last.
+                // The receiver may be gone at the end.
                 let _ = ran.send(merge.run());
             }
         });
@@ -335,9 +335,9 @@ fn slowest(count: usize) {
             }
             inserts.push(started.elapsed());
             if id >= K && id % 10 == 0 {
-                let row = &asked[id / 10 % ASKED * WIDTH..][..WIDTH];
+                let row = &query_rows[id / 10 % QUERIES * WIDTH..][..WIDTH];
                 let started = Instant::now();
-                ask(&forest.snapshot(), row);
+                query(&forest.snapshot(), row);
                 queries.push(started.elapsed());
             }
         }

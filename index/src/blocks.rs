@@ -1,9 +1,8 @@
-//! Rows coordinate by coordinate, side by side in blocks, as the kernels take them.
+//! Rows as the kernels read them: in blocks, with the numbers of one coordinate side by side.
 
-use crate::kernel::BLOCK;
+use crate::kernel::BLOCK_ROWS;
 
-/// A table of rows in blocks of [`BLOCK`]: the number of a row in a coordinate stands beside those of its neighbours.
-/// Places that no row was written to hold zeros.
+/// A table of rows in blocks of [`BLOCK_ROWS`], coordinate by coordinate. A place that no row was written to holds zeros.
 #[derive(Clone, Debug)]
 pub(crate) struct Blocks {
     width: usize,
@@ -15,32 +14,32 @@ impl Blocks {
     pub(crate) fn with_capacity(width: usize, rows: usize) -> Self {
         Self {
             width,
-            columns: Vec::with_capacity(rows.div_ceil(BLOCK) * width * BLOCK),
+            columns: Vec::with_capacity(rows.div_ceil(BLOCK_ROWS) * width * BLOCK_ROWS),
         }
     }
 
-    /// Writes a row to a place, in one of the blocks that there are or in the next one.
+    /// Writes a row to a place of an existing block or of the next one.
     pub(crate) fn write(&mut self, place: usize, row: &[f64]) {
-        let start = place / BLOCK * self.width * BLOCK;
+        let start = place / BLOCK_ROWS * self.width * BLOCK_ROWS;
         if start == self.columns.len() {
-            self.columns.resize(start + self.width * BLOCK, 0.0);
+            self.columns.resize(start + self.width * BLOCK_ROWS, 0.0);
         }
-        let block = &mut self.columns[start..start + self.width * BLOCK];
-        for (column, &x) in block.chunks_exact_mut(BLOCK).zip(row) {
-            column[place % BLOCK] = x;
+        let block = &mut self.columns[start..start + self.width * BLOCK_ROWS];
+        for (column, &x) in block.chunks_exact_mut(BLOCK_ROWS).zip(row) {
+            column[place % BLOCK_ROWS] = x;
         }
     }
 
     /// The row in a place.
     pub(crate) fn row(&self, place: usize) -> impl Iterator<Item = f64> {
-        let block = &self.block(place / BLOCK)[place % BLOCK..];
-        block.iter().step_by(BLOCK).copied()
+        let block = &self.block(place / BLOCK_ROWS)[place % BLOCK_ROWS..];
+        block.iter().step_by(BLOCK_ROWS).copied()
     }
 
-    /// A block: of each coordinate `BLOCK` numbers.
+    /// The block at an index: `BLOCK_ROWS` numbers for each coordinate.
     pub(crate) fn block(&self, at: usize) -> &[f64] {
-        let width = self.width * BLOCK;
-        &self.columns[at * width..][..width]
+        let len = self.width * BLOCK_ROWS;
+        &self.columns[at * len..][..len]
     }
 
     /// All blocks, one after the other.
@@ -55,7 +54,7 @@ impl Blocks {
         copy
     }
 
-    /// The bytes the columns hold.
+    /// The bytes that the columns hold.
     pub(crate) fn memory_bytes(&self) -> usize {
         8 * self.columns.capacity()
     }

@@ -12,7 +12,7 @@ pub enum PointsError {
     Width {
         /// The space's coordinates.
         expected: usize,
-        /// The numbers of a row.
+        /// The coordinates of the rows.
         found: usize,
     },
     /// There are more than [`KdTree::MAX_POINTS`].
@@ -23,7 +23,7 @@ pub enum PointsError {
     State {
         /// The row's place in the table.
         row: usize,
-        /// What is wrong with it.
+        /// The problem of the row.
         error: StateError,
     },
     /// Two rows have the same id.

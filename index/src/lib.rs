@@ -9,9 +9,9 @@
 //! - [`KdTree`], static, built once;
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
-//! Reading order: `space` (the metric), `points`, `neighbor`, `search` and `scaling` (what is stored, found and asked),
-//! `candidates` (what may be an answer), `kernel` (bounds of many boxes or points at once), `kdtree`, `forest`. Nothing
-//! here does I/O, waits, or starts a thread.
+//! Nothing here does I/O, waits, or starts a thread. Reading order: `space` (the metric), `points` and `neighbor` (points
+//! stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `kernel` and `quantize` (bounds of
+//! many boxes or points at once), `kdtree`, `forest`.
 //!
 //! ```
 //! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
@@ -29,6 +29,7 @@
 //! ```
 
 mod blocks;
+mod boxes;
 mod candidates;
 mod error;
 mod forest;
@@ -38,9 +39,11 @@ mod linear;
 mod mpnn;
 mod neighbor;
 mod points;
+mod quantize;
 mod scaling;
 mod search;
 mod space;
+mod traversal;
 
 pub use error::{ApplyError, PointsError, SearchError};
 pub use forest::{Forest, ForestOptions, ForestReport, Merge, Merged, Snapshot};

@@ -1,4 +1,4 @@
-//! Brute force: the structure to use for a handful of points, and the oracle of all others.
+//! Brute force: the structure for a handful of points, and the oracle of the others.
 
 use std::collections::HashMap;
 
@@ -69,12 +69,12 @@ impl Linear {
         self.slots.get(&id).map(|&slot| self.points.get(slot))
     }
 
-    /// How many points there are.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.points.len()
     }
 
-    /// Whether there are none.
+    /// True if the table has no points.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }

@@ -2,9 +2,9 @@
 
 use std::cmp::Ordering;
 
-/// A stored point at a distance from the state that was asked about.
+/// A stored point, with its distance from the state of a search.
 ///
-/// Ordered by (distance, id): a total order, so that an answer is the same whatever structure found it.
+/// Neighbours are ordered by (distance, id). The order is total, so every structure gives the same answer.
 #[derive(Clone, Copy, Debug)]
 pub struct Neighbor {
     /// The distance in the space's metric, never squared.

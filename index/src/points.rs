@@ -1,17 +1,17 @@
-//! Points in columns: the one table that every structure stores its rows in.
+//! Tables of points.
 
 use crate::{KdTree, PointsError, Space};
 
 /// One stored point, borrowed from the structure that holds it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointRef<'a> {
-    /// Its id, unique in an index.
+    /// The id, unique in an index.
     pub id: u64,
-    /// Its tag; what the bits mean is the planner's business.
+    /// The tag; the planner defines its bits.
     pub tag: u64,
     /// The revision that stored its state.
     pub revision: u64,
-    /// Its state: a canonical row of the space's width.
+    /// The state: a canonical row of the space.
     pub row: &'a [f64],
 }
 
@@ -30,13 +30,13 @@ impl PointRef<'_> {
 /// One point, copied from the structure that stores it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// Its id, unique in an index.
+    /// The id, unique in an index.
     pub id: u64,
-    /// Its tag; what the bits mean is the planner's business.
+    /// The tag; the planner defines its bits.
     pub tag: u64,
     /// The revision that stored its state.
     pub revision: u64,
-    /// Its state: a canonical row of the space's width.
+    /// The state: a canonical row of the space.
     pub row: Vec<f64>,
 }
 
@@ -90,7 +90,7 @@ impl Points {
     /// Appends a point.
     ///
     /// # Panics
-    /// If `row` has not the table's width: the caller mixed up two spaces.
+    /// If `row` does not have the width of the table.
     pub fn push(&mut self, id: u64, tag: u64, revision: u64, row: &[f64]) {
         assert_eq!(row.len(), self.coordinates, "a row of another space");
         self.ids.push(id);
@@ -99,17 +99,11 @@ impl Points {
         self.rows.extend_from_slice(row);
     }
 
-    /// As [`Points::push`], for a row whose numbers do not lie side by side.
-    pub(crate) fn push_numbers(
-        &mut self,
-        id: u64,
-        tag: u64,
-        revision: u64,
-        row: impl Iterator<Item = f64>,
-    ) {
-        self.ids.push(id);
-        self.tags.push(tag);
-        self.revisions.push(revision);
+    /// Appends a point with the row given by an iterator, instead of its own.
+    pub(crate) fn push_numbers(&mut self, label: PointRef<'_>, row: impl Iterator<Item = f64>) {
+        self.ids.push(label.id);
+        self.tags.push(label.tag);
+        self.revisions.push(label.revision);
         self.rows.extend(row);
         debug_assert_eq!(self.rows.len(), self.ids.len() * self.coordinates);
     }
@@ -132,17 +126,17 @@ impl Points {
         copy
     }
 
-    /// How many points there are.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.ids.len()
     }
 
-    /// Whether there are none.
+    /// True if the table has no points.
     pub fn is_empty(&self) -> bool {
         self.ids.is_empty()
     }
 
-    /// How many numbers a row has.
+    /// The number of coordinates in a row.
     pub fn coordinates(&self) -> usize {
         self.coordinates
     }
@@ -197,7 +191,7 @@ impl Points {
         self.rows.truncate(last);
     }
 
-    /// Checks that these are points of `space`: canonical rows, each under an id of its own.
+    /// Checks that the rows are canonical states of `space` with distinct ids.
     pub(crate) fn check(&self, space: &Space) -> Result<(), PointsError> {
         let (expected, found) = (space.coordinates(), self.coordinates);
         if expected != found {
@@ -222,7 +216,7 @@ impl Points {
         }
     }
 
-    /// The same ids, tags and revisions in the order of `slots`, with rows of no numbers.
+    /// The ids, tags and revisions in the order of `slots`, without rows.
     pub(crate) fn labels_in_order(&self, slots: &[u32]) -> Self {
         let mut ordered = Self::with_capacity(0, slots.len());
         for &slot in slots {
@@ -234,7 +228,7 @@ impl Points {
         ordered
     }
 
-    /// The bytes the columns hold.
+    /// The bytes that the columns hold.
     pub(crate) fn memory_bytes(&self) -> usize {
         8 * (self.ids.capacity()
             + self.tags.capacity()

@@ -1,4 +1,4 @@
-//! How many neighbours, and how far, as an index grows: the k(n) and r(n) of PRM* and RRT*.
+//! The number of neighbours and the radius as an index grows: the k(n) and r(n) of PRM* and RRT*.
 //!
 //! S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", International Journal of Robotics
 //! Research 30(7), 2011.
@@ -7,11 +7,11 @@ use std::f64::consts::{E, PI};
 
 use crate::Search;
 
-/// How the number of neighbours or the radius of a search depends on n, the number of points that are searched.
+/// Makes the number of neighbours or the radius of a search depend on n, the number of points searched.
 ///
 /// k(n) = ⌈k_factor · ln n⌉ and r(n) = min(radius_max, radius_factor · (ln n / n)^(1/d)), where d is the dimension of the
-/// space as a manifold ([`Space::dimension`](crate::Space::dimension)). The default asks for neither. n counts all points,
-/// whichever of them a filter admits.
+/// space as a manifold ([`Space::dimension`](crate::Space::dimension)). The default scales neither. n counts all points,
+/// also those that a filter excludes.
 ///
 /// The literature's factors are [`Scaling::K_FACTOR`], [`Scaling::k_bound`], [`Scaling::prm_star_bound`] and
 /// [`Scaling::rrt_star_bound`]. They are proven for the Euclidean metric. In a product with weights (one group), measure
@@ -42,7 +42,7 @@ impl Scaling {
     /// choice for all problems.
     pub const K_FACTOR: f64 = 2.0 * E;
 
-    /// Whether it asks for nothing.
+    /// True if it scales neither.
     pub fn is_none(&self) -> bool {
         *self == Scaling::default()
     }
@@ -54,7 +54,7 @@ impl Scaling {
             return Some(1);
         }
         let k = (factor * libm::log(points as f64)).ceil();
-        // What exceeds the range becomes its end.
+        // The cast saturates.
         Some((k as usize).max(1))
     }
 
@@ -72,7 +72,7 @@ impl Scaling {
         Some(most.min(factor * root(libm::log(n) / n, dimension)))
     }
 
-    /// Sets what it scales of a search among so many points of a space of this dimension.
+    /// Sets the scaled number and radius of a search among `points` points in a space of this dimension.
     pub fn apply(&self, search: &mut Search<'_>, points: usize, dimension: usize) {
         if let Some(k) = self.k(points) {
             search.k = k;

@@ -27,7 +27,7 @@ class Client:
     """The calls of the comparison, on generated stubs."""
 
     def __init__(self, channel, modules):
-        self.indexes_pb, indexes_grpc, self.points_pb, points_grpc = modules
+        self.indexes_pb, indexes_grpc, self.points_pb, points_grpc, self.types_pb = modules
         self.indexes = indexes_grpc.IndexServiceStub(channel)
         self.points = points_grpc.PointServiceStub(channel)
 
@@ -35,7 +35,7 @@ class Client:
         self.indexes.CreateIndex(self.indexes_pb.CreateIndexRequest(name=name, space_text=space_text))
 
     def count(self, name: str) -> int:
-        return self.indexes.GetIndex(self.indexes_pb.GetIndexRequest(name=name)).index.points
+        return self.indexes.GetIndex(self.indexes_pb.GetIndexRequest(index=name)).index.point_count
 
     def insert(self, index: str, rows: np.ndarray, first_id: int):
         """Inserts rows under ids from `first_id` up; yields each row's neighbours at that moment."""
@@ -47,7 +47,7 @@ class Client:
                     index=index,
                     states=self._states(batch),
                     ids=range(first_id + at, first_id + at + len(batch)),
-                    neighbors=pb.NeighborQuery(k=K),
+                    neighbors=pb.NeighborSpec(k=K),
                 )
             )
             if set(answer.outcomes) != {pb.OUTCOME_INSERTED}:
@@ -58,22 +58,16 @@ class Client:
         """Yields (ids, distances) of each row."""
         for at in range(0, len(rows), BATCH):
             request = self.points_pb.KnnRequest(index=index, states=self._states(rows[at : at + BATCH]), k=k)
-            yield from _exact(self.points.Knn(request))
+            yield from _rows(self.points.Knn(request).neighbors)
 
     def query(self, index: str, rows: np.ndarray, radius: float):
         """Yields (ids, distances) of each row."""
         for at in range(0, len(rows), BATCH):
             request = self.points_pb.QueryRequest(index=index, states=self._states(rows[at : at + BATCH]), radius=radius)
-            yield from _exact(self.points.Query(request))
+            yield from _rows(self.points.Query(request).neighbors)
 
     def _states(self, rows: np.ndarray):
-        return self.points_pb.States(rows=len(rows), coordinates=rows.ravel())
-
-
-def _exact(answer):
-    if not answer.exact:
-        raise Mismatch("an answer says that it is not exact")
-    return _rows(answer.neighbors)
+        return self.types_pb.States(rows=len(rows), coordinates=rows.ravel())
 
 
 def _rows(neighbors):

@@ -17,7 +17,7 @@ PATIENCE_S = 60
 
 
 def generate_stubs(directory: str):
-    """Generates the stubs; returns the modules of messages, of index stubs and of point stubs."""
+    """Generates the stubs; returns the modules of both services' messages and stubs, and of the messages that both share."""
     files = sorted(str(path.relative_to(PROTO)) for path in PROTO.glob("wayfold/v1/*.proto"))
     well_known = str(Path(grpc_tools.__file__).parent / "_proto")
     outputs = [f"--python_out={directory}", f"--grpc_python_out={directory}"]
@@ -27,7 +27,7 @@ def generate_stubs(directory: str):
     return [importlib.import_module(f"wayfold.v1.{name}") for name in MODULES]
 
 
-MODULES = ("index_service_pb2", "index_service_pb2_grpc", "point_service_pb2", "point_service_pb2_grpc")
+MODULES = ("index_service_pb2", "index_service_pb2_grpc", "point_service_pb2", "point_service_pb2_grpc", "types_pb2")
 
 
 class Server:

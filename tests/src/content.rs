@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use tonic::Status;
-use wayfold_proto::v1::{ScanRequest, point_service_client::PointServiceClient};
+use wayfold_proto::v1::{Revision, ScanRequest, point_service_client::PointServiceClient};
 
-use crate::{Stubs, bits};
+use crate::{INCLUDE_ALL, Stubs, bits};
 
 /// An index at one revision; equal contents are equal in every bit.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,7 +42,7 @@ impl Content {
     pub async fn read(stubs: &Stubs, index: &str) -> Result<Self, Status> {
         let request = ScanRequest {
             index: index.to_owned(),
-            payloads: true,
+            include: Some(INCLUDE_ALL),
             ..Default::default()
         };
         let content = Self::scan(stubs.points.clone(), request).await?;
@@ -67,15 +67,17 @@ impl Content {
         let mut last_id = None;
         while let Some(part) = parts.message().await? {
             let (read, total) = content.get_or_insert_with(|| {
+                let Revision { uid, number } = part.revision.clone().expect("a revision");
                 let read = Self {
-                    uid: part.uid.clone(),
-                    revision: part.revision,
+                    uid,
+                    revision: number,
                     points: BTreeMap::new(),
                 };
-                (read, part.total_points)
+                (read, part.point_count)
             });
-            assert_eq!((&part.uid, part.revision), (&read.uid, read.revision));
-            assert_eq!(part.total_points, *total);
+            let Revision { uid, number } = part.revision.expect("a revision");
+            assert_eq!((&uid, number), (&read.uid, read.revision));
+            assert_eq!(part.point_count, *total);
             let points = part.points.unwrap_or_default();
             let rows = points.states.unwrap_or_default();
             assert_eq!(rows.rows as usize, points.ids.len());

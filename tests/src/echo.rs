@@ -11,9 +11,9 @@ use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
 use tonic::{Request, Response, Status, Streaming, transport::Server};
 use wayfold_proto::v1::{
     GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse, Neighbors,
-    Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, ScanRequest, ScanResponse,
-    States, StreamKnnRequest, StreamKnnResponse, UpdateRequest, UpdateResponse, WatchRequest,
-    WatchResponse,
+    Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, Revision, ScanRequest,
+    ScanResponse, States, StreamKnnRequest, StreamKnnResponse, UpdateRequest, UpdateResponse,
+    WatchRequest, WatchResponse, knn_request, neighbor_spec,
     point_service_server::{PointService, PointServiceServer},
     stream_knn_response::Result as StreamedAnswer,
 };
@@ -61,30 +61,33 @@ struct Echo {
 
 impl Echo {
     fn neighbors(&self, request: &KnnRequest) -> KnnResponse {
-        let (rows, k) = (row_count(request.states.as_ref()), request.k);
+        let Some(knn_request::Count::K(k)) = request.count else {
+            return KnnResponse::default();
+        };
+        let rows = row_count(request.states.as_ref());
         let mut made = self
             .neighbors
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         let answer = made.entry((rows, k)).or_insert_with(|| KnnResponse {
             neighbors: Some(neighbors(rows, k)),
-            exact: true,
-            revision: 1_000,
-            uid: UID.into(),
+            revision: revision(),
         });
         answer.clone()
     }
 
     fn outcomes(&self, request: &InsertRequest) -> InsertResponse {
         let rows = row_count(request.states.as_ref());
-        let k = request.neighbors.and_then(|neighbors| neighbors.k);
+        let k = match request.neighbors.as_ref().and_then(|spec| spec.count) {
+            Some(neighbor_spec::Count::K(k)) => Some(k),
+            _ => None,
+        };
         let mut made = self.outcomes.lock().unwrap_or_else(PoisonError::into_inner);
         let answer = made.entry((rows, k)).or_insert_with(|| InsertResponse {
             outcomes: vec![Outcome::Inserted.into(); rows],
             ids: (0..rows as u64).collect(),
             neighbors: k.map(|k| neighbors(rows, k)),
-            revision: 1_000,
-            uid: UID.into(),
+            revision: revision(),
         });
         answer.clone()
     }
@@ -92,6 +95,13 @@ impl Echo {
 
 fn row_count(states: Option<&States>) -> usize {
     states.map_or(0, |states| states.rows as usize)
+}
+
+fn revision() -> Option<Revision> {
+    Some(Revision {
+        uid: UID.into(),
+        number: 1_000,
+    })
 }
 
 fn neighbors(rows: usize, k: u32) -> Neighbors {

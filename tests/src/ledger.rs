@@ -11,6 +11,8 @@ use wayfold_proto::v1::{
     RemoveRequest, RemoveResponse,
 };
 
+use crate::number;
+
 /// A call that was answered.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Entry {
@@ -28,10 +30,10 @@ impl Entry {
     /// The revision that the answer names.
     pub fn revision(&self) -> u64 {
         match self {
-            Entry::Insert(_, response) => response.revision,
-            Entry::Remove(_, response) => response.revision,
-            Entry::Knn(_, response) => response.revision,
-            Entry::Query(_, response) => response.revision,
+            Entry::Insert(_, response) => number(&response.revision),
+            Entry::Remove(_, response) => number(&response.revision),
+            Entry::Knn(_, response) => number(&response.revision),
+            Entry::Query(_, response) => number(&response.revision),
         }
     }
 
@@ -42,7 +44,7 @@ impl Entry {
             Entry::Insert(_, response) => response
                 .outcomes()
                 .any(|outcome| matches!(outcome, Inserted | Replaced)),
-            Entry::Remove(_, response) => response.removed > 0,
+            Entry::Remove(_, response) => response.removed_count > 0,
             Entry::Knn(..) | Entry::Query(..) => false,
         }
     }

@@ -18,7 +18,7 @@ pub use model::Model;
 pub use process::{Finished, Process, ServerProcess, Signal};
 pub use refusal::Refusal;
 pub use states::States;
-pub use stubs::{Stubs, bits, neighbor_rows, row_states};
+pub use stubs::{INCLUDE_ALL, Stubs, bits, k_nearest, neighbor_rows, number, revision, row_states};
 
 /// Compiles the examples of the README.
 #[cfg(doctest)]

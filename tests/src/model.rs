@@ -6,11 +6,11 @@ use prost::bytes::Bytes;
 use wayfold_index::{Linear, PointRef, Search, Space};
 use wayfold_proto::v1::{
     self, GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse,
-    NeighborQuery, Neighbors, OnConflict, Outcome, QueryRequest, QueryResponse, RemoveRequest,
-    RemoveResponse,
+    NeighborSpec, Neighbors, OnConflict, Outcome, QueryRequest, QueryResponse, RemoveRequest,
+    RemoveResponse, neighbor_spec,
 };
 
-use crate::{Content, StoredPoint, bits, ledger::Entry, neighbor_rows};
+use crate::{Content, StoredPoint, bits, ledger::Entry, neighbor_rows, number};
 
 /// What an index must hold at one revision.
 ///
@@ -99,7 +99,7 @@ impl Model {
             }
         }
         assert_eq!(neighbors.next(), None);
-        assert_eq!(response.revision, self.revision);
+        assert_eq!(number(&response.revision), self.revision);
     }
 
     /// Checks a removal and applies it.
@@ -115,10 +115,11 @@ impl Model {
         self.revision += u64::from(removed > 0);
         let missing = request.ids.len() as u64 - removed;
         assert_eq!(
-            (response.removed, response.missing, response.revision),
-            (removed, missing, self.revision),
+            (response.removed_count, response.missing_count),
+            (removed, missing),
             "{request:?}"
         );
+        assert_eq!(number(&response.revision), self.revision, "{request:?}");
     }
 
     /// Checks the answer to a Knn.
@@ -126,13 +127,12 @@ impl Model {
     /// # Panics
     /// As [`Model::check`].
     pub fn knn(&self, request: &KnnRequest, response: &KnnResponse) {
-        assert_eq!(response.revision, self.revision);
-        assert!(response.exact);
-        let search = Search {
-            radius: request.radius.unwrap_or(f64::INFINITY),
-            filter: filter(request.filter.as_ref()),
-            ..Search::nearest_k(request.k as usize)
-        };
+        assert_eq!(number(&response.revision), self.revision);
+        let search = search(
+            request.count.map(Into::into),
+            request.reach.map(Into::into),
+            request.filter.as_ref(),
+        );
         self.searched(
             request.states.as_ref(),
             &search,
@@ -145,12 +145,9 @@ impl Model {
     /// # Panics
     /// As [`Model::check`].
     pub fn query(&self, request: &QueryRequest, response: &QueryResponse) {
-        assert_eq!(response.revision, self.revision);
-        assert!(response.exact);
-        let search = Search {
-            filter: filter(request.filter.as_ref()),
-            ..Search::nearest_r(request.radius.unwrap_or(f64::NAN))
-        };
+        assert_eq!(number(&response.revision), self.revision);
+        let reach = request.reach.expect("a reach");
+        let search = search(None, Some(reach.into()), request.filter.as_ref());
         self.searched(
             request.states.as_ref(),
             &search,
@@ -163,7 +160,7 @@ impl Model {
     /// # Panics
     /// As [`Model::check`].
     pub fn get(&self, request: &GetRequest, response: &GetResponse) {
-        assert_eq!(response.revision, self.revision);
+        assert_eq!(number(&response.revision), self.revision);
         let told = response.points.as_ref().expect("points");
         let rows = told.states.as_ref().expect("states");
         assert_eq!(told.ids, request.ids);
@@ -216,13 +213,11 @@ impl Model {
         assert_eq!(told.next(), None);
     }
 
-    fn neighbors(&self, query: &NeighborQuery, row: &[f64], id: Option<u64>) -> Vec<(u64, u64)> {
+    fn neighbors(&self, spec: &NeighborSpec, row: &[f64], id: Option<u64>) -> Vec<(u64, u64)> {
         let own = HashSet::from_iter(id);
         let search = Search {
-            radius: query.radius.unwrap_or(f64::INFINITY),
-            filter: filter(query.filter.as_ref()),
             excluded: Some(&own),
-            ..Search::nearest_k(query.k.map_or(usize::MAX, |k| k as usize))
+            ..search(spec.count, spec.reach, spec.filter.as_ref())
         };
         self.search(row, &search)
     }
@@ -307,10 +302,33 @@ fn expected_rows(
     rows.collect::<Vec<_>>().into_iter()
 }
 
-fn filter(filter: Option<&v1::Filter>) -> wayfold_index::Filter {
+/// The search that a request asks for, which scales nothing.
+fn search(
+    count: Option<neighbor_spec::Count>,
+    reach: Option<neighbor_spec::Reach>,
+    filter: Option<&v1::Filter>,
+) -> Search<'static> {
+    let k = match count {
+        None => usize::MAX,
+        Some(neighbor_spec::Count::K(k)) => k as usize,
+        Some(neighbor_spec::Count::KFactor(_)) => panic!("{count:?}"),
+    };
+    let radius = match reach {
+        None => f64::INFINITY,
+        Some(neighbor_spec::Reach::Radius(radius)) => radius,
+        Some(neighbor_spec::Reach::ScaledRadius(_)) => panic!("{reach:?}"),
+    };
+    Search {
+        radius,
+        filter: plain(filter),
+        ..Search::nearest_k(k)
+    }
+}
+
+fn plain(filter: Option<&v1::Filter>) -> wayfold_index::Filter {
     filter.map_or_else(Default::default, |filter| wayfold_index::Filter {
         tag_mask: filter.tag_mask,
         tag_value: filter.tag_value,
-        since_revision: filter.since_revision,
+        since_revision: number(&filter.since_revision),
     })
 }

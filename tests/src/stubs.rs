@@ -3,7 +3,8 @@
 use tonic::transport::Channel;
 use wayfold_proto::v1::{
     self, CreateIndexRequest, DeleteIndexRequest, GetIndexRequest, InsertRequest, InsertResponse,
-    Neighbors, index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
+    Neighbors, create_index_request::SpaceForm, index_service_client::IndexServiceClient,
+    neighbor_spec, point_service_client::PointServiceClient,
 };
 
 /// Both services over one connection. Clones share it.
@@ -40,8 +41,7 @@ impl Stubs {
     pub async fn create(&mut self, name: &str, space: &str) -> v1::Index {
         let request = CreateIndexRequest {
             name: name.to_owned(),
-            space_text: space.to_owned(),
-            ..Default::default()
+            space_form: Some(SpaceForm::SpaceText(space.to_owned())),
         };
         let response = self.indexes.create_index(request).await;
         let index = response.expect("an index").into_inner().index;
@@ -53,8 +53,8 @@ impl Stubs {
     /// # Panics
     /// If it is refused.
     pub async fn describe(&mut self, name: &str) -> v1::Index {
-        let name = name.to_owned();
-        let response = self.indexes.get_index(GetIndexRequest { name }).await;
+        let index = name.to_owned();
+        let response = self.indexes.get_index(GetIndexRequest { index }).await;
         let index = response.expect("an index").into_inner().index;
         index.expect("a description")
     }
@@ -65,7 +65,7 @@ impl Stubs {
     /// If it is refused.
     pub async fn delete(&mut self, name: &str) {
         let request = DeleteIndexRequest {
-            name: name.to_owned(),
+            index: name.to_owned(),
             ..Default::default()
         };
         let response = self.indexes.delete_index(request).await;
@@ -81,6 +81,36 @@ impl Stubs {
         response.expect("an accepted insert").into_inner()
     }
 }
+
+/// A revision, as requests name it.
+pub fn revision(uid: &str, number: u64) -> Option<v1::Revision> {
+    let uid = uid.to_owned();
+    Some(v1::Revision { uid, number })
+}
+
+/// The number of an answer's revision.
+///
+/// # Panics
+/// If there is none.
+pub fn number(revision: &Option<v1::Revision>) -> u64 {
+    revision.as_ref().expect("a revision").number
+}
+
+/// The k nearest of each row of an insert.
+pub fn k_nearest(k: u32) -> v1::NeighborSpec {
+    v1::NeighborSpec {
+        count: Some(neighbor_spec::Count::K(k)),
+        ..Default::default()
+    }
+}
+
+/// All columns.
+pub const INCLUDE_ALL: v1::Include = v1::Include {
+    states: true,
+    tags: true,
+    revisions: true,
+    payloads: true,
+};
 
 /// Rows of coordinates as a message.
 pub fn row_states(rows: &[f64], coordinates: usize) -> v1::States {

@@ -38,13 +38,13 @@ def refused(code: int, reason: str, ask):
         raise AssertionError(f"{reason} was expected")
 
 
-def drive(face, index_pb, pb):
+def drive(face, index_pb, pb, types):
     """Every operation, on an index of its own."""
     name = face.name
     create = index_pb.CreateIndexRequest(name=name, space_text="R2")
     created = face.ask("create", create, index_pb.CreateIndexResponse)
     expect((created.created, created.index.space.real_vector.dimensions), (True, 2))
-    uid = created.index.uid
+    uid = created.index.revision.uid
     expect(face.ask("create", create, index_pb.CreateIndexResponse).created, False)
 
     told = queue.Queue()
@@ -53,21 +53,21 @@ def drive(face, index_pb, pb):
     def event():
         return face.read(told.get(timeout=PATIENCE_S), pb.WatchResponse)
 
-    expect((event().uid, uid), (uid, uid))
+    expect(event().revision, types.Revision(uid=uid, number=0))
 
-    states = pb.States(rows=3, coordinates=[number for row in ROWS for number in row])
+    states = types.States(rows=3, coordinates=[number for row in ROWS for number in row])
     insert = pb.InsertRequest(
         index=name,
         states=states,
         ids=[1, 2, 2**60],
         tags=[0, 1, 2**64 - 1],
         payloads=[b"", b"\x00\xff", b"x"],
-        neighbors=pb.NeighborQuery(k=1, include=pb.Include(states=True)),
+        neighbors=pb.NeighborSpec(k=1, include=types.Include(states=True)),
         operation_id="once",
     )
     inserted = face.ask(f"{name}/insert", insert, pb.InsertResponse)
     expect(list(inserted.outcomes), [pb.OUTCOME_INSERTED] * 3)
-    expect((inserted.revision, list(inserted.neighbors.counts)), (1, [0, 1, 1]))
+    expect((inserted.revision.number, list(inserted.neighbors.counts)), (1, [0, 1, 1]))
     expect(list(inserted.neighbors.distances), [5.0, 5.0])
     expect(list(inserted.neighbors.states.coordinates), [0.0, 0.0, 3.0, 4.0])
     expect(face.ask(f"{name}/insert", insert, pb.InsertResponse), inserted)
@@ -77,30 +77,33 @@ def drive(face, index_pb, pb):
 
     update = pb.UpdateRequest(index=name, ids=[1, 2], tags=[7], tag_mask=7)
     updated = face.ask(f"{name}/update", update, pb.UpdateResponse)
-    expect((updated.updated, updated.revision), (2, 2))
-    get = face.ask(f"{name}/get", pb.GetRequest(index=name, ids=[2, 2**60], payloads=True), pb.GetResponse)
+    expect((updated.updated_count, updated.revision.number), (2, 2))
+    columns = types.Include(states=True, tags=True, payloads=True)
+    get = face.ask(f"{name}/get", pb.GetRequest(index=name, ids=[2, 2**60], include=columns), pb.GetResponse)
+    expect(list(get.points.revisions), [])
     expect(list(get.points.tags), [7, 2**64 - 1])
     expect(list(get.points.payloads), [b"\x00\xff", b"x"])
     expect(list(get.points.states.coordinates), [3.0, 4.0, 6.0, 8.0])
 
-    knn = pb.KnnRequest(index=name, states=states, k=2, filter=pb.Filter(tag_mask=1, tag_value=1))
+    knn = pb.KnnRequest(index=name, states=states, k=2, filter=types.Filter(tag_mask=1, tag_value=1))
     nearest = face.ask(f"{name}/knn", knn, pb.KnnResponse)
-    expect((list(nearest.neighbors.counts), nearest.exact), ([2, 2, 2], True))
+    expect(list(nearest.neighbors.counts), [2, 2, 2])
     expect(list(nearest.neighbors.ids), [1, 2, 2, 1, 2**60, 2])
     near = face.ask(f"{name}/query", pb.QueryRequest(index=name, states=states, radius=5.0), pb.QueryResponse)
     expect(list(near.neighbors.ids), [1, 2, 2, 1, 2**60, 2**60, 2])
 
     removed = face.ask(f"{name}/remove", pb.RemoveRequest(index=name, ids=[1, 99]), pb.RemoveResponse)
-    expect((removed.removed, removed.missing, removed.revision), (1, 1, 3))
-    log = face.ask(f"{name}/log?from=1", pb.WatchRequest(index=name, uid=uid), pb.WatchResponse)
-    expect([mutation.revision for mutation in log.mutations], [2, 3])
+    expect((removed.removed_count, removed.missing_count, removed.revision.number), (1, 1, 3))
+    first = pb.WatchRequest(index=name, after_revision=types.Revision(uid=uid, number=1))
+    log = face.ask(f"{name}/log", first, pb.WatchResponse)
+    expect([mutation.revision.number for mutation in log.mutations], [2, 3])
     expect(list(log.mutations[1].removed_ids), [1])
-    described = face.ask(f"{name}/info", index_pb.GetIndexRequest(name=name), index_pb.GetIndexResponse)
-    expect((described.index.points, described.index.revision), (2, 3))
+    described = face.ask(f"{name}/info", index_pb.GetIndexRequest(index=name), index_pb.GetIndexResponse)
+    expect((described.index.point_count, described.index.revision.number), (2, 3))
     listed = face.ask("list", index_pb.ListIndexesRequest(), index_pb.ListIndexesResponse)
     expect(name in [index.name for index in listed.indexes], True)
 
-    wrong = pb.KnnRequest(index=name, states=pb.States(rows=1, coordinates=[1.0, 2.0, 3.0]), k=1)
+    wrong = pb.KnnRequest(index=name, states=types.States(rows=1, coordinates=[1.0, 2.0, 3.0]), k=1)
     refused(3, "WIDTH", lambda: face.ask(f"{name}/knn", wrong, pb.KnnResponse))
     refused(5, "INDEX_NOT_FOUND", lambda: face.ask("nobody/info", index_pb.GetIndexRequest(), None))
     refused(3, "CONFLICT", lambda: face.ask(f"{name}/knn?k=9", knn, pb.KnnResponse))
@@ -109,7 +112,7 @@ def drive(face, index_pb, pb):
 
     tokens = face.session.liveliness().get(f"{PREFIX}/{name}/@alive", timeout=PATIENCE_S)
     expect([str(token.ok.key_expr) for token in tokens], [f"{PREFIX}/{name}/@alive"])
-    deleted = face.ask("delete", index_pb.DeleteIndexRequest(name=name, uid=uid), index_pb.DeleteIndexResponse)
+    deleted = face.ask("delete", index_pb.DeleteIndexRequest(index=name, uid=uid), index_pb.DeleteIndexResponse)
     expect(deleted.uid, uid)
     events.undeclare()
     print(f"every operation, {name}: as expected")
@@ -141,14 +144,14 @@ def readme(session: zenoh.Session, server: Server):
     expect(example.count(USUAL), 1)
     exec(example.replace(USUAL, server.locator), {})
     reply = only(session, "arm/info")
-    expect(json.loads(reply.ok.payload.to_string())["index"]["points"], 2)
+    expect(json.loads(reply.ok.payload.to_string())["index"]["point_count"], 2)
 
 
-def share(server: Server, programs: Path, directory: str, face: Protobuf, pb):
+def share(server: Server, programs: Path, directory: str, face: Protobuf, pb, types):
     """Two planners over Zenoh and two over gRPC share an index; each of their answers equals brute force."""
     only(face.session, "create", payload=json.dumps({"name": "roadmap", "space_text": "R3*SO3:0.15"}))
     # Assigned ids run above this one, those that the planners give below.
-    pose = pb.States(rows=1, coordinates=[5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0])
+    pose = types.States(rows=1, coordinates=[5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0])
     root = pb.InsertRequest(index="roadmap", states=pose, ids=[1 << 48])
     rooted = face.ask("roadmap/insert", root, pb.InsertResponse)
     Path(directory, "root.ledger").write_bytes(entry(0, root, rooted))
@@ -188,13 +191,13 @@ def main():
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as directory, Server(programs / "server-process") as server:
         generate_stubs(directory)
-        index_pb, pb = load_stubs(directory)
+        index_pb, pb, types = load_stubs(directory)
         session = connect(server.locator)
-        for face in (Json(session), Protobuf(session, pb.Status)):
-            drive(face, index_pb, pb)
+        for face in (Json(session), Protobuf(session, types.Status)):
+            drive(face, index_pb, pb, types)
         by_hand(session)
         readme(session, server)
-        share(server, programs, directory, Protobuf(session, pb.Status), pb)
+        share(server, programs, directory, Protobuf(session, types.Status), pb, types)
         only(session, "create", payload=json.dumps({"name": mixed.INDEX, "space_text": "R3*SO3:0.15"}))
         built = mixed.build(server, programs, directory, arguments.milestones)
         print(f"a roadmap by planners over gRPC and Zenoh, as in a serial replay: {built}")

@@ -82,8 +82,9 @@ class Json:
     def ask(self, key: str, request, answer):
         """As Protobuf.ask."""
         fields = to_json(request)
-        # The key names it.
-        fields.pop("index", None)
+        # The key names it, but for the one to delete.
+        if key != "delete":
+            fields.pop("index", None)
         reply = only(self.session, key, payload=json.dumps(fields), encoding=zenoh.Encoding.APPLICATION_JSON)
         if reply.ok is not None:
             return self.read(reply.ok, answer)

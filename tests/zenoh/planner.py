@@ -13,8 +13,8 @@ from processes import load_stubs
 
 
 class Planner:
-    def __init__(self, face, pb, index: str, seed: int):
-        self.face, self.pb, self.index = face, pb, index
+    def __init__(self, face, pb, types, index: str, seed: int):
+        self.face, self.pb, self.types, self.index = face, pb, types, index
         self.random = random.Random(seed)
         self.next_id = (seed + 1) << 32
         self.own = []
@@ -38,7 +38,7 @@ class Planner:
             tags=[self.random.randrange(4) for _ in range(rows)],
             payloads=[bytes([row, 255]) for row in range(rows)],
             min_separation=self.random.choice([0.0, 0.0, 0.9]),
-            neighbors=self.pb.NeighborQuery(k=self.random.randint(1, 12)),
+            neighbors=self.pb.NeighborSpec(k=self.random.randint(1, 12)),
         )
         self.next_id += rows
         answer = self.face.ask(f"{self.index}/insert", request, self.pb.InsertResponse)
@@ -71,7 +71,7 @@ class Planner:
             q = [self.random.gauss(0.0, 1.0) for _ in range(4)]
             norm = math.sqrt(sum(x * x for x in q))
             coordinates += [x / norm for x in q]
-        return self.pb.States(rows=rows, coordinates=coordinates)
+        return self.types.States(rows=rows, coordinates=coordinates)
 
 
 def entry(kind: int, request, answer) -> bytes:
@@ -90,17 +90,17 @@ def delimited(message) -> bytes:
 
 def main():
     locator, index, form, seed, rounds, ledger, stubs = sys.argv[1:]
-    _, pb = load_stubs(stubs)
+    _, pb, types = load_stubs(stubs)
     session = connect(locator)
-    face = Json(session) if form == "json" else Protobuf(session, pb.Status)
-    planner = Planner(face, pb, index, int(seed))
+    face = Json(session) if form == "json" else Protobuf(session, types.Status)
+    planner = Planner(face, pb, types, index, int(seed))
     print("ready", flush=True)
     sys.stdin.readline()
     with open(ledger, "wb") as file:
         for _ in range(int(rounds)):
             kind, request, answer = planner.act()
-            assert answer.revision >= planner.revision, "an answer from the past"
-            planner.revision = answer.revision
+            assert answer.revision.number >= planner.revision, "an answer from the past"
+            planner.revision = answer.revision.number
             file.write(entry(kind, request, answer))
     session.close()
 

@@ -22,9 +22,9 @@ def generate_stubs(directory: str):
 
 
 def load_stubs(directory: str):
-    """The modules of the messages: of the indices, and of the points."""
+    """The modules of the messages: of the indices, of the points, and of what both share."""
     sys.path.insert(0, directory)
-    return [importlib.import_module(f"wayfold.v1.{name}_pb2") for name in ("index_service", "point_service")]
+    return [importlib.import_module(f"wayfold.v1.{name}_pb2") for name in ("index_service", "point_service", "types")]
 
 
 class Server:

@@ -42,18 +42,17 @@ class Checked:
 
     state: list[float]
     earlier: list[Candidate]
-    seen: int
+    seen: object
     edges: list[int]
 
 
 class Worker:
-    def __init__(self, face, pb, index: str, uid: str, scene: Scene, number: int, seed: int):
-        self.face, self.pb, self.index, self.uid = face, pb, index, uid
+    def __init__(self, face, pb, types, index: str, revision, scene: Scene, number: int, seed: int):
+        self.face, self.pb, self.types, self.index = face, pb, types, index
         self.scene, self.number = scene, number
         self.random = random.Random(f"{seed}, {number}")
-        self.scaling = pb.Scaling(k_factor=K_FACTOR)
-        # Its reads see what it was told of.
-        self.revision = 0
+        # Its reads see the newest revision that an answer named.
+        self.revision = revision
         self.account = {"samples": 0, "milestones": 0, "edges": 0, "meanwhile": 0}
 
     def sample(self) -> list[float]:
@@ -70,15 +69,15 @@ class Worker:
 
     def look(self, state: list[float]) -> Checked:
         """The first step: checks the ways to the k(n) nearest that are there."""
-        earlier, seen = self.nearest(state, scaling=self.scaling)
+        earlier, seen = self.nearest(state, k_factor=K_FACTOR)
         return Checked(state, earlier, seen, self.check(state, earlier))
 
     def insert(self, checked: Checked):
         """The second step: stores the state with these edges, and is told of what arrived meanwhile: its id, and that."""
-        around = self.pb.NeighborQuery(
-            scaling=self.scaling,
-            filter=self.pb.Filter(since_revision=checked.seen),
-            include=self.pb.Include(states=True),
+        around = self.pb.NeighborSpec(
+            k_factor=K_FACTOR,
+            filter=self.types.Filter(since_revision=checked.seen),
+            include=self.types.Include(states=True),
         )
         request = self.pb.InsertRequest(
             index=self.index,
@@ -86,7 +85,7 @@ class Worker:
             tags=[self.number << 1 | PENDING],
             payloads=[payload(checked.edges)],
             neighbors=around,
-            uid=self.uid,
+            uid=self.revision.uid,
         )
         answer = self.face.ask(f"{self.index}/insert", request, self.pb.InsertResponse)
         assert list(answer.outcomes) == [self.pb.OUTCOME_INSERTED], answer.outcomes
@@ -113,7 +112,7 @@ class Worker:
             tags=[0],
             tag_mask=PENDING,
             payloads=[payload(edges)] if edges != checked.edges else [],
-            uid=self.uid,
+            uid=self.revision.uid,
         )
         answer = self.face.ask(f"{self.index}/update", request, self.pb.UpdateResponse)
         self.revision = answer.revision
@@ -142,8 +141,8 @@ class Worker:
         request = self.pb.KnnRequest(
             index=self.index,
             states=self.one(state),
-            include=self.pb.Include(states=True),
-            at=self.pb.ReadAt(uid=self.uid, min_revision=self.revision),
+            include=self.types.Include(states=True),
+            min_revision=self.revision,
             **wanted,
         )
         answer = self.face.ask(f"{self.index}/knn", request, self.pb.KnnResponse)
@@ -156,7 +155,7 @@ class Worker:
         return [Candidate(*near) for near in zip(neighbors.ids, neighbors.distances, rows, strict=True)]
 
     def one(self, state: list[float]):
-        return self.pb.States(rows=1, coordinates=state)
+        return self.types.States(rows=1, coordinates=state)
 
 
 def payload(edges: list[int]) -> bytes:
@@ -170,11 +169,11 @@ def tell(line):
 
 def main():
     locator, index, form, number, seed, milestones, least, programs, stubs = sys.argv[1:]
-    index_pb, pb = load_stubs(stubs)
+    index_pb, pb, types = load_stubs(stubs)
     session = connect(locator)
-    face = Json(session) if form == "json" else Protobuf(session, pb.Status)
-    described = face.ask(f"{index}/info", index_pb.GetIndexRequest(name=index), index_pb.GetIndexResponse)
-    worker = Worker(face, pb, index, described.index.uid, Scene(Path(programs)), int(number), int(seed))
+    face = Json(session) if form == "json" else Protobuf(session, types.Status)
+    described = face.ask(f"{index}/info", index_pb.GetIndexRequest(index=index), index_pb.GetIndexResponse)
+    worker = Worker(face, pb, types, index, described.index.revision, Scene(Path(programs)), int(number), int(seed))
     checked = worker.look(worker.sample())
     tell("ready")
     sys.stdin.readline()

@@ -20,7 +20,9 @@ pub(super) async fn write<T>(
         path: path.to_owned(),
         source,
     };
-    let directory = match path.parent() {
+    // The file behind a symbolic link is replaced, not the link.
+    let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let directory = match target.parent() {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
     };
@@ -35,8 +37,8 @@ pub(super) async fn write<T>(
     temporary.as_file().sync_all().map_err(failed)?;
     let bytes = temporary.as_file().metadata().map_err(failed)?.len();
     let renamed = match replace {
-        true => temporary.persist(path),
-        false => temporary.persist_noclobber(path),
+        true => temporary.persist(&target),
+        false => temporary.persist_noclobber(&target),
     };
     renamed.map_err(|error| match error.error.kind() {
         io::ErrorKind::AlreadyExists => Failure::Exists {

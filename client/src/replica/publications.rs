@@ -156,13 +156,13 @@ impl Feed {
             after_revision: Some(after),
             ..Default::default()
         };
-        let asked = self
+        let query = self
             .session
             .get(format!("{}/log?from={}", self.key, self.after))
             .payload(request.encode_to_vec())
             .encoding(Encoding::APPLICATION_PROTOBUF)
             .timeout(self.index.timeout());
-        let replies = asked.await.map_err(|error| lost(&self.key, error))?;
+        let replies = query.await.map_err(|error| lost(&self.key, error))?;
         let reply = replies.recv_async().await;
         let reply = reply.map_err(|_| lost(&self.key, "no server answers for its log"))?;
         match reply.into_result() {

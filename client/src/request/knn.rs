@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use wayfold_proto::v1;
+use wayfold_proto::v1::{self, neighbor_spec};
 
 use super::{SearchOptions, awaitable, search_options};
 use crate::{
@@ -98,8 +98,14 @@ impl Knn {
         v1::KnnRequest {
             index: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
-            count: self.bounds.knn_count(),
-            reach: self.bounds.knn_reach(),
+            count: self
+                .bounds
+                .count
+                .map(|count| neighbor_spec::Count::from(count).into()),
+            reach: self
+                .bounds
+                .radius
+                .map(|radius| neighbor_spec::Reach::from(radius).into()),
             epsilon: self.options.epsilon,
             filter: self.options.filter.to_message(),
             include: self.options.include.to_message(),

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use wayfold_proto::v1;
+use wayfold_proto::v1::{self, neighbor_spec};
 
 use super::{SearchOptions, awaitable, search_options};
 use crate::{
@@ -71,7 +71,7 @@ impl Query {
         v1::QueryRequest {
             index: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
-            reach: Some(self.radius.to_query_message()),
+            reach: Some(neighbor_spec::Reach::from(self.radius).into()),
             epsilon: self.options.epsilon,
             filter: self.options.filter.to_message(),
             include: self.options.include.to_message(),

@@ -25,7 +25,7 @@ impl Client {
     /// a file ([`SnapshotReader`](crate::SnapshotReader)).
     ///
     /// The timeout bounds the wait for the server to take each part, and at the end, with 100 µs more for each point,
-    /// the wait for it to build the index. It is not tried again. After an error nothing is left, except that after
+    /// the wait for it to build the index. It is not retried. After an error nothing is left, except that after
     /// [`Error::Timeout`] or [`Error::Connection`] the index may be there, and then is whole.
     ///
     /// # Errors
@@ -71,7 +71,7 @@ impl Client {
 /// How far the sending is.
 #[derive(Clone, Copy, Debug, Default)]
 struct Movement {
-    /// Whether the next move is the server's, and not that of whoever gives the parts.
+    /// Whether the client waits for the server, and not for the next part.
     servers: bool,
     /// Whether the last part was given.
     done: bool,
@@ -90,7 +90,7 @@ async fn stalled(movement: &mut watch::Receiver<Movement>, patience: Duration) -
         let patience = patience.saturating_add(building);
         let changed = movement.changed();
         if !now.servers && !now.done {
-            // The sender is gone only where the call has ended, which is heard of elsewhere.
+            // The sender is gone only where the call has ended, and the call's own future ends then.
             if changed.await.is_err() {
                 std::future::pending::<()>().await;
             }
@@ -133,7 +133,7 @@ impl Source {
                 }
                 Some(Err(error)) => {
                     if let Some(failed) = self.failed.take() {
-                        // Whoever called may have gone.
+                        // The receiver is gone if the restore was dropped.
                         let _ = failed.send(error);
                     }
                     // The call is about to be dropped.

@@ -177,7 +177,12 @@ impl Watch {
         };
         let first = timeout(waited, watch.messages.next()).await;
         let first = first.map_err(|_| Error::timeout(CALL, waited))?;
-        let first = first.ok_or_else(|| protocol("a watch without any message"))??;
+        let mut first = first.ok_or_else(|| protocol("a watch without any message"))??;
+        let uid = first.revision.as_ref().map(|revision| &*revision.uid);
+        if request.after.is_none() && uid != Some(watch.index.uid()) {
+            // The request named no uid, so the server cannot know that the handle has another.
+            first.reset = Some(v1::ResetReason::UidChanged.into());
+        }
         let begins_now = first.revision.as_ref().map(|revision| revision.number);
         let after = request.after.map(|revision| revision.number);
         watch.after = after.or(begins_now).unwrap_or(0);

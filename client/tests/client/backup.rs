@@ -52,7 +52,7 @@ async fn line(server: &Server) -> Vec<SnapshotPart> {
     let mut snapshot = index.snapshot().await.unwrap();
     assert_eq!(snapshot.header().points, 2);
     let mut parts = Vec::new();
-    while let Some(part) = snapshot.next_part().await.unwrap() {
+    while let Some(part) = snapshot.next().await.unwrap() {
         parts.push(part);
     }
     parts
@@ -69,13 +69,13 @@ async fn an_index_goes_from_server_to_server() {
         .restore("copy", snapshot.into_stream())
         .await
         .unwrap();
-    assert_eq!((copy.name(), copy.revision()), ("copy", 1));
+    assert_eq!((copy.name(), copy.revision().number), ("copy", 1));
     let points = copy.get([3, 9]).await.unwrap();
-    assert_eq!(points.states().coordinates(), [0.5, 1.5]);
+    assert_eq!(points.states().unwrap().coordinates(), [0.5, 1.5]);
     let (copied, original) = (copy.verify().await.unwrap(), index.verify().await.unwrap());
     assert!(copied.agrees() && original.agrees());
     assert_eq!(copied.content_hash, original.content_hash);
-    assert_ne!(copied.index.uid, original.index.uid);
+    assert_ne!(copied.index.revision.uid, original.index.revision.uid);
 
     let again = index.snapshot().await.unwrap();
     let taken = client
@@ -153,7 +153,7 @@ async fn a_server_that_sends_no_good_snapshot_is_found_out() {
         fake.snapshots(bad, true);
         let read = async {
             let mut snapshot = index.snapshot().await?;
-            while snapshot.next_part().await?.is_some() {}
+            while snapshot.next().await?.is_some() {}
             Ok(())
         };
         let error: Error = read.await.unwrap_err();
@@ -162,9 +162,9 @@ async fn a_server_that_sends_no_good_snapshot_is_found_out() {
     fake.snapshots(&good[..2], false);
     let patient = index.with_timeout(Duration::from_secs(2));
     let mut snapshot = patient.snapshot().await.unwrap();
-    snapshot.next_part().await.unwrap();
-    snapshot.next_part().await.unwrap();
-    let error = snapshot.next_part().await.unwrap_err();
+    snapshot.next().await.unwrap();
+    snapshot.next().await.unwrap();
+    let error = snapshot.next().await.unwrap_err();
     assert!(matches!(error, Error::Timeout { .. }), "{error}");
 }
 
@@ -206,16 +206,19 @@ async fn a_verification_tells_how_far_it_is_and_ends_with_a_report() {
     let mut last = (0, 0);
     let verified = index
         .verify()
-        .queries(40)
+        .query_count(40)
         .k(5)
         .seed(3)
-        .watched(|read, to_read| {
+        .with_progress(|read, to_read| {
             assert!(last.0 <= read && read <= to_read);
             last = (read, to_read);
         });
     let verified = verified.await.unwrap();
     assert!(verified.agrees(), "{:?}", verified.first_disagreements);
-    assert_eq!((verified.stored_points, verified.queries), (20_000, 40));
+    assert_eq!(
+        (verified.stored_point_count, verified.query_count),
+        (20_000, 40)
+    );
     let refused = index.verify().k(1000).await.unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument);
 

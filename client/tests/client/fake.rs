@@ -1,4 +1,4 @@
-//! A server that answers every call alike, remembers what it was asked, and fails as it is told.
+//! A server that answers every call alike, records the requests, and fails as a script says.
 
 use std::{
     collections::VecDeque,
@@ -23,6 +23,25 @@ use wayfold_proto::{
 
 pub(crate) const UID: &str = "the-uid";
 
+/// A revision of the fake's index.
+pub(crate) fn revision(number: u64) -> Option<v1::Revision> {
+    Some(v1::Revision {
+        uid: UID.to_owned(),
+        number,
+    })
+}
+
+/// The limits that tests of dividing are written for.
+const LIMITS: v1::Limits = v1::Limits {
+    rows_per_call: 10_000,
+    ids_per_call: 10_000,
+    k: 100_000,
+    request_bytes: 4 * 1024 * 1024,
+    answer_bytes: 4 * 1024 * 1024,
+    payload_bytes: 64 * 1024,
+    indexes: 1_000,
+};
+
 /// Decides by its number, from 0, and its rows whether a call fails.
 type Script = Box<dyn Fn(usize, usize) -> Option<Status> + Send>;
 
@@ -34,6 +53,8 @@ struct Inner {
     insert: Vec<v1::InsertRequest>,
     remove: Vec<v1::RemoveRequest>,
     timeouts: Vec<Option<String>>,
+    /// How often it was asked for its limits; these calls are counted nowhere else.
+    described: usize,
     /// The revisions that the next answers tell of; the last of them also those after.
     revisions: VecDeque<u64>,
     /// Whether calls wait for ever.
@@ -127,6 +148,10 @@ impl Fake {
         self.inner.lock().unwrap().watched.clone()
     }
 
+    pub(crate) fn times_described(&self) -> usize {
+        self.inner.lock().unwrap().described
+    }
+
     /// How many calls came since failures were last set.
     pub(crate) fn calls(&self) -> usize {
         self.inner.lock().unwrap().calls
@@ -204,6 +229,18 @@ type Answers<A> = Pin<Box<dyn Stream<Item = Result<A, Status>> + Send>>;
 
 #[async_trait]
 impl IndexService for Fake {
+    async fn get_server(
+        &self,
+        _request: Request<v1::GetServerRequest>,
+    ) -> Result<Response<v1::GetServerResponse>, Status> {
+        self.inner.lock().unwrap().described += 1;
+        Ok(Response::new(v1::GetServerResponse {
+            version: "1.2.3".to_owned(),
+            durability: v1::Durability::Memory.into(),
+            limits: Some(LIMITS),
+        }))
+    }
+
     async fn create_index(
         &self,
         request: Request<v1::CreateIndexRequest>,
@@ -216,12 +253,11 @@ impl IndexService for Fake {
         &self,
         request: Request<v1::GetIndexRequest>,
     ) -> Result<Response<v1::GetIndexResponse>, Status> {
-        let revision = self.enter(&request, 0).await?;
+        let number = self.enter(&request, 0).await?;
         let index = v1::Index {
-            name: request.into_inner().name,
+            name: request.into_inner().index,
             space: Some(space::to_message(&"R1".parse::<Space>().unwrap())),
-            uid: UID.to_owned(),
-            revision,
+            revision: revision(number),
             ..Default::default()
         };
         Ok(Response::new(v1::GetIndexResponse { index: Some(index) }))
@@ -297,13 +333,12 @@ impl PointService for Fake {
             .unwrap()
             .insert
             .push(request.get_ref().clone());
-        let revision = self.enter(&request, rows).await?;
+        let number = self.enter(&request, rows).await?;
         Ok(Response::new(v1::InsertResponse {
             outcomes: vec![v1::Outcome::Inserted.into(); rows],
             ids: (0..rows as u64).collect(),
             neighbors: request.into_inner().neighbors.and_then(|_| numbered(rows)),
-            revision,
-            uid: UID.to_owned(),
+            revision: revision(number),
         }))
     }
 
@@ -311,11 +346,10 @@ impl PointService for Fake {
         &self,
         request: Request<v1::UpdateRequest>,
     ) -> Result<Response<v1::UpdateResponse>, Status> {
-        let revision = self.enter(&request, request.get_ref().ids.len()).await?;
+        let number = self.enter(&request, request.get_ref().ids.len()).await?;
         Ok(Response::new(v1::UpdateResponse {
-            updated: request.into_inner().ids.len() as u64,
-            revision,
-            uid: UID.to_owned(),
+            updated_count: request.into_inner().ids.len() as u64,
+            revision: revision(number),
             ..Default::default()
         }))
     }
@@ -329,11 +363,10 @@ impl PointService for Fake {
             .unwrap()
             .remove
             .push(request.get_ref().clone());
-        let revision = self.enter(&request, request.get_ref().ids.len()).await?;
+        let number = self.enter(&request, request.get_ref().ids.len()).await?;
         Ok(Response::new(v1::RemoveResponse {
-            removed: request.into_inner().ids.len() as u64,
-            revision,
-            uid: UID.to_owned(),
+            removed_count: request.into_inner().ids.len() as u64,
+            revision: revision(number),
             ..Default::default()
         }))
     }
@@ -356,12 +389,10 @@ impl PointService for Fake {
             .unwrap()
             .knn
             .push(request.get_ref().clone());
-        let revision = self.enter(&request, rows).await?;
+        let number = self.enter(&request, rows).await?;
         Ok(Response::new(v1::KnnResponse {
             neighbors: numbered(rows),
-            exact: true,
-            revision,
-            uid: UID.to_owned(),
+            revision: revision(number),
         }))
     }
 
@@ -370,13 +401,11 @@ impl PointService for Fake {
         request: Request<v1::QueryRequest>,
     ) -> Result<Response<v1::QueryResponse>, Status> {
         let rows = rows(&request.get_ref().states);
-        let revision = self.enter(&request, rows).await?;
+        let number = self.enter(&request, rows).await?;
         Ok(Response::new(v1::QueryResponse {
             // Not as many counts as states: against the protocol.
             neighbors: numbered(rows + 1),
-            exact: true,
-            revision,
-            uid: UID.to_owned(),
+            revision: revision(number),
         }))
     }
 
@@ -402,7 +431,7 @@ impl PointService for Fake {
         inner.watched.push(request.into_inner());
         let messages = inner.watches.pop_front().unwrap_or_else(|| {
             vec![Ok(v1::WatchResponse {
-                uid: UID.to_owned(),
+                revision: revision(0),
                 ..Default::default()
             })]
         });

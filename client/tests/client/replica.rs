@@ -4,12 +4,13 @@ use std::time::Duration;
 
 use tonic::Status;
 use wayfold::{
-    Client, Code, Error, Filter, Replica, ReplicaRequest, ReplicaStatus, RetryPolicy, Search,
+    Client, Code, Error, Filter, Replica, ReplicaRequest, ReplicaStatus, RetryPolicy, Revision,
+    Search,
 };
 use wayfold_proto::v1;
 
 use crate::{
-    fake::{Fake, UID},
+    fake::{self, Fake},
     server::Server,
     watching::{message, piece, points},
 };
@@ -18,9 +19,8 @@ use crate::{
 fn scanned(revision: u64, found: &[(u64, f64)]) -> Vec<v1::ScanResponse> {
     vec![v1::ScanResponse {
         points: Some(points(revision, found)),
-        revision,
-        uid: UID.to_owned(),
-        total_points: found.len() as u64,
+        revision: fake::revision(revision),
+        point_count: found.len() as u64,
     }]
 }
 
@@ -36,8 +36,8 @@ async fn request(fake: &Fake) -> ReplicaRequest {
 }
 
 fn nearest(replica: &Replica, x: f64) -> (u64, u64) {
-    let found = replica.nearest([x]).unwrap();
-    (found.neighbors[0].id, found.revision)
+    let found = replica.knn([x], 1).unwrap();
+    (found.neighbors[0].id, found.revision.number)
 }
 
 fn reset(reason: v1::ResetReason, revision: u64) -> v1::WatchResponse {
@@ -46,10 +46,17 @@ fn reset(reason: v1::ResetReason, revision: u64) -> v1::WatchResponse {
     reset
 }
 
-/// The revisions after which the watches asked, of which there are so many.
+/// A revision of the fake's index.
+fn revision(number: u64) -> Revision {
+    Revision::new(fake::UID, number)
+}
+
+/// The revisions after which the first watches asked, of which there are so many.
 fn asked_after(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
     let asked = fake.watch_requests().into_iter().take(watches);
-    asked.map(|request| request.after_revision).collect()
+    asked
+        .map(|request| request.after_revision.map(|revision| revision.number))
+        .collect()
 }
 
 #[tokio::test]
@@ -68,17 +75,14 @@ async fn a_stream_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
         Ok(message(5, vec![piece(5, &[], &[3], (1, false))])),
     ]);
     let replica = request(&fake).await.await.unwrap();
-    assert_eq!(replica.at_least(5).await.unwrap().len(), 3);
+    assert_eq!(replica.at_least(&revision(5)).await.unwrap().len(), 3);
     assert_eq!(nearest(&replica, 5.0), (4, 5));
     assert_eq!(asked_after(&fake, 2), [Some(3), Some(4)]);
     let status = replica.status();
     assert!(
         matches!(
-            status,
-            ReplicaStatus::Following {
-                revision: 5,
-                behind: 0
-            }
+            &status,
+            ReplicaStatus::Following { revision: at, behind: 0 } if *at == revision(5)
         ),
         "{status:?}"
     );
@@ -102,8 +106,8 @@ async fn a_gap_and_a_repeat_are_not_applied_but_asked_for_again() {
         Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], (0, false))])),
     ]);
     let replica = request(&fake).await.await.unwrap();
-    let view = replica.at_least(5).await.unwrap();
-    let found = view.nearest_r([4.5], 100.0).unwrap().neighbors;
+    let view = replica.at_least(&revision(5)).await.unwrap();
+    let found = view.query([4.5], 100.0).unwrap();
     let ids: Vec<u64> = found.iter().map(|neighbor| neighbor.id).collect();
     assert_eq!(ids, [4, 5, 1]);
     assert_eq!(asked_after(&fake, 3), [Some(3), Some(3), Some(4)]);
@@ -120,16 +124,18 @@ async fn after_a_reset_all_points_are_read_anew() {
     ]);
     // The first scan tells of more points than come.
     let mut short = scanned(9, &[(8, 1.0)]);
-    short[0].total_points = 2;
+    short[0].point_count = 2;
     fake.scan_answers(short, true);
     fake.watch_tells(vec![Ok(reset(v1::ResetReason::WindowPassed, 9))]);
     fake.scan_answers(scanned(9, &[(9, 1.0)]), true);
     fake.watch_tells(vec![Ok(message(9, vec![]))]);
     let replica = request(&fake).await.await.unwrap();
-    replica.at_least(9).await.unwrap();
+    replica.at_least(&revision(9)).await.unwrap();
     assert_eq!(nearest(&replica, 0.0), (9, 9));
     replica
-        .status_where(|status| matches!(status, ReplicaStatus::Following { revision: 9, .. }))
+        .status_where(|status| {
+            matches!(status, ReplicaStatus::Following { revision: at, .. } if *at == revision(9))
+        })
         .await;
     assert_eq!(asked_after(&fake, 3), [Some(3), Some(3), Some(9)]);
 }
@@ -150,9 +156,9 @@ async fn while_there_is_no_server_it_answers_what_it_had_until_that_is_stale() {
     }
     assert_eq!(nearest(&replica, 7.0), (1, 3));
     let stale = replica.clone();
-    assert!(stale.at_least_within(4, bound).await.is_err());
+    assert!(stale.at_least_within(&revision(4), bound).await.is_err());
     // By now more time has passed than is allowed.
-    let Err(Error::Stale { age, .. }) = bounded.nearest([7.0]) else {
+    let Err(Error::Stale { age, .. }) = bounded.knn([7.0], 1) else {
         panic!("an answer that may be stale")
     };
     assert!(age > bound);
@@ -165,7 +171,7 @@ async fn a_server_that_cannot_be_followed_ends_it() {
     fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
     fake.watch_tells(vec![Err(Status::unimplemented("an old server"))]);
     let replica = request(&fake).await.await.unwrap();
-    let error = replica.at_least(4).await.unwrap_err();
+    let error = replica.at_least(&revision(4)).await.unwrap_err();
     assert!(matches!(error, Error::Ended { .. }), "{error}");
     assert_eq!(error.code(), Code::Unimplemented);
 }
@@ -183,59 +189,42 @@ async fn what_the_server_refuses_the_replica_refuses_in_the_same_words() {
         [1e200, 0.0, 0.0, 0.0, 1.0],
         [0.0, 1.0, 0.0, 0.0, 1.0],
     ];
-    let outside = Filter {
-        tag_mask: 1,
-        tag_value: 6,
-        ..Filter::default()
-    };
-    let mut asked: Vec<([f64; 5], Search<'_>)> =
-        bad.map(|state| (state, Search::nearest_k(1))).into();
-    let k = Search::nearest_k(1);
+    let outside = Filter::default().tag(1, 6);
+    let mut asked: Vec<([f64; 5], u32, f64, f64, Filter)> = bad
+        .map(|state| (state, 1, 1.0, 0.0, Filter::default()))
+        .into();
     asked.extend([
-        (good, Search { k: 0, ..k }),
-        (good, Search { radius: -1.0, ..k }),
-        (
-            good,
-            Search {
-                radius: f64::NAN,
-                ..k
-            },
-        ),
-        (
-            good,
-            Search {
-                epsilon: f64::INFINITY,
-                ..k
-            },
-        ),
-        (
-            bad[0],
-            Search {
-                filter: outside,
-                epsilon: -0.5,
-                ..k
-            },
-        ),
+        (good, 0, 1.0, 0.0, Filter::default()),
+        (good, 1, -1.0, 0.0, Filter::default()),
+        (good, 1, f64::NAN, 0.0, Filter::default()),
+        (good, 1, 1.0, f64::INFINITY, Filter::default()),
+        (bad[0], 1, 1.0, -0.5, outside),
     ]);
-    for (state, search) in asked {
-        let request = index.knn([state]).k(u32::try_from(search.k).unwrap());
-        let request = request.radius(search.radius).epsilon(search.epsilon);
-        let theirs = request.filter(search.filter).await.unwrap_err();
+    for (state, k, radius, epsilon, filter) in asked {
+        let request = index.knn([state]).k(k).radius(radius).epsilon(epsilon);
+        let theirs = request.filter(filter.clone()).await.unwrap_err();
+        let search = Search::k(k).radius(radius).epsilon(epsilon).filter(filter);
         let ours = replica.search(state, &search).unwrap_err();
         let (Error::Refused(theirs), Error::Refused(ours)) = (theirs, ours) else {
             panic!("{search:?}")
         };
         assert_eq!(ours, theirs);
     }
-    assert!(matches!(replica.nearest([0.0]), Err(Error::Width { .. })));
+    assert!(matches!(replica.knn([0.0], 1), Err(Error::Width { .. })));
     let pose = nalgebra::Isometry2::translation(0.0, 0.0);
-    assert!(matches!(replica.nearest(pose), Err(Error::Layout { .. })));
-    let later = Filter {
-        since_revision: inserted.revision + 1,
-        ..Filter::default()
-    };
-    let later = replica.search(good, &Search { filter: later, ..k });
+    assert!(matches!(replica.knn(pose, 1), Err(Error::Layout { .. })));
+    let next = index.revision_at(inserted.revision.number + 1);
+    let later = replica.search(good, &Search::k(1).filter(Filter::default().since(next)));
     assert!(matches!(later, Err(Error::Behind { .. })), "{later:?}");
+    let other = Filter::default().since(Revision::new("another", 1));
+    let theirs = index.knn([good]).filter(other.clone()).await.unwrap_err();
+    let ours = replica
+        .search(good, &Search::k(1).filter(other))
+        .unwrap_err();
+    assert_eq!(
+        (ours.code(), ours.reason()),
+        (theirs.code(), theirs.reason())
+    );
 }
 
 #[test]
@@ -246,9 +235,9 @@ fn a_replica_whose_runtime_is_gone_says_so() {
         server.index("line", "R1").await;
         server.client().await.replica("line").await.unwrap()
     });
-    assert!(replica.nearest([0.0]).unwrap().neighbors.is_empty());
+    assert!(replica.knn([0.0], 1).unwrap().is_empty());
     drop(runtime);
-    let error = replica.nearest([0.0]).unwrap_err();
+    let error = replica.knn([0.0], 1).unwrap_err();
     assert!(matches!(error, Error::Ended { .. }), "{error}");
     assert!(matches!(replica.status(), ReplicaStatus::Ended { .. }));
 }

@@ -1,6 +1,6 @@
 //! Each request against a real server.
 
-use wayfold::{Code, Error, Filter, Include, NeighborQuery, Outcome};
+use wayfold::{Code, Durability, Error, Filter, Include, NeighborSpec, Outcome};
 
 use crate::server::Server;
 
@@ -19,17 +19,13 @@ async fn inserts_tell_outcomes_and_the_neighbours_of_the_moment() {
         first.outcomes,
         [Outcome::Inserted { id: 5 }, Outcome::Inserted { id: 6 }]
     );
-    assert_eq!((first.revision, first.neighbors), (1, None));
+    assert_eq!((first.revision.number, first.neighbors), (1, None));
 
-    let query = NeighborQuery {
-        radius: Some(2.0),
-        include: Include::all(),
-        ..NeighborQuery::default()
-    };
+    let around = NeighborSpec::within(2.0).include(Include::all());
     let second = index
         .insert([[1.0], [1.5], [9.75]])
         .min_separation(0.5)
-        .neighbors(query)
+        .neighbors(around)
         .await
         .unwrap();
     let expected = [
@@ -41,7 +37,10 @@ async fn inserts_tell_outcomes_and_the_neighbours_of_the_moment() {
     let stored: Vec<_> = second.outcomes.iter().map(|outcome| outcome.id()).collect();
     assert_eq!(stored, [Some(7), Some(8), None]);
     let neighbors = second.neighbors.unwrap();
-    let found: Vec<Vec<(u64, f64)>> = neighbors.rows().map(|row| row.iter().collect()).collect();
+    let found: Vec<Vec<(u64, f64)>> = neighbors
+        .rows()
+        .map(|row| row.iter().map(|near| (near.id, near.distance)).collect())
+        .collect();
     assert_eq!(
         found,
         [vec![(5, 1.0)], vec![(7, 0.5), (5, 1.5)], vec![(6, 0.25)]]
@@ -53,7 +52,8 @@ async fn inserts_tell_outcomes_and_the_neighbours_of_the_moment() {
     );
     assert_eq!((last.revisions, last.state(1)), (Some(&[1][..]), None));
     assert_eq!(last.payloads.unwrap(), ["bc"]);
-    assert_eq!(neighbors.revision(), 2);
+    assert_eq!(neighbors.revision(), second.revision);
+    assert_eq!(second.revision, index.revision_at(2));
 
     let again = index
         .insert([[0.0]])
@@ -64,7 +64,7 @@ async fn inserts_tell_outcomes_and_the_neighbours_of_the_moment() {
         .unwrap();
     assert_eq!(
         (again.outcomes[0], again.revision),
-        (Outcome::Unchanged { id: 5 }, 2)
+        (Outcome::Unchanged { id: 5 }, index.revision_at(2))
     );
     let conflict = index.insert([[3.0], [4.0]]).ids([5, 6]).await.unwrap_err();
     let Error::Refused(refusal) = &conflict else {
@@ -87,7 +87,7 @@ async fn an_operation_takes_effect_once() {
     assert_eq!(first, again);
     let other = index.insert([[1.0]]).operation_id("one").await.unwrap_err();
     assert_eq!(other.code(), Code::InvalidArgument);
-    assert_eq!(index.info().await.unwrap().points, 1);
+    assert_eq!(index.info().await.unwrap().point_count, 1);
 }
 
 #[tokio::test]
@@ -96,17 +96,15 @@ async fn tags_are_set_compared_and_filtered_by() {
     let index = server.index("line", "R1").await;
     index.insert([[0.0], [1.0], [2.0]]).await.unwrap();
     let updated = index.update([0, 2]).tags([0b11]).await.unwrap();
-    assert_eq!(
-        (updated.updated, updated.unchanged, updated.revision),
-        (2, 0, 2)
-    );
+    assert_eq!((updated.updated_count, updated.unchanged_count), (2, 0));
+    assert_eq!(updated.revision, index.revision_at(2));
     let masked = index
         .update([0, 1])
         .tags([0b00, 0b10])
         .tag_mask(0b10)
         .await
         .unwrap();
-    assert_eq!(masked.updated, 2);
+    assert_eq!(masked.updated_count, 2);
     let tags: Vec<u64> = index
         .get([0, 1, 2])
         .await
@@ -116,12 +114,8 @@ async fn tags_are_set_compared_and_filtered_by() {
         .collect();
     assert_eq!(tags, [0b01, 0b10, 0b11]);
 
-    let odd = Filter {
-        tag_mask: 1,
-        tag_value: 1,
-        since_revision: 0,
-    };
-    let nearest = index.knn([[1.1]]).k(3).filter(odd).await.unwrap();
+    let odd = Filter::default().tag(1, 1);
+    let nearest = index.knn([[1.1]]).k(3).filter(odd.clone()).await.unwrap();
     assert_eq!(nearest.row(0).ids, [2, 0]);
     let around = index.query([[1.1]], 1.0).filter(odd).await.unwrap();
     assert_eq!(around.row(0).ids, [2]);
@@ -129,7 +123,7 @@ async fn tags_are_set_compared_and_filtered_by() {
     let late = index
         .update([0, 2])
         .tags([7])
-        .if_revision(2)
+        .if_revision(index.revision_at(2))
         .await
         .unwrap_err();
     let Error::Refused(refusal) = &late else {
@@ -141,7 +135,7 @@ async fn tags_are_set_compared_and_filtered_by() {
     );
 
     index.update([1]).payloads(["edge list"]).await.unwrap();
-    let read = index.get([1]).payloads().await.unwrap();
+    let read = index.get([1]).include(Include::all()).await.unwrap();
     assert_eq!(read.point(0).payload.unwrap(), "edge list");
     assert_eq!(index.get([1]).await.unwrap().point(0).payload, None);
 }
@@ -153,10 +147,7 @@ async fn only_what_is_new_since_a_revision_is_found() {
     index.insert([[0.0]]).await.unwrap();
     let known = index.knn([[0.0]]).k(5).await.unwrap().revision();
     index.insert([[1.0]]).await.unwrap();
-    let new = Filter {
-        since_revision: known,
-        ..Filter::default()
-    };
+    let new = Filter::default().since(known);
     assert_eq!(
         index
             .knn([[0.0]])
@@ -176,10 +167,8 @@ async fn removed_points_are_missing_by_name() {
     let index = server.index("line", "R1").await;
     index.insert([[0.0], [1.0], [2.0]]).await.unwrap();
     let removed = index.remove([1, 50]).await.unwrap();
-    assert_eq!(
-        (removed.removed, removed.missing, removed.revision),
-        (1, 1, 2)
-    );
+    assert_eq!((removed.removed_count, removed.missing_count), (1, 1));
+    assert_eq!(removed.revision, index.revision_at(2));
     let error = index.get([0, 1, 50]).await.unwrap_err();
     let Error::Refused(refusal) = &error else {
         panic!("{error}")
@@ -227,12 +216,12 @@ async fn a_scan_reads_all_points_of_one_revision() {
         .unwrap();
     index.update([29_999]).tags([1]).await.unwrap();
     let mut scan = index.scan().await.unwrap();
-    let revision = scan.revision();
-    assert_eq!((scan.total_points(), revision), (30_000, index.revision()));
+    let revision = scan.revision().clone();
+    assert_eq!((scan.point_count(), &revision), (30_000, &index.revision()));
     // What is removed meanwhile is still read.
     index.remove([15_000]).await.unwrap();
     let mut next = 0;
-    while let Some(part) = scan.next_part().await.unwrap() {
+    while let Some(part) = scan.next().await.unwrap() {
         assert_eq!(part.revision(), revision);
         for point in part.iter() {
             assert_eq!((point.id, point.state), (next, &[next as f64][..]));
@@ -241,19 +230,15 @@ async fn a_scan_reads_all_points_of_one_revision() {
     }
     assert_eq!(next, 30_000);
 
-    let tagged = Filter {
-        tag_mask: 1,
-        tag_value: 1,
-        since_revision: 0,
-    };
+    let tagged = Filter::default().tag(1, 1);
     let mut rest = index
         .scan()
         .filter(tagged)
         .after_id(29_000)
-        .payloads()
+        .include(Include::all())
         .await
         .unwrap();
-    let part = rest.next_part().await.unwrap().unwrap();
+    let part = rest.next().await.unwrap().unwrap();
     assert_eq!(part.ids(), [29_999]);
     assert!(part.point(0).payload.unwrap().is_empty());
 }
@@ -284,7 +269,7 @@ async fn a_scan_is_a_stream_of_parts() {
         .unwrap();
     let states: Vec<f64> = parts
         .iter()
-        .flat_map(|part| part.states().coordinates().to_vec())
+        .flat_map(|part| part.states().unwrap().coordinates().to_vec())
         .collect();
     assert_eq!(states, [3.0, 4.0]);
 }
@@ -304,8 +289,40 @@ async fn indices_are_listed_over_all_pages() {
     let listed_names: Vec<&str> = listed.iter().map(|index| index.name.as_str()).collect();
     assert_eq!(listed_names, names);
     assert!(
-        listed
-            .iter()
-            .all(|index| index.space == space && (index.coordinates, index.dimension) == (3, 3))
+        listed.iter().all(
+            |index| index.space == space && (index.coordinate_count, index.dimension) == (3, 3)
+        )
     );
+}
+
+#[tokio::test]
+async fn reads_have_the_columns_that_they_include() {
+    let server = Server::start();
+    let index = server.index("line", "R1").await;
+    let insert = index.insert([[2.5]]).ids([7]).tags([3]);
+    insert.payloads(["edges"]).await.unwrap();
+    let tags = Include::none().tags();
+    let bare = index.get([7]).include(Include::none()).await.unwrap();
+    let tagged = index.get([7]).include(tags).await.unwrap();
+    let mut scan = index.scan().include(tags).await.unwrap();
+    let scanned = scan.next().await.unwrap().unwrap();
+    assert_eq!((bare.ids(), bare.states()), (&[7][..], None));
+    assert_eq!((tagged.point(0).tag, tagged.point(0).payload), (3, None));
+    assert!(tagged.states().is_none());
+    assert_eq!((scanned.point(0).tag, scanned.states()), (3, None));
+    let all = index.get([7]).include(Include::all()).await.unwrap();
+    let point = all.point(0);
+    assert_eq!((point.state, point.tag, point.revision), (&[2.5][..], 3, 1));
+    assert_eq!(point.payload.unwrap(), "edges");
+}
+
+#[tokio::test]
+async fn a_server_describes_itself() {
+    let server = Server::with(|config| config.limits.rows_per_call = 123);
+    let client = server.client().await;
+    let found = client.server().await.unwrap();
+    assert_eq!(found.version, env!("CARGO_PKG_VERSION"));
+    assert_eq!(found.durability, Durability::Memory);
+    assert_eq!(found.limits.rows_per_call, 123);
+    assert_eq!(found.limits.payload_bytes, 64 * 1024);
 }

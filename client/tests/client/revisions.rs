@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use wayfold::{Client, Code};
+use wayfold::{Client, Code, Revision};
 
 use crate::{
     fake::{Fake, UID},
@@ -22,18 +22,27 @@ async fn reads_ask_for_the_last_revision_that_was_told() {
     clone.knn([[0.0]]).await.unwrap();
     clone.remove([1]).await.unwrap();
     clone.knn([[0.0]]).await.unwrap();
-    index.see_revision(9);
+    index.see_revision(&index.revision_at(9)).unwrap();
     clone.knn([[0.0]]).await.unwrap();
     let asked = fake
         .knn_requests()
         .into_iter()
-        .map(|request| request.at.unwrap());
-    let asked: Vec<(String, u64)> = asked.map(|at| (at.uid, at.min_revision)).collect();
+        .map(|request| request.min_revision.unwrap());
+    let asked: Vec<(String, u64)> = asked.map(|at| (at.uid, at.number)).collect();
     assert_eq!(
         asked,
         [0, 7, 7, 9].map(|revision| (UID.to_owned(), revision))
     );
-    assert_eq!(index.revision(), 9);
+    assert_eq!(index.revision(), Revision::new(UID, 9));
+
+    let other = index
+        .see_revision(&Revision::new("another", 12))
+        .unwrap_err();
+    assert_eq!(
+        (other.code(), other.reason()),
+        (Code::FailedPrecondition, Some("UID_MISMATCH"))
+    );
+    assert_eq!(index.revision().number, 9);
 }
 
 #[tokio::test]
@@ -42,7 +51,8 @@ async fn a_read_of_a_revision_that_does_not_come_runs_into_its_deadline() {
     let index = server.index("line", "R1").await;
     let inserted = index.insert([[0.0]]).await.unwrap();
     assert_eq!(index.revision(), inserted.revision);
-    index.see_revision(inserted.revision + 1);
+    let next = index.revision_at(inserted.revision.number + 1);
+    index.see_revision(&next).unwrap();
     let error = index
         .with_timeout(Duration::from_millis(50))
         .knn([[0.0]])
@@ -62,7 +72,7 @@ async fn a_read_of_a_revision_that_does_not_come_runs_into_its_deadline() {
         other.insert([[5.0]]).into_future()
     );
     assert_eq!(neighbors.unwrap().row(0).ids, [1]);
-    assert_eq!(inserted.unwrap().revision, 2);
+    assert_eq!(inserted.unwrap().revision.number, 2);
 }
 
 #[tokio::test]
@@ -82,5 +92,5 @@ async fn a_handle_is_of_one_uid() {
         (Code::FailedPrecondition, Some("UID_MISMATCH"))
     );
     assert_eq!(read.code(), Code::FailedPrecondition);
-    assert_eq!(new.info().await.unwrap().revision, 0);
+    assert_eq!(new.info().await.unwrap().revision.number, 0);
 }

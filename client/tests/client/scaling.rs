@@ -1,7 +1,7 @@
 //! Numbers and radii by the size of the index: from the server, from a replica, and from brute force.
 
-use wayfold::{NeighborQuery, Neighbors, Scaling, Space};
-use wayfold_index::{Linear, PointRef, Search};
+use wayfold::{NeighborSpec, Neighbors, ScaledRadius, Scaling, Space};
+use wayfold_index::{Linear, Neighbor, PointRef, Search};
 
 use crate::{fake::Fake, server::Server};
 
@@ -13,22 +13,6 @@ fn rows(start: usize, count: usize) -> Vec<[f64; 3]> {
     (start..start + count).map(row).collect()
 }
 
-fn k_scaled(k_factor: f64) -> Scaling {
-    Scaling {
-        k_factor: Some(k_factor),
-        ..Scaling::default()
-    }
-}
-
-#[cfg(feature = "replica")]
-fn radius_scaled(radius_factor: f64, radius_max: Option<f64>) -> Scaling {
-    Scaling {
-        radius_factor: Some(radius_factor),
-        radius_max,
-        ..Scaling::default()
-    }
-}
-
 /// r(n) in three dimensions.
 fn radius(factor: f64, n: usize) -> f64 {
     factor * ((n as f64).ln() / n as f64).cbrt()
@@ -36,8 +20,7 @@ fn radius(factor: f64, n: usize) -> f64 {
 
 fn expect(found: &Neighbors, row: usize, points: &Linear, state: &[f64], search: &Search<'_>) {
     let expected = points.search(state, search).unwrap().neighbors;
-    let expected: Vec<(u64, f64)> = expected.iter().map(|n| (n.id, n.distance)).collect();
-    let found: Vec<(u64, f64)> = found.row(row).iter().collect();
+    let found: Vec<Neighbor> = found.row(row).iter().collect();
     assert_eq!(found, expected, "{state:?} {search:?}");
 }
 
@@ -60,10 +43,7 @@ async fn the_server_evaluates_it_at_the_size_of_its_index() {
 
     // Each row of an insert counts those before it: k(n) is 1 for none and for one.
     let stored = rows(0, 200);
-    let around = NeighborQuery {
-        scaling: k_scaled(Scaling::K_FACTOR),
-        ..NeighborQuery::default()
-    };
+    let around = NeighborSpec::k_factor(Scaling::K_FACTOR);
     let inserted = index.insert(&stored).neighbors(around).await.unwrap();
     let neighbors = inserted.neighbors.unwrap();
     assert_eq!((neighbors.row(0).len(), neighbors.row(1).len()), (0, 1));
@@ -76,21 +56,22 @@ async fn the_server_evaluates_it_at_the_size_of_its_index() {
     let points = before;
 
     let asked = rows(500, 10);
-    let by_k = index.knn(&asked).k_scaled(2.0).radius(0.4).await.unwrap();
+    let by_k = index.knn(&asked).k_factor(2.0).radius(0.4).await.unwrap();
     let by_radius = index
         .knn(&asked)
         .k(7)
-        .radius_scaled(1.1, Some(0.9))
+        .radius(ScaledRadius::new(1.1).max(0.9))
         .await
         .unwrap();
-    let all = index.query(&asked, 0.9).radius_scaled(1.1).await.unwrap();
-    let bounded = index.query(&asked, 0.1).radius_scaled(1.1).await.unwrap();
-    // Whichever was said last.
+    let scaled_to = |max| ScaledRadius::new(1.1).max(max);
+    let all = index.query(&asked, scaled_to(0.9)).await.unwrap();
+    let bounded = index.query(&asked, scaled_to(0.1)).await.unwrap();
+    // Whichever was set last.
     let fixed = index
         .knn(&asked)
-        .k_scaled(2.0)
+        .k_factor(2.0)
         .k(3)
-        .radius_scaled(1.1, None)
+        .radius(ScaledRadius::new(1.1))
         .radius(0.5);
     let fixed = fixed.await.unwrap();
     for (at, state) in asked.iter().enumerate() {
@@ -111,7 +92,7 @@ async fn the_server_evaluates_it_at_the_size_of_its_index() {
 #[cfg(feature = "replica")]
 #[tokio::test]
 async fn a_replica_answers_and_refuses_as_the_server() {
-    use wayfold::{Error, Filter};
+    use wayfold::{Error, Filter, Search};
 
     let server = Server::start();
     let index = server.index("se2", SPACE).await;
@@ -121,54 +102,41 @@ async fn a_replica_answers_and_refuses_as_the_server() {
     let [state] = rows(700, 1)[..] else {
         panic!("one row")
     };
-    let new = Filter {
-        since_revision: inserted.revision - 1,
-        ..Filter::default()
-    };
-    for filter in [Filter::default(), new] {
-        let search = Search {
-            filter,
-            ..Search::nearest_r(0.6)
-        };
-        let ours = replica
-            .search_scaled(state, k_scaled(3.0), &search)
-            .unwrap();
-        let theirs = index.knn([state]).k_scaled(3.0).radius(0.6).filter(filter);
+    let before = index.revision_at(inserted.revision.number - 1);
+    for filter in [Filter::default(), Filter::default().since(before)] {
+        let search = Search::k_factor(3.0).radius(0.6).filter(filter.clone());
+        let ours = replica.search(state, &search).unwrap();
+        let theirs = index.knn([state]).k_factor(3.0).radius(0.6).filter(filter);
         let theirs = theirs.await.unwrap();
-        let ours: Vec<(u64, f64)> = ours.neighbors.iter().map(|n| (n.id, n.distance)).collect();
-        assert_eq!(ours, theirs.row(0).iter().collect::<Vec<_>>());
+        assert!(ours.iter().eq(theirs.row(0).iter()));
         // 3 · ln 150 = 15.03, with the points that the filter leaves out.
         assert!(ours.len() <= 16);
     }
-    let everything = Search::nearest_k(usize::MAX);
-    let scaling = radius_scaled(1.2, Some(f64::INFINITY));
-    let ours = replica.search_scaled(state, scaling, &everything).unwrap();
-    let theirs = index.query([state], f64::INFINITY).radius_scaled(1.2);
-    let theirs = theirs.await.unwrap();
-    let ids: Vec<u64> = ours.neighbors.iter().map(|n| n.id).collect();
-    assert_eq!(ids, theirs.row(0).ids);
-    assert!(ids.len() > 1 && ids.len() < 150);
+    let radius = ScaledRadius::new(1.2).max(f64::INFINITY);
+    let ours = replica.query(state, radius).unwrap();
+    let theirs = index.query([state], radius).await.unwrap();
+    assert!(ours.iter().eq(theirs.row(0).iter()));
+    assert!(ours.len() > 1 && ours.len() < 150);
 
-    for scaling in [
-        k_scaled(-1.0),
-        k_scaled(f64::NAN),
-        radius_scaled(f64::INFINITY, None),
-        radius_scaled(1.0, Some(-1.0)),
-        Scaling {
-            radius_max: Some(1.0),
-            ..k_scaled(1.0)
-        },
+    let scaled = |factor| ScaledRadius::new(factor);
+    for (search, spec) in [
+        (Search::k_factor(-1.0), NeighborSpec::k_factor(-1.0)),
+        (Search::k_factor(f64::NAN), NeighborSpec::k_factor(f64::NAN)),
+        (
+            Search::within(scaled(f64::INFINITY)),
+            NeighborSpec::within(scaled(f64::INFINITY)),
+        ),
+        (
+            Search::within(scaled(1.0).max(-1.0)),
+            NeighborSpec::within(scaled(1.0).max(-1.0)),
+        ),
     ] {
-        let ours = replica.search_scaled(state, scaling, &everything);
-        let around = NeighborQuery {
-            scaling,
-            ..NeighborQuery::default()
-        };
-        let theirs = index.insert([state]).neighbors(around).await;
+        let ours = replica.search(state, &search);
+        let theirs = index.insert([state]).neighbors(spec).await;
         let (Error::Refused(theirs), Error::Refused(ours)) =
             (theirs.unwrap_err(), ours.unwrap_err())
         else {
-            panic!("{scaling:?}")
+            panic!("{search:?}")
         };
         let of_theirs = theirs.fields[0].field.replace("neighbors.", "");
         assert_eq!(
@@ -183,10 +151,7 @@ async fn rows_are_divided_for_the_largest_index_that_there_may_be() {
     let fake = Fake::start().await;
     let index = fake.client().await.index("line").await.unwrap();
     let states: Vec<[f64; 1]> = (0..2500).map(|x| [f64::from(x)]).collect();
-    let around = NeighborQuery {
-        scaling: k_scaled(Scaling::K_FACTOR),
-        ..NeighborQuery::default()
-    };
+    let around = NeighborSpec::k_factor(Scaling::K_FACTOR);
     index.insert(&states).neighbors(around).await.unwrap();
     let sent = fake.insert_requests();
     let rows: Vec<u32> = sent

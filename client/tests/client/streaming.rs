@@ -32,7 +32,7 @@ async fn answers_come_in_the_order_of_the_requests() {
         assert_eq!(answer.row(0).ids[0], u64::from(i * 7 % 1000));
         assert_eq!(answer.row(1).len(), 1 + i as usize % 3);
     }
-    assert!(answers.next().await.is_none());
+    assert_eq!(answers.next().await.unwrap(), None);
     sending.await.unwrap();
 }
 
@@ -44,10 +44,7 @@ async fn one_bad_request_does_not_end_the_stream() {
     index.insert([[0.0], [1.0]]).await.unwrap();
     plane.insert([[0.0, 4.0]]).await.unwrap();
     let (mut requests, answers) = index.stream_knn().await.unwrap();
-    let include = Include {
-        states: true,
-        ..Include::default()
-    };
+    let include = Include::none().states();
     requests.send(index.knn([[0.0]])).await.unwrap();
     requests.send(index.knn([[f64::NAN]])).await.unwrap();
     // What is wrong at a glance is not sent.
@@ -60,7 +57,7 @@ async fn one_bad_request_does_not_end_the_stream() {
         .await
         .unwrap();
     drop(requests);
-    let answers: Vec<_> = answers.collect().await;
+    let answers: Vec<_> = answers.into_stream().collect().await;
     assert_eq!(answers.len(), 3);
     assert_eq!(answers[0].as_ref().unwrap().row(0).ids, [0]);
     let Err(Error::Refused(refusal)) = &answers[1] else {
@@ -84,7 +81,7 @@ async fn a_stream_that_is_over_takes_no_requests() {
     let index = fake.client().await.index("line").await.unwrap();
     // The fake ends each stream at once.
     let (mut requests, mut answers) = index.stream_knn().await.unwrap();
-    assert!(answers.next().await.is_none());
+    assert_eq!(answers.next().await.unwrap(), None);
     drop(answers);
     let error = loop {
         if let Err(error) = requests.send(index.knn([[0.0]])).await {

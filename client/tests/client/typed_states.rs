@@ -68,7 +68,7 @@ async fn a_type_that_does_not_fit_the_space_is_not_sent() {
         error.to_string(),
         "states[1]: 4 numbers, where a state of this space has 3"
     );
-    assert_eq!(degrees.info().await.unwrap().revision, 0);
+    assert_eq!(degrees.info().await.unwrap().revision.number, 0);
 }
 
 #[test]

@@ -1,35 +1,34 @@
 //! Following an index: whole mutations, in order, or an error, or a reset.
 
 use tonic::Status;
-use wayfold::{Code, Error, Mutation, ResetReason, Watch, WatchEvent};
+use wayfold::{Code, Error, Include, Mutation, ResetReason, Watch, WatchEvent};
 use wayfold_proto::v1;
 
 use crate::{
-    fake::{Fake, UID},
+    fake::{Fake, revision},
     server::Server,
 };
 
 /// A message that tells of these mutations.
 pub(crate) fn message(newest: u64, mutations: Vec<v1::Mutation>) -> v1::WatchResponse {
     v1::WatchResponse {
-        uid: UID.to_owned(),
-        revision: newest,
+        revision: revision(newest),
         mutations,
-        reset: 0,
+        reset: None,
     }
 }
 
 /// A mutation of the line, or a piece of one.
 pub(crate) fn piece(
-    revision: u64,
+    number: u64,
     stored: &[(u64, f64)],
     removed: &[u64],
     (piece, continued): (u32, bool),
 ) -> v1::Mutation {
-    let stored = (!stored.is_empty()).then(|| points(revision, stored));
+    let stored = (!stored.is_empty()).then(|| points(number, stored));
     v1::Mutation {
-        revision,
-        time_ms: 1_000 + revision,
+        revision: revision(number),
+        time_ms: 1_000 + number,
         stored,
         removed_ids: removed.to_vec(),
         continued,
@@ -60,7 +59,8 @@ async fn mutation(watch: &mut Watch) -> Mutation {
 
 async fn watch(fake: &Fake) -> Watch {
     let index = fake.client().await.index("line").await.unwrap();
-    index.watch().after(3).await.unwrap()
+    let after = index.revision_at(3);
+    index.watch().after(after).await.unwrap()
 }
 
 #[tokio::test]
@@ -79,21 +79,27 @@ async fn pieces_are_put_together() {
         Ok(message(6, vec![piece(5, &[], &[8, 9], (2, false))])),
     ]);
     let mut watch = watch(&fake).await;
-    assert_eq!(mutation(&mut watch).await.revision, 4);
+    assert_eq!(mutation(&mut watch).await.revision.number, 4);
     let whole = mutation(&mut watch).await;
-    assert_eq!((whole.revision, whole.stored.ids()), (5, &[2, 3][..]));
-    assert_eq!(whole.stored.states().coordinates(), [1.0, 2.0]);
-    assert_eq!(whole.removed, [7, 8, 9]);
-    assert_eq!(watch.newest(), 6);
+    assert_eq!(
+        (whole.revision.number, whole.stored.ids()),
+        (5, &[2, 3][..])
+    );
+    assert_eq!(whole.stored.states().unwrap().coordinates(), [1.0, 2.0]);
+    assert_eq!(whole.removed_ids, [7, 8, 9]);
+    assert_eq!(watch.newest().number, 6);
     let asked = &fake.watch_requests()[0];
-    assert_eq!((asked.uid.as_str(), asked.after_revision), (UID, Some(3)));
+    assert_eq!(asked.after_revision, revision(3));
 }
 
 #[tokio::test]
 async fn what_is_no_next_mutation_ends_the_watch() {
     let fake = Fake::start().await;
     let other_uid = v1::WatchResponse {
-        uid: "another".to_owned(),
+        revision: Some(v1::Revision {
+            uid: "another".to_owned(),
+            number: 9,
+        }),
         ..message(9, vec![])
     };
     let wrong = [
@@ -152,7 +158,7 @@ async fn a_reset_is_the_last_event() {
         panic!("half a mutation")
     };
     assert_eq!(
-        (reset.reason, reset.revision),
+        (reset.reason, reset.revision.number),
         (ResetReason::WindowPassed, 12)
     );
     assert_eq!(watch.next().await.unwrap(), None);
@@ -164,7 +170,8 @@ async fn a_server_tells_what_is_done_to_its_index() {
     let index = server.index("line", "R1").await;
     index.insert([[0.0]]).await.unwrap();
     let mut from_now = index.watch().await.unwrap();
-    let mut all = index.watch().after(0).payloads().await.unwrap();
+    let all = index.watch().after(index.revision_at(0));
+    let mut all = all.include(Include::all()).await.unwrap();
     index
         .insert([[1.0], [2.0]])
         .payloads(["a", "b"])
@@ -172,16 +179,22 @@ async fn a_server_tells_what_is_done_to_its_index() {
         .unwrap();
     index.update([2]).tags([7]).await.unwrap();
     index.remove([0, 1]).await.unwrap();
-    assert_eq!(mutation(&mut all).await.revision, 1);
+    assert_eq!(mutation(&mut all).await.revision.number, 1);
     let inserted = mutation(&mut all).await;
     assert_eq!(inserted.stored.point(1).payload.unwrap(), "b");
     let same = mutation(&mut from_now).await;
-    assert_eq!((same.revision, same.stored.point(1).payload), (2, None));
+    assert_eq!(
+        (same.revision.number, same.stored.point(1).payload),
+        (2, None)
+    );
     let updated = mutation(&mut all).await;
     let point = updated.stored.point(0);
     assert_eq!((point.id, point.tag, point.revision), (2, 7, 2));
     let removed = mutation(&mut all).await;
-    assert_eq!((removed.revision, &removed.removed[..]), (4, &[0, 1][..]));
+    assert_eq!(
+        (removed.revision.number, &removed.removed_ids[..]),
+        (4, &[0, 1][..])
+    );
 
     let client = server.client().await;
     client.delete_index("line").await.unwrap();
@@ -189,12 +202,30 @@ async fn a_server_tells_what_is_done_to_its_index() {
     assert_eq!(error.code(), Code::NotFound);
     // A handle of the index that was: the new one has another uid.
     let new = server.index("line", "R1").await;
-    let mut old = index.watch().after(4).await.unwrap();
+    let mut old = index.watch().after(index.revision_at(4)).await.unwrap();
     let WatchEvent::Reset(reset) = old.next().await.unwrap().unwrap() else {
         panic!("a mutation of another index")
     };
     assert_eq!(
-        (reset.reason, reset.uid.as_str(), reset.revision),
-        (ResetReason::UidChanged, new.uid(), 0)
+        (reset.reason, reset.revision),
+        (ResetReason::UidChanged, new.revision_at(0))
     );
+}
+
+/// A watch from now on with a handle of an index that is another one by now.
+#[tokio::test]
+async fn a_watch_from_now_on_of_another_uid_begins_with_a_reset() {
+    let server = Server::start();
+    let old = server.index("line", "R1").await;
+    server.client().await.delete_index("line").await.unwrap();
+    let new = server.index("line", "R1").await;
+    let mut watch = old.watch().await.unwrap();
+    let WatchEvent::Reset(reset) = watch.next().await.unwrap().unwrap() else {
+        panic!("a mutation of another index")
+    };
+    assert_eq!(
+        (reset.reason, reset.revision),
+        (ResetReason::UidChanged, new.revision_at(0))
+    );
+    assert_eq!(watch.next().await.unwrap(), None);
 }

@@ -1,24 +1,24 @@
-//! One level of a forest.
+//! A level of a forest.
 
 use std::sync::Arc;
 
 use super::{growing::Growing, packed::Packed};
-use crate::{Point, Points, TreeReport, kernel::Set, search::Walk};
+use crate::{Point, Points, TreeReport, kernel::Isa, traversal::Traversal};
 
 /// Points by ascending id.
-pub(super) type InOrder<'a> = Box<dyn Iterator<Item = Point> + Send + 'a>;
+pub(super) type PointsById<'a> = Box<dyn Iterator<Item = Point> + Send + 'a>;
 
-/// Shared by count between the forest, its snapshots and the merges under way.
+/// One level, shared by count between the forest, its snapshots and the running merges.
 #[derive(Debug)]
 pub(super) enum Level {
-    /// What a merge has made, or a large mutation.
+    /// The result of a merge, or the points of a large mutation.
     Packed(Box<Packed>),
-    /// What has grown until it was full.
+    /// A growing tree that was full.
     Grown(Arc<Growing>),
 }
 
-/// The same of either kind.
-macro_rules! of {
+/// The same expression for either kind.
+macro_rules! for_either {
     ($level:expr, $held:ident => $result:expr) => {
         match $level {
             Level::Packed($held) => $result,
@@ -28,17 +28,17 @@ macro_rules! of {
 }
 
 impl Level {
-    /// How many points it stores, dead ones included.
+    /// The number of points stored, dead ones included.
     pub(super) fn rows(&self) -> usize {
-        of!(self, held => held.rows())
+        for_either!(self, held => held.rows())
     }
 
-    /// How many of them are dead at the head.
+    /// The number of points dead at the head.
     pub(super) fn dead(&self) -> usize {
-        of!(self, held => held.dead())
+        for_either!(self, held => held.dead())
     }
 
-    /// Whether a merge has built its tree.
+    /// True if a merge has built its tree.
     pub(super) fn is_built(&self) -> bool {
         match self {
             Level::Packed(packed) => packed.is_built(),
@@ -47,44 +47,44 @@ impl Level {
     }
 
     pub(super) fn get(&self, slot: usize) -> Point {
-        of!(self, held => held.get(slot))
+        for_either!(self, held => held.get(slot))
     }
 
     /// Appends a copy of the point in `slot` to `points`.
     pub(super) fn copy_to(&self, slot: usize, points: &mut Points) {
-        of!(self, held => held.copy_to(slot, points));
+        for_either!(self, held => held.copy_to(slot, points));
     }
 
-    pub(super) fn sees(&self, slot: usize, revision: u64) -> bool {
-        of!(self, held => held.sees(slot, revision))
+    pub(super) fn is_visible(&self, slot: usize, revision: u64) -> bool {
+        for_either!(self, held => held.is_visible(slot, revision))
     }
 
     /// The slot of the point with this id, if a reader at `revision` sees it.
     pub(super) fn find(&self, id: u64, revision: u64) -> Option<usize> {
-        of!(self, held => held.find(id, revision))
+        for_either!(self, held => held.find(id, revision))
     }
 
-    /// What a reader at `revision` sees of the ids above `after`, in their order.
-    pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> InOrder<'_> {
-        of!(self, held => held.points_after(after, revision))
+    /// The points that a reader at `revision` sees above the id `after`.
+    pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> PointsById<'_> {
+        for_either!(self, held => held.points_after(after, revision))
     }
 
     /// Removes the point in `slot` as of `revision`.
-    pub(super) fn bury(&self, slot: usize, revision: u64) {
-        of!(self, held => held.bury(slot, revision));
+    pub(super) fn mark_dead(&self, slot: usize, revision: u64) {
+        for_either!(self, held => held.mark_dead(slot, revision));
     }
 
-    /// Shows `walk` what a reader at `revision` sees.
+    /// Searches the points that a reader at `revision` sees.
     #[inline(always)]
-    pub(super) fn visit<'a, S: Set>(&'a self, walk: &mut Walk<'a>, revision: u64) {
-        of!(self, held => held.visit::<S>(walk, revision));
+    pub(super) fn search<'a, I: Isa>(&'a self, traversal: &mut Traversal<'a>, revision: u64) {
+        for_either!(self, held => held.search::<I>(traversal, revision));
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        of!(self, held => held.memory_bytes())
+        for_either!(self, held => held.memory_bytes())
     }
 
     pub(super) fn validate(&self) -> Result<TreeReport, String> {
-        of!(self, held => held.validate())
+        for_either!(self, held => held.validate())
     }
 }

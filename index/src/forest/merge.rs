@@ -1,31 +1,31 @@
-//! Merging levels away from the writer: begun and finished by the forest's owner, run on any thread in between.
+//! Merges of levels: the forest's owner begins and finishes one, and any thread runs it.
 
 use std::sync::Arc;
 
 use super::{level::Level, packed::Packed};
 use crate::{Points, Space};
 
-/// A merge that is due: levels to copy into one, without their dead.
+/// A merge to run: it copies levels into one, without their dead points.
 #[derive(Debug)]
 pub struct Merge {
     pub(super) token: u64,
     pub(super) space: Arc<Space>,
     pub(super) leaf_rows: usize,
-    /// What died later is buried again when the merge is finished.
+    /// Points that die later are marked dead when the merge is finished.
     pub(super) revision: u64,
     pub(super) sources: Vec<Arc<Level>>,
 }
 
-/// A merge that has run; [`Forest::finish_merge`](super::Forest::finish_merge) swaps it in.
+/// The result of a merge, for [`Forest::finish_merge`](super::Forest::finish_merge).
 #[derive(Debug)]
 pub struct Merged {
     pub(super) token: u64,
-    /// None if nothing was alive.
+    /// None if no point was alive.
     pub(super) level: Option<Level>,
 }
 
 impl Merge {
-    /// How many points it copies at most.
+    /// The number of points stored in its levels, dead ones included.
     pub fn rows(&self) -> usize {
         self.sources.iter().map(|level| level.rows()).sum()
     }
@@ -34,7 +34,7 @@ impl Merge {
     pub fn run(self) -> Merged {
         let mut points = Points::with_capacity(self.space.coordinates(), self.rows());
         for source in &self.sources {
-            for slot in (0..source.rows()).filter(|&slot| source.sees(slot, self.revision)) {
+            for slot in (0..source.rows()).filter(|&slot| source.is_visible(slot, self.revision)) {
                 source.copy_to(slot, &mut points);
             }
         }
@@ -49,15 +49,15 @@ impl Merge {
     }
 }
 
-/// What the forest remembers of a merge under way.
+/// A merge that has begun and not finished.
 #[derive(Debug)]
 pub(super) struct Running {
     pub(super) token: u64,
-    /// At which it began.
+    /// The revision at which it began.
     pub(super) revision: u64,
     pub(super) sources: Vec<Arc<Level>>,
-    /// Points of the sources that died since it began, and when.
-    pub(super) buried: Vec<(u64, u64)>,
+    /// The ids of the points of its sources that died since, and the revisions that removed them.
+    pub(super) died: Vec<(u64, u64)>,
 }
 
 impl Running {

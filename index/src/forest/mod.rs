@@ -1,36 +1,38 @@
 //! The dynamic structure: a forest of static trees, by the logarithmic method.
 //!
-//! The smallest *level* is a tree that grows by single points ([`growing`]). Once it is full, another one grows, and
-//! levels are merged into packed ones of doubling size, and into a few when writes pause ([`policy`]), which
-//! drops their dead. Removing a point marks it with a *tombstone*; replacing one removes it and stores it anew.
+//! The smallest *level* is a tree that grows by single points ([`growing`]). Once it is full, another one grows. Merges pack
+//! levels into ones of doubling size, and into a few when writes pause ([`policy`]); they drop dead points. Removing a point marks
+//! it with a *tombstone*; replacing one removes it and stores the new one.
 //!
-//! One owner writes; any number of [`Snapshot`]s read, each at its own revision, and neither waits for the other:
-//! levels are immutable and shared by count, tombstones are judged by revision, and of the level that grows what changes
-//! is copied if a snapshot holds it. Merges run wherever the owner likes: [`Forest::begin_merge`] says what is due,
-//! [`Merge::run`] does the work, [`Forest::finish_merge`] swaps the result in, while mutations and searches go on. No
-//! call of the forest but [`Forest::settle`] does more than its own share of work.
+//! One owner writes, and any number of [`Snapshot`]s read, each at its own revision; neither waits for the other. Levels are
+//! immutable and shared by count, a tombstone hides a point from its revision on, and the parts of the growing level that a snapshot
+//! holds are copied before they change. The owner chooses the thread of a merge: [`Forest::begin_merge`] returns the next
+//! one, [`Merge::run`] does the work, and [`Forest::finish_merge`] swaps the result in, while mutations and searches
+//! continue. No method of the forest except [`Forest::settle`] runs merges itself.
 
 mod growing;
 mod level;
 mod merge;
 mod packed;
-mod past;
 mod policy;
+mod retired;
 mod snapshot;
 mod tombstones;
 mod validate;
 
 use std::sync::Arc;
 
-use crate::{Answer, ApplyError, KdTree, Point, Points, Search, SearchError, Space, kernel::Scale};
+use crate::{
+    Answer, ApplyError, KdTree, Point, Points, Search, SearchError, Space, kernel::KeyScale,
+};
 use growing::Growing;
 use level::Level;
 use merge::Running;
 pub use merge::{Merge, Merged};
 use packed::Packed;
-use past::Past;
+use retired::Retired;
 pub use snapshot::Snapshot;
-use tombstones::HEAD;
+use tombstones::LATEST;
 pub use validate::ForestReport;
 
 /// The sizes a forest is built with; [`ForestOptions::for_space`] has those that measure best.
@@ -61,8 +63,8 @@ impl ForestOptions {
     }
 }
 
-/// A mutation of more rows than this part of what grows makes a level of its own, to be packed at once.
-const LARGE: usize = 8;
+/// A mutation of more rows than `growing_rows` divided by this makes a level of its own, which a merge packs at once.
+const LARGE_MUTATION: usize = 8;
 
 /// A dynamic set of points of one space with exact nearest-neighbour search.
 ///
@@ -87,12 +89,12 @@ pub struct Forest {
     options: ForestOptions,
     /// The newest revision; a snapshot is a clone of it.
     head: Snapshot,
-    /// What has grown further since snapshots were taken.
-    past: Past<Growing>,
+    /// The growing levels that snapshots share.
+    retired: Retired<Growing>,
     running: Vec<Running>,
     next_token: u64,
-    /// The revision at which whoever writes makes a pause: a whole merge has passed during it, or the owner says so.
-    quiet_at: Option<u64>,
+    /// The revision at which writes pause: a whole merge ran at it, or the owner called [`Forest::pause`].
+    paused_at: Option<u64>,
 }
 
 impl Forest {
@@ -106,7 +108,7 @@ impl Forest {
         };
         let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);
         let head = Snapshot {
-            scale: Scale::new(&space),
+            scale: KeyScale::new(&space),
             space: Arc::new(space),
             revision: 0,
             live: 0,
@@ -116,10 +118,10 @@ impl Forest {
         Self {
             options,
             head,
-            past: Past::default(),
+            retired: Retired::default(),
             running: Vec::new(),
             next_token: 0,
-            quiet_at: None,
+            paused_at: None,
         }
     }
 
@@ -128,12 +130,12 @@ impl Forest {
         &self.head.space
     }
 
-    /// How many points there are.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.head.live
     }
 
-    /// Whether there are none.
+    /// True if the forest has no points.
     pub fn is_empty(&self) -> bool {
         self.head.is_empty()
     }
@@ -161,13 +163,13 @@ impl Forest {
         self.head.clone()
     }
 
-    /// An estimate of the bytes it holds, not counting what is held for snapshots alone.
+    /// An estimate of the bytes that the forest holds, apart from those that only snapshots need.
     pub fn memory_bytes(&self) -> usize {
         self.head.memory_bytes()
     }
 
-    /// Applies one mutation as `revision`: removes the points with the ids `removed`, then stores the canonical rows
-    /// `stored`, in the place of points with the same ids. Returns how many of `removed` were there.
+    /// Applies one mutation as `revision`: removes the points with the ids `removed`, then stores `stored`, replacing points with
+    /// the same ids. Returns the number of points removed for `removed`.
     ///
     /// # Errors
     /// `revision` is not above the forest's, the rows are not canonical states of the space, two have the same id, or
@@ -183,7 +185,7 @@ impl Forest {
             return Err(ApplyError::Revision { revision, head });
         }
         stored.check(&self.head.space)?;
-        // First, so that what this mutation has removed already is dead to its own look-ups.
+        // Set first, so that look-ups of this mutation do not find the points that it has removed.
         self.head.revision = revision;
         let found = removed
             .iter()
@@ -200,17 +202,17 @@ impl Forest {
     fn remove(&mut self, id: u64, revision: u64) -> bool {
         let head = &mut self.head;
         if let Some(slot) = head.growing.find(id, revision) {
-            head.growing.bury(slot, revision);
-            // Else what is written over and over would be searched through its past.
+            head.growing.mark_dead(slot, revision);
+            // Without this, points that are written over and over would leave a tree of dead ones.
             let (rows, dead) = (head.growing.rows(), head.growing.dead());
-            if dead >= policy::LEAST_ROWS && 2 * dead > rows {
+            if dead >= policy::MIN_ROWS && 2 * dead > rows {
                 self.seal();
             }
         } else if let Some((at, slot)) = head.find_in_levels(id) {
             let level = &head.levels[at];
-            level.bury(slot, revision);
+            level.mark_dead(slot, revision);
             if let Some(running) = self.running.iter_mut().find(|running| running.has(level)) {
-                running.buried.push((id, revision));
+                running.died.push((id, revision));
             }
         } else {
             return false;
@@ -222,14 +224,14 @@ impl Forest {
     /// Stores rows whose ids are not in the forest.
     fn store(&mut self, rows: &Points) {
         self.head.live += rows.len();
-        if rows.len() > (self.options.growing_rows / LARGE).max(1) {
+        if rows.len() > (self.options.growing_rows / LARGE_MUTATION).max(1) {
             let space = Arc::clone(&self.head.space);
             let packed = Packed::unbuilt(space, rows.clone());
             self.add_level(Level::Packed(Box::new(packed)));
             return;
         }
         for point in rows.iter() {
-            let growing = self.past.make_mut(&mut self.head.growing);
+            let growing = self.retired.make_mut(&mut self.head.growing);
             growing.push(point);
             if growing.is_full() {
                 self.seal();
@@ -237,7 +239,7 @@ impl Forest {
         }
     }
 
-    /// Makes a level of its own of what has grown, and lets another tree grow.
+    /// Turns the growing tree into a level, and starts another one.
     fn seal(&mut self) {
         let empty = Arc::new(self.head.growing.renewed());
         let grown = std::mem::replace(&mut self.head.growing, empty);
@@ -250,25 +252,25 @@ impl Forest {
         levels.insert(at, Arc::new(level));
     }
 
-    /// Says that whoever writes makes a pause: from now to the next mutation, merges work towards a single level. None
-    /// is rebuilt for less than a sixteenth of it; what is less stays beside it.
+    /// Tells the forest that writes pause: until the next mutation, merges work towards a single level. No level is rebuilt for
+    /// less than a sixteenth of its points; smaller levels stay beside it.
     pub fn pause(&mut self) {
-        self.quiet_at = Some(self.head.revision);
-        self.past.clear();
+        self.paused_at = Some(self.head.revision);
+        self.retired.clear();
     }
 
-    /// The next merge that is due, or None. The forest works on as before until it is finished; further merges may
-    /// begin meanwhile, of other levels. While no one writes, levels are merged until what is left beside the largest is less
-    /// than a sixteenth of it.
+    /// The next merge that is due, or None. The forest stays usable until the merge is finished, and merges of other levels
+    /// may begin meanwhile. While writes pause, levels are merged until those beside the largest are less than a sixteenth
+    /// of it.
     pub fn begin_merge(&mut self) -> Option<Merge> {
-        let quiet = self.quiet_at == Some(self.head.revision);
-        if quiet && self.head.growing.rows() >= policy::LEAST_ROWS {
+        let paused = self.paused_at == Some(self.head.revision);
+        if paused && self.head.growing.rows() >= policy::MIN_ROWS {
             self.seal();
         }
         let shapes = self.shapes();
         let due = policy::next_merge(&shapes, KdTree::MAX_POINTS).or_else(|| {
-            let next = || policy::next_while_quiet(&shapes, KdTree::MAX_POINTS);
-            quiet.then(next).flatten()
+            let next = || policy::next_while_paused(&shapes, KdTree::MAX_POINTS);
+            paused.then(next).flatten()
         })?;
         Some(self.begin(&due))
     }
@@ -290,7 +292,7 @@ impl Forest {
             token: self.next_token,
             revision: self.head.revision,
             sources: sources.clone(),
-            buried: Vec::new(),
+            died: Vec::new(),
         });
         Merge {
             token: self.next_token,
@@ -301,8 +303,8 @@ impl Forest {
         }
     }
 
-    /// Swaps a merged level in for its sources, in time proportional to what was removed from them meanwhile.
-    /// `merged` must stem from a merge that this forest began.
+    /// Replaces the sources of a merge by the merged level, in time proportional to the points removed from them meanwhile.
+    /// A merge that another forest began is ignored.
     pub fn finish_merge(&mut self, merged: Merged) {
         let Some(at) = self
             .running
@@ -313,20 +315,20 @@ impl Forest {
         };
         let running = self.running.swap_remove(at);
         if running.revision == self.head.revision {
-            self.quiet_at = Some(running.revision);
+            self.paused_at = Some(running.revision);
         }
         Arc::make_mut(&mut self.head.levels).retain(|level| !running.has(level));
         if let Some(level) = merged.level {
-            for (id, revision) in running.buried {
-                if let Some(slot) = level.find(id, HEAD) {
-                    level.bury(slot, revision);
+            for (id, revision) in running.died {
+                if let Some(slot) = level.find(id, LATEST) {
+                    level.mark_dead(slot, revision);
                 }
             }
             self.add_level(level);
         }
     }
 
-    /// Runs every merge that is due, here and now.
+    /// Runs every merge that is due, on this thread.
     pub fn settle(&mut self) {
         while let Some(due) = policy::next_merge(&self.shapes(), KdTree::MAX_POINTS) {
             let merge = self.begin(&due);

@@ -1,26 +1,28 @@
-//! A level that changes no more: a static tree, the way from an id to its slot, and the marks of what has died in it.
+//! An immutable level: a static tree, the slots of its ids, and the tombstones of its dead points.
 
 use std::sync::Arc;
 
 use super::{
-    level::InOrder,
-    tombstones::{HEAD, Tombstones},
+    level::PointsById,
+    tombstones::{LATEST, Tombstones},
 };
-use crate::{KdTree, Point, Points, Space, TreeReport, kernel::Set, search::Walk};
+use crate::{
+    KdTree, Point, Points, Space, TreeReport, kdtree::TreeSearch, kernel::Isa, traversal::Traversal,
+};
 
-/// Each id stands in it at most once.
+/// The ids are distinct.
 #[derive(Debug)]
 pub(super) struct Packed {
     tree: KdTree,
     /// The slots in the order of their ids.
     by_id: Vec<u32>,
     tombstones: Tombstones,
-    /// Whether a merge has built its tree. (That the tree has more than one leaf would not tell: points may coincide.)
+    /// True if a merge has built the tree. (A built tree may also have one leaf.)
     built: bool,
 }
 
 impl Packed {
-    /// A level that is searched from end to end until a merge builds its tree.
+    /// A level of one leaf, which is scanned until a merge builds its tree.
     pub(super) fn unbuilt(space: Arc<Space>, points: Points) -> Self {
         Self::over(KdTree::one_leaf(space, points), false)
     }
@@ -40,17 +42,17 @@ impl Packed {
         }
     }
 
-    /// How many points it stores, dead ones included.
+    /// The number of points stored, dead ones included.
     pub(super) fn rows(&self) -> usize {
         self.tree.len()
     }
 
-    /// How many of them are dead at the head.
+    /// The number of points dead at the head.
     pub(super) fn dead(&self) -> usize {
         self.tombstones.dead()
     }
 
-    /// Whether it has its tree.
+    /// True if the level has its tree.
     pub(super) fn is_built(&self) -> bool {
         self.built
     }
@@ -64,8 +66,8 @@ impl Packed {
         self.tree.copy_to(slot, points);
     }
 
-    pub(super) fn sees(&self, slot: usize, revision: u64) -> bool {
-        self.tombstones.sees(slot, revision)
+    pub(super) fn is_visible(&self, slot: usize, revision: u64) -> bool {
+        self.tombstones.is_visible(slot, revision)
     }
 
     /// The slot of the point with this id, if a reader at `revision` sees it.
@@ -80,34 +82,35 @@ impl Packed {
             .binary_search_by_key(&id, |&slot| ids[slot as usize])
             .ok()?;
         let slot = self.by_id[at] as usize;
-        self.sees(slot, revision).then_some(slot)
+        self.is_visible(slot, revision).then_some(slot)
     }
 
-    /// What a reader at `revision` sees of the ids above `after`, in their order.
-    pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> InOrder<'_> {
+    /// The points that a reader at `revision` sees above the id `after`.
+    pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> PointsById<'_> {
         let ids = self.tree.ids();
         let start = after.map_or(0, |after| {
             self.by_id
                 .partition_point(|&slot| ids[slot as usize] <= after)
         });
         let slots = self.by_id[start..].iter().map(|&slot| slot as usize);
-        let seen = slots.filter(move |&slot| self.sees(slot, revision));
-        Box::new(seen.map(|slot| self.get(slot)))
+        let visible = slots.filter(move |&slot| self.is_visible(slot, revision));
+        Box::new(visible.map(|slot| self.get(slot)))
     }
 
     /// Removes the point in `slot` as of `revision`.
-    pub(super) fn bury(&self, slot: usize, revision: u64) {
-        self.tombstones.bury(slot, self.rows(), revision);
+    pub(super) fn mark_dead(&self, slot: usize, revision: u64) {
+        self.tombstones.mark_dead(slot, self.rows(), revision);
     }
 
-    /// Shows `walk` what a reader at `revision` sees.
+    /// Searches the points that a reader at `revision` sees.
     #[inline(always)]
-    pub(super) fn visit<'a, S: Set>(&'a self, walk: &mut Walk<'a>, revision: u64) {
+    pub(super) fn search<'a, I: Isa>(&'a self, traversal: &mut Traversal<'a>, revision: u64) {
         if self.tombstones.dead() == 0 {
-            // No mark at or before the reader's revision can be missed: those were published with it.
-            self.tree.visit::<S>(walk, |_| true);
+            // A tombstone at or before the reader's revision was published with it, and would be seen here.
+            traversal.search::<I, _>(&mut TreeSearch::new(&self.tree, |_| true));
         } else {
-            self.tree.visit::<S>(walk, |slot| self.sees(slot, revision));
+            let is_visible = |slot: usize| self.is_visible(slot, revision);
+            traversal.search::<I, _>(&mut TreeSearch::new(&self.tree, is_visible));
         }
     }
 
@@ -130,7 +133,7 @@ impl Packed {
             }
         }
         let dead = (0..self.rows())
-            .filter(|&slot| !self.sees(slot, HEAD))
+            .filter(|&slot| !self.is_visible(slot, LATEST))
             .count();
         if dead != self.dead() {
             return Err(format!(
@@ -142,8 +145,8 @@ impl Packed {
     }
 }
 
-/// Ids that fill less than one in so many of the numbers between the least and the greatest are sorted; others, such as those
-/// that the server assigns, each tell their place.
+/// The mean distance between ids from which on they are sorted. Denser ids, such as those that the server assigns, are put
+/// into a table by their value.
 const SPARSE: u64 = 4;
 
 /// The slots of distinct `ids`, in the order of the ids.
@@ -156,7 +159,7 @@ fn by_id(ids: &[u64]) -> Vec<u32> {
         slots.sort_unstable_by_key(|&slot| ids[slot as usize]);
         return slots;
     }
-    // No slot: a tree has fewer.
+    // A tree has fewer slots.
     const NONE: u32 = u32::MAX;
     let mut places = vec![NONE; span as usize + 1];
     for slot in slots {
@@ -172,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slots_are_in_the_order_of_their_ids_however_far_apart_these_are() {
+    fn slots_are_in_the_order_of_their_ids_at_any_distance_of_these() {
         for (count, step) in [
             (0, 1),
             (1, 1),
@@ -182,7 +185,7 @@ mod tests {
             (100, 5),
             (9, 1 << 59),
         ] {
-            // 7 and 11 share no divisor with the counts: each id once, in no order.
+            // 77 shares no divisor with the counts: each id once, out of order.
             let mixed = |slot: u64| slot * 7 * 11 % count.max(1);
             let ids: Vec<u64> = (0..count).map(|slot| 5 + mixed(slot) * step).collect();
             let mut expected: Vec<u32> = (0..count as u32).collect();

@@ -1,24 +1,24 @@
-//! Which levels to merge next: a pure function of their sizes.
+//! The merge policy: a pure function of the sizes of the levels.
 //!
-//! The logarithmic method (Bentley and Saxe): levels double in size, and two of a size carry into larger ones like
-//! digits. A level falls in the tier ⌊log₂(live rows / [`LEAST_ROWS`])⌋; at rest each tier holds at most one level. A carry
-//! takes along what is up to [`GREED`] times as large as itself, since what grows is large already. Where levels begin with
-//! 8,192 points, a point is rebuilt 8 times of a million and 12 of ten million, and a search visits 2.2 and 3.0 levels on
-//! average; if nothing more than three times as large were taken along, 6 and 9 times, and 2.5 and 3.6 levels.
+//! The logarithmic method (Bentley and Saxe): levels double in size, and two of a size carry into a larger one like digits. A
+//! level is in the tier ⌊log₂(live rows / [`MIN_ROWS`])⌋, and at rest each tier holds at most one level. A carry includes levels
+//! up to [`MAX_CARRY_RATIO`] times as large as itself, because a full growing level is large already. With 8,192 points in a new
+//! level, a point is rebuilt 8 times in a million and 12 times in ten million, and a search visits 2.2 and 3.0 levels on
+//! average. With a ratio of three these would be 6 and 9 times, and 2.5 and 3.6 levels.
 
-/// Levels of fewer rows are alike: a search of one costs what a look at each of its points does.
-pub(super) const LEAST_ROWS: usize = 128;
+/// Levels of fewer rows count as equally small: searching one costs as much as scanning it.
+pub(super) const MIN_ROWS: usize = 128;
 
-/// What the policy needs to know of a level.
+/// The sizes of a level.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shape {
     /// Points stored, dead ones included.
     pub(super) rows: usize,
     /// Points dead at the head.
     pub(super) dead: usize,
-    /// Whether it has its tree yet.
+    /// True if the level has its tree.
     pub(super) built: bool,
-    /// Whether a merge has it already.
+    /// True if a running merge has the level.
     pub(super) busy: bool,
 }
 
@@ -28,13 +28,13 @@ impl Shape {
     }
 
     fn tier(&self) -> u32 {
-        (self.live() / LEAST_ROWS).checked_ilog2().unwrap_or(0)
+        (self.live() / MIN_ROWS).checked_ilog2().unwrap_or(0)
     }
 }
 
-/// The levels to merge into one, by their places in `shapes`, or None if nothing is due. In this order: the lowest
-/// tier that holds two levels, with the carry it sets off; a level without its tree; a level more than half dead.
-/// No merge makes a level of more than `max_rows`.
+/// The next merge, as indices into `shapes`, or None if no merge is due. In this order: the lowest tier that holds two levels,
+/// with its carry; a level without its tree; a level that is more than half dead. No merge makes a level of more than
+/// `max_rows`.
 pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let idle = idle(shapes);
     carry(shapes, &idle, max_rows).or_else(|| {
@@ -45,14 +45,14 @@ pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>
     })
 }
 
-/// What to merge when nothing is due and no one writes, on the way to one level: the least two levels, with what is not
-/// much larger. Small steps, so that a writer who comes back finds little undone; and a level only for the sake of
-/// [`WORTH`] of it, or each pause after a few points would rebuild them all.
-pub(super) fn next_while_quiet(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
+/// The next merge while writes pause and none is due, on the way to one level: the two smallest levels, with those not much
+/// larger. The steps are small, so that little is undone when writes resume. A level is rebuilt only for a share of
+/// 1 / [`MIN_GAIN`] of it, or each pause after a few points would rebuild all levels.
+pub(super) fn next_while_paused(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let mut idle = idle(shapes);
     while let Some((&largest, others)) = idle.split_last() {
         let joins: usize = others.iter().map(|&i| shapes[i].live()).sum();
-        if joins + shapes[largest].dead >= shapes[largest].live() / WORTH {
+        if joins + shapes[largest].dead >= shapes[largest].live() / MIN_GAIN {
             break;
         }
         idle.pop();
@@ -60,18 +60,18 @@ pub(super) fn next_while_quiet(shapes: &[Shape], max_rows: usize) -> Option<Vec<
     gather(shapes, &idle, 2, max_rows)
 }
 
-/// The part of a level, one in so many, for which it is rebuilt: by what joins it, or by its dead. All that is saved is a
-/// search of what is so much smaller, which begins with the bound that the larger one has given it.
-const WORTH: usize = 16;
+/// A pause rebuilds a level if the points that join it, and its dead ones, are at least one in this many of it. A merge only saves
+/// the search of a much smaller level, which begins with the bound found in the larger one.
+const MIN_GAIN: usize = 16;
 
-/// The levels that no merge has, by ascending size.
+/// The levels without a running merge, by ascending size.
 fn idle(shapes: &[Shape]) -> Vec<usize> {
     let mut idle: Vec<usize> = (0..shapes.len()).filter(|&i| !shapes[i].busy).collect();
     idle.sort_by_key(|&i| shapes[i].live());
     idle
 }
 
-/// `idle` by ascending size: those that share the lowest tier that more than one has, and what joins them.
+/// The levels of the lowest tier that holds more than one, and those that join them. `idle` is by ascending size.
 fn carry(shapes: &[Shape], idle: &[usize], max_rows: usize) -> Option<Vec<usize>> {
     let tier = |i: usize| shapes[i].tier();
     let start = (1..idle.len()).find(|&at| tier(idle[at - 1]) == tier(idle[at]))? - 1;
@@ -80,17 +80,17 @@ fn carry(shapes: &[Shape], idle: &[usize], max_rows: usize) -> Option<Vec<usize>
     gather(shapes, idle, share.count(), max_rows)
 }
 
-/// How much larger than a carry a level may be that it takes along.
-const GREED: usize = 6;
+/// The greatest ratio of a level to the carry that includes it.
+const MAX_CARRY_RATIO: usize = 6;
 
-/// The `first` of `idle`, which has them by ascending size, and every next one no greater than [`GREED`] times what
-/// they amount to. None if that is not at least two.
+/// The `first` levels of `idle`, and each next one of at most [`MAX_CARRY_RATIO`] times their sum. None if these are fewer than
+/// two. `idle` is by ascending size.
 fn gather(shapes: &[Shape], idle: &[usize], first: usize, max_rows: usize) -> Option<Vec<usize>> {
     let mut total = 0;
     let mut taken = Vec::new();
     for &i in idle {
         let live = shapes[i].live();
-        let joins = taken.len() < first || live <= GREED * total;
+        let joins = taken.len() < first || live <= MAX_CARRY_RATIO * total;
         if !joins || total + live > max_rows {
             break;
         }
@@ -176,7 +176,7 @@ mod tests {
     fn while_no_one_writes_levels_of_like_size_become_one() {
         let mut shapes = vec![level(100_000), level(13_000), level(2000), level(100)];
         let mut steps = Vec::new();
-        while let Some(merge) = next_while_quiet(&shapes, usize::MAX) {
+        while let Some(merge) = next_while_paused(&shapes, usize::MAX) {
             let rows = merge.iter().map(|&i| shapes[i].rows).sum();
             steps.push(rows);
             let mut at = 0..;
@@ -188,15 +188,15 @@ mod tests {
             busy: true,
             ..level(100)
         };
-        assert_eq!(next_while_quiet(&[level(200), busy], usize::MAX), None);
+        assert_eq!(next_while_paused(&[level(200), busy], usize::MAX), None);
     }
 
     #[test]
     fn a_pause_rebuilds_a_level_for_a_sixteenth_of_it() {
-        let quiet = |shapes: &[Shape]| next_while_quiet(shapes, usize::MAX);
+        let quiet = |shapes: &[Shape]| next_while_paused(shapes, usize::MAX);
         assert_eq!(quiet(&[level(16_000), level(999)]), None);
         assert_eq!(quiet(&[level(16_000), level(1000)]), Some(vec![1, 0]));
-        // What is small is merged all the same, and may amount to enough.
+        // Small levels are merged all the same, and may add up to enough.
         let shapes = [level(160_000), level(3000), level(200)];
         assert_eq!(quiet(&shapes), Some(vec![2, 1]));
         let shapes = [level(16_000), level(700), level(300)];
@@ -216,7 +216,7 @@ mod tests {
         let mut shapes: Vec<Shape> = Vec::new();
         let mut rebuilt = 0;
         for sealed in 1..=1024usize {
-            shapes.push(level(LEAST_ROWS));
+            shapes.push(level(MIN_ROWS));
             while let Some(merge) = pick(&shapes) {
                 let rows = merge.iter().map(|&i| shapes[i].rows).sum();
                 rebuilt += rows;
@@ -232,6 +232,6 @@ mod tests {
                 "{sealed}: {shapes:?}"
             );
         }
-        assert!(rebuilt <= LEAST_ROWS * 1024 * 13, "{rebuilt}");
+        assert!(rebuilt <= MIN_ROWS * 1024 * 13, "{rebuilt}");
     }
 }

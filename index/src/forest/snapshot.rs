@@ -1,26 +1,26 @@
-//! One frozen revision of a forest.
+//! A frozen revision of a forest.
 
 use std::{iter::Peekable, sync::Arc};
 
 use super::{growing::Growing, level::Level};
 use crate::{
     Answer, Kernels, Point, Search, SearchError, Space,
-    kernel::{Scale, Set, Task},
-    search::Walk,
+    kernel::{Isa, KeyScale, Task},
+    traversal::Traversal,
 };
 
-/// A forest as it stood at one revision, for as long as it is held.
+/// A forest as of one revision.
 ///
-/// It shares the levels with the forest by count, so holding one costs nothing until merges replace those levels: then
-/// it keeps up to a whole copy of its revision alive. Of the level that grows, the writer copies what it changes under a
-/// snapshot, and frees it at some write after the snapshot's end. All methods may be called from any number of threads.
+/// A snapshot shares the levels of the forest, so holding one costs nothing until merges replace those levels; from then on it
+/// keeps up to a whole copy of its revision alive. In the growing level the writer copies the parts that it changes under a
+/// snapshot, and frees them at some write after the snapshot is dropped. Any number of threads may call its methods.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     pub(super) space: Arc<Space>,
-    pub(super) scale: Scale,
+    pub(super) scale: KeyScale,
     pub(super) revision: u64,
     pub(super) live: usize,
-    /// Largest first: the first answers tighten the search in the rest.
+    /// The largest first: its answers tighten the search in the others.
     pub(super) levels: Arc<Vec<Arc<Level>>>,
     /// The newest points.
     pub(super) growing: Arc<Growing>,
@@ -32,17 +32,17 @@ impl Snapshot {
         &self.space
     }
 
-    /// The revision it shows.
+    /// The revision.
     pub fn revision(&self) -> u64 {
         self.revision
     }
 
-    /// How many points it has.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.live
     }
 
-    /// Whether it has none.
+    /// True if the snapshot has no points.
     pub fn is_empty(&self) -> bool {
         self.live == 0
     }
@@ -75,7 +75,7 @@ impl Snapshot {
 
     /// A copy of the point with this id.
     pub fn get(&self, id: u64) -> Option<Point> {
-        // The newest points are asked about most.
+        // The newest points are asked for most.
         if let Some(slot) = self.growing.find(id, self.revision) {
             return Some(self.growing.get(slot));
         }
@@ -83,7 +83,7 @@ impl Snapshot {
         Some(self.levels[level].get(slot))
     }
 
-    /// The place of a level and the slot in it.
+    /// The index of the level that has the point with this id, and the slot in it.
     pub(super) fn find_in_levels(&self, id: u64) -> Option<(usize, usize)> {
         (0..self.levels.len())
             .rev()
@@ -100,14 +100,14 @@ impl Snapshot {
         }
     }
 
-    /// An estimate of the bytes it keeps alive.
+    /// An estimate of the bytes that the snapshot keeps alive.
     pub fn memory_bytes(&self) -> usize {
         let levels = self.levels.iter().map(|level| level.memory_bytes());
         self.growing.memory_bytes() + levels.sum::<usize>()
     }
 }
 
-/// The search of all levels, the one that grows last.
+/// A search of all levels, the growing one last.
 struct SearchSnapshot<'a> {
     snapshot: &'a Snapshot,
     state: &'a [f64],
@@ -118,15 +118,17 @@ impl Task for SearchSnapshot<'_> {
     type Output = Result<Answer, SearchError>;
 
     #[inline(always)]
-    fn run<S: Set>(self) -> Result<Answer, SearchError> {
+    fn run<I: Isa>(self) -> Self::Output {
         let snapshot = self.snapshot;
-        self.search.check(&snapshot.space, self.state)?;
-        let mut walk = Walk::new(&snapshot.space, &snapshot.scale, self.state, self.search);
+        let (space, scale) = (&snapshot.space, &snapshot.scale);
+        self.search.check(space, self.state)?;
+        let mut traversal = Traversal::new(space, scale, self.state, self.search);
         for level in snapshot.levels.iter() {
-            level.visit::<S>(&mut walk, snapshot.revision);
+            level.search::<I>(&mut traversal, snapshot.revision);
         }
-        snapshot.growing.visit::<S>(&mut walk, snapshot.revision);
-        Ok(walk.finish())
+        let growing = &snapshot.growing;
+        growing.search::<I>(&mut traversal, snapshot.revision);
+        Ok(traversal.finish())
     }
 }
 
@@ -165,7 +167,7 @@ mod tests {
             }
             points
         };
-        // More than grow become a level of their own.
+        // A mutation this large makes a level of its own.
         forest.apply(1, &points(&[1, 2, 3, 4]), &[]).unwrap();
         forest.apply(2, &points(&[u64::MAX]), &[]).unwrap();
         let snapshot = forest.snapshot();

@@ -1,11 +1,11 @@
-//! The invariants of a forest, for the tests that call this after every step.
+//! The invariants of a forest.
 
 use std::{collections::HashSet, sync::Arc};
 
 use super::Forest;
 use crate::TreeReport;
 
-/// What [`Forest::validate`] found in a forest, tree by tree.
+/// The result of [`Forest::validate`], tree by tree.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ForestReport {
     /// The level that grows by single points.
@@ -15,22 +15,25 @@ pub struct ForestReport {
 }
 
 impl Forest {
-    /// Checks every level and tree, that each id is alive at most once, that the counts agree, and that merges under
-    /// way hold levels of the forest.
+    /// Checks every level and tree, that each id is alive at most once, that the counts agree, and that running merges hold
+    /// levels of the forest.
     ///
     /// # Errors
     /// The first invariant found broken.
     pub fn validate(&self) -> Result<ForestReport, String> {
         let head = &self.head;
         if head.growing.is_full() {
-            return Err("what grows is full".into());
+            return Err("the growing level is full".into());
         }
         let growing = head.growing.validate()?;
         let mut levels = Vec::with_capacity(head.levels.len());
         let mut alive: HashSet<u64> = HashSet::with_capacity(head.live);
         for point in head.growing.points_after(None, head.revision) {
             if !alive.insert(point.id) {
-                return Err(format!("id {} stands twice in what grows", point.id));
+                return Err(format!(
+                    "id {} is alive twice in the growing level",
+                    point.id
+                ));
             }
         }
         for level in head.levels.iter() {

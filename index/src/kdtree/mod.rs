@@ -11,12 +11,11 @@
 //! - The bound of a box is computed from all of its coordinates; theirs is updated by the one factor that a cut touches.
 //! - A leaf keeps its points coordinate by coordinate.
 //!
-//! Nothing here changes after the build: a tree may be searched from any number of threads.
+//! A tree does not change after its build, and any number of threads may search it.
 
 mod build;
 mod query;
-mod reach;
-mod rounded;
+mod scan_policy;
 mod validate;
 
 use std::sync::Arc;
@@ -24,15 +23,16 @@ use std::sync::Arc;
 use crate::{
     Answer, Kernels, Point, Points, PointsError, Search, SearchError, Space,
     blocks::Blocks,
-    kernel::{BLOCK, CHILDREN, Scale, Set, Task},
-    search::Walk,
+    boxes::Boxes,
+    kernel::{BLOCK_ROWS, Isa, KeyScale, Task},
+    quantize::QuantizedRows,
+    traversal::Traversal,
 };
-pub(crate) use build::scales;
-pub(crate) use reach::Reach;
-use rounded::Rounded;
+pub(crate) use query::TreeSearch;
+pub(crate) use scan_policy::ScanPolicy;
 pub use validate::TreeReport;
 
-/// Where a node's children are: that many, one after the other, among the nodes or, at the bottom, among the leaves.
+/// The children of a node: `count` consecutive nodes or, at the bottom, leaves.
 #[derive(Clone, Copy, Debug)]
 struct Node {
     first: u32,
@@ -56,27 +56,26 @@ struct Node {
 #[derive(Clone, Debug)]
 pub struct KdTree {
     space: Arc<Space>,
-    scale: Scale,
+    scale: KeyScale,
     /// Ids, tags and revisions in the order of the leaves, without rows.
     labels: Points,
-    /// Every leaf but the last has as many.
+    /// The number of points in every leaf but the last.
     leaf_rows: usize,
-    /// Nodes on the way from the root to a leaf, the same for all leaves; 0 without points.
+    /// The number of nodes between the root, included, and any leaf; 0 without points.
     height: u32,
     /// The root first.
     nodes: Vec<Node>,
-    /// For each node and coordinate the lower ends of its children's boxes, then the upper ends.
-    boxes: Vec<f64>,
-    /// The rows of each leaf, which begins a block.
+    boxes: Boxes,
+    /// The rows in the order of the leaves; each leaf begins a block.
     blocks: Blocks,
-    rounded: Option<Rounded>,
-    /// The newest state of the tree, so that a search for newer ones can skip it whole.
-    max_revision: u64,
-    reach: Reach,
+    quantized: Option<QuantizedRows>,
+    /// The newest revision of a state: a search for newer ones skips the tree.
+    newest: u64,
+    scan_policy: ScanPolicy,
 }
 
 impl KdTree {
-    /// Most points of a tree: its slots are 32 bits wide.
+    /// The greatest number of points in a tree: its slots are 32 bits wide.
     pub const MAX_POINTS: usize = u32::MAX as usize;
 
     /// Builds the tree over canonical rows, in O(d · n · log n), with leaves of `leaf_rows` points.
@@ -116,30 +115,25 @@ impl KdTree {
 
     /// A copy of the point in `slot`, in the order of the leaves.
     pub fn get(&self, slot: usize) -> Point {
-        let label = self.labels.get(slot);
         Point {
-            id: label.id,
-            tag: label.tag,
-            revision: label.revision,
             row: self.row(slot).collect(),
+            ..self.labels.get(slot).to_point()
         }
     }
 
     /// Appends a copy of the point in `slot` to `points`.
     pub(crate) fn copy_to(&self, slot: usize, points: &mut Points) {
-        let label = self.labels.get(slot);
-        points.push_numbers(label.id, label.tag, label.revision, self.row(slot));
+        points.push_numbers(self.labels.get(slot), self.row(slot));
     }
 
-    /// The row in `slot`.
     fn row(&self, slot: usize) -> impl Iterator<Item = f64> {
         self.blocks.row(self.place(slot))
     }
 
-    /// The place in the blocks of what stands in `slot`.
+    /// The place in the blocks of the row in `slot`.
     fn place(&self, slot: usize) -> usize {
         let (leaf, place) = (slot / self.leaf_rows, slot % self.leaf_rows);
-        leaf * self.leaf_rows.next_multiple_of(BLOCK) + place
+        leaf * self.leaf_rows.next_multiple_of(BLOCK_ROWS) + place
     }
 
     /// Copies of all points, in the order of the leaves.
@@ -152,50 +146,30 @@ impl KdTree {
         self.labels.ids()
     }
 
-    /// How many points there are.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.labels.len()
     }
 
-    /// Whether there are none.
+    /// True if the tree has no points.
     pub fn is_empty(&self) -> bool {
         self.labels.is_empty()
     }
 
-    /// The bytes the tree holds.
+    /// The bytes that the tree holds.
     pub(crate) fn memory_bytes(&self) -> usize {
         self.labels.memory_bytes()
             + self.nodes.capacity() * size_of::<Node>()
-            + 8 * self.boxes.capacity()
+            + self.boxes.memory_bytes()
             + self.blocks.memory_bytes()
-            + self.rounded.as_ref().map_or(0, Rounded::memory_bytes)
-    }
-
-    /// How many leaves there are.
-    fn leaves(&self) -> usize {
-        self.len().div_ceil(self.leaf_rows)
-    }
-
-    /// The slots of a leaf's points.
-    fn slots(&self, leaf: usize) -> std::ops::Range<usize> {
-        let start = leaf * self.leaf_rows;
-        start..(start + self.leaf_rows).min(self.len())
-    }
-
-    /// The boxes of a node's children, as the kernels take them.
-    fn boxes(&self, node: usize) -> &[f64] {
-        let width = self.space.coordinates() * 2 * CHILDREN;
-        &self.boxes[node * width..][..width]
-    }
-
-    /// The places of a leaf's blocks: each of `BLOCK` points, the last of what is left.
-    fn leaf_blocks(&self, leaf: usize) -> std::ops::Range<usize> {
-        let first = self.place(leaf * self.leaf_rows) / BLOCK;
-        first..first + self.slots(leaf).len().div_ceil(BLOCK)
+            + self
+                .quantized
+                .as_ref()
+                .map_or(0, QuantizedRows::memory_bytes)
     }
 }
 
-/// The search of a tree, as a whole.
+/// A search of one tree.
 struct SearchTree<'a> {
     tree: &'a KdTree,
     state: &'a [f64],
@@ -206,10 +180,11 @@ impl Task for SearchTree<'_> {
     type Output = Result<Answer, SearchError>;
 
     #[inline(always)]
-    fn run<S: Set>(self) -> Result<Answer, SearchError> {
-        self.search.check(&self.tree.space, self.state)?;
-        let mut walk = Walk::new(&self.tree.space, &self.tree.scale, self.state, self.search);
-        self.tree.visit::<S>(&mut walk, |_| true);
-        Ok(walk.finish())
+    fn run<I: Isa>(self) -> Self::Output {
+        let tree = self.tree;
+        self.search.check(&tree.space, self.state)?;
+        let mut traversal = Traversal::new(&tree.space, &tree.scale, self.state, self.search);
+        traversal.search::<I, _>(&mut TreeSearch::new(tree, |_| true));
+        Ok(traversal.finish())
     }
 }

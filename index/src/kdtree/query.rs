@@ -1,159 +1,189 @@
-//! The query: the nearest children of a node first, all that cannot matter skipped by their bounds.
+//! The search of a tree (see [`traversal`](crate::traversal)).
 
-use super::{KdTree, rounded::PAIR};
+use std::ops::Range;
+
+use super::{KdTree, ScanPolicy};
 use crate::{
-    kernel::{Asked, BLOCK, Set, prefetch},
-    search::{Ahead, Walk},
+    kernel::{BLOCK_ROWS, Isa, prefetch},
+    quantize::{QuantizedQuery, ROW_BLOCKS},
+    traversal::{Frontier, Traversal, Tree},
 };
 
-/// Where a cell is: a node or, at height 0, a leaf.
+/// A node or, at height 0, a leaf.
 #[derive(Clone, Copy, Debug)]
-struct Place {
+pub(crate) struct Cell {
     index: u32,
     height: u32,
 }
 
-impl Place {
-    /// The place of a node's `child`, given that of its first.
+/// The size of a tree that stays in the cache. A larger one gains a tenth from prefetching (at a million points of R3 and
+/// R3*SO3), and a smaller one loses some hundredths.
+const CACHED_BYTES: usize = 4 << 20;
+
+/// The bits of a block of rows.
+const BLOCK_MASK: u32 = !(!0 << BLOCK_ROWS);
+
+/// One search of a tree, which finds the visible points.
+pub(crate) struct TreeSearch<'a, V> {
+    tree: &'a KdTree,
+    is_visible: V,
+    /// The query in the steps of the codes, prepared when a block of codes is first read.
+    query: Option<QuantizedQuery<'a>>,
+    prefetches: bool,
+}
+
+impl<'a, V: Fn(usize) -> bool> TreeSearch<'a, V> {
     #[inline(always)]
-    fn child((first, child): (Self, usize)) -> Self {
+    pub(crate) fn new(tree: &'a KdTree, is_visible: V) -> Self {
         Self {
+            tree,
+            is_visible,
+            query: None,
+            prefetches: tree.blocks.memory_bytes() > CACHED_BYTES,
+        }
+    }
+
+    #[inline(always)]
+    fn scan_leaf<I: Isa>(&mut self, traversal: &mut Traversal<'a>, leaf: usize) {
+        if !traversal.enter_leaf() {
+            return;
+        }
+        for block in self.tree.leaf_blocks(leaf) {
+            if let Some(rows) = &self.tree.quantized {
+                let (codes, first) = rows.codes(block);
+                let near = traversal.filter_codes::<I>(rows.quantizer(), &mut self.query, codes);
+                if near >> first & BLOCK_MASK == 0 {
+                    continue;
+                }
+            }
+            self.scan_block::<I>(traversal, block);
+        }
+    }
+
+    #[inline(always)]
+    fn scan_block<I: Isa>(&self, traversal: &mut Traversal<'a>, block: usize) {
+        let tree = self.tree;
+        let blocks = tree.leaf_rows.div_ceil(BLOCK_ROWS);
+        let slots = tree.slots(block / blocks);
+        let start = slots.start + block % blocks * BLOCK_ROWS;
+        let lanes = slots.end.saturating_sub(start).min(BLOCK_ROWS);
+        if lanes == 0 {
+            // Beyond the end of the last leaf: a place that pads a block of codes.
+            return;
+        }
+        let (rows, slot) = (tree.blocks.block(block), |lane| start + lane);
+        traversal.scan_block::<I>(rows, lanes, &tree.labels, slot, &self.is_visible);
+    }
+}
+
+impl<'a, V: Fn(usize) -> bool> Tree<'a> for TreeSearch<'a, V> {
+    type Cell = Cell;
+    /// The first child.
+    type Node = Cell;
+
+    fn newest(&self) -> u64 {
+        self.tree.newest
+    }
+
+    #[inline(always)]
+    fn root(&self) -> Option<Cell> {
+        let height = self.tree.height;
+        (height > 0).then_some(Cell { index: 0, height })
+    }
+
+    #[inline(always)]
+    fn child(&self, first: Cell, child: usize) -> Cell {
+        Cell {
             index: first.index + child as u32,
             ..first
         }
     }
-}
 
-/// What of a tree stays in a cache near the processor. Larger ones gain a tenth from asking ahead (at a million points
-/// of R3 and R3*SO3), smaller ones lose some hundredths.
-const NEAR_BYTES: usize = 4 << 20;
-
-/// The bits of a block.
-const ONE_BLOCK: u32 = !(!0 << BLOCK);
-
-impl KdTree {
-    /// Shows `walk` every visible point that can matter to it.
     #[inline(always)]
-    pub(crate) fn visit<'a, S: Set>(
-        &'a self,
-        walk: &mut Walk<'a>,
-        visible: impl Fn(usize) -> bool,
+    fn visit<I: Isa>(
+        &mut self,
+        Cell { index, height }: Cell,
+        traversal: &mut Traversal<'a>,
+        frontier: &mut Frontier<Cell>,
     ) {
-        if self.is_empty()
-            || (walk.since_revision() > 0 && self.max_revision <= walk.since_revision())
-        {
+        let index = index as usize;
+        if height == 0 {
+            self.scan_leaf::<I>(traversal, index);
             return;
         }
-        // (What has no more than a node of leaves is read soon enough either way.)
-        let plain = walk.is_plain() && self.height > 1;
-        let mut asked = None;
-        if plain && self.reach.is_far() {
-            self.visit_all::<S>(walk, &mut asked, &visible);
-            return;
-        }
-        let entered = walk.leaves_entered();
-        let fetches = self.blocks.memory_bytes() > NEAR_BYTES;
-        let root = Place {
-            index: 0,
-            height: self.height,
+        let node = self.tree.nodes[index];
+        let first = Cell {
+            index: node.first,
+            height: height - 1,
         };
-        let (mut ahead, mut next) = (Ahead::new(), Some(root));
-        while let Some(Place { index, height }) = next {
-            let index = index as usize;
-            if height == 0 {
-                self.visit_leaf::<S>(walk, &mut asked, index, &visible);
-            } else {
-                let node = self.nodes[index];
-                let (boxes, lanes) = (self.boxes(index), !(!0 << node.count));
-                let first = Place {
-                    index: node.first,
-                    height: height - 1,
-                };
-                walk.open::<S, _>(&mut ahead, boxes, lanes, first);
-            }
-            next = walk.next::<S, _>(&mut ahead).map(Place::child);
-            if fetches && let Some(Place { index, height: 0 }) = ahead.peek().map(Place::child) {
-                let first = self.leaf_blocks(index as usize).start;
-                match &self.rounded {
-                    Some(rounded) => prefetch(rounded.codes(first).0),
-                    None => prefetch(self.blocks.block(first)),
-                }
-            }
-        }
-        if plain && walk.found_few() {
-            let reached = walk.leaves_entered() - entered;
-            // (By measurement. Codes are read several times as fast as what they are of.)
-            let worth = if self.rounded.is_some() { 3 } else { 2 };
-            self.reach.report(worth * reached >= self.leaves());
-        }
+        let lanes = !(!0 << node.count);
+        traversal.expand::<I, _>(frontier, self.tree.boxes.node(index), lanes, first);
     }
 
-    /// All leaves in the order of memory; by codes all blocks, two at once, each two counted as a leaf.
+    /// A block of codes counts as one leaf, and stands for two blocks of rows.
     #[inline(always)]
-    fn visit_all<'a, S: Set>(
-        &'a self,
-        walk: &mut Walk<'a>,
-        asked: &mut Option<Asked<'a>>,
-        visible: &impl Fn(usize) -> bool,
-    ) {
-        let Some(rounded) = &self.rounded else {
-            for leaf in 0..self.leaves() {
-                self.visit_leaf::<S>(walk, asked, leaf, visible);
+    fn scan<I: Isa>(&mut self, traversal: &mut Traversal<'a>) {
+        let Some(rows) = &self.tree.quantized else {
+            for leaf in 0..self.tree.leaves() {
+                self.scan_leaf::<I>(traversal, leaf);
             }
             return;
         };
-        for (at, codes) in rounded.blocks().enumerate() {
-            if !walk.enters_leaf() {
+        for (at, codes) in rows.blocks().enumerate() {
+            if !traversal.enter_leaf() {
                 return;
             }
-            let near = walk.may_matter::<S>(rounded.coding(), asked, codes);
-            for half in 0..PAIR {
-                if near >> (half * BLOCK) & ONE_BLOCK != 0 {
-                    self.visit_block::<S>(walk, at * PAIR + half, visible);
+            let near = traversal.filter_codes::<I>(rows.quantizer(), &mut self.query, codes);
+            for half in 0..ROW_BLOCKS {
+                if near >> (half * BLOCK_ROWS) & BLOCK_MASK != 0 {
+                    self.scan_block::<I>(traversal, at * ROW_BLOCKS + half);
                 }
             }
         }
     }
 
     #[inline(always)]
-    fn visit_leaf<'a, S: Set>(
-        &'a self,
-        walk: &mut Walk<'a>,
-        asked: &mut Option<Asked<'a>>,
-        leaf: usize,
-        visible: &impl Fn(usize) -> bool,
-    ) {
-        if !walk.enters_leaf() {
-            return;
-        }
-        for at in self.leaf_blocks(leaf) {
-            if let Some(rounded) = &self.rounded {
-                let (codes, first) = rounded.codes(at);
-                let near = walk.may_matter::<S>(rounded.coding(), asked, codes);
-                if near >> first & ONE_BLOCK == 0 {
-                    continue;
-                }
-            }
-            self.visit_block::<S>(walk, at, visible);
-        }
+    fn scan_policy(&self) -> Option<&'a ScanPolicy> {
+        (self.tree.height > 1).then_some(&self.tree.scan_policy)
+    }
+
+    /// Measured break-even: half of the leaves, or a third where the scan reads codes.
+    fn scan_is_cheaper(&self, leaves: usize) -> bool {
+        let gain = if self.tree.quantized.is_some() { 3 } else { 2 };
+        gain * leaves >= self.tree.leaves()
     }
 
     #[inline(always)]
-    fn visit_block<'a, S: Set>(
-        &'a self,
-        walk: &mut Walk<'a>,
-        at: usize,
-        visible: &impl Fn(usize) -> bool,
-    ) {
-        let blocks = self.leaf_rows.div_ceil(BLOCK);
-        let slots = self.slots(at / blocks);
-        let start = slots.start + at % blocks * BLOCK;
-        let lanes = slots.end.saturating_sub(start).min(BLOCK);
-        if lanes == 0 {
-            // The end of the last leaf, or the other half of the last block of codes.
-            return;
+    fn prefetch(&self, frontier: &Frontier<Cell>) {
+        if self.prefetches
+            && let Some((first, child)) = frontier.peek()
+            && first.height == 0
+        {
+            let leaf = self.child(first, child).index as usize;
+            let block = self.tree.leaf_blocks(leaf).start;
+            match &self.tree.quantized {
+                Some(rows) => prefetch(rows.codes(block).0),
+                None => prefetch(self.tree.blocks.block(block)),
+            }
         }
-        let block = self.blocks.block(at);
-        walk.scan::<S>(block, lanes, &self.labels, |lane| start + lane, visible);
+    }
+}
+
+impl KdTree {
+    /// The number of leaves.
+    pub(super) fn leaves(&self) -> usize {
+        self.len().div_ceil(self.leaf_rows)
+    }
+
+    /// The slots of a leaf's points.
+    pub(super) fn slots(&self, leaf: usize) -> Range<usize> {
+        let start = leaf * self.leaf_rows;
+        start..(start + self.leaf_rows).min(self.len())
+    }
+
+    /// The blocks of a leaf, all of them full but the last.
+    fn leaf_blocks(&self, leaf: usize) -> Range<usize> {
+        let first = self.place(leaf * self.leaf_rows) / BLOCK_ROWS;
+        first..first + self.slots(leaf).len().div_ceil(BLOCK_ROWS)
     }
 }

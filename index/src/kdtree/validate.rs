@@ -1,9 +1,12 @@
-//! The invariants of a tree, for the tests that call this after every step.
+//! The invariants of a tree.
 
 use super::KdTree;
-use crate::kernel::{BLOCK, CHILDREN, CODES};
+use crate::{
+    kernel::{BLOCK_ROWS, MAX_CHILDREN},
+    quantize::CODE_ROWS,
+};
 
-/// What [`KdTree::validate`] found in a tree, so that a test can tell that it reached what it is about.
+/// The result of [`KdTree::validate`]: a test can assert that its tree was deep enough and scanned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TreeReport {
     /// The number of nodes between the root, included, and a leaf.
@@ -13,8 +16,8 @@ pub struct TreeReport {
 }
 
 impl KdTree {
-    /// Checks that the leaves are reached in order, each once and equally deep, that every point lies in the boxes
-    /// above it, and that the blocks hold the rows.
+    /// Checks that the leaves are reached in order, each once and equally deep, and that every point is within the boxes above
+    /// it.
     ///
     /// # Errors
     /// The first invariant found broken.
@@ -30,35 +33,35 @@ impl KdTree {
         }
         if check.nodes != self.nodes.len() {
             return Err(format!(
-                "{} nodes are out of reach",
+                "{} nodes are unreachable",
                 self.nodes.len() - check.nodes
             ));
         }
         if check.next_leaf != self.leaves() {
             return Err(format!(
-                "{} leaves are out of reach",
+                "{} leaves are unreachable",
                 self.leaves() - check.next_leaf
             ));
         }
-        if let Some(newer) = self.labels.iter().find(|p| p.revision > self.max_revision) {
+        if let Some(newer) = self.labels.iter().find(|p| p.revision > self.newest) {
             return Err(format!("point {} is newer than its tree", newer.id));
         }
         Ok(TreeReport {
             height: self.height as usize,
-            scans: self.reach.scans(),
+            scans: self.scan_policy.scans(),
         })
     }
 }
 
 struct Check<'a> {
     tree: &'a KdTree,
-    /// How many nodes have a parent, or are the root.
+    /// The number of nodes reached so far, the root included.
     nodes: usize,
     next_leaf: usize,
 }
 
 impl Check<'_> {
-    /// Checks the subtree of a node, which lies in the children at `path` of the nodes above it.
+    /// Checks the subtree of a node; `path` has the nodes above it, each with the child that leads here.
     fn subtree(
         &mut self,
         index: usize,
@@ -67,7 +70,7 @@ impl Check<'_> {
     ) -> Result<(), String> {
         let node = self.tree.nodes[index];
         let (first, count) = (node.first as usize, node.count as usize);
-        if !(1..=CHILDREN).contains(&count) {
+        if !(1..=MAX_CHILDREN).contains(&count) {
             return Err(format!("node {index} has {count} children"));
         }
         if height > 1 {
@@ -98,26 +101,24 @@ impl Check<'_> {
             if !self.tree.row(slot).eq(point.row.iter().copied()) {
                 return Err(format!("point {} differs in its block", point.id));
             }
-            if let Some(rounded) = &self.tree.rounded {
+            if let Some(rows) = &self.tree.quantized {
                 let place = self.tree.place(slot);
-                let (codes, first) = rounded.codes(place / BLOCK);
-                let codes = codes[first + place % BLOCK..].iter();
+                let (codes, first) = rows.codes(place / BLOCK_ROWS);
+                let codes = codes[first + place % BLOCK_ROWS..].iter();
                 let row = point.row.iter().enumerate();
-                let row = row.map(|(axis, &x)| rounded.coding().code(axis, x));
-                if !codes.step_by(CODES).copied().eq(row) {
-                    return Err(format!("point {} differs where it is rounded", point.id));
+                let row = row.map(|(axis, &x)| rows.quantizer().code(axis, x));
+                if !codes.step_by(CODE_ROWS).copied().eq(row) {
+                    return Err(format!("point {} has wrong codes", point.id));
                 }
             }
-            for (axis, &x) in point.row.iter().enumerate() {
-                for &(node, child) in path {
-                    let ends = &self.tree.boxes(node)[axis * 2 * CHILDREN..];
-                    if !(ends[child]..=ends[CHILDREN + child]).contains(&x) {
-                        return Err(format!(
-                            "point {} is outside node {node} in axis {axis}",
-                            point.id
-                        ));
-                    }
-                }
+            let is_outside = |&&(node, child): &&(usize, usize)| {
+                !self.tree.boxes.contains(node, child, &point.row)
+            };
+            if let Some((node, child)) = path.iter().find(is_outside) {
+                return Err(format!(
+                    "point {} is outside child {child} of node {node}",
+                    point.id
+                ));
             }
         }
         Ok(())

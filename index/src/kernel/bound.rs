@@ -1,86 +1,173 @@
-//! Lower bounds of the distance from a state to sixteen boxes, or to a block of points, side by side, as keys of the
-//! space (see `limit`).
+//! Lower bounds of the distance from a state to the boxes of a node, or to a block of points, as keys of the space (see
+//! `key`).
 //!
-//! The space is read as it is, a loop over groups and factors around the lanes. **Rounding:** every term is computed by
-//! the operations of [`Space::distance`], in their order, on operands that are the same (a point's) or no greater (a
-//! box's), and rounding is monotone: so no term exceeds its counterpart, but for a rotation's, which may by 1e-14. (Of
-//! points whose numbers are rounded, see `coded`.)
-//! No key is NaN: coordinates are small enough for their squares to have a finite sum, and weights for one another.
+//! The space is read at run time: a loop over groups and factors around the lanes. The arithmetic of a factor is in its
+//! file in `space`. **Rounding:** every term is computed by the operations of [`Space::distance`], in their order, on equal
+//! operands (of a point) or no greater ones (of a box), and rounding is monotone. So no term exceeds its counterpart, except
+//! that of a rotation, which may by 1e-14. (For quantised points, see `quantize`.) No key is NaN: coordinates are small enough
+//! for their squares to have a finite sum, and weights for one another.
 
 use super::{
-    compiled::Set,
+    isa::Isa,
     lanes::{Lanes, Number, Operations},
 };
 use crate::{
     Factor, Space,
-    space::{Part, SO3_SERIES},
+    space::{Part, real_vector, so2, so3},
 };
 
-/// How many children a node has at most: the lanes of a box kernel, two registers of eight. A search waits for one node
-/// after the other more than it computes: with nodes of eight, it took 1.05 to 1.2 times as long.
-pub(crate) const CHILDREN: usize = 16;
+/// The greatest number of children of a node: the lanes of a box kernel, two registers of eight. A search waits for one node
+/// after another more than it computes; with eight children it took 1.05 to 1.2 times as long.
+pub(crate) const MAX_CHILDREN: usize = 16;
 
-/// How many points a block has at most: the lanes of a point kernel.
-pub(crate) const BLOCK: usize = 16;
+/// The number of points in a block: the lanes of a point kernel.
+pub(crate) const BLOCK_ROWS: usize = 16;
 
-/// What the kernels bound the distance to, `N` side by side: by its squared distance in each factor. (Not a closure:
-/// one that is called from two places would be compiled by itself, for the oldest processor.)
-pub(super) trait Terms<T: Number, const N: usize> {
-    /// A lower bound of the squared distances in a factor, the one at `place` among the parts of the space.
-    fn term<S: Set>(&self, place: usize, part: &Part) -> Lanes<S, T, N>;
+/// Lower bounds of the squared distances in one factor, to `N` boxes or points. (Traits, not closures: a closure called from
+/// two places would be compiled by itself, for the oldest processor.)
+pub(crate) trait Terms<T: Number, const N: usize> {
+    /// The bounds in the factor at `place` among the parts of the space.
+    fn term<I: Isa + Operations<T>>(&self, place: usize, part: &Part) -> Lanes<I, T, N>;
 
-    /// What such a squared distance counts.
+    /// The weight of such a squared distance.
     #[inline(always)]
     fn weight(&self, _: usize, part: &Part) -> T {
         T::near(part.weight)
     }
 
-    /// What the root of a group's sum counts, where there are several.
+    /// The weight of the root of a group's sum, where there are several groups.
     #[inline(always)]
     fn group_weight(&self, space: &Space, group: usize) -> T {
         T::near(space.groups()[group].weight)
     }
 }
 
-/// Boxes: coordinate by coordinate the lower ends, and then the upper ends of all of them.
-pub(super) struct Boxes<'a> {
+/// A block of `N` points, coordinate by coordinate, and the query in the same numbers.
+pub(crate) trait Rows<T: Number, const N: usize> {
+    /// A number of a column.
+    type Stored;
+
+    /// Twice what the cosine of two equal rotations may fall short of 1.
+    const CHORD_SLACK: f64;
+
+    /// The query's numbers.
+    fn query(&self) -> &[T];
+    /// The points' numbers: `N` for each coordinate.
+    fn columns(&self) -> &[Self::Stored];
+    /// The numbers of one column.
+    fn load<I: Isa + Operations<T>>(column: &[Self::Stored]) -> Lanes<I, T, N>;
+    /// A period in the unit of the numbers.
+    fn period(period: f64) -> T;
+    /// The part of the cosines in the factor at `place` that is the same for all points.
+    fn cosine_of_lows(&self, place: usize) -> T;
+    /// As [`Terms::weight`].
+    #[inline(always)]
+    fn weight(&self, _: usize, part: &Part) -> T {
+        T::near(part.weight)
+    }
+    /// As [`Terms::group_weight`].
+    #[inline(always)]
+    fn group_weight(&self, space: &Space, group: usize) -> T {
+        T::near(space.groups()[group].weight)
+    }
+}
+
+/// The boxes of a node.
+pub(super) struct BoxTerms<'a> {
     pub(super) state: &'a [f64],
     pub(super) ends: &'a [f64],
 }
 
-/// Points: coordinate by coordinate the numbers of all of them.
-pub(super) struct Points<'a> {
+/// A block of points.
+pub(super) struct PointRows<'a> {
     pub(super) state: &'a [f64],
     pub(super) columns: &'a [f64],
 }
 
-/// How far the squared chord min(|x − y|², |x + y|²) may lie below 2 − 2·|x·y| as it is computed: squared norms are
-/// off from 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all.
-/// What is lost is the pruning among rotations nearer than 1e-7 to each other; what is saved is half of the kernel.
-const COSINE_SLACK: f64 = 32.0 * f64::EPSILON;
-
-impl Terms<f64, CHILDREN> for Boxes<'_> {
+impl Terms<f64, MAX_CHILDREN> for BoxTerms<'_> {
     #[inline(always)]
-    fn term<S: Set>(&self, _: usize, part: &Part) -> Lanes<S, f64, CHILDREN> {
-        box_term(part, self.state, self.ends)
+    fn term<I: Isa>(&self, _: usize, part: &Part) -> Lanes<I, f64, MAX_CHILDREN> {
+        let axes = part.axes();
+        let ends = &self.ends[axes.start * 2 * MAX_CHILDREN..axes.end * 2 * MAX_CHILDREN];
+        let state = &self.state[axes];
+        match part.factor {
+            Factor::RealVector(_) => real_vector::to_boxes_2(state, 1.0, ends),
+            Factor::SO2 { period } => so2::to_boxes_2(state[0], period, ends),
+            Factor::SO3 => so3::to_boxes_2(state, ends),
+        }
     }
 }
 
-impl Terms<f64, BLOCK> for Points<'_> {
+impl<T: Number, const N: usize, R: Rows<T, N>> Terms<T, N> for R {
     #[inline(always)]
-    fn term<S: Set>(&self, _: usize, part: &Part) -> Lanes<S, f64, BLOCK> {
-        point_term(part, self.state, self.columns)
+    fn term<I: Isa + Operations<T>>(&self, place: usize, part: &Part) -> Lanes<I, T, N> {
+        let axes = part.axes();
+        let columns = &self.columns()[axes.start * N..axes.end * N];
+        let query = &self.query()[axes];
+        match part.factor {
+            Factor::RealVector(_) => real_vector::to_points_2::<I, T, N, R>(query, columns),
+            Factor::SO2 { period } => {
+                so2::to_points_2::<I, T, N, R>(query[0], R::period(period), columns)
+            }
+            Factor::SO3 => {
+                so3::to_points_2::<I, T, N, R>(query, self.cosine_of_lows(place), columns)
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn weight(&self, place: usize, part: &Part) -> T {
+        Rows::weight(self, place, part)
+    }
+
+    #[inline(always)]
+    fn group_weight(&self, space: &Space, group: usize) -> T {
+        Rows::group_weight(self, space, group)
     }
 }
 
-/// The keys that the squared distances in each factor make.
+impl Rows<f64, BLOCK_ROWS> for PointRows<'_> {
+    type Stored = f64;
+
+    /// The squared chord min(|x − y|², |x + y|²) may lie this far below 2 − 2·|x·y| as computed: squared norms are off from
+    /// 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all. Rotations nearer
+    /// than 1e-7 to each other are not pruned; half of the kernel is saved.
+    const CHORD_SLACK: f64 = 32.0 * f64::EPSILON;
+
+    #[inline(always)]
+    fn query(&self) -> &[f64] {
+        self.state
+    }
+
+    #[inline(always)]
+    fn columns(&self) -> &[f64] {
+        self.columns
+    }
+
+    #[inline(always)]
+    fn load<I: Isa>(column: &[f64]) -> Lanes<I, f64, BLOCK_ROWS> {
+        Lanes::load(column)
+    }
+
+    #[inline(always)]
+    fn period(period: f64) -> f64 {
+        period
+    }
+
+    #[inline(always)]
+    fn cosine_of_lows(&self, _: usize) -> f64 {
+        0.0
+    }
+}
+
+/// The keys that the bounds in all factors make.
 #[inline(always)]
-pub(super) fn keys<S, T: Number, const N: usize>(
+pub(crate) fn keys<I, T: Number, const N: usize>(
     space: &Space,
     of: &impl Terms<T, N>,
-) -> Lanes<S, T, N>
+) -> Lanes<I, T, N>
 where
-    S: Set + Operations<T>,
+    I: Isa + Operations<T>,
 {
     // One loop over the factors, so that the terms are compiled once.
     let one_group = space.groups().len() == 1;
@@ -95,92 +182,4 @@ where
         }
     }
     if one_group { sum_2 } else { total }
-}
-
-#[inline(always)]
-fn box_term<S: Set>(part: &Part, state: &[f64], ends: &[f64]) -> Lanes<S, f64, CHILDREN> {
-    let axes = part.offset..part.offset + part.factor.coordinates();
-    let state = &state[axes.clone()];
-    let ends = &ends[axes.start * 2 * CHILDREN..axes.end * 2 * CHILDREN];
-    match part.factor {
-        Factor::RealVector(_) => to_boxes_2(state, 1.0, ends),
-        Factor::SO2 { period } => {
-            let (x, zero) = (Lanes::splat(state[0]), Lanes::splat(0.0));
-            let (lo, hi) = (Lanes::load(ends), Lanes::load(&ends[CHILDREN..]));
-            // Outside the interval the nearer end bounds the direct arc, and the farther end the arc across the seam:
-            // of hi − x and x − lo the one that is not negative is the arc to it.
-            let direct = (lo - x).max(x - hi).max(zero);
-            let across = (Lanes::splat(period) - (hi - x).max(x - lo)).max(zero);
-            let d = direct.min(across);
-            d * d
-        }
-        Factor::SO3 => {
-            angle_2_to_box(to_boxes_2(state, 1.0, ends).min(to_boxes_2(state, -1.0, ends)))
-        }
-    }
-}
-
-/// The squared Euclidean distances from the point `sign · state` to the boxes.
-#[inline(always)]
-fn to_boxes_2<S: Set>(state: &[f64], sign: f64, ends: &[f64]) -> Lanes<S, f64, CHILDREN> {
-    let zero = Lanes::splat(0.0);
-    let mut sum_2 = zero;
-    for (&x, ends) in state.iter().zip(ends.chunks_exact(2 * CHILDREN)) {
-        let x = Lanes::splat(sign * x);
-        let (lo, hi) = (Lanes::load(ends), Lanes::load(&ends[CHILDREN..]));
-        let d = (lo - x).max(x - hi).max(zero);
-        sum_2 = sum_2 + d * d;
-    }
-    sum_2
-}
-
-#[inline(always)]
-fn point_term<S: Set>(part: &Part, state: &[f64], columns: &[f64]) -> Lanes<S, f64, BLOCK> {
-    let zero = Lanes::splat(0.0);
-    let axes = part.offset..part.offset + part.factor.coordinates();
-    let state = &state[axes.clone()];
-    let columns = &columns[axes.start * BLOCK..axes.end * BLOCK];
-    match part.factor {
-        Factor::RealVector(_) => {
-            let mut sum_2 = zero;
-            for (&x, column) in state.iter().zip(columns.chunks_exact(BLOCK)) {
-                let d = Lanes::splat(x) - Lanes::load(column);
-                sum_2 = sum_2 + d * d;
-            }
-            sum_2
-        }
-        Factor::SO2 { period } => {
-            let direct = (Lanes::splat(state[0]) - Lanes::load(columns)).abs();
-            let d = direct.min(Lanes::splat(period) - direct).max(zero);
-            d * d
-        }
-        Factor::SO3 => {
-            let mut cosine = zero;
-            for (&x, column) in state.iter().zip(columns.chunks_exact(BLOCK)) {
-                cosine = cosine + Lanes::splat(x) * Lanes::load(column);
-            }
-            let cosine = cosine.abs();
-            angle_2((Lanes::splat(2.0 - COSINE_SLACK) - (cosine + cosine)).max(zero))
-        }
-    }
-}
-
-/// As [`angle_2`], with one term less: at most 1.2 % below it, and so far only among the largest angles.
-#[inline(always)]
-fn angle_2_to_box<S: Set, const N: usize>(s: Lanes<S, f64, N>) -> Lanes<S, f64, N> {
-    let [c1, c2, _] = SO3_SERIES.map(Lanes::splat);
-    s * ((Lanes::splat(1.0) + s * c1) + (s * s) * c2)
-}
-
-/// A lower bound of the squared angle that belongs to the squared chord `s`: the first terms of its series.
-#[inline(always)]
-pub(super) fn angle_2<S, T: Number, const N: usize>(s: Lanes<S, T, N>) -> Lanes<S, T, N>
-where
-    S: Operations<T>,
-{
-    let [c1, c2, c3] = SO3_SERIES;
-    let [c1, c2] = [Lanes::splat(T::near(c1)), Lanes::splat(T::near(c2))];
-    let c3 = Lanes::splat(T::near(c3));
-    // By halves that do not wait for each other (Estrin's scheme).
-    s * ((Lanes::splat(T::near(1.0)) + s * c1) + (s * s) * (c2 + s * c3))
 }

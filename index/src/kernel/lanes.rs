@@ -1,12 +1,12 @@
-//! Numbers side by side: plain arrays with the operations that the kernels need, each of which becomes one instruction
-//! a register in a function compiled for wide registers.
+//! Numbers side by side: plain arrays with the operations that the kernels need. In a function compiled for wide registers
+//! each operation is one instruction for a register.
 
 use std::{
     marker::PhantomData,
     ops::{Add, Mul, Sub},
 };
 
-/// What stands side by side: `f64`, or `f32` where what is bounded is rounded anyhow.
+/// The type of the numbers: `f64`, or `f32` for quantised rows.
 pub(crate) trait Number:
     Copy + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
 {
@@ -42,10 +42,10 @@ number!(f32);
 
 macro_rules! operations {
     ($($name:ident: |$x:ident $(, $y:ident)?| $result:expr;)*) => {
-        /// What can be done with numbers side by side: lane by lane, rounding as their type does.
+        /// Operations on numbers side by side, lane by lane, rounding as their type does.
         ///
-        /// As loops, which the compiler turns into what the function around them is compiled for, unless an instruction
-        /// set says its own.
+        /// The defaults are loops, which the compiler turns into the instructions that the function around them is compiled
+        /// for. An instruction set may name its own.
         pub(crate) trait Operations<T: Number> {
             $(
                 #[inline(always)]
@@ -62,7 +62,7 @@ macro_rules! operations {
 
             /// A bit for each key up to `limit`. `N` is a multiple of eight, and at most 32.
             #[inline(always)]
-            fn within<const N: usize>(keys: &[T; N], limit: T) -> u32 {
+            fn at_most<const N: usize>(keys: &[T; N], limit: T) -> u32 {
                 let mut mask = 0;
                 for (lane, &key) in keys.iter().enumerate() {
                     mask |= u32::from(key <= limit) << lane;
@@ -115,7 +115,7 @@ impl<S: Operations<T>, T: Number, const N: usize> Lanes<S, T, N> {
         Self(*column, PhantomData)
     }
 
-    /// The greater; not `f64::max`, whose care for a NaN on either side takes three instructions instead of one.
+    /// The greater. (Not `f64::max`: its care for a NaN on either side takes three instructions instead of one.)
     #[inline(always)]
     pub(crate) fn max(self, other: Self) -> Self {
         Self(S::max(self.0, other.0), PhantomData)

@@ -1,88 +1,77 @@
-//! The kernels of a search: bounds of many boxes or points at once, compiled for several instruction sets, of which the
-//! best that the processor has is chosen when the program runs.
+//! The kernels of a search: bounds of many boxes or points at once, compiled for several instruction sets. The best set that
+//! the processor has is chosen when the program runs.
 //!
-//! A search as a whole is what is compiled several times, with its kernels inside: called as functions, they would take
-//! long to be given their operands. Kernels only bound where a rotation weighs anything or numbers are rounded, and else
-//! compute what [`Space::distance`] does by the same operations, so every set of them gives the same answers to the bit.
+//! A whole search is compiled once for each set, with its kernels inlined: calls would spend more on passing operands than
+//! on the arithmetic. A kernel only bounds a distance that includes a rotation or quantised numbers; any other distance it
+//! computes by the operations of [`Space::distance`]. So every set gives the same answers, to the bit.
 
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
 mod bound;
-mod coded;
-mod coding;
-mod compiled;
+mod isa;
+mod key;
 mod lanes;
-mod limit;
 #[cfg(test)]
 pub(crate) mod tests;
-#[cfg(target_arch = "x86_64")]
-mod wide;
 
 use std::sync::OnceLock;
 
 use crate::Space;
-pub(crate) use bound::{BLOCK, CHILDREN};
-pub(crate) use coded::{Asked, CODES};
-pub(crate) use coding::Coding;
-pub(crate) use compiled::{Set, Task, prefetch};
-pub(crate) use limit::Scale;
+pub(crate) use bound::{BLOCK_ROWS, MAX_CHILDREN, Rows, keys};
+pub(crate) use isa::{Isa, Task, prefetch};
+pub(crate) use key::KeyScale;
+pub(crate) use lanes::{Lanes, Number, Operations};
 
-/// The keys of a node's boxes, whose lower ends and then upper ends lie side by side, coordinate by coordinate, and the
-/// bits of those up to `limit`.
+/// The keys of the boxes of a node (see [`Boxes`](crate::boxes::Boxes)), and a bit for each key up to `limit`.
 #[inline(always)]
-pub(crate) fn boxes<S: Set>(
+pub(crate) fn boxes<I: Isa>(
     space: &Space,
     state: &[f64],
     ends: &[f64],
     limit: f64,
-) -> ([f64; CHILDREN], u32) {
-    let keys = bound::keys::<S, f64, _>(space, &bound::Boxes { state, ends }).0;
-    (keys, S::within(&keys, limit))
+) -> ([f64; MAX_CHILDREN], u32) {
+    let keys = keys::<I, f64, MAX_CHILDREN>(space, &bound::BoxTerms { state, ends }).0;
+    (keys, I::at_most(&keys, limit))
 }
 
-/// The keys of a block of points, whose numbers lie side by side, coordinate by coordinate, and the bits of those up to
-/// `limit`.
+/// The keys of a block of points (see [`Blocks`](crate::blocks::Blocks)), and a bit for each key up to `limit`.
 #[inline(always)]
-pub(crate) fn points<S: Set>(
+pub(crate) fn points<I: Isa>(
     space: &Space,
     state: &[f64],
     columns: &[f64],
     limit: f64,
-) -> ([f64; BLOCK], u32) {
-    let keys = bound::keys::<S, f64, _>(space, &bound::Points { state, columns }).0;
-    (keys, S::within(&keys, limit))
-}
-
-/// The bits of the points of a block, whose codes lie side by side, coordinate by coordinate, that may have keys up to
-/// `limit` once they have moved by [`Asked::error`].
-#[inline(always)]
-pub(crate) fn coded<S: Set>(space: &Space, asked: &Asked<'_>, codes: &[u16], limit: f64) -> u32 {
-    let keys = bound::keys::<S, f32, _>(space, &coded::Coded { asked, codes }).0;
-    S::within(&keys, asked.limit(limit))
+) -> ([f64; BLOCK_ROWS], u32) {
+    let keys = keys::<I, f64, BLOCK_ROWS>(space, &bound::PointRows { state, columns }).0;
+    (keys, I::at_most(&keys, limit))
 }
 
 /// The instruction set that a search is compiled for.
 ///
-/// The best that the processor has is the default; others are for tests and measurements.
+/// The default is the best one that the processor has; the others are for tests and measurements.
 #[derive(Clone, Copy, Debug)]
 pub struct Kernels {
     name: &'static str,
-    set: compiled::Compiled,
+    set: isa::InstructionSet,
 }
 
 impl Kernels {
-    /// The instruction set's name.
+    /// The name of the instruction set.
     pub fn name(&self) -> &'static str {
         self.name
     }
 
-    /// Whether they compute with wider registers than every processor has.
+    /// True if its registers are wider than those that every processor has.
     pub(crate) fn are_wide(&self) -> bool {
-        !matches!(self.set, compiled::Compiled::Portable)
+        !matches!(self.set, isa::InstructionSet::Portable)
     }
 
-    /// All that this processor can run, the portable one first and the best one last.
+    /// All sets that this processor can run, the portable one first and the best one last.
     pub fn available() -> &'static [Kernels] {
         static AVAILABLE: OnceLock<Vec<Kernels>> = OnceLock::new();
-        AVAILABLE.get_or_init(compiled::available)
+        AVAILABLE.get_or_init(isa::available)
     }
 }
 

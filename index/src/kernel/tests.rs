@@ -4,30 +4,30 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{BLOCK, CHILDREN, Kernels, Scale, Set, Task};
+use super::{BLOCK_ROWS, Isa, Kernels, KeyScale, MAX_CHILDREN, Task};
 use crate::{Factor, Group, Space, Term, space::tests::cases};
 
 const WEIGHTS: [f64; 6] = [1.0, 0.15, 15.0, 1e-3, 0.0, 2.0];
 
-/// A state, and the ends of boxes or the columns of a block.
+/// A state, and the ends of boxes or the columns of a block, with a limit.
 struct OfBoxes<'a>(&'a Space, &'a [f64], &'a [f64], f64);
 struct OfPoints<'a>(&'a Space, &'a [f64], &'a [f64], f64);
 
 impl Task for OfBoxes<'_> {
-    type Output = ([f64; CHILDREN], u32);
+    type Output = ([f64; MAX_CHILDREN], u32);
 
     #[inline(always)]
-    fn run<S: Set>(self) -> Self::Output {
-        super::boxes::<S>(self.0, self.1, self.2, self.3)
+    fn run<I: Isa>(self) -> Self::Output {
+        super::boxes::<I>(self.0, self.1, self.2, self.3)
     }
 }
 
 impl Task for OfPoints<'_> {
-    type Output = ([f64; BLOCK], u32);
+    type Output = ([f64; BLOCK_ROWS], u32);
 
     #[inline(always)]
-    fn run<S: Set>(self) -> Self::Output {
-        super::points::<S>(self.0, self.1, self.2, self.3)
+    fn run<I: Isa>(self) -> Self::Output {
+        super::points::<I>(self.0, self.1, self.2, self.3)
     }
 }
 
@@ -52,7 +52,7 @@ pub(crate) fn space(rng: &mut ChaCha8Rng) -> Space {
     Space::new(groups).unwrap()
 }
 
-/// A canonical state, or one that lies `near` so far from another: across seams and signs too.
+/// A canonical state; with `near`, one at about a distance from another, also across seams and signs.
 fn state(space: &Space, near: Option<(&[f64], f64)>, rng: &mut ChaCha8Rng) -> Vec<f64> {
     let mut row = Vec::new();
     for part in space.parts() {
@@ -84,7 +84,7 @@ fn state(space: &Space, near: Option<(&[f64], f64)>, rng: &mut ChaCha8Rng) -> Ve
     row
 }
 
-/// A state, and `count` canonical rows, together or apart, some of them as far from it as the distance can tell.
+/// A state and `count` canonical rows, clustered or spread, near the state or far from it.
 pub(crate) fn scene(
     space: &Space,
     count: usize,
@@ -102,7 +102,7 @@ pub(crate) fn scene(
 
 fn columns(rows: &[Vec<f64>]) -> Vec<f64> {
     let axes = 0..rows[0].len();
-    axes.flat_map(|axis| (0..BLOCK).map(move |lane| rows[lane][axis]))
+    axes.flat_map(|axis| (0..BLOCK_ROWS).map(move |lane| rows[lane][axis]))
         .collect()
 }
 
@@ -113,32 +113,32 @@ proptest! {
     fn no_point_is_beyond_its_distance(seed: u64) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let space = space(&mut rng);
-        let scale = Scale::new(&space);
-        let (query, rows) = scene(&space, BLOCK, &mut rng);
+        let scale = KeyScale::new(&space);
+        let (query, rows) = scene(&space, BLOCK_ROWS, &mut rng);
         let columns = columns(&rows);
         let mut portable = None;
         for kernels in Kernels::available() {
             let (keys, within) = kernels.run(OfPoints(&space, &query, &columns, f64::INFINITY));
-            prop_assert_eq!(within, (1 << BLOCK) - 1);
+            prop_assert_eq!(within, (1 << BLOCK_ROWS) - 1);
             prop_assert_eq!(keys.map(f64::to_bits), *portable.get_or_insert(keys.map(f64::to_bits)));
             for (lane, row) in rows.iter().enumerate() {
                 let distance = space.distance(&query, row);
                 prop_assert!(keys[lane] <= scale.limit(distance), "{} {} {}", space, keys[lane], distance);
-                // Not so low that it would be no bound: what is lost is a rotation's slack and the end of its series.
+                // A bound is low by no more than the slack of a rotation and the end of its series.
                 let low = scale.limit(0.99 * distance - 1e-5);
                 prop_assert!(keys[lane] >= low, "{} {} {}", space, keys[lane], distance);
-                // Whatever is as near has no greater key than its reach, which is not much farther than it has to be.
-                let reach = scale.reach(keys[lane]);
-                prop_assert!(reach >= scale.limit(distance), "{} {} {}", space, reach, distance);
+                // No point as near has a key above the upper bound, which is not much greater than it has to be.
+                let bound = scale.upper_bound(keys[lane]);
+                prop_assert!(bound >= scale.limit(distance), "{} {} {}", space, bound, distance);
                 let far = scale.limit(1.01 * distance + 1e-4);
-                prop_assert!(reach <= far, "{} {} {}", space, reach, distance);
+                prop_assert!(bound <= far, "{} {} {}", space, bound, distance);
                 if let Some(exact) = scale.distance(keys[lane]) {
                     prop_assert_eq!(exact.to_bits(), distance.to_bits());
                 }
             }
             for limit in keys {
                 let (_, within) = kernels.run(OfPoints(&space, &query, &columns, limit));
-                let expected = (0..BLOCK).filter(|&lane| keys[lane] <= limit);
+                let expected = (0..BLOCK_ROWS).filter(|&lane| keys[lane] <= limit);
                 prop_assert_eq!(within, expected.map(|lane| 1 << lane).sum::<u32>());
             }
         }
@@ -148,8 +148,8 @@ proptest! {
     fn no_box_is_beyond_its_points(seed: u64, points in 1..5usize) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let space = space(&mut rng);
-        let scale = Scale::new(&space);
-        let (query, rows) = scene(&space, CHILDREN * points, &mut rng);
+        let scale = KeyScale::new(&space);
+        let (query, rows) = scene(&space, MAX_CHILDREN * points, &mut rng);
         let children: Vec<&[Vec<f64>]> = rows.chunks(points).collect();
         let end = |axis: usize, start: f64, pick: fn(f64, f64) -> f64| {
             let end = move |rows: &[Vec<f64>]| rows.iter().map(|row| row[axis]).fold(start, pick);
@@ -163,7 +163,7 @@ proptest! {
         let mut portable = None;
         for kernels in Kernels::available() {
             let (keys, within) = kernels.run(OfBoxes(&space, &query, &ends, f64::INFINITY));
-            prop_assert_eq!(within, (1 << CHILDREN) - 1);
+            prop_assert_eq!(within, (1 << MAX_CHILDREN) - 1);
             prop_assert_eq!(keys.map(f64::to_bits), *portable.get_or_insert(keys.map(f64::to_bits)));
             for (child, rows) in children.iter().enumerate() {
                 for row in *rows {
@@ -182,8 +182,8 @@ proptest! {
 proptest! {
     #![proptest_config(cases(50_000))]
 
-    /// No distance is beyond itself, also where a weight makes the sum a few units of the least number, whose errors
-    /// are not relative: here about half a unit decides.
+    /// No key is beyond its distance, also where a weight makes the sum a few units of the least number, whose errors are not
+    /// relative: here about half a unit decides.
     #[test]
     fn no_point_is_beyond_its_distance_among_the_least_numbers(
         units in 1..20u32,
@@ -201,14 +201,14 @@ proptest! {
         prop_assume!(chord_2 > 0.0 && chord_2 < 1e-3);
         let weight = (f64::from(units) + 0.5) * 2f64.powi(-537) / chord_2 * 2f64.powi(-537);
         let space = space_of(f64::from_bits(weight.to_bits().saturating_add_signed(nudge)));
-        let scale = Scale::new(&space);
+        let scale = KeyScale::new(&space);
         let limit = scale.limit(space.distance(&a, &b));
         let kernels = Kernels::default();
-        let ends: Vec<f64> = b.iter().flat_map(|&x| [x; 2 * CHILDREN]).collect();
-        prop_assert_eq!(kernels.run(OfBoxes(&space, &a, &ends, limit)).1, (1 << CHILDREN) - 1);
-        let columns: Vec<f64> = b.iter().flat_map(|&x| [x; BLOCK]).collect();
+        let ends: Vec<f64> = b.iter().flat_map(|&x| [x; 2 * MAX_CHILDREN]).collect();
+        prop_assert_eq!(kernels.run(OfBoxes(&space, &a, &ends, limit)).1, (1 << MAX_CHILDREN) - 1);
+        let columns: Vec<f64> = b.iter().flat_map(|&x| [x; BLOCK_ROWS]).collect();
         let (keys, within) = kernels.run(OfPoints(&space, &a, &columns, limit));
-        prop_assert_eq!(within, (1 << BLOCK) - 1);
-        prop_assert!(scale.reach(keys[0]) >= limit);
+        prop_assert_eq!(within, (1 << BLOCK_ROWS) - 1);
+        prop_assert!(scale.upper_bound(keys[0]) >= limit);
     }
 }

@@ -18,9 +18,7 @@
 mod query;
 mod validate;
 
-use crate::{
-    Answer, Factor, Points, PointsError, Search, SearchError, Space, kdtree::scales, kernel::Scale,
-};
+use crate::{Answer, Factor, Points, PointsError, Search, SearchError, Space, kernel::KeyScale};
 
 /// Sides count as equally long when they differ by this share of the longest (the tolerance that ANN uses).
 const SIDE_TOLERANCE: f64 = 0.001;
@@ -71,7 +69,7 @@ enum Node {
 #[derive(Clone, Debug)]
 pub struct Mpnn {
     space: Space,
-    scale: Scale,
+    scale: KeyScale,
     /// By coordinate.
     axes: Vec<Axis>,
     leaf_rows: usize,
@@ -139,7 +137,7 @@ impl Mpnn {
             ordered.push_point(points.get(slot as usize));
         }
         Ok(Self {
-            scale: Scale::new(&space),
+            scale: KeyScale::new(&space),
             space,
             axes,
             leaf_rows,
@@ -172,7 +170,7 @@ impl Mpnn {
 
 fn axes(space: &Space) -> Vec<Axis> {
     let mut axes = Vec::with_capacity(space.coordinates());
-    let mut scales = scales(space).into_iter().enumerate();
+    let mut scales = space.scales().into_iter().enumerate();
     for part in space.parts() {
         let own = scales.by_ref().take(part.factor.coordinates());
         axes.extend(own.map(|(axis, scale)| Axis {

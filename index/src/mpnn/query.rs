@@ -2,13 +2,13 @@
 //!
 //! **Rounding.** A coordinate's distance to an interval uses the operations of the distance to a point, which are monotone.
 //! Increments are at least 0 and telescope, and [`sum_down`] rounds each sum down, so a bound exceeds the exact sum by no
-//! more than the margin that [`Scale::limit`](crate::kernel::Scale::limit) leaves. A cell whose bound equals the worst
+//! more than the margin that [`KeyScale::limit`](crate::kernel::KeyScale::limit) leaves. A cell whose bound equals the worst
 //! distance is visited: one of its points may have a smaller id.
 
 use std::{collections::BinaryHeap, ops::Range, time::Instant};
 
 use super::{Axis, Mpnn, Node};
-use crate::{Answer, Factor, Neighbor, Search, space::SO3_SERIES};
+use crate::{Answer, Factor, Neighbor, Search, space::so3::SERIES};
 
 /// The number of leaves between two looks at the clock.
 const LEAVES_PER_CLOCK_READ: usize = 32;
@@ -52,7 +52,7 @@ struct Query<'a> {
     factors_2: Vec<f64>,
     /// Σ_K μ_K·d²_K(R), by group.
     groups_2: Vec<f64>,
-    /// The bound of R, as a key of [`Scale`]: the group's sum where there is one group, else the distance.
+    /// The bound of R, as a key of [`KeyScale`]: the group's sum where there is one group, else the distance.
     key: f64,
     nearest: BinaryHeap<Neighbor>,
     /// A greater key is farther than the worst neighbour.
@@ -79,7 +79,7 @@ impl<'a> Query<'a> {
             nearest: BinaryHeap::new(),
             limit: 0.0,
             relaxed_limit: 0.0,
-            relaxed: tree.scale.relaxed(search.epsilon),
+            relaxed: tree.scale.epsilon_factor(search.epsilon),
             leaves_left: search.max_leaves,
             exact: true,
         };
@@ -202,7 +202,7 @@ impl<'a> Query<'a> {
                 }
                 // The squared chord to the cell, and the first terms of the squared angle that belongs to it.
                 let s = f64::min(plus_2, minus_2);
-                let [c1, c2, c3] = SO3_SERIES;
+                let [c1, c2, c3] = SERIES;
                 s * ((1.0 + s * c1) + (s * s) * (c2 + s * c3))
             }
         }

@@ -3,7 +3,7 @@
 use super::Space;
 use thiserror::Error;
 
-/// Why there is no such space.
+/// Why a space was refused.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SpaceError {
     /// There is no group.
@@ -45,11 +45,11 @@ pub enum SpaceError {
     Syntax {
         /// The text, cut short if it is long.
         text: String,
-        /// Where in the text, in characters from 1.
+        /// The position in the text, in characters from 1.
         column: usize,
-        /// What could have stood there.
+        /// The tokens that would be valid there.
         expected: String,
-        /// What stands there.
+        /// The token there.
         found: String,
     },
 }
@@ -61,11 +61,11 @@ pub struct StateError {
     /// The offending coordinate's index in the row; of a quaternion whose norm is off its first; of a row of the wrong
     /// width the first that is missing or too many.
     pub coordinate: usize,
-    /// What is wrong there.
+    /// The problem there.
     pub reason: StateProblem,
 }
 
-/// What can be wrong with a coordinate, a quaternion or a row.
+/// The problem of a coordinate, a quaternion or a row.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum StateProblem {
     /// It is NaN.
@@ -119,13 +119,13 @@ impl StateError {
         StateError::new(coordinate, StateProblem::NotCanonical)
     }
 
-    /// The error of a factor, said of the row in which the factor begins at `offset`.
+    /// The error of a factor as an error of the row in which the factor begins at `offset`.
     pub(super) fn shifted(mut self, offset: usize) -> StateError {
         self.coordinate += offset;
         self
     }
 
-    /// A wrong width is said of the row, all else of a coordinate.
+    /// The index of the coordinate; nothing for a wrong width, which is an error of the row.
     fn place(&self) -> String {
         match self.reason {
             StateProblem::Width { .. } => String::new(),

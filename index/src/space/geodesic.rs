@@ -1,4 +1,4 @@
-//! Shortest ways between states.
+//! Shortest paths between states.
 
 use super::Space;
 
@@ -6,8 +6,8 @@ impl Space {
     /// The state the share `t` of the way from `a` to `b` along a shortest path, written to `between` in canonical form:
     /// the segment in `RealVector`, the shorter arc in `SO2`, rotation about a fixed axis in `SO3`, all at once.
     ///
-    /// Its distance to `a` is `t` times that of `b`, but for rounding. With `t` at or below 0 it is `a`, and at or above
-    /// 1 `b`, to the bit. Where two paths are equally short, as between opposite angles, one is taken, always the same.
+    /// Its distance to `a` is `t` times that of `b`, apart from rounding. With `t` at or below 0 it is `a`, and at or above 1 it is
+    /// `b`, to the bit. Of two equally short paths, as between opposite angles, it is always on the same one.
     ///
     /// ```
     /// use wayfold_index::Space;
@@ -28,8 +28,8 @@ impl Space {
             between.copy_from_slice(b);
         } else if t > 0.0 {
             for part in self.parts() {
-                let own = part.offset..part.offset + part.factor.coordinates();
-                let (a, b, between) = (&a[own.clone()], &b[own.clone()], &mut between[own]);
+                let (a, b) = (&a[part.axes()], &b[part.axes()]);
+                let between = &mut between[part.axes()];
                 part.factor.interpolate(a, b, t, between);
                 let canonical = part.factor.canonicalize(between);
                 assert!(canonical.is_ok(), "between {a:?} and {b:?} is no state");

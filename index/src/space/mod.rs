@@ -8,169 +8,31 @@
 //! `RealVector(n)`, the shorter arc for `SO2`, half the angle of the relative rotation for `SO3`. One group is the
 //! weighted product metric of Yershova and LaValle; every factor a group of its own is OMPL's `CompoundStateSpace`.
 //!
-//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and what
-//! is not correctly rounded by IEEE 754 comes from `libm`. Whatever is reported anywhere has its bits.
+//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and functions that
+//! IEEE 754 does not round correctly come from `libm`. Every reported distance has these bits.
 
 mod error;
+mod factor;
 mod geodesic;
 mod presets;
-mod real_vector;
-mod so2;
-mod so3;
+pub(crate) mod real_vector;
+pub(crate) mod so2;
+pub(crate) mod so3;
 #[cfg(test)]
 pub(crate) mod tests;
 mod text;
 
 pub use error::{SpaceError, StateError, StateProblem};
-pub(crate) use so3::SERIES as SO3_SERIES;
+pub(crate) use factor::Part;
+pub use factor::{Factor, Group, Term};
 
-use std::f64::consts::TAU;
 use std::fmt;
 use std::str::FromStr;
 
 /// The bits of −0.0, which no canonical row has.
 const NEGATIVE_ZERO: u64 = 1 << 63;
 
-/// One factor of a space.
-///
-/// A state holds the coordinates of its factors one after the other, in the order of the space.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Factor {
-    /// R^n for the given n ≥ 1: n coordinates, Euclidean distance.
-    RealVector(usize),
-    /// The circle S¹: one angle, of which any two that differ by the period are the same; the distance is the length
-    /// of the shorter arc.
-    SO2 {
-        /// The circumference, within [1e-150, 1e150]; 2π where angles are radians.
-        period: f64,
-    },
-    /// The rotations of three-space, RP³: a unit quaternion x, y, z, w (w last), where q and −q are the same; the
-    /// distance is acos |q₁·q₂| ∈ [0, π/2], half the angle of the rotation between the two.
-    SO3,
-}
-
-impl Factor {
-    /// The circle in radians, `SO2` of period 2π.
-    pub const fn so2() -> Factor {
-        Factor::SO2 { period: TAU }
-    }
-
-    /// How many numbers of a row belong to it: n, 1, 4.
-    pub const fn coordinates(&self) -> usize {
-        match *self {
-            Factor::RealVector(n) => n,
-            Factor::SO2 { .. } => 1,
-            Factor::SO3 => 4,
-        }
-    }
-
-    /// Its dimension as a manifold: n, 1, 3.
-    pub const fn dimension(&self) -> usize {
-        match *self {
-            Factor::RealVector(n) => n,
-            Factor::SO2 { .. } => 1,
-            Factor::SO3 => 3,
-        }
-    }
-
-    /// The squared distance of the factor's canonical coordinates `a` and `b`.
-    #[inline]
-    pub(crate) fn distance_2(&self, a: &[f64], b: &[f64]) -> f64 {
-        match *self {
-            Factor::RealVector(_) => real_vector::distance_2(a, b),
-            Factor::SO2 { period } => so2::distance_2(a[0], b[0], period),
-            Factor::SO3 => so3::distance_2(a, b),
-        }
-    }
-
-    fn canonicalize(&self, coordinates: &mut [f64]) -> Result<(), StateError> {
-        match *self {
-            Factor::RealVector(_) => real_vector::canonicalize(coordinates),
-            Factor::SO2 { period } => so2::canonicalize(coordinates, period),
-            Factor::SO3 => so3::canonicalize(coordinates),
-        }
-    }
-
-    /// The ends of each of its coordinates in canonical form.
-    fn ends(&self) -> [f64; 2] {
-        match *self {
-            Factor::RealVector(_) => real_vector::ENDS,
-            Factor::SO2 { period } => so2::ends(period),
-            Factor::SO3 => so3::ENDS,
-        }
-    }
-
-    /// What lies the share `t` of the way from `a` to `b`, strictly between the two; canonical but for the wrapping.
-    fn interpolate(&self, a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
-        match *self {
-            Factor::RealVector(_) => real_vector::interpolate(a, b, t, between),
-            Factor::SO2 { period } => so2::interpolate(a[0], b[0], period, t, between),
-            Factor::SO3 => so3::interpolate(a, b, t, between),
-        }
-    }
-
-    fn validate(&self) -> Result<(), SpaceError> {
-        match *self {
-            Factor::RealVector(0) => Err(SpaceError::NoDimensions),
-            Factor::SO2 { period } if !so2::is_period(period) => Err(SpaceError::Period(period)),
-            Factor::RealVector(_) | Factor::SO2 { .. } | Factor::SO3 => Ok(()),
-        }
-    }
-}
-
-/// A factor within a group.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Term {
-    /// The factor.
-    pub factor: Factor,
-    /// μ, finite and ≥ 0: multiplies the factor's *squared* distance.
-    pub weight: f64,
-}
-
-impl From<Factor> for Term {
-    /// The factor with weight 1.
-    fn from(factor: Factor) -> Term {
-        Term {
-            factor,
-            weight: 1.0,
-        }
-    }
-}
-
-/// A group of factors, whose squared distances are added under one root.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Group {
-    /// w, finite and ≥ 0: multiplies the group's distance.
-    pub weight: f64,
-    /// The group's factors, at least one.
-    pub terms: Vec<Term>,
-}
-
-/// One factor of a space, where it stands in a row and what it counts.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Part {
-    pub(crate) factor: Factor,
-    /// The factor's first coordinate in a row.
-    pub(crate) offset: usize,
-    /// μ; 0 also in a group of weight 0, so that an overflowing μ·d² cannot meet that 0 and make a NaN.
-    pub(crate) weight: f64,
-    /// The index of its group.
-    pub(crate) group: usize,
-    /// Whether it is the last of its group.
-    pub(crate) ends_group: bool,
-}
-
-impl Part {
-    /// The squared distance in this factor of two canonical rows of the space.
-    #[inline]
-    pub(crate) fn distance_2(&self, a: &[f64], b: &[f64]) -> f64 {
-        let coordinates = self.offset..self.offset + self.factor.coordinates();
-        self.factor
-            .distance_2(&a[coordinates.clone()], &b[coordinates])
-    }
-}
-
-/// A configuration space: what a row of numbers means, and how far two rows are apart.
+/// A configuration space: the meaning of a row of numbers, and the distance of two rows.
 ///
 /// A space is made from groups, from the terms of one group, or from text, and is valid from then on. It prints its
 /// canonical text, and parsing that gives an equal space. Spaces are equal when they are equal after expansion:
@@ -271,10 +133,12 @@ impl Space {
             let last = group.terms.len() - 1;
             for (t, term) in group.terms.iter_mut().enumerate() {
                 term.weight += 0.0;
+                let weight = if group.weight > 0.0 { term.weight } else { 0.0 };
                 parts.push(Part {
                     factor: term.factor,
                     offset,
-                    weight: if group.weight > 0.0 { term.weight } else { 0.0 },
+                    weight,
+                    scale: group.weight * weight.sqrt(),
                     group: g,
                     ends_group: t == last,
                 });
@@ -300,7 +164,7 @@ impl Space {
         &self.groups
     }
 
-    /// How many numbers a row has (SE(3): 7).
+    /// The number of coordinates in a row (SE(3): 7).
     pub fn coordinates(&self) -> usize {
         self.coordinates
     }
@@ -324,9 +188,8 @@ impl Space {
             return Err(StateError::width(self.coordinates, row.len()));
         }
         for part in &self.parts {
-            let coordinates = part.offset..part.offset + part.factor.coordinates();
             part.factor
-                .canonicalize(&mut row[coordinates])
+                .canonicalize(&mut row[part.axes()])
                 .map_err(|error| error.shifted(part.offset))?;
         }
         Ok(())
@@ -356,7 +219,7 @@ impl Space {
                 .all(|&at| so3::is_canonical(&row[at..at + 4]))
     }
 
-    /// What is wrong with a row that is not canonical.
+    /// The problem of a row that is not canonical.
     #[cold]
     fn canonical_problem(&self, row: &[f64]) -> StateError {
         let mut canonical = row.to_vec();
@@ -392,6 +255,14 @@ impl Space {
     /// The factors of all groups, in row order.
     pub(crate) fn parts(&self) -> &[Part] {
         &self.parts
+    }
+
+    /// The length of a unit of each coordinate in the metric.
+    pub(crate) fn scales(&self) -> Vec<f64> {
+        let parts = self.parts.iter();
+        parts
+            .flat_map(|part| part.axes().map(|_| part.scale))
+            .collect()
     }
 }
 

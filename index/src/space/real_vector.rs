@@ -1,6 +1,7 @@
 //! R^n: Euclidean distance, canonical form.
 
 use super::error::{StateError, StateProblem};
+use crate::kernel::{Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows};
 
 /// Coordinates above this magnitude are refused: 256 squared differences of them still have a finite sum.
 pub(super) const MAX_MAGNITUDE: f64 = 1e150;
@@ -12,6 +13,43 @@ pub(super) fn distance_2(a: &[f64], b: &[f64]) -> f64 {
     for (x, y) in a.iter().zip(b) {
         let difference = x - y;
         sum_2 += difference * difference;
+    }
+    sum_2
+}
+
+/// The squared distances from the point `sign · state` to boxes.
+#[inline(always)]
+pub(crate) fn to_boxes_2<I: Isa>(
+    state: &[f64],
+    sign: f64,
+    ends: &[f64],
+) -> Lanes<I, f64, MAX_CHILDREN> {
+    let zero = Lanes::splat(0.0);
+    let mut sum_2 = zero;
+    for (&x, ends) in state.iter().zip(ends.chunks_exact(2 * MAX_CHILDREN)) {
+        let x = Lanes::splat(sign * x);
+        let (lo, hi) = (Lanes::load(ends), Lanes::load(&ends[MAX_CHILDREN..]));
+        let d = (lo - x).max(x - hi).max(zero);
+        sum_2 = sum_2 + d * d;
+    }
+    sum_2
+}
+
+/// The squared distances to points.
+#[inline(always)]
+pub(crate) fn to_points_2<I, T, const N: usize, R>(
+    query: &[T],
+    columns: &[R::Stored],
+) -> Lanes<I, T, N>
+where
+    I: Isa + Operations<T>,
+    T: Number,
+    R: Rows<T, N>,
+{
+    let mut sum_2 = Lanes::splat(T::near(0.0));
+    for (&x, column) in query.iter().zip(columns.chunks_exact(N)) {
+        let d = Lanes::splat(x) - R::load(column);
+        sum_2 = sum_2 + d * d;
     }
     sum_2
 }

@@ -1,11 +1,12 @@
 //! The circle S¹ of a period: arc length, wrapping.
 
 use super::error::StateError;
+use crate::kernel::{Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows};
 
 /// The periods that are accepted: their squares, and those of the distances that matter, neither overflow nor vanish.
 const PERIODS: std::ops::RangeInclusive<f64> = 1e-150..=1e150;
 
-/// Whether `period` can be the circumference of a circle.
+/// True if `period` can be the circumference of a circle.
 pub(super) fn is_period(period: f64) -> bool {
     PERIODS.contains(&period)
 }
@@ -24,13 +25,48 @@ fn distance(a: f64, b: f64, period: f64) -> f64 {
     direct.min(period - direct).max(0.0)
 }
 
-/// The shorter arc from `a` to `b`; of two equal ones that which does not cross the seam. It may end beyond the seam:
-/// [`canonicalize`] wraps it.
+/// The squares of the shorter arcs from an angle to intervals.
+#[inline(always)]
+pub(crate) fn to_boxes_2<I: Isa>(
+    angle: f64,
+    period: f64,
+    ends: &[f64],
+) -> Lanes<I, f64, MAX_CHILDREN> {
+    let (x, zero) = (Lanes::splat(angle), Lanes::splat(0.0));
+    let (lo, hi) = (Lanes::load(ends), Lanes::load(&ends[MAX_CHILDREN..]));
+    // Outside the interval the nearer end bounds the direct arc, and the farther end the arc across the seam: of hi − x and
+    // x − lo the one that is not negative is the arc to it.
+    let direct = (lo - x).max(x - hi).max(zero);
+    let across = (Lanes::splat(period) - (hi - x).max(x - lo)).max(zero);
+    let d = direct.min(across);
+    d * d
+}
+
+/// The squares of the shorter arcs to points.
+#[inline(always)]
+pub(crate) fn to_points_2<I, T, const N: usize, R>(
+    angle: T,
+    period: T,
+    column: &[R::Stored],
+) -> Lanes<I, T, N>
+where
+    I: Isa + Operations<T>,
+    T: Number,
+    R: Rows<T, N>,
+{
+    let direct = (Lanes::splat(angle) - R::load(column)).abs();
+    let across = Lanes::splat(period) - direct;
+    let d = direct.min(across).max(Lanes::splat(T::near(0.0)));
+    d * d
+}
+
+/// The shorter arc from `a` to `b`; the one that does not cross the seam if both are equally long. It may end beyond the seam,
+/// and [`canonicalize`] wraps it.
 pub(super) fn interpolate(a: f64, b: f64, period: f64, t: f64, between: &mut [f64]) {
     let half = period / 2.0;
     let b = match b - a {
-        ahead if ahead > half => b - period,
-        ahead if ahead < -half => b + period,
+        frontier if frontier > half => b - period,
+        frontier if frontier < -half => b + period,
         _ => b,
     };
     between[0] = a + t * (b - a);

@@ -1,9 +1,9 @@
-//! What the search structures rely on beyond the public interface; the bounds are tested beside the kernels.
+//! Properties of distances that the structures rely on. The bounds are tested with the kernels.
 
 use super::{Factor, Group, Space, Term};
 use proptest::prelude::*;
 
-/// How the property tests of this module run: `cases` cases, the same in every run.
+/// The configuration of property tests: `cases` cases, the same in every run.
 pub(crate) fn cases(cases: u32) -> ProptestConfig {
     ProptestConfig {
         cases,

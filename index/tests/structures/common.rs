@@ -1,4 +1,4 @@
-//! What the suites share: the spaces, the data, and brute force written out once more.
+//! Shared by the suites: the spaces, the data, and an independent brute force.
 
 use std::{
     collections::HashSet,
@@ -30,7 +30,7 @@ pub const SPACES: [&str; 17] = [
     "R1*SO2[1]:15",
 ];
 
-/// How the rows of a data set lie.
+/// The distribution of the rows of a data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
     /// Coordinates uniform in [0, 1), angles and rotations uniform.
@@ -212,7 +212,7 @@ pub fn assert_same(found: &[Neighbor], expected: &[Neighbor], what: &str) {
     );
 }
 
-/// The questions asked of every structure about one state, whose true neighbours are `near`, nearest first.
+/// The searches made in every structure around one state, whose true neighbours are `near`, nearest first.
 pub fn searches<'a>(
     near: &[Neighbor],
     points: usize,

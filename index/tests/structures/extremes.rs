@@ -1,10 +1,10 @@
-//! Where bounds, reaches and orders of keys leave the range in which errors are relative: against brute force.
+//! Bounds where errors are not relative, against brute force.
 
 use wayfold_index::{
     Factor, Forest, ForestOptions, Group, KdTree, Kernels, Linear, Points, Search, Space, Term,
 };
 
-/// Asks a tree and a settled forest, with every kernel, what `Linear` is asked.
+/// Compares a tree and a settled forest, with every kernel, with `Linear`.
 fn compare(space: &Space, rows: &[Vec<f64>], query: &[f64], search: &Search<'_>) {
     let mut points = Points::new(space.coordinates());
     let mut linear = Linear::new(space.clone());
@@ -134,7 +134,7 @@ fn a_group_far_heavier_than_its_rotation_keeps_the_rest_of_the_series() {
 /// A rotation that weighs nothing leaves nothing to add to an infinite key, not a NaN. (All lie in the buffer, so that no
 /// box is asked.)
 #[test]
-fn an_infinite_distance_beside_a_rotation_without_weight_takes_nobodys_place() {
+fn an_infinite_distance_with_a_weightless_rotation_displaces_no_neighbour() {
     let space: Space = "R1:1e10*SO3:0".parse().unwrap();
     let row = |x: f64| [&[x][..], &about_x(0.0)].concat();
     let mut points = Points::new(5);
@@ -187,9 +187,9 @@ fn a_great_weight_within_a_group_of_a_sum_keeps_the_slack_of_the_cosine() {
     }
 }
 
-/// Distances out of range are all equally far: the least ids are told, though their keys differ.
+/// Distances out of range are all equal: the least ids win, though their keys differ.
 #[test]
-fn of_points_infinitely_far_away_the_least_ids_are_told() {
+fn of_points_infinitely_far_away_the_least_ids_win() {
     let space = Space::new(vec![Group {
         weight: 1e250,
         terms: vec![Term {

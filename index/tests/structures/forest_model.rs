@@ -167,7 +167,7 @@ proptest! {
     }
 }
 
-/// What is removed is gone from memory once merges have run.
+/// Merges free the memory of removed points.
 #[test]
 fn memory_of_removed_points_comes_back() {
     let space = Space::se3();
@@ -183,7 +183,7 @@ fn memory_of_removed_points_comes_back() {
     forest.apply(1, &points, &[]).unwrap();
     forest.settle();
     let full = forest.memory_bytes();
-    // At rest, half as much again as what is stored: a state, an id, a tag and a revision.
+    // At rest, at most 1.5 times the states, ids, tags and revisions.
     let stored = 20_000 * 8 * (space.coordinates() + 3);
     assert!(2 * (full - empty) < 3 * stored, "{full} for {stored}");
     let none = Points::new(space.coordinates());

@@ -1,5 +1,5 @@
-//! The level that grows by single points: what it does with points that come in a bad order, with readers of what is
-//! new, with points that are written over and over, and when writes pause.
+//! The level that grows by single points: points in a bad order, searches for new points, points that are written over and
+//! over, and pauses.
 
 use std::time::Instant;
 
@@ -55,7 +55,7 @@ fn no_order_of_points_makes_searches_long() {
                 max_leaves: 60,
                 ..search
             };
-            // Of very many points that are about equally near, boxes cannot tell the nearest.
+            // Boxes cannot separate many points that are about equally near.
             let ties = !matches!(shape, Shape::Uniform | Shape::Collinear);
             assert!(
                 ties || forest.search(&query, &few).unwrap().exact,
@@ -65,7 +65,7 @@ fn no_order_of_points_makes_searches_long() {
     }
 }
 
-/// Who asks for what is new pays for what is new, however many points there are.
+/// A search for new points visits the leaves of new points, in a forest of any size.
 #[test]
 fn a_search_of_the_newest_visits_their_leaves_only() {
     let space = Space::se3();
@@ -98,7 +98,7 @@ fn points_that_are_written_over_and_over_stay_few() {
     }
     forest.validate().unwrap();
     assert_eq!(forest.len(), 20);
-    // Of at most as many dead as are waited for, in leaves that are more than a third full.
+    // The leaves of these points and of at most 128 dead ones.
     let search = Search {
         max_leaves: 50,
         ..Search::nearest_k(20)
@@ -172,7 +172,7 @@ fn what_has_grown_is_packed_when_writes_pause() {
     assert_eq!(forest.len(), 6001);
 }
 
-/// What a snapshot shows stays as it was while its tree grows on, splits, is sealed and packed.
+/// A snapshot stays the same while its tree grows, splits, is sealed and packed.
 #[test]
 fn snapshots_of_what_grows_stay_as_they_were() {
     let space: Space = "R2*SO2".parse().unwrap();

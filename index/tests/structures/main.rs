@@ -8,3 +8,4 @@ mod extremes;
 mod forest_model;
 mod growing;
 mod refusals;
+mod searches;

@@ -107,8 +107,8 @@ impl Service {
 
         let min = min.max(spec.fixed.filter.since_revision);
         let published = self.published(call, &hosted, min).await?;
-        let mut search_for = spec.among(published.snapshot.len())?;
-        search_for.until = call.deadline;
+        let mut completed = spec.among(published.snapshot.len())?;
+        completed.until = call.deadline;
         let view = ReadView {
             call,
             doing: DOING,
@@ -116,7 +116,7 @@ impl Service {
             published: &published,
         };
         let found = NeighborColumns::new(include, space.coordinates(), Room::new(limits));
-        let neighbors = search(&view, &states, search_for, found, &mut pace).await?;
+        let neighbors = search(&view, &states, completed, found, &mut pace).await?;
         Ok((neighbors, revision(&hosted, published.revision)))
     }
 }

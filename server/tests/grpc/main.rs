@@ -7,6 +7,7 @@ mod raw;
 
 mod backup;
 mod deadlines;
+mod description;
 mod errors;
 mod extreme_integers;
 #[path = "../extremes/mod.rs"]

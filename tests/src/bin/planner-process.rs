@@ -11,10 +11,10 @@ use std::{
 
 use rand::RngExt;
 use wayfold_proto::v1::{
-    Filter, InsertRequest, KnnRequest, NeighborQuery, OnConflict, QueryRequest, ReadAt,
-    RemoveRequest,
+    Filter, InsertRequest, KnnRequest, NeighborSpec, OnConflict, QueryRequest, RemoveRequest,
+    Revision, knn_request, neighbor_spec, query_request,
 };
-use wayfold_tests::{States, Stubs, ledger, ledger::Entry, row_states};
+use wayfold_tests::{States, Stubs, ledger, ledger::Entry, number, row_states};
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() {
@@ -31,7 +31,7 @@ async fn main() {
         stubs,
         states: States::new(space, seed),
         index: index.clone(),
-        uid: description.uid,
+        uid: description.revision.expect("a revision").uid,
         revision: 0,
         first_id: (seed + 1) << 32,
         given_ids: 0,
@@ -85,16 +85,18 @@ impl Planner {
         } else {
             0
         };
-        let filter = Filter {
-            since_revision,
+        let neighbors = NeighborSpec {
+            count: Some(neighbor_spec::Count::K(rng.random_range(1..=12))),
+            reach: rng
+                .random_bool(0.5)
+                .then_some(neighbor_spec::Reach::Radius(3.0)),
+            filter: Some(Filter {
+                since_revision: Some(self.revision_at(since_revision)),
+                ..Default::default()
+            }),
             ..Default::default()
         };
-        let neighbors = NeighborQuery {
-            k: Some(rng.random_range(1..=12)),
-            radius: rng.random_bool(0.5).then_some(3.0),
-            filter: Some(filter),
-            ..Default::default()
-        };
+        let rng = self.states.rng();
         let min_separation = if rng.random_bool(0.3) { 0.9 } else { 0.0 };
         let ids = match assigned {
             true => Vec::new(),
@@ -155,15 +157,17 @@ impl Planner {
         let request = KnnRequest {
             index: self.index.clone(),
             states: Some(self.rows(rows)),
-            k: self.states.rng().random_range(1..=20),
-            radius: self.states.rng().random_bool(0.3).then_some(2.0),
+            count: Some(knn_request::Count::K(
+                self.states.rng().random_range(1..=20),
+            )),
+            reach: (self.states.rng().random_bool(0.3)).then_some(knn_request::Reach::Radius(2.0)),
             filter: self.filter(),
-            at: self.at(),
+            min_revision: self.min_revision(),
             ..Default::default()
         };
         let response = self.stubs.points.knn(request.clone()).await;
         let response = response.expect("neighbours").into_inner();
-        self.check_revision(request.at.as_ref(), response.revision);
+        check_revision(&request.min_revision, &response.revision);
         Entry::Knn(request, response)
     }
 
@@ -172,20 +176,17 @@ impl Planner {
         let request = QueryRequest {
             index: self.index.clone(),
             states: Some(self.rows(rows)),
-            radius: Some(self.states.rng().random_range(0.0..3.0)),
+            reach: Some(query_request::Reach::Radius(
+                self.states.rng().random_range(0.0..3.0),
+            )),
             filter: self.filter(),
-            at: self.at(),
+            min_revision: self.min_revision(),
             ..Default::default()
         };
         let response = self.stubs.points.query(request.clone()).await;
         let response = response.expect("neighbours").into_inner();
-        self.check_revision(request.at.as_ref(), response.revision);
+        check_revision(&request.min_revision, &response.revision);
         Entry::Query(request, response)
-    }
-
-    fn check_revision(&self, at: Option<&ReadAt>, revision: u64) {
-        let wanted = at.map_or(0, |at| at.min_revision);
-        assert!(revision >= wanted, "revision {revision} before {wanted}");
     }
 
     fn insert_of(&mut self, rows: usize) -> InsertRequest {
@@ -205,20 +206,29 @@ impl Planner {
     fn filter(&mut self) -> Option<Filter> {
         let since = self.revision / 2;
         let rng = self.states.rng();
-        rng.random_bool(0.4).then(|| Filter {
+        if !rng.random_bool(0.4) {
+            return None;
+        }
+        let tag_value = rng.random_range(0..2);
+        let since = if rng.random_bool(0.5) { since } else { 0 };
+        Some(Filter {
             tag_mask: 1,
-            tag_value: rng.random_range(0..2),
-            since_revision: if rng.random_bool(0.5) { since } else { 0 },
+            tag_value,
+            since_revision: Some(self.revision_at(since)),
         })
     }
 
-    /// Half of its reads must see its own writes. A uid is needed for a revision to mean something.
-    fn at(&mut self) -> Option<ReadAt> {
+    /// Half of its reads must see its own writes.
+    fn min_revision(&mut self) -> Option<Revision> {
         let own_writes = self.states.rng().random_bool(0.5);
-        Some(ReadAt {
+        Some(self.revision_at(if own_writes { self.revision } else { 0 }))
+    }
+
+    fn revision_at(&self, number: u64) -> Revision {
+        Revision {
             uid: self.uid.clone(),
-            min_revision: if own_writes { self.revision } else { 0 },
-        })
+            number,
+        }
     }
 
     fn new_ids(&mut self, count: usize) -> Vec<u64> {
@@ -230,4 +240,9 @@ impl Planner {
     fn up_to(&mut self, most: usize) -> usize {
         self.states.rng().random_range(1..=most)
     }
+}
+
+fn check_revision(min: &Option<Revision>, revision: &Option<Revision>) {
+    let (min, revision) = (number(min), number(revision));
+    assert!(revision >= min, "revision {revision} before {min}");
 }

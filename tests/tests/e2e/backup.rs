@@ -15,12 +15,13 @@ use wayfold_index::Space;
 use wayfold_proto::{
     snapshot::FileReader,
     v1::{
-        Filter, Include, InsertRequest, KnnRequest, OnConflict, ReadAt, RemoveRequest,
-        RestoreIndexRequest, UpdateRequest,
+        Filter, InsertRequest, KnnRequest, OnConflict, RemoveRequest, RestoreIndexRequest,
+        UpdateRequest, knn_request::Count,
     },
 };
 use wayfold_tests::{
-    Content, Finished, Process, ServerProcess, Signal, States, Stubs, bits, row_states, server,
+    Content, Finished, INCLUDE_ALL, Process, ServerProcess, Signal, States, Stubs, bits, revision,
+    row_states, server,
 };
 
 const CLI: &str = env!("CARGO_BIN_EXE_cli-process");
@@ -95,25 +96,17 @@ async fn seen(stubs: &mut Stubs, name: &str) -> (Content, Vec<Vec<u64>>) {
     let mut content = Content::read(stubs, name).await.unwrap();
     let uid = std::mem::take(&mut content.uid);
     let mut answers = Vec::new();
-    for since_revision in 0..content.revision {
+    for since in 0..content.revision {
         let request = KnnRequest {
             index: name.into(),
             states: Some(row_states(&States::new(Space::se3(), 5).rows(20), 7)),
-            k: 20,
+            count: Some(Count::K(20)),
             filter: Some(Filter {
-                since_revision,
+                since_revision: revision(&uid, since),
                 ..Default::default()
             }),
-            include: Some(Include {
-                states: true,
-                tags: true,
-                revisions: true,
-                payloads: true,
-            }),
-            at: Some(ReadAt {
-                uid: uid.clone(),
-                min_revision: content.revision,
-            }),
+            include: Some(INCLUDE_ALL),
+            min_revision: revision(&uid, content.revision),
             ..Default::default()
         };
         let answer = stubs.points.knn(request).await.unwrap().into_inner();
@@ -149,9 +142,10 @@ impl Source {
             &["snapshot", "arm", source.file().to_str().unwrap()],
         );
         let index = source.stubs.clone().describe("arm").await;
-        assert_eq!(written["points"], index.points);
-        assert_eq!(written["revision"], index.revision);
-        assert_eq!(written["uid"], index.uid);
+        assert_eq!(written["point_count"], index.point_count);
+        let revision = index.revision.unwrap();
+        assert_eq!(written["revision"]["number"], revision.number);
+        assert_eq!(written["revision"]["uid"], revision.uid);
         let length = fs::metadata(source.file()).unwrap().len();
         assert_eq!(written["bytes"], length);
         source
@@ -192,8 +186,9 @@ async fn an_index_restored_elsewhere_is_the_same_and_goes_on_as_the_same() {
     let file = file.to_str().unwrap();
     let restored = told(&target, &["restore", "arm", file]);
     let original = source.stubs.describe("arm").await;
-    assert_eq!(restored["revision"], original.revision);
-    assert_ne!(restored["uid"], original.uid);
+    let revision = original.revision.unwrap();
+    assert_eq!(restored["revision"]["number"], revision.number);
+    assert_ne!(restored["revision"]["uid"], revision.uid);
     let expected = seen(&mut source.stubs, "arm").await;
     assert_eq!(seen(&mut stubs, "arm").await, expected);
 
@@ -220,7 +215,9 @@ async fn an_index_restored_elsewhere_is_the_same_and_goes_on_as_the_same() {
     };
     let mut one = source.stubs.insert(insert.clone()).await;
     let mut other = stubs.insert(insert).await;
-    (one.uid, other.uid) = Default::default();
+    for answer in [&mut one, &mut other] {
+        answer.revision.as_mut().unwrap().uid.clear();
+    }
     assert_eq!(one, other);
     let expected = seen(&mut source.stubs, "arm").await;
     assert_eq!(seen(&mut stubs, "arm").await, expected);
@@ -236,8 +233,8 @@ async fn servers_are_verified_and_compared() {
     told(&target, &["restore", "arm", file]);
     let verified = told(&target, &["verify", "arm", "--queries", "50"]);
     assert_eq!(verified["agrees"], true);
-    assert_eq!(verified["queries"], 50);
-    assert_eq!(verified["points"], verified["stored_points"]);
+    assert_eq!(verified["query_count"], 50);
+    assert_eq!(verified["point_count"], verified["stored_point_count"]);
 
     let both = |arguments: &[&str]| {
         let servers = ["--server", source.server.uri(), "--server", target.uri()];
@@ -263,7 +260,8 @@ async fn servers_are_verified_and_compared() {
         .map(|line| serde_json::from_str(line).unwrap())
         .collect();
     assert_eq!(lines[0]["content_hash"], lines[1]["content_hash"]);
-    assert_ne!(lines[0]["revision"], lines[1]["revision"]);
+    let number = |line: &Value| line["revision"]["number"].clone();
+    assert_ne!(number(&lines[0]), number(&lines[1]));
     assert_eq!(lines[2]["same_content"], true);
     let agreed = both(&["verify", "arm"]);
     assert_eq!(agreed.status.code(), Some(0));
@@ -482,6 +480,6 @@ async fn a_file_has_its_name_once_it_is_whole() {
     assert_ne!(fs::read(file).unwrap(), before);
     let target = server!();
     let restored = told(&target, &["restore", "leg", file]);
-    assert_eq!(restored["revision"], again["revision"]);
+    assert_eq!(restored["revision"]["number"], again["revision"]["number"]);
     assert_eq!(source.names(), ["arm.snapshot"]);
 }

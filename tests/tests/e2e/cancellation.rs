@@ -6,9 +6,11 @@ use tokio_stream::iter;
 use tonic::{Code, Request};
 use wayfold_index::Space;
 use wayfold_proto::v1::{
-    InsertRequest, KnnRequest, NeighborQuery, StreamKnnRequest, stream_knn_response,
+    InsertRequest, KnnRequest, StreamKnnRequest, knn_request::Count, stream_knn_response,
 };
-use wayfold_tests::{Content, ServerProcess, Signal, States, Stubs, row_states, server};
+use wayfold_tests::{
+    Content, ServerProcess, Signal, States, Stubs, k_nearest, number, row_states, server,
+};
 
 /// High-dimensional enough that a search looks at most of the points.
 const WIDTH: usize = 16;
@@ -42,7 +44,7 @@ fn knn(states: &mut States, rows: usize) -> KnnRequest {
     KnnRequest {
         index: "roadmap".into(),
         states: Some(row_states(&states.rows(rows), WIDTH)),
-        k: 1,
+        count: Some(Count::K(1)),
         ..Default::default()
     }
 }
@@ -60,10 +62,7 @@ async fn a_mutation_past_its_deadline_is_whole_or_not_there() {
     for deadline_ms in [1, 3, 10, 30, 100] {
         let before = stubs.describe("roadmap").await;
         let request = InsertRequest {
-            neighbors: Some(NeighborQuery {
-                k: Some(1),
-                ..Default::default()
-            }),
+            neighbors: Some(k_nearest(1)),
             operation_id: format!("within {deadline_ms} ms"),
             ..insert(&mut states, LONG_INSERT)
         };
@@ -81,10 +80,10 @@ async fn a_mutation_past_its_deadline_is_whole_or_not_there() {
         }
         // Whatever became of it: the same call again takes effect once.
         let answer = stubs.insert(request).await;
-        assert_eq!(answer.revision, before.revision + 1);
+        assert_eq!(number(&answer.revision), number(&before.revision) + 1);
         let after = stubs.describe("roadmap").await;
-        assert_eq!(after.revision, before.revision + 1);
-        assert_eq!(after.points, before.points + LONG_INSERT as u64);
+        assert_eq!(after.revision, answer.revision);
+        assert_eq!(after.point_count, before.point_count + LONG_INSERT as u64);
     }
     assert!(cut > 0, "no deadline was short enough");
 }
@@ -95,10 +94,7 @@ async fn a_dropped_mutation_is_whole_or_not_there() {
     for round in 0..6 {
         let before = stubs.describe("roadmap").await;
         let request = InsertRequest {
-            neighbors: Some(NeighborQuery {
-                k: Some(1),
-                ..Default::default()
-            }),
+            neighbors: Some(k_nearest(1)),
             ..insert(&mut states, LONG_INSERT)
         };
         let mut other = stubs.clone();
@@ -112,8 +108,8 @@ async fn a_dropped_mutation_is_whole_or_not_there() {
         // A later mutation of the same index comes after it, or finds that it never happened.
         stubs.insert(insert(&mut states, 1)).await;
         let content = Content::read(&stubs, "roadmap").await.unwrap();
-        let stored = content.points.len() as u64 - before.points - 1;
-        let made = content.revision - before.revision - 1;
+        let stored = content.points.len() as u64 - before.point_count - 1;
+        let made = content.revision - number(&before.revision) - 1;
         assert!(
             (stored, made) == (LONG_INSERT as u64, 1) || dropped && (stored, made) == (0, 0),
             "{stored} rows in {made} revisions of a dropped insert"

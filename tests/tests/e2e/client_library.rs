@@ -1,7 +1,7 @@
 //! The client library against a real server: what it divides, remembers and pipelines.
 
 use tokio::task::JoinSet;
-use wayfold::{Client, Knn, MUTATION_ROWS, NeighborQuery, Outcome, READ_ROWS};
+use wayfold::{Client, Knn, NeighborSpec, Outcome, READ_ROWS};
 use wayfold_index::{Linear, PointRef, Search, Space};
 use wayfold_tests::{States, server};
 
@@ -42,7 +42,10 @@ async fn what_exceeds_one_call_is_divided_and_joined() {
     let client = Client::connect(server.uri()).await.unwrap();
     let roadmap = client.create_index("arm", &Space::se3()).await.unwrap();
     let mut states = States::new(Space::se3(), 23);
-    let rows = states.rows(2 * MUTATION_ROWS + 500);
+    // More rows than a call may have, and more bytes than a message.
+    let limits = client.server().await.unwrap().limits;
+    let rows = states.rows(limits.rows_per_call + 500);
+    assert!(8 * rows.len() < 2 * limits.request_bytes);
     let ids: Vec<u64> = (0..(rows.len() / WIDTH) as u64).collect();
     let inserted = roadmap
         .insert(rows.chunks(WIDTH))
@@ -50,14 +53,14 @@ async fn what_exceeds_one_call_is_divided_and_joined() {
         .await
         .unwrap();
     assert_eq!(inserted.outcomes.len(), ids.len());
-    assert_eq!(roadmap.info().await.unwrap().points, ids.len() as u64);
+    assert_eq!(roadmap.info().await.unwrap().point_count, ids.len() as u64);
 
     let points = brute_force(&rows);
     let asked = states.rows(READ_ROWS + 200);
     let answer = roadmap.knn(asked.chunks(WIDTH)).k(3).await.unwrap();
     assert_eq!(answer.len(), READ_ROWS + 200);
     for (row, state) in answer.rows().zip(asked.chunks(WIDTH)) {
-        let row: Vec<(u64, u64)> = row.iter().map(|(id, d)| (id, d.to_bits())).collect();
+        let row: Vec<(u64, u64)> = row.iter().map(|n| (n.id, n.distance.to_bits())).collect();
         assert_eq!(row, nearest(&points, state, 3));
     }
 }
@@ -89,12 +92,12 @@ async fn a_stream_answers_in_order() {
         let row: Vec<(u64, u64)> = answer
             .row(0)
             .iter()
-            .map(|(id, d)| (id, d.to_bits()))
+            .map(|n| (n.id, n.distance.to_bits()))
             .collect();
         assert_eq!(row, nearest(&points, state, 5));
     }
     sending.await.unwrap();
-    assert!(answers.next().await.is_none());
+    assert_eq!(answers.next().await.unwrap(), None);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -109,18 +112,16 @@ async fn planners_read_what_they_wrote() {
             let mut states = States::new(Space::se3(), seed);
             for _ in 0..50 {
                 let row = states.row();
-                let around = NeighborQuery {
-                    k: Some(4),
-                    ..Default::default()
-                };
+                let around = NeighborSpec::k(4);
                 let inserted = roadmap.insert([&row[..]]).neighbors(around).await.unwrap();
                 let Outcome::Inserted { id } = inserted.outcomes[0] else {
                     panic!("{inserted:?}");
                 };
                 // On whichever revision the read sees, the point is there, and nothing is nearer to itself.
                 let found = roadmap.knn([&row[..]]).k(1).await.unwrap();
-                assert_eq!(found.row(0).iter().next(), Some((id, 0.0)));
-                assert!(found.revision() >= inserted.revision);
+                let itself = found.row(0).nearest().unwrap();
+                assert_eq!((itself.id, itself.distance), (id, 0.0));
+                assert!(found.revision().number >= inserted.revision.number);
                 let around = inserted.neighbors.unwrap();
                 assert!(!around.row(0).ids.contains(&id), "its own neighbour");
             }

@@ -13,7 +13,7 @@ use tokio::{
     task::{JoinHandle, JoinSet},
 };
 use tonic::Status;
-use wayfold_proto::v1::KnnRequest;
+use wayfold_proto::v1::{KnnRequest, knn_request::Count};
 use wayfold_tests::{
     Content, Model, ServerProcess, Signal, States, Stubs, ledger::Entry, row_states,
 };
@@ -81,7 +81,7 @@ impl Clients {
     /// Creates the index they share.
     pub(crate) async fn new(server: &ServerProcess, seed: u64, load: Load) -> Self {
         let mut stubs = Stubs::connect(server.uri()).await;
-        let uid = stubs.create("arm", SPACE).await.uid;
+        let uid = stubs.create("arm", SPACE).await.revision.unwrap().uid;
         let writers = Self::WRITERS as u64;
         let readers = (0..READERS).map(|reader| Reader::new(seed + writers + reader, &uid));
         let readers = readers.collect();
@@ -228,7 +228,8 @@ impl Clients {
     /// All that was acknowledged is there, once, in order; what was seen is so still; answers equal brute force.
     pub(crate) async fn check(&mut self, server: &ServerProcess) {
         let mut stubs = Stubs::connect(server.uri()).await;
-        assert_eq!(stubs.describe("arm").await.uid, self.uid);
+        let described = stubs.describe("arm").await;
+        assert_eq!(described.revision.unwrap().uid, self.uid);
         self.builder.check(&mut stubs).await;
         for writer in &mut self.writers {
             writer.resolve(&mut stubs).await;
@@ -260,7 +261,7 @@ impl Clients {
         let request = KnnRequest {
             index: "arm".into(),
             states: Some(row_states(&self.probes.rows(20), COORDINATES)),
-            k: 10,
+            count: Some(Count::K(10)),
             ..Default::default()
         };
         let answer = stubs.points.knn(request.clone()).await.unwrap();

@@ -8,7 +8,7 @@ mod start;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tonic::{Code, Status};
-use wayfold_proto::v1::CreateIndexRequest;
+use wayfold_proto::v1::{CreateIndexRequest, create_index_request::SpaceForm};
 use wayfold_tests::{Refusal, ServerProcess, Signal, Stubs};
 
 use self::disk::Disk;
@@ -100,8 +100,7 @@ impl Scene {
         let mut stubs = Stubs::connect(self.server.uri()).await;
         let request = CreateIndexRequest {
             name: "other".into(),
-            space_text: "R1".into(),
-            ..Default::default()
+            space_form: Some(SpaceForm::SpaceText("R1".into())),
         };
         let refused = stubs.indexes.create_index(request).await.unwrap_err();
         assert!(refused.message().contains(reason), "{refused:?}");

@@ -5,10 +5,12 @@ use std::collections::BTreeSet;
 use tonic::Code;
 use wayfold_index::Space;
 use wayfold_proto::v1::{
-    Filter, GetRequest, Include, InsertRequest, KnnRequest, QueryRequest, ReadAt, ScanRequest,
-    UpdateRequest,
+    Filter, GetRequest, InsertRequest, KnnRequest, QueryRequest, ScanRequest, UpdateRequest,
+    knn_request::Count, query_request::Reach,
 };
-use wayfold_tests::{Content, Refusal, States, Stubs, row_states, server};
+use wayfold_tests::{
+    Content, INCLUDE_ALL, Refusal, States, Stubs, number, revision, row_states, server,
+};
 
 const ROWS: u64 = 600;
 
@@ -16,7 +18,8 @@ const ROWS: u64 = 600;
 async fn reads_see_the_tags_that_updates_set() {
     let server = server!();
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("roadmap", "R3*SO3:0.15").await.uid;
+    let created = stubs.create("roadmap", "R3*SO3:0.15").await;
+    let uid = created.revision.unwrap().uid;
     let mut states = States::new(Space::se3(), 5);
     for batch in 0..3 {
         let first = batch * ROWS / 3;
@@ -46,9 +49,9 @@ async fn reads_see_the_tags_that_updates_set() {
     let updated = stubs.points.update(components.clone()).await.unwrap();
     let updated = updated.into_inner();
     // Component 0 was there already.
-    assert_eq!((updated.updated, updated.unchanged), (400, 200));
+    assert_eq!((updated.updated_count, updated.unchanged_count), (400, 200));
     let again = stubs.points.update(components).await.unwrap().into_inner();
-    assert_eq!((again.updated, again.revision), (0, updated.revision));
+    assert_eq!((again.updated_count, again.revision), (0, updated.revision));
 
     let expected = |mask: u64, value: u64, since: u64| -> BTreeSet<u64> {
         (0..ROWS)
@@ -71,24 +74,14 @@ async fn reads_see_the_tags_that_updates_set() {
         let filter = Some(Filter {
             tag_mask,
             tag_value,
-            since_revision,
-        });
-        let at = Some(ReadAt {
-            uid: uid.clone(),
-            min_revision: 0,
+            since_revision: revision(&uid, since_revision),
         });
         let query = QueryRequest {
             index: "roadmap".into(),
             states: Some(row_states(&states.row(), 7)),
-            radius: Some(f64::INFINITY),
-            filter,
-            at: at.clone(),
-            include: Some(Include {
-                tags: true,
-                revisions: true,
-                states: true,
-                payloads: true,
-            }),
+            reach: Some(Reach::Radius(f64::INFINITY)),
+            filter: filter.clone(),
+            include: Some(INCLUDE_ALL),
             ..Default::default()
         };
         let all = stubs
@@ -107,9 +100,8 @@ async fn reads_see_the_tags_that_updates_set() {
         let knn = KnnRequest {
             index: "roadmap".into(),
             states: query.states,
-            k: 10,
-            filter,
-            at: at.clone(),
+            count: Some(Count::K(10)),
+            filter: filter.clone(),
             ..Default::default()
         };
         let nearest = stubs.points.knn(knn).await.unwrap().into_inner();
@@ -119,8 +111,7 @@ async fn reads_see_the_tags_that_updates_set() {
         let scan = ScanRequest {
             index: "roadmap".into(),
             filter,
-            payloads: true,
-            at,
+            include: Some(INCLUDE_ALL),
             ..Default::default()
         };
         let (scanned, total) = Content::scan(stubs.points.clone(), scan).await.unwrap();
@@ -136,7 +127,7 @@ async fn reads_see_the_tags_that_updates_set() {
 async fn of_two_that_compare_and_set_one_wins() {
     let server = server!();
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("roadmap", "R2").await.uid;
+    stubs.create("roadmap", "R2").await;
     let request = InsertRequest {
         index: "roadmap".into(),
         states: Some(row_states(&[0.0, 0.0, 1.0, 1.0], 2)),
@@ -149,8 +140,7 @@ async fn of_two_that_compare_and_set_one_wins() {
         index: "roadmap".into(),
         ids: ids.to_vec(),
         tags: vec![tag],
-        if_revision: Some(read),
-        uid: uid.clone(),
+        if_revision: read.clone(),
         ..Default::default()
     };
     stubs.points.update(set(&[1], 5)).await.unwrap();
@@ -167,8 +157,8 @@ async fn of_two_that_compare_and_set_one_wins() {
     let get = GetRequest {
         index: "roadmap".into(),
         ids: vec![2, 1],
-        payloads: true,
-        at: None,
+        include: Some(INCLUDE_ALL),
+        ..Default::default()
     };
     let points = stubs.points.get(get).await.unwrap().into_inner();
     let points = points.points.unwrap();
@@ -176,5 +166,6 @@ async fn of_two_that_compare_and_set_one_wins() {
     assert_eq!(points.tags, [6, 5]);
     assert_eq!(points.payloads, ["b", "a"]);
     // A tag is not a state: the revision that stored it stays.
+    let read = number(&read);
     assert_eq!(points.revisions, [read, read]);
 }

@@ -10,8 +10,10 @@ use std::{
 
 use tokio::{sync::Barrier, task::JoinSet};
 use wayfold_index::Space;
-use wayfold_proto::v1::{Filter, InsertRequest, NeighborQuery, QueryRequest};
-use wayfold_tests::{States, Stubs, neighbor_rows, row_states, server};
+use wayfold_proto::v1::{
+    Filter, InsertRequest, NeighborSpec, QueryRequest, neighbor_spec, query_request,
+};
+use wayfold_tests::{States, Stubs, neighbor_rows, number, revision, row_states, server};
 
 const WORKERS: u64 = 48;
 const PAIRS: usize = 10_000;
@@ -86,7 +88,8 @@ fn concurrent_pairs(told: &[Told]) -> usize {
 async fn inserts(read_before: bool) -> Vec<Told> {
     let server = server!();
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("roadmap", "R3*SO3:0.15").await.uid;
+    let created = stubs.create("roadmap", "R3*SO3:0.15").await;
+    let uid = created.revision.expect("a revision").uid;
     let clock = Arc::new(AtomicU64::new(0));
     let mut told = Vec::new();
     for round in 0..ROUNDS {
@@ -122,23 +125,23 @@ async fn insert(
         let request = QueryRequest {
             index: "roadmap".into(),
             states: states.clone(),
-            radius: Some(f64::INFINITY),
+            reach: Some(query_request::Reach::Radius(f64::INFINITY)),
             ..Default::default()
         };
         let response = stubs.points.query(request).await;
         let response = response.expect("neighbours").into_inner();
         let ids = response.neighbors.expect("neighbours").ids;
-        before = Some((response.revision, BTreeSet::from_iter(ids)));
+        before = Some((number(&response.revision), BTreeSet::from_iter(ids)));
     }
-    let filter = before.as_ref().map(|(revision, _)| Filter {
-        since_revision: *revision,
+    let filter = before.as_ref().map(|(read_at, _)| Filter {
+        since_revision: revision(&uid, *read_at),
         ..Default::default()
     });
     let request = InsertRequest {
         index: "roadmap".into(),
         states,
-        neighbors: Some(NeighborQuery {
-            radius: Some(f64::INFINITY),
+        neighbors: Some(NeighborSpec {
+            reach: Some(neighbor_spec::Reach::Radius(f64::INFINITY)),
             filter,
             ..Default::default()
         }),
@@ -152,7 +155,7 @@ async fn insert(
     Told {
         called,
         answered,
-        revision: response.revision,
+        revision: number(&response.revision),
         id: response.ids[0],
         before,
         neighbors: rows[0].iter().map(|(id, _)| *id).collect(),

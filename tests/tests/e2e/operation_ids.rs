@@ -3,8 +3,10 @@
 use tokio::task::JoinSet;
 use tonic::Code;
 use wayfold_index::Space;
-use wayfold_proto::v1::{InsertRequest, NeighborQuery, RemoveRequest, UpdateRequest};
-use wayfold_tests::{Content, Refusal, ServerProcess, States, Stubs, row_states, server};
+use wayfold_proto::v1::{InsertRequest, RemoveRequest, UpdateRequest};
+use wayfold_tests::{
+    Content, Refusal, ServerProcess, States, Stubs, k_nearest, number, revision, row_states, server,
+};
 
 const TWINS: usize = 32;
 
@@ -19,10 +21,7 @@ fn insert(states: &mut States, rows: usize, operation_id: &str) -> InsertRequest
     InsertRequest {
         index: "roadmap".into(),
         states: Some(row_states(&states.rows(rows), 7)),
-        neighbors: Some(NeighborQuery {
-            k: Some(5),
-            ..Default::default()
-        }),
+        neighbors: Some(k_nearest(5)),
         operation_id: operation_id.into(),
         ..Default::default()
     }
@@ -48,7 +47,7 @@ async fn a_retry_gets_the_original_answer() {
         ..Default::default()
     };
     let updated = stubs.points.update(update.clone()).await.unwrap();
-    assert_eq!(updated.get_ref().updated, 2);
+    assert_eq!(updated.get_ref().updated_count, 2);
     let again = stubs.points.update(update).await.unwrap();
     assert_eq!(again.into_inner(), updated.into_inner());
 
@@ -59,7 +58,7 @@ async fn a_retry_gets_the_original_answer() {
         ..Default::default()
     };
     let removed = stubs.points.remove(remove.clone()).await.unwrap();
-    assert_eq!(removed.get_ref().removed, 10);
+    assert_eq!(removed.get_ref().removed_count, 10);
     let again = stubs.points.remove(remove).await.unwrap();
     assert_eq!(again.into_inner(), removed.into_inner());
     let after = Content::read(&stubs, "roadmap").await.unwrap();
@@ -83,7 +82,7 @@ async fn twins_in_flight_take_effect_once() {
             twins.spawn(async move { stubs.insert(request).await });
         }
         let answers = twins.join_all().await;
-        assert_eq!(answers[0].revision, round + 1);
+        assert_eq!(number(&answers[0].revision), round + 1);
         assert!(answers.iter().all(|answer| *answer == answers[0]));
     }
     let content = Content::read(&stubs, "roadmap").await.unwrap();
@@ -124,9 +123,10 @@ async fn an_operation_belongs_to_the_uid_of_its_index() {
     let request = insert(&mut states, 3, "first");
     let original = stubs.insert(request.clone()).await;
     stubs.delete("roadmap").await;
-    let uid = stubs.create("roadmap", "R3*SO3:0.15").await.uid;
-    assert_ne!(uid, original.uid);
+    let created = stubs.create("roadmap", "R3*SO3:0.15").await;
+    let uid = created.revision.unwrap().uid;
+    assert_ne!(uid, original.revision.unwrap().uid);
     let anew = stubs.insert(request).await;
-    assert_eq!(anew.uid, uid);
-    assert_eq!(stubs.describe("roadmap").await.points, 3);
+    assert_eq!(anew.revision, revision(&uid, 1));
+    assert_eq!(stubs.describe("roadmap").await.point_count, 3);
 }

@@ -14,7 +14,7 @@ use std::{
     time::Duration,
 };
 
-use wayfold::{Code, Error, ReplicaStatus, ResetReason, WatchEvent};
+use wayfold::{Code, Error, Include, ReplicaStatus, ResetReason, WatchEvent};
 use wayfold_index::{Linear, Space};
 use wayfold_tests::{Process, ServerProcess, Signal, States, server};
 
@@ -55,7 +55,8 @@ async fn every_answer_is_brute_forces_through_kills_and_cuts() {
     });
     let writers = [1, 2].map(|name| tokio::spawn(past::write(index.clone(), name, CALLS)));
     for revision in (25..2 * CALLS).step_by(25) {
-        replica.at_least(revision).await.unwrap();
+        let reached = index.revision_at(revision);
+        replica.at_least(&reached).await.unwrap();
         if revision % 200 == 0 {
             // The one that is killed, and those who are connected to it.
             server.stop(Signal::Kill);
@@ -71,7 +72,10 @@ async fn every_answer_is_brute_forces_through_kills_and_cuts() {
     for writer in writers {
         past.extend(writer.await.unwrap());
     }
-    replica.at_least(2 * CALLS).await.unwrap();
+    replica
+        .at_least(&index.revision_at(2 * CALLS))
+        .await
+        .unwrap();
     stop.store(true, Ordering::Relaxed);
     let answers: Vec<Answered> = readers
         .into_iter()
@@ -81,7 +85,7 @@ async fn every_answer_is_brute_forces_through_kills_and_cuts() {
     assert!(
         answers
             .iter()
-            .all(|answered| &*answered.found.uid == index.uid())
+            .all(|answered| &*answered.found.revision.uid == index.uid())
     );
     let points = past::check(&space, &past, answers);
     compare(&replica, &points);
@@ -107,8 +111,8 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
     let replica = client(&way.uri).await.replica("arm").await.unwrap();
     let mut slow = index
         .watch()
-        .after(inserted.revision)
-        .payloads()
+        .after(inserted.revision.clone())
+        .include(Include::all())
         .await
         .unwrap();
 
@@ -119,7 +123,7 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
             true => way.hold(server.uri()),
             false => way.close(),
         }
-        index.remove([inserted_id(from)]).await.unwrap();
+        index.remove([inserted_id(from.number)]).await.unwrap();
         let large = vec![vec![7_u8; 60_000]; 50];
         for _ in 0..4 {
             // More than the server holds at hand for its followers, and than it and the network have on the way.
@@ -128,20 +132,20 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
             index_payloads(insert, &large).await;
         }
         let newest = index.info().await.unwrap().revision;
-        let mut watch = index.watch().after(from).await.unwrap();
+        let mut watch = index.watch().after(from.clone()).await.unwrap();
         let Ok(Some(WatchEvent::Reset(reset))) = watch.next().await else {
             panic!("the window is wider than thought")
         };
         assert_eq!(
-            (reset.reason, reset.revision),
-            (ResetReason::WindowPassed, newest)
+            (reset.reason, &reset.revision),
+            (ResetReason::WindowPassed, &newest)
         );
         assert_eq!(replica.revision(), from);
         way.lead_to(server.uri());
-        replica.at_least(newest).await.unwrap();
+        replica.at_least(&newest).await.unwrap();
         let mut points = Linear::new(space.clone());
         let mut scan = index.scan().await.unwrap();
-        while let Some(part) = scan.next_part().await.unwrap() {
+        while let Some(part) = scan.next().await.unwrap() {
             for point in part.iter() {
                 points
                     .insert(wayfold_index::PointRef {
@@ -157,16 +161,16 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
     }
 
     // A follower that takes nothing for so long gets what was on the way, without a gap, and is told that there is more.
-    let mut revision = inserted.revision;
+    let mut revision = inserted.revision.number;
     loop {
         match slow.next().await.unwrap().unwrap() {
             WatchEvent::Mutation(mutation) => {
                 revision += 1;
-                assert_eq!(mutation.revision, revision);
+                assert_eq!(mutation.revision, index.revision_at(revision));
             }
             WatchEvent::Reset(reset) => {
                 assert_eq!(reset.reason, ResetReason::WindowPassed);
-                assert!(revision < reset.revision);
+                assert!(revision < reset.revision.number);
                 break;
             }
         }
@@ -193,7 +197,7 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
         .unwrap();
     line.insert([[0.0], [1.0]]).await.unwrap();
     let replica = client(&way.uri).await.replica("arm").await.unwrap();
-    assert_eq!(replica.nearest([0.9]).unwrap().neighbors[0].id, 1);
+    assert_eq!(replica.knn([0.9], 1).unwrap().neighbors[0].id, 1);
 
     // Another one, of another space, behind its back.
     way.close();
@@ -204,22 +208,22 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
         .unwrap();
     plane.insert([[5.0, 5.0]]).await.unwrap();
     assert_eq!(
-        replica.nearest([0.9]).unwrap().neighbors[0].id,
+        replica.knn([0.9], 1).unwrap().neighbors[0].id,
         1,
         "what it had"
     );
-    let waiting = replica.clone();
-    let waiting = tokio::spawn(async move { waiting.at_least(7).await });
+    let (waiting, seventh) = (replica.clone(), line.revision_at(7));
+    let waiting = tokio::spawn(async move { waiting.at_least(&seventh).await });
     way.lead_to(server.uri());
     replica
         .status_where(|_| replica.index().uid() == plane.uid())
         .await;
-    let found = replica.nearest([5.0, 1.0]).unwrap();
+    let found = replica.knn([5.0, 1.0], 1).unwrap();
     assert_eq!(
-        (&*found.uid, found.revision, found.neighbors[0].distance),
-        (plane.uid(), 1, 4.0)
+        (found.revision, found.neighbors[0].distance),
+        (plane.revision_at(1), 4.0)
     );
-    assert!(matches!(replica.nearest([0.9]), Err(Error::Width { .. })));
+    assert!(matches!(replica.knn([0.9], 1), Err(Error::Width { .. })));
     let gone = waiting.await.unwrap().unwrap_err();
     assert_eq!(gone.code(), Code::FailedPrecondition, "{gone}");
 
@@ -236,13 +240,13 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
     replica
         .status_where(|_| replica.index().uid() == again.uid())
         .await;
-    assert_eq!(replica.revision(), 0);
+    assert_eq!(replica.revision(), again.revision_at(0));
     let inserted = replica
         .write(replica.index().insert([[1.0, 0.0]]))
         .await
         .unwrap();
-    let found = replica.nearest([0.0, 0.0]).unwrap();
-    assert!(found.revision >= inserted.revision);
+    let found = replica.knn([0.0, 0.0], 1).unwrap();
+    assert!(found.revision.number >= inserted.revision.number);
     assert_eq!(found.neighbors[0].distance, 1.0);
 }
 
@@ -257,18 +261,18 @@ async fn a_deleted_index_ends_its_replica() {
     let request = direct.replica("arm").missing_for(Duration::ZERO);
     let replica = request.await.unwrap();
     replica.write(line.insert([[0.0]])).await.unwrap();
-    assert_eq!(replica.nearest([1.0]).unwrap().neighbors[0].distance, 1.0);
+    assert_eq!(replica.knn([1.0], 1).unwrap().neighbors[0].distance, 1.0);
     direct.delete_index("arm").await.unwrap();
     let ended = replica.status_where(|status| matches!(status, ReplicaStatus::Ended { .. }));
     ended.await;
-    let error = replica.nearest([1.0]).unwrap_err();
+    let error = replica.knn([1.0], 1).unwrap_err();
     assert!(matches!(error, Error::Ended { .. }), "{error}");
     assert_eq!(
         (error.code(), error.reason()),
         (Code::NotFound, Some("INDEX_NOT_FOUND"))
     );
     assert!(matches!(
-        replica.at_least(9).await,
+        replica.at_least(&line.revision_at(9)).await,
         Err(Error::Ended { .. })
     ));
 }
@@ -287,8 +291,8 @@ async fn inserts_through_a_replica_are_there_when_they_return() {
             .write(replica.index().insert([&row[..]]))
             .await
             .unwrap();
-        let found = replica.nearest(&row[..]).unwrap();
-        assert!(found.revision >= inserted.revision);
+        let found = replica.knn(&row[..], 1).unwrap();
+        assert!(found.revision.number >= inserted.revision.number);
         assert_eq!(found.neighbors[0].distance, 0.0);
     }
 }

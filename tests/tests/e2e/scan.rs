@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use wayfold_index::Space;
 use wayfold_proto::v1::{InsertRequest, OnConflict, RemoveRequest, ScanRequest};
-use wayfold_tests::{Content, Model, States, Stubs, row_states, server};
+use wayfold_tests::{Content, INCLUDE_ALL, Model, States, Stubs, number, row_states, server};
 
 const ROWS: usize = 20_000;
 const BATCH: usize = 1_000;
@@ -37,7 +37,7 @@ async fn a_scan_reads_one_revision_while_others_are_written() {
     // Opened now, read later: it is larger than what the connection lets the server send ahead.
     let scan = ScanRequest {
         index: "roadmap".into(),
-        payloads: true,
+        include: Some(INCLUDE_ALL),
         ..Default::default()
     };
     let opened = stubs.clone();
@@ -45,7 +45,7 @@ async fn a_scan_reads_one_revision_while_others_are_written() {
     let reader = tokio::spawn(async move {
         let mut parts = opened.points.clone().scan(scan).await.unwrap().into_inner();
         let mut read = vec![parts.message().await.unwrap().unwrap()];
-        sender.send(read[0].revision).unwrap();
+        sender.send(number(&read[0].revision)).unwrap();
         while let Some(part) = parts.message().await.unwrap() {
             read.push(part);
         }
@@ -70,7 +70,7 @@ async fn a_scan_reads_one_revision_while_others_are_written() {
         model.remove(&request, &response.into_inner());
     }
     let parts = reader.await.unwrap();
-    assert!(parts.iter().all(|part| part.revision == pinned));
+    assert!(parts.iter().all(|part| number(&part.revision) == pinned));
     let read = parts.iter().flat_map(|part| part.points.as_ref());
     let mut expected: Vec<_> = frozen.points().iter().collect();
     expected.sort_by_key(|point| point.id);
@@ -85,7 +85,7 @@ async fn a_scan_reads_one_revision_while_others_are_written() {
     assert_eq!(expected.next(), None);
 
     model.check_content(&Content::read(&stubs, "roadmap").await.unwrap());
-    assert_eq!(stubs.describe("roadmap").await.points, ROWS as u64 / 2);
+    assert_eq!(stubs.describe("roadmap").await.point_count, ROWS as u64 / 2);
 }
 
 #[tokio::test]
@@ -95,7 +95,7 @@ async fn a_scan_goes_on_after_an_id() {
     stubs.create("roadmap", "R3*SO3:0.15").await;
     let scan = |after_id| ScanRequest {
         index: "roadmap".into(),
-        payloads: true,
+        include: Some(INCLUDE_ALL),
         after_id,
         ..Default::default()
     };

@@ -6,7 +6,7 @@ use tonic_health::pb::{
     health_client::HealthClient,
 };
 use wayfold_index::Space;
-use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest};
+use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest, knn_request::Count};
 use wayfold_tests::{Process, ServerProcess, Signal, States, Stubs, row_states, server};
 
 const ROWS: usize = 1_000;
@@ -30,7 +30,7 @@ fn knn(states: &mut States, rows: usize) -> KnnRequest {
     KnnRequest {
         index: "roadmap".into(),
         states: Some(row_states(&states.rows(rows), 7)),
-        k: 100,
+        count: Some(Count::K(100)),
         ..Default::default()
     }
 }

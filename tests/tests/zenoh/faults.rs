@@ -11,7 +11,7 @@ use zenoh::{
 };
 
 use crate::{
-    feed::{catch_up, insertion, next, subscribe},
+    feed::{self, catch_up, insertion, next, subscribe},
     follower::Follower,
     robot::{Robot, server_at, server_with},
 };
@@ -41,7 +41,7 @@ async fn a_server_that_is_killed_and_comes_back_is_found_again_with_its_past() {
     let data = ["--data", data.to_str().unwrap()];
     let (mut server, locator) = server_with(&data, &[]);
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("arm", "R2").await.uid;
+    let uid = feed::uid(stubs.create("arm", "R2").await);
     let robot = Robot::connect(&locator).await;
     let tokens = tokens(&robot).await;
     until(&tokens, SampleKind::Put).await;
@@ -67,7 +67,7 @@ async fn a_server_that_is_killed_and_comes_back_is_found_again_with_its_past() {
         server = server_at(&locator, &data, &[]).0;
         until(&tokens, SampleKind::Put).await;
         stubs = Stubs::connect(server.uri()).await;
-        assert_eq!(stubs.describe("arm").await.uid, uid);
+        assert_eq!(feed::uid(stubs.describe("arm").await), uid);
     }
     catch_up(&mut follower, &events, &mut stubs).await;
     compare(&follower, &stubs).await;
@@ -83,7 +83,7 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
     let behind = behind.to_string();
     let (server, _) = server_with(&[], &[("WAYFOLD_ZENOH__CONFIG", &behind)]);
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("arm", "R2").await.uid;
+    let uid = feed::uid(stubs.create("arm", "R2").await);
     let robot = Robot::connect(&at).await;
     let tokens = tokens(&robot).await;
     until(&tokens, SampleKind::Put).await;

@@ -8,7 +8,7 @@ use std::{
 use prost::Message;
 use serde_json::{Value, json};
 use wayfold_proto::v1::{self, ResetReason};
-use wayfold_tests::{Content, Stubs, row_states};
+use wayfold_tests::{Content, INCLUDE_ALL, Stubs, number, revision, row_states};
 use zenoh::{
     handlers::FifoChannelHandler,
     pubsub::Subscriber,
@@ -31,6 +31,11 @@ pub(crate) async fn next(events: &Events) -> v1::WatchResponse {
     let sample = events.recv_async().await.unwrap();
     assert_eq!(sample.encoding().to_string(), "application/protobuf");
     v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap()
+}
+
+/// The uid of an index that was just created.
+pub(crate) fn uid(index: v1::Index) -> String {
+    index.revision.unwrap().uid
 }
 
 pub(crate) fn insertion(ids: &[u64], payload: usize) -> v1::InsertRequest {
@@ -80,7 +85,7 @@ async fn mutate(stubs: &mut Stubs, first: u64, count: u64) {
 async fn events_are_what_a_watch_tells() {
     let (server, locator) = server();
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("arm", "R2").await.uid;
+    let uid = uid(stubs.create("arm", "R2").await);
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
     let mut follower = Follower::new(&robot, &uid);
@@ -88,9 +93,8 @@ async fn events_are_what_a_watch_tells() {
     follower.take(next(&events).await).await;
     let watched = v1::WatchRequest {
         index: "arm".into(),
-        uid,
-        after_revision: Some(0),
-        payloads: true,
+        after_revision: revision(&uid, 0),
+        include: Some(INCLUDE_ALL),
     };
     let mut watch = stubs.points.watch(watched).await.unwrap().into_inner();
 
@@ -105,7 +109,11 @@ async fn events_are_what_a_watch_tells() {
         Content::read(&stubs, "arm").await.unwrap()
     );
     let mut told = Vec::new();
-    while told.last().map(|last: &v1::Mutation| last.revision) < Some(follower.content.revision) {
+    while told
+        .last()
+        .map(|last: &v1::Mutation| number(&last.revision))
+        < Some(follower.content.revision)
+    {
         told.extend(watch.message().await.unwrap().unwrap().mutations);
     }
     assert_eq!(whole(told), whole(follower.mutations));
@@ -115,7 +123,8 @@ async fn events_are_what_a_watch_tells() {
 /// next that shows it: so there is always one more.
 pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs: &mut Stubs) {
     loop {
-        let made = stubs.insert(insertion(&[9_999], 1)).await.revision;
+        let made = stubs.insert(insertion(&[9_999], 1)).await;
+        let made = number(&made.revision);
         while let Ok(Some(sample)) = events.try_recv() {
             let told = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
             follower.take(told).await;
@@ -162,7 +171,7 @@ fn whole(pieces: Vec<v1::Mutation>) -> Vec<v1::Mutation> {
 async fn a_gap_is_seen_and_repaired_from_the_log() {
     let (server, locator) = server();
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("arm", "R2").await.uid;
+    let uid = uid(stubs.create("arm", "R2").await);
     // Before anybody follows.
     mutate(&mut stubs, 0, 20).await;
     let robot = Robot::connect(&locator).await;
@@ -192,7 +201,7 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
 async fn a_piece_that_is_missing_is_seen() {
     let (server, locator) = server();
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("arm", "R2").await.uid;
+    let uid = uid(stubs.create("arm", "R2").await);
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
     let mut follower = Follower::new(&robot, &uid);
@@ -200,7 +209,8 @@ async fn a_piece_that_is_missing_is_seen() {
     // Any of three, and what comes after it is told of the same mutation.
     for lost in 0..3 {
         let ids: Vec<_> = (lost * 100..lost * 100 + 60).collect();
-        let made = stubs.insert(insertion(&ids, 5_000)).await.revision;
+        let made = stubs.insert(insertion(&ids, 5_000)).await;
+        let made = number(&made.revision);
         let mut publications = 0;
         loop {
             let told = next(&events).await;
@@ -227,7 +237,9 @@ async fn events_come_in_json_too() {
     let (_server, locator) = server();
     let robot = Robot::connect(&locator).await;
     let create = json!({ "name": "arm", "space_text": "R2" });
-    let uid = robot.json("create", create).await.unwrap()["index"]["uid"].clone();
+    let created = robot.json("create", create).await.unwrap();
+    let uid = created["index"]["revision"]["uid"].clone();
+    let revision = |number: u64| json!({ "uid": uid, "number": number });
     let events = robot.session.declare_subscriber("wayfold/v1/*/events/json");
     let events = events.await.unwrap();
     let next = async || -> Value {
@@ -238,7 +250,7 @@ async fn events_come_in_json_too() {
     };
     assert_eq!(
         next().await,
-        json!({ "uid": uid, "revision": 0, "mutations": [] })
+        json!({ "revision": revision(0), "mutations": [] })
     );
     let insert = json!({ "states": [[1, 2]], "ids": [7], "tags": [3] });
     robot.json("arm/insert", insert).await.unwrap();
@@ -249,11 +261,11 @@ async fn events_come_in_json_too() {
         "ids": [7], "states": [[1.0, 2.0]], "tags": [3], "revisions": [1], "payloads": [""]
     });
     let mutation = json!({
-        "revision": 1, "time_ms": null, "stored": stored, "removed_ids": [], "continued": false, "piece": 0
+        "revision": revision(1), "time_ms": null, "stored": stored, "removed_ids": [], "continued": false, "piece": 0
     });
     assert_eq!(
         told,
-        json!({ "uid": uid, "revision": 1, "mutations": [mutation] })
+        json!({ "revision": revision(1), "mutations": [mutation] })
     );
     let selector = format!("arm/log?from=0;uid={}", uid.as_str().unwrap());
     let told = robot.json(&selector, Value::Null).await.unwrap();
@@ -264,7 +276,7 @@ async fn events_come_in_json_too() {
 async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
     let (server, locator) = server();
     let mut stubs = Stubs::connect(server.uri()).await;
-    let old = stubs.create("arm", "R2").await.uid;
+    let old = uid(stubs.create("arm", "R2").await);
     let robot = Robot::connect(&locator).await;
     let liveliness = robot.session.liveliness();
     let alive = liveliness
@@ -290,15 +302,16 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
         follower.take(next(&events).await).await;
     }
     stubs.delete("arm").await;
-    let new = stubs.create("arm", "R2").await.uid;
+    let new = uid(stubs.create("arm", "R2").await);
     mutate(&mut stubs, 0, 3).await;
     assert_eq!(next_token().await, (SampleKind::Delete, token("arm")));
     assert_eq!(next_token().await, (SampleKind::Put, token("arm")));
     // What it knows is of another past: it is told so, here and there.
     let told = next(&events).await;
-    assert_eq!(told.uid, new);
+    assert_eq!(told.revision.as_ref().unwrap().uid, new);
     let reset = follower.log().await;
-    assert_eq!((reset.reset(), &reset.uid), (ResetReason::UidChanged, &new));
+    assert_eq!(reset.reset(), ResetReason::UidChanged);
+    assert_eq!(reset.revision.unwrap().uid, new);
     let mut follower = Follower::new(&robot, &new);
     follower.take(told).await;
     follower.repair(3).await;
@@ -316,7 +329,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
     let settings = [("WAYFOLD_INDEX__WINDOW_BYTES", "1000000")];
     let (server, locator) = server_with(&[], &settings);
     let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = stubs.create("arm", "R2").await.uid;
+    let uid = uid(stubs.create("arm", "R2").await);
     let slow = Robot::connect(&locator).await;
     // Shut for as long as `open` is not dropped.
     let (open, gate) = mpsc::channel::<()>();
@@ -328,7 +341,12 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
         .declare_subscriber("wayfold/v1/arm/events")
         .callback(move |sample| {
             let message = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
-            let _ = tell.send(message.mutations.first().map(|first| first.revision));
+            let _ = tell.send(
+                message
+                    .mutations
+                    .first()
+                    .map(|first| number(&first.revision)),
+            );
             let _ = gate.lock().unwrap().recv();
         });
     let events = events.await.unwrap();
@@ -360,7 +378,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
     // Others are answered meanwhile.
     let robot = Robot::connect(&locator).await;
     let info = robot.json("arm/info", Value::Null).await.unwrap();
-    assert_eq!(info["index"]["revision"], WRITES + 1);
+    assert_eq!(info["index"]["revision"]["number"], WRITES + 1);
     let follower = Follower::new(&robot, &uid);
     assert_eq!(follower.log().await.reset(), ResetReason::WindowPassed);
 

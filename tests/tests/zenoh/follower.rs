@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use prost::Message;
-use wayfold_proto::v1::{self, ResetReason};
-use wayfold_tests::{Content, StoredPoint, bits};
+use wayfold_proto::v1;
+use wayfold_tests::{Content, INCLUDE_ALL, StoredPoint, bits, number, revision};
 use zenoh::bytes::Encoding;
 
 use crate::robot::Robot;
@@ -40,21 +40,22 @@ impl<'a> Follower<'a> {
 
     /// Takes a publication, and asks for what it shows to be missing.
     pub(crate) async fn take(&mut self, told: v1::WatchResponse) {
-        assert_eq!(told.uid, self.content.uid);
-        assert_eq!(told.reset(), ResetReason::Unspecified);
+        let newest = told.revision.unwrap();
+        assert_eq!(newest.uid, self.content.uid);
+        assert_eq!(told.reset, None);
         let expected = match self.pieces.last() {
-            Some(last) => (last.revision, last.piece + 1),
+            Some(last) => (number(&last.revision), last.piece + 1),
             None => (self.content.revision + 1, 0),
         };
         let first = told.mutations.first();
-        match first.map(|first| (first.revision, first.piece)) {
+        match first.map(|first| (number(&first.revision), first.piece)) {
             Some(first) if first > expected => {
                 // A mutation of which pieces came before is asked for as a whole.
                 let before = first.0 - u64::from(first.1 == 0);
                 self.repair(before).await;
             }
             Some(_) => {}
-            None => self.repair(told.revision).await,
+            None => self.repair(newest.number).await,
         }
         for mutation in told.mutations {
             self.apply(mutation);
@@ -66,7 +67,7 @@ impl<'a> Follower<'a> {
         self.pieces.clear();
         while self.content.revision < to {
             let told = self.log().await;
-            assert_eq!(told.reset(), ResetReason::Unspecified);
+            assert_eq!(told.reset, None);
             assert!(!told.mutations.is_empty());
             self.repairs += 1;
             for mutation in told.mutations {
@@ -78,24 +79,29 @@ impl<'a> Follower<'a> {
     /// What the log tells after the newest revision that is known.
     pub(crate) async fn log(&self) -> v1::WatchResponse {
         let request = v1::WatchRequest {
-            uid: self.content.uid.clone(),
-            payloads: true,
+            after_revision: revision(&self.content.uid, self.content.revision),
+            include: Some(INCLUDE_ALL),
             ..Default::default()
         };
-        let selector = format!("wayfold/v1/arm/log?from={}", self.content.revision);
         let payload = request.encode_to_vec();
-        let told = self
-            .robot
-            .ask(&selector, payload, Encoding::APPLICATION_PROTOBUF);
+        let told = self.robot.ask(
+            "wayfold/v1/arm/log",
+            payload,
+            Encoding::APPLICATION_PROTOBUF,
+        );
         v1::WatchResponse::decode(&*told.await.unwrap().payload).unwrap()
     }
 
     fn apply(&mut self, mutation: v1::Mutation) {
         // After a repair, what was asked for may be published once more.
-        if mutation.revision <= self.content.revision {
+        let made = number(&mutation.revision);
+        if made <= self.content.revision {
             return;
         }
-        assert_eq!(mutation.revision, self.content.revision + 1);
+        assert_eq!(
+            mutation.revision,
+            revision(&self.content.uid, self.content.revision + 1)
+        );
         let continued = mutation.continued;
         self.pieces.push(mutation);
         if continued {

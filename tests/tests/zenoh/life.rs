@@ -112,8 +112,8 @@ async fn what_is_not_done_in_time_is_cut_and_shows_in_the_exit_status() {
     let space = json!({ "name": "arm", "space_text": "R3" });
     let created = robot.json("create", space).await.unwrap();
     // It waits for what will never come.
-    let at = json!({ "uid": created["index"]["uid"], "min_revision": 1 });
-    let get = json!({ "ids": [1], "at": at }).to_string();
+    let at = json!({ "uid": created["index"]["revision"]["uid"], "number": 1 });
+    let get = json!({ "ids": [1], "min_revision": at }).to_string();
     let replies = robot
         .session
         .get("wayfold/v1/arm/get?timeout_ms=600000")

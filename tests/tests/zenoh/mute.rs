@@ -135,7 +135,7 @@ async fn those_who_take_no_answers_hold_up_nobody() {
     let mut done = 0;
     while done < PEERS - 1 {
         let told = robot.json("done/info", Value::Null).await.unwrap();
-        done = told["index"]["points"].as_u64().unwrap() as usize;
+        done = told["index"]["point_count"].as_u64().unwrap() as usize;
     }
     for _ in 0..QUERIES {
         let near = robot.json("arm/knn?k=1", json!([0.0])).await.unwrap();

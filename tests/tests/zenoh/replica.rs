@@ -68,7 +68,10 @@ async fn every_answer_is_brute_forces_through_kills_of_server_and_router() {
     });
     let writers = [1, 2].map(|name| tokio::spawn(past::write(index.clone(), name, CALLS)));
     for revision in (25..2 * CALLS).step_by(25) {
-        replica.at_least(revision).await.unwrap();
+        replica
+            .at_least(&index.revision_at(revision))
+            .await
+            .unwrap();
         match revision % 75 {
             25 => {
                 router_process.stop(Signal::Kill);
@@ -86,7 +89,10 @@ async fn every_answer_is_brute_forces_through_kills_of_server_and_router() {
     for writer in writers {
         past.extend(writer.await.unwrap());
     }
-    replica.at_least(2 * CALLS).await.unwrap();
+    replica
+        .at_least(&index.revision_at(2 * CALLS))
+        .await
+        .unwrap();
     stop.store(true, Ordering::Relaxed);
     let answers = readers
         .into_iter()
@@ -115,7 +121,7 @@ async fn what_the_log_has_no_more_is_read_anew() {
             let first = points.len() as u64;
             let ids: Vec<u64> = (first..first + 20).collect();
             let insert = index.insert(rows.chunks(space.coordinates()));
-            let revision = insert.ids(ids.clone()).await.unwrap().revision;
+            let revision = insert.ids(ids.clone()).await.unwrap().revision.number;
             for (id, row) in ids.into_iter().zip(rows.chunks_mut(space.coordinates())) {
                 space.canonicalize(row).unwrap();
                 let tag = 0;
@@ -131,14 +137,14 @@ async fn what_the_log_has_no_more_is_read_anew() {
         }
         let newest = index.info().await.unwrap().revision;
         let stopped_at = replica.revision();
-        assert!(stopped_at < newest, "in round {round}");
+        assert!(stopped_at.number < newest.number, "in round {round}");
         let mut watch = index.watch().after(stopped_at).await.unwrap();
         let Ok(Some(WatchEvent::Reset(reset))) = watch.next().await else {
             panic!("the window is wider than thought")
         };
         assert_eq!(reset.reason, ResetReason::WindowPassed);
         router_process = router(&at).0;
-        replica.at_least(newest).await.unwrap();
+        replica.at_least(&newest).await.unwrap();
         compare(&replica, &points);
     }
 }
@@ -154,7 +160,7 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
     line.insert([[0.0], [1.0]]).await.unwrap();
     let robot = Robot::connect(&locator).await;
     let replica = replica(&client, &robot).await;
-    assert_eq!(replica.nearest([0.9]).unwrap().neighbors[0].id, 1);
+    assert_eq!(replica.knn([0.9], 1).unwrap().neighbors[0].id, 1);
     for round in 0..5 {
         client.delete_index("arm").await.unwrap();
         let plane = client
@@ -165,16 +171,16 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
         replica
             .status_where(|_| replica.index().uid() == plane.uid())
             .await;
-        replica.at_least(inserted.revision).await.unwrap();
-        let found = replica.nearest([5.0, 0.0]).unwrap();
+        replica.at_least(&inserted.revision).await.unwrap();
+        let found = replica.knn([5.0, 0.0], 1).unwrap();
         assert_eq!(
-            (&*found.uid, found.neighbors[0].distance),
+            (&*found.revision.uid, found.neighbors[0].distance),
             (plane.uid(), f64::from(round))
         );
     }
     let made = replica.write(replica.index().insert([[1.0, 0.0]]));
     let made = made.await.unwrap();
-    let found = replica.nearest([0.0, 0.0]).unwrap();
-    assert!(found.revision >= made.revision);
+    let found = replica.knn([0.0, 0.0], 1).unwrap();
+    assert!(found.revision.number >= made.revision.number);
     assert_eq!(found.neighbors[0].distance, 1.0);
 }

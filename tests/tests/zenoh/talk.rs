@@ -62,7 +62,7 @@ async fn wildcards_reach_what_tells_of_the_indices_and_change_nothing() {
     let listed = robot.json("list", Value::Null).await.unwrap();
     let listed = listed["indexes"].as_array().unwrap().clone();
     assert_eq!(listed.len(), names.len());
-    assert!(listed.iter().all(|index| index["revision"] == 0));
+    assert!(listed.iter().all(|index| index["revision"]["number"] == 0));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -120,7 +120,7 @@ async fn states_parameters_and_payloads_say_one_thing() {
         ("arm/kn", json!([0, 1]), (3, "UNKNOWN_KEY")),
         ("arm", Value::Null, (3, "UNKNOWN_KEY")),
         ("arm/remove?ids=7", Value::Null, (3, "REQUIRED")),
-        ("delete?name=arm", Value::Null, (3, "REQUIRED")),
+        ("delete?index=arm", Value::Null, (3, "REQUIRED")),
     ] {
         let refused = robot.json(selector, body).await.unwrap_err();
         assert_eq!(reason(&refused), expected, "{selector}");
@@ -194,7 +194,8 @@ async fn what_is_too_large_or_too_much_is_refused_in_words() {
 
     // It waits, and keeps the only place, until the insert below has come through.
     let index = robot.json("arm/info", Value::Null).await.unwrap()["index"].clone();
-    let at = json!({ "ids": [0], "at": { "uid": index["uid"], "min_revision": 1 } });
+    let at = json!({ "uid": index["revision"]["uid"], "number": 1 });
+    let at = json!({ "ids": [0], "min_revision": at });
     let waiting = robot.json("arm/get?timeout_ms=60000", at);
     let others = async {
         // Refused as soon as the other has its place.
@@ -266,6 +267,6 @@ async fn a_flood_of_malformed_queries_is_refused_one_by_one() {
     }
     assert_eq!(refused, 20 * verbs.len() * payloads.len());
     let told = robot.json("arm/info", Value::Null).await.unwrap();
-    assert_eq!(told["index"]["points"], 20);
+    assert_eq!(told["index"]["point_count"], 20);
     drop(server);
 }

@@ -28,11 +28,10 @@ fn lose_a_mutation(directory: &Path) -> Vec<String> {
         for name in ["arm", "leg", "rail"] {
             let request = v1::CreateIndexRequest {
                 name: name.into(),
-                space_text: "R1".into(),
-                ..Default::default()
+                space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
             };
             let created = service.create_index(&call, request).await.unwrap();
-            uids.push(created.index.unwrap().uid);
+            uids.push(created.index.unwrap().revision.unwrap().uid);
         }
         let insert = v1::InsertRequest {
             index: "leg".into(),

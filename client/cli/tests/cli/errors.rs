@@ -165,7 +165,7 @@ async fn a_file_with_one_bad_row_is_named_and_not_sent() {
     let missing = server.run(&["insert", "arm", "no/such/file.csv"]);
     assert!(missing.error(3).contains("no/such/file.csv"));
     let client = Client::connect(&server.uri).await.unwrap();
-    assert_eq!(client.index_info("arm").await.unwrap().revision, 0);
+    assert_eq!(client.index_info("arm").await.unwrap().revision.number, 0);
 }
 
 #[test]
@@ -181,6 +181,8 @@ fn rows_before_a_bad_one_are_answered() {
         "{}",
         run.stderr
     );
+    let run = server.run(&["knn", "line", "-k", "1", "--state", "NaN"]);
+    assert!(run.error(3).contains("--state: number 1 (x): \"NaN\""));
     let run = server.run(&["knn", "line", "-k", "1", "--state", "1,2"]);
     assert!(
         run.error(3)

@@ -65,7 +65,7 @@ fn f64s(numbers: &[f64]) -> Vec<u8> {
 fn csv_may_have_a_header_spaces_empty_lines_and_a_byte_order_mark() {
     let files = Files::new();
     let text = "\u{feff}x,y,theta\r\n0.5, 1.5 ,-0.25\r\n\r\n1e-3,+2,3.\r\n";
-    assert_eq!(files.insert("a.csv", text).line()["inserted"], 2);
+    assert_eq!(files.insert("a.csv", text).line()["inserted_count"], 2);
     assert_eq!(
         files.states(),
         [json!([0.5, 1.5, -0.25]), json!([0.001, 2.0, 3.0])]
@@ -76,7 +76,7 @@ fn csv_may_have_a_header_spaces_empty_lines_and_a_byte_order_mark() {
 fn csv_without_a_header_begins_with_a_state() {
     let files = Files::new();
     assert_eq!(
-        files.insert("a.txt", "0,1,2\n3,4,0.5").line()["inserted"],
+        files.insert("a.txt", "0,1,2\n3,4,0.5").line()["inserted_count"],
         2
     );
     assert_eq!(
@@ -95,7 +95,11 @@ fn a_file_without_rows_inserts_nothing() {
     ] {
         let done = files.insert(name, bytes).line();
         assert_eq!(
-            (&done["inserted"], &done["first_id"], &done["revision"]),
+            (
+                &done["inserted_count"],
+                &done["first_id"],
+                &done["revision"]["number"]
+            ),
             (&json!(0), &json!(null), &json!(0))
         );
     }
@@ -113,19 +117,19 @@ fn npy_of_doubles_is_read_by_row_or_by_column() {
     assert_eq!(
         files
             .insert("rows.npy", npy("<f8", false, "(2, 3)", &by_row))
-            .line()["inserted"],
+            .line()["inserted_count"],
         2
     );
     assert_eq!(
         files
             .insert("columns.NPY", npy("<f8", true, "(2, 3)", &by_column))
-            .line()["inserted"],
+            .line()["inserted_count"],
         2
     );
     assert_eq!(
         files
             .insert("big.npy", npy(">f8", false, "(1, 3)", &big_endian))
-            .line()["inserted"],
+            .line()["inserted_count"],
         1
     );
     let (first, second) = (json!([0.1, 0.2, 0.3]), json!([1.1, 1.2, 1.3]));
@@ -151,7 +155,7 @@ fn npy_of_one_dimension_is_one_state_and_floats_are_widened() {
     assert_eq!(
         files
             .insert("a.npy", npy("<f4", false, "(3,)", &floats))
-            .line()["inserted"],
+            .line()["inserted_count"],
         1
     );
     assert_eq!(files.states(), [json!([f64::from(0.1_f32), 0.5, -1.0])]);

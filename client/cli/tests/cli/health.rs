@@ -1,4 +1,4 @@
-//! `wayfold health`.
+//! `wayfold health` and `wayfold server`.
 
 use serde_json::json;
 use tokio::net::TcpListener;
@@ -51,4 +51,24 @@ async fn a_server_that_does_not_serve_is_status_1() {
 #[test]
 fn no_server_is_status_4() {
     run_alone(&["health", "--timeout", "50ms"]).error(4);
+}
+
+#[test]
+fn a_server_describes_itself() {
+    let server = Server::start();
+    let info = server.json(&["server"]).line();
+    let expected = json!({
+        "server": server.uri, "version": env!("CARGO_PKG_VERSION"), "durability": "memory", "limits": info["limits"],
+    });
+    assert_eq!(info, expected);
+    // The documented limit.
+    assert_eq!(info["limits"]["payload_bytes"], 64 * 1024);
+    let text = server.run(&["server"]).stdout;
+    for line in [
+        &format!("server      {}\n", server.uri),
+        "durability  memory; ",
+        "a payload   64.00 KiB\n",
+    ] {
+        assert!(text.contains(line), "{text} has no {line:?}");
+    }
 }

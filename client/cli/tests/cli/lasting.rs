@@ -65,9 +65,11 @@ fn scanned(ids: &[u64], coordinates: &[f64]) -> v1::ScanResponse {
             revisions: vec![1; ids.len()],
             ..Default::default()
         }),
-        uid: UID.to_owned(),
-        total_points: 3,
-        ..Default::default()
+        revision: Some(v1::Revision {
+            uid: UID.to_owned(),
+            number: 1,
+        }),
+        point_count: 3,
     }
 }
 
@@ -135,18 +137,19 @@ fn the_command_prints_a_line_a_mutation_until_it_is_interrupted() {
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
     let mut line = || serde_json::from_str::<Value>(&lines.next().unwrap().unwrap()).unwrap();
     let first = line();
-    assert_eq!(first["revision"], 1);
+    let revision = server.revision("line", 1);
+    assert_eq!(first["revision"], revision);
     assert_eq!(
         first["stored"],
         json!([
-            {"id": 0, "state": [0.5], "tag": 0, "revision": 1},
-            {"id": 1, "state": [1.5], "tag": 0, "revision": 1},
+            {"id": 0, "state": [0.5], "tag": 0, "revision": revision},
+            {"id": 1, "state": [1.5], "tag": 0, "revision": revision},
         ])
     );
     server.json(&["remove", "line", "1"]).line();
     let second = line();
     assert_eq!(
-        (&second["revision"], &second["removed_ids"]),
+        (&second["revision"]["number"], &second["removed_ids"]),
         (&json!(2), &json!([1]))
     );
     send("INT", &child);

@@ -5,7 +5,7 @@ use std::{
     process::{Child, Command, Stdio},
 };
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::server::Server;
 
@@ -95,6 +95,12 @@ impl Server {
     /// `wayfold ARGS`.
     pub(crate) fn run(&self, args: &[&str]) -> Run {
         self.run_with(args, "")
+    }
+
+    /// A revision of an index in JSON.
+    pub(crate) fn revision(&self, index: &str, number: u64) -> Value {
+        let info = self.json(&["info", index]).line();
+        json!({"uid": info["revision"]["uid"], "number": number})
     }
 
     /// `wayfold ARGS --output json`.

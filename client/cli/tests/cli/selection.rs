@@ -33,7 +33,7 @@ fn tags_are_set_by_insert_and_by_update() {
     let updated = server.json(&["update", "line", "0", "3", "--tag", "5"]);
     assert_eq!(
         updated.line(),
-        json!({"updated": 2, "unchanged": 0, "revision": 3})
+        json!({"updated_count": 2, "unchanged_count": 0, "revision": server.revision("line", 3)})
     );
     assert_eq!(tags(), [5, 0x11, 0x11, 5]);
 
@@ -62,7 +62,7 @@ fn tags_are_set_by_insert_and_by_update() {
 fn payloads_are_set_by_update_and_printed_if_included() {
     let server = tagged_line();
     let update = ["update", "line", "1", "2", "--payload", "caf\u{e9}\n"];
-    assert_eq!(server.json(&update).line()["updated"], 2);
+    assert_eq!(server.json(&update).line()["updated_count"], 2);
     // RFC 4648 of the bytes 63 61 66 c3 a9 0a.
     let get = ["get", "line", "1", "0", "--include", "payloads"];
     assert_eq!(
@@ -114,6 +114,13 @@ fn reads_are_limited_by_tag_and_revision() {
     assert_eq!(found(&["--since", "1"]), [3]);
     assert!(found(&["--since", "1", "--tag", "1/1"]).is_empty());
     assert_eq!(found(&["--since", "0"]), [2, 3, 1, 0]);
+    let uid = server.revision("line", 1)["uid"].take();
+    let first = format!("1@{}", uid.as_str().unwrap());
+    assert_eq!(found(&["--since", &first]), [3]);
+    let knn = [
+        "knn", "line", "-k", "1", "--state", "0", "--since", "1@other",
+    ];
+    assert_eq!(server.json(&knn).json_error(3)["reason"], "UID_MISMATCH");
 }
 
 #[test]
@@ -126,7 +133,7 @@ fn the_included_columns_are_printed() {
     let knn = ["knn", "line", "-k", "2", "--state", "21", "--include", all];
     let expected = json!({
         "ids": [2, 3], "distances": [1.0, 9.0], "states": [[20.0], [30.0]], "tags": [17, 2], "revisions": [1, 2],
-        "payloads": ["dXA=", ""], "revision": 3,
+        "payloads": ["dXA=", ""], "revision": server.revision("line", 3),
     });
     assert_eq!(server.json(&knn).line(), expected);
     let text = "\
@@ -148,7 +155,7 @@ state 1: 2 points at revision 3
     ];
     assert_eq!(
         server.json(&tags).line(),
-        json!({"ids": [2], "distances": [1.0], "tags": [17], "revision": 3})
+        json!({"ids": [2], "distances": [1.0], "tags": [17], "revision": server.revision("line", 3)})
     );
 
     let scan = [
@@ -164,7 +171,7 @@ state 1: 2 points at revision 3
     assert_eq!(server.run(&scan).stdout, "id,revision\n3,2\n");
     assert_eq!(
         server.json(&scan).lines(),
-        [json!({"id": 3, "revision": 2})]
+        [json!({"id": 3, "revision": server.revision("line", 2)})]
     );
 }
 
@@ -175,10 +182,10 @@ fn a_scan_with_tags_reads_back_as_the_same_points() {
     let file = directory.path().join("line.csv");
     let file = file.to_str().unwrap();
     let scan = ["scan", "line", file, "--include", "tags,states"];
-    assert_eq!(server.json(&scan).line()["points"], 4);
+    assert_eq!(server.json(&scan).line()["point_count"], 4);
     let read = ["line", file, "--ids", "id", "--tags", "tag"];
     let insert = [&["insert"], &read[..]].concat();
-    assert_eq!(server.json(&insert).line()["unchanged"], 4);
+    assert_eq!(server.json(&insert).line()["unchanged_count"], 4);
     let knn = [&["knn", "-k", "1"], &read[..]].concat();
     assert_eq!(server.json(&knn).lines()[3]["ids"], json!([3]));
 

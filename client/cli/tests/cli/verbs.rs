@@ -30,7 +30,7 @@ fn an_index_is_created_listed_described_and_deleted() {
         .json(&["create", "arm", "--space", "mpnn-se3"])
         .line();
     assert_eq!(again["created"], false);
-    assert_eq!(again["uid"], created["uid"]);
+    assert_eq!(again["revision"], created["revision"]);
     assert!(
         server
             .run(&["create", "arm", "--space", "mpnn-se3"])
@@ -40,8 +40,9 @@ fn an_index_is_created_listed_described_and_deleted() {
 
     let info = server.json(&["info", "arm"]).line();
     let expected = json!({
-        "name": "arm", "space": "R3*SO3:0.15", "points": 0, "revision": 0, "uid": created["uid"],
-        "coordinates": 7, "dimension": 6, "memory_bytes": info["memory_bytes"],
+        "name": "arm", "space": "R3*SO3:0.15", "point_count": 0,
+        "revision": {"uid": created["revision"]["uid"], "number": 0},
+        "coordinate_count": 7, "dimension": 6, "memory_bytes": info["memory_bytes"],
     });
     assert_eq!(info, expected);
     assert_eq!(server.json(&["list"]).lines(), [info]);
@@ -55,7 +56,7 @@ fn an_index_is_created_listed_described_and_deleted() {
     let deleted = server.json(&["delete", "arm"]).line();
     assert_eq!(
         deleted,
-        json!({"name": "arm", "uid": created["uid"], "deleted": true})
+        json!({"name": "arm", "uid": created["revision"]["uid"], "deleted": true})
     );
     assert!(server.json(&["list"]).lines().is_empty());
 }
@@ -67,8 +68,10 @@ fn what_is_inserted_is_found() {
         .json(&["create", "arm", "--space", "R3*SO3:0.15"])
         .line();
     let inserted = server.json_with(&["insert", "arm", "-"], POSES).line();
+    let first = server.revision("arm", 1);
     let expected = json!({
-        "inserted": 3, "unchanged": 0, "replaced": 0, "too_close": 0, "first_id": 0, "last_id": 2, "revision": 1,
+        "inserted_count": 3, "unchanged_count": 0, "replaced_count": 0, "too_close_count": 0, "first_id": 0,
+        "last_id": 2, "revision": first,
     });
     assert_eq!(inserted, expected);
 
@@ -78,7 +81,7 @@ fn what_is_inserted_is_found() {
         .line();
     assert_eq!(
         nearest,
-        json!({"ids": [0, 1], "distances": [0.1, 0.5], "revision": 1})
+        json!({"ids": [0, 1], "distances": [0.1, 0.5], "revision": first})
     );
     let within = [
         "knn",
@@ -92,7 +95,7 @@ fn what_is_inserted_is_found() {
     ];
     assert_eq!(
         server.json(&within).line(),
-        json!({"ids": [0, 1], "distances": [0.15, 0.25], "revision": 1})
+        json!({"ids": [0, 1], "distances": [0.15, 0.25], "revision": first})
     );
     let all = server
         .json(&[
@@ -108,16 +111,20 @@ fn what_is_inserted_is_found() {
     let none = server
         .json(&["query", "arm", "--radius", "0", "--state", "0,0,0,0,0,0,1"])
         .line();
-    assert_eq!(none, json!({"ids": [], "distances": [], "revision": 1}));
+    assert_eq!(none, json!({"ids": [], "distances": [], "revision": first}));
 
     let points = server.json(&["get", "arm", "1", "0"]).lines();
-    let first =
-        json!({"id": 1, "state": [0.5, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], "tag": 0, "revision": 1});
-    assert_eq!((points.len(), &points[0]), (2, &first));
+    let expected =
+        json!({"id": 1, "state": [0.5, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], "tag": 0, "revision": first});
+    assert_eq!((points.len(), &points[0]), (2, &expected));
 
     let removed = server.json(&["remove", "arm", "1", "77"]).line();
-    assert_eq!(removed, json!({"removed": 1, "missing": 1, "revision": 2}));
-    assert_eq!(server.json(&["info", "arm"]).line()["points"], 2);
+    let second = server.revision("arm", 2);
+    assert_eq!(
+        removed,
+        json!({"removed_count": 1, "missing_count": 1, "revision": second})
+    );
+    assert_eq!(server.json(&["info", "arm"]).line()["point_count"], 2);
 }
 
 #[test]
@@ -169,7 +176,8 @@ fn insert_tells_the_neighbours_each_row_had() {
         json!({"id": null, "outcome": "TOO_CLOSE", "blocker": 1, "ids": [1, 0], "distances": [0.25, 10.25]}),
         json!({"id": 2, "outcome": "INSERTED", "ids": [0, 1], "distances": [1.0, 9.0]}),
         json!({
-            "inserted": 3, "unchanged": 0, "replaced": 0, "too_close": 1, "first_id": 0, "last_id": 2, "revision": 1,
+            "inserted_count": 3, "unchanged_count": 0, "replaced_count": 0, "too_close_count": 1, "first_id": 0,
+            "last_id": 2, "revision": server.revision("line", 1),
         }),
     ];
     assert_eq!(lines, expected);
@@ -195,7 +203,7 @@ fn insert_tells_the_neighbours_each_row_had() {
         lines[1],
         json!({"id": 1, "outcome": "UNCHANGED", "ids": [2], "distances": [9.0]})
     );
-    assert_eq!(lines[2]["unchanged"], 1);
+    assert_eq!(lines[2]["unchanged_count"], 1);
 
     let replaced = server
         .json_with(
@@ -203,7 +211,7 @@ fn insert_tells_the_neighbours_each_row_had() {
             "id,x\n1,20\n",
         )
         .line();
-    assert_eq!(replaced["replaced"], 1);
+    assert_eq!(replaced["replaced_count"], 1);
 }
 
 #[test]
@@ -242,7 +250,8 @@ fn a_scan_reads_back_as_the_same_points() {
     assert_eq!(printed.stdout.lines().next(), Some("id,x,y,theta0,theta1"));
     assert_eq!(printed.stdout.lines().count(), 4);
     let written = server.json(&["scan", "torus", file]).line();
-    assert_eq!(written, json!({"points": 3, "revision": 1}));
+    let first = server.revision("torus", 1);
+    assert_eq!(written, json!({"point_count": 3, "revision": first}));
     // JSON concerns what is printed, not the file.
     assert_eq!(std::fs::read_to_string(file).unwrap(), printed.stdout);
     std::fs::remove_file(file).unwrap();
@@ -260,10 +269,10 @@ fn a_scan_reads_back_as_the_same_points() {
         .json(&["insert", "torus", file, "--ids", "id"])
         .line();
     assert_eq!(
-        unchanged["unchanged"], 3,
+        unchanged["unchanged_count"], 3,
         "canonical states read back to the bit"
     );
-    assert_eq!(unchanged["revision"], 1);
+    assert_eq!(unchanged["revision"], first);
 
     let points = server.json(&["scan", "torus"]).lines();
     assert_eq!(points[0]["state"][2], json!(3.5 - std::f64::consts::TAU));
@@ -275,6 +284,30 @@ fn a_scan_reads_back_as_the_same_points() {
         .lines();
     let nearest: Vec<_> = own.iter().map(|line| line["ids"][0].clone()).collect();
     assert_eq!(nearest, [json!(0), json!(1), json!(2)]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_scan_follows_links_to_files_and_to_pipes() {
+    let server = Server::start();
+    let directory = tempfile::tempdir().unwrap();
+    server.run(&["create", "line", "--space", "R1"]);
+    server.run_with(&["insert", "line", "-"], "0.5\n");
+    let scan = "id,x\n0,0.5\n";
+    let link_to = |target: &std::path::Path| {
+        let link = directory.path().join("link");
+        std::os::unix::fs::symlink(target, &link).unwrap();
+        let run = server.run(&["scan", "line", link.to_str().unwrap()]);
+        assert_eq!((run.status, &*run.stderr), (Some(0), ""));
+        assert!(link.is_symlink());
+        std::fs::remove_file(link).unwrap();
+        run.stdout
+    };
+    let file = directory.path().join("file.csv");
+    std::fs::write(&file, "old").unwrap();
+    link_to(&file);
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), scan);
+    assert!(link_to("/dev/stdout".as_ref()).starts_with(scan));
 }
 
 #[test]
@@ -366,5 +399,5 @@ async fn a_closed_pipe_does_not_end_an_insert() {
         .unwrap();
     assert!(insert.wait().unwrap().success());
     let client = Client::connect(&server.uri).await.unwrap();
-    assert_eq!(client.index_info("line").await.unwrap().points, 5000);
+    assert_eq!(client.index_info("line").await.unwrap().point_count, 5000);
 }

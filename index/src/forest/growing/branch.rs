@@ -6,18 +6,19 @@ use arrayvec::ArrayVec;
 
 use super::leaf::{Label, Leaf};
 use crate::{
-    forest::{policy::LEAST_ROWS, tombstones::Tombstones},
-    kernel::CHILDREN,
+    boxes::{Boxes, extent},
+    forest::{policy::MIN_ROWS, tombstones::Tombstones},
+    kernel::MAX_CHILDREN,
 };
 
-/// A cell of the tree: all that lies on one side of each of the cuts above it.
+/// A subtree: the points in the region that the cuts above it leave.
 #[derive(Clone, Debug)]
 pub(super) enum Cell {
     Branch(Arc<Branch>),
     Leaf(Leaf),
 }
 
-/// A plane through a region, and what lies below it and, with the points on it, above.
+/// A plane through a region, with the side below it and the side above it, which includes the points on the plane.
 #[derive(Clone, Copy, Debug)]
 struct Cut {
     axis: u32,
@@ -25,45 +26,46 @@ struct Cut {
     sides: [Side; 2],
 }
 
-/// One side of a cut: it is cut again, or it is a child's region.
+/// One side of a cut: another cut, or the region of a child.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Side {
     Cut(u8),
     Child(u8),
 }
 
-/// A node of up to sixteen children: a small kd-tree of cuts leads a new point to one of them, and their boxes lie side by
-/// side for searches. What a snapshot shares is copied before it changes.
+/// A node of up to sixteen children. A small kd-tree of cuts routes a new point to one of them, and searches read their boxes.
+/// A node that a snapshot shares is copied before it changes.
 #[derive(Clone, Debug)]
 pub(super) struct Branch {
-    /// For each coordinate the lower ends of the children's boxes, then the upper ends.
-    pub(super) boxes: Box<[f64]>,
+    /// The boxes of one node, this one.
+    pub(super) boxes: Boxes,
     /// The newest revision of a state below each child.
-    pub(super) newest: [u64; CHILDREN],
-    pub(super) children: ArrayVec<Cell, CHILDREN>,
-    /// The first cuts the region of the node; there is one cut less than there are children.
-    cuts: ArrayVec<Cut, { CHILDREN - 1 }>,
+    pub(super) newest: [u64; MAX_CHILDREN],
+    pub(super) children: ArrayVec<Cell, MAX_CHILDREN>,
+    /// The first one cuts the region of the node. There is one cut less than there are children.
+    cuts: ArrayVec<Cut, { MAX_CHILDREN - 1 }>,
 }
 
-/// A new point on its way to its leaf.
-pub(super) struct Arrival<'a> {
+/// A new point, on its way to its leaf.
+pub(super) struct Insertion<'a> {
     pub(super) label: Label,
     pub(super) revision: u64,
     pub(super) row: &'a [f64],
-    /// What a unit of each coordinate is worth in the metric.
+    /// The length of a unit of each coordinate in the metric.
     pub(super) scales: &'a [f64],
-    /// Most points of a leaf that can be split.
+    /// The number of points above which a leaf is split, if it can be.
     pub(super) leaf_rows: usize,
-    /// What of the tree has died.
+    /// The tombstones of the tree.
     pub(super) tombstones: &'a Tombstones,
-    /// Is set if so many more coincide that the tree should grow no further ([`CROWDED`]).
-    pub(super) crowds: bool,
+    /// Set if a leaf that cannot be split is larger than the tree should hold.
+    pub(super) overflows: bool,
 }
 
-/// A leaf of points that coincide may be so many times as large as others, or have [`LEAST_ROWS`].
-const CROWDED: usize = 8;
+/// The size of a leaf of points that coincide, in full leaves, above which the tree grows no further; [`MIN_ROWS`] points if
+/// that is more.
+const MAX_COINCIDING_LEAVES: usize = 8;
 
-/// What became of a cell that was full: it keeps what lies below a plane, and this lies above.
+/// The split of a full cell: the cell keeps the points below a plane, and `above` has the others.
 pub(super) struct Split {
     axis: usize,
     at: f64,
@@ -71,8 +73,8 @@ pub(super) struct Split {
 }
 
 impl Cell {
-    /// Adds a point to the leaf that is there for it; splits what is full by that.
-    pub(super) fn insert(&mut self, point: &mut Arrival<'_>) -> Option<Split> {
+    /// Adds a point to the leaf whose region contains it, and splits the cell if it becomes too full.
+    pub(super) fn insert(&mut self, point: &mut Insertion<'_>) -> Option<Split> {
         match self {
             Cell::Branch(branch) => Arc::make_mut(branch).insert(point),
             Cell::Leaf(leaf) => {
@@ -80,14 +82,14 @@ impl Cell {
                 if leaf.rows() <= point.leaf_rows {
                     return None;
                 }
-                // Else points that move in one place would leave a long past there.
-                leaf.forget(point.tombstones);
+                // Without this, points that move in one place would leave many dead ones there.
+                leaf.drop_dead(point.tombstones);
                 if leaf.rows() <= point.leaf_rows {
                     return None;
                 }
-                let Some((axis, at)) = middle(leaf, point.scales) else {
-                    let most = point.leaf_rows.saturating_mul(CROWDED).max(LEAST_ROWS);
-                    point.crowds |= leaf.rows() > most;
+                let Some((axis, at)) = median_cut(leaf, point.scales) else {
+                    let max_rows = point.leaf_rows.saturating_mul(MAX_COINCIDING_LEAVES);
+                    point.overflows |= leaf.rows() > max_rows.max(MIN_ROWS);
                     return None;
                 };
                 let [below, above] = leaf.split(axis, at);
@@ -103,36 +105,26 @@ impl Cell {
             Cell::Leaf(leaf) => leaf.memory_bytes(),
             Cell::Branch(branch) => {
                 let below = branch.children.iter().map(Self::memory_bytes);
-                size_of::<Branch>() + size_of_val(&*branch.boxes) + below.sum::<usize>()
+                size_of::<Branch>() + branch.boxes.memory_bytes() + below.sum::<usize>()
             }
         }
     }
 
-    /// The ends of the box around its points in each coordinate.
-    fn bounds(&self, width: usize) -> impl Iterator<Item = (f64, f64)> {
-        (0..width).map(move |axis| match self {
-            Cell::Leaf(leaf) => extent(leaf.column(axis)),
+    /// The ends, in each coordinate, of the smallest box around its points.
+    fn bounds(&self, width: usize) -> Vec<(f64, f64)> {
+        match self {
+            Cell::Leaf(leaf) => (0..width).map(|axis| extent(leaf.column(axis))).collect(),
             Cell::Branch(branch) => {
-                let ends = &branch.boxes[axis * 2 * CHILDREN..][..2 * CHILDREN];
                 let count = branch.children.len();
-                let (lo, _) = extent(ends[..count].iter().copied());
-                let (_, hi) = extent(ends[CHILDREN..][..count].iter().copied());
-                (lo, hi)
+                branch.boxes.around_children(0, count).collect()
             }
-        })
+        }
     }
 }
 
-/// The least and the greatest of some numbers.
-fn extent(numbers: impl Iterator<Item = f64>) -> (f64, f64) {
-    numbers.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), x| {
-        (lo.min(x), hi.max(x))
-    })
-}
-
-/// The plane that parts the points of a leaf best: across the coordinate in which they spread most, as the metric weighs
-/// it, at the median or else the next number that leaves points on both sides. None if all points coincide.
-fn middle(leaf: &Leaf, scales: &[f64]) -> Option<(usize, f64)> {
+/// The cut of a leaf: across the coordinate in which its points spread most in the metric, at the median or else the next number
+/// that leaves points on both sides. None if all points coincide.
+fn median_cut(leaf: &Leaf, scales: &[f64]) -> Option<(usize, f64)> {
     let width = scales.len();
     let spread = |axis: usize| {
         let (lo, hi) = extent(leaf.column(axis));
@@ -150,14 +142,14 @@ fn middle(leaf: &Leaf, scales: &[f64]) -> Option<(usize, f64)> {
 impl Branch {
     fn empty(width: usize) -> Self {
         Self {
-            boxes: vec![0.0; 2 * CHILDREN * width].into(),
-            newest: [0; CHILDREN],
+            boxes: Boxes::new(width, 1),
+            newest: [0; MAX_CHILDREN],
             children: ArrayVec::new(),
             cuts: ArrayVec::new(),
         }
     }
 
-    /// A node of the two parts of what was the root.
+    /// A new root over the two parts of the old one.
     pub(super) fn over(below: Cell, split: Split, newest: u64, width: usize) -> Self {
         let mut branch = Self::empty(width);
         branch.newest[0] = newest;
@@ -166,7 +158,7 @@ impl Branch {
         branch
     }
 
-    /// The bits of the children that have states newer than a revision.
+    /// A bit for each child that has a state newer than a revision.
     pub(super) fn newer_than(&self, revision: u64) -> u32 {
         let count = self.children.len();
         let newer = |&(_, &newest): &(usize, &u64)| newest > revision;
@@ -174,10 +166,10 @@ impl Branch {
         children.fold(0, |bits, (child, _)| bits | 1 << child)
     }
 
-    fn insert(&mut self, point: &mut Arrival<'_>) -> Option<Split> {
+    fn insert(&mut self, point: &mut Insertion<'_>) -> Option<Split> {
         let child = self.route(point.row);
         let split = self.children[child].insert(point);
-        self.widen(child, point.row);
+        self.boxes.widen(0, child, point.row);
         self.newest[child] = self.newest[child].max(point.revision);
         let split = split?;
         let width = point.row.len();
@@ -185,11 +177,11 @@ impl Branch {
             self.add(child, split, width);
             return None;
         }
-        // Along the first plane, so that regions stay apart: to split by the children's boxes would let them overlap.
+        // Along the first cut, so that regions stay disjoint. A split by the children's boxes would let them overlap.
         let Cut { axis, at, sides } = self.cuts[0];
         let [mut below, mut above] = sides.map(|side| self.part(side, width));
         let axis = axis as usize;
-        // The child that was split is where the row leads, as before.
+        // The row still leads to the child that was split.
         let part = if point.row[axis] >= at {
             &mut above
         } else {
@@ -201,7 +193,7 @@ impl Branch {
         Some(Split { axis, at, above })
     }
 
-    /// The child whose region a row is in.
+    /// The child whose region contains a row.
     pub(super) fn route(&self, row: &[f64]) -> usize {
         let mut side = self.root();
         loop {
@@ -223,7 +215,7 @@ impl Branch {
         }
     }
 
-    /// Takes what a child has lost by a split as another child.
+    /// Adds the part that a child has lost by a split as another child.
     fn add(&mut self, child: usize, split: Split, width: usize) {
         let Split { axis, at, above } = split;
         let (held, added) = (Side::Child(child as u8), self.children.len());
@@ -237,43 +229,25 @@ impl Branch {
         self.cuts.push(Cut { axis, at, sides });
         self.children.push(above);
         self.newest[added] = self.newest[child];
-        self.bound(child, width);
-        self.bound(added, width);
-    }
-
-    /// Makes the box of a child tight.
-    fn bound(&mut self, child: usize, width: usize) {
-        for (axis, (lo, hi)) in self.children[child].bounds(width).enumerate() {
-            let ends = &mut self.boxes[axis * 2 * CHILDREN..][..2 * CHILDREN];
-            ends[child] = lo;
-            ends[CHILDREN + child] = hi;
+        for child in [child, added] {
+            let ends = self.children[child].bounds(width);
+            self.boxes.set(0, child, ends.into_iter());
         }
     }
 
-    /// Makes the box of a child hold a row.
-    fn widen(&mut self, child: usize, row: &[f64]) {
-        for (ends, &x) in self.boxes.chunks_exact_mut(2 * CHILDREN).zip(row) {
-            ends[child] = ends[child].min(x);
-            ends[CHILDREN + child] = ends[CHILDREN + child].max(x);
-        }
-    }
-
-    /// A node of what lies on one side of a cut.
+    /// A node of the children on one side of a cut.
     fn part(&self, side: Side, width: usize) -> Self {
         let mut part = Self::empty(width);
         part.take(self, side);
         part
     }
 
-    /// Takes what lies on one side of another node's cut; returns what side that is here.
+    /// Adds the children on one side of another node's cut; returns the side that they are here.
     fn take(&mut self, from: &Self, side: Side) -> Side {
         match side {
             Side::Child(child) => {
                 let (child, place) = (usize::from(child), self.children.len());
-                let ends = self.boxes.chunks_exact_mut(CHILDREN);
-                for (to, from) in ends.zip(from.boxes.chunks_exact(CHILDREN)) {
-                    to[place] = from[child];
-                }
+                self.boxes.set(0, place, from.boxes.child(0, child));
                 self.newest[place] = from.newest[child];
                 self.children.push(from.children[child].clone());
                 Side::Child(place as u8)

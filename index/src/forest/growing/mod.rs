@@ -1,122 +1,123 @@
-//! The smallest level: a kd-tree that grows by single points, as Robinson's K-D-B-tree does ("The K-D-B-Tree: A Search
-//! Structure for Large Multidimensional Dynamic Indexes", SIGMOD 1981).
+//! The level that grows by single points: a kd-tree that splits as Robinson's does ("The K-D-B-Tree: A Search Structure for
+//! Large Multidimensional Dynamic Indexes", SIGMOD 1981).
 //!
-//! A point goes to the leaf in whose region it lies, and the boxes on its way are made to hold it. A full leaf is split
-//! at a median; a full node along its own first cut, so that regions never overlap and no split reaches downwards. All
-//! leaves are equally deep. Points that come in an order of their own make such a tree higher than it should be, and
-//! points that coincide a leaf larger: then, or once it has as many points as it may, it is *full*, to be packed into a
-//! static tree (see [`KdTree`](crate::KdTree)) by a merge, and another one grows.
+//! A point goes to the leaf whose region contains it, and the boxes above are widened to contain it. A full leaf is split at
+//! a median, and a full node along its own first cut, so that regions never overlap and no split reaches downwards. All
+//! leaves are equally deep. Points in sorted order make such a tree higher than it should be, and points that coincide make a
+//! leaf larger. Then, or once it has its greatest number of points, the tree is *full*: a merge packs it into a static tree (see
+//! [`KdTree`](crate::KdTree)), and another one grows.
 //!
-//! Copies share all that has not changed since: a point that is added under a snapshot costs a copy of the nodes on its
-//! way, of its leaf, and of some dozens of rows.
+//! Copies share everything that has not changed since. A point that is added under a snapshot costs a copy of the nodes on its
+//! way, of its leaf, and of up to 64 rows of the log. A row is stored twice: in its leaf, and in the log, which finds it by its
+//! slot and is scanned in memory order.
 
-mod arrivals;
 mod branch;
+mod ids;
+mod insertion_log;
 mod leaf;
-mod slots;
 mod validate;
 
 use std::sync::Arc;
 
-use super::{level::InOrder, tombstones::Tombstones};
+use super::{level::PointsById, tombstones::Tombstones};
 use crate::{
     Point, PointRef, Points, Space,
-    kdtree::{Reach, scales},
-    kernel::Set,
-    search::{Ahead, MOST_HEIGHT, Table, Walk},
+    kdtree::ScanPolicy,
+    kernel::Isa,
+    traversal::{Frontier, Labels, MAX_HEIGHT, Traversal, Tree},
 };
-use arrivals::Arrivals;
-use branch::{Arrival, Branch, Cell};
+use branch::{Branch, Cell, Insertion};
+use ids::Ids;
+use insertion_log::InsertionLog;
 use leaf::{Label, Leaf, LeafBlock};
-use slots::Slots;
 
-/// A tree, the points in the order in which they came, the way from an id to its point, and the marks of what has died.
+/// A tree, its points in the order of insertion, the slots of their ids, and the tombstones of the dead ones.
 #[derive(Clone, Debug)]
 pub(super) struct Growing {
-    /// What a unit of each coordinate is worth in the metric.
+    /// The length of a unit of each coordinate in the metric.
     scales: Arc<[f64]>,
     leaf_rows: usize,
     root: Cell,
-    /// Nodes on the way from the root to a leaf.
+    /// The number of nodes between the root, included, and a leaf.
     height: usize,
-    /// Whether points that coincide have filled a leaf.
-    crowded: bool,
+    /// True if points that coincide have filled a leaf.
+    overflowed: bool,
     /// The newest revision of a state.
     newest: u64,
-    arrivals: Arrivals,
-    slots: Slots,
+    log: InsertionLog,
+    ids: Ids,
     tombstones: Arc<Tombstones>,
-    most_rows: usize,
-    reach: Arc<Reach>,
+    max_rows: usize,
+    scan_policy: Arc<ScanPolicy>,
 }
 
 impl Growing {
-    /// An empty tree for at most `most_rows` points.
-    pub(super) fn new(space: &Space, leaf_rows: usize, most_rows: usize) -> Self {
-        Self::empty(scales(space).into(), leaf_rows, most_rows)
+    /// An empty tree for at most `max_rows` points.
+    pub(super) fn new(space: &Space, leaf_rows: usize, max_rows: usize) -> Self {
+        Self::empty(space.scales().into(), leaf_rows, max_rows)
     }
 
-    /// Another one, as this was.
+    /// Another empty tree of the same sizes.
     pub(super) fn renewed(&self) -> Self {
-        Self::empty(Arc::clone(&self.scales), self.leaf_rows, self.most_rows)
+        Self::empty(Arc::clone(&self.scales), self.leaf_rows, self.max_rows)
     }
 
-    fn empty(scales: Arc<[f64]>, leaf_rows: usize, most_rows: usize) -> Self {
+    fn empty(scales: Arc<[f64]>, leaf_rows: usize, max_rows: usize) -> Self {
         let width = scales.len();
         Self {
             scales,
             leaf_rows,
             root: Cell::Leaf(Leaf::new(width)),
             height: 0,
-            crowded: false,
+            overflowed: false,
             newest: 0,
-            arrivals: Arrivals::new(width),
-            slots: Slots::default(),
+            log: InsertionLog::new(width),
+            ids: Ids::default(),
             tombstones: Arc::default(),
-            most_rows,
-            reach: Arc::default(),
+            max_rows,
+            scan_policy: Arc::default(),
         }
     }
 
-    /// How many points it stores, dead ones included.
+    /// The number of points stored, dead ones included.
     pub(super) fn rows(&self) -> usize {
-        self.arrivals.rows()
+        self.log.rows()
     }
 
-    /// How many of them are dead at the head.
+    /// The number of points dead at the head.
     pub(super) fn dead(&self) -> usize {
         self.tombstones.dead()
     }
 
-    /// Whether it should take no more points.
+    /// True if the tree should take no more points.
     pub(super) fn is_full(&self) -> bool {
         let rows = self.rows();
-        // With half of its leaves' places and six of sixteen children used, and some more.
-        let fair = 3 + (2 * rows / self.leaf_rows).max(1).ilog(6) as usize;
-        rows >= self.most_rows || self.crowded || self.height > fair.min(MOST_HEIGHT - 1)
+        // The height with half of the places in leaves and six of sixteen children used, and three more.
+        let expected = 3 + (2 * rows / self.leaf_rows).max(1).ilog(6) as usize;
+        rows >= self.max_rows || self.overflowed || self.height > expected.min(MAX_HEIGHT - 1)
     }
 
-    /// Adds a point whose id is not alive in it.
+    /// Adds a point whose id is not alive in the tree.
     pub(super) fn push(&mut self, point: PointRef<'_>) {
         let slot = self.rows();
-        self.arrivals.push(point);
-        self.slots.push(point.id, slot);
+        self.log.push(point);
+        self.ids.push(point.id, slot);
         let label = Label {
             id: point.id,
             slot: slot as u32,
         };
-        let mut arrival = Arrival {
+        let mut insertion = Insertion {
             label,
             revision: point.revision,
             row: point.row,
             scales: &self.scales,
             leaf_rows: self.leaf_rows,
             tombstones: &self.tombstones,
-            crowds: false,
+            overflows: false,
         };
         self.newest = self.newest.max(point.revision);
-        let split = self.root.insert(&mut arrival);
-        self.crowded |= arrival.crowds;
+        let split = self.root.insert(&mut insertion);
+        self.overflowed |= insertion.overflows;
         if let Some(split) = split {
             let width = self.scales.len();
             let below = std::mem::replace(&mut self.root, Cell::Leaf(Leaf::new(width)));
@@ -126,126 +127,156 @@ impl Growing {
         }
     }
 
+    /// A copy of the point in `slot`.
     pub(super) fn get(&self, slot: usize) -> Point {
-        self.arrivals.get(slot).to_point()
+        self.log.get(slot)
     }
 
     /// Appends a copy of the point in `slot` to `points`.
     pub(super) fn copy_to(&self, slot: usize, points: &mut Points) {
-        points.push_point(self.arrivals.get(slot));
+        self.log.copy_to(slot, points);
     }
 
-    pub(super) fn sees(&self, slot: usize, revision: u64) -> bool {
-        self.tombstones.sees(slot, revision)
+    pub(super) fn is_visible(&self, slot: usize, revision: u64) -> bool {
+        self.tombstones.is_visible(slot, revision)
     }
 
     /// The slot of the point with this id, if a reader at `revision` sees it.
     pub(super) fn find(&self, id: u64, revision: u64) -> Option<usize> {
-        let slot = self.slots.find(id, &self.arrivals)?;
-        self.sees(slot, revision).then_some(slot)
+        let slot = self.ids.find(id, &self.log)?;
+        self.is_visible(slot, revision).then_some(slot)
     }
 
-    /// What a reader at `revision` sees of the ids above `after`, in their order.
-    pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> InOrder<'_> {
-        let slots = self.slots.after(after, &self.arrivals);
-        let seen = slots.filter(move |&slot| self.sees(slot, revision));
-        Box::new(seen.map(|slot| self.get(slot)))
+    /// The points that a reader at `revision` sees above the id `after`.
+    pub(super) fn points_after(&self, after: Option<u64>, revision: u64) -> PointsById<'_> {
+        let slots = self.ids.after(after, &self.log);
+        let visible = slots.filter(move |&slot| self.is_visible(slot, revision));
+        Box::new(visible.map(|slot| self.get(slot)))
     }
 
     /// Removes the point in `slot` as of `revision`.
-    pub(super) fn bury(&self, slot: usize, revision: u64) {
-        self.tombstones.bury(slot, self.most_rows, revision);
+    pub(super) fn mark_dead(&self, slot: usize, revision: u64) {
+        self.tombstones.mark_dead(slot, self.max_rows, revision);
     }
 
-    /// Shows `walk` what a reader at `revision` sees.
+    /// Searches the points that a reader at `revision` sees.
     #[inline(always)]
-    pub(super) fn visit<'a, S: Set>(&'a self, walk: &mut Walk<'a>, revision: u64) {
+    pub(super) fn search<'a, I: Isa>(&'a self, traversal: &mut Traversal<'a>, revision: u64) {
+        let tree = self;
+        if self.rows() == 0 {
+            return;
+        }
         if self.tombstones.dead() == 0 {
-            // No mark at or before the reader's revision can be missed: those were published with it.
-            self.visit_visible::<S>(walk, |_| true);
+            // A tombstone at or before the reader's revision was published with it, and would be seen here.
+            let is_visible = |_: usize| true;
+            traversal.search::<I, _>(&mut GrowingSearch { tree, is_visible });
         } else {
-            self.visit_visible::<S>(walk, |slot| self.sees(slot, revision));
-        }
-    }
-
-    #[inline(always)]
-    fn visit_visible<'a, S: Set>(&'a self, walk: &mut Walk<'a>, visible: impl Fn(usize) -> bool) {
-        let since = walk.since_revision();
-        if self.rows() == 0 || (since > 0 && self.newest <= since) {
-            return;
-        }
-        let plain = walk.is_plain() && self.height > 1;
-        if plain && self.reach.is_far() {
-            self.arrivals.visit::<S>(walk, visible);
-            return;
-        }
-        let entered = walk.leaves_entered();
-        let (mut ahead, mut next) = (Ahead::new(), Some(&self.root));
-        while let Some(cell) = next {
-            match cell {
-                Cell::Branch(branch) => {
-                    let children = &branch.children;
-                    let lanes = if since > 0 {
-                        branch.newer_than(since)
-                    } else {
-                        !(!0 << children.len())
-                    };
-                    walk.open::<S, _>(&mut ahead, &branch.boxes, lanes, children);
-                }
-                Cell::Leaf(leaf) => {
-                    let blocks = walk.enters_leaf().then(|| leaf.blocks());
-                    for block in blocks.into_iter().flatten() {
-                        let table = Labelled {
-                            block,
-                            arrivals: &self.arrivals,
-                        };
-                        let seen = |lane| visible(table.slot(lane));
-                        let (columns, lanes) = (block.columns, block.lanes);
-                        walk.scan::<S>(columns, lanes, &table, |lane| lane, seen);
-                    }
-                }
-            }
-            let child = walk.next::<S, _>(&mut ahead);
-            next = child.map(|(children, child)| &children[child]);
-        }
-        if plain && walk.found_few() {
-            let reached = walk.leaves_entered() - entered;
-            // Leaves are two thirds full.
-            let leaves = 3 * self.rows() / self.leaf_rows.saturating_mul(2);
-            self.reach.report(2 * reached >= leaves);
+            let is_visible = |slot: usize| self.is_visible(slot, revision);
+            traversal.search::<I, _>(&mut GrowingSearch { tree, is_visible });
         }
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
         self.root.memory_bytes()
-            + self.arrivals.memory_bytes()
-            + self.slots.memory_bytes()
+            + self.log.memory_bytes()
+            + self.ids.memory_bytes()
             + self.tombstones.memory_bytes()
     }
 }
 
-/// The points of a leaf's block, by their lanes.
-struct Labelled<'a> {
-    block: LeafBlock<'a>,
-    arrivals: &'a Arrivals,
+/// One search of a growing tree, which finds the visible points.
+struct GrowingSearch<'a, V> {
+    tree: &'a Growing,
+    is_visible: V,
 }
 
-impl Labelled<'_> {
+impl<'a, V: Fn(usize) -> bool> Tree<'a> for GrowingSearch<'a, V> {
+    type Cell = &'a Cell;
+    type Node = &'a Branch;
+
+    fn newest(&self) -> u64 {
+        self.tree.newest
+    }
+
+    #[inline(always)]
+    fn root(&self) -> Option<&'a Cell> {
+        Some(&self.tree.root)
+    }
+
+    #[inline(always)]
+    fn child(&self, branch: &'a Branch, child: usize) -> &'a Cell {
+        &branch.children[child]
+    }
+
+    #[inline(always)]
+    fn visit<I: Isa>(
+        &mut self,
+        cell: &'a Cell,
+        traversal: &mut Traversal<'a>,
+        frontier: &mut Frontier<&'a Branch>,
+    ) {
+        match cell {
+            Cell::Branch(branch) => {
+                let since = traversal.since_revision();
+                let lanes = if since > 0 {
+                    branch.newer_than(since)
+                } else {
+                    !(!0 << branch.children.len())
+                };
+                let branch: &'a Branch = branch;
+                traversal.expand::<I, _>(frontier, branch.boxes.node(0), lanes, branch);
+            }
+            Cell::Leaf(leaf) => {
+                let blocks = traversal.enter_leaf().then(|| leaf.blocks());
+                for block in blocks.into_iter().flatten() {
+                    let log = &self.tree.log;
+                    let labels = LeafLabels { block, log };
+                    let is_visible = |lane| (self.is_visible)(labels.slot(lane));
+                    let (columns, lanes) = (block.columns, block.lanes);
+                    traversal.scan_block::<I>(columns, lanes, &labels, |lane| lane, is_visible);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn scan<I: Isa>(&mut self, traversal: &mut Traversal<'a>) {
+        self.tree.log.scan::<I>(traversal, &self.is_visible);
+    }
+
+    #[inline(always)]
+    fn scan_policy(&self) -> Option<&'a ScanPolicy> {
+        (self.tree.height > 1).then_some(&*self.tree.scan_policy)
+    }
+
+    fn scan_is_cheaper(&self, leaves: usize) -> bool {
+        // Leaves are two thirds full.
+        2 * leaves >= 3 * self.tree.rows() / self.tree.leaf_rows.saturating_mul(2)
+    }
+}
+
+/// The labels of the points in a block of a leaf, by lane.
+struct LeafLabels<'a> {
+    block: LeafBlock<'a>,
+    log: &'a InsertionLog,
+}
+
+impl LeafLabels<'_> {
     fn slot(&self, lane: usize) -> usize {
         self.block.label(lane).slot as usize
     }
 }
 
-impl Table for Labelled<'_> {
+impl Labels for LeafLabels<'_> {
     fn id(&self, lane: usize) -> u64 {
         self.block.label(lane).id
     }
 
     fn tag(&self, lane: usize) -> u64 {
-        self.arrivals.tag(self.slot(lane))
+        self.log.tag(self.slot(lane))
     }
 
     fn revision(&self, lane: usize) -> u64 {
-        self.arrivals.revision(self.slot(lane))
+        self.log.revision(self.slot(lane))
     }
 }

@@ -1,15 +1,15 @@
-//! The invariants of a growing tree, for the tests that call this after every step.
+//! The invariants of a growing tree.
 
 use super::{
     Growing,
     branch::{Branch, Cell},
     leaf::{Label, Leaf},
 };
-use crate::{TreeReport, forest::tombstones::HEAD, kernel::CHILDREN};
+use crate::{TreeReport, forest::tombstones::LATEST};
 
 impl Growing {
-    /// Checks that every living point lies in the one leaf that its row leads to, inside all boxes above it, that all
-    /// leaves are equally deep, and that ids and counts agree.
+    /// Checks that every living point is in the one leaf that its row leads to, within all boxes above it, that all leaves are
+    /// equally deep, and that ids and counts agree.
     ///
     /// # Errors
     /// The first invariant found broken.
@@ -17,18 +17,18 @@ impl Growing {
         let mut held = vec![false; self.rows()];
         let mut branches = Vec::new();
         self.check_cell(&self.root, &mut branches, &mut held)?;
-        let seen = |slot: usize| self.sees(slot, HEAD);
-        if let Some(slot) = (0..held.len()).find(|&slot| !held[slot] && seen(slot)) {
+        let is_visible = |slot: usize| self.is_visible(slot, LATEST);
+        if let Some(slot) = (0..held.len()).find(|&slot| !held[slot] && is_visible(slot)) {
             return Err(format!("slot {slot} is in no leaf"));
         }
-        let alive: Vec<usize> = (0..self.rows()).filter(|&slot| seen(slot)).collect();
+        let alive: Vec<usize> = (0..self.rows()).filter(|&slot| is_visible(slot)).collect();
         for &slot in &alive {
             let id = self.get(slot).id;
-            if self.find(id, HEAD) != Some(slot) {
+            if self.find(id, LATEST) != Some(slot) {
                 return Err(format!("id {id} leads to another point"));
             }
         }
-        let points = self.points_after(None, HEAD);
+        let points = self.points_after(None, LATEST);
         let ids: Vec<u64> = points.map(|point| point.id).collect();
         if !ids.is_sorted_by(|a, b| a < b) {
             return Err("ids are not in order".into());
@@ -39,11 +39,11 @@ impl Growing {
         }
         Ok(TreeReport {
             height: self.height,
-            scans: self.reach.scans(),
+            scans: self.scan_policy.scans(),
         })
     }
 
-    /// Checks what lies below `branches`, each with the child that leads here.
+    /// Checks a subtree; `branches` has the nodes above it, each with the child that leads here.
     fn check_cell<'a>(
         &'a self,
         cell: &'a Cell,
@@ -75,7 +75,6 @@ impl Growing {
         if leaf.rows() == 0 && self.rows() > 0 {
             return Err("a leaf is empty".into());
         }
-        let width = self.scales.len();
         for block in leaf.blocks() {
             for lane in 0..block.lanes {
                 let Label { id, slot } = block.label(lane);
@@ -90,14 +89,12 @@ impl Growing {
                     return Err(format!("point {} differs in its leaf", point.id));
                 }
                 let leads_here = |&(branch, child): &(&Branch, usize)| {
-                    let mut ends = branch.boxes.chunks_exact(2 * CHILDREN).zip(&point.row);
                     branch.route(&point.row) == child
                         && branch.newest[child] >= point.revision
-                        && branch.boxes.len() == 2 * CHILDREN * width
-                        && ends.all(|(ends, &x)| ends[child] <= x && x <= ends[CHILDREN + child])
+                        && branch.boxes.contains(0, child, &point.row)
                 };
                 if !branches.iter().all(leads_here) || self.newest < point.revision {
-                    return Err(format!("point {id} is outside of what should hold it"));
+                    return Err(format!("point {id} is not where its row leads"));
                 }
             }
         }

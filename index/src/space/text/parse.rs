@@ -30,7 +30,7 @@ struct Item {
     count: usize,
 }
 
-/// What has been read of a text.
+/// The tokens read so far.
 struct Parser<'a> {
     text: &'a str,
     /// The next byte.

@@ -1,5 +1,6 @@
 //! The parameters of a selector set fields of a request: `?k=10;r=0.5;eps=0;include=states,tags`.
 
+use prost::Message;
 use prost_reflect::{
     DynamicMessage, FieldDescriptor, Kind, MessageDescriptor, ReflectMessage, Value,
 };
@@ -46,7 +47,7 @@ pub(super) fn apply(
             return Err(ambiguous(&Path::of(&full), &rival));
         }
         let is_said = holder.has_field(&field) || named.contains(&full) || set.contains(&full);
-        if is_said && *holder.get_field(&field) != value {
+        if is_said && !is_same(&holder.get_field(&field), &value) {
             let text = format!("the parameter {name}={text} and the rest of the query disagree");
             return Err(invalid(full, "CONFLICT", text));
         }
@@ -54,6 +55,16 @@ pub(super) fn apply(
         set.push(full);
     }
     Ok(())
+}
+
+/// True if two values are equal. In a message, a field with its default value equals an unset one.
+fn is_same(one: &Value, other: &Value) -> bool {
+    match (one, other) {
+        (Value::Message(one), Value::Message(other)) => {
+            one.encode_to_vec() == other.encode_to_vec()
+        }
+        (one, other) => one == other,
+    }
 }
 
 /// The path, the submessage if any, and the field of the request that a parameter sets.

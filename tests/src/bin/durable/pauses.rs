@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use wayfold_proto::v1::KnnRequest;
+use wayfold_proto::v1::{KnnRequest, knn_request::Count};
 use wayfold_tests::{States, Stubs, figures::quantile_ms, measuring, row_states};
 
 use crate::{
@@ -139,7 +139,7 @@ async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<Ta
             let request = KnnRequest {
                 index: INDEX.into(),
                 states: Some(row_states(&row, WIDTH)),
-                k: K,
+                count: Some(Count::K(K)),
                 ..Default::default()
             };
             began = Instant::now();

@@ -2,13 +2,15 @@
 
 use std::{path::Path, sync::Arc};
 
-use wayfold_proto::v1::{CreateIndexRequest, InsertRequest, InsertResponse, NeighborQuery};
+use wayfold_proto::v1::{
+    CreateIndexRequest, InsertRequest, InsertResponse, create_index_request::SpaceForm,
+};
 use wayfold_server::{
     log::{Durability, FjallLog},
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
-use wayfold_tests::row_states;
+use wayfold_tests::{k_nearest, row_states};
 
 use crate::{INDEX, SPACE, WIDTH};
 
@@ -38,8 +40,7 @@ impl Hosting {
     pub(crate) async fn create(&self, name: &str) {
         let request = CreateIndexRequest {
             name: name.into(),
-            space_text: SPACE.into(),
-            ..Default::default()
+            space_form: Some(SpaceForm::SpaceText(SPACE.into())),
         };
         let created = self.0.create_index(&Call::default(), request).await;
         created.expect("an index");
@@ -56,10 +57,7 @@ pub(crate) fn insertion(states: &[f64], k: Option<u32>) -> InsertRequest {
     InsertRequest {
         index: INDEX.into(),
         states: Some(row_states(states, WIDTH)),
-        neighbors: k.map(|k| NeighborQuery {
-            k: Some(k),
-            ..Default::default()
-        }),
+        neighbors: k.map(k_nearest),
         ..Default::default()
     }
 }

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use tokio::{sync::mpsc, task::JoinSet, time::MissedTickBehavior};
-use wayfold::IndexHandle;
+use wayfold::{IndexHandle, Revision};
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{States, Stubs, row_states};
 
@@ -12,7 +12,7 @@ use crate::{WIDTH, phase::Setting};
 /// An insert that was acknowledged.
 pub(crate) struct Inserted {
     pub(crate) rows: Vec<f64>,
-    pub(crate) revision: u64,
+    pub(crate) revision: Revision,
     pub(crate) sent: Instant,
     pub(crate) acknowledged: Instant,
 }

@@ -24,7 +24,7 @@ use report::Report;
 
 const SPACE: &str = "R3*SO3:0.15";
 const WIDTH: usize = 7;
-const K: usize = 10;
+const K: u32 = 10;
 
 /// The server's own, so that what is measured is what runs; all contestants share it.
 #[global_allocator]

@@ -81,8 +81,8 @@ pub(crate) async fn replica(
     let search = {
         let replica = replica.clone();
         move |state: &[f64]| {
-            let found = replica.nearest_k(state, K).expect("an answer");
-            found.neighbors.len()
+            let found = replica.knn(state, K).expect("an answer");
+            found.len()
         }
     };
     let asking = Asking::start(round, search);
@@ -92,7 +92,7 @@ pub(crate) async fn replica(
         while let Some(insert) = inserted.recv().await {
             let replica = replica.clone();
             waits.spawn(async move {
-                let reached = replica.at_least(insert.revision).await;
+                let reached = replica.at_least(&insert.revision).await;
                 reached.expect("the revision");
                 (insert.acknowledged.elapsed(), insert.sent.elapsed())
             });
@@ -128,7 +128,7 @@ pub(crate) async fn forest(client: &Client, echo: &Stubs, setting: &Setting, rou
         move |state: &[f64]| {
             let answer = published
                 .load()
-                .search(state, &Search::nearest_k(K))
+                .search(state, &Search::nearest_k(K as usize))
                 .expect("canonical states");
             answer.neighbors.len()
         }
@@ -206,7 +206,7 @@ impl Asking {
                     if stopped.load(Ordering::Relaxed) {
                         break 'asking;
                     }
-                    assert_eq!(search(state), K);
+                    assert_eq!(search(state), K as usize);
                     asked += 1;
                 }
             }

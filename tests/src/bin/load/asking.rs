@@ -8,7 +8,7 @@ use std::{
 use tokio::{sync::mpsc, task::JoinSet};
 use tokio_stream::wrappers::ReceiverStream;
 use wayfold_proto::v1::{
-    KnnRequest, StreamKnnRequest, stream_knn_response::Result as StreamedAnswer,
+    KnnRequest, StreamKnnRequest, knn_request::Count, stream_knn_response::Result as StreamedAnswer,
 };
 use wayfold_tests::{
     ServerProcess, States, Stubs,
@@ -212,7 +212,7 @@ impl Asker {
         KnnRequest {
             index: INDEX.into(),
             states: Some(row_states(coordinates, WIDTH)),
-            k: K,
+            count: Some(Count::K(K)),
             ..Default::default()
         }
     }

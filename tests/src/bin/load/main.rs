@@ -80,7 +80,7 @@ async fn measure(arguments: &Arguments) -> Report {
         growth: (server_growth, echo_growth),
         asking: Vec::new(),
         written: Vec::new(),
-        points: described.points,
+        points: described.point_count,
         memory_bytes: described.memory_bytes,
         resident_bytes: resident_before.zip(resident_after),
     };

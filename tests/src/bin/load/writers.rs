@@ -7,13 +7,13 @@ use std::{
 };
 
 use tokio::task::JoinSet;
-use wayfold_proto::v1::{CreateIndexRequest, InsertRequest, NeighborQuery};
+use wayfold_proto::v1::{CreateIndexRequest, InsertRequest, create_index_request::SpaceForm};
 use wayfold_server::{
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
-use wayfold_tests::{States, row_states};
+use wayfold_tests::{States, k_nearest, row_states};
 
 use crate::{INDEX, K, SPACE, WIDTH};
 
@@ -45,8 +45,7 @@ pub(crate) async fn write(batch: usize, round: u64) -> Written {
     service.set_ready();
     let request = CreateIndexRequest {
         name: INDEX.into(),
-        space_text: SPACE.into(),
-        ..Default::default()
+        space_form: Some(SpaceForm::SpaceText(SPACE.into())),
     };
     let created = service.create_index(&Call::default(), request).await;
     created.expect("an index");
@@ -83,10 +82,7 @@ async fn insert(service: &Service, rows: &[f64], with_neighbors: bool) {
     let request = InsertRequest {
         index: INDEX.into(),
         states: Some(row_states(rows, WIDTH)),
-        neighbors: with_neighbors.then(|| NeighborQuery {
-            k: Some(K),
-            ..Default::default()
-        }),
+        neighbors: with_neighbors.then(|| k_nearest(K)),
         ..Default::default()
     };
     let inserted = service.insert(&Call::default(), request).await;

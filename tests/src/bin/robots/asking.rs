@@ -6,7 +6,7 @@ use prost::Message;
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use wayfold_index::Space;
-use wayfold_proto::v1::{KnnRequest, KnnResponse};
+use wayfold_proto::v1::{KnnRequest, KnnResponse, knn_request::Count};
 use wayfold_tests::{States, figures::processor_seconds, row_states};
 use zenoh::{Session, bytes::Encoding};
 
@@ -52,7 +52,7 @@ impl Asker {
             Form::Protobuf => KnnRequest {
                 index: INDEX.into(),
                 states: Some(row_states(row, WIDTH)),
-                k: K,
+                count: Some(Count::K(K)),
                 ..Default::default()
             }
             .encode_to_vec(),

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use prost::Message;
 use serde_json::json;
-use wayfold_proto::v1::{KnnResponse, Neighbors};
+use wayfold_proto::v1::{KnnResponse, Neighbors, Revision};
 use zenoh::{Config, Wait, bytes::Encoding};
 
 use crate::K;
@@ -23,7 +23,7 @@ pub(crate) fn main() -> ExitCode {
     let distances: Vec<f64> = (1..=K).map(|rank| (f64::from(rank) / 7.0).sqrt()).collect();
     let ids: Vec<u64> = (0..K).map(|rank| u64::from(rank) * 4_999).collect();
     let in_json = json!({
-        "ids": [ids], "distances": [distances], "exact": true, "revision": 50, "uid": UID
+        "ids": [ids], "distances": [distances], "revision": { "uid": UID, "number": 50 }
     });
     let in_json = in_json.to_string().into_bytes();
     let answer = KnnResponse {
@@ -33,9 +33,10 @@ pub(crate) fn main() -> ExitCode {
             distances,
             ..Default::default()
         }),
-        exact: true,
-        revision: 50,
-        uid: UID.into(),
+        revision: Some(Revision {
+            uid: UID.into(),
+            number: 50,
+        }),
     };
     let in_protobuf = answer.encode_to_vec();
     let _queryable = session

@@ -3,7 +3,7 @@
 use tonic::Code::{self, AlreadyExists, FailedPrecondition, InvalidArgument, NotFound};
 use wayfold_proto::v1::{
     Composition, CreateIndexRequest, DeleteIndexRequest, GetIndexRequest, ListIndexesRequest,
-    Product, RealVector, So2, Space, Term, space::Kind,
+    Product, RealVector, So2, Space, Term, create_index_request::SpaceForm, space::Kind,
 };
 
 use super::{Bench, INDEX};
@@ -28,13 +28,11 @@ async fn bad_indices_are_refused() {
     let mut stub = bench.stubs.indexes.clone();
     let named = |name: &str, text: &str| CreateIndexRequest {
         name: name.into(),
-        space_text: text.into(),
-        ..Default::default()
+        space_form: Some(SpaceForm::SpaceText(text.into())),
     };
     let of = |space: Space| CreateIndexRequest {
         name: "other".into(),
-        space: Some(space),
-        ..Default::default()
+        space_form: Some(SpaceForm::Space(space)),
     };
     let line = || Some(space(Kind::RealVector(RealVector { dimensions: 1 })));
     let deep = product(
@@ -50,7 +48,19 @@ async fn bad_indices_are_refused() {
             named(&"a".repeat(64), "R2"),
             (InvalidArgument, "name"),
         ),
-        ("no space", named("other", ""), (InvalidArgument, "space")),
+        (
+            "no space",
+            CreateIndexRequest {
+                name: "other".into(),
+                space_form: None,
+            },
+            (InvalidArgument, "space"),
+        ),
+        (
+            "an empty text",
+            named("other", ""),
+            (InvalidArgument, "space_text"),
+        ),
         (
             "not a space",
             named("other", "R3*"),
@@ -65,14 +75,6 @@ async fn bad_indices_are_refused() {
             "too wide",
             named("other", "R257"),
             (InvalidArgument, "space_text"),
-        ),
-        (
-            "two spaces",
-            CreateIndexRequest {
-                space_text: "R1".into(),
-                ..of(line().unwrap())
-            },
-            (InvalidArgument, "space"),
         ),
         (
             "an empty space",
@@ -148,23 +150,29 @@ async fn bad_indices_are_refused() {
         .unwrap()
         .into_inner();
     assert!(!again.created);
-    assert_eq!(again.index.unwrap().uid, bench.content.uid);
+    assert_eq!(
+        again.index.unwrap().revision.unwrap().uid,
+        bench.content.uid
+    );
 }
 
 #[tokio::test]
 async fn unknown_indices_and_pages_are_refused() {
     let bench = Bench::new().await;
     let mut stub = bench.stubs.indexes.clone();
-    let name = "nowhere".to_owned();
+    let index = "nowhere".to_owned();
     let unknown = (NotFound, "INDEX_NOT_FOUND", "");
-    let answer = stub.get_index(GetIndexRequest { name: name.clone() }).await;
+    let request = GetIndexRequest {
+        index: index.clone(),
+    };
+    let answer = stub.get_index(request).await;
     bench.refused("an unknown index", answer, unknown).await;
     let uid = String::new();
-    let answer = stub.delete_index(DeleteIndexRequest { name, uid }).await;
+    let answer = stub.delete_index(DeleteIndexRequest { index, uid }).await;
     bench.refused("an unknown index", answer, unknown).await;
 
     let request = DeleteIndexRequest {
-        name: INDEX.into(),
+        index: INDEX.into(),
         uid: "another".into(),
     };
     let answer = stub.delete_index(request).await;

@@ -4,10 +4,10 @@ use std::fs;
 
 use tonic::Code::ResourceExhausted;
 use wayfold_proto::v1::{
-    CreateIndexRequest, GetRequest, InsertRequest, KnnRequest, NeighborQuery, QueryRequest,
-    RemoveRequest,
+    CreateIndexRequest, GetRequest, InsertRequest, KnnRequest, QueryRequest, RemoveRequest,
+    create_index_request::SpaceForm, knn_request::Count, query_request::Reach,
 };
-use wayfold_tests::{Refusal, row_states, server};
+use wayfold_tests::{Refusal, k_nearest, row_states, server};
 
 use super::{Bench, INDEX, good_row};
 
@@ -56,7 +56,7 @@ async fn calls_beyond_a_limit_are_refused() {
     let knn = |count, k| KnnRequest {
         index: INDEX.into(),
         states: rows(count),
-        k,
+        count: Some(Count::K(k)),
         ..Default::default()
     };
 
@@ -78,10 +78,7 @@ async fn calls_beyond_a_limit_are_refused() {
     let refusal = bench.refused("a large k", answer, refused).await;
     names(&refusal, "k", 40);
     let near = InsertRequest {
-        neighbors: Some(NeighborQuery {
-            k: Some(41),
-            ..Default::default()
-        }),
+        neighbors: Some(k_nearest(41)),
         ..insert(1)
     };
     let answer = stub.insert(near).await;
@@ -116,7 +113,7 @@ async fn calls_beyond_a_limit_are_refused() {
     let query = QueryRequest {
         index: INDEX.into(),
         states: rows(200),
-        radius: Some(1.0),
+        reach: Some(Reach::Radius(1.0)),
         ..Default::default()
     };
     let answer = stub.query(query).await;
@@ -124,10 +121,7 @@ async fn calls_beyond_a_limit_are_refused() {
     names(&refusal, "answer_bytes", 4_000);
     // An insert whose answer would be too large has not inserted.
     let near = InsertRequest {
-        neighbors: Some(NeighborQuery {
-            k: Some(40),
-            ..Default::default()
-        }),
+        neighbors: Some(k_nearest(40)),
         ..insert(200)
     };
     let answer = stub.insert(near).await;
@@ -143,8 +137,7 @@ async fn a_server_holds_as_many_indices_as_it_may() {
     let mut stub = bench.stubs.indexes.clone();
     let create = |name: &str| CreateIndexRequest {
         name: name.into(),
-        space_text: "R2".into(),
-        ..Default::default()
+        space_form: Some(SpaceForm::SpaceText("R2".into())),
     };
     for name in ["b", "c"] {
         stub.create_index(create(name)).await.unwrap();
@@ -170,7 +163,7 @@ async fn stock_limits_let_an_answer_through_that_a_stock_client_takes() {
     let query = |count| QueryRequest {
         index: INDEX.into(),
         states: rows(count),
-        radius: Some(1.0),
+        reach: Some(Reach::Radius(1.0)),
         ..Default::default()
     };
     // Three neighbours of 16 bytes and a count: 80,000 states are answered in 3.9 MB, 90,000 would take 4.4 MB.

@@ -14,7 +14,8 @@ use tonic::{
     transport::Channel,
 };
 use wayfold_proto::v1::{
-    KnnRequest, StreamKnnRequest, StreamKnnResponse, stream_knn_response::Result as Answer,
+    KnnRequest, StreamKnnRequest, StreamKnnResponse, knn_request::Count,
+    stream_knn_response::Result as Answer,
 };
 use wayfold_tests::row_states;
 
@@ -120,7 +121,7 @@ async fn a_bad_message_does_not_end_a_stream() {
         let knn = KnnRequest {
             index: index.into(),
             states: Some(row_states(&row, row.len())),
-            k,
+            count: Some(Count::K(k)),
             ..Default::default()
         };
         StreamKnnRequest { knn: Some(knn) }.encode_to_vec()

@@ -1,8 +1,8 @@
 //! Bad fields of the calls that change points.
 
 use tonic::Code::{self, AlreadyExists, FailedPrecondition, InvalidArgument, NotFound};
-use wayfold_proto::v1::{InsertRequest, NeighborQuery, RemoveRequest, UpdateRequest};
-use wayfold_tests::row_states;
+use wayfold_proto::v1::{InsertRequest, NeighborSpec, RemoveRequest, UpdateRequest, neighbor_spec};
+use wayfold_tests::{k_nearest, number, revision, row_states};
 
 use super::{Bench, INDEX, good_row};
 
@@ -17,8 +17,8 @@ async fn bad_inserts_are_refused_whole() {
         ids: vec![10, 11],
         ..Default::default()
     };
-    let near = |query: NeighborQuery| InsertRequest {
-        neighbors: Some(query),
+    let near = |spec: NeighborSpec| InsertRequest {
+        neighbors: Some(spec),
         ..good()
     };
     let bad = |reason, field| (InvalidArgument, reason, field);
@@ -113,21 +113,18 @@ async fn bad_inserts_are_refused_whole() {
         ),
         (
             "neighbours by nothing",
-            near(NeighborQuery::default()),
+            near(NeighborSpec::default()),
             bad("REQUIRED", "neighbors"),
         ),
         (
             "no neighbour",
-            near(NeighborQuery {
-                k: Some(0),
-                ..Default::default()
-            }),
+            near(k_nearest(0)),
             bad("ZERO", "neighbors.k"),
         ),
         (
             "neighbours within less than nothing",
-            near(NeighborQuery {
-                radius: Some(-1.0),
+            near(NeighborSpec {
+                reach: Some(neighbor_spec::Reach::Radius(-1.0)),
                 ..Default::default()
             }),
             bad("NEGATIVE", "neighbors.radius"),
@@ -193,7 +190,7 @@ async fn bad_inserts_are_refused_whole() {
         ..good()
     };
     let answer = bench.stubs.clone().insert(again).await;
-    assert_eq!(answer.revision, bench.content.revision);
+    assert_eq!(number(&answer.revision), bench.content.revision);
 }
 
 #[tokio::test]
@@ -251,10 +248,10 @@ async fn bad_updates_and_removals_are_refused_whole() {
         (
             "a revision without its uid",
             UpdateRequest {
-                if_revision: Some(1),
+                if_revision: revision("", 1),
                 ..good()
             },
-            bad("REQUIRED", "uid"),
+            bad("REQUIRED", "if_revision.uid"),
         ),
         (
             "another uid",
@@ -267,8 +264,7 @@ async fn bad_updates_and_removals_are_refused_whole() {
         (
             "a revision before the points",
             UpdateRequest {
-                if_revision: Some(0),
-                uid: bench.content.uid.clone(),
+                if_revision: revision(&bench.content.uid, 0),
                 ..good()
             },
             (FailedPrecondition, "REVISION_CONFLICT", ""),

@@ -1,8 +1,11 @@
 //! Bad fields of the calls that read points.
 
 use tonic::Code::{self, FailedPrecondition, InvalidArgument, NotFound};
-use wayfold_proto::v1::{Filter, GetRequest, KnnRequest, QueryRequest, ReadAt, ScanRequest};
-use wayfold_tests::row_states;
+use wayfold_proto::v1::{
+    Filter, GetRequest, KnnRequest, QueryRequest, ScanRequest, knn_request, knn_request::Count,
+    query_request,
+};
+use wayfold_tests::{revision, row_states};
 
 use super::{Bench, INDEX, good_row};
 
@@ -15,7 +18,7 @@ async fn bad_reads_are_refused() {
     let good = || KnnRequest {
         index: INDEX.into(),
         states: Some(row_states(&good_row(), 7)),
-        k: 1,
+        count: Some(Count::K(1)),
         ..Default::default()
     };
     let filtered = |tag_mask, tag_value, since_revision| {
@@ -23,12 +26,6 @@ async fn bad_reads_are_refused() {
             tag_mask,
             tag_value,
             since_revision,
-        })
-    };
-    let at = |uid: &str, min_revision| {
-        Some(ReadAt {
-            uid: uid.into(),
-            min_revision,
         })
     };
     let bad = |reason, field| (InvalidArgument, reason, field);
@@ -41,11 +38,18 @@ async fn bad_reads_are_refused() {
             },
             (NotFound, "INDEX_NOT_FOUND", ""),
         ),
-        ("k = 0", KnnRequest { k: 0, ..good() }, bad("ZERO", "k")),
+        (
+            "k = 0",
+            KnnRequest {
+                count: Some(Count::K(0)),
+                ..good()
+            },
+            bad("ZERO", "k"),
+        ),
         (
             "a negative radius",
             KnnRequest {
-                radius: Some(-1.0),
+                reach: Some(knn_request::Reach::Radius(-1.0)),
                 ..good()
             },
             bad("NEGATIVE", "radius"),
@@ -53,7 +57,7 @@ async fn bad_reads_are_refused() {
         (
             "a radius that is not a number",
             KnnRequest {
-                radius: Some(f64::NAN),
+                reach: Some(knn_request::Reach::Radius(f64::NAN)),
                 ..good()
             },
             bad("NAN", "radius"),
@@ -77,7 +81,7 @@ async fn bad_reads_are_refused() {
         (
             "a tag outside its mask",
             KnnRequest {
-                filter: filtered(1, 2, 0),
+                filter: filtered(1, 2, None),
                 ..good()
             },
             bad("OUTSIDE_MASK", "filter.tag_value"),
@@ -85,23 +89,31 @@ async fn bad_reads_are_refused() {
         (
             "a revision to start from without its uid",
             KnnRequest {
-                filter: filtered(0, 0, 1),
+                filter: filtered(0, 0, revision("", 1)),
                 ..good()
             },
-            bad("REQUIRED", "at.uid"),
+            bad("REQUIRED", "filter.since_revision.uid"),
         ),
         (
             "a revision to wait for without its uid",
             KnnRequest {
-                at: at("", 1),
+                min_revision: revision("", 1),
                 ..good()
             },
-            bad("REQUIRED", "at.uid"),
+            bad("REQUIRED", "min_revision.uid"),
         ),
         (
             "another uid",
             KnnRequest {
-                at: at("another", 0),
+                min_revision: revision("another", 0),
+                ..good()
+            },
+            (FailedPrecondition, "UID_MISMATCH", ""),
+        ),
+        (
+            "a revision of another uid to start from",
+            KnnRequest {
+                filter: filtered(0, 0, revision("another", 1)),
                 ..good()
             },
             (FailedPrecondition, "UID_MISMATCH", ""),
@@ -115,7 +127,7 @@ async fn bad_reads_are_refused() {
     let query = |radius| QueryRequest {
         index: INDEX.into(),
         states: good().states,
-        radius: Some(radius),
+        reach: Some(query_request::Reach::Radius(radius)),
         ..Default::default()
     };
     let answer = stub.query(query(-1.0)).await;

@@ -1,7 +1,9 @@
 //! Bad states, whichever call carries them.
 
 use tonic::Code::{self, InvalidArgument};
-use wayfold_proto::v1::{InsertRequest, KnnRequest, QueryRequest, States};
+use wayfold_proto::v1::{
+    InsertRequest, KnnRequest, QueryRequest, States, knn_request::Count, query_request::Reach,
+};
 use wayfold_tests::row_states;
 
 use super::{Bench, INDEX, good_row};
@@ -81,7 +83,7 @@ async fn bad_states_are_refused_by_every_call_that_takes_states() {
         let knn = KnnRequest {
             index: INDEX.into(),
             states: states.clone(),
-            k: 1,
+            count: Some(Count::K(1)),
             ..Default::default()
         };
         let answer = stub.knn(knn).await;
@@ -89,7 +91,7 @@ async fn bad_states_are_refused_by_every_call_that_takes_states() {
         let query = QueryRequest {
             index: INDEX.into(),
             states,
-            radius: Some(1.0),
+            reach: Some(Reach::Radius(1.0)),
             ..Default::default()
         };
         let answer = stub.query(query).await;

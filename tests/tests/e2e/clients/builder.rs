@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use tokio::sync::watch;
 use wayfold_proto::v1::{
     CreateIndexRequest, DeleteIndexRequest, InsertRequest, ListIndexesRequest,
+    create_index_request::SpaceForm,
 };
 use wayfold_tests::{Stubs, row_states};
 
@@ -26,15 +27,14 @@ impl Builder {
             began.send_modify(|count| *count += 1);
             let done = if there {
                 let request = DeleteIndexRequest {
-                    name: name.clone(),
+                    index: name.clone(),
                     ..Default::default()
                 };
                 stubs.indexes.delete_index(request).await.is_ok()
             } else {
                 let request = CreateIndexRequest {
                     name: name.clone(),
-                    space_text: "R2".into(),
-                    ..Default::default()
+                    space_form: Some(SpaceForm::SpaceText("R2".into())),
                 };
                 let created = stubs.indexes.create_index(request).await.is_ok();
                 let row = InsertRequest {
@@ -57,7 +57,9 @@ impl Builder {
         let listed = stubs.indexes.list_indexes(request).await.unwrap();
         let listed = listed.into_inner().indexes;
         let listed = listed.into_iter().filter(|index| index.name != "arm");
-        let listed: BTreeMap<_, _> = listed.map(|index| (index.name, index.points)).collect();
+        let listed: BTreeMap<_, _> = listed
+            .map(|index| (index.name, index.point_count))
+            .collect();
         for (name, points) in &self.known {
             assert_eq!(listed.get(name), points.as_ref(), "{name}");
         }

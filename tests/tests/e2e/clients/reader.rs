@@ -3,8 +3,10 @@
 use rand::RngExt;
 use tokio::{net::unix::pipe, sync::watch};
 use tonic::{Code, Status};
-use wayfold_proto::v1::{Filter, GetRequest, GetResponse, KnnRequest, KnnResponse, ReadAt};
-use wayfold_tests::{Content, Model, States, Stubs, row_states};
+use wayfold_proto::v1::{
+    Filter, GetRequest, GetResponse, KnnRequest, KnnResponse, Revision, knn_request::Count,
+};
+use wayfold_tests::{Content, INCLUDE_ALL, Model, States, Stubs, number, revision, row_states};
 
 use super::{COORDINATES, SPACE};
 
@@ -24,8 +26,8 @@ impl Seen {
     /// The index and the revision that it is of.
     pub(crate) fn at(&self) -> (&str, u64) {
         match self {
-            Seen::Knn(_, response) => (&response.uid, response.revision),
-            Seen::Get(_, response) => (&response.uid, response.revision),
+            Seen::Knn(_, response) => at(&response.revision),
+            Seen::Get(_, response) => at(&response.revision),
             Seen::Scan(content) => (&content.uid, content.revision),
         }
     }
@@ -107,7 +109,7 @@ impl Reader {
             let request = GetRequest {
                 index: "arm".into(),
                 ids: vec![id],
-                payloads: true,
+                include: Some(INCLUDE_ALL),
                 ..Default::default()
             };
             let response = stubs.points.get(request.clone()).await?;
@@ -116,14 +118,10 @@ impl Reader {
         let request = KnnRequest {
             index: "arm".into(),
             states: Some(row_states(&self.states.rows(1), COORDINATES)),
-            k: 20,
+            count: Some(Count::K(20)),
             // All of the newest points, as it is these that might not be there any more.
             filter: Some(Filter {
-                since_revision: self.newest.saturating_sub(RECENT),
-                ..Default::default()
-            }),
-            at: Some(ReadAt {
-                uid: self.uid.clone(),
+                since_revision: revision(&self.uid, self.newest.saturating_sub(RECENT)),
                 ..Default::default()
             }),
             ..Default::default()
@@ -131,10 +129,15 @@ impl Reader {
         let answered = stubs.points.knn(request.clone()).await;
         self.searches_refused += usize::from(answered.is_err());
         let response = answered?.into_inner();
-        self.newest = response.revision;
+        self.newest = number(&response.revision);
         let neighbors = response.neighbors.as_ref();
         let ids = neighbors.into_iter().flat_map(|found| &found.ids);
         self.ids = ids.copied().take(1).collect();
         Ok(Seen::Knn(request, response))
     }
+}
+
+fn at(revision: &Option<Revision>) -> (&str, u64) {
+    let Revision { uid, number } = revision.as_ref().expect("a revision");
+    (uid, *number)
 }

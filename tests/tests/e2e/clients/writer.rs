@@ -5,8 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::watch;
 use tonic::Status;
-use wayfold_proto::v1::{InsertRequest, NeighborQuery, RemoveRequest};
-use wayfold_tests::{States, Stubs, ledger::Entry, row_states};
+use wayfold_proto::v1::{InsertRequest, RemoveRequest};
+use wayfold_tests::{States, Stubs, k_nearest, ledger::Entry, row_states};
 
 use super::{COORDINATES, SPACE};
 
@@ -95,10 +95,7 @@ impl Writer {
             states: Some(row_states(&self.states.rows(rows), COORDINATES)),
             tags: vec![self.name; rows],
             payloads,
-            neighbors: heavy.then(|| NeighborQuery {
-                k: Some(3),
-                ..Default::default()
-            }),
+            neighbors: heavy.then(|| k_nearest(3)),
             operation_id,
             ..Default::default()
         }))

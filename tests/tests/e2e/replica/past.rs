@@ -8,8 +8,8 @@ use std::{
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Client, Found, IndexHandle, Replica, RetryPolicy, Search};
-use wayfold_index::{Filter, Linear, PointRef, Space};
+use wayfold::{Client, Found, IndexHandle, Replica, RetryPolicy};
+use wayfold_index::{Filter, Linear, PointRef, Search, Space};
 use wayfold_tests::{States, bits};
 
 /// What one mutation did.
@@ -34,7 +34,7 @@ pub(super) type Past = BTreeMap<u64, Change>;
 /// A question, and what a replica answered.
 pub(super) struct Answered {
     pub(super) state: Vec<f64>,
-    pub(super) search: Search<'static>,
+    pub(super) question: Question,
     pub(super) found: Found,
 }
 
@@ -60,12 +60,12 @@ pub(super) async fn write(index: IndexHandle, name: u64, calls: u64) -> Past {
             0 | 1 if few > 0 => {
                 let ids = mine.split_off(mine.len() - few);
                 let removed = index.remove(ids.clone()).await.unwrap();
-                (removed.revision, Change::Removed { ids })
+                (removed.revision.number, Change::Removed { ids })
             }
             2 | 3 if few > 0 => {
                 let ids = mine[..few].to_vec();
                 let updated = index.update(ids.clone()).tags([tag]).await.unwrap();
-                (updated.revision, Change::Tagged { ids, tag })
+                (updated.revision.number, Change::Tagged { ids, tag })
             }
             kind => {
                 // Sometimes those that are stored already; sometimes more than a message of a feed holds.
@@ -86,7 +86,7 @@ pub(super) async fn write(index: IndexHandle, name: u64, calls: u64) -> Past {
                 let inserted = insert.replace().await.unwrap();
                 mine.retain(|id| !ids.contains(id));
                 mine.extend(&ids);
-                (inserted.revision, Change::Stored { ids, rows, tag })
+                (inserted.revision.number, Change::Stored { ids, rows, tag })
             }
         };
         assert!(past.insert(revision, change).is_none());
@@ -94,14 +94,52 @@ pub(super) async fn write(index: IndexHandle, name: u64, calls: u64) -> Past {
     past
 }
 
+/// A search, in words that brute force and a replica both have a form of.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Question {
+    /// Without it, all within the radius.
+    k: Option<u32>,
+    radius: f64,
+    filter: Filter,
+}
+
+impl Question {
+    /// For brute force.
+    pub(super) fn plain(&self) -> Search<'static> {
+        Search {
+            radius: self.radius,
+            filter: self.filter,
+            ..Search::nearest_k(self.k.map_or(usize::MAX, |k| k as usize))
+        }
+    }
+
+    /// For a replica of this index.
+    pub(super) fn of(&self, index: &IndexHandle) -> wayfold::Search {
+        let search = match self.k {
+            Some(k) => wayfold::Search::k(k).radius(self.radius),
+            None => wayfold::Search::within(self.radius),
+        };
+        let Filter {
+            tag_mask,
+            tag_value,
+            since_revision,
+        } = self.filter;
+        let filter = wayfold::Filter::default().tag(tag_mask, tag_value);
+        search.filter(match since_revision {
+            0 => filter,
+            since => filter.since(index.revision_at(since)),
+        })
+    }
+}
+
 /// Some search of the kinds that there are, by filters that have something to do.
-pub(super) fn question(random: &mut ChaCha8Rng, revision: u64) -> Search<'static> {
-    let mut search = match random.random_range(0..3) {
-        0 => Search::nearest_k(1),
-        1 => Search::nearest_k(random.random_range(2..20)),
-        _ => Search::nearest_r(random.random_range(0.0..1.5)),
+pub(super) fn question(random: &mut ChaCha8Rng, revision: u64) -> Question {
+    let (k, radius) = match random.random_range(0..3) {
+        0 => (Some(1), f64::INFINITY),
+        1 => (Some(random.random_range(2..20)), f64::INFINITY),
+        _ => (None, random.random_range(0.0..1.5)),
     };
-    search.filter = match random.random_range(0..3) {
+    let filter = match random.random_range(0..3) {
         0 => Filter::default(),
         1 => Filter {
             tag_mask: 3,
@@ -113,7 +151,7 @@ pub(super) fn question(random: &mut ChaCha8Rng, revision: u64) -> Search<'static
             ..Filter::default()
         },
     };
-    search
+    Question { k, radius, filter }
 }
 
 /// Asks on until it is told to stop; keeps at most one answer for each revision that it saw.
@@ -123,14 +161,16 @@ pub(super) fn ask(replica: &Replica, space: Space, seed: u64, stop: &AtomicBool)
     let mut answers: Vec<Answered> = Vec::new();
     while !stop.load(Ordering::Relaxed) {
         let state = states.row();
-        let search = question(&mut random, replica.revision());
+        let question = question(&mut random, replica.revision().number);
+        let search = question.of(&replica.index());
         let found = replica.search(&state[..], &search).unwrap();
-        let last = answers.last().map(|last| last.found.revision);
-        assert!(last <= Some(found.revision), "it went back from {last:?}");
-        if last != Some(found.revision) {
+        let now = found.revision.number;
+        let last = answers.last().map(|last| last.found.revision.number);
+        assert!(last <= Some(now), "it went back from {last:?}");
+        if last != Some(now) {
             answers.push(Answered {
                 state,
-                search,
+                question,
                 found,
             });
         }
@@ -154,14 +194,17 @@ pub(super) fn compare(replica: &Replica, points: &Linear) {
 
 /// Replays the past and compares each answer with brute force at its revision. Returns what is there in the end.
 pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> Linear {
-    answers.sort_by_key(|answered| answered.found.revision);
+    answers.sort_by_key(|answered| answered.found.revision.number);
     let mut answers = answers.into_iter().peekable();
     let mut points = Linear::new(space.clone());
     let mut compare = |revision: u64, points: &Linear| {
-        while let Some(answered) = answers.next_if(|next| next.found.revision == revision) {
+        while let Some(answered) = answers.next_if(|next| next.found.revision.number == revision) {
             let mut state = answered.state;
             space.canonicalize(&mut state).unwrap();
-            let expected = points.search(&state, &answered.search).unwrap().neighbors;
+            let expected = points
+                .search(&state, &answered.question.plain())
+                .unwrap()
+                .neighbors;
             let pairs = |found: &[wayfold_index::Neighbor]| {
                 let pairs = found.iter().map(|n| (n.id, n.distance.to_bits()));
                 pairs.collect::<Vec<_>>()
@@ -171,7 +214,7 @@ pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> L
                 pairs(found),
                 pairs(&expected),
                 "{:?} at {revision}",
-                answered.search
+                answered.question
             );
             assert!(answered.found.exact);
         }

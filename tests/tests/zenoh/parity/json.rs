@@ -1,7 +1,7 @@
 //! Requests as somebody writes them in JSON, and what the answers in JSON say: by hand, field for field.
 
 use serde_json::{Map, Value, json};
-use wayfold_proto::v1;
+use wayfold_proto::v1::{self, create_index_request::SpaceForm, neighbor_spec};
 
 use super::{script::Op, target::Answer};
 
@@ -49,28 +49,46 @@ fn states(states: &v1::States) -> Value {
 }
 
 fn filter(filter: &v1::Filter) -> Value {
-    json!({
+    let mut it = json!({
         "tag_mask": integer(&filter.tag_mask),
         "tag_value": integer(&filter.tag_value),
-        "since_revision": integer(&filter.since_revision),
-    })
+    });
+    if let Some(since) = &filter.since_revision {
+        it["since_revision"] = revision(since);
+    }
+    it
 }
 
 fn include(it: &v1::Include) -> Value {
     json!({ "states": it.states, "tags": it.tags, "revisions": it.revisions, "payloads": it.payloads })
 }
 
-fn scaling(it: &v1::Scaling) -> Value {
-    object([
-        ("k_factor", it.k_factor.map(float)),
-        ("radius_factor", it.radius_factor.map(float)),
-        ("radius_max", it.radius_max.map(float)),
-    ])
+fn revision(it: &v1::Revision) -> Value {
+    json!({ "uid": it.uid, "number": integer(&it.number) })
 }
 
-fn at(at: &v1::ReadAt) -> Value {
-    json!({ "uid": at.uid, "min_revision": integer(&at.min_revision) })
+/// The one of its forms that is set, by its name.
+fn count(it: neighbor_spec::Count) -> (&'static str, Option<Value>) {
+    match it {
+        neighbor_spec::Count::K(k) => ("k", Some(json!(k))),
+        neighbor_spec::Count::KFactor(factor) => ("k_factor", Some(float(factor))),
+    }
 }
+
+fn reach(it: neighbor_spec::Reach) -> (&'static str, Option<Value>) {
+    match it {
+        neighbor_spec::Reach::Radius(radius) => ("radius", Some(float(radius))),
+        neighbor_spec::Reach::ScaledRadius(it) => {
+            let scaled = object([
+                ("factor", Some(float(it.factor))),
+                ("max", it.max.map(float)),
+            ]);
+            ("scaled_radius", Some(scaled))
+        }
+    }
+}
+
+const UNSET: (&str, Option<Value>) = ("", None);
 
 /// The fields that are set.
 fn object<const N: usize>(fields: [(&str, Option<Value>); N]) -> Value {
@@ -84,15 +102,15 @@ pub(super) fn request(op: &Op) -> Value {
     match op {
         Op::Create(it) => object([
             ("name", Some(json!(it.name))),
-            (
-                "space_text",
-                (!it.space_text.is_empty()).then(|| json!(it.space_text)),
-            ),
-            ("space", it.space.as_ref().map(|_| json!({ "so3": {} }))),
+            match &it.space_form {
+                Some(SpaceForm::SpaceText(text)) => ("space_text", Some(json!(text))),
+                Some(SpaceForm::Space(_)) => ("space", Some(json!({ "so3": {} }))),
+                None => UNSET,
+            },
         ]),
         Op::Info(_) => json!({}),
         Op::List(it) => json!({ "page_size": it.page_size, "page_token": it.page_token }),
-        Op::Delete(it) => json!({ "name": it.name, "uid": it.uid }),
+        Op::Delete(it) => json!({ "index": it.index, "uid": it.uid }),
         Op::Insert(it) => object([
             ("states", it.states.as_ref().map(states)),
             ("ids", Some(integers(&it.ids))),
@@ -100,7 +118,7 @@ pub(super) fn request(op: &Op) -> Value {
             ("payloads", Some(payloads(&it.payloads))),
             (
                 "on_conflict",
-                Some(if it.on_conflict == 1 {
+                Some(if it.on_conflict == 2 {
                     json!("REPLACE")
                 } else {
                     json!(it.on_conflict)
@@ -111,11 +129,10 @@ pub(super) fn request(op: &Op) -> Value {
                 "neighbors",
                 it.neighbors.as_ref().map(|it| {
                     object([
-                        ("k", it.k.map(|k| json!(k))),
-                        ("radius", it.radius.map(float)),
+                        it.count.map_or(UNSET, count),
+                        it.reach.map_or(UNSET, reach),
                         ("filter", it.filter.as_ref().map(filter)),
                         ("include", it.include.as_ref().map(include)),
-                        ("scaling", it.scaling.as_ref().map(scaling)),
                     ])
                 }),
             ),
@@ -127,7 +144,7 @@ pub(super) fn request(op: &Op) -> Value {
             ("tags", Some(integers(&it.tags))),
             ("tag_mask", it.tag_mask.as_ref().map(integer)),
             ("payloads", Some(payloads(&it.payloads))),
-            ("if_revision", it.if_revision.as_ref().map(integer)),
+            ("if_revision", it.if_revision.as_ref().map(revision)),
             ("operation_id", Some(json!(it.operation_id))),
             ("uid", Some(json!(it.uid))),
         ]),
@@ -136,34 +153,29 @@ pub(super) fn request(op: &Op) -> Value {
         }),
         Op::Get(it) => object([
             ("ids", Some(integers(&it.ids))),
-            ("payloads", Some(json!(it.payloads))),
-            ("at", it.at.as_ref().map(at)),
+            ("include", it.include.as_ref().map(include)),
+            ("min_revision", it.min_revision.as_ref().map(revision)),
         ]),
         Op::Knn(it) => object([
             ("states", it.states.as_ref().map(states)),
-            ("k", Some(json!(it.k))),
-            ("radius", it.radius.map(float)),
+            it.count.map_or(UNSET, |it| count(it.into())),
+            it.reach.map_or(UNSET, |it| reach(it.into())),
             ("epsilon", Some(float(it.epsilon))),
-            ("max_leaves", Some(json!(it.max_leaves))),
             ("filter", it.filter.as_ref().map(filter)),
             ("include", it.include.as_ref().map(include)),
-            ("at", it.at.as_ref().map(at)),
-            ("scaling", it.scaling.as_ref().map(scaling)),
+            ("min_revision", it.min_revision.as_ref().map(revision)),
         ]),
         Op::Query(it) => object([
             ("states", it.states.as_ref().map(states)),
-            ("radius", it.radius.map(float)),
+            it.reach.map_or(UNSET, |it| reach(it.into())),
             ("epsilon", Some(float(it.epsilon))),
-            ("max_leaves", Some(json!(it.max_leaves))),
             ("filter", it.filter.as_ref().map(filter)),
             ("include", it.include.as_ref().map(include)),
-            ("at", it.at.as_ref().map(at)),
-            ("scaling", it.scaling.as_ref().map(scaling)),
+            ("min_revision", it.min_revision.as_ref().map(revision)),
         ]),
         Op::Log(it) => object([
-            ("uid", Some(json!(it.uid))),
-            ("after_revision", it.after_revision.as_ref().map(integer)),
-            ("payloads", Some(json!(it.payloads))),
+            ("after_revision", it.after_revision.as_ref().map(revision)),
+            ("include", it.include.as_ref().map(include)),
         ]),
     }
 }
@@ -239,6 +251,13 @@ fn read_points(it: &Value) -> v1::Points {
     }
 }
 
+fn read_revision(it: &Value) -> Option<v1::Revision> {
+    Some(v1::Revision {
+        uid: text(&it["uid"]),
+        number: read_integer(&it["number"]),
+    })
+}
+
 fn read_index(it: &Value) -> v1::Index {
     // The message of a space is told apart from its text in another test.
     let space: wayfold_index::Space = text(&it["space_text"]).parse().unwrap();
@@ -247,10 +266,9 @@ fn read_index(it: &Value) -> v1::Index {
         name: text(&it["name"]),
         space: Some(wayfold_proto::space::to_message(&space)),
         space_text: text(&it["space_text"]),
-        uid: text(&it["uid"]),
-        revision: read_integer(&it["revision"]),
-        points: read_integer(&it["points"]),
-        coordinates: read_integer(&it["coordinates"]) as u32,
+        revision: read_revision(&it["revision"]),
+        point_count: read_integer(&it["point_count"]),
+        coordinate_count: read_integer(&it["coordinate_count"]) as u32,
         dimension: read_integer(&it["dimension"]) as u32,
         memory_bytes: 0,
     }
@@ -258,8 +276,7 @@ fn read_index(it: &Value) -> v1::Index {
 
 /// What an answer says.
 pub(super) fn answer(op: &Op, it: &Value) -> Answer {
-    let revision = || read_integer(&it["revision"]);
-    let uid = || text(&it["uid"]);
+    let revision = || read_revision(&it["revision"]);
     match op {
         Op::Create(_) => Answer::Create(v1::CreateIndexResponse {
             index: Some(read_index(&it["index"])),
@@ -273,7 +290,9 @@ pub(super) fn answer(op: &Op, it: &Value) -> Answer {
             next_page_token: text(&it["next_page_token"]),
             damaged: Vec::new(),
         }),
-        Op::Delete(_) => Answer::Delete(v1::DeleteIndexResponse { uid: uid() }),
+        Op::Delete(_) => Answer::Delete(v1::DeleteIndexResponse {
+            uid: text(&it["uid"]),
+        }),
         Op::Insert(_) => Answer::Insert(v1::InsertResponse {
             outcomes: list(&it["outcomes"], |it| {
                 let name = format!("OUTCOME_{}", it.as_str().unwrap());
@@ -282,49 +301,40 @@ pub(super) fn answer(op: &Op, it: &Value) -> Answer {
             ids: list(&it["ids"], read_integer),
             neighbors: it.get("neighbors").map(read_neighbors),
             revision: revision(),
-            uid: uid(),
         }),
         Op::Update(_) => Answer::Update(v1::UpdateResponse {
-            updated: read_integer(&it["updated"]),
-            unchanged: read_integer(&it["unchanged"]),
+            updated_count: read_integer(&it["updated_count"]),
+            unchanged_count: read_integer(&it["unchanged_count"]),
             revision: revision(),
-            uid: uid(),
         }),
         Op::Remove(_) => Answer::Remove(v1::RemoveResponse {
-            removed: read_integer(&it["removed"]),
-            missing: read_integer(&it["missing"]),
+            removed_count: read_integer(&it["removed_count"]),
+            missing_count: read_integer(&it["missing_count"]),
             revision: revision(),
-            uid: uid(),
         }),
         Op::Get(_) => Answer::Get(v1::GetResponse {
             points: Some(read_points(&it["points"])),
             revision: revision(),
-            uid: uid(),
         }),
         Op::Knn(_) => Answer::Knn(v1::KnnResponse {
             neighbors: Some(read_neighbors(it)),
-            exact: it["exact"].as_bool().unwrap(),
             revision: revision(),
-            uid: uid(),
         }),
         Op::Query(_) => Answer::Query(v1::QueryResponse {
             neighbors: Some(read_neighbors(it)),
-            exact: it["exact"].as_bool().unwrap(),
             revision: revision(),
-            uid: uid(),
         }),
         Op::Log(_) => Answer::Log(v1::WatchResponse {
-            uid: uid(),
             revision: revision(),
             mutations: list(&it["mutations"], |it| v1::Mutation {
-                revision: read_integer(&it["revision"]),
+                revision: read_revision(&it["revision"]),
                 time_ms: read_integer(&it["time_ms"]),
                 stored: it.get("stored").map(read_points),
                 removed_ids: list(&it["removed_ids"], read_integer),
                 continued: it["continued"].as_bool().unwrap(),
                 piece: u32::try_from(read_integer(&it["piece"])).unwrap(),
             }),
-            reset: it.get("reset").map_or(0, |it| {
+            reset: it.get("reset").map(|it| {
                 let name = format!("RESET_REASON_{}", it.as_str().unwrap());
                 v1::ResetReason::from_str_name(&name).unwrap().into()
             }),

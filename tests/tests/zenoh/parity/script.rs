@@ -6,7 +6,9 @@ use std::collections::VecDeque;
 use prost::Message;
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use wayfold_proto::v1;
+use wayfold_proto::v1::{
+    self, create_index_request::SpaceForm, knn_request, neighbor_spec, query_request,
+};
 
 use super::{
     outcome::{Outcome, UID},
@@ -34,7 +36,7 @@ impl Op {
     pub(crate) fn key(&self) -> String {
         match self {
             Op::Create(_) => "create".into(),
-            Op::Info(it) => format!("{}/info", it.name),
+            Op::Info(it) => format!("{}/info", it.index),
             Op::List(_) => "list".into(),
             Op::Delete(_) => "delete".into(),
             Op::Insert(it) => format!("{}/insert", it.index),
@@ -68,15 +70,34 @@ impl Op {
         match self {
             Op::Create(_) | Op::Info(_) | Op::List(_) => Vec::new(),
             Op::Delete(it) => vec![&mut it.uid],
-            Op::Insert(it) => vec![&mut it.uid],
-            Op::Update(it) => vec![&mut it.uid],
+            Op::Insert(it) => {
+                let spec = it.neighbors.as_mut();
+                let since = spec.and_then(|spec| since(&mut spec.filter));
+                since.into_iter().chain([&mut it.uid]).collect()
+            }
+            Op::Update(it) => {
+                let revision = it.if_revision.iter_mut().map(|it| &mut it.uid);
+                revision.chain([&mut it.uid]).collect()
+            }
             Op::Remove(it) => vec![&mut it.uid],
-            Op::Get(it) => it.at.iter_mut().map(|at| &mut at.uid).collect(),
-            Op::Knn(it) => it.at.iter_mut().map(|at| &mut at.uid).collect(),
-            Op::Query(it) => it.at.iter_mut().map(|at| &mut at.uid).collect(),
-            Op::Log(it) => vec![&mut it.uid],
+            Op::Get(it) => it.min_revision.iter_mut().map(|it| &mut it.uid).collect(),
+            Op::Knn(it) => {
+                let min = it.min_revision.iter_mut().map(|it| &mut it.uid);
+                min.chain(since(&mut it.filter)).collect()
+            }
+            Op::Query(it) => {
+                let min = it.min_revision.iter_mut().map(|it| &mut it.uid);
+                min.chain(since(&mut it.filter)).collect()
+            }
+            Op::Log(it) => it.after_revision.iter_mut().map(|it| &mut it.uid).collect(),
         }
     }
+}
+
+/// The uid of the revision that a filter names.
+fn since(filter: &mut Option<v1::Filter>) -> Option<&mut String> {
+    let revision = filter.as_mut()?.since_revision.as_mut()?;
+    Some(&mut revision.uid)
 }
 
 /// The operations, one by one: what is asked depends on the revision that was reached.
@@ -135,41 +156,38 @@ impl Script {
             }),
             55..65 => Op::Get(v1::GetRequest {
                 ids: self.ids(2),
-                payloads: self.chance(0.5),
-                at: self.at(),
+                include: self.include(),
+                min_revision: self.min_revision(),
                 index: self.index(),
             }),
             // Nothing that costs exactness: what else is found depends on how the trees were merged.
             65..80 => Op::Knn(v1::KnnRequest {
                 states: self.states(3),
-                k: self.pick(&[1, 2, 3, 4, 5, 9, 40, 50, 0, 20_000]),
-                radius: self.radius(),
+                count: self.k().map(knn_request::Count::K),
+                reach: self.radius().map(knn_request::Reach::Radius),
                 epsilon: self.pick(&[0.0, 0.0, 0.0, 1e-300, 1e-300, 0.0, 0.0, -1.0]),
-                max_leaves: self.pick(&[0, 0, 1_000_000]),
                 filter: self.filter(),
                 include: self.include(),
-                at: self.at(),
+                min_revision: self.min_revision(),
                 index: self.index(),
-                scaling: None,
             }),
             80..90 => Op::Query(v1::QueryRequest {
                 states: self.states(3),
-                radius: self.radius(),
+                reach: self.radius().map(query_request::Reach::Radius),
                 epsilon: self.pick(&[0.0, 0.0, 0.0, 0.0, 0.0, 1e-300, f64::INFINITY]),
-                max_leaves: 0,
                 filter: self.filter(),
                 include: self.include(),
-                at: self.at(),
+                min_revision: self.min_revision(),
                 index: self.index(),
-                scaling: None,
             }),
             90..95 => Op::Log(v1::WatchRequest {
-                uid: self.uid(),
                 after_revision: self.revision_or_none(),
-                payloads: self.chance(0.5),
+                include: self.include(),
                 index: self.index(),
             }),
-            95..98 => Op::Info(v1::GetIndexRequest { name: self.index() }),
+            95..98 => Op::Info(v1::GetIndexRequest {
+                index: self.index(),
+            }),
             _ => Op::List(v1::ListIndexesRequest {
                 page_size: self.pick(&[0, 1]),
                 page_token: String::new(),
@@ -192,19 +210,21 @@ impl Script {
         };
         let (ids, tags) = (column(25), column(u64::MAX));
         let payloads = (0..column(2).len()).map(|_| self.payload()).collect();
-        let neighbors = self.chance(0.4).then(|| v1::NeighborQuery {
-            k: self.pick(&[None, Some(1), Some(4), Some(4), Some(9), Some(0)]),
-            radius: self.radius(),
-            filter: self.filter(),
-            include: self.include(),
-            scaling: None,
+        let neighbors = self.chance(0.4).then(|| {
+            let k = self.pick(&[None, Some(1), Some(4), Some(4), Some(9), Some(0)]);
+            v1::NeighborSpec {
+                count: k.map(neighbor_spec::Count::K),
+                reach: self.radius().map(neighbor_spec::Reach::Radius),
+                filter: self.filter(),
+                include: self.include(),
+            }
         });
         v1::InsertRequest {
             states,
             ids,
             tags,
             payloads,
-            on_conflict: self.pick(&[0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 7]),
+            on_conflict: self.pick(&[0, 1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 7]),
             min_separation: self.pick(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.3, f64::NAN]),
             neighbors,
             operation_id: self.operation_id(),
@@ -281,6 +301,11 @@ impl Script {
             .into()
     }
 
+    fn k(&mut self) -> Option<u32> {
+        let k = self.pick(&[1, 2, 3, 4, 5, 9, 40, 50, 0, 20_000]);
+        self.chance(0.95).then_some(k)
+    }
+
     fn radius(&mut self) -> Option<f64> {
         self.pick(&[None, Some(0.0), Some(0.4), Some(2.0), Some(f64::INFINITY)])
     }
@@ -305,11 +330,10 @@ impl Script {
                 (1, 2),
                 (1 << 63, 1 << 63),
             ]);
-            let since_revision = if self.chance(0.3) {
-                self.revision / 2
-            } else {
-                0
-            };
+            let since_revision = self.chance(0.3).then(|| v1::Revision {
+                uid: self.uid(),
+                number: self.revision / 2,
+            });
             v1::Filter {
                 tag_mask,
                 tag_value,
@@ -319,15 +343,18 @@ impl Script {
     }
 
     /// A revision that there is, or one that is about to come, which no read waits for.
-    fn revision_or_none(&mut self) -> Option<u64> {
+    fn revision_or_none(&mut self) -> Option<v1::Revision> {
         let most = self.revision + 3;
-        self.chance(0.8).then(|| self.random.random_range(0..=most))
+        self.chance(0.8).then(|| v1::Revision {
+            uid: self.uid(),
+            number: self.random.random_range(0..=most),
+        })
     }
 
-    fn at(&mut self) -> Option<v1::ReadAt> {
-        self.chance(0.6).then(|| v1::ReadAt {
+    fn min_revision(&mut self) -> Option<v1::Revision> {
+        self.chance(0.6).then(|| v1::Revision {
             uid: self.uid(),
-            min_revision: self.pick(&[0, self.revision, self.revision / 2]),
+            number: self.pick(&[0, self.revision, self.revision / 2]),
         })
     }
 
@@ -358,18 +385,21 @@ fn by_hand() -> Vec<Op> {
     let create = |name: &str, space: &str| {
         Op::Create(v1::CreateIndexRequest {
             name: name.into(),
-            space_text: space.into(),
-            space: None,
+            space_form: Some(SpaceForm::SpaceText(space.into())),
         })
     };
-    let so3 = |name: &str, text: &str| {
+    let so3 = |name: &str| {
         let so3 = v1::space::Kind::So3(v1::So3 {});
+        let so3 = v1::Space { kind: Some(so3) };
         Op::Create(v1::CreateIndexRequest {
             name: name.into(),
-            space: Some(v1::Space { kind: Some(so3) }),
-            space_text: text.into(),
+            space_form: Some(SpaceForm::Space(so3)),
         })
     };
+    let spaceless = Op::Create(v1::CreateIndexRequest {
+        name: "hand".into(),
+        space_form: None,
+    });
     let list = |page_size, page_token: &str| {
         Op::List(v1::ListIndexesRequest {
             page_size,
@@ -378,11 +408,11 @@ fn by_hand() -> Vec<Op> {
     };
     let delete = |name: &str, uid: &str| {
         Op::Delete(v1::DeleteIndexRequest {
-            name: name.into(),
+            index: name.into(),
             uid: uid.into(),
         })
     };
-    let info = |name: &str| Op::Info(v1::GetIndexRequest { name: name.into() });
+    let info = |name: &str| Op::Info(v1::GetIndexRequest { index: name.into() });
     let insert = |ids: &[u64], operation_id: &str, payload: usize| {
         Op::Insert(v1::InsertRequest {
             index: "arm".into(),
@@ -406,8 +436,8 @@ fn by_hand() -> Vec<Op> {
         create("hand", "R0"),
         create("hand", ""),
         create("hand", "nonsense"),
-        so3("hand", "SO3"),
-        so3("hand", ""),
+        spaceless,
+        so3("hand"),
         create("foot", "sum(R2, SO2[1]:0.5)"),
         list(1, ""),
         list(2, "61726d"),

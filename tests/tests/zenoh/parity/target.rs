@@ -9,7 +9,7 @@ use wayfold_server::{
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
-use wayfold_tests::{ServerProcess, Stubs};
+use wayfold_tests::{ServerProcess, Stubs, number};
 use zenoh::bytes::Encoding;
 
 use super::{
@@ -101,8 +101,8 @@ impl Target {
                     Answer::Create(v1::CreateIndexResponse {
                         index: Some(index), ..
                     }) => match &*index.name {
-                        "arm" => self.uid.clone_from(&index.uid),
-                        _ => index.uid.clear(),
+                        "arm" => self.uid.clone_from(uid(index)),
+                        _ => uid(index).clear(),
                     },
                     Answer::Delete(deleted) if deleted.uid != self.uid => deleted.uid.clear(),
                     _ => {}
@@ -144,33 +144,38 @@ impl Answer {
             }
             Answer::Info(mut it) => {
                 it.index = it.index.map(plain);
-                let revision = it.index.as_ref().unwrap().revision;
-                Outcome::told(&it, revision)
+                let revision = it.index.as_ref().unwrap().revision.clone();
+                Outcome::told(&it, number(&revision))
             }
             Answer::List(mut it) => {
                 it.indexes = it.indexes.into_iter().map(plain).collect();
                 for index in &mut it.indexes {
                     if index.name != "arm" {
-                        index.uid.clear();
+                        uid(index).clear();
                     }
                 }
                 Outcome::told(&it, 0)
             }
             Answer::Delete(it) => Outcome::told(&it, 0),
-            Answer::Insert(it) => Outcome::told(&it, it.revision),
-            Answer::Update(it) => Outcome::told(&it, it.revision),
-            Answer::Remove(it) => Outcome::told(&it, it.revision),
-            Answer::Get(it) => Outcome::told(&it, it.revision),
-            Answer::Knn(it) => Outcome::told(&it, it.revision),
-            Answer::Query(it) => Outcome::told(&it, it.revision),
+            Answer::Insert(it) => Outcome::told(&it, number(&it.revision)),
+            Answer::Update(it) => Outcome::told(&it, number(&it.revision)),
+            Answer::Remove(it) => Outcome::told(&it, number(&it.revision)),
+            Answer::Get(it) => Outcome::told(&it, number(&it.revision)),
+            Answer::Knn(it) => Outcome::told(&it, number(&it.revision)),
+            Answer::Query(it) => Outcome::told(&it, number(&it.revision)),
             Answer::Log(mut it) => {
                 for mutation in &mut it.mutations {
                     mutation.time_ms = 0;
                 }
-                Outcome::told(&it, it.revision)
+                Outcome::told(&it, number(&it.revision))
             }
         }
     }
+}
+
+/// The uid of an index that an answer describes.
+fn uid(index: &mut v1::Index) -> &mut String {
+    &mut index.revision.as_mut().unwrap().uid
 }
 
 async fn by_service(service: &Service, op: Op) -> Result<Answer, Outcome> {

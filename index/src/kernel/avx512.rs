@@ -1,80 +1,86 @@
-//! The operations of `lanes` in registers of 64 bytes, said by name. Left to itself, the compiler cuts lanes into
-//! unequal parts or, where all of the program is compiled for such processors (`-C target-cpu=native`), into registers of
-//! four: a search took up to 1.3 times as long.
+//! Registers of 64 bytes, with every operation of `lanes` named. Left to itself, the compiler cuts lanes into unequal parts
+//! or, where the whole program is compiled for such processors (`-C target-cpu=native`), into registers of four: a search took
+//! up to 1.3 times as long.
 #![expect(
     unsafe_code,
-    reason = "the instructions are there, since only what is compiled for them names this set, and registers are read \
-              and written"
+    reason = "the instructions are there, since only a task compiled for them names this set, and registers are loaded and \
+              stored"
 )]
 
 use std::arch::x86_64::*;
 
 use super::{
-    compiled::{Set, Task},
+    isa::{Isa, Task},
     lanes::Operations,
 };
 
-/// The `f64` of a register; of `f32` there are twice as many.
+/// The number of `f64` in a register; twice as many `f32` fit.
 const WIDTH: usize = 8;
 
-/// Processors with registers of eight numbers. Private, so that only [`run`] names it.
+/// The set for registers of eight numbers. Private, so that only [`run`] names it.
 struct Avx512;
 
-/// Whether this processor has what [`run`] is compiled for.
+/// True if this processor has the instructions that [`run`] is compiled for.
 pub(super) fn is_available() -> bool {
     is_x86_feature_detected!("avx512f")
         && is_x86_feature_detected!("avx512vl")
         && is_x86_feature_detected!("avx512dq")
 }
 
-/// Runs a task compiled for them.
+/// Runs a task compiled for AVX-512.
 #[target_feature(enable = "avx512f,avx512vl,avx512dq")]
 pub(super) fn run<T: Task>(task: T) -> T::Output {
     task.run::<Avx512>()
 }
 
-impl Set for Avx512 {
+impl Isa for Avx512 {
     #[inline(always)]
-    fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
+    fn lowest<const N: usize>(keys: &[f64; N], lanes: u32) -> usize {
         // SAFETY: only `run` names this set.
-        unsafe { least(keys, left) }
+        unsafe { lowest(keys, lanes) }
     }
 
     #[inline(always)]
-    fn widen<const N: usize>(codes: &[u16; N]) -> [f32; N] {
+    fn from_codes<const N: usize>(codes: &[u16; N]) -> [f32; N] {
         // SAFETY: as above.
-        unsafe { widen(codes) }
+        unsafe { from_codes(codes) }
     }
 }
 
-/// In registers alone, without a branch: how many bits are left, no processor foresees.
+/// Without a branch: the number of remaining lanes depends on the data, so a loop over them would be mispredicted.
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn least<const N: usize>(keys: &[f64; N], left: u32) -> usize {
+fn lowest<const N: usize>(keys: &[f64; N], lanes: u32) -> usize {
     const { assert!(N.is_multiple_of(WIDTH) && N <= 32) };
-    let mut least = _mm512_set1_pd(f64::INFINITY);
+    let mut lowest = _mm512_set1_pd(f64::INFINITY);
     for at in (0..N).step_by(WIDTH) {
         // SAFETY: there are `WIDTH` keys from `at` on.
         let keys = unsafe { _mm512_loadu_pd(keys.as_ptr().add(at)) };
-        least = _mm512_mask_min_pd(least, (left >> at) as u8, least, keys);
+        lowest = _mm512_mask_min_pd(lowest, (lanes >> at) as u8, lowest, keys);
     }
-    // The least in every lane: of the other half, of the other quarter, of the neighbour.
-    least = _mm512_min_pd(least, _mm512_shuffle_f64x2::<0b01_00_11_10>(least, least));
-    least = _mm512_min_pd(least, _mm512_shuffle_f64x2::<0b10_11_00_01>(least, least));
-    least = _mm512_min_pd(least, _mm512_permute_pd::<0b0101_0101>(least));
+    // Brings the lowest key into every lane: from the other half, the other quarter, the neighbour.
+    lowest = _mm512_min_pd(
+        lowest,
+        _mm512_shuffle_f64x2::<0b01_00_11_10>(lowest, lowest),
+    );
+    lowest = _mm512_min_pd(
+        lowest,
+        _mm512_shuffle_f64x2::<0b10_11_00_01>(lowest, lowest),
+    );
+    lowest = _mm512_min_pd(lowest, _mm512_permute_pd::<0b0101_0101>(lowest));
     let mut equal = 0;
     for at in (0..N).step_by(WIDTH) {
         // SAFETY: as above.
         let keys = unsafe { _mm512_loadu_pd(keys.as_ptr().add(at)) };
-        equal |= u32::from(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(keys, least)) << at;
+        equal |= u32::from(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(keys, lowest)) << at;
     }
-    (equal & left).trailing_zeros() as usize % N
+    (equal & lanes).trailing_zeros() as usize % N
 }
 
-/// Sixteen codes a register of numbers.
+/// Sixteen codes fill a register of numbers.
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn widen<const N: usize>(codes: &[u16; N]) -> [f32; N] {
+fn from_codes<const N: usize>(codes: &[u16; N]) -> [f32; N] {
     const { assert!(N.is_multiple_of(2 * WIDTH)) };
     let mut numbers = [0.0; N];
     for at in (0..N).step_by(2 * WIDTH) {
@@ -111,7 +117,7 @@ macro_rules! instructions {
             )*
 
             #[inline(always)]
-            fn within<const N: usize>(keys: &[$type; N], limit: $type) -> u32 {
+            fn at_most<const N: usize>(keys: &[$type; N], limit: $type) -> u32 {
                 const { assert!(N.is_multiple_of($width) && N <= 32) };
                 let mut mask = 0;
                 for at in (0..N).step_by($width) {
@@ -154,26 +160,28 @@ instructions! {
 mod tests {
     use super::*;
 
-    /// The loops.
+    /// The default loops.
     struct Plain;
 
     impl Operations<f64> for Plain {}
     impl Operations<f32> for Plain {}
-    impl Set for Plain {}
+    impl Isa for Plain {}
 
-    /// The lanes of the least keys, by each set of lanes.
-    struct Leasts([f64; 16]);
+    /// The lane of the lowest key, for every set of lanes.
+    struct LowestLanes([f64; 16]);
 
-    impl Task for Leasts {
+    impl Task for LowestLanes {
         type Output = Vec<usize>;
 
         #[inline(always)]
-        fn run<S: Set>(self) -> Self::Output {
-            (1..1 << 16).map(|left| S::least(&self.0, left)).collect()
+        fn run<I: Isa>(self) -> Self::Output {
+            (1..1 << 16)
+                .map(|lanes| I::lowest(&self.0, lanes))
+                .collect()
         }
     }
 
-    /// What all operations make of two arrays, and the bits of what is up to each number of the second.
+    /// The results of all operations on two arrays, and the comparison with each number of the second.
     struct All<T>([T; 32], [T; 32]);
 
     macro_rules! all {
@@ -182,22 +190,22 @@ mod tests {
                 type Output = (Vec<Vec<u64>>, Vec<u32>);
 
                 #[inline(always)]
-                fn run<S: Set>(self) -> Self::Output {
+                fn run<I: Isa>(self) -> Self::Output {
                     let Self(x, y) = self;
-                    // Infinity less itself has no sign that anybody agreed on.
+                    // The sign of infinity minus itself is not specified.
                     let finite =
                         |lanes: [$type; 32]| lanes.map(|x| if x.is_nan() { 0.0 } else { x });
                     let results = [
-                        finite(S::add(x, y)),
-                        finite(S::sub(x, y)),
-                        finite(S::mul(x, y)),
-                        S::max(x, y),
-                        S::min(x, y),
-                        S::abs(x),
-                        S::sqrt(S::abs(x)),
+                        finite(I::add(x, y)),
+                        finite(I::sub(x, y)),
+                        finite(I::mul(x, y)),
+                        I::max(x, y),
+                        I::min(x, y),
+                        I::abs(x),
+                        I::sqrt(I::abs(x)),
                     ];
                     let bits = |lanes: [$type; 32]| lanes.map(|x| x.to_bits().into()).to_vec();
-                    let within = y.iter().map(|&limit| S::within(&x, limit));
+                    let within = y.iter().map(|&limit| I::at_most(&x, limit));
                     (results.map(bits).to_vec(), within.collect())
                 }
             }
@@ -214,17 +222,17 @@ mod tests {
         type Output = Vec<f32>;
 
         #[inline(always)]
-        fn run<S: Set>(self) -> Vec<f32> {
+        fn run<I: Isa>(self) -> Vec<f32> {
             let codes: Vec<u16> = (0..=u16::MAX).collect();
             let lanes = codes
                 .chunks_exact(32)
                 .map(|codes| codes.first_chunk::<32>().unwrap());
-            lanes.flat_map(S::widen).collect()
+            lanes.flat_map(I::from_codes).collect()
         }
     }
 
     #[test]
-    fn codes_are_the_numbers_that_they_are() {
+    fn codes_keep_their_values() {
         if !is_available() {
             return;
         }
@@ -239,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_least_is_what_a_loop_finds() {
+    fn the_lowest_lane_is_the_one_a_loop_finds() {
         if !is_available() {
             return;
         }
@@ -248,20 +256,20 @@ mod tests {
             let keys =
                 std::array::from_fn(|lane| few[lane * apart / 4 % 4] + (lane % apart) as f64);
             // SAFETY: the processor was asked for the instructions.
-            let wide = unsafe { run(Leasts(keys)) };
-            assert_eq!(wide, Leasts(keys).run::<Plain>());
+            let wide = unsafe { run(LowestLanes(keys)) };
+            assert_eq!(wide, LowestLanes(keys).run::<Plain>());
         }
-        let one_by_one = Leasts([f64::INFINITY; 16]).run::<Plain>();
+        let one_by_one = LowestLanes([f64::INFINITY; 16]).run::<Plain>();
         assert!(
             one_by_one
                 .iter()
                 .zip(1u32..)
-                .all(|(&lane, left)| lane == left.trailing_zeros() as usize)
+                .all(|(&lane, lanes)| lane == lanes.trailing_zeros() as usize)
         );
     }
 
     #[test]
-    fn lanes_are_what_loops_make_of_them() {
+    fn operations_equal_the_default_loops() {
         if !is_available() {
             return;
         }

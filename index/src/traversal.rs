@@ -1,0 +1,382 @@
+//! One search under way: depth first through the trees of a structure, the nearest child of a node first.
+
+use std::time::Instant;
+
+use arrayvec::ArrayVec;
+
+use crate::{
+    Answer, Filter, Neighbor, Points, Search, Space,
+    candidates::{Candidate, Candidates},
+    kdtree::ScanPolicy,
+    kernel::{self, BLOCK_ROWS, Isa, KeyScale, MAX_CHILDREN},
+    quantize::{self, QuantizedQuery, Quantizer},
+};
+
+/// The number of leaves visited between two reads of the clock. One read costs about a tenth of a leaf.
+const LEAVES_PER_CLOCK_READ: usize = 32;
+
+/// The greatest number of neighbours of a search that a scan policy learns from: a larger answer must read many leaves.
+const MAX_OBSERVED_NEIGHBORS: usize = 100;
+
+/// No tree is higher. A static tree of as many points as slots can number, one in a leaf, has 8 levels of nodes, and a
+/// growing tree is sealed before it gets there.
+pub(crate) const MAX_HEIGHT: usize = 11;
+
+/// The ratio of a candidate's upper bound to its key above which its distance is computed at once: a larger bound would
+/// admit more candidates than computing one exact distance costs.
+const MAX_BOUND_RATIO: f64 = 1.001;
+
+/// A tree of a structure, as one search sees it. `'a` is the lifetime of its points.
+pub(crate) trait Tree<'a> {
+    /// A node or a leaf.
+    type Cell: Copy;
+    /// A node, of which children are still to be visited.
+    type Node: Copy;
+
+    /// The newest revision of a state in the tree.
+    fn newest(&self) -> u64;
+    fn root(&self) -> Option<Self::Cell>;
+    fn child(&self, node: Self::Node, child: usize) -> Self::Cell;
+    /// Scans a leaf, or adds a node to the frontier.
+    fn visit<I: Isa>(
+        &mut self,
+        cell: Self::Cell,
+        traversal: &mut Traversal<'a>,
+        frontier: &mut Frontier<Self::Node>,
+    );
+    /// Scans all points in memory order.
+    fn scan<I: Isa>(&mut self, traversal: &mut Traversal<'a>);
+    /// The policy that chooses between both; None for a tree too small for a choice.
+    fn scan_policy(&self) -> Option<&'a ScanPolicy>;
+    /// True if a scan would have cost less than a descent that visited `leaves` leaves.
+    fn scan_is_cheaper(&self, leaves: usize) -> bool;
+    /// Fetches what the search reads after the next cell.
+    fn prefetch(&self, _: &Frontier<Self::Node>) {}
+}
+
+/// A node with children still to be visited.
+struct OpenNode<N> {
+    node: N,
+    /// The keys of its children, and a bit for each child that remains.
+    keys: [f64; MAX_CHILDREN],
+    remaining: u32,
+    /// The nearest remaining child.
+    nearest: usize,
+}
+
+/// The nodes between the root and the current cell that have children left.
+pub(crate) struct Frontier<N>(ArrayVec<OpenNode<N>, MAX_HEIGHT>);
+
+impl<N: Copy> Frontier<N> {
+    /// The node and child to visit next, unless the current cell makes it too far away.
+    #[inline(always)]
+    pub(crate) fn peek(&self) -> Option<(N, usize)> {
+        self.0.last().map(|open| (open.node, open.nearest))
+    }
+}
+
+/// One search under way, carried through every tree and table that takes part in it.
+pub(crate) struct Traversal<'a> {
+    space: &'a Space,
+    state: &'a [f64],
+    search: &'a Search<'a>,
+    candidates: Candidates<'a>,
+    scale: &'a KeyScale,
+    /// Greater keys are given up for `epsilon`: the limit times `epsilon_factor`.
+    epsilon_limit: f64,
+    epsilon_factor: f64,
+    leaves_left: usize,
+    leaves_visited: usize,
+    exact: bool,
+    /// The row being measured, if a key does not determine its distance.
+    row: Vec<f64>,
+}
+
+impl<'a> Traversal<'a> {
+    /// A search around a canonical state of `space`, with the scale of its keys.
+    #[inline(always)]
+    pub(crate) fn new(
+        space: &'a Space,
+        scale: &'a KeyScale,
+        state: &'a [f64],
+        search: &'a Search<'a>,
+    ) -> Self {
+        let candidates = Candidates::new(search.k, scale.limit(search.radius));
+        let epsilon_factor = scale.epsilon_factor(search.epsilon);
+        Self {
+            space,
+            state,
+            search,
+            epsilon_limit: candidates.limit() * epsilon_factor,
+            epsilon_factor,
+            candidates,
+            scale,
+            leaves_left: search.max_leaves,
+            leaves_visited: 0,
+            exact: true,
+            row: Vec::new(),
+        }
+    }
+
+    /// Searches a tree: by descending, or by a scan where earlier searches had to visit most of its leaves.
+    #[inline(always)]
+    pub(crate) fn search<I: Isa, T: Tree<'a>>(&mut self, tree: &mut T) {
+        let since = self.since_revision();
+        if since > 0 && tree.newest() <= since {
+            return;
+        }
+        let policy = tree.scan_policy().filter(|_| self.is_unrestricted());
+        if policy.is_some_and(ScanPolicy::next_scans) {
+            tree.scan::<I>(self);
+            return;
+        }
+        let visited = self.leaves_visited;
+        let (mut frontier, mut next) = (Frontier(ArrayVec::new()), tree.root());
+        while let Some(cell) = next {
+            tree.visit::<I>(cell, self, &mut frontier);
+            let next_child = self.next::<I, _>(&mut frontier);
+            next = next_child.map(|(node, child)| tree.child(node, child));
+            tree.prefetch(&frontier);
+        }
+        if let Some(policy) = policy
+            && self.candidates.len() <= MAX_OBSERVED_NEIGHBORS
+        {
+            policy.observe(tree.scan_is_cheaper(self.leaves_visited - visited));
+        }
+    }
+
+    /// The revision after which a point's state must have been stored.
+    pub(crate) fn since_revision(&self) -> u64 {
+        self.search.filter.since_revision
+    }
+
+    /// True if the search is exact and over all points, so that the leaves it visits predict those of the next search.
+    fn is_unrestricted(&self) -> bool {
+        let search = self.search;
+        search.epsilon == 0.0
+            && search.max_leaves == usize::MAX
+            && search.filter == Filter::default()
+    }
+
+    /// A bit for each point of a block of codes that may be an answer. `query` is prepared at the first call that needs
+    /// it.
+    #[inline(always)]
+    pub(crate) fn filter_codes<I: Isa>(
+        &self,
+        quantizer: &'a Quantizer,
+        query: &mut Option<QuantizedQuery<'a>>,
+        codes: &[u16],
+    ) -> u32 {
+        let limit = self.limit();
+        if limit == f64::INFINITY {
+            return !0;
+        }
+        let query =
+            query.get_or_insert_with(|| QuantizedQuery::new(quantizer, self.space, self.state));
+        let limit = self.scale.expanded(limit, query.error());
+        quantize::codes::<I>(self.space, query, codes, limit)
+    }
+
+    /// Bounds the points in the first `lanes` of a block, and adds the candidates among those that are visible and pass
+    /// the filter. `slot` maps a lane to its slot in `labels`.
+    #[inline(always)]
+    pub(crate) fn scan_block<I: Isa>(
+        &mut self,
+        block: &'a [f64],
+        lanes: usize,
+        labels: &impl Labels,
+        slot: impl Fn(usize) -> usize,
+        is_visible: impl Fn(usize) -> bool,
+    ) {
+        let (keys, within) = kernel::points::<I>(self.space, self.state, block, self.limit());
+        let filter = self.search.filter;
+        let mut remaining = within & !(!0 << lanes);
+        while remaining != 0 {
+            // The nearest first: a near candidate rules out the others.
+            let lane = if remaining & (remaining - 1) == 0 {
+                remaining.trailing_zeros() as usize % BLOCK_ROWS
+            } else {
+                I::lowest(&keys, remaining)
+            };
+            remaining &= !(1 << lane);
+            let slot = slot(lane);
+            if !is_visible(slot)
+                || filter != Filter::default()
+                    && !filter.admits(labels.tag(slot), labels.revision(slot))
+            {
+                continue;
+            }
+            let id = labels.id(slot);
+            if self.search.excluded.is_some_and(|ids| ids.contains(&id)) {
+                continue;
+            }
+            self.add_candidate(keys[lane], id, &block[lane..]);
+            if remaining != 0 {
+                remaining &= I::at_most(&keys, self.limit());
+            }
+        }
+    }
+
+    /// Adds a node to the frontier, with its children among `lanes` that are near enough.
+    #[inline(always)]
+    pub(crate) fn expand<I: Isa, N: Copy>(
+        &self,
+        frontier: &mut Frontier<N>,
+        boxes: &[f64],
+        lanes: u32,
+        node: N,
+    ) {
+        let (keys, within) = kernel::boxes::<I>(self.space, self.state, boxes, self.limit());
+        let remaining = within & lanes;
+        if remaining != 0 {
+            let nearest = I::lowest(&keys, remaining);
+            frontier.0.push(OpenNode {
+                node,
+                keys,
+                remaining,
+                nearest,
+            });
+        }
+    }
+
+    /// The next cell to visit, as a node and its child, or None if no cell can hold an answer.
+    #[inline(always)]
+    fn next<I: Isa, N: Copy>(&mut self, frontier: &mut Frontier<N>) -> Option<(N, usize)> {
+        while let Some(open) = frontier.0.last_mut() {
+            let (node, child) = (open.node, open.nearest);
+            let key = open.keys[child];
+            // A cell *at* the worst distance is visited: one of its points may win by its id.
+            let is_near = key <= self.limit();
+            let is_given_up = self.leaves_left == 0 || key > self.epsilon_limit;
+            if is_near && !is_given_up {
+                open.remaining &= !(1 << child);
+                if open.remaining == 0 {
+                    frontier.0.pop();
+                } else {
+                    open.nearest = I::lowest(&open.keys, open.remaining);
+                }
+                return Some((node, child));
+            }
+            // The other children are no nearer.
+            self.exact &= !is_near;
+            frontier.0.pop();
+        }
+        None
+    }
+
+    /// A point with a greater key is farther than the candidates held.
+    #[inline(always)]
+    fn limit(&self) -> f64 {
+        self.candidates.limit()
+    }
+
+    #[inline]
+    fn add_candidate(&mut self, key: f64, id: u64, lane: &'a [f64]) {
+        let mut candidate = Candidate {
+            upper_bound: self.scale.upper_bound(key),
+            key,
+            id,
+            lane,
+            distance: f64::NAN,
+        };
+        if candidate.upper_bound > candidate.key * MAX_BOUND_RATIO {
+            self.measure(&mut candidate);
+        }
+        let mut is_nearer = self.candidates.offer(candidate);
+        if self.candidates.is_overfull() {
+            is_nearer |= self.resolve_candidates();
+        }
+        if is_nearer {
+            self.epsilon_limit = self.limit() * self.epsilon_factor;
+        }
+    }
+
+    /// Computes a candidate's distance, which makes its upper bound tight.
+    fn measure(&mut self, candidate: &mut Candidate<'_>) -> f64 {
+        if !candidate.distance.is_nan() {
+            return candidate.distance;
+        }
+        let distance = self.scale.distance(candidate.key).unwrap_or_else(|| {
+            // The row is read from its block, which is still in the cache.
+            self.row.clear();
+            let numbers = candidate.lane.iter().step_by(BLOCK_ROWS);
+            self.row.extend(numbers.take(self.state.len()));
+            self.space.distance(self.state, &self.row)
+        });
+        candidate.distance = distance;
+        candidate.upper_bound = self.scale.limit(distance);
+        distance
+    }
+
+    /// Measures all candidates and keeps the nearest. Returns whether that lowered the limit.
+    #[cold]
+    fn resolve_candidates(&mut self) -> bool {
+        let mut nearest: Vec<Candidate<'_>> = self.candidates.drain().collect();
+        nearest.retain_mut(|candidate| self.measure(candidate) <= self.search.radius);
+        nearest.sort_unstable_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
+        nearest.truncate(self.search.k);
+        let mut is_nearer = false;
+        for candidate in nearest {
+            is_nearer |= self.candidates.offer(candidate);
+        }
+        is_nearer
+    }
+
+    /// Counts a leaf about to be visited; false if the search may visit no more.
+    pub(crate) fn enter_leaf(&mut self) -> bool {
+        if self.leaves_left == 0 {
+            self.exact = false;
+            return false;
+        }
+        self.leaves_left -= 1;
+        self.leaves_visited += 1;
+        if let Some(until) = self.search.until
+            && self.leaves_visited.is_multiple_of(LEAVES_PER_CLOCK_READ)
+            && Instant::now() >= until
+        {
+            self.leaves_left = 0;
+        }
+        true
+    }
+
+    /// The answer. (By reference: moving the traversal costs more than the rest of this.)
+    pub(crate) fn finish(&mut self) -> Answer {
+        let mut neighbors = Vec::with_capacity(self.candidates.len());
+        for mut candidate in self.candidates.drain() {
+            let distance = self.measure(&mut candidate);
+            if distance <= self.search.radius {
+                neighbors.push(Neighbor {
+                    distance,
+                    id: candidate.id,
+                });
+            }
+        }
+        neighbors.sort_unstable();
+        neighbors.truncate(self.search.k);
+        Answer {
+            neighbors,
+            exact: self.exact,
+        }
+    }
+}
+
+/// The id, tag and revision of each point, by its slot.
+pub(crate) trait Labels {
+    fn id(&self, slot: usize) -> u64;
+    fn tag(&self, slot: usize) -> u64;
+    fn revision(&self, slot: usize) -> u64;
+}
+
+impl Labels for Points {
+    fn id(&self, slot: usize) -> u64 {
+        self.id(slot)
+    }
+
+    fn tag(&self, slot: usize) -> u64 {
+        self.tag(slot)
+    }
+
+    fn revision(&self, slot: usize) -> u64 {
+        self.revision(slot)
+    }
+}
