@@ -274,7 +274,7 @@ impl PointColumns {
         }
     }
 
-    /// Whether each point is added with its payload.
+    /// True if each point is added with its payload.
     pub(super) fn with_payloads(&self) -> bool {
         self.include.payloads
     }

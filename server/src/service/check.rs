@@ -231,7 +231,7 @@ pub(super) fn finite(field: &str, number: f64, violations: &mut Violations) {
     }
 }
 
-/// How many neighbours: at least 1, at most `limits.k`.
+/// A number of neighbours: at least 1, at most `limits.k`.
 pub(super) fn k(
     field: &str,
     k: u32,
@@ -246,7 +246,7 @@ pub(super) fn k(
     Ok(k)
 }
 
-/// How many neighbours, of at most `limit`.
+/// Fails if a number of neighbours exceeds `limit`.
 pub(super) fn k_limit(k: usize, limit: usize) -> Result<(), Error> {
     if k <= limit {
         return Ok(());

@@ -91,7 +91,7 @@ pub enum Error {
         name: String,
         /// Its space, as text.
         existing: String,
-        /// The space asked for, as text.
+        /// The requested space, as text.
         asked: String,
     },
     /// The name for a restored index is taken, whatever its space.
@@ -121,7 +121,7 @@ pub enum Error {
     UidMismatch {
         /// The index.
         index: String,
-        /// The uid asked for.
+        /// The requested uid.
         asked: String,
         /// The index's uid.
         found: String,
@@ -148,7 +148,7 @@ pub enum Error {
         value: u64,
         /// The requested amount; for `answer_bytes` the size at which the answer was given up.
         asked: u64,
-        /// What to do.
+        /// The remedy.
         advice: &'static str,
     },
     /// No ids are left to assign.
@@ -227,7 +227,7 @@ pub enum Error {
     /// A bug of the server.
     #[error("a bug in the server: {what}")]
     Internal {
-        /// What happened.
+        /// The event.
         what: String,
     },
 }

@@ -18,7 +18,7 @@ use crate::{
 pub(super) struct Staging {
     head: Arc<Published>,
     effects: Effects,
-    /// How many of the accepted rows are new points.
+    /// The number of accepted rows that are new points.
     inserted: usize,
     searched: Option<Searched>,
 }
