@@ -1,6 +1,7 @@
-//! One error, one status: how a call failed, as data for every face.
+//! The status of a failed call, as data for every face: one error, one status.
 //!
-//! [`v1::Status`] is a google.rpc.Status field for field, with details of google.rpc; each face puts it into its own form.
+//! [`v1::Status`] is a google.rpc.Status field for field, with details of google.rpc; each face puts it into its own
+//! form.
 
 use std::collections::HashMap;
 
@@ -15,14 +16,14 @@ use crate::service::{Code, Damaged, Error, Listing, Violation};
 /// The domain of every `ErrorInfo`.
 pub(crate) const DOMAIN: &str = "wayfold";
 
-// A status travels in HTTP/2 headers, of which stock clients take 8 KiB in all, and its text goes twice. What a caller
-// wrote may be of any length, so everything is bounded.
+// A status travels in HTTP/2 headers, which stock clients limit to 8 KiB in all, and its text goes twice. Text from a
+// caller has any length, so every part is bounded.
 const MAX_MESSAGE: usize = 512;
 const MAX_VIOLATIONS: usize = 8;
 const MAX_TEXT: usize = 160;
 const MAX_IDS: usize = 64;
 
-/// How a call failed.
+/// The failure of a call.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Status {
     pub(crate) code: Code,
@@ -33,16 +34,16 @@ pub(crate) struct Status {
     detail: Option<Detail>,
 }
 
-/// What a program reads beside the reason.
+/// The machine-readable detail beside the reason.
 #[derive(Clone, Debug, PartialEq)]
 enum Detail {
-    /// Which fields are wrong.
+    /// The wrong fields.
     Fields(Vec<Violation>),
-    /// What is missing or in the way: its type and its name.
+    /// The missing or conflicting resource: its type and its name.
     Resource(&'static str, String),
-    /// Which index is in another state.
+    /// The index that is in another state.
     Precondition(String),
-    /// Which limit is exceeded, and its value.
+    /// The exceeded limit and its value.
     Quota(&'static str, u64),
 }
 
@@ -54,7 +55,7 @@ pub(crate) fn from_error(error: &Error) -> Status {
     describing(error)
 }
 
-/// The same where no call failed.
+/// The status of an error that failed no call: it is not logged.
 fn describing(error: &Error) -> Status {
     let mut status = Status {
         code: error.code(),
@@ -208,7 +209,7 @@ impl Status {
         self.set("ids_total", ids.len());
     }
 
-    /// The status as it travels.
+    /// The status as a message.
     pub(crate) fn to_message(&self) -> v1::Status {
         let info = pb::ErrorInfo {
             reason: self.reason.to_owned(),

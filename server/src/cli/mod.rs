@@ -63,7 +63,7 @@ fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     if config.runtime.workers > 0 {
         threads.worker_threads(config.runtime.workers);
     }
-    let waiting = zenoh::most_senders(&config.zenoh);
+    let waiting = zenoh::max_senders(&config.zenoh);
     threads.max_blocking_threads(BLOCKING_THREADS.saturating_add(waiting));
     let runtime = threads.enable_all().build()?;
     let ended = runtime.block_on(listen_and_serve(config));

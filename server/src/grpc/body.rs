@@ -1,4 +1,4 @@
-//! The body of a response, watched until its end: where a stream's deadline is kept and its outcome is learnt.
+//! A response body that enforces a stream's deadline and records its outcome.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -16,19 +16,19 @@ use tonic::{Code, Status, body::Body};
 use super::{refusals, status::ending};
 use crate::observe::CallRecord;
 
-/// A call's response body. It holds the call's place in the server's capacity until its end: a client that has heard
-/// of the end finds the place free.
+/// A call's response body. It holds the call's place in the server's capacity until its end: a client that saw the end
+/// finds the place free.
 pub(crate) struct CallBody {
     inner: Body,
     record: CallRecord,
     deadline: Option<Instant>,
-    /// Set once the body had to wait, which the answer of a unary call never does.
+    /// Set at the body's first wait; the body of a unary answer never waits.
     timer: Option<Pin<Box<Sleep>>>,
     place: Option<OwnedSemaphorePermit>,
 }
 
 impl CallBody {
-    /// `response`, with a body that goes on with `record`.
+    /// Wraps the body of `response`; `record` ends with it.
     pub(crate) fn wrap(
         response: Response<Body>,
         mut record: CallRecord,
@@ -52,7 +52,7 @@ impl CallBody {
         })
     }
 
-    /// Ends the body with `status`. What produced it is dropped, so that its work stops.
+    /// Ends the body with `status` and drops its source, which stops the work.
     fn end(&mut self, status: Status) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
         self.inner = Body::empty();
         self.ended(status.code());

@@ -30,7 +30,7 @@ const OURS: &str = "/wayfold.v1.";
 #[derive(Clone, Copy, Debug)]
 struct Deadline(Option<Instant>);
 
-/// What the service is to know of a call.
+/// The service's context of a call.
 pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
     Call {
         deadline: request
@@ -40,7 +40,7 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
     }
 }
 
-/// What every handler begins with: what the service is to know of the call, and the request, noted in the call's span.
+/// The preamble of every handler: the context of the call, and its message, recorded in the call's span.
 pub(crate) fn open<R: observe::Request>(request: tonic::Request<R>) -> (Call, R) {
     let (call, message) = (call_of(&request), request.into_inner());
     observe::request(&message);
@@ -91,8 +91,8 @@ where
         let Some(rpc) = our_rpc(request.uri().path()) else {
             return Box::pin(self.inner.call(request));
         };
-        // The clock starts here and not inside the future: tonic starts a timer of its own for the same header, after
-        // this function returns, and answers CANCELLED when it runs out. Ours must never be the later one.
+        // The clock starts here, not inside the future: after this function returns, tonic starts its own timer for the
+        // same header and answers CANCELLED when it ends. Ours must never be the later one.
         let started = Instant::now();
         let mut record = CallRecord::begin(rpc, started);
         let admitted = deadline::read(request.headers(), started)
@@ -139,7 +139,7 @@ where
     }
 }
 
-/// `PointService/Knn` of `/wayfold.v1.PointService/Knn`; nothing of the paths of other packages.
+/// `PointService/Knn` of `/wayfold.v1.PointService/Knn`; None for paths of other packages.
 fn our_rpc(path: &str) -> Option<&str> {
     path.strip_prefix(OURS)
 }
@@ -153,7 +153,7 @@ mod tests {
 
     use super::*;
 
-    /// Answers with what a function makes, or fails as it does.
+    /// Answers with the result of a function, or panics as it does.
     #[derive(Clone)]
     struct Answering(fn() -> Response<Body>);
 

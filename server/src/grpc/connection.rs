@@ -1,4 +1,4 @@
-//! Accepts TCP connections: not more than allowed, without Nagle's delay, and so that all of them can be cut at once.
+//! Accepts a limited number of TCP connections, without Nagle's delay, and can cut all of them at once.
 
 use std::{
     io,
@@ -19,14 +19,14 @@ use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 use tonic::transport::server::{Connected, TcpConnectInfo};
 use tracing::{debug, warn};
 
-/// How long to leave the listener alone after it failed, as it does while the process has no file descriptors left.
+/// Pause after a failure of the listener, which fails while the process has no file descriptors left.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(1);
 
-/// How long a connection that is done waits for its client to hang up.
+/// Time that a finished connection waits for its client to close.
 const LINGER: Duration = Duration::from_secs(2);
 
-/// The connections made to `listener`, of which at most `limit` are open at a time: further ones wait in the
-/// listener's queue. `cut` fails every one of them, whatever it is doing.
+/// The connections made to `listener`, at most `limit` of them at a time: further ones wait in the listener's queue.
+/// `cut` fails all of them.
 pub(crate) fn incoming(
     listener: TcpListener,
     limit: usize,
@@ -38,7 +38,7 @@ pub(crate) fn incoming(
         let socket = accept(&listener, &cut).await;
         let connection = Connection {
             socket,
-            // A token of its own: waiting on the shared one would have all connections contend for its lock.
+            // A child token: all connections would contend for the lock of a shared one.
             cut: Box::pin(cut.child_token().cancelled_owned()),
             lingering: None,
             _slot: slot,
@@ -51,7 +51,7 @@ async fn accept(listener: &TcpListener, cut: &CancellationToken) -> TcpStream {
     loop {
         match listener.accept().await {
             Ok((socket, peer)) => {
-                // Delayed by Nagle's algorithm, small answers take 40 ms.
+                // Nagle's algorithm would delay small answers by 40 ms.
                 if let Err(error) = socket.set_nodelay(true) {
                     debug!(%peer, %error, "cannot set TCP_NODELAY");
                 }
@@ -66,7 +66,7 @@ async fn accept(listener: &TcpListener, cut: &CancellationToken) -> TcpStream {
     }
 }
 
-/// Whether the listener itself is well and only the connection it was about to hand over is not.
+/// True if only the connection failed and the listener still works.
 fn concerns_one_connection(error: &io::Error) -> bool {
     matches!(
         error.kind(),
@@ -83,7 +83,7 @@ fn concerns_one_connection(error: &io::Error) -> bool {
 pub(crate) struct Connection {
     socket: TcpStream,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
-    /// Set once this side has sent all that it will: when to stop waiting for the other.
+    /// Set once this side has sent everything: the end of the wait for the other.
     lingering: Option<Pin<Box<Sleep>>>,
     _slot: OwnedSemaphorePermit,
 }
@@ -125,7 +125,7 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        // A client that reads no more keeps a connection in here.
+        // A client that no longer reads keeps a connection here.
         self.check(context)?;
         Pin::new(&mut self.socket).poll_write(context, bytes)
     }
@@ -147,8 +147,8 @@ impl AsyncWrite for Connection {
         Pin::new(&mut self.socket).poll_flush(context)
     }
 
-    /// Says goodbye and waits for the client to do the same. A socket that is closed while its client still sends
-    /// (a window update is enough) is reset, and with it go the last answers, if they are not read by then.
+    /// Shuts down this side and waits for the client's. A socket that closes while its client still sends (a window
+    /// update suffices) is reset, and its client loses the answers that it has not read.
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         let this = &mut *self;
         let lingering = match &mut this.lingering {

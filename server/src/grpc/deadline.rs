@@ -1,4 +1,4 @@
-//! Reads `grpc-timeout`, the header by which a client says how long it waits.
+//! Reads `grpc-timeout`, the header for the time that a client waits.
 
 use std::time::{Duration, Instant};
 
@@ -8,7 +8,7 @@ use thiserror::Error;
 /// The name of the header.
 pub(crate) const HEADER: &str = "grpc-timeout";
 
-/// Of more digits than this the specification knows nothing; it also keeps the arithmetic below from overflowing.
+/// The specification's most digits, which also keep the arithmetic below from overflowing.
 const MAX_DIGITS: usize = 8;
 
 /// A `grpc-timeout` header that does not follow the specification.
@@ -18,7 +18,7 @@ const MAX_DIGITS: usize = 8;
 )]
 pub(crate) struct MalformedTimeout(String);
 
-/// When the caller stops waiting, if it said so, for a request whose headers arrived at `arrived`.
+/// The caller's deadline, if any, for a request whose headers arrived at `arrived`.
 pub(crate) fn read(
     headers: &HeaderMap,
     arrived: Instant,
@@ -30,7 +30,7 @@ pub(crate) fn read(
         value.to_str().ok().and_then(parse).ok_or_else(|| {
             MalformedTimeout(String::from_utf8_lossy(value.as_bytes()).into_owned())
         })?;
-    // What lies beyond the clock's range is no deadline.
+    // A time beyond the clock's range is no deadline.
     Ok(arrived.checked_add(timeout))
 }
 

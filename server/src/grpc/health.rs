@@ -1,4 +1,4 @@
-//! `grpc.health.v1`: says NOT_SERVING until calls are answered, and again from the moment the server begins to stop.
+//! `grpc.health.v1`: NOT_SERVING until the server answers calls, and again once it begins to stop.
 
 use futures_util::{StreamExt, stream, stream::BoxStream};
 use tonic::{Request, Response, Status};
@@ -10,7 +10,7 @@ use wayfold_proto::v1::{index_service_server, point_service_server};
 
 use crate::lifecycle::{Phase, PhaseWatch};
 
-/// The names that have a health: the server as a whole and its services, which share one state.
+/// The names of the health service: the server as a whole and its services, which share one state.
 const NAMES: [&str; 3] = [
     "",
     index_service_server::SERVICE_NAME,
@@ -46,8 +46,8 @@ impl Health for HealthFace {
 
     type WatchStream = BoxStream<'static, Result<HealthCheckResponse, Status>>;
 
-    /// Ends after it has said that the server is stopping, or stopping would wait for it. A name that is not known
-    /// stays open, as the protocol wants it, for the case that it becomes known.
+    /// Ends after the message that the server is stopping; otherwise the shutdown would wait for it. The protocol keeps
+    /// the watch of an unknown name open, in case the name becomes known.
     async fn watch(
         &self,
         request: Request<HealthCheckRequest>,
@@ -61,7 +61,7 @@ impl Health for HealthFace {
         }
         let first = phases.current();
         let changes = stream::unfold(first, move |reported| {
-            // `reported` is what the watcher knows; after STOPPING nothing follows.
+            // `reported` is the last phase sent; STOPPING is the last of all.
             let mut phases = phases.clone();
             async move {
                 if reported == Phase::Stopping {

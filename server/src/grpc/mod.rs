@@ -28,7 +28,7 @@ use stream_knn::KnnStreams;
 
 use crate::{admission::Admission, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
 
-/// Why the gRPC face could not be served.
+/// The gRPC face could not be served.
 #[derive(Debug, Error)]
 pub enum GrpcError {
     /// A bug: the descriptors that reflection serves do not fit together.
@@ -44,7 +44,7 @@ pub enum GrpcError {
 
 /// Serves `service` on `listener` until the server begins to stop and every call that was accepted is done.
 ///
-/// `capacity` counts the calls under way. `cut` fails the connections that are still open, so that this returns soon.
+/// `capacity` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
 pub(crate) async fn serve(
     config: &GrpcConfig,
     service: Service,
@@ -62,8 +62,8 @@ pub(crate) async fn serve(
             max_message_bytes: config.max_message_bytes,
         },
     });
-    // No limit on what is sent: the service refuses a large answer before a mutation takes effect, and a second limit
-    // here could only fail a call that did.
+    // Sent messages have no limit: the service refuses a large answer before a mutation takes effect, and a second
+    // limit here could only fail a call that took effect.
     let indices = IndexServiceServer::new(IndexFace {
         service,
         max_message_bytes: config.max_message_bytes,
@@ -95,7 +95,7 @@ pub(crate) async fn serve(
     Ok(())
 }
 
-/// What reflection tells of; with google.rpc, so that generic clients can print error details.
+/// The descriptors for reflection, with google.rpc, so that generic clients can print error details.
 fn descriptors() -> tonic_reflection::server::Builder<'static> {
     tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(v1::FILE_DESCRIPTOR_SET)

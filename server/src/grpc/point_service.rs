@@ -61,7 +61,7 @@ impl PointService for PointFace {
 
     type StreamKnnStream = Answers;
 
-    /// Reached only where the generated server stands alone: see [`TolerantPointServer`].
+    /// Reached only if the generated server is used alone: see [`TolerantPointServer`].
     async fn stream_knn(
         &self,
         request: Request<Streaming<v1::StreamKnnRequest>>,
@@ -88,7 +88,7 @@ impl PointService for PointFace {
 
 const STREAM_KNN: &str = "/wayfold.v1.PointService/StreamKnn";
 
-/// The generated server, but for `StreamKnn`, which goes to [`KnnStreams`] with its messages unparsed.
+/// The generated server, except that `StreamKnn` goes to [`KnnStreams`] with its messages unparsed.
 #[derive(Clone)]
 pub(crate) struct TolerantPointServer {
     generated: PointServiceServer<PointFace>,

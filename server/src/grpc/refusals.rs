@@ -1,4 +1,4 @@
-//! What this face refuses before the service hears of it, and the rewriting of what tonic refuses.
+//! Refusals that this face makes before the service is called, and tonic's refusals rewritten.
 //!
 //! Tonic answers a message above the size limit with OUT_OF_RANGE and one that does not parse with INTERNAL, both
 //! without details. The contract says RESOURCE_EXHAUSTED with the limit, and INVALID_ARGUMENT; INTERNAL is a bug.
@@ -15,19 +15,19 @@ use crate::{
 };
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
-/// What to do with a message that is too large.
+/// The remedy for a message that is too large.
 pub(crate) const SPLIT: &str = "split it into several calls";
 
-/// What to do where that message is a part of a snapshot.
+/// The remedy if that message is a part of a snapshot.
 pub(crate) const RAISE: &str =
     "a part of a snapshot has up to about 400 KiB and cannot be divided, so raise the limit";
 
 const MAX_CALLS: &str = "grpc.max_calls";
 
-/// Every status of this server has details, so one without them is tonic's own.
+/// Every status of this server has details: one without them is tonic's own.
 const DETAILS_HEADER: &str = "grpc-status-details-bin";
 
-/// The response as it goes out: `response`, unless it is a refusal of tonic's, which is put into other words.
+/// Returns `response`, rewritten if it is a refusal of tonic's.
 pub(crate) fn rewrite(response: Response<Body>, max_message_bytes: usize) -> Response<Body> {
     match tonics_own(response.headers()) {
         Some(status) => restate(status, max_message_bytes, SPLIT).into_http(),
@@ -44,7 +44,7 @@ fn tonics_own(headers: &HeaderMap) -> Option<Status> {
     Status::from_header_map(headers)
 }
 
-/// The contract's words for a status that tonic made while it read a request; `advice` for one that is too large.
+/// The contract's status for one that tonic made while it read a request; `advice` is for one that is too large.
 pub(crate) fn restate(status: Status, max_message_bytes: usize, advice: &str) -> Status {
     match status.code() {
         Code::OutOfRange => limit(
@@ -61,7 +61,7 @@ pub(crate) fn restate(status: Status, max_message_bytes: usize, advice: &str) ->
     }
 }
 
-/// The refusal of a request message that is not the encoding of what the call takes.
+/// The refusal of a request message that does not decode.
 pub(crate) fn malformed(problem: impl Display) -> Refusal {
     invalid(
         "request",
@@ -75,7 +75,7 @@ pub(crate) fn malformed_timeout(problem: &MalformedTimeout) -> Refusal {
     invalid(deadline::HEADER, "MALFORMED_TIMEOUT", problem.to_string())
 }
 
-/// The refusal of a request in which one field is wrong.
+/// The refusal of a request with one wrong field.
 pub(crate) fn invalid(field: &str, reason: &'static str, description: String) -> Refusal {
     from_error(&Error::InvalidArgument {
         violations: vec![Violation {
@@ -86,7 +86,7 @@ pub(crate) fn invalid(field: &str, reason: &'static str, description: String) ->
     })
 }
 
-/// The refusal of a call while `most` others are under way.
+/// The refusal of a call while `most` others are running.
 pub(crate) fn busy(most: usize) -> Refusal {
     limit(
         "TOO_MANY_CALLS",
@@ -110,7 +110,7 @@ pub(crate) fn deadline_exceeded() -> Refusal {
     })
 }
 
-/// How a stream ends that the server leaves because it stops.
+/// The end of a stream at the server's shutdown.
 pub(crate) fn stopping() -> Refusal {
     from_error(&Error::Unavailable {
         why: Unavailability::Stopping,

@@ -1,4 +1,4 @@
-//! Statuses, answers and streams of the service as tonic has them.
+//! Statuses, answers and streams of the service in tonic's types.
 
 use bytes::Bytes;
 use futures_util::{StreamExt, stream, stream::BoxStream};
@@ -15,12 +15,12 @@ use crate::{
 /// The answer of a handler.
 pub(crate) type Answer<T> = Result<Response<T>, Status>;
 
-/// The messages that a handler answers with.
+/// The streamed answer of a handler.
 pub(crate) type Messages<T> = BoxStream<'static, Result<T, Status>>;
 
 impl From<status::Status> for Status {
     fn from(status: status::Status) -> Self {
-        // The details of a gRPC status are a google.rpc.Status, which ours is field for field.
+        // The details of a gRPC status are a google.rpc.Status, and ours is the same field for field.
         let details = Bytes::from(status.to_message().encode_to_vec());
         let code = Code::from_i32(status::number(status.code));
         Self::with_details(code, status.message, details)
@@ -39,7 +39,7 @@ pub(crate) fn respond<T>(result: Result<T, Error>) -> Answer<T> {
         .map_err(|error| from_error(&error))
 }
 
-/// What a call is answered with message by message.
+/// The source of a streamed answer.
 pub(crate) trait Source: Send + Sized + 'static {
     /// A message.
     type Message: Send + 'static;
@@ -67,8 +67,7 @@ sources! {
     Verification: VerifyIndexResponse;
 }
 
-/// The answer of a call that is answered message by message. A message is made when the client has room for it, not
-/// before.
+/// The answer of a streaming call. A message is made only when the client has room for it.
 pub(crate) fn respond_all<S: Source>(source: Result<S, Error>) -> Answer<Messages<S::Message>> {
     respond(source.map(|source| {
         let messages = stream::unfold(source, async |mut source| {
@@ -79,7 +78,7 @@ pub(crate) fn respond_all<S: Source>(source: Result<S, Error>) -> Answer<Message
     }))
 }
 
-/// How a call with this code ended.
+/// The ending of a call with this code.
 pub(crate) fn ending(code: Code) -> Ending {
     Ending::Failed(match code {
         Code::Ok => return Ending::Ok,

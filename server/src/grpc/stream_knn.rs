@@ -1,7 +1,7 @@
-//! `StreamKnn`: requests are evaluated side by side, answered in their order, and a bad one does not end the stream.
+//! `StreamKnn`: requests are evaluated in parallel and answered in order, and a bad one does not end the stream.
 //!
-//! The generated server would: it takes a message that does not parse for the end of the stream. So this one method
-//! is served here, with a codec that hands such messages on as what they are.
+//! The generated server ends a stream at a message that does not parse. So this file serves this one method, with a
+//! codec that passes such messages on as refusals.
 
 use std::{panic::AssertUnwindSafe, pin::Pin, sync::Arc, task::Poll, time::Duration};
 
@@ -32,34 +32,34 @@ use crate::{
 /// Answers to the requests of one stream, in their order.
 pub(crate) type Answers = BoxStream<'static, Result<v1::StreamKnnResponse, Status>>;
 
-/// One message of a stream: a request, or the reason why it is none.
+/// One message of a stream: a request, or its refusal.
 pub(crate) type Incoming = Result<v1::StreamKnnRequest, DecodeError>;
 
-/// As long as searches take less of late, they are not worth a task of their own.
-const BRIEF: Duration = Duration::from_micros(20);
+/// While recent searches take less time, they do not get tasks of their own.
+const MAX_SEARCH_TIME: Duration = Duration::from_micros(20);
 
 /// Serves the streams.
 #[derive(Clone)]
 pub(crate) struct KnnStreams {
     pub(crate) service: Service,
     pub(crate) phases: PhaseWatch,
-    /// How many requests of one stream are evaluated at a time.
+    /// Requests of one stream that are evaluated at a time.
     pub(crate) window: usize,
     /// The largest request message that is read.
     pub(crate) max_message_bytes: usize,
 }
 
 impl KnnStreams {
-    /// Answers a call whose messages have not been parsed yet.
+    /// Answers a call whose messages are not parsed yet.
     pub(crate) async fn serve(self, request: Request<Body>) -> Response<Body> {
         let limit = Some(self.max_message_bytes);
         let mut grpc = Grpc::new(TolerantCodec).apply_max_message_size_config(limit, None);
         grpc.streaming(Tolerant(self), request).await
     }
 
-    /// Reads `messages` until they end, the server stops or reading fails; answers what was read, then says why it
-    /// ended. At most `window` requests are read ahead of the answers, so that a client who does not read them
-    /// is slowed down instead of being buffered for.
+    /// Reads `messages` until they end, the server stops or a read fails; answers those read, then sends the cause of
+    /// the end. It reads at most `window` requests ahead of the answers: a client that reads no answers is slowed down,
+    /// not buffered for.
     pub(crate) fn answer<M>(&self, call: Call, messages: M) -> Answers
     where
         M: Stream<Item = Result<Incoming, Status>> + Send + Unpin + 'static,
@@ -71,18 +71,18 @@ impl KnnStreams {
             ended: false,
         };
         let service = self.service.clone();
-        let brevity = Arc::new(LatencyGate::new(BRIEF));
+        let latency_gate = Arc::new(LatencyGate::new(MAX_SEARCH_TIME));
         stream::unfold(reader, Reader::next)
-            .map(move |read| answer_one(service.clone(), Arc::clone(&brevity), call, read))
+            .map(move |read| answer_one(service.clone(), Arc::clone(&latency_gate), call, read))
             .buffered(self.window)
             .boxed()
     }
 }
 
-/// The answer to what was read; an error ends the stream.
+/// The answer to one message; an error ends the stream.
 async fn answer_one(
     service: Service,
-    brevity: Arc<LatencyGate>,
+    latency_gate: Arc<LatencyGate>,
     call: Call,
     read: Read,
 ) -> Result<v1::StreamKnnResponse, Status> {
@@ -91,19 +91,18 @@ async fn answer_one(
         Read::Bad(status) => return Ok(refused(&status)),
         Read::End(status) => return Err(*status),
     };
-    // A stream that always has a request at hand lets others on now and then.
+    // A stream that always has a request ready yields now and then.
     tokio::task::consume_budget().await;
     let search = async move { service.knn(&call, request).await };
     let mut search = Box::pin(AssertUnwindSafe(search).catch_unwind());
-    let answered = match brevity.attempt(search.as_mut()) {
+    let answered = match latency_gate.attempt(search.as_mut()) {
         Poll::Ready(answered) => answered,
         Poll::Pending => {
-            // A task of its own, so that one stream can keep all cores busy. A stream that is dropped takes its tasks
-            // with it.
+            // A task of its own: one stream can use all cores. A dropped stream aborts its tasks.
             let task = AbortOnDropHandle::new(tokio::spawn(search.in_current_span()));
             match task.await {
                 Ok(answered) => answered,
-                // Only the end of the runtime cancels a task that is waited for.
+                // Only the end of the runtime cancels an awaited task.
                 Err(_) => return Err(refusals::stopping().into()),
             }
         }
@@ -123,7 +122,7 @@ fn refused(status: &Refusal) -> v1::StreamKnnResponse {
     }
 }
 
-/// What came of reading one message.
+/// The result of reading one message.
 enum Read {
     Request(v1::KnnRequest),
     Bad(Box<Refusal>),
@@ -156,7 +155,7 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
             ))),
             Ok(Err(error)) => Read::Bad(Box::new(refusals::malformed(&error))),
             Err(status) => {
-                // Where a message of the wrong size ends is not known, so nothing can be read after it.
+                // The end of a message of the wrong size is unknown: nothing can be read after it.
                 self.ended = true;
                 Read::End(Box::new(refusals::restate(
                     status,

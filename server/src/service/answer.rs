@@ -1,4 +1,4 @@
-//! Answers in columns, given up as soon as they would outgrow their limit.
+//! Answers in columns; an answer fails as soon as it exceeds its limit.
 
 use bytes::Bytes;
 use prost::encoding::encoded_len_varint;
@@ -9,14 +9,14 @@ use super::{
     Call, Error, Limits,
     call::Pace,
     check::Rows,
-    stored::{self, BATCH},
+    stored::{self, BATCH_ROWS},
 };
 use crate::{log::View, registry::Published};
 
-/// Room for what is in every answer, and for the tags and lengths of its columns.
+/// Bytes reserved for the fixed fields, and for the tags and lengths of columns.
 const FRAME: usize = 256;
 
-/// The bytes an answer may still take. Counted from above, so that what fits here fits on the wire.
+/// The bytes left of an answer. They are counted from above: an answer that fits here fits on the wire.
 pub(super) struct Room {
     limit: usize,
     left: usize,
@@ -30,7 +30,7 @@ impl Room {
         }
     }
 
-    /// How many bytes are left.
+    /// The bytes left.
     pub(super) fn left(&self) -> usize {
         self.left
     }
@@ -51,24 +51,24 @@ impl Room {
     }
 }
 
-/// Where the columns of an answer come from, but for the payloads, which are in the store.
+/// The source of an answer's columns except payloads, which the store holds.
 pub(super) trait Source {
     /// The point with this id.
     fn point(&self, id: u64) -> Option<Point>;
 }
 
-/// What a call reads: a published revision of the index of this name.
+/// The view of a call: a published revision of the named index.
 pub(super) struct ReadView<'a> {
     pub(super) call: &'a Call,
-    /// What the call is doing when its deadline passes.
+    /// The activity that an exceeded deadline names.
     pub(super) doing: &'static str,
     pub(super) index: &'a str,
     pub(super) published: &'a Published,
 }
 
 impl ReadView<'_> {
-    /// The payloads of points, [`BATCH`] of them at most, in their order, until they take more than `most` bytes of an
-    /// answer: the last may be too much.
+    /// The payloads of at most [`BATCH_ROWS`] points, in their order, up to the first that exceeds `most` bytes of an
+    /// answer.
     pub(super) async fn payloads(&self, ids: Vec<u64>, most: usize) -> Result<Vec<Bytes>, Error> {
         let read = move |view: &dyn View| {
             let (mut payloads, mut bytes) = (Vec::new(), 0);
@@ -97,7 +97,7 @@ impl Source for ReadView<'_> {
     }
 }
 
-/// Forest and log do not hold the same points.
+/// The error for a point that the forest holds and the log does not, or the reverse.
 pub(super) fn missing(id: u64) -> Error {
     Error::Internal {
         what: format!(
@@ -106,16 +106,16 @@ pub(super) fn missing(id: u64) -> Error {
     }
 }
 
-/// Neighbours under way to their columns.
-pub(super) struct Found {
+/// Columns of neighbours.
+pub(super) struct NeighborColumns {
     include: v1::Include,
     width: usize,
     room: Room,
     columns: v1::Neighbors,
 }
 
-impl Found {
-    /// Of states of `width` coordinates.
+impl NeighborColumns {
+    /// Empty columns, for states of `width` coordinates.
     pub(super) fn new(include: Option<v1::Include>, width: usize, room: Room) -> Self {
         let include = include.unwrap_or_default();
         Self {
@@ -129,7 +129,7 @@ impl Found {
         }
     }
 
-    /// What a neighbour takes, without its revision and its payload.
+    /// The bytes of a neighbour without its revision and payload.
     fn fixed_bytes(&self) -> usize {
         let state = if self.include.states {
             8 * self.width
@@ -140,12 +140,12 @@ impl Found {
         8 + 8 + state + tag
     }
 
-    /// So many neighbours certainly do not fit any more: a search need not look for more.
+    /// A number of neighbours that certainly exceeds the room: a search need not find more.
     pub(super) fn too_many(&self) -> usize {
         self.room.left / self.fixed_bytes() + 1
     }
 
-    /// Adds the neighbours of the next state, but for their payloads.
+    /// Adds the neighbours of the next state without their payloads.
     pub(super) fn push(
         &mut self,
         source: &impl Source,
@@ -169,7 +169,7 @@ impl Found {
         Ok(())
     }
 
-    /// The neighbours that were added and whose payloads were not, if payloads are asked for.
+    /// The ids of added neighbours whose payloads are still missing; empty if the answer has no payloads.
     pub(super) fn without_payload(&self) -> &[u64] {
         match self.include.payloads {
             true => &self.columns.ids[self.columns.payloads.len()..],
@@ -184,10 +184,15 @@ impl Found {
         Ok(())
     }
 
-    /// Adds the payloads of all neighbours so far.
+    /// Adds all missing payloads.
     async fn read_payloads(&mut self, view: &ReadView<'_>) -> Result<(), Error> {
         while !self.without_payload().is_empty() {
-            let batch = self.without_payload().iter().take(BATCH).copied().collect();
+            let batch = self
+                .without_payload()
+                .iter()
+                .take(BATCH_ROWS)
+                .copied()
+                .collect();
             for payload in view.payloads(batch, self.room.left()).await? {
                 self.push_payload(payload)?;
             }
@@ -220,7 +225,7 @@ pub(super) async fn search(
     view: &ReadView<'_>,
     states: &Rows,
     search: Search<'_>,
-    mut found: Found,
+    mut found: NeighborColumns,
     pace: &mut Pace,
 ) -> Result<v1::Neighbors, Error> {
     for state in states.iter() {
@@ -229,10 +234,10 @@ pub(super) async fn search(
             ..search
         };
         let answer = view.published.snapshot.search(state, &search)?;
-        // A search that runs out of time ends early, with what it found.
+        // A search past its deadline ends early with a partial answer.
         pace.check()?;
         found.push(view, &answer.neighbors)?;
-        if found.without_payload().len() >= BATCH {
+        if found.without_payload().len() >= BATCH_ROWS {
             found.read_payloads(view).await?;
         }
         pace.step().await?;
@@ -241,14 +246,14 @@ pub(super) async fn search(
     Ok(found.finish())
 }
 
-/// Points under way to their columns.
+/// Columns of points.
 pub(super) struct PointColumns {
     include: v1::Include,
     columns: v1::Points,
     bytes: usize,
 }
 
-/// The columns of points where a request names none.
+/// The default columns of points.
 const POINT_COLUMNS: v1::Include = v1::Include {
     states: true,
     tags: true,
@@ -269,12 +274,12 @@ impl PointColumns {
         }
     }
 
-    /// Whether each point is added with its payload.
+    /// True if each point is added with its payload.
     pub(super) fn with_payloads(&self) -> bool {
         self.include.payloads
     }
 
-    /// Adds a point; with its payload, or all of them without.
+    /// Adds a point, either every one with its payload or none.
     pub(super) fn push(&mut self, point: PointRef<'_>, payload: Option<Bytes>) {
         self.bytes += 8;
         self.columns.ids.push(point.id);
@@ -301,7 +306,7 @@ impl PointColumns {
         self.columns.ids.len()
     }
 
-    /// How much of an answer the points take.
+    /// The bytes of the points in an answer.
     pub(super) fn bytes(&self) -> usize {
         self.bytes
     }
@@ -311,7 +316,7 @@ impl PointColumns {
     }
 }
 
-/// A payload in its column: the tag and the length too.
+/// The bytes of a payload in its column, with tag and length.
 pub(super) fn payload_bytes(payload: &Bytes) -> usize {
     1 + encoded_len_varint(payload.len() as u64) + payload.len()
 }

@@ -1,4 +1,4 @@
-//! What is known of a call beside its request, and how a long one shares its thread.
+//! The context of a call, and time slices by which a long call shares its thread.
 
 use std::{
     future::Future,
@@ -7,13 +7,13 @@ use std::{
 
 use super::Error;
 
-/// How long a call may compute before it lets others on.
+/// Time that a call computes before it yields.
 const SLICE: Duration = Duration::from_micros(500);
 
 /// The context of one call.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Call {
-    /// When the caller stops waiting; None for never. Kept also inside a long batch.
+    /// When the caller stops waiting; None: never. Long batches check it too.
     pub deadline: Option<Instant>,
 }
 
@@ -40,7 +40,7 @@ impl Call {
         }
     }
 
-    /// Begins a piece of work that may be long.
+    /// Begins work that may be long.
     pub(super) fn pace(&self, doing: &'static str) -> Pace {
         Pace {
             call: *self,
@@ -50,7 +50,7 @@ impl Call {
     }
 }
 
-/// Cuts long work into slices: between two, other tasks run and the deadline is checked.
+/// Slices long work: between two slices other tasks run and the deadline is checked.
 pub(super) struct Pace {
     call: Call,
     doing: &'static str,
@@ -63,7 +63,7 @@ impl Pace {
         self.call.check(self.doing)
     }
 
-    /// To be called after every bit of work, from a microsecond to a slice of it.
+    /// Ends a step of work; a step takes between a microsecond and a slice.
     pub(super) async fn step(&mut self) -> Result<(), Error> {
         if self.began.elapsed() < SLICE {
             return Ok(());

@@ -1,4 +1,4 @@
-//! Which indices are served: for a face that has something to announce for each.
+//! A watch on the set of served indices, for a face that announces each of them.
 
 use std::collections::BTreeMap;
 
@@ -7,17 +7,17 @@ use tokio::sync::watch;
 use super::{Error, Service, error_map::catalog_error};
 use crate::registry::Listed;
 
-/// Follows which indices are served.
+/// Follows the set of served indices.
 pub struct CatalogWatch {
     service: Service,
     changes: watch::Receiver<()>,
 }
 
 impl Service {
-    /// Begins to follow which indices are served; fails while there is no registry.
+    /// Begins to follow the set of served indices; fails while there is no registry.
     pub fn watch_catalog(&self) -> Result<CatalogWatch, Error> {
         let mut changes = self.registry()?.changes();
-        // What there is already is told first.
+        // The first change is the present set.
         changes.mark_changed();
         Ok(CatalogWatch {
             service: self.clone(),
@@ -27,7 +27,7 @@ impl Service {
 }
 
 impl CatalogWatch {
-    /// The uids of the indices that can be read, by name, whenever there may be others than before; at first at once.
+    /// Waits for a possible change; returns the uids of readable indices by name. The first call returns at once.
     pub async fn changed(&mut self) -> Result<BTreeMap<String, String>, Error> {
         // The sender is in the registry, which the service holds.
         let _ = self.changes.changed().await;

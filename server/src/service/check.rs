@@ -1,4 +1,4 @@
-//! From a request to rows and searches that need no further question, or to the list of what is wrong with it.
+//! Checks requests: they become canonical rows and searches, or a list of violations.
 
 use std::collections::{HashMap, hash_map};
 
@@ -12,7 +12,7 @@ use crate::registry::Hosted;
 /// The first id that is too large.
 pub(super) const END_OF_IDS: u64 = 1 << 63;
 
-/// What is wrong with a request: the first few violations.
+/// The first few violations of a request.
 #[derive(Default)]
 pub(super) struct Violations(Vec<Violation>);
 
@@ -34,7 +34,7 @@ impl Violations {
         }
     }
 
-    /// Whether looking for more is of no use.
+    /// True if no further violation would be kept.
     pub(super) fn are_enough(&self) -> bool {
         self.0.len() >= Self::MOST
     }
@@ -64,7 +64,7 @@ impl Rows {
     }
 }
 
-/// Checks states, and brings them into canonical form.
+/// Checks states and canonicalises them.
 pub(super) async fn states(
     space: &Space,
     states: Option<v1::States>,
@@ -231,7 +231,7 @@ pub(super) fn finite(field: &str, number: f64, violations: &mut Violations) {
     }
 }
 
-/// How many neighbours: at least 1, at most `limits.k`.
+/// A number of neighbours: at least 1, at most `limits.k`.
 pub(super) fn k(
     field: &str,
     k: u32,
@@ -246,7 +246,7 @@ pub(super) fn k(
     Ok(k)
 }
 
-/// How many neighbours, of at most `limit`.
+/// Fails if a number of neighbours exceeds `limit`.
 pub(super) fn k_limit(k: usize, limit: usize) -> Result<(), Error> {
     if k <= limit {
         return Ok(());

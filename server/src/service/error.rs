@@ -1,4 +1,4 @@
-//! Everything that can go wrong with a call, typed: what was wrong, where, and what to do.
+//! The errors of a call, typed: cause, place and remedy.
 
 use std::fmt;
 
@@ -8,21 +8,21 @@ use wayfold_index::SearchError;
 /// The kinds of failure a caller can tell apart: the eleven codes of the contract, named as gRPC names them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Code {
-    /// A field of the request is wrong, whatever the index holds.
+    /// A field of the request is wrong, independent of the index.
     InvalidArgument,
-    /// No such index, or no such points.
+    /// The index or points do not exist.
     NotFound,
-    /// Another index or other points stand in the way.
+    /// Another index or other points exist under the name or ids.
     AlreadyExists,
-    /// The index is not in the state the request counts on.
+    /// The index is not in the state that the request requires.
     FailedPrecondition,
-    /// A limit of the server.
+    /// The call exceeds a limit of the server.
     ResourceExhausted,
     /// The server is starting or stopping, or its disk cannot be written: try again.
     Unavailable,
     /// The call ran out of time.
     DeadlineExceeded,
-    /// Nobody knows who is calling.
+    /// The caller is not identified.
     Unauthenticated,
     /// The caller may not do this.
     PermissionDenied,
@@ -39,7 +39,7 @@ pub struct Violation {
     pub field: String,
     /// The kind of violation, in UPPER_SNAKE_CASE: `NAN`.
     pub reason: &'static str,
-    /// What is wrong and what would be right.
+    /// The problem and the remedy.
     pub description: String,
 }
 
@@ -49,7 +49,7 @@ impl fmt::Display for Violation {
     }
 }
 
-/// Why the server answers no calls.
+/// The reason why the server answers no calls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unavailability {
     /// It has not replayed its log yet.
@@ -58,7 +58,7 @@ pub enum Unavailability {
     Stopping,
 }
 
-/// Why a call failed. A call that fails changes nothing, except that [`Error::DeadlineExceeded`] and
+/// The failure of a call. A failed call changes nothing, except that [`Error::DeadlineExceeded`] and
 /// [`Error::StorageFailed`] of a mutation mean "unknown".
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Error {
@@ -91,7 +91,7 @@ pub enum Error {
         name: String,
         /// Its space, as text.
         existing: String,
-        /// The space asked for, as text.
+        /// The requested space, as text.
         asked: String,
     },
     /// The name for a restored index is taken, whatever its space.
@@ -121,7 +121,7 @@ pub enum Error {
     UidMismatch {
         /// The index.
         index: String,
-        /// The uid asked for.
+        /// The requested uid.
         asked: String,
         /// The index's uid.
         found: String,
@@ -146,9 +146,9 @@ pub enum Error {
         limit: &'static str,
         /// Its value.
         value: u64,
-        /// What the call asks for; for `answer_bytes` how far the answer had come when it was given up.
+        /// The requested amount; for `answer_bytes` the size at which the answer was given up.
         asked: u64,
-        /// What to do.
+        /// The remedy.
         advice: &'static str,
     },
     /// No ids are left to assign.
@@ -160,7 +160,7 @@ pub enum Error {
         /// The index.
         index: String,
     },
-    /// A scan held its snapshot for longer than it may.
+    /// A scan held its snapshot longer than allowed.
     #[error(
         "the scan held its snapshot for longer than scan_seconds = {scan_seconds}: go on at a newer revision with \
          {}",
@@ -175,7 +175,7 @@ pub enum Error {
         /// The last id that was sent.
         after_id: Option<u64>,
     },
-    /// A snapshot or a verification held its revision for longer than it may.
+    /// A snapshot or a verification held its revision longer than allowed.
     #[error(
         "the {what} held its revision for longer than scan_seconds = {scan_seconds}: read it faster, or raise the limit"
     )]
@@ -200,7 +200,7 @@ pub enum Error {
     /// The deadline passed.
     #[error("the deadline passed {doing}")]
     DeadlineExceeded {
-        /// During what: "while searching".
+        /// The activity: "while searching".
         doing: &'static str,
     },
     /// An operation id came back with another request.
@@ -212,27 +212,27 @@ pub enum Error {
         /// The operation id.
         operation_id: String,
     },
-    /// The store cannot be written, or is being opened anew.
+    /// The store cannot be written, or is reopening.
     #[error("{what}")]
     StorageFailed {
-        /// What failed, and what becomes of it.
+        /// The failure and its consequence.
         what: String,
     },
     /// Stored data is damaged.
     #[error("{what}")]
     DataLoss {
-        /// What is lost, and where.
+        /// The loss and its place.
         what: String,
     },
     /// A bug of the server.
     #[error("a bug in the server: {what}")]
     Internal {
-        /// What happened.
+        /// The event.
         what: String,
     },
 }
 
-/// The service searches for canonical states only, so a refusal is a bug.
+/// The service searches for canonical states only: a refusal is a bug.
 impl From<SearchError> for Error {
     fn from(error: SearchError) -> Self {
         Error::Internal {
@@ -298,7 +298,7 @@ fn list<T: ToString>(items: &[T], separator: &str) -> String {
     items.join(separator)
 }
 
-/// Ids in a message: the first few, and how many more there are.
+/// Ids in a message: the first few, and the number of the rest.
 struct Ids<'a>(&'a [u64]);
 
 impl fmt::Display for Ids<'_> {

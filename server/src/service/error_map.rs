@@ -3,7 +3,7 @@
 use super::Error;
 use crate::{log::LogError, registry::RegistryError};
 
-/// What a failure of the registry means to a caller.
+/// The error of a call for a failure of the registry.
 pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
     let what = format!("index \"{index}\": {error}");
     match error {
@@ -17,7 +17,7 @@ pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
     }
 }
 
-/// What a failure of the log means to a caller.
+/// The error of a call for a failure of the log.
 pub(super) fn log_error(index: &str, error: LogError) -> Error {
     match error {
         LogError::UnknownIndex { .. } => Error::IndexNotFound { name: index.into() },
@@ -28,7 +28,7 @@ pub(super) fn log_error(index: &str, error: LogError) -> Error {
     }
 }
 
-/// As [`log_error`], of no index in particular.
+/// The error of a call for a failure that belongs to no single index.
 pub(super) fn catalog_error(error: RegistryError) -> Error {
     let what = error.to_string();
     match error {

@@ -7,7 +7,7 @@ use super::{
     answer::{PointColumns, ReadView, Room, missing},
     check::{self, Violations},
     read_view::{revision, revision_number},
-    stored::BATCH,
+    stored::BATCH_ROWS,
 };
 
 const DOING: &str = "while reading points";
@@ -51,7 +51,7 @@ impl Service {
         };
         let mut room = Room::new(self.limits());
         let mut points = PointColumns::new(request.include);
-        for ids in request.ids.chunks(BATCH) {
+        for ids in request.ids.chunks(BATCH_ROWS) {
             let mut payloads = match points.with_payloads() {
                 true => view.payloads(ids.to_vec(), room.left()).await?,
                 false => Vec::new(),
@@ -61,7 +61,7 @@ impl Service {
                 let point = published.snapshot.get(id).ok_or_else(|| missing(id))?;
                 let before = points.bytes();
                 points.push(point.by_ref(), payloads.next());
-                // It fails with the last payload, if those were too many.
+                // Fails at the last payload if they exceed the room.
                 room.take(points.bytes() - before)?;
                 pace.step().await?;
             }

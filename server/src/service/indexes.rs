@@ -15,12 +15,12 @@ use super::{
 };
 use crate::registry::{Hosted, Listed, Published, Registry, RegistryError};
 
-/// A page of the indices, by name: those of both lists are consecutive.
+/// A page of the indices, by name. Both lists together are consecutive.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Listing {
-    /// Those that can be read.
+    /// Readable indices.
     pub indexes: Vec<v1::Index>,
-    /// Those that cannot.
+    /// Damaged indices.
     pub damaged: Vec<Damaged>,
     /// Asks for the next page; empty on the last.
     pub next_page_token: String,
@@ -33,14 +33,14 @@ pub struct Damaged {
     pub name: String,
     /// Its uid.
     pub uid: String,
-    /// How every call for it fails.
+    /// The error of every call for it.
     pub error: Error,
 }
 
 impl Damaged {
-    /// At least as many as an answer has for it.
+    /// An upper bound of its bytes in an answer.
     fn bytes(&self) -> usize {
-        // Of the error it has the code, the reason and other names, and the text.
+        // The answer holds the error's code, reason, names and text.
         const NAMES: usize = 256;
         NAMES + self.name.len() + self.uid.len() + self.error.to_string().len()
     }
@@ -99,8 +99,8 @@ impl Service {
         })
     }
 
-    /// Lists the indices in the order of their names, a page a call; also those that cannot be read. A page ends early
-    /// where the answer would grow beyond its limit.
+    /// Lists the indices in the order of their names, one page a call, damaged ones included. A page ends before the
+    /// answer exceeds its limit.
     pub async fn list_indexes(
         &self,
         call: &Call,
@@ -180,8 +180,8 @@ impl Service {
 }
 
 impl Service {
-    /// Runs what waits for the log on a thread that may block. From the first poll on it takes place, whether or not
-    /// the caller waits.
+    /// Runs work that waits for the log on a thread that may block. After the first poll the work completes even if
+    /// the caller leaves.
     async fn blocking<T: Send + 'static>(
         &self,
         change: impl FnOnce(&Registry) -> Result<T, RegistryError> + Send + 'static,
@@ -189,7 +189,7 @@ impl Service {
         let service = self.clone();
         let changed =
             tokio::task::spawn_blocking(move || Ok::<_, Error>(change(service.registry()?)));
-        // It fails to come back only if it panicked.
+        // The join fails only if the work panicked.
         changed.await.unwrap_or_else(|_| {
             Err(Error::Internal {
                 what: "creating or deleting an index did not come to its end".into(),
@@ -198,7 +198,7 @@ impl Service {
     }
 }
 
-/// An index as of one published revision.
+/// Describes an index at one published revision.
 pub(super) fn describe(hosted: &Hosted, published: &Published) -> v1::Index {
     let space = hosted.space();
     v1::Index {

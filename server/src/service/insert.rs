@@ -8,10 +8,10 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
-    answer::{Found, Room},
+    answer::{NeighborColumns, Room},
     call::Pace,
     check::{self, END_OF_IDS, Rows, Violations},
-    mutation::{Begun, Claim},
+    mutation::{Claim, Start},
     neighbor_spec::NeighborSpec,
     payloads::{Payloads, Unread},
     prefetch::{Prefetch, PrefetchedRow},
@@ -63,8 +63,8 @@ impl Service {
         read.await?;
         let (writer, effects, evaluated) = loop {
             let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-                Begun::Answered(response) => return Ok(response),
-                Begun::Writing(writer) => writer,
+                Start::Remembered(response) => return Ok(response),
+                Start::Writing(writer) => writer,
             };
             head = Arc::clone(writer.head());
             payloads.catch_up(&hosted, &writer);
@@ -81,11 +81,11 @@ impl Service {
             for (at, row) in insertion.rows.iter().enumerate() {
                 match evaluation.row(at, row) {
                     Ok(()) => {}
-                    // It may be right once it is known what the rows before are.
+                    // The error may vanish once the payloads of earlier rows are read.
                     Err(_) if !evaluation.unread.compared.is_empty() => break,
                     Err(error) => return Err(error),
                 }
-                // A search takes long, and so does the copy of a large payload.
+                // A search or the copy of a large payload takes long.
                 if insertion.is_searched() || !insertion.payloads.is_empty() || at % 32 == 31 {
                     pace.step().await?;
                 }
@@ -95,10 +95,10 @@ impl Service {
                 let (effects, response) = evaluation.finish()?;
                 break (writer, effects, response);
             }
-            // Others have changed what there was. The rest is read without the writer, and the rows are evaluated anew.
+            // Other writers changed the index: read the rest without the writer, then evaluate the rows again.
             drop(writer);
             let read = payloads.read(call, &hosted, &head, unread, most);
-            // All of these are told, and more may be.
+            // The answer has all of these payloads, and maybe more.
             Room::new(self.limits()).take(read.await?)?;
         };
         let found = head.revision;
@@ -112,20 +112,20 @@ impl Service {
     }
 }
 
-/// An insertion against the head of an index, row by row. Nobody sees anything of it.
+/// An insertion evaluated against the head of an index, row by row, invisible to others.
 struct Evaluation<'a> {
     insertion: &'a Insertion,
     index: &'a str,
     staging: Staging,
     prefetch: Option<&'a Prefetch>,
     payloads: &'a Payloads,
-    /// What has to be read before the rows can be evaluated.
+    /// Payloads to read before the rows can be evaluated.
     unread: Unread,
     /// The next id to assign.
     next_id: u64,
-    found: Option<Found>,
+    found: Option<NeighborColumns>,
     response: v1::InsertResponse,
-    /// Ids that hold another point. From the first on nothing but further ones is of interest.
+    /// Ids that hold another point. After the first, only further conflicts are collected.
     conflicts: Vec<u64>,
 }
 
@@ -151,7 +151,7 @@ impl<'a> Evaluation<'a> {
             unread: Unread::default(),
             found: insertion
                 .neighbors
-                .map(|(_, include)| Found::new(include, space.coordinates(), room)),
+                .map(|(_, include)| NeighborColumns::new(include, space.coordinates(), room)),
             response: v1::InsertResponse::default(),
             conflicts: Vec::new(),
         })
@@ -210,9 +210,9 @@ impl<'a> Evaluation<'a> {
                 index: self.index.into(),
             });
         }
-        // Of use only where ids are assigned.
+        // Used only if ids are assigned.
         self.next_id += 1;
-        // The request's payloads are slices of the message: kept as they are, they would keep all of it.
+        // A copy: the request's payloads are slices that keep the whole message alive.
         let payload = Bytes::copy_from_slice(payload);
         self.staging.accept(id, tag, row, payload, outcome)
     }
@@ -240,7 +240,7 @@ impl<'a> Evaluation<'a> {
         Ok(())
     }
 
-    /// The nearest point that is nearer than the separation asked for.
+    /// The nearest point, if it is nearer than `min_separation`.
     fn blocker(&self, at: usize, row: &[f64]) -> Result<Option<u64>, Error> {
         let min_separation = self.insertion.min_separation;
         let Some(nearest) = self.insertion.nearest() else {
@@ -254,7 +254,7 @@ impl<'a> Evaluation<'a> {
         Ok(blocker.map(|near| near.id))
     }
 
-    /// What to log, and what to tell but for the revision.
+    /// The effects to log, and the response without its revision.
     fn finish(self) -> Result<(Effects, v1::InsertResponse), Error> {
         if !self.conflicts.is_empty() {
             return Err(Error::PointsExist {
@@ -263,14 +263,14 @@ impl<'a> Evaluation<'a> {
             });
         }
         let response = v1::InsertResponse {
-            neighbors: self.found.map(Found::finish),
+            neighbors: self.found.map(NeighborColumns::finish),
             ..self.response
         };
         Ok((self.staging.into_effects(), response))
     }
 }
 
-/// What is known of a row's surroundings, and as of which revision.
+/// The prefetched neighbours of a row, with their revision.
 fn known<'a>(
     prefetch: Option<&'a Prefetch>,
     at: usize,
@@ -281,7 +281,7 @@ fn known<'a>(
 }
 
 impl Insertion {
-    /// The search for what is nearer than the separation asked for.
+    /// The search for a point within `min_separation`.
     fn nearest(&self) -> Option<Search<'static>> {
         let is_set = self.min_separation > 0.0;
         is_set.then(|| Search {
@@ -290,7 +290,7 @@ impl Insertion {
         })
     }
 
-    /// Looks around the rows in what the index is now.
+    /// Searches the newest revision for the rows.
     async fn prefetch(
         &self,
         head: &Arc<Published>,
@@ -300,7 +300,7 @@ impl Insertion {
         if !self.is_searched() {
             return Ok(None);
         }
-        // More than an answer holds are not asked for by anybody who gets one.
+        // An insert that requests more neighbours than an answer holds fails.
         let most = limits.answer_bytes / 16;
         let (points, rows) = (head.snapshot.len(), self.rows.len());
         let neighbors = self
@@ -316,7 +316,7 @@ impl Insertion {
         self.payloads.get(at).map_or(&[], |payload| payload)
     }
 
-    /// Which payloads of the head the rows are most likely compared with, or tell.
+    /// The payloads of the head that the rows most likely compare with or answer.
     async fn unread_in(
         &self,
         head: &Published,
@@ -341,13 +341,13 @@ impl Insertion {
         })
     }
 
-    /// Whether the payloads of neighbours are told.
+    /// True if the answer has the payloads of neighbours.
     fn answers_payloads(&self) -> bool {
         let include = self.neighbors.and_then(|(_, include)| include);
         include.is_some_and(|include| include.payloads)
     }
 
-    /// Whether rows must find the rows before them.
+    /// True if rows must find the rows before them.
     fn is_searched(&self) -> bool {
         self.min_separation > 0.0 || self.neighbors.is_some()
     }
@@ -373,8 +373,13 @@ impl Insertion {
         check::operation_id(&request.operation_id, &mut violations);
         let neighbors = match request.neighbors {
             Some(spec) => {
+                if spec.count.is_none() && spec.reach.is_none() {
+                    let text = "set k or k_factor, radius or scaled_radius, or one of each";
+                    violations.add("neighbors", "REQUIRED", text);
+                }
                 let include = spec.include;
-                let spec = neighbor_spec(spec, hosted, limits, &mut violations)?;
+                let spec =
+                    NeighborSpec::check("neighbors.", spec, hosted, limits, &mut violations)?;
                 Some((spec, include))
             }
             None => None,
@@ -402,24 +407,7 @@ impl Insertion {
     }
 }
 
-fn neighbor_spec(
-    request: v1::NeighborSpec,
-    hosted: &Hosted,
-    limits: &Limits,
-    violations: &mut Violations,
-) -> Result<NeighborSpec, Error> {
-    let (count, reach) = (request.count, request.reach);
-    if count.is_none() && reach.is_none() {
-        let text = "set k or k_factor, radius or scaled_radius, or one of each";
-        violations.add("neighbors", "REQUIRED", text);
-    }
-    let space = hosted.space();
-    let mut spec = NeighborSpec::check("neighbors.", count, reach, space, limits, violations)?;
-    spec.fixed.filter = check::filter("neighbors.filter", request.filter, hosted, violations)?;
-    Ok(spec)
-}
-
-/// Whether a stored point has this tag and, bit for bit, this state.
+/// True if a stored point has this tag and, bit for bit, this state.
 fn is_same(held: &Point, tag: u64, row: &[f64]) -> bool {
     let mut coordinates = held.row.iter().zip(row);
     held.tag == tag && coordinates.all(|(held, new)| held.to_bits() == new.to_bits())

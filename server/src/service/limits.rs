@@ -1,4 +1,4 @@
-//! What one call may ask for, and what the service keeps on its behalf.
+//! The limits of one call, and of the memory kept for retries.
 
 use std::time::Duration;
 
@@ -12,23 +12,23 @@ pub struct Limits {
     pub rows_per_call: usize,
     /// Most ids of one `Get`, `Update` or `Remove`.
     pub ids_per_call: usize,
-    /// Most neighbours a state may ask for.
+    /// Most neighbours of a state.
     pub k: usize,
     /// Most bytes of one encoded answer. Stock gRPC clients refuse messages above 4 MiB, so the default stays below.
     pub answer_bytes: usize,
     /// Most indices on the server.
     pub indexes: usize,
-    /// How long a scan, a snapshot or a verification may hold its revision, in seconds.
+    /// Most seconds that a scan, a snapshot or a verification holds its revision.
     pub scan_seconds: u64,
-    /// How many operations (calls with an `operation_id`) an index remembers for their retries. The window ends with
-    /// this or with `operation_bytes`, whichever is reached first.
+    /// Most operations (calls with an `operation_id`) that an index remembers for their retries. The window ends at this
+    /// limit or at `operation_bytes`, the one reached first.
     pub operations_remembered: usize,
     /// Most bytes of remembered operations, their responses included, for each index.
     pub operation_bytes: usize,
     /// Most bytes of one payload. Fixed by the contract, no setting.
     #[serde(skip)]
     pub payload_bytes: usize,
-    /// How long a read without a deadline waits for its `min_revision`. Fixed by the contract, no setting.
+    /// Time that a read without a deadline waits for its `min_revision`. Fixed by the contract, no setting.
     #[serde(skip)]
     pub min_revision_wait: Duration,
 }

@@ -1,13 +1,13 @@
-//! `log`: the mutations after a revision in one answer, for whoever was told of some and missed others.
+//! `log`: the mutations after a revision in one answer, for a subscriber that missed some.
 
 use wayfold_proto::v1;
 
 use super::{Call, Error, Limits, Service, Watch};
 
 impl Service {
-    /// The mutations after `request.after_revision` that can be read now: as many as an answer holds, whole. What more
-    /// there is, is asked for after the last of them; `revision` in the answer says how far there is to go. A mutation
-    /// that no answer holds is [`Error::LimitExceeded`].
+    /// The readable mutations after `request.after_revision`, whole, as many as fit an answer. The next request starts
+    /// after the last of them; `revision` in the answer is the newest. A mutation larger than an answer fails with
+    /// [`Error::LimitExceeded`].
     pub async fn log(
         &self,
         call: &Call,
@@ -38,7 +38,7 @@ impl Service {
     }
 }
 
-/// So many that a message, with the payload that it may have more, stays within the limit of an answer.
+/// A message exceeds its size by less than one payload; this size keeps it within the limit of an answer.
 fn message_bytes(limits: &Limits) -> usize {
     let most = limits
         .answer_bytes

@@ -24,7 +24,6 @@ mod error_map;
 mod get;
 mod indexes;
 mod insert;
-mod knn;
 mod limits;
 mod log;
 mod mutation;
@@ -32,7 +31,6 @@ mod neighbor_spec;
 mod neighbors;
 mod payloads;
 mod prefetch;
-mod query;
 mod read_view;
 mod remove;
 mod restore;
@@ -72,10 +70,10 @@ pub struct Service {
 }
 
 struct Inner {
-    /// Set once, as soon as there is one.
+    /// Set once, when the registry is open.
     registry: OnceLock<Arc<Registry>>,
     limits: Limits,
-    /// What an acknowledged mutation survives; None without a data directory.
+    /// The durability of an acknowledged mutation; None without a data directory.
     durability: Option<Durability>,
     ready: AtomicBool,
     stopping: CancellationToken,
@@ -94,7 +92,7 @@ impl Service {
         Self::starting_durable(limits, None)
     }
 
-    /// The same, of a server that keeps its indices in a directory with this durability.
+    /// A starting service of a server that keeps its indices in a directory with this durability.
     pub(crate) fn starting_durable(limits: Limits, durability: Option<Durability>) -> Self {
         Self {
             inner: Arc::new(Inner {
@@ -107,23 +105,23 @@ impl Service {
         }
     }
 
-    /// Gives it its registry; a second one is ignored.
+    /// Sets the registry; a second one is ignored.
     pub fn set_registry(&self, registry: Arc<Registry>) {
-        // The service keeps the first, and gives back any other to be dropped.
+        // The cell returns a second registry, which is dropped.
         let _ = self.inner.registry.set(registry);
     }
 
-    /// Begins to answer calls; to be called once the registry has replayed its log.
+    /// Begins to answer calls; call it once the registry has replayed its log.
     pub fn set_ready(&self) {
         self.inner.ready.store(true, Ordering::Release);
     }
 
-    /// Answers new calls with [`Error::Unavailable`] from now on. Those accepted before go on to their end.
+    /// Answers new calls with [`Error::Unavailable`] from now on. Accepted calls run to their end.
     pub fn begin_shutdown(&self) {
         self.inner.stopping.cancel();
     }
 
-    /// Whether new calls are answered.
+    /// True if new calls are answered.
     pub fn is_serving(&self) -> bool {
         self.unavailability().is_none()
     }
@@ -151,7 +149,7 @@ impl Service {
         call.check("before the call began")
     }
 
-    /// Every call that was accepted has one.
+    /// The registry; every accepted call has one.
     fn registry(&self) -> Result<&Arc<Registry>, Error> {
         self.inner.registry.get().ok_or(Error::Unavailable {
             why: Unavailability::Starting,

@@ -1,5 +1,4 @@
-//! What every mutation goes through: recognising a retry, waiting for the writer, and from the evaluated effects to
-//! the acknowledgement.
+//! The frame of every mutation: it recognises a retry, waits for the writer, commits the effects and acknowledges them.
 
 use std::sync::Arc;
 
@@ -12,10 +11,10 @@ use crate::{
     registry::{Hosted, OperationWindow, WriteGuard, Writer},
 };
 
-/// How many bytes of a request are digested at a stretch.
+/// Bytes of a request digested between two pauses.
 const STRETCH: usize = 64 * 1024;
 
-/// The claim of a call to take effect once.
+/// A call's claim to take effect once.
 pub(super) struct Claim {
     id: String,
     fingerprint: Digest,
@@ -46,11 +45,11 @@ impl Claim {
     }
 }
 
-/// How a mutation begins.
-pub(super) enum Begun<R> {
-    /// It took effect before, and this is the response that it was given.
-    Answered(R),
-    /// It has the writer.
+/// The start of a mutation.
+pub(super) enum Start<R> {
+    /// The operation took effect before; this is its response.
+    Remembered(R),
+    /// The call holds the writer.
     Writing(WriteGuard),
 }
 
@@ -61,7 +60,7 @@ impl Service {
         call: &Call,
         hosted: &Hosted,
         claim: Option<&Claim>,
-    ) -> Result<Begun<R>, Error> {
+    ) -> Result<Start<R>, Error> {
         let writer = call
             .bound(
                 "while waiting for other mutations of the index",
@@ -70,17 +69,17 @@ impl Service {
             .await?
             .map_err(|error| registry_error(hosted.name(), error))?;
         let Some(response) = recalled(&writer, claim)? else {
-            return Ok(Begun::Writing(writer));
+            return Ok(Start::Writing(writer));
         };
         let revision = writer.head().revision;
-        // Nothing is left to write, and others need not wait for the log as this call does.
+        // Nothing is left to write: release the writer before waiting for the log.
         drop(writer);
         acknowledge(call, hosted, revision).await?;
-        Ok(Begun::Answered(response))
+        Ok(Start::Remembered(response))
     }
 
-    /// Commits a mutation that was evaluated under `writer`, and returns once it may be acknowledged with `response`.
-    /// Until the first poll nothing has happened, and after it everything has.
+    /// Commits a mutation that was evaluated under `writer`; returns once it may be acknowledged with `response`.
+    /// Before the first poll nothing has happened; after it the mutation completes.
     pub(super) async fn commit(
         &self,
         call: &Call,
@@ -107,7 +106,7 @@ impl Service {
                 writer.remember(operation, window);
             }
             let revision = writer.head().revision;
-            // Others go on; a twin finds what is remembered.
+            // Other writers continue; a retry finds the remembered response.
             drop(writer);
             return acknowledge(call, hosted, revision).await;
         }
@@ -147,7 +146,7 @@ fn recalled<R: Message + Default>(
     Ok(Some(response))
 }
 
-/// Waits until `revision`, which the caller will be told, is as durable as configured.
+/// Waits until `revision`, which the response names, is as durable as configured.
 async fn acknowledge(call: &Call, hosted: &Hosted, revision: u64) -> Result<(), Error> {
     call.bound("while the log was being synced", hosted.reached(revision))
         .await?

@@ -1,13 +1,17 @@
-//! Which neighbours a request asks for: a number and a distance, each fixed or set by the size of the index. `Knn`, `Query`
-//! and the neighbours of an insert say it in the same words.
+//! The neighbours that `Knn`, `Query` or an insert requests: a number, a distance and a filter. Number and distance are
+//! fixed or scaled by the size of the index.
 
-use wayfold_index::{Scaling, Search, Space};
-use wayfold_proto::v1::neighbor_spec::{Count, Reach};
+use wayfold_index::{Scaling, Search};
+use wayfold_proto::v1::{
+    self,
+    neighbor_spec::{Count, Reach},
+};
 
 use super::{
     Error, Limits,
     check::{self, Violations},
 };
+use crate::registry::Hosted;
 
 /// A search that is complete once the number of points is known.
 #[derive(Clone, Copy)]
@@ -20,19 +24,18 @@ pub(super) struct NeighborSpec {
 }
 
 impl NeighborSpec {
-    /// Checks a number and a distance, in fields whose paths begin with `prefix`. None of them is no limit.
+    /// Checks the fields of a request; their paths begin with `prefix`. An unset number or distance is no limit.
     pub(super) fn check(
         prefix: &str,
-        count: Option<Count>,
-        reach: Option<Reach>,
-        space: &Space,
+        request: v1::NeighborSpec,
+        hosted: &Hosted,
         limits: &Limits,
         violations: &mut Violations,
     ) -> Result<Self, Error> {
         let field = |name: &str| format!("{prefix}{name}");
         let mut fixed = Search::nearest_k(usize::MAX);
         let mut scaling = Scaling::default();
-        match count {
+        match request.count {
             Some(Count::K(k)) => fixed.k = check::k(&field("k"), k, limits, violations)?,
             Some(Count::KFactor(factor)) => {
                 check::finite(&field("k_factor"), factor, violations);
@@ -40,7 +43,7 @@ impl NeighborSpec {
             }
             None => {}
         }
-        match reach {
+        match request.reach {
             Some(Reach::Radius(radius)) => {
                 check::radius(&field("radius"), radius, violations);
                 fixed.radius = radius;
@@ -55,15 +58,16 @@ impl NeighborSpec {
             }
             None => {}
         }
+        fixed.filter = check::filter(&field("filter"), request.filter, hosted, violations)?;
         Ok(Self {
             fixed,
             scaling,
-            dimension: space.dimension(),
+            dimension: hosted.space().dimension(),
             k_limit: limits.k,
         })
     }
 
-    /// The search among this many points; refused where its number exceeds the limit.
+    /// The search among this many points; fails if its number exceeds the limit.
     pub(super) fn among(&self, points: usize) -> Result<Search<'static>, Error> {
         let search = self.scaled(points);
         if self.scaling.k_factor.is_some() {
@@ -72,8 +76,8 @@ impl NeighborSpec {
         Ok(search)
     }
 
-    /// A search among this many points that most likely suffices after `rows` more and those that others add meanwhile: for
-    /// as many as it takes among an eighth more points. The radius needs no such margin, as it falls.
+    /// A search among this many points that most likely still suffices after `rows` more points and those of concurrent
+    /// writers: its number is that for an eighth more points. The radius shrinks with the size and needs no margin.
     pub(super) fn prefetch_search(&self, points: usize, rows: usize) -> Search<'static> {
         let mut search = self.scaled(points);
         if let Some(k) = self.scaling.k(points + points / 8 + rows) {

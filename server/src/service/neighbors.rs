@@ -1,59 +1,111 @@
-//! What `Knn` and `Query` have in common: everything but which neighbours they want.
-
-use std::sync::Arc;
+//! `Knn` and `Query`: the k nearest points of each state, and all points within a radius of each.
 
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{Found, ReadView, Room, search},
+    answer::{NeighborColumns, ReadView, Room, search},
     check::{self, Violations},
     neighbor_spec::NeighborSpec,
     read_view::{revision, revision_number},
 };
-use crate::registry::Hosted;
 
 const DOING: &str = "while searching";
 
-/// What a request says beside which neighbours it wants.
-pub(super) struct NeighborRequest {
-    pub(super) states: Option<v1::States>,
-    pub(super) epsilon: f64,
-    pub(super) filter: Option<v1::Filter>,
-    pub(super) include: Option<v1::Include>,
-    pub(super) min_revision: Option<v1::Revision>,
+/// The request of either verb.
+struct NeighborRequest {
+    index: String,
+    states: Option<v1::States>,
+    spec: v1::NeighborSpec,
+    epsilon: f64,
+    min_revision: Option<v1::Revision>,
+    /// A required field that is not set, and how to set it.
+    missing: Option<(&'static str, &'static str)>,
 }
 
 impl Service {
-    /// Checks the rest of a request, waits for its revision, and searches for every state. The size of the index at that
-    /// revision completes `spec`; `violations` has what is wrong with it.
-    pub(super) async fn neighbors(
+    /// The k nearest points of each state, optionally within a radius.
+    pub async fn knn(
         &self,
         call: &Call,
-        hosted: Arc<Hosted>,
-        asked: NeighborRequest,
-        mut spec: NeighborSpec,
-        mut violations: Violations,
+        request: v1::KnnRequest,
+    ) -> Result<v1::KnnResponse, Error> {
+        let missing = ("k", "set k or k_factor");
+        let request = NeighborRequest {
+            index: request.index,
+            states: request.states,
+            missing: request.count.is_none().then_some(missing),
+            spec: v1::NeighborSpec {
+                count: request.count.map(Into::into),
+                reach: request.reach.map(Into::into),
+                filter: request.filter,
+                include: request.include,
+            },
+            epsilon: request.epsilon,
+            min_revision: request.min_revision,
+        };
+        let (neighbors, revision) = self.neighbors(call, request).await?;
+        Ok(v1::KnnResponse {
+            neighbors: Some(neighbors),
+            revision: Some(revision),
+        })
+    }
+
+    /// All points within a radius of each state, the closed ball, nearest first.
+    pub async fn query(
+        &self,
+        call: &Call,
+        request: v1::QueryRequest,
+    ) -> Result<v1::QueryResponse, Error> {
+        let missing = (
+            "radius",
+            "set radius or scaled_radius; an infinite radius finds all points",
+        );
+        let request = NeighborRequest {
+            index: request.index,
+            states: request.states,
+            missing: request.reach.is_none().then_some(missing),
+            spec: v1::NeighborSpec {
+                count: None,
+                reach: request.reach.map(Into::into),
+                filter: request.filter,
+                include: request.include,
+            },
+            epsilon: request.epsilon,
+            min_revision: request.min_revision,
+        };
+        let (neighbors, revision) = self.neighbors(call, request).await?;
+        Ok(v1::QueryResponse {
+            neighbors: Some(neighbors),
+            revision: Some(revision),
+        })
+    }
+
+    /// Checks a request, waits for its revision, and searches for every state.
+    async fn neighbors(
+        &self,
+        call: &Call,
+        request: NeighborRequest,
     ) -> Result<(v1::Neighbors, v1::Revision), Error> {
-        let NeighborRequest {
-            states,
-            epsilon,
-            filter,
-            include,
-            min_revision,
-        } = asked;
+        self.accept(call)?;
+        let hosted = self.index(&request.index, "")?;
         let (limits, space) = (self.limits(), hosted.space());
         let mut pace = call.pace(DOING);
-        check::finite("epsilon", epsilon, &mut violations);
-        spec.fixed.epsilon = epsilon;
-        let filter = check::filter("filter", filter, &hosted, &mut violations)?;
-        spec.fixed.filter = filter;
-        let min = min_revision.as_ref();
+        let mut violations = Violations::default();
+        if let Some((field, text)) = request.missing {
+            violations.add(field, "REQUIRED", text);
+        }
+        let include = request.spec.include;
+        let mut spec = NeighborSpec::check("", request.spec, &hosted, limits, &mut violations)?;
+        check::finite("epsilon", request.epsilon, &mut violations);
+        spec.fixed.epsilon = request.epsilon;
+        let min = request.min_revision.as_ref();
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
-        let states = check::states(space, states, limits, &mut pace, &mut violations).await?;
+        let states =
+            check::states(space, request.states, limits, &mut pace, &mut violations).await?;
         violations.finish()?;
 
-        let min = min.max(filter.since_revision);
+        let min = min.max(spec.fixed.filter.since_revision);
         let published = self.published(call, &hosted, min).await?;
         let mut completed = spec.among(published.snapshot.len())?;
         completed.until = call.deadline;
@@ -63,7 +115,7 @@ impl Service {
             index: hosted.name(),
             published: &published,
         };
-        let found = Found::new(include, space.coordinates(), Room::new(limits));
+        let found = NeighborColumns::new(include, space.coordinates(), Room::new(limits));
         let neighbors = search(&view, &states, completed, found, &mut pace).await?;
         Ok((neighbors, revision(&hosted, published.revision)))
     }

@@ -1,5 +1,5 @@
-//! The stored payloads that an insert needs: those that its rows are compared with, and those of the neighbours that it
-//! answers. They are read before the insert has the writer.
+//! The stored payloads that an insert reads before it holds the writer: those that it compares with its rows, and those
+//! of the neighbours in its answer.
 
 use bytes::Bytes;
 use sha2::{Digest as _, Sha256};
@@ -7,7 +7,7 @@ use sha2::{Digest as _, Sha256};
 use super::{
     Call, Error,
     answer::payload_bytes,
-    stored::{BATCH, ReadAhead},
+    stored::{BATCH_ROWS, ReadAhead},
 };
 use crate::{
     log::Digest,
@@ -16,20 +16,20 @@ use crate::{
 
 const DOING: &str = "while reading payloads; nothing was changed";
 
-/// See the module.
+/// The payloads read so far.
 pub(super) struct Payloads {
-    /// Payloads that rows are compared with: their digests, as all of them together may be large.
+    /// Digests of the payloads to compare with: all payloads together may be large.
     compared: ReadAhead<Digest>,
-    /// Payloads of neighbours; None if they are not told.
+    /// Payloads of neighbours; None if the answer has none.
     neighbors: Option<ReadAhead<Bytes>>,
 }
 
-/// Ids of points whose payloads have to be read.
+/// Ids of points whose payloads are still to be read.
 #[derive(Default)]
 pub(super) struct Unread {
-    /// To compare them.
+    /// For comparison.
     pub(super) compared: Vec<u64>,
-    /// To tell them.
+    /// For the answer.
     pub(super) neighbors: Vec<u64>,
 }
 
@@ -40,7 +40,7 @@ impl Unread {
 }
 
 impl Payloads {
-    /// Nothing is read yet.
+    /// Nothing read; `answers` is set if the answer has payloads of neighbours.
     pub(super) fn new(answers: bool) -> Self {
         let neighbors = || ReadAhead::new(true, |point| point.payload.clone());
         Self {
@@ -49,19 +49,18 @@ impl Payloads {
         }
     }
 
-    /// Whether `payload` is stored under an id; None if that has to be read.
+    /// True if `payload` is stored under an id; None if it is not read yet.
     pub(super) fn is_stored(&self, id: u64, payload: &[u8]) -> Option<bool> {
         let stored = self.compared.get(id)?;
         Some(*stored == Digest::from(Sha256::digest(payload)))
     }
 
-    /// The payload of a neighbour; None if it has to be read.
+    /// The payload of a neighbour; None if it is not read yet.
     pub(super) fn of_neighbor(&self, id: u64) -> Option<&Bytes> {
         self.neighbors.as_ref()?.get(id)
     }
 
-    /// Reads payloads of `head`; of those that are told, until they take more than `most` bytes of an answer. Returns how
-    /// many bytes they take.
+    /// Reads payloads of `head`; those for the answer until they exceed `most` bytes of it. Returns the bytes of these.
     pub(super) async fn read(
         &mut self,
         call: &Call,
@@ -80,7 +79,7 @@ impl Payloads {
         unread.neighbors.sort_unstable();
         unread.neighbors.dedup();
         let mut bytes = 0;
-        for ids in unread.neighbors.chunks(BATCH) {
+        for ids in unread.neighbors.chunks(BATCH_ROWS) {
             if bytes > most {
                 break;
             }
@@ -91,7 +90,7 @@ impl Payloads {
         Ok(bytes)
     }
 
-    /// Brings what was read up to the writer's head, or forgets it.
+    /// Catches up to the writer's head, or forgets the payloads.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) {
         self.compared.catch_up(hosted, writer);
         if let Some(neighbors) = &mut self.neighbors {

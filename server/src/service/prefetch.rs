@@ -1,5 +1,5 @@
-//! Searching for the rows of an insert before it is its turn to write, so that those who write one index search side by
-//! side. What came in between is little, and is looked for when its turn has come.
+//! Searches of an insert before its turn to write, so that concurrent writers of one index search in parallel. With the
+//! writer, the insert searches only the few points that were added meanwhile.
 
 use std::sync::Arc;
 
@@ -8,25 +8,24 @@ use wayfold_index::{Neighbor, Search};
 use super::{Error, call::Pace, check::Rows};
 use crate::registry::{Published, Writer};
 
-/// What rows have around them in one revision of the index, in what the rows' searches have in common: nothing is
-/// excluded, and the rows do not see each other.
+/// The neighbours of rows in one revision of the index. No point is excluded, and the rows do not see each other.
 pub(super) struct Prefetch {
     revision: u64,
-    /// What neighbours were searched for.
+    /// The search for neighbours that was made.
     neighbors: Option<Search<'static>>,
-    /// One a row, as long as there was room for them.
+    /// One a row; the last rows may be missing.
     rows: Vec<PrefetchedRow>,
 }
 
-/// What one row has around it.
+/// The neighbours of one row.
 pub(super) struct PrefetchedRow {
     pub(super) neighbors: Vec<Neighbor>,
-    /// The nearest, within the separation asked for.
+    /// The nearest point within `min_separation`.
     pub(super) nearest: Vec<Neighbor>,
 }
 
 impl Prefetch {
-    /// Searches for `rows` in `head`, until more than `most` neighbours are found.
+    /// Searches `head` for `rows`; stops once it has found more than `most` neighbours.
     pub(super) async fn search(
         head: Arc<Published>,
         rows: &Rows,
@@ -67,29 +66,29 @@ impl Prefetch {
         Ok(prefetch)
     }
 
-    /// Whether it is still so at the head of `writer`, but for points that were added since.
+    /// True if points were only added between this revision and the head of `writer`.
     pub(super) fn holds(&self, writer: &Writer) -> bool {
         writer.only_added_since(self.revision)
     }
 
-    /// Whether neighbours were searched for as far as this search goes, and as many.
+    /// True if the search that was made is at least as wide as this one.
     pub(super) fn reaches(&self, search: &Search<'_>) -> bool {
         self.neighbors
             .is_some_and(|found| found.k >= search.k && found.radius >= search.radius)
     }
 
-    /// The revision it is from.
+    /// The revision that was searched.
     pub(super) fn revision(&self) -> u64 {
         self.revision
     }
 
-    /// The ids of the neighbours that were found.
+    /// The ids of all neighbours found.
     pub(super) fn neighbor_ids(&self) -> Vec<u64> {
         let neighbors = self.rows.iter().flat_map(|row| &row.neighbors);
         neighbors.map(|neighbor| neighbor.id).collect()
     }
 
-    /// What the row has around it, if it was searched for.
+    /// The neighbours of a row, if it was searched for.
     pub(super) fn row(&self, at: usize) -> Option<&PrefetchedRow> {
         self.rows.get(at)
     }

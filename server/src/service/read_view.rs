@@ -1,4 +1,4 @@
-//! Which index a call means, and which revision of it a read sees.
+//! The index of a call, and the revision that a read sees.
 
 use std::sync::Arc;
 
@@ -16,8 +16,8 @@ impl Service {
         Ok(hosted)
     }
 
-    /// What a read sees: the newest revision, once that is at least `revision`, the greater of `min_revision` and
-    /// `since_revision`: a server that has not heard of these yet cannot say what came after them.
+    /// Waits until the newest revision is at least `revision`, and returns it for a read. `revision` is the greater of
+    /// `min_revision` and `since_revision`: a server that lacks these cannot list later points.
     pub(super) async fn published(
         &self,
         call: &Call,
@@ -48,8 +48,8 @@ pub(super) fn revision(hosted: &Hosted, number: u64) -> v1::Revision {
     }
 }
 
-/// The number of the revision that a request names in `field`, 0 for none. Above 0 it needs a uid, and a uid must be the
-/// index's.
+/// The number of the revision that a request names in `field`, 0 for none. A number above 0 needs a uid, and a uid must
+/// match the index.
 pub(super) fn revision_number(
     hosted: &Hosted,
     field: &str,
@@ -67,7 +67,7 @@ pub(super) fn revision_number(
     Ok(*number)
 }
 
-/// Fails if the index has another uid; an empty one is any.
+/// Fails if the index has another uid; an empty one matches any.
 fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
     if uid.is_empty() || uid == hosted.uid_text() {
         return Ok(());

@@ -5,7 +5,7 @@ use wayfold_proto::v1;
 use super::{
     Call, Error, Service,
     check::{self, Violations},
-    mutation::{Begun, Claim},
+    mutation::{Claim, Start},
     read_view::revision,
 };
 use crate::log::Effects;
@@ -28,8 +28,8 @@ impl Service {
         violations.finish()?;
 
         let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-            Begun::Answered(response) => return Ok(response),
-            Begun::Writing(writer) => writer,
+            Start::Remembered(response) => return Ok(response),
+            Start::Writing(writer) => writer,
         };
         let head = writer.head().clone();
         let mut effects = Effects::new(hosted.space().coordinates());

@@ -21,26 +21,26 @@ use crate::{
 /// The first revision that no snapshot may have: an index that is restored needs revisions for its mutations.
 const END_OF_REVISIONS: u64 = 1 << 63;
 
-/// An index on its way. Until [`Restoring::finish`] nobody sees it, and if it is dropped nothing is left of it.
+/// An index under restoration. It is invisible until [`Restoring::finish`], and a drop leaves nothing behind.
 pub struct Restoring {
     service: Service,
     call: Call,
-    /// From the first message on.
+    /// Set by the first message.
     name: Option<String>,
-    /// Away while a part is read; gone for good where that failed or was given up.
+    /// Taken while a part is read; never put back if that failed or was cancelled.
     draft: Option<Draft>,
 }
 
-/// What there is of the index.
+/// The restored part of the index.
 #[derive(Default)]
 struct Draft {
     reader: Reader,
-    /// From the header on.
+    /// Set by the header.
     restore: Option<Restore>,
 }
 
 impl Service {
-    /// Begins to make an index of a snapshot.
+    /// Begins to restore an index from a snapshot.
     pub fn restore_index(&self, call: &Call) -> Result<Restoring, Error> {
         self.accept(call)?;
         Ok(Restoring {
@@ -53,7 +53,7 @@ impl Service {
 }
 
 impl Restoring {
-    /// Takes the next part. After an error nothing more is taken.
+    /// Takes the next part. After an error every part is refused.
     pub async fn add(&mut self, request: v1::RestoreIndexRequest) -> Result<(), Error> {
         let name = self.name(request.name)?;
         let Some(part) = request.part else {
@@ -61,7 +61,7 @@ impl Restoring {
         };
         let mut draft = self.draft.take().ok_or_else(out_of_order)?;
         let service = self.service.clone();
-        // Checking a part takes milliseconds, and so may storing it.
+        // Checking a part takes milliseconds; storing it may, too.
         let read = tokio::task::spawn_blocking(move || {
             draft.read(&service, &name, &part)?;
             Ok::<_, Error>(draft)
@@ -71,7 +71,7 @@ impl Restoring {
         Ok(())
     }
 
-    /// Says that there are no more parts: from now on the index is there, if the snapshot is whole.
+    /// Ends the parts. If the snapshot is whole, the index is visible from now on.
     pub async fn finish(mut self) -> Result<v1::RestoreIndexResponse, Error> {
         self.call.check("while restoring")?;
         let Draft { reader, restore } = self.draft.take().ok_or_else(out_of_order)?;
@@ -90,7 +90,7 @@ impl Restoring {
         })
     }
 
-    /// The name that the first message gives, and no other does otherwise.
+    /// The index's name: the first message gives it, and no later one may differ.
     fn name(&mut self, given: String) -> Result<String, Error> {
         let mut violations = Violations::default();
         let name = match &self.name {
@@ -143,14 +143,14 @@ impl Draft {
                     .map_err(|error| not_restored(name, error))?;
             }
             (Content::Trailer, Some(_)) => {}
-            // A reader lets nothing come before the header.
+            // The reader refuses points before the header.
             (Content::Points(..) | Content::Trailer, None) => return Err(out_of_order()),
         }
         Ok(())
     }
 }
 
-/// The points of a part that a reader found good.
+/// The points of a part that the reader accepted.
 fn stored(points: v1::Points, modified: &[u64]) -> Vec<StoredPoint> {
     let states = points.states.unwrap_or_default();
     let width = states.coordinates.len() / points.ids.len().max(1);
@@ -165,7 +165,7 @@ fn stored(points: v1::Points, modified: &[u64]) -> Vec<StoredPoint> {
             modified,
             tag,
             state: state.into(),
-            // A copy: the part is to go.
+            // A copy, so that the part can be freed.
             payload: points
                 .payloads
                 .get(at)

@@ -1,4 +1,4 @@
-//! A revision held for a stream, for a bounded time.
+//! A revision pinned for a stream, for a bounded time.
 
 use std::{sync::Arc, time::Duration};
 
@@ -7,13 +7,13 @@ use tokio::{sync::oneshot, time::Instant};
 
 use crate::registry::Published;
 
-/// A pinned revision. A drop releases it, and so does the end of its time, even if no reader comes back.
+/// A pinned revision. A drop or the end of its time releases it, even if no reader returns.
 pub(super) struct RevisionPin {
     held: Arc<Mutex<Option<Arc<Published>>>>,
     seconds: u64,
-    /// The end of its time, which a reader must see before the watch has run. None lies beyond what the clock can tell.
+    /// The end of its time: a reader checks it, as the watching task may run late. None: beyond the clock's range.
     end: Option<Instant>,
-    /// Ends the watch over the time together with the pin.
+    /// Its drop ends the watching task.
     _watch: oneshot::Sender<()>,
 }
 
@@ -45,12 +45,12 @@ impl RevisionPin {
         self.held.lock().clone()
     }
 
-    /// For how many seconds it may be held.
+    /// The seconds that it may be held.
     pub(super) fn seconds(&self) -> u64 {
         self.seconds
     }
 
-    /// Lets go of it.
+    /// Releases the revision.
     pub(super) fn release(&self) {
         self.held.lock().take();
     }

@@ -11,19 +11,19 @@ use super::{
     check::{self, Violations},
     read_view::{revision, revision_number},
     revision_pin::RevisionPin,
-    stored::BATCH,
+    stored::BATCH_ROWS,
 };
 use crate::registry::{Hosted, Published};
 
 /// Most rows of a part.
 const PART_ROWS: usize = 4096;
 
-/// About how many bytes a part has; less if answers may have less.
+/// Approximate bytes of a part, less if answers are limited to less.
 const PART_BYTES: usize = 1024 * 1024;
 
 const DOING: &str = "while scanning";
 
-/// A scan under way. It pins its revision until it ends, is dropped, or has held it for as long as it may.
+/// A running scan. It pins its revision until it ends, is dropped, or its time is up.
 pub struct Scan {
     call: Call,
     hosted: Arc<Hosted>,
@@ -63,8 +63,8 @@ impl Service {
 }
 
 impl Scan {
-    /// The next part; None after the last. There is at least one, and none follows an error. A part that is not
-    /// waited for to its end is not lost: the next one begins where it began.
+    /// The next part; None after the last or an error. There is at least one. A cancelled call loses no part: the next
+    /// call begins where it began.
     pub async fn next(&mut self) -> Option<Result<v1::ScanResponse, Error>> {
         if self.done {
             return None;
@@ -97,7 +97,7 @@ impl Scan {
             |points: &PointColumns| points.len() >= PART_ROWS || points.bytes() >= self.part_bytes;
         while rest.peek().is_some() && !is_full(&points) {
             let (mut batch, mut passed_to) = (Vec::new(), after);
-            while batch.len() < BATCH
+            while batch.len() < BATCH_ROWS
                 && let Some((passed, point)) = rest.next()
             {
                 passed_to = Some(point.id);
@@ -128,7 +128,7 @@ impl Scan {
                 points.push(point.by_ref(), payloads.next());
             }
             if batch.peek().is_some() {
-                // They are the first of the next part.
+                // The rest begins the next part.
                 self.after = after;
                 return Ok(self.message(points, &published));
             }

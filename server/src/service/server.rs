@@ -1,4 +1,4 @@
-//! `GetServer`: what a server is, and what it allows.
+//! `GetServer`: version, durability and limits of the server.
 
 use wayfold_proto::v1;
 

@@ -16,13 +16,13 @@ use crate::{
     registry::{Hosted, Published},
 };
 
-/// About how many bytes a part has; less if answers may have less. Its checksum is computed in one go.
+/// Approximate bytes of a part, less if answers are limited to less. Its checksum is computed without a pause.
 const PART_BYTES: usize = 256 * 1024;
 
-/// How many points are read from the log at once.
-const PAGE: usize = 128;
+/// Points read from the log at once.
+const PAGE_ROWS: usize = 128;
 
-/// A snapshot under way. It pins its revision until it ends, is dropped, or has held it for as long as it may.
+/// A running snapshot. It pins its revision until it ends, is dropped, or its time is up.
 pub struct Snapshot {
     call: Call,
     hosted: Arc<Hosted>,
@@ -33,7 +33,7 @@ pub struct Snapshot {
     next: Next,
 }
 
-/// What the next part is.
+/// The kind of the next part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Next {
     Header,
@@ -137,7 +137,7 @@ impl Snapshot {
     }
 }
 
-/// Stored points under way to their columns.
+/// Columns of stored points.
 #[derive(Default)]
 struct Rows {
     points: v1::Points,
@@ -147,7 +147,7 @@ struct Rows {
 }
 
 impl Rows {
-    /// Stored points after an id, until they take `most` bytes or there are no more; and the id of the last.
+    /// Reads stored points after an id, up to `most` bytes; returns them with the id of the last.
     fn read(
         view: &dyn View,
         mut after: Option<u64>,
@@ -155,7 +155,7 @@ impl Rows {
     ) -> Result<(Self, Option<u64>), LogError> {
         let mut rows = Self::default();
         while rows.bytes < most {
-            let page = view.page(after, PAGE)?;
+            let page = view.page(after, PAGE_ROWS)?;
             if page.is_empty() {
                 break;
             }

@@ -1,5 +1,4 @@
-//! Rows on their way into an index: a row sees the head and the rows before it, and nobody sees a row before all are
-//! committed.
+//! Rows of a mutation before its commit: a row sees the head and the rows before it, and no reader sees any of them.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -19,23 +18,23 @@ use crate::{
 pub(super) struct Staging {
     head: Arc<Published>,
     effects: Effects,
-    /// How many of the accepted rows are new points.
+    /// The number of accepted rows that are new points.
     inserted: usize,
     searched: Option<Searched>,
 }
 
-/// What only searches need.
+/// The part that only searches need.
 struct Searched {
-    /// The accepted rows once more. Its revisions count the rows; those of the points are the mutation's.
+    /// The accepted rows again, indexed. Its revisions count rows; the points carry the mutation's revision.
     forest: Forest,
-    /// Where an accepted row is in the effects, by id.
+    /// The slot of an accepted row in the effects, by id.
     slots: HashMap<u64, usize>,
-    /// Ids whose point at the head is not to be found: replaced by an accepted row, or the row's own.
+    /// Ids hidden from searches of the head: those an accepted row replaced, and the current row's own.
     hidden: HashSet<u64>,
 }
 
 impl Staging {
-    /// Nothing accepted yet. Only if it is `searched` rows are found by later ones.
+    /// An empty staging. Later rows find earlier ones only if `searched` is set.
     pub(super) fn new(head: Arc<Published>, space: &Space, searched: bool) -> Self {
         Self {
             head,
@@ -54,7 +53,7 @@ impl Staging {
         self.head.revision + 1
     }
 
-    /// How many points there are by now.
+    /// The number of points, accepted rows included.
     pub(super) fn points(&self) -> usize {
         self.head.snapshot.len() + self.inserted
     }
@@ -84,8 +83,8 @@ impl Staging {
         }
     }
 
-    /// What a row finds in the head and in the rows before it. `known` is what the same search, or one for more or
-    /// farther ones, found in an earlier revision, since which points were only added.
+    /// The neighbours of a row in the head and in the rows before it. `known` is the answer of an earlier revision to
+    /// this search or a wider one; since that revision points were only added.
     pub(super) fn search(
         &self,
         row: &[f64],
@@ -95,7 +94,7 @@ impl Staging {
         let Some(searched) = &self.searched else {
             return Ok(Vec::new());
         };
-        // It knows nothing of what is hidden.
+        // A known answer ignores hidden points.
         let known = known.filter(|_| searched.hidden.is_empty());
         let mut neighbors = searched.forest.search(row, search)?.neighbors;
         let mut at_head = *search;
@@ -108,7 +107,7 @@ impl Staging {
             let since = &mut at_head.filter.since_revision;
             *since = revision.max(*since);
         }
-        // The ball is closed: a point of the head as far as the last of enough found ones may precede it by its id.
+        // The ball is closed: at equal distance a point of the head precedes the last one found if its id is smaller.
         if let Some(farthest) = neighbors.last()
             && neighbors.len() >= search.k
         {
@@ -156,7 +155,7 @@ impl Staging {
     }
 }
 
-/// Adds the `others` to some neighbours, of which the nearest `k` stay.
+/// Merges `others` into the neighbours and keeps the nearest `k`.
 fn merge(neighbors: &mut Vec<Neighbor>, others: &[Neighbor], k: usize) {
     if neighbors.is_empty() {
         neighbors.extend(&others[..others.len().min(k)]);
@@ -203,8 +202,8 @@ mod tests {
     proptest! {
         #![proptest_config(crate::testing::cases(256))]
 
-        /// On a grid, where most distances are ties: as if head and accepted rows were one set, whether or not something
-        /// is known of an earlier head, maybe more than is asked for.
+        /// On a grid most distances are ties. A search answers as over one set of head and accepted rows, with or
+        /// without a known answer of an earlier head, which may be wider than the search.
         #[test]
         fn a_row_finds_the_nearest_of_the_head_and_the_rows_before_it(
             head in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),

@@ -1,5 +1,5 @@
-//! Stored points, which may have to come from a disk. They are read on threads that may block, not on those that answer
-//! calls, and not while an index's writer is held: a mutation reads what it needs before ([`ReadAhead`]).
+//! Reads of stored points, possibly from a disk. They run on threads that may block, never on those that answer calls,
+//! and never while an index's writer is held: a mutation reads ahead ([`ReadAhead`]).
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -11,11 +11,11 @@ use crate::{
     registry::{Hosted, Published, Writer},
 };
 
-/// How many points are read at once. Between two batches a call may be given up.
-pub(super) const BATCH: usize = 256;
+/// Points read at once. A call can be cancelled between two batches.
+pub(super) const BATCH_ROWS: usize = 256;
 
-/// Reads from the store, on a thread that may block, for the index of this name. A read is not begun once its caller is
-/// gone.
+/// Reads from the store of the named index on a thread that may block. A queued read does not start once its caller has
+/// left.
 pub(super) async fn read<T: Send + 'static>(
     call: &Call,
     doing: &'static str,
@@ -27,29 +27,29 @@ pub(super) async fn read<T: Send + 'static>(
     let reading = tokio::task::spawn_blocking(move || read(&*view));
     match call.bound(doing, AbortOnDropHandle::new(reading)).await? {
         Ok(read) => read.map_err(|error| log_error(index, error)),
-        // A read that is awaited fails to come back only if it panicked.
+        // An awaited read fails to join only if it panicked.
         Err(_) => Err(Error::Internal {
             what: format!("index \"{index}\": reading stored points did not come to its end"),
         }),
     }
 }
 
-/// From a stored point to what is kept of it.
+/// Maps a stored point to the value kept of it.
 type Projection<T> = Arc<dyn Fn(&Arc<StoredPoint>) -> T + Send + Sync>;
 
-/// What a mutation needs to know of stored points: read before it has the writer, and brought up to date once it has.
+/// Values of stored points for a mutation: read before it holds the writer, and caught up once it does.
 pub(super) struct ReadAhead<T> {
     keep: Projection<T>,
-    /// Points stored after they were read are known, too.
+    /// Points stored after the read are added, too.
     takes_new: bool,
     /// The revision that `points` are of.
     revision: u64,
-    /// By id; None where no point is stored.
+    /// By id; None: no point is stored.
     points: HashMap<u64, Option<T>>,
 }
 
 impl<T: Send + 'static> ReadAhead<T> {
-    /// Nothing is known yet.
+    /// An empty set.
     pub(super) fn new(
         takes_new: bool,
         keep: impl Fn(&Arc<StoredPoint>) -> T + Send + Sync + 'static,
@@ -62,17 +62,17 @@ impl<T: Send + 'static> ReadAhead<T> {
         }
     }
 
-    /// What is known of a point; None also if the point has to be read first.
+    /// The value of a point; None if it is not stored or not read yet.
     pub(super) fn get(&self, id: u64) -> Option<&T> {
         self.points.get(&id)?.as_ref()
     }
 
-    /// What is known is that of `head`, or nothing.
+    /// Declares `head` the revision of all values held.
     pub(super) fn begin_at(&mut self, head: &Published) {
         self.revision = head.revision;
     }
 
-    /// Reads points of `head`, the revision that those known before are of.
+    /// Reads points of `head`, which must be the revision of the values held.
     pub(super) async fn read(
         &mut self,
         call: &Call,
@@ -82,7 +82,7 @@ impl<T: Send + 'static> ReadAhead<T> {
         ids: &[u64],
     ) -> Result<(), Error> {
         self.begin_at(head);
-        for ids in ids.chunks(BATCH) {
+        for ids in ids.chunks(BATCH_ROWS) {
             let (ids, keep) = (ids.to_vec(), Arc::clone(&self.keep));
             let batch = move |view: &dyn View| {
                 let points = ids.into_iter().map(|id| {
@@ -97,8 +97,8 @@ impl<T: Send + 'static> ReadAhead<T> {
         Ok(())
     }
 
-    /// Brings what is known up to the writer's head, from the records at hand. Where these do not reach back far enough,
-    /// nothing is known any more: false.
+    /// Catches up to the writer's head from the recent records. If these do not reach back far enough, it forgets all
+    /// values and returns false.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) -> bool {
         let before = std::mem::replace(&mut self.revision, writer.head().revision);
         if self.points.is_empty() && !self.takes_new {

@@ -10,7 +10,7 @@ use super::{
     Call, Error, Limits, Service,
     call::Pace,
     check::{self, Violations},
-    mutation::{Begun, Claim},
+    mutation::{Claim, Start},
     read_view::{revision, revision_number},
     stored::ReadAhead,
 };
@@ -40,8 +40,8 @@ impl Service {
             let read = stored.read(call, DOING, &hosted, &head, &request.ids);
             read.await?;
             let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-                Begun::Answered(response) => return Ok(response),
-                Begun::Writing(writer) => writer,
+                Start::Remembered(response) => return Ok(response),
+                Start::Writing(writer) => writer,
             };
             head = Arc::clone(writer.head());
             // It fails only where others have written a great deal meanwhile.

@@ -13,25 +13,25 @@ use crate::{
     registry::{Hosted, RegistryError},
 };
 
-/// About how many bytes a message has; less if answers may have less.
+/// Approximate bytes of a message, less if answers are limited to less.
 const MESSAGE_BYTES: usize = 256 * 1024;
 
-/// About how many bytes a mutation has besides what it stored and removed.
+/// Approximate bytes of a mutation without its points and removed ids.
 const MUTATION_BYTES: usize = 128;
 
-/// A watch under way. It holds no revision, and no more mutations than a message has: what its caller does not ask for
-/// stays in the log, until that forgets it.
+/// A running watch. It pins no revision and holds the mutations of one message at most: the log keeps the rest, for as
+/// long as it retains them.
 pub struct Watch {
     service: Service,
     call: Call,
     hosted: Arc<Hosted>,
-    /// The newest revision of which all was sent; never the greatest number, so that one comes after it.
+    /// The newest revision that was sent whole; below the greatest number, so that its successor exists.
     after: u64,
-    /// Whether it begins at the newest revision, which the first message names.
+    /// True if the watch begins at the newest revision, which the first message names.
     from_newest: bool,
-    /// What comes next, as far as it was read.
+    /// The next records, as far as they were read.
     next: VecDeque<Arc<Record>>,
-    /// How many points and removed ids of the first of these were sent, and in how many pieces.
+    /// The points and removed ids of the first record that were sent, and the number of pieces.
     sent: (usize, u32),
     include: Option<v1::Include>,
     message_bytes: usize,
@@ -42,9 +42,9 @@ pub struct Watch {
 enum State {
     /// Nothing was sent.
     Beginning,
-    /// The caller knows another past.
-    Strange,
-    Going,
+    /// The caller's uid is another one.
+    OtherUid,
+    Following,
     Done,
 }
 
@@ -64,8 +64,8 @@ impl Service {
         }
         let hosted = self.index(&request.index, "")?;
         violations.finish()?;
-        let is_strange = |after: &v1::Revision| after.uid != hosted.uid_text();
-        let is_strange = after.as_ref().is_some_and(is_strange);
+        let is_other_uid = |after: &v1::Revision| after.uid != hosted.uid_text();
+        let is_other_uid = after.as_ref().is_some_and(is_other_uid);
         Ok(Watch {
             service: self.clone(),
             call: *call,
@@ -75,8 +75,8 @@ impl Service {
             sent: (0, 0),
             include: request.include,
             message_bytes: MESSAGE_BYTES.min(self.limits().answer_bytes / 2),
-            state: match is_strange {
-                true => State::Strange,
+            state: match is_other_uid {
+                true => State::OtherUid,
                 false => State::Beginning,
             },
             hosted,
@@ -85,22 +85,22 @@ impl Service {
 }
 
 impl Watch {
-    /// The next message; None after the last. None follows an error. A message that is not waited for to its end is not
-    /// lost: the next one begins where it began.
+    /// The next message; None after the last or an error. A cancelled call loses no message: the next call begins where
+    /// it began.
     pub async fn next(&mut self) -> Option<Result<v1::WatchResponse, Error>> {
         let message = match self.state {
             State::Done => return None,
-            State::Strange => Ok(self.reset(v1::ResetReason::UidChanged)),
+            State::OtherUid => Ok(self.reset(v1::ResetReason::UidChanged)),
             State::Beginning => {
-                self.state = State::Going;
+                self.state = State::Following;
                 let newest = self.hosted.published().revision;
                 if self.from_newest {
-                    // Not what was the newest when the call began: the message is to name it.
+                    // The newest revision now, not at the call's start: the message names it.
                     self.after = newest;
                 }
                 Ok(self.message(newest))
             }
-            State::Going => self.mutations().await,
+            State::Following => self.mutations().await,
         };
         if message.is_err() {
             self.state = State::Done;
@@ -108,7 +108,7 @@ impl Watch {
         Some(message)
     }
 
-    /// The same with messages of about so many bytes. A message has less than a payload more.
+    /// Sets the approximate bytes of a message. A message exceeds them by less than one payload.
     pub fn with_message_bytes(self, message_bytes: usize) -> Self {
         Self {
             message_bytes,
@@ -168,7 +168,7 @@ impl Watch {
         let reached = self.hosted.reached(self.after + 1);
         let reached = self.call.bound("while watching", reached);
         let reached = tokio::select! {
-            // Nobody would begin to stop while a call waits for what may never come.
+            // Without this branch a call that waits for a mutation would delay the shutdown forever.
             () = self.service.stopping() => return self.service.accept(&self.call),
             reached = reached => reached?,
         };
@@ -177,8 +177,8 @@ impl Watch {
     }
 }
 
-/// What follows the first `sent` points and removed ids of a record, as much of it as there are bytes `left`, but at
-/// least one; and how many were sent then.
+/// The next piece of a record after its first `sent` points and removed ids: as many as fit `left` bytes, at least one.
+/// Returns the piece and the new count of `sent`.
 fn piece(
     record: &Record,
     sent: usize,

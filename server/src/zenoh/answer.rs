@@ -1,4 +1,4 @@
-//! Answers on their way: replies, and refusals with the status that a failed gRPC call has.
+//! Responses to queries: replies, or a refusal with the status that a failed gRPC call has.
 
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::task::task_tracker::TaskTrackerToken;
@@ -9,27 +9,27 @@ use super::{codec::Form, message::Named};
 use crate::status::Status;
 use wayfold_proto::v1;
 
-/// Answers to one query, each under a key of its own.
+/// The replies to one query, each under its own key.
 pub(super) type Replies = Vec<(KeyExpr<'static>, Vec<u8>)>;
 
-/// A query, and what there is to tell.
+/// A query and its result.
 pub(super) struct Response {
     pub(super) query: Query,
     pub(super) form: Form,
     pub(super) result: Result<Replies, Status>,
-    /// None if there was no room for it.
+    /// None for a refusal that found no room.
     pub(super) place: Option<OwnedSemaphorePermit>,
     pub(super) under_way: TaskTrackerToken,
 }
 
 impl Response {
-    /// How large what is told is.
+    /// The bytes of all replies.
     pub(super) fn bytes(&self) -> usize {
         let replies = self.result.iter().flatten();
         replies.map(|(_, payload)| payload.len()).sum()
     }
 
-    /// Tells the caller. Blocks as [`reply`] does.
+    /// Sends the result. Blocks as [`reply`] does.
     pub(super) fn send(self) {
         let Self {
             query,
@@ -46,15 +46,14 @@ impl Response {
             }
             Err(status) => refuse(&query, form, &status),
         }
-        // The caller is told that there is no more before the place is free.
+        // The drop ends the query for the caller, before its place is free.
         drop(query);
         drop(place);
         drop(under_way);
     }
 }
 
-/// Sends an answer under `key`. Blocks while the caller's link is full of answers that it does not take, until Zenoh
-/// gives the link up.
+/// Sends an answer under `key`. Blocks while the caller's link is full of unread answers, until Zenoh closes the link.
 fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
     let sent = query.reply(key, payload).encoding(form.encoding()).wait();
     if let Err(error) = sent {

@@ -1,4 +1,4 @@
-//! A verb becomes a call of the service, and its answer a payload. No policy is here.
+//! Translates a verb to a call of the service, and its answer to a payload. No policy is here.
 
 use std::pin::Pin;
 
@@ -12,7 +12,7 @@ use crate::{
     status,
 };
 
-/// What `verb` answers to what is request, in the form in which it is request. `max_message_bytes` is the face's limit.
+/// Calls `verb` and returns its answer in the form of the request. `max_message_bytes` is the face's limit.
 pub(super) async fn dispatch(
     service: &Service,
     call: &Call,
@@ -70,8 +70,8 @@ pub(super) async fn dispatch(
     }
 }
 
-/// A request for neighbours. With payloads, which the store may have to read from a disk, it lets others on first: it is
-/// no search then that could be answered where it arrived.
+/// Decodes a request for neighbours. One with payloads may read a disk: it yields first, which moves it off Zenoh's
+/// thread.
 async fn search<R: SearchRequest>(request: &Request<'_>) -> Result<R, Error> {
     let request: R = request.decode_for_index()?;
     if request.include().is_some_and(|include| include.payloads) {
@@ -80,8 +80,7 @@ async fn search<R: SearchRequest>(request: &Request<'_>) -> Result<R, Error> {
     Ok(request)
 }
 
-/// What answers anything but a search is kept apart: the answer to a search is to move about without the room that a
-/// mutation needs.
+/// Boxes the future of every verb but the searches: a search's future is moved often and must stay small.
 fn boxed<F: Future>(answering: F) -> Pin<Box<F>> {
     Box::pin(answering)
 }

@@ -1,9 +1,8 @@
-//! What is announced of the indices: a liveliness token for each that is served, and the mutations of those that somebody
-//! follows, read from the log as `Watch` reads it.
+//! Announces the indices: a liveliness token for each served index, and the mutations of each index that has a
+//! subscriber, read from the log as `Watch` reads it.
 //!
-//! Publications are dropped where a subscriber's link is full, so that none of them holds up the server or fills its
-//! memory. Each message says the uid, and each mutation its revision and, where it is told in pieces, which piece it is: a
-//! subscriber sees a gap, and asks `log` for it.
+//! A full link drops publications: no subscriber delays the server or fills its memory. Each message has the uid, and
+//! each mutation its revision and the number of its piece: a subscriber sees a gap and requests it from `log`.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
@@ -19,14 +18,14 @@ use zenoh::{
 use super::{codec::Form, message::Named};
 use crate::service::{Call, CatalogWatch, Code, Error, Service, Unavailability};
 
-/// How long to leave an index alone of which the log could not be read.
+/// Pause before an index is read again whose log could not be read.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(1);
 
-/// About how many bytes a publication has: one that is larger than a batch of Zenoh's is cut up, and is lost with any
-/// of its parts.
+/// Approximate bytes of a publication. Zenoh fragments one that is larger than its batch, and a lost fragment loses
+/// all.
 const MESSAGE_BYTES: usize = 48 * 1024;
 
-/// The forms in which mutations are published, and the last part of the key for each.
+/// The forms of published mutations, each with the last part of its key.
 const FEEDS: [(Form, &str); 2] = [(Form::Protobuf, "events"), (Form::Json, "events/json")];
 
 /// Announces the indices, until it is dropped.
@@ -38,15 +37,15 @@ pub(super) struct Announcer {
     pub(super) stopping: CancellationToken,
 }
 
-/// What is announced of one index.
+/// The announcements of one index.
 struct Announced {
     uid: String,
     _token: LivelinessToken,
-    /// One for each form that somebody follows.
+    /// One for each form that has a subscriber.
     feeds: [Option<AbortOnDropHandle<()>>; FEEDS.len()],
 }
 
-/// Whether anybody follows any index, in one form.
+/// True while any index has a subscriber to one form.
 struct Interest {
     followed: watch::Receiver<bool>,
     _listener: MatchingListener<()>,
@@ -54,7 +53,7 @@ struct Interest {
 }
 
 impl Announcer {
-    /// Announces what is served. Ends only if it fails.
+    /// Announces the served indices. Ends only on a failure.
     pub(super) async fn run(self) {
         let failed = match self.service.watch_catalog() {
             Ok(served) => self.announce(served).await,
@@ -74,7 +73,7 @@ impl Announcer {
             tokio::select! {
                 changed = served.changed() => match changed {
                     Ok(now) => indices = now,
-                    // Nothing is known of the indices while the store is not open.
+                    // The indices are unknown until the store is open.
                     Err(error) => debug!(%error, "cannot list the indices"),
                 },
                 changed = protobuf.followed.changed() => changed.map_err(|error| error.to_string())?,
@@ -86,7 +85,7 @@ impl Announcer {
         }
     }
 
-    /// Follows whether anybody follows any index.
+    /// Follows the presence of subscribers.
     async fn interest(&self, name: &str) -> Result<Interest, String> {
         let key = self.key("*", name)?;
         let publisher = self.session.declare_publisher(key).await;
@@ -179,7 +178,7 @@ impl Feed {
     /// Ends with the index, or with the server.
     async fn run(self, publisher: Publisher<'static>) {
         let publisher = Arc::new(publisher);
-        // The newest revision that was read whole; what comes after is published, at first what is new from now on.
+        // The newest revision that was read whole: later ones are published, at first those from now on.
         let mut after = None;
         while let Err(error) = self.publish(&publisher, &mut after).await {
             if error.code() == Code::NotFound {
@@ -216,7 +215,7 @@ impl Feed {
             let reset = message.reset.map(|_| message.reset());
             let newest = message.revision.clone().unwrap_or_default();
             if after.is_none() && newest.uid != self.uid {
-                // Another index stands under the name, which has a feed of its own.
+                // The name belongs to another index now, with its own feed.
                 return Ok(());
             }
             if publisher
@@ -231,7 +230,7 @@ impl Feed {
             match (reset, whole) {
                 (None, Some(last)) => *after = last.revision.clone(),
                 (None, None) => *after = after.take().or(Some(newest)),
-                // The same.
+                // Also another index.
                 (Some(v1::ResetReason::UidChanged), _) => return Ok(()),
                 (Some(v1::ResetReason::WindowPassed | v1::ResetReason::Unspecified), _) => {
                     *after = Some(newest);
@@ -246,7 +245,7 @@ impl Feed {
 
     async fn put(&self, publisher: &Arc<Publisher<'static>>, payload: Vec<u8>) {
         let publisher = Arc::clone(publisher);
-        // Before it drops a publication, Zenoh waits a moment for room, and keeps the thread meanwhile.
+        // Zenoh blocks the thread for a moment before it drops a publication.
         let put = tokio::task::spawn_blocking(move || publisher.put(payload).wait());
         if let Ok(Err(error)) = put.await {
             debug!(index = self.index, %error, "mutations could not be published");

@@ -1,13 +1,13 @@
-//! What is answered on the thread that it arrives on, one of Zenoh's: to hand a search that takes microseconds to another
-//! thread, and its answer to yet another, costs many times as much.
+//! Answers short searches on Zenoh's thread that read the query: another thread for a search of microseconds, and a
+//! third for its answer, would cost many times the search.
 //!
-//! These threads read all links, and must not be kept. So it is done only where nothing is waited for: a search that is
-//! brief, of a small query, whose answer is small, too. That a link takes the answer cannot be known beforehand: Zenoh
-//! has two of these threads, and not more than one of them sends answers at a time, so that the other goes on.
+//! These threads read all links and must not block. So only short searches with a small request and a small answer are
+//! answered inline. A link may still refuse an answer for a while: Zenoh has two of these threads, only one of them
+//! sends answers at a time, and the other continues.
 //!
-//! Where many queries are under way, many are read from a link together. To answer each before the next is looked at would
-//! have Zenoh's other threads wake up for each of them, to write its answer and to keep its time, where else they wake up
-//! for many. So what is read together is answered together, when nothing more can be read.
+//! Under load, many queries are read from a link together. An answer to each before the next query is read would wake
+//! Zenoh's other threads, which write and keep time, once for each. So queries that are read together are answered
+//! together, when nothing more can be read.
 
 use std::{collections::HashMap, sync::Arc, task::Poll, time::Duration};
 
@@ -18,27 +18,27 @@ use tokio::{runtime::Handle, task};
 use super::answer::Response;
 use crate::latency_gate::LatencyGate;
 
-/// As long as searches take less of late, they are not worth another thread.
-const BRIEF: Duration = Duration::from_micros(50);
+/// While recent searches take less time, they are answered inline.
+const MAX_SEARCH_TIME: Duration = Duration::from_micros(50);
 
-/// The largest payload, of a query or an answer. Who has so many of larger ones under way that they fill the links both
-/// ways would wait for answers to be sent, which wait for it to read them.
+/// The largest payload of a query or an answer. A caller whose larger messages fill its link in both directions would
+/// deadlock: it sends before it reads, and the answers wait for it to read.
 pub(super) const MAX_BYTES: usize = 4096;
 
-/// How many queries are answered together at most: the first of them waits for the others.
-const TOGETHER: usize = 16;
+/// Most queries that are answered together: the first of them waits for the others.
+const MAX_BATCH: usize = 16;
 
-/// A query on its way to its answer.
-pub(super) type Answering = BoxFuture<'static, Response>;
+/// The future of a query's response.
+pub(super) type ResponseFuture = BoxFuture<'static, Response>;
 
-/// See the module.
+/// Answers queries inline where that is short, and elsewhere otherwise.
 pub(super) struct Inline {
-    /// Where is done what is not done here.
+    /// Runs what is not answered inline.
     runtime: Handle,
-    brevity: LatencyGate,
-    /// What waits until the task that reads the link has nothing more to read. Never that of two links together: the
-    /// answers to one of them may have to wait.
-    waiting: Mutex<HashMap<task::Id, Vec<Answering>>>,
+    latency_gate: LatencyGate,
+    /// Queries that wait until the task that reads their link has nothing more to read. Links are kept apart: the
+    /// answers to one of them may block.
+    waiting: Mutex<HashMap<task::Id, Vec<ResponseFuture>>>,
     sending: Mutex<()>,
 }
 
@@ -46,15 +46,15 @@ impl Inline {
     pub(super) fn new(runtime: Handle) -> Self {
         Self {
             runtime,
-            brevity: LatencyGate::new(BRIEF),
+            latency_gate: LatencyGate::new(MAX_SEARCH_TIME),
             waiting: Mutex::default(),
             sending: Mutex::default(),
         }
     }
 
-    /// Answers a query that was just read from a link; here, if that takes no longer than hoped.
-    pub(super) fn answer(self: &Arc<Self>, answering: Answering) {
-        // The task that reads the link is the one that runs.
+    /// Answers a query that was just read from a link, inline if its search is short.
+    pub(super) fn answer(self: &Arc<Self>, answering: ResponseFuture) {
+        // The running task is the one that reads the link.
         let Some(reader) = task::try_id() else {
             return self.answer_elsewhere(answering);
         };
@@ -64,10 +64,10 @@ impl Inline {
         match of_link.len() {
             1 => {
                 let inline = Arc::clone(self);
-                // On this thread, as soon as the task that reads the link waits for more.
+                // Runs on this thread as soon as the task that reads the link waits for more.
                 task::spawn(async move { inline.answer_waiting(reader) });
             }
-            TOGETHER.. => {
+            MAX_BATCH.. => {
                 drop(waiting);
                 self.answer_waiting(reader);
             }
@@ -78,13 +78,13 @@ impl Inline {
     fn answer_waiting(self: &Arc<Self>, reader: task::Id) {
         let waiting = self.waiting.lock().remove(&reader).unwrap_or_default();
         let mut all = Vec::with_capacity(waiting.len());
-        // The timers they may start belong to where they are awaited.
+        // Timers that the queries start must belong to the server's runtime.
         let in_runtime = self.runtime.enter();
         for mut answering in waiting {
-            match self.brevity.attempt(answering.as_mut()) {
+            match self.latency_gate.attempt(answering.as_mut()) {
                 Poll::Ready(answered) if answered.bytes() <= MAX_BYTES => all.push(answered),
                 Poll::Ready(answered) => self.send_elsewhere(vec![answered]),
-                // It had to wait, or has computed for as long as a call may without letting others on.
+                // The search waits, or has used its time slice.
                 Poll::Pending => self.answer_elsewhere(answering),
             }
         }
@@ -92,7 +92,7 @@ impl Inline {
         self.send(all);
     }
 
-    /// Sends answers from this thread, one of Zenoh's, unless another of them is at it.
+    /// Sends answers from this thread of Zenoh's, unless another of them is sending.
     pub(super) fn send(&self, all: Vec<Response>) {
         match self.sending.try_lock() {
             Some(_only_one) => send(all),
@@ -101,7 +101,7 @@ impl Inline {
     }
 
     /// Answers a query on another thread.
-    pub(super) fn answer_elsewhere(self: &Arc<Self>, answering: Answering) {
+    pub(super) fn answer_elsewhere(self: &Arc<Self>, answering: ResponseFuture) {
         let inline = Arc::clone(self);
         let answered = async move { inline.send_elsewhere(vec![answering.await]) };
         self.runtime.spawn(answered);

@@ -1,4 +1,4 @@
-//! The requests and answers of this face, by name, and where a request says which index it is for.
+//! The requests and answers of this face, by name, and the index field of requests.
 
 use prost::Message;
 use wayfold_proto::v1;
@@ -11,15 +11,15 @@ pub(super) trait Named: Message + Default {
     const NAME: &'static str;
 }
 
-/// A request that the key addresses.
+/// A request to the index in the key.
 pub(super) trait IndexRequest: Named + observe::Request {
-    /// Where it names the index.
+    /// Its field for the index.
     fn index_mut(&mut self) -> &mut String;
 }
 
 /// A request for neighbours.
 pub(super) trait SearchRequest: IndexRequest {
-    /// What is to be told of each neighbour.
+    /// The columns requested of each neighbour.
     fn include(&self) -> Option<v1::Include>;
 }
 

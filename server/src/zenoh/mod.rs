@@ -1,10 +1,10 @@
-//! The Zenoh face: translates queries to calls of the service and back, publishes mutations as `Watch` reports them, and
-//! holds no policy of its own.
+//! The Zenoh face: translates queries to calls of the service and back, publishes mutations as `Watch` reports them,
+//! and holds no policy of its own.
 //!
-//! `<prefix>/<index>/<verb>` and `<prefix>/<verb>` (`verb`) take queries; the prefix is `wayfold/v1` unless set. A query
-//! (`request`) has a selector with parameters and a payload in Protocol Buffers or JSON (`codec`), and gets one reply
-//! (`queries`, `inline`, `dispatch`, `answer`). A query with a wildcard (`wildcard`) reaches only descriptions of indices.
-//! `feed` announces `<index>/events` and `<index>/@alive`.
+//! `<prefix>/<index>/<verb>` and `<prefix>/<verb>` (`verb`) take queries; the prefix is `wayfold/v1` unless set. A
+//! query (`request`) has a selector with parameters and a payload in Protocol Buffers or JSON (`codec`), and gets one
+//! reply (`queries`, `inline`, `dispatch`, `answer`). A query with a wildcard (`wildcard`) reaches only descriptions of
+//! indices. `feed` announces `<index>/events` and `<index>/@alive`.
 
 mod answer;
 mod codec;
@@ -37,19 +37,19 @@ use inline::Inline;
 use peers::ServerWatch;
 use queries::Queries;
 
-/// How long links stay open after the last answer. Zenoh closes a link there and then; a peer that has not read its answer
-/// yet loses it when what it sends meanwhile finds nobody.
+/// Time that links stay open after the last answer. Zenoh closes a link at once; a peer that sends to a closed link
+/// loses its unread answers.
 const LINGER: Duration = Duration::from_secs(1);
 
-/// How many refusals may wait for links to take them, a thread each, before whoever asks on is not read from.
-const REFUSALS: usize = 256;
+/// Refusals that may wait for their links, one thread each. Beyond it, links of refused queries are not read.
+const MAX_REFUSALS: usize = 256;
 
-/// How many threads may wait for links at once, so that whoever takes no answers leaves the others to whom they are due.
-pub(crate) fn most_senders(config: &ZenohConfig) -> usize {
-    config.max_calls.saturating_add(REFUSALS)
+/// Threads that may wait for links at once: callers that read no answers must not take the threads of others.
+pub(crate) fn max_senders(config: &ZenohConfig) -> usize {
+    config.max_calls.saturating_add(MAX_REFUSALS)
 }
 
-/// The face, open.
+/// The open face.
 pub(crate) struct ZenohFace {
     session: Session,
     queryable: Queryable<()>,
@@ -60,8 +60,8 @@ pub(crate) struct ZenohFace {
 }
 
 impl ZenohFace {
-    /// Opens the face, unless the settings say that there is none. Queries are answered from now on: UNAVAILABLE until
-    /// the service serves.
+    /// Opens the face; None if the settings turn it off. It answers queries from now on, with UNAVAILABLE until the
+    /// service serves.
     pub(crate) async fn open(
         config: &ZenohConfig,
         service: Service,
@@ -75,7 +75,7 @@ impl ZenohFace {
             service,
             prefix: config.prefix.clone(),
             capacity: Admission::new(config.max_calls),
-            refused: Admission::new(REFUSALS),
+            refusals: Admission::new(MAX_REFUSALS),
             max_message_bytes: config.max_message_bytes,
             stopping: CancellationToken::new(),
             inline: Arc::new(Inline::new(Handle::current())),
@@ -104,18 +104,18 @@ impl ZenohFace {
         Ok(Some(face))
     }
 
-    /// Where it listens, as locators: `tcp/127.0.0.1:7448`.
+    /// Its locators: `tcp/127.0.0.1:7448`.
     pub(crate) async fn locators(&self) -> Vec<String> {
         let locators = self.session.info().locators().await;
         locators.iter().map(ToString::to_string).collect()
     }
 
-    /// How many queries may be under way, and how many are.
+    /// The limit of concurrent queries, and their number.
     pub(crate) fn capacity(&self) -> Admission {
         self.queries.capacity.clone()
     }
 
-    /// Begins to announce the indices, which the service must have by now.
+    /// Begins to announce the indices; the service must have them.
     pub(crate) fn announce(&mut self) {
         let announcer = Announcer {
             service: self.queries.service.clone(),
@@ -126,8 +126,7 @@ impl ZenohFace {
         self.announcing = Some(AbortOnDropHandle::new(tokio::spawn(announcer.run())));
     }
 
-    /// Refuses what is asked from now on, answers what was accepted, leaves those who asked a moment to take the answers,
-    /// and closes the session.
+    /// Refuses new queries, answers accepted ones, leaves callers a moment to read the answers, and closes the session.
     pub(crate) async fn stop(self) {
         self.queries.stopping.cancel();
         drop(self.announcing);
@@ -159,7 +158,7 @@ impl ZenohFace {
     }
 }
 
-/// Returns after [`LINGER`], or once nobody is left.
+/// Returns after [`LINGER`], or once no link is left.
 async fn linger(session: &Session) {
     let gone = async {
         let mut ticks = interval(LINGER / 50);
@@ -167,7 +166,7 @@ async fn linger(session: &Session) {
             ticks.tick().await;
         }
     };
-    // Whoever has not left by then has had the time.
+    // A caller that is still linked has had its time.
     let _ = tokio::time::timeout(LINGER, gone).await;
 }
 

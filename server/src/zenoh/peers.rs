@@ -1,4 +1,4 @@
-//! Whom the face meets over Zenoh: the routers and peers that it is to connect to, and other servers under its prefix.
+//! The face's peers: the routers and peers that it connects to, and other servers under its prefix.
 
 use std::time::Duration;
 
@@ -8,18 +8,18 @@ use zenoh::{Session, liveliness::LivelinessToken, pubsub::Subscriber, sample::Sa
 
 use super::ZenohError;
 
-/// How often it is looked whether a link is there, until one is.
-const LOOK: Duration = Duration::from_secs(2);
+/// Interval of the checks for a first link.
+const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
-/// A server makes itself known to others that answer under the same prefix, and hears of them. Two that share routers and a
-/// prefix both take what is asked: mutations are applied twice, and answers come from either. Each says so in its log.
+/// Announces this server to others under the same prefix, and watches for them. Two servers that share routers and a
+/// prefix both take every query: mutations are applied twice, and answers come from either. Both warn in their logs.
 pub(super) struct ServerWatch {
     _token: LivelinessToken,
     _others: Subscriber<()>,
 }
 
 impl ServerWatch {
-    /// Warns of every other server, until it is dropped.
+    /// Warns of every other server until dropped.
     pub(super) async fn watch(session: &Session, prefix: &str) -> Result<Self, ZenohError> {
         let own = session.zid().to_string();
         let token = session
@@ -53,9 +53,9 @@ impl ServerWatch {
     }
 }
 
-/// Tells if none of the `endpoints` is reached at once, and when one is. Zenoh itself tries on without a word.
+/// Logs that none of the `endpoints` is reached at first, and later that one is. Zenoh retries silently.
 pub(super) async fn report_links(session: Session, endpoints: String) {
-    let mut looks = interval_at(Instant::now() + LOOK, LOOK);
+    let mut looks = interval_at(Instant::now() + CHECK_INTERVAL, CHECK_INTERVAL);
     let mut warned = false;
     loop {
         looks.tick().await;

@@ -1,4 +1,4 @@
-//! Queries as they arrive: bounded, each answered once, refused with a reason where it can not be.
+//! Arriving queries: their number is bounded, and each gets one answer or a refusal with its reason.
 
 use std::{panic::AssertUnwindSafe, sync::Arc, time::Instant};
 
@@ -30,22 +30,22 @@ use crate::{
 const MAX_CALLS: &str = "zenoh.max_calls";
 const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 
-/// What answers queries.
+/// Answers queries.
 pub(super) struct Queries {
     pub(super) service: Service,
     pub(super) prefix: String,
     pub(super) capacity: Admission,
-    /// Room for refusals on their way.
-    pub(super) refused: Admission,
+    /// Bounds the refusals that wait for their links.
+    pub(super) refusals: Admission,
     pub(super) max_message_bytes: usize,
-    /// Set once the server stops: from then on every query is refused, and takes no place.
+    /// Set once the server stops: every later query is refused and takes no place.
     pub(super) stopping: CancellationToken,
     pub(super) inline: Arc<Inline>,
-    /// The queries under way.
+    /// The queries in progress.
     pub(super) under_way: TaskTracker,
 }
 
-/// A query that was accepted.
+/// An accepted query.
 struct Accepted {
     query: Query,
     form: Result<Form, Error>,
@@ -55,11 +55,11 @@ struct Accepted {
 }
 
 impl Queries {
-    /// Takes a query, or refuses it. Called on Zenoh's threads.
+    /// Accepts or refuses a query, on a thread of Zenoh's.
     pub(super) fn take(self: &Arc<Self>, mut query: Query) {
         let arrived = Instant::now();
         let form = Form::of(query.encoding());
-        // Before it is looked whether the server stops: whoever stops it waits for what is under way.
+        // Taken before the check for the stop: `stop` waits for every token.
         let under_way = self.under_way.token();
         if self.stopping.is_cancelled() {
             let why = Unavailability::Stopping;
@@ -69,9 +69,9 @@ impl Queries {
         let Some(place) = self.capacity.take() else {
             return self.refuse(query, form, under_way, self.busy());
         };
-        let may_be_brief = self.may_be_brief(&query);
-        if may_be_brief && let Some(payload) = query.payload_mut() {
-            // A few bytes, which would keep the buffer that Zenoh reads into, and have it make another.
+        let is_short = self.is_short(&query);
+        if is_short && let Some(payload) = query.payload_mut() {
+            // A copy of a few bytes: a slice would keep Zenoh's read buffer alive and make it allocate another.
             *payload = ZBytes::from(payload.to_bytes().into_owned());
         }
         let answering = Arc::clone(self).answer(Accepted {
@@ -81,7 +81,7 @@ impl Queries {
             place,
             under_way,
         });
-        if may_be_brief {
+        if is_short {
             self.inline.answer(answering.boxed());
         } else {
             self.inline.answer_elsewhere(answering.boxed());
@@ -96,7 +96,7 @@ impl Queries {
         under_way: TaskTrackerToken,
         status: Status,
     ) {
-        // Whoever takes no refusals must not fill the memory with what they asked.
+        // Payloads of queries whose refusals no caller reads must not fill the memory.
         if let Some(payload) = query.payload_mut() {
             *payload = ZBytes::new();
         }
@@ -107,20 +107,20 @@ impl Queries {
             place: None,
             under_way,
         };
-        let room = self.refused.take();
+        let room = self.refusals.take();
         if room.is_some() {
             self.inline.send(vec![Response {
                 place: room,
                 ..refused
             }]);
         } else {
-            // It is slowed down.
+            // Blocks the link of a caller that does not read its refusals.
             refused.send();
         }
     }
 
-    /// Whether it asks for a search, and so little of it that reading it is no work.
-    fn may_be_brief(&self, query: &Query) -> bool {
+    /// True for a search whose request is small enough to parse in no time.
+    fn is_short(&self, query: &Query) -> bool {
         let bytes = query.payload().map_or(0, |payload| payload.len());
         let target = Target::of(&self.prefix, query.key_expr());
         bytes <= inline::MAX_BYTES && target.is_ok_and(|target| target.verb.is_search())

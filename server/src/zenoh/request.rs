@@ -1,4 +1,4 @@
-//! What a query asks: its key, its parameters, its payload and the payload's encoding, as one request.
+//! A query's key, parameters, payload and encoding as one request.
 
 use std::{
     borrow::Cow,
@@ -17,15 +17,15 @@ use crate::{
     service::{Call, Error},
 };
 
-/// The parameter that says how long the caller waits.
+/// The parameter for the time that the caller waits.
 const TIMEOUT: &str = "timeout_ms";
 
-/// More bytes than these are read and written without others on this thread. Well above what is answered on Zenoh's own.
+/// A larger message is encoded and decoded as blocking work. Well above the bytes answered on Zenoh's own threads.
 const BYTES_IN_PLACE: usize = 64 * 1024;
 
-/// A query, taken apart.
+/// A parsed query.
 pub(super) struct Request<'a> {
-    /// In which form it is asked, and so answered.
+    /// The form of the request and of its answer.
     pub(super) form: Form,
     /// The index that the key names.
     index: &'a str,
@@ -34,7 +34,7 @@ pub(super) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Takes apart a query that arrived at `arrived`, and is about `index`.
+    /// Parses a query for `index` that arrived at `arrived`.
     pub(super) fn of(
         query: &'a Query,
         form: Form,
@@ -52,7 +52,7 @@ impl<'a> Request<'a> {
                 }
                 deadline = Some(read);
             } else if !name.starts_with('_') {
-                // What begins so is Zenoh's own.
+                // Zenoh's own parameters begin with an underscore.
                 parameters.push((name, value));
             }
         }
@@ -76,7 +76,7 @@ impl<'a> Request<'a> {
         Ok(())
     }
 
-    /// The request, about the index that the key names.
+    /// Decodes the request for the index that the key names.
     pub(super) fn decode_for_index<R: IndexRequest>(&self) -> Result<R, Error> {
         let mut request: R = self.decode()?;
         let index = request.index_mut();
@@ -90,21 +90,21 @@ impl<'a> Request<'a> {
         Ok(request)
     }
 
-    /// The request where the key names no index.
+    /// Decodes the request if the key names no index.
     pub(super) fn decode<R: Named>(&self) -> Result<R, Error> {
         let read = || self.form.read(R::NAME, &self.payload, &self.parameters);
         let parameters = self.parameters.iter().map(|(_, value)| value.len());
         at_length(self.payload.len() + parameters.sum::<usize>(), read)
     }
 
-    /// An answer as it is sent.
+    /// Encodes an answer in the form of the request.
     pub(super) fn encode<M: Named>(&self, answer: &M) -> Result<Vec<u8>, Error> {
         let write = || self.form.write(M::NAME, answer);
         at_length(answer.encoded_len(), write)
     }
 }
 
-/// Reads or writes so many bytes. Of many, which takes long in JSON above all, other calls do not wait for it.
+/// Encodes or decodes this many bytes. Large JSON takes long: other tasks move to another thread meanwhile.
 fn at_length<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     if bytes > BYTES_IN_PLACE {
         tokio::task::block_in_place(work)
@@ -118,7 +118,7 @@ fn read_timeout(text: &str, arrived: Instant) -> Result<Option<Instant>, Error> 
         let text = format!("{text:?} is not a number of milliseconds");
         invalid(TIMEOUT, "MALFORMED_TIMEOUT", text)
     })?;
-    // What lies beyond the clock's range is no deadline.
+    // A time beyond the clock's range is no deadline.
     Ok(arrived.checked_add(Duration::from_millis(timeout)))
 }
 

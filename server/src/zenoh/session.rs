@@ -1,4 +1,6 @@
-//! Opens the session as the settings say.
+//! Opens the Zenoh session from the settings.
+
+use std::{io, net::TcpListener};
 
 use serde_json::{Value, json};
 use thiserror::Error;
@@ -6,22 +8,22 @@ use zenoh::{Config, Session, config::EndPoint};
 
 use crate::config::ZenohConfig;
 
-/// After how long a peer that does not take its answers is cut off, in microseconds.
+/// Time after which a peer that does not read its answers is disconnected, in microseconds.
 const WAIT_FOR_PEER_US: u64 = 1_000_000;
 
-/// For how long a publication waits for room on a link before it is dropped, in microseconds.
+/// Time that a publication waits for room on a link before it is dropped, in microseconds.
 const WAIT_FOR_ROOM_US: u64 = 10_000;
 
-/// How much larger than the largest payload a message may be before Zenoh drops it without a word.
-const REFUSED_IN_WORDS: usize = 4;
+/// Zenoh drops messages larger than this many times the largest payload silently; smaller ones get a refusal.
+const MESSAGE_LIMIT_FACTOR: usize = 4;
 
 /// Why the Zenoh face could not be served.
 #[derive(Debug, Error)]
 pub enum ZenohError {
-    /// `zenoh.config` is no configuration.
+    /// `zenoh.config` is not a configuration.
     #[error("zenoh.config: {problem}")]
     Config {
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
     /// `zenoh.prefix` cannot be the beginning of keys.
@@ -29,28 +31,28 @@ pub enum ZenohError {
     Prefix {
         /// The prefix.
         prefix: String,
-        /// Why not.
+        /// The problem.
         problem: String,
     },
-    /// `zenoh.listen` is no address.
+    /// `zenoh.listen` is not an address.
     #[error(
         "zenoh.listen: {listen:?} is no address to listen on: {problem}; examples: tcp/127.0.0.1:7448, \
          tls/0.0.0.0:7448, off"
     )]
     Listen {
-        /// What it is.
+        /// Its value.
         listen: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
-    /// Something else listens there.
+    /// Another program listens on the address.
     #[error(
         "cannot open the Zenoh session on {listen}: the address is in use\n  \
          another program listens there, perhaps another wayfold-server: stop it, or choose another port; \
          --zenoh tcp/127.0.0.1:0 takes any free one, --zenoh off does without"
     )]
     InUse {
-        /// Where it was to listen.
+        /// The address.
         listen: String,
     },
     /// The session could not be opened.
@@ -60,15 +62,15 @@ pub enum ZenohError {
          --zenoh off does without"
     )]
     Open {
-        /// Where it was to listen.
+        /// The address.
         listen: String,
-        /// Why.
+        /// The problem.
         problem: String,
     },
-    /// What the face declares could not be declared.
+    /// A declaration of the face failed.
     #[error("Zenoh: {problem}")]
     Declare {
-        /// Why.
+        /// The problem.
         problem: String,
     },
 }
@@ -81,21 +83,30 @@ impl ZenohError {
     }
 }
 
-/// Opens the session; with it the endpoints that it connects to, if there are any.
+/// Opens the session; returns it with the endpoints that it connects to, if any.
 pub(super) async fn open(config: &ZenohConfig) -> Result<(Session, Option<String>), ZenohError> {
     check_listen(&config.listen)?;
     let settings = settings(config)?;
     let connects_to = settings.get_json("connect/endpoints").ok();
     let connects_to = connects_to.filter(|endpoints| !matches!(&**endpoints, "[]" | "null" | "{}"));
+    // Tried before: a session that fails to open may still hold the address for a moment.
+    let is_in_use = is_in_use(&config.listen);
     let session = zenoh::open(settings).await.map_err(|error| {
         let listen = config.listen.clone();
         let problem = without_places(&error.to_string());
-        match problem.contains("in use") {
+        match is_in_use {
             true => ZenohError::InUse { listen },
             false => ZenohError::Open { listen, problem },
         }
     })?;
     Ok((session, connects_to))
+}
+
+/// True if another program listens at this address. Zenoh reports the cause of a failure only as text.
+fn is_in_use(listen: &str) -> bool {
+    let endpoint = listen.parse::<EndPoint>().ok();
+    let bound = endpoint.map(|endpoint| TcpListener::bind(endpoint.address().as_str()));
+    matches!(bound, Some(Err(error)) if error.kind() == io::ErrorKind::AddrInUse)
 }
 
 fn check_listen(listen: &str) -> Result<(), ZenohError> {
@@ -114,7 +125,7 @@ fn check_listen(listen: &str) -> Result<(), ZenohError> {
     }
 }
 
-/// Zenoh's errors tell where in its source they arose: " at /…/orchestrator.rs:447.".
+/// Removes the places in Zenoh's source from its errors: " at /…/orchestrator.rs:447.".
 fn without_places(problem: &str) -> String {
     let mut cleaned = String::new();
     let mut rest = problem;
@@ -129,7 +140,7 @@ fn without_places(problem: &str) -> String {
     cleaned + rest
 }
 
-/// The settings of this face, and over them `zenoh.config`, whatever Zenoh has to set.
+/// The settings of this face, overridden by `zenoh.config`, which may set any option of Zenoh.
 fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
     let wrong = |problem: String| ZenohError::Config { problem };
     let mut settings = json!({
@@ -137,7 +148,7 @@ fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
         "listen": { "endpoints": [config.listen], "exit_on_failure": true, "timeout_ms": 0 },
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
         "transport": { "link": {
-            "rx": { "max_message_size": REFUSED_IN_WORDS.saturating_mul(config.max_message_bytes) },
+            "rx": { "max_message_size": MESSAGE_LIMIT_FACTOR.saturating_mul(config.max_message_bytes) },
             "tx": { "queue": { "congestion_control": {
                 "block": { "wait_before_close": WAIT_FOR_PEER_US },
                 "drop": { "wait_before_drop": WAIT_FOR_ROOM_US },
@@ -152,7 +163,7 @@ fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
     Config::from_json5(&settings.to_string()).map_err(|error| wrong(error.to_string()))
 }
 
-/// Puts one value over another; objects are merged.
+/// Overrides one value with another; objects are merged.
 fn lay_over(under: &mut Value, over: Value) {
     match (under, over) {
         (Value::Object(under), Value::Object(over)) => {
@@ -221,6 +232,14 @@ mod tests {
         for listen in ["tcp/127.0.0.1:7448", "tls/robot.local:1#iface=eth0"] {
             check_listen(listen).unwrap();
         }
+    }
+
+    #[test]
+    fn an_address_is_in_use_while_another_listens_there() {
+        let other = TcpListener::bind("127.0.0.1:0").unwrap();
+        let listen = format!("tcp/{}", other.local_addr().unwrap());
+        assert!(is_in_use(&listen));
+        assert!(!is_in_use("tcp/127.0.0.1:0"));
     }
 
     #[test]

@@ -1,11 +1,11 @@
-//! What can be asked over Zenoh, and the keys it is asked under.
+//! The verbs of the Zenoh face, and their keys.
 
 use zenoh::key_expr::keyexpr;
 
 use super::codec::invalid;
 use crate::service::Error;
 
-/// What is asked of one index: `<prefix>/<index>/<verb>`.
+/// A verb of one index: `<prefix>/<index>/<verb>`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PointVerb {
     Knn,
@@ -18,7 +18,7 @@ pub(super) enum PointVerb {
     Log,
 }
 
-/// What is asked of the server: `<prefix>/<verb>`.
+/// A verb of the server: `<prefix>/<verb>`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum IndexVerb {
     Server,
@@ -27,7 +27,7 @@ pub(super) enum IndexVerb {
     Delete,
 }
 
-/// What is asked.
+/// A verb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verb {
     OfIndex(PointVerb),
@@ -57,7 +57,7 @@ impl IndexVerb {
 }
 
 impl Verb {
-    /// Whether it may change something: then it is asked with a payload, so that nothing is changed by a key alone.
+    /// True if it may change something. It needs a payload then, so that a key alone changes nothing.
     pub(super) fn is_mutation(self) -> bool {
         match self {
             Verb::OfIndex(verb) => match verb {
@@ -75,7 +75,7 @@ impl Verb {
         }
     }
 
-    /// Whether it asks for neighbours.
+    /// True if it searches for neighbours.
     pub(super) fn is_search(self) -> bool {
         matches!(self, Verb::OfIndex(PointVerb::Knn | PointVerb::Query))
     }
@@ -90,16 +90,16 @@ impl Verb {
     }
 }
 
-/// A literal key, taken apart.
+/// A parsed key without wildcards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Target<'a> {
-    /// The index; empty for what is asked of the server.
+    /// The index; empty for a verb of the server.
     pub(super) index: &'a str,
     pub(super) verb: Verb,
 }
 
 impl<'a> Target<'a> {
-    /// Takes apart a key under `prefix`.
+    /// Parses a key under `prefix`.
     pub(super) fn of(prefix: &str, key: &'a keyexpr) -> Result<Self, Error> {
         let rest = key.as_str().strip_prefix(prefix).unwrap_or_default();
         let rest = rest.strip_prefix('/').unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Queries with a wildcard: they reach `info` of every index, and `list`, and nothing else.
+//! Queries with a wildcard: they reach only `list` and the `info` of every index.
 
 use wayfold_proto::v1;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr, keyexpr};
@@ -13,7 +13,7 @@ use crate::{
     status,
 };
 
-/// How many indices are described at a time.
+/// Indices described at a time.
 const PAGE: u32 = 1000;
 
 /// The answers to a query for `key_expr`, which has a wildcard.
@@ -60,7 +60,7 @@ pub(super) async fn answer(
     }
 }
 
-/// A key under the prefix, which was found to be one when the face was opened; names are letters and digits.
+/// A key under the prefix. It is valid: the prefix was checked when the face opened, and names are plain.
 fn key(text: String) -> Result<OwnedKeyExpr, Error> {
     OwnedKeyExpr::try_from(text).map_err(|error| Error::Internal {
         what: format!("a key of ours is none: {error}"),

@@ -6,7 +6,7 @@ use wayfold_index::{Point, Space};
 use super::{DOING, Disagreements, Pass, sample::Sampler};
 use crate::{log::StoredPoint, service::Error};
 
-/// How far the pass is.
+/// The progress of the pass.
 pub(super) struct Comparison {
     after: Option<u64>,
     read: u64,
@@ -15,7 +15,7 @@ pub(super) struct Comparison {
 }
 
 impl Comparison {
-    /// Before the first point; so many states are to be drawn from the stored ones.
+    /// Before the first point; draws this many of the stored states.
     pub(super) fn new(space: &Space, states: usize, seed: u64) -> Self {
         let text = space.to_string();
         let hash = Sha256::new()
@@ -30,7 +30,7 @@ impl Comparison {
         }
     }
 
-    /// Goes on until the end, or until it is time to say how far it is: false.
+    /// Continues to the end (true) or until progress is due (false).
     pub(super) async fn go_on(
         &mut self,
         pass: &Pass<'_>,
@@ -79,7 +79,7 @@ impl Comparison {
         self.read += 1;
     }
 
-    /// How many points were read.
+    /// The number of points read.
     pub(super) fn read(&self) -> u64 {
         self.read
     }
@@ -89,7 +89,7 @@ impl Comparison {
         self.hash.clone().finalize().into()
     }
 
-    /// States to ask about, at the end.
+    /// The states to search for, at the end.
     pub(super) fn sample(&mut self, states: usize) -> Vec<Vec<f64>> {
         self.sampler.draw(states)
     }

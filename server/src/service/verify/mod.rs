@@ -1,7 +1,7 @@
-//! `VerifyIndex`: what is searched against what is stored, at one pinned revision.
+//! `VerifyIndex`: compares the forest with the stored points at one pinned revision.
 //!
-//! The stored points are read twice, a page at a time, so that nothing is held but a page: first to compare them with
-//! the forest's (`compare`), then to answer sampled queries by brute force (`search`). `sample` draws the states.
+//! Two passes read the stored points, one page in memory at a time: the first compares them with the forest's
+//! (`compare`), the second answers sampled queries by brute force (`search`). `sample` draws the states.
 
 mod compare;
 mod sample;
@@ -25,18 +25,18 @@ use crate::{
 use compare::Comparison;
 use search::Searches;
 
-/// How many points are read from the log at once.
-const PAGE: usize = 256;
+/// Points read from the log at once.
+const PAGE_ROWS: usize = 256;
 
-/// How long it works between two messages.
+/// Time between two messages of progress.
 const SILENCE: Duration = Duration::from_millis(250);
 
-/// How many disagreements are told in words.
+/// Most disagreements that are described in words.
 const TOLD: usize = 10;
 
 const DOING: &str = "while verifying";
 
-/// A verification under way. It pins its revision until it ends, is dropped, or has held it for as long as it may.
+/// A running verification. It pins its revision until it ends, is dropped, or its time is up.
 pub struct Verification {
     call: Call,
     hosted: Arc<Hosted>,
@@ -93,7 +93,7 @@ impl Service {
 }
 
 impl Verification {
-    /// How far it is, or what it found; None after that, or after an error.
+    /// The progress or the result; None after the result or an error.
     pub async fn next(&mut self) -> Option<Result<v1::VerifyIndexResponse, Error>> {
         if matches!(self.stage, Stage::Done) {
             return None;
@@ -164,13 +164,13 @@ fn held(pin: &RevisionPin) -> Result<Arc<Published>, Error> {
     })
 }
 
-/// What both passes over the stored points work with.
+/// The inputs of both passes over the stored points.
 struct Pass<'a> {
     call: &'a Call,
     index: &'a str,
     published: &'a Published,
     pin: &'a RevisionPin,
-    /// When to say how far it is.
+    /// When progress is due.
     until: Instant,
 }
 
@@ -178,7 +178,7 @@ impl Pass<'_> {
     /// The stored points after an id; none at the end.
     async fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
         held(self.pin)?;
-        let read = move |view: &dyn View| view.page(after, PAGE);
+        let read = move |view: &dyn View| view.page(after, PAGE_ROWS);
         stored::read(self.call, DOING, self.index, &self.published.view, read).await
     }
 
@@ -187,7 +187,7 @@ impl Pass<'_> {
     }
 }
 
-/// Where what is searched and what is stored differ.
+/// The differences between the forest and the store.
 #[derive(Default)]
 struct Disagreements {
     count: u64,

@@ -1,13 +1,13 @@
-//! States to ask about, drawn from the stored ones.
+//! States to search for, drawn from the stored ones.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_index::{Factor, Space};
 
-/// How far beside a stored state a state is drawn, in parts of the bounds.
+/// The distance of a drawn state from a stored one, as a fraction of the bounds.
 const BESIDE: f64 = 1e-3;
 
-/// Keeps some of the states that it sees, each with the same chance, and the bounds of all.
+/// A uniform sample of the stored states, and the bounds of all.
 pub(super) struct Sampler {
     space: Space,
     random: ChaCha8Rng,
@@ -18,7 +18,7 @@ pub(super) struct Sampler {
 }
 
 impl Sampler {
-    /// Keeps so many states.
+    /// Keeps this many states.
     pub(super) fn new(space: &Space, keeps: usize, seed: u64) -> Self {
         Self {
             random: ChaCha8Rng::seed_from_u64(seed),
@@ -30,7 +30,7 @@ impl Sampler {
         }
     }
 
-    /// A stored state.
+    /// Adds a stored state.
     pub(super) fn see(&mut self, state: &[f64]) {
         for ((low, high), &coordinate) in self.bounds.iter_mut().zip(state) {
             *low = low.min(coordinate);
@@ -48,7 +48,7 @@ impl Sampler {
         }
     }
 
-    /// `count` canonical states: half of them beside kept ones, half anywhere within the bounds.
+    /// `count` canonical states: half near kept ones, half anywhere within the bounds.
     pub(super) fn draw(&mut self, count: usize) -> Vec<Vec<f64>> {
         if self.seen == 0 {
             self.bounds.fill((0.0, 1.0));
@@ -62,7 +62,7 @@ impl Sampler {
             .collect()
     }
 
-    /// A canonical state, beside another or anywhere.
+    /// A canonical state, near another or anywhere.
     fn state(&mut self, center: Option<&[f64]>) -> Option<Vec<f64>> {
         let mut state: Vec<f64> = Vec::with_capacity(self.bounds.len());
         for (at, &(low, high)) in self.bounds.iter().enumerate() {
@@ -80,7 +80,7 @@ impl Sampler {
             if term.factor == Factor::SO3 {
                 normalise(own);
             } else {
-                // A little beside the largest state that is allowed would be none.
+                // An offset from the largest allowed state would exceed it.
                 own.iter_mut().for_each(|x| *x = x.clamp(-1e150, 1e150));
             }
         }
@@ -89,7 +89,7 @@ impl Sampler {
     }
 }
 
-/// Makes a quaternion of four numbers: the identity where they are too near 0.
+/// Normalises four numbers to a quaternion: the identity if they are too near 0.
 fn normalise(quaternion: &mut [f64]) {
     let norm = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
     if norm > 1e-6 {

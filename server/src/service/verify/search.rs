@@ -5,10 +5,10 @@ use wayfold_index::{Linear, Neighbor, PointRef, Search};
 use super::{DOING, Disagreements, Pass};
 use crate::service::Error;
 
-/// How many times `k` points within a radius are compared, at most.
+/// At most this many times `k` points within a radius are compared.
 const WITHIN: usize = 4;
 
-/// The queries, and how far the pass is.
+/// The queries, and the progress of the pass.
 pub(super) struct Searches {
     k: usize,
     unasked: Vec<Vec<f64>>,
@@ -19,11 +19,11 @@ pub(super) struct Searches {
 
 struct Query {
     state: Vec<f64>,
-    /// The k nearest points, as the forest answers.
+    /// The forest's k nearest points.
     nearest: Vec<Neighbor>,
     /// The distance of the last of them.
     radius: f64,
-    /// The points within that radius, the nearest of them, as the forest answers.
+    /// The forest's points within that radius, the nearest of them.
     within: Vec<Neighbor>,
     /// The nearest stored points so far, `WITHIN * k` at most.
     brute_force: Vec<Neighbor>,
@@ -41,12 +41,12 @@ impl Searches {
         }
     }
 
-    /// Goes on until the end, or until it is time to say how far it is: false.
+    /// Continues to the end (true) or until progress is due (false).
     pub(super) async fn go_on(&mut self, pass: &Pass<'_>) -> Result<bool, Error> {
         let space = pass.published.snapshot.space();
         while let Some(state) = self.unasked.pop() {
             if space.check_canonical(&state).is_err() {
-                // A damaged state cannot be asked about; the comparison has reported it.
+                // A damaged state cannot be searched for; the comparison has reported it.
                 continue;
             }
             let query = Query::ask(pass, state, self.k).await?;
@@ -85,7 +85,7 @@ impl Searches {
         Ok(false)
     }
 
-    /// How many points were measured.
+    /// The number of points measured.
     pub(super) fn read(&self) -> u64 {
         self.read
     }
@@ -107,7 +107,7 @@ impl Searches {
 }
 
 impl Query {
-    /// Asks the forest.
+    /// Searches the forest.
     async fn ask(pass: &Pass<'_>, state: Vec<f64>, k: usize) -> Result<Self, Error> {
         let mut pace = pass.call.pace(DOING);
         let mut search = Search {
@@ -120,7 +120,7 @@ impl Query {
         (search.k, search.radius) = (WITHIN * k, radius);
         let within = pass.published.snapshot.search(&state, &search)?;
         if !(nearest.exact && within.exact) {
-            // Only because it was out of time.
+            // The search stops early only at its deadline.
             pace.check()?;
         }
         tokio::task::yield_now().await;

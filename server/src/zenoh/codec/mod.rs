@@ -1,10 +1,10 @@
-//! Messages as they travel over Zenoh: in Protocol Buffers, or in JSON for people.
+//! Encodes messages for Zenoh in Protocol Buffers, or in JSON for people.
 //!
-//! JSON is the messages field by field, under their own names, in plain numbers; what is different is made so for people.
-//! States are rows, `[[0.1, 0.2], [0.3, 0.4]]`, or one row, `[0.1, 0.2]`; what is found of each state is a row of its own
-//! (`"ids": [[3, 7], [1]]`), without counts; values of enumerations go without their prefix (`"REPLACE"`); payloads are
-//! Base64. Integers from 2^53 up, which JavaScript and many others would round, are written as strings; both are read.
-//! Numbers that JSON has not are the strings "NaN", "Infinity" and "-Infinity".
+//! JSON has the fields of the messages under their own names, in plain numbers, with these differences. States are
+//! rows, `[[0.1, 0.2], [0.3, 0.4]]`, or one row, `[0.1, 0.2]`. The neighbours of each state are a row (`"ids": [[3, 7],
+//! [1]]`), without counts. Enumeration values have no prefix (`"REPLACE"`). Payloads are Base64. Integers from 2^53 up,
+//! which JavaScript and others round, are written as strings; both forms are read. Numbers that JSON lacks are the
+//! strings "NaN", "Infinity" and "-Infinity".
 
 mod parameters;
 mod path;
@@ -18,17 +18,17 @@ use zenoh::bytes::Encoding;
 
 use crate::service::{Error, Violation};
 
-/// In which form messages travel.
+/// The encoding of messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Form {
-    /// Their encoding in Protocol Buffers.
+    /// Protocol Buffers.
     Protobuf,
     /// JSON.
     Json,
 }
 
 impl Form {
-    /// The form that an encoding names. What names none is taken for JSON.
+    /// The form that an encoding names; an unnamed one is JSON.
     pub(crate) fn of(encoding: Option<&Encoding>) -> Result<Self, Error> {
         let Some(encoding) = encoding else {
             return Ok(Form::Json);
@@ -52,7 +52,7 @@ impl Form {
         }
     }
 
-    /// The encoding that names it.
+    /// The encoding that names this form.
     pub(crate) fn encoding(self) -> Encoding {
         match self {
             Form::Protobuf => Encoding::APPLICATION_PROTOBUF,
@@ -60,7 +60,7 @@ impl Form {
         }
     }
 
-    /// A request that arrived in this form, `type_name` of `wayfold.v1`, with what the selector's parameters say besides.
+    /// Decodes a request, `type_name` of `wayfold.v1`, and adds the selector's parameters.
     pub(crate) fn read<M: Message + Default>(
         self,
         type_name: &str,
@@ -74,7 +74,7 @@ impl Form {
         let (mut message, named) = match self {
             Form::Protobuf => {
                 let message = DynamicMessage::decode(descriptor, payload);
-                // What is as it would be anyway is not there to be seen.
+                // A field with its default value is not visible on the wire.
                 (message.map_err(malformed)?, Vec::new())
             }
             Form::Json if payload.is_empty() => (DynamicMessage::new(descriptor), Vec::new()),
@@ -86,7 +86,7 @@ impl Form {
         })
     }
 
-    /// A message in this form, `type_name` of `wayfold.v1`.
+    /// Encodes a message, `type_name` of `wayfold.v1`.
     pub(crate) fn write(self, type_name: &str, message: &impl Message) -> Result<Vec<u8>, Error> {
         let encoded = message.encode_to_vec();
         match self {
@@ -110,7 +110,7 @@ fn malformed(problem: impl std::fmt::Display) -> Error {
     )
 }
 
-/// The refusal of a query of which one part is wrong.
+/// The refusal of a query with one wrong part.
 pub(super) fn invalid(
     field: impl Into<String>,
     reason: &'static str,

@@ -1,4 +1,4 @@
-//! What the parameters of a selector say of a request: `?k=10;r=0.5;eps=0;include=states,tags`.
+//! The parameters of a selector set fields of a request: `?k=10;r=0.5;eps=0;include=states,tags`.
 
 use prost::Message;
 use prost_reflect::{
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::service::Error;
 
-/// Short names of fields. A field of this very name goes before.
+/// Short names of fields. A field of the same name takes precedence.
 const SHORT: [(&str, &str); 5] = [
     ("r", "radius"),
     ("eps", "epsilon"),
@@ -22,8 +22,8 @@ const SHORT: [(&str, &str); 5] = [
     ("space", "space_text"),
 ];
 
-/// Sets the fields that parameters name. What the message says already, they may repeat, but not change: the fields that
-/// it has, and those of which it says by name that they are what they would be anyway.
+/// Sets the fields that parameters name. A parameter may repeat but not change a field of the message: one that is set,
+/// or one that the message names with its default value.
 pub(super) fn apply(
     message: &mut DynamicMessage,
     named: &[String],
@@ -57,7 +57,7 @@ pub(super) fn apply(
     Ok(())
 }
 
-/// Whether two values say the same. Of a message, what is told to be as it would be anyway makes no difference.
+/// True if two values are equal. In a message, a field with its default value equals an unset one.
 fn is_same(one: &Value, other: &Value) -> bool {
     match (one, other) {
         (Value::Message(one), Value::Message(other)) => {
@@ -67,7 +67,7 @@ fn is_same(one: &Value, other: &Value) -> bool {
     }
 }
 
-/// The path, the message if it is in one, and the field of the request that a parameter sets.
+/// The path, the submessage if any, and the field of the request that a parameter sets.
 fn resolve(
     request: &MessageDescriptor,
     name: &str,
@@ -89,7 +89,7 @@ fn resolve(
     Some(((*full).to_owned(), Some(parent), field))
 }
 
-/// Whether a value can be written in a few letters. The name of the index is in the key, but that of the one to delete.
+/// True if a parameter can hold the field's value. The key names the index, except that of `delete`.
 fn can_be_set(field: &FieldDescriptor) -> bool {
     let is_short = match field.kind() {
         Kind::Message(fields) => fields.full_name() == special::INCLUDE,
@@ -127,7 +127,7 @@ fn read(field: &FieldDescriptor, text: &str) -> Result<Value, Error> {
     values.collect::<Result<_, _>>().map(Value::List)
 }
 
-/// The columns that are named, separated by commas.
+/// The named columns, separated by commas.
 fn include(columns: &MessageDescriptor, text: &str) -> Result<DynamicMessage, Error> {
     let mut include = DynamicMessage::new(columns.clone());
     for name in text.split(',').filter(|name| !name.is_empty()) {

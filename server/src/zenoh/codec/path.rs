@@ -1,8 +1,8 @@
-//! Where in a request something is.
+//! Paths to fields of a request.
 
 use std::fmt;
 
-/// A place in a request, named as the service names it: `neighbors.filter.tag_mask`, `states[37].coords[3]`.
+/// A path in the service's notation: `neighbors.filter.tag_mask`, `states[37].coords[3]`.
 #[derive(Clone, Copy)]
 pub(super) struct Path<'a> {
     before: Option<&'a Path<'a>>,
@@ -24,7 +24,7 @@ impl<'a> Path<'a> {
         }
     }
 
-    /// A field of what is here.
+    /// A field of the value at this path.
     pub(super) fn field(&'a self, name: &'a str) -> Self {
         Self {
             before: Some(self),
@@ -32,7 +32,7 @@ impl<'a> Path<'a> {
         }
     }
 
-    /// An element of what is here.
+    /// An element of the value at this path.
     pub(super) fn at(&'a self, index: usize) -> Self {
         Self {
             before: Some(self),

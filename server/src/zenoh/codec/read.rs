@@ -1,4 +1,4 @@
-//! A request in JSON becomes a message.
+//! Reads a request from JSON.
 
 use base64::{Engine, prelude::BASE64_STANDARD};
 use prost_reflect::{
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::service::Error;
 
-/// Reads a message, and the names of its fields that are told. An array stands for the states of a request that has
+/// Reads a message, and the names of the fields that are present. An array stands for the states of a request that has
 /// states.
 pub(super) fn message(
     descriptor: MessageDescriptor,
@@ -38,7 +38,7 @@ pub(super) fn message(
 
 type Fields = serde_json::Map<String, Json>;
 
-/// Adds the names of the fields that are told, those of messages after their own: `after_revision.number`.
+/// Adds the names of the fields that are present, with the path of nested ones: `after_revision.number`.
 fn names(fields: &Fields, before: &str, named: &mut Vec<String>) {
     for (name, json) in fields.iter().filter(|(_, json)| !json.is_null()) {
         let name = format!("{before}{name}");
@@ -49,7 +49,7 @@ fn names(fields: &Fields, before: &str, named: &mut Vec<String>) {
     }
 }
 
-/// Sets the fields of a message that is at `path`, the request itself if that is None.
+/// Sets the fields of the message at `path`; None is the request itself.
 fn fill(
     message: &mut DynamicMessage,
     fields: &Fields,
@@ -77,14 +77,14 @@ fn fill(
     Ok(())
 }
 
-/// The field that is set where only one of it and `field` can be.
+/// The field that is already set in the oneof of `field`.
 pub(super) fn rival(message: &DynamicMessage, field: &FieldDescriptor) -> Option<FieldDescriptor> {
     let one = field.containing_oneof().filter(|one| !one.is_synthetic())?;
     let is_rival = |other: &FieldDescriptor| other != field && message.has_field(other);
     one.fields().find(is_rival)
 }
 
-/// The refusal of a field beside its rival.
+/// The refusal of a second field of a oneof.
 pub(super) fn ambiguous(path: &Path<'_>, rival: &FieldDescriptor) -> Error {
     let text = format!(
         "{} is set too; set only one of {path} and {}",
@@ -171,7 +171,7 @@ fn states(
             let Json::Array(numbers) = json else {
                 return Err(wrong(&here, "a row: an array of numbers", json));
             };
-            // Only a wrong width of all rows is the space's to find.
+            // The space checks a width that all rows share.
             let before = coordinates.len();
             if before != at * numbers.len() {
                 let text = format!(

@@ -1,4 +1,4 @@
-//! What the messages are made of, as their descriptors say.
+//! The descriptors of the messages.
 
 use std::sync::LazyLock;
 
@@ -31,7 +31,7 @@ pub(super) fn detail(type_url: &str) -> Option<MessageDescriptor> {
     POOL.as_ref().ok()?.get_message_by_name(name)
 }
 
-/// With what the names of an enumeration's values begin: `ON_CONFLICT_` for `OnConflict`.
+/// The prefix of an enumeration's values: `ON_CONFLICT_` for `OnConflict`.
 pub(super) fn prefix(descriptor: &EnumDescriptor) -> String {
     let mut prefix = String::new();
     for letter in descriptor.name().chars() {
@@ -44,20 +44,20 @@ pub(super) fn prefix(descriptor: &EnumDescriptor) -> String {
     prefix
 }
 
-/// The messages that JSON has in another form than their fields.
+/// The messages whose JSON form differs from their fields.
 pub(super) mod special {
     /// Rows of coordinates.
     pub(crate) const STATES: &str = "wayfold.v1.States";
     /// Columns by state.
     pub(crate) const NEIGHBORS: &str = "wayfold.v1.Neighbors";
-    /// Columns of which some may be left out.
+    /// Columns, some of them optional.
     pub(crate) const POINTS: &str = "wayfold.v1.Points";
     /// Names of columns.
     pub(crate) const INCLUDE: &str = "wayfold.v1.Include";
-    /// The request that names its index, as no key does.
+    /// The request that names its index itself, as no key does.
     pub(crate) const DELETE_INDEX: &str = "wayfold.v1.DeleteIndexRequest";
     /// A message of any type.
     pub(crate) const ANY: &str = "google.protobuf.Any";
-    /// Answers that are their neighbours, with a few words on them.
+    /// Answers whose JSON merges the fields of `neighbors` with their own.
     pub(crate) const FOUND: [&str; 2] = ["wayfold.v1.KnnResponse", "wayfold.v1.QueryResponse"];
 }

@@ -1,4 +1,4 @@
-//! A message becomes JSON.
+//! Writes a message as JSON.
 
 use base64::{Engine, prelude::BASE64_STANDARD};
 use prost_reflect::{
@@ -7,7 +7,7 @@ use prost_reflect::{
 
 use super::schema::{self, special};
 
-/// From here up integers are written as strings: doubles, and so many readers of JSON, hold them only below.
+/// Integers from here up are written as strings: doubles, which many readers of JSON use, round them.
 const EXACT: u64 = 1 << 53;
 
 /// Writes a message.
@@ -48,9 +48,9 @@ impl Writer {
                 }
                 continue;
             }
-            // A column that is not there, beside one that is.
+            // An absent column beside a present one.
             let is_left_out = name == special::POINTS && field.name() != "ids" && field.is_list();
-            if !is_told(message, &field, &value) || is_left_out && !message.has_field(&field) {
+            if !is_written(message, &field, &value) || is_left_out && !message.has_field(&field) {
                 continue;
             }
             self.name(field.name());
@@ -112,7 +112,7 @@ impl Writer {
         self.0.push('}');
     }
 
-    /// Rows of coordinates; with `counts`, so many rows together, and so on.
+    /// Rows of coordinates, grouped by `counts` if present.
     fn rows(&mut self, states: &DynamicMessage, counts: Option<&[usize]>) {
         let rows = column(states, "rows");
         let rows = rows.as_ref().and_then(Value::as_u32).unwrap_or(0) as usize;
@@ -134,7 +134,7 @@ impl Writer {
         }
     }
 
-    /// The columns of what was found, a row for each state.
+    /// The columns of neighbours, a row for each state.
     fn neighbors(&mut self, neighbors: &DynamicMessage) {
         let counts = column(neighbors, "counts");
         let counts = counts.as_ref().and_then(Value::as_list).unwrap_or(&[]);
@@ -162,7 +162,7 @@ impl Writer {
         }
     }
 
-    /// A detail of an error, with its type; of an unknown type nothing else.
+    /// A detail of an error, with its type; for an unknown type only that.
     fn any(&mut self, any: &DynamicMessage) {
         let url = column(any, "type_url");
         let url = url.as_ref().and_then(Value::as_str).unwrap_or_default();
@@ -198,7 +198,7 @@ impl Writer {
         }
     }
 
-    /// The shortest digits that are read as the same bits.
+    /// The shortest digits that read back to the same bits.
     fn float(&mut self, value: f64) {
         match serde_json::Number::from_f64(value) {
             Some(number) => self.0.push_str(&number.to_string()),
@@ -213,8 +213,8 @@ impl Writer {
     }
 }
 
-/// Whether a field is written: what is unset and would mean something if it were set is not.
-fn is_told(message: &DynamicMessage, field: &FieldDescriptor, value: &Value) -> bool {
+/// True if a field is written: an unset field with presence is not, nor is the zero value of an enumeration.
+fn is_written(message: &DynamicMessage, field: &FieldDescriptor, value: &Value) -> bool {
     let unspecified = !field.is_list() && matches!(value, Value::EnumNumber(0));
     message.has_field(field) || !field.supports_presence() && !unspecified
 }
@@ -225,7 +225,7 @@ fn column(message: &DynamicMessage, name: &str) -> Option<Value> {
         .map(|value| value.into_owned())
 }
 
-/// The elements in groups of so many each. What the counts do not cover is left out; there is no such message.
+/// The elements in groups of the given counts. Elements beyond the counts are left out; no message has any.
 fn groups<'a, T>(elements: &'a [T], counts: &[usize]) -> Vec<&'a [T]> {
     let mut rest = elements;
     let take = |count: &usize| {

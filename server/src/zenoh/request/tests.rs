@@ -19,7 +19,7 @@ mod extremes;
 
 use extremes::{EXTREMES, requests, variants};
 
-/// Which verb a request is asked under.
+/// The verb and the message of each request.
 const VERBS: [(&str, &str); 12] = [
     ("server", "GetServerRequest"),
     ("arm/knn", "KnnRequest"),
@@ -68,7 +68,7 @@ async fn assert_answered(service: &Service, key: &str, request: &Request<'_>) {
     let call = Call {
         deadline: Some(Instant::now() + Duration::from_secs(3600)),
     };
-    // What waits ends at once: the time is that of the test.
+    // Waits end at once: the test runs in paused time.
     if let Err(error) = dispatch(service, &call, target.verb, request, 1 << 20).await {
         let is_bug = matches!(error.code(), Code::Internal | Code::DataLoss);
         assert!(!is_bug, "{key} {:?}: {error}", request.parameters);
