@@ -1,0 +1,210 @@
+//! Each error has its code, reason and details, and none outgrows the headers.
+
+use std::collections::BTreeSet;
+
+use super::*;
+use crate::service::Unavailability;
+
+/// A message of google.rpc among the details of a status.
+fn decoded<M: Message + Default>(status: &Status, name: &str) -> M {
+    let details = status.to_message().details;
+    let is_asked = |any: &&Any| any.type_url.ends_with(&format!("google.rpc.{name}"));
+    let found = details.iter().find(is_asked).expect(name);
+    M::decode(&*found.value).unwrap()
+}
+
+/// One error of every kind, the code it must have on the wire, and the kind of detail it must carry.
+fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
+    let (index, ids) = ("arm".to_owned(), vec![3, 5]);
+    let violation = Violation {
+        field: "states[37].coords[3]".into(),
+        reason: "NAN",
+        description: "NaN".into(),
+    };
+    vec![
+        (
+            Error::InvalidArgument {
+                violations: vec![violation],
+            },
+            Code::InvalidArgument,
+            Some("BadRequest"),
+        ),
+        (
+            Error::OperationMismatch {
+                operation_id: "op".into(),
+            },
+            Code::InvalidArgument,
+            Some("BadRequest"),
+        ),
+        (
+            Error::IndexNotFound {
+                name: index.clone(),
+            },
+            Code::NotFound,
+            Some("ResourceInfo"),
+        ),
+        (
+            Error::PointsNotFound {
+                index: index.clone(),
+                ids: ids.clone(),
+            },
+            Code::NotFound,
+            Some("ResourceInfo"),
+        ),
+        (
+            Error::IndexExists {
+                name: index.clone(),
+                existing: "R3".into(),
+                asked: "SO2".into(),
+            },
+            Code::AlreadyExists,
+            Some("ResourceInfo"),
+        ),
+        (
+            Error::NameTaken {
+                name: index.clone(),
+            },
+            Code::AlreadyExists,
+            Some("ResourceInfo"),
+        ),
+        (
+            Error::HeldTooLong {
+                what: "snapshot",
+                scan_seconds: 300,
+            },
+            Code::ResourceExhausted,
+            Some("QuotaFailure"),
+        ),
+        (
+            Error::PointsExist {
+                index: index.clone(),
+                ids: ids.clone(),
+            },
+            Code::AlreadyExists,
+            Some("ResourceInfo"),
+        ),
+        (
+            Error::UidMismatch {
+                index: index.clone(),
+                asked: "a".into(),
+                found: "b".into(),
+            },
+            Code::FailedPrecondition,
+            Some("PreconditionFailure"),
+        ),
+        (
+            Error::RevisionConflict {
+                index: index.clone(),
+                if_revision: 7,
+                ids,
+            },
+            Code::FailedPrecondition,
+            Some("PreconditionFailure"),
+        ),
+        (
+            Error::LimitExceeded {
+                limit: "k",
+                value: 10,
+                asked: 11,
+                advice: "ask for fewer",
+            },
+            Code::ResourceExhausted,
+            Some("QuotaFailure"),
+        ),
+        (
+            Error::IdsExhausted { index },
+            Code::ResourceExhausted,
+            Some("QuotaFailure"),
+        ),
+        (
+            Error::ScanTooLong {
+                scan_seconds: 300,
+                after_id: Some(9),
+            },
+            Code::ResourceExhausted,
+            Some("QuotaFailure"),
+        ),
+        (
+            Error::Unavailable {
+                why: Unavailability::Starting,
+            },
+            Code::Unavailable,
+            None,
+        ),
+        (
+            Error::DeadlineExceeded {
+                doing: "while searching",
+            },
+            Code::DeadlineExceeded,
+            None,
+        ),
+        (
+            Error::DataLoss {
+                what: "a record is damaged".into(),
+            },
+            Code::DataLoss,
+            None,
+        ),
+        (
+            Error::Internal {
+                what: "an invariant".into(),
+            },
+            Code::Internal,
+            None,
+        ),
+    ]
+}
+
+#[test]
+fn every_error_has_its_code_and_details() {
+    for (error, code, detail) in every_error() {
+        let status = from_error(&error);
+        assert_eq!(status.code, code, "{error:?}");
+        assert_eq!(status.message, error.to_string());
+        let info: pb::ErrorInfo = decoded(&status, "ErrorInfo");
+        assert_eq!((&*info.domain, &*info.reason), (DOMAIN, error.reason()));
+        let message = status.to_message();
+        assert_eq!(message.code, number(code));
+        assert_eq!(message.message, status.message);
+        let kinds: BTreeSet<&str> = message
+            .details
+            .iter()
+            .filter_map(|any| any.type_url.strip_prefix("type.googleapis.com/google.rpc."))
+            .collect();
+        let expected: BTreeSet<&str> = ["ErrorInfo"].into_iter().chain(detail).collect();
+        assert_eq!(kinds, expected, "{error:?}");
+    }
+}
+
+#[test]
+fn fields_ids_and_limits_can_be_read_by_a_program() {
+    let violation = Violation {
+        field: "states[37].coords[3]".into(),
+        reason: "NAN",
+        description: "not a number".into(),
+    };
+    let status = from_error(&Error::InvalidArgument {
+        violations: vec![violation],
+    });
+    let fields = decoded::<pb::BadRequest>(&status, "BadRequest").field_violations;
+    assert_eq!(fields[0].field, "states[37].coords[3]");
+    assert_eq!(fields[0].reason, "NAN");
+
+    let status = from_error(&Error::PointsExist {
+        index: "arm".into(),
+        ids: (0..100).collect(),
+    });
+    let metadata = decoded::<pb::ErrorInfo>(&status, "ErrorInfo").metadata;
+    assert!(metadata["ids"].starts_with("0,1,2,"));
+    assert_eq!(metadata["ids_total"], "100");
+
+    let status = from_error(&Error::LimitExceeded {
+        limit: "k",
+        value: 10,
+        asked: 11,
+        advice: "ask for fewer",
+    });
+    let violations = decoded::<pb::QuotaFailure>(&status, "QuotaFailure").violations;
+    assert_eq!(violations[0].subject, "k");
+    assert_eq!(violations[0].quota_value, 10);
+}
