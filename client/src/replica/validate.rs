@@ -59,7 +59,7 @@ impl Violations {
     }
 }
 
-/// The violations of a search.
+/// The violations of a search, in the server's order.
 pub(super) fn check(search: &Search) -> Violations {
     let mut violations = Violations::default();
     match search.bounds.count {
@@ -77,13 +77,13 @@ pub(super) fn check(search: &Search) -> Violations {
         }
         None => {}
     }
-    violations.finite("epsilon", search.epsilon);
     let (mask, value) = (search.filter.tag_mask, search.filter.tag_value);
     if value & !mask != 0 {
         let problem =
             format!("{value:#x} has bits outside tag_mask = {mask:#x}: no tag could match");
         violations.add("filter.tag_value", "OUTSIDE_MASK", problem);
     }
+    violations.finite("epsilon", search.epsilon);
     violations
 }
 
