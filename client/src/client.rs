@@ -82,7 +82,7 @@ impl ClientBuilder {
         let endpoint = endpoint(uri)?
             .tcp_nodelay(true)
             .connect_timeout(self.timeout)
-            // A stream that waits for a peer notices so that the peer is gone.
+            // The keep-alive lets a waiting stream notice that its peer is gone.
             .http2_keep_alive_interval(Duration::from_secs(10))
             .keep_alive_timeout(Duration::from_secs(20));
         let uri: Arc<str> = endpoint.uri().to_string().trim_end_matches('/').into();
@@ -142,7 +142,7 @@ impl Client {
     /// Connects with the default settings: [`ClientBuilder::connect`].
     ///
     /// # Errors
-    /// As [`ClientBuilder::connect`].
+    /// The errors of [`ClientBuilder::connect`].
     pub async fn connect(uri: &str) -> Result<Client, Error> {
         Client::builder().connect(uri).await
     }
@@ -166,7 +166,7 @@ impl Client {
         self.server_for("get_server", self.settings.timeout).await
     }
 
-    /// As [`Client::server`], on behalf of `call`, which an error names.
+    /// Returns the result of [`Client::server`] on behalf of `call`, which an error names.
     pub(crate) async fn server_for(
         &self,
         call: &'static str,
@@ -194,10 +194,10 @@ impl Client {
         Ok(IndexHandle::new(self.clone(), info))
     }
 
-    /// As [`Client::create_index`], but returns the description, and whether this call created the index.
+    /// Acts like [`Client::create_index`], but returns the description, and true if this call created the index.
     ///
     /// # Errors
-    /// As [`Client::create_index`].
+    /// The errors of [`Client::create_index`].
     pub async fn ensure_index(
         &self,
         name: &str,

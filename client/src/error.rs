@@ -1,4 +1,4 @@
-//! What can go wrong with a call.
+//! The errors of calls.
 
 use std::{sync::Arc, time::Duration};
 
@@ -17,12 +17,12 @@ pub enum Error {
         "{uri:?} is not the address of a server ({problem}); one looks like http://127.0.0.1:50051"
     )]
     Address {
-        /// What was given.
+        /// The text that was given.
         uri: String,
-        /// What is wrong with it.
+        /// The problem with it.
         problem: String,
     },
-    /// The server could not be reached, or the connection broke. Of a mutation without an operation id the effect is
+    /// The server could not be reached, or the connection broke. The effect of a mutation without an operation id is
     /// unknown.
     #[error("{call}: no connection to {uri}: {}", root_cause(source.as_ref()))]
     Connection {
@@ -30,10 +30,10 @@ pub enum Error {
         call: &'static str,
         /// The server's address.
         uri: String,
-        /// What the transport reported.
+        /// The error that the transport reported.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// There was no answer in time. Of a mutation the effect is unknown; the same call again, with the same operation
+    /// There was no answer in time. The effect of a mutation is unknown; the same call again, with the same operation
     /// id, takes effect once.
     #[error("{call}: no answer within {timeout:?}{}", earlier_attempt(earlier.as_deref()))]
     Timeout {
@@ -75,13 +75,13 @@ pub enum Error {
     Argument {
         /// Which argument.
         field: &'static str,
-        /// What is wrong with it.
+        /// The problem with it.
         problem: String,
     },
     /// A mutation that was sent in several calls failed after some of them had taken effect.
     #[error("rows 0 to {} of {rows} took effect; then: {source}", done - 1)]
     Partial {
-        /// How many rows took effect, in order from the first. What `source` says of a row counts from this one.
+        /// How many rows took effect, in order from the first. Row numbers in `source` count from row `done`.
         done: usize,
         /// How many were to be sent.
         rows: usize,
@@ -120,7 +120,7 @@ pub enum Error {
     Protocol {
         /// Which call.
         call: &'static str,
-        /// What is wrong with the answer.
+        /// The problem with the answer.
         problem: String,
     },
 }
@@ -200,14 +200,14 @@ impl Error {
         }
     }
 
-    /// Whether the same call may succeed a little later.
+    /// True if the same call may succeed a little later.
     pub(crate) fn is_transient(&self) -> bool {
         matches!(self, Error::Connection { .. } | Error::Refused(_))
             && self.code() == Code::Unavailable
     }
 }
 
-/// The text of `tonic::TimeoutExpired`, of which a status keeps nothing else.
+/// The text of `tonic::TimeoutExpired`. A status keeps nothing else of that error.
 const TIMEOUT_EXPIRED: &str = "Timeout expired";
 
 fn earlier_attempt(earlier: Option<&Error>) -> String {

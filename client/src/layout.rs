@@ -1,10 +1,10 @@
-//! What the numbers of a row are, and what to call them.
+//! The kinds of the numbers of a row, and their names.
 
 use std::f64::consts::TAU;
 
 use wayfold_index::{Factor, Space};
 
-/// What one number of a row is.
+/// The kind of one number of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coordinate {
     /// A coordinate of a real vector.
@@ -37,7 +37,7 @@ pub(crate) fn describe(row: &[Coordinate]) -> String {
     words.collect::<Vec<_>>().join(", ")
 }
 
-/// What each number of a state of `space` is.
+/// The kind of each number of a state of `space`.
 pub(crate) fn coordinates(space: &Space) -> Vec<Coordinate> {
     let mut row = Vec::with_capacity(space.coordinates());
     for factor in factors(space) {

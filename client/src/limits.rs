@@ -20,7 +20,7 @@ pub(crate) fn divide(
     max_rows: usize,
     bytes: impl Fn(usize) -> usize,
 ) -> Vec<Range<usize>> {
-    /// What a request holds beside its rows.
+    /// The bytes reserved for the fields of a request other than its rows.
     const FRAME_BYTES: usize = 64 * 1024;
     let max_bytes = limits.request_bytes.saturating_sub(FRAME_BYTES);
     let mut parts = Vec::new();
@@ -96,7 +96,7 @@ fn is_too_large(error: &Error) -> bool {
 
 /// How many rows of `row_bytes` one answer holds, at least one.
 pub(crate) fn rows_of_answer(client: &Client, limits: &Limits, row_bytes: usize) -> usize {
-    /// What an answer holds beside its rows.
+    /// The bytes reserved for the fields of an answer other than its rows.
     const FRAME_BYTES: usize = 1024;
     let bytes = client.max_message_bytes().min(limits.answer_bytes);
     (bytes.saturating_sub(FRAME_BYTES) / row_bytes.max(1)).max(1)

@@ -43,7 +43,7 @@ impl<'a> Row<'a> {
         self.ids.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.ids.is_empty()
     }
@@ -72,7 +72,7 @@ impl Neighbors {
         self.ends.len()
     }
 
-    /// Whether it had none.
+    /// True if the request had no states.
     pub fn is_empty(&self) -> bool {
         self.ends.is_empty()
     }
@@ -186,7 +186,7 @@ impl Neighbors {
     }
 }
 
-/// What an answer must hold, and its revision.
+/// The contents that an answer must have, and its revision.
 pub(crate) struct Expected {
     pub(crate) call: &'static str,
     /// How many states the request had.

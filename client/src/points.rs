@@ -44,7 +44,7 @@ impl Points {
         self.ids.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.ids.is_empty()
     }

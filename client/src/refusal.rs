@@ -1,4 +1,4 @@
-//! What a server says about a call that it refused.
+//! The details that a server gives about a call that it refused.
 
 use std::{collections::BTreeMap, fmt};
 
@@ -12,11 +12,11 @@ use wayfold_proto::v1;
 pub struct Refusal {
     /// The gRPC status code.
     pub code: Code,
-    /// What was wrong, where, and what to do.
+    /// The problem, its place and the remedy.
     pub message: String,
     /// The reason in UPPER_SNAKE_CASE, to match on; empty if the server gave none.
     pub reason: String,
-    /// What the reason is about: limits, ids, revisions, by their names.
+    /// The values that the reason is about, such as limits, ids and revisions, by their names.
     pub metadata: BTreeMap<String, String>,
     /// The fields of the request that were wrong.
     pub fields: Vec<FieldViolation>,
@@ -29,7 +29,7 @@ pub struct Refusal {
 pub struct FieldViolation {
     /// Its path in the request, as `states[37].coords[3]`.
     pub field: String,
-    /// What was wrong, as `NaN`.
+    /// The problem with the field, such as `NaN`.
     pub problem: String,
 }
 

@@ -79,7 +79,7 @@ async fn receive<M>(
     message.map_err(|status| Error::from_status(call, index.client().uri(), timeout, status))
 }
 
-/// What [`Knn`] and [`Query`] both set.
+/// The options that [`Knn`] and [`Query`] share.
 #[derive(Clone, Debug, Default)]
 struct SearchOptions {
     epsilon: f64,
@@ -103,7 +103,7 @@ macro_rules! search_options {
                 self
             }
 
-            /// The columns of the answer beside ids and distances; none unless set.
+            /// The columns of the answer in addition to ids and distances; none unless set.
             pub fn include(mut self, include: Include) -> $request {
                 self.options.include = include;
                 self

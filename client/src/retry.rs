@@ -96,7 +96,7 @@ impl RetryPolicy {
     }
 }
 
-/// A number in [0, 1], of which only matters that two clients draw different ones.
+/// A random number in [0, 1]. Its only purpose is that two clients draw different numbers.
 fn chance() -> f64 {
     let (high, _) = Uuid::new_v4().as_u64_pair();
     high as f64 / u64::MAX as f64
@@ -130,7 +130,7 @@ mod tests {
         assert!((0..1000).all(|_| (0.0..=1.0).contains(&chance())));
     }
 
-    /// On a clock that jumps ahead whenever nothing else is left to do.
+    /// The clock is paused: it jumps ahead whenever all tasks wait.
     #[tokio::test(start_paused = true)]
     async fn a_try_without_time_left_does_not_hide_why_the_one_before_failed() {
         let timeout = Duration::from_millis(150);

@@ -9,8 +9,8 @@ use crate::{Code, Error, Refusal};
 /// A revision of an index: how many records its log had. The number means something only with the uid.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Revision {
-    /// Names the past that the number counts. It is made anew when the past may differ: the index was deleted and
-    /// created again, restored, or lost mutations that were not synced.
+    /// Identifies the history that the number counts. The server makes a new uid when the history may differ: the index
+    /// was deleted and created again, was restored, or lost mutations that were not synced.
     pub uid: Arc<str>,
     /// How many records the log had.
     pub number: u64,

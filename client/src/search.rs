@@ -1,4 +1,4 @@
-//! How many neighbours, how far, and among which points: what every search sets, by the same names.
+//! The options of every search, under the same names: how many neighbours, how far, and among which points.
 
 use wayfold_index::Scaling;
 use wayfold_proto::v1::{self, neighbor_spec};
@@ -210,7 +210,7 @@ impl NeighborSpec {
         }
     }
 
-    /// The columns of the answer beside ids and distances.
+    /// The columns of the answer in addition to ids and distances.
     pub fn include(mut self, include: Include) -> NeighborSpec {
         self.include = include;
         self

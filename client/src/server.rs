@@ -10,13 +10,13 @@ use crate::Error;
 pub struct ServerInfo {
     /// The version of the server program.
     pub version: String,
-    /// What an acknowledged mutation survives.
+    /// The failures that an acknowledged mutation survives.
     pub durability: Durability,
-    /// What one call may ask for.
+    /// The limits of one call.
     pub limits: Limits,
 }
 
-/// What an acknowledged mutation survives.
+/// The failures that an acknowledged mutation survives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Durability {
@@ -32,7 +32,7 @@ pub enum Durability {
     Other(i32),
 }
 
-/// What one call may ask for. The server refuses a call that asks for more with `RESOURCE_EXHAUSTED`, or with
+/// The limits of one call. The server refuses a call that exceeds them with `RESOURCE_EXHAUSTED`, or with
 /// `INVALID_ARGUMENT` for a payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]

@@ -130,7 +130,7 @@ impl<R: Read> SnapshotReader<R> {
         }
     }
 
-    /// What the snapshot says of itself before its points.
+    /// The header, which the snapshot holds before its points.
     pub fn header(&self) -> &Header {
         &self.header
     }

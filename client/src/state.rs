@@ -1,4 +1,4 @@
-//! Typed states: what can be sent as one row of numbers, and read back from one.
+//! Typed states: types that can be sent as one row of numbers, and read back from one.
 
 #[cfg(feature = "nalgebra")]
 mod geometry;
@@ -30,8 +30,8 @@ pub trait State {
     /// Appends the state's numbers.
     fn write(&self, row: &mut Vec<f64>);
 
-    /// What the numbers are, for a type that knows; the client compares them with the space before it sends anything.
-    /// `None` for plain numbers, of which the client checks only the count.
+    /// The kinds of the numbers, if the type fixes them. The client compares them with the space before it sends
+    /// anything. `None` stands for plain numbers; the client checks only their count.
     fn layout() -> Option<Vec<Coordinate>> {
         None
     }

@@ -34,7 +34,7 @@ impl States {
     }
 
     /// The given states, checked against the space in their width and, where the type knows it, in their layout.
-    /// Whether the numbers are good is the server's to say.
+    /// The server checks the values of the numbers.
     ///
     /// # Errors
     /// [`Error::Width`] or [`Error::Layout`].
@@ -81,7 +81,7 @@ impl States {
         self.coordinates.len().checked_div(self.width).unwrap_or(0)
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.coordinates.is_empty()
     }
@@ -122,7 +122,7 @@ impl States {
         }
     }
 
-    /// The rows of an answer, of which there must be `rows`, `width` numbers each.
+    /// The rows of an answer; `None` unless there are `rows` rows of `width` numbers each.
     pub(crate) fn from_message(
         message: Option<v1::States>,
         rows: usize,

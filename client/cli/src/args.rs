@@ -119,7 +119,7 @@ fn is_server(argument: &OsString) -> bool {
     bytes == b"--server" || bytes.starts_with(b"--server=")
 }
 
-/// Whether the arguments ask for JSON, where they are too wrong to be parsed.
+/// True if the arguments ask for JSON. It serves arguments that clap cannot parse.
 pub(super) fn output_is_json() -> bool {
     let args: Vec<OsString> = std::env::args_os().collect();
     args.iter().any(|argument| argument == "--output=json")

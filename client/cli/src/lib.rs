@@ -39,7 +39,7 @@ pub fn main() -> ExitCode {
         Err(failure) if failure.is_broken_pipe() => Status::Success.into(),
         Err(failure) => {
             let mut stderr = io::stderr();
-            // There is no one left to tell if standard error is closed.
+            // The error cannot be reported if standard error is closed.
             let _ = match format {
                 Format::Text => writeln!(stderr, "error: {failure}"),
                 Format::Json => output::json_line(&mut stderr, &ErrorLine::of(&failure)),
@@ -52,7 +52,7 @@ pub fn main() -> ExitCode {
 /// Prints why the arguments make no command. Help and version come this way too, and are no errors.
 fn refuse(error: &clap::Error) -> Status {
     let is_error = error.use_stderr();
-    // There is no one left to tell if the output is closed.
+    // The error cannot be reported if the output is closed.
     let _ = if is_error && args::output_is_json() {
         let message = error.render().to_string();
         let message = message.strip_prefix("error: ").unwrap_or(&message);

@@ -8,7 +8,7 @@ use super::{Client, within};
 use crate::Error;
 
 impl Client {
-    /// Whether the server serves calls: false while it starts and while it stops.
+    /// Returns true if the server serves calls, and false while it starts or stops.
     ///
     /// # Errors
     /// Those of every call.

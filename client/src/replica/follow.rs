@@ -183,7 +183,7 @@ impl Follower {
         })
     }
 
-    /// Reads all points again, beside those that there are, and publishes them.
+    /// Reads all points again into a second forest, and publishes it in the place of the first.
     async fn reload(&mut self, reset: &Reset) -> Result<(), Error> {
         self.set_catching_up();
         let at = Instant::now();

@@ -73,8 +73,8 @@ impl MergingForest {
         }
     }
 
-    /// Waits for a merge to end, for ever if there is none, and swaps its level in. A future that is dropped while it waits
-    /// loses nothing.
+    /// Waits for a merge to end, and swaps its level in. It waits for ever if there is no merge. A future that is
+    /// dropped while it waits loses nothing.
     pub(super) async fn merged(&mut self) {
         match self.merges.join_next().await {
             Some(Ok(merged)) => self.forest.finish_merge(merged),

@@ -57,7 +57,7 @@ use shared::Shared;
 /// **Lost connections.** When the connection breaks or the server stops, the replica goes on answering from the last
 /// revision that it had whole, and retries without an end, after the pauses of the client's
 /// [`RetryPolicy`](crate::RetryPolicy); then it goes on where it stopped. Where the server no longer keeps the missing
-/// mutations, the replica reads all points again, beside those that it has, and answers from the old ones meanwhile.
+/// mutations, the replica reads all points again, and answers from the old ones meanwhile.
 /// [`Replica::status`] shows all of this.
 ///
 /// **Another index of the same name.** An index that was deleted and created again, was restored, or lost mutations that
@@ -118,7 +118,7 @@ impl Replica {
     /// The `k` nearest points.
     ///
     /// # Errors
-    /// As [`Replica::search`].
+    /// The errors of [`Replica::search`].
     pub fn knn(&self, state: impl State, k: u32) -> Result<Found, Error> {
         self.search(state, &Search::k(k))
     }
@@ -126,7 +126,7 @@ impl Replica {
     /// All points at distance `radius` or nearer, the closed ball: a number, or a [`ScaledRadius`](crate::ScaledRadius).
     ///
     /// # Errors
-    /// As [`Replica::search`].
+    /// The errors of [`Replica::search`].
     pub fn query(&self, state: impl State, radius: impl Into<Radius>) -> Result<Found, Error> {
         self.search(state, &Search::within(radius))
     }
@@ -152,10 +152,10 @@ impl Replica {
         self.at_least_within(revision, timeout).await
     }
 
-    /// As [`Replica::at_least`], within another time.
+    /// Acts like [`Replica::at_least`], but waits for at most `timeout`.
     ///
     /// # Errors
-    /// As [`Replica::at_least`].
+    /// The errors of [`Replica::at_least`].
     pub async fn at_least_within(
         &self,
         revision: &Revision,
@@ -176,13 +176,13 @@ impl Replica {
         Ok(answer)
     }
 
-    /// Whether it follows the server, and how far behind it is.
+    /// The present status: if the replica follows the server, and how far behind it is.
     pub fn status(&self) -> ReplicaStatus {
         self.shared().status()
     }
 
-    /// Waits for a status of which `wanted` is true, which may be the one now. A status that lasts only for a moment may be
-    /// missed.
+    /// Waits for a status for which `wanted` returns true, beginning with the present one. It may miss a status that
+    /// lasts only for a moment.
     pub async fn status_where(&self, wanted: impl FnMut(&ReplicaStatus) -> bool) -> ReplicaStatus {
         self.shared().status_where(wanted).await
     }

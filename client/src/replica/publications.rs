@@ -47,7 +47,7 @@ impl Publications {
         quiet: Duration,
     ) -> Result<Watch, Error> {
         let key = format!("{}/{}", self.prefix, index.name());
-        // Before the first question to the log, so that no publication is missed meanwhile.
+        // The subscription precedes the first read of the log, so that no publication is missed.
         let events = self.session.declare_subscriber(format!("{key}/events"));
         let events = events.with(RingChannel::new(MAX_WAITING)).await;
         let request = index.watch().after(after.clone());
@@ -111,7 +111,7 @@ impl Feed {
         Ok(message)
     }
 
-    /// Whether a mutation, or a piece of one, comes next; notes it if it does, and notes a gap before it.
+    /// True if `mutation`, or this piece of it, comes next, and then records it. Records a gap if a later one comes.
     fn is_next(&mut self, mutation: &v1::Mutation) -> bool {
         let next = (self.after.saturating_add(1), self.piece);
         let number = number(mutation.revision.as_ref());

@@ -102,7 +102,7 @@ impl Shared {
         Instant::now().saturating_duration_since(self.start + fresh)
     }
 
-    /// Whether reads may be answered.
+    /// Returns an error if reads may not be answered.
     pub(super) fn check(&self) -> Result<(), Error> {
         if let Some(why) = self.ended.get() {
             return Err(ended(why));

@@ -27,7 +27,7 @@ pub enum ReplicaStatus {
     Disconnected {
         /// When the connection broke.
         since: Instant,
-        /// What broke it, or why the last attempt failed.
+        /// The error that broke the connection, or that ended the last attempt.
         why: Arc<Error>,
     },
     /// It no longer follows the index, and reads fail.

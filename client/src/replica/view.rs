@@ -22,7 +22,7 @@ pub struct ReplicaView {
 pub struct Found {
     /// The neighbours, nearest first; at equal distances by id.
     pub neighbors: Vec<Neighbor>,
-    /// Whether they equal brute force: false only if [`Search::epsilon`] or [`Search::until`] may have cost an answer.
+    /// True if they equal brute force; false only if [`Search::epsilon`] or [`Search::until`] may have cost an answer.
     pub exact: bool,
     /// The revision that was searched.
     pub revision: Revision,
@@ -34,7 +34,7 @@ impl Found {
         self.neighbors.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.neighbors.is_empty()
     }
@@ -69,7 +69,7 @@ impl ReplicaView {
         self.points.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
@@ -82,7 +82,7 @@ impl ReplicaView {
     /// The `k` nearest points.
     ///
     /// # Errors
-    /// As [`ReplicaView::search`].
+    /// The errors of [`ReplicaView::search`].
     pub fn knn(&self, state: impl State, k: u32) -> Result<Found, Error> {
         self.search(state, &Search::k(k))
     }
@@ -90,7 +90,7 @@ impl ReplicaView {
     /// All points at distance `radius` or nearer, the closed ball: a number, or a [`ScaledRadius`](crate::ScaledRadius).
     ///
     /// # Errors
-    /// As [`ReplicaView::search`].
+    /// The errors of [`ReplicaView::search`].
     pub fn query(&self, state: impl State, radius: impl Into<Radius>) -> Result<Found, Error> {
         self.search(state, &Search::within(radius))
     }
@@ -98,7 +98,7 @@ impl ReplicaView {
     /// Answers any search, as the server would at this revision.
     ///
     /// # Errors
-    /// As [`Replica::search`](super::Replica::search), but a view does not grow stale.
+    /// The errors of [`Replica::search`](super::Replica::search), except that a view does not grow stale.
     pub fn search<S: State>(&self, state: S, search: &Search) -> Result<Found, Error> {
         let states = States::collect(self.index.space(), [state])?;
         let state = canonical(self.index.space(), states, check(search))?;

@@ -32,7 +32,7 @@ impl Get {
         }
     }
 
-    /// The columns of the answer beside ids; states, tags and revisions unless set.
+    /// The columns of the answer in addition to ids; states, tags and revisions unless set.
     pub fn include(mut self, include: Include) -> Get {
         self.include = include;
         self

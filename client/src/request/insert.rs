@@ -28,7 +28,7 @@ pub struct Insert {
     operation_id: String,
 }
 
-/// What became of one row of an insert.
+/// The outcome of one row of an insert.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Stored as a new point.
@@ -75,11 +75,11 @@ impl Outcome {
     }
 }
 
-/// What an insert did.
+/// The effect of an insert.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Inserted {
-    /// What became of each row, in order.
+    /// The outcome of each row, in order.
     pub outcomes: Vec<Outcome>,
     /// The neighbours of each row, also of those left out, if the insert asked for them.
     pub neighbors: Option<Neighbors>,
@@ -140,8 +140,8 @@ impl Insert {
         self
     }
 
-    /// Finds the neighbours that each row has when it is applied. Of any two inserts the later sees the earlier. The rows of
-    /// the same call count as stored by the revision that the call makes.
+    /// Finds the neighbours that each row has when it is applied. The later of any two inserts sees the earlier. The
+    /// rows of the same call count as stored by the revision that the call makes.
     pub fn neighbors(mut self, spec: NeighborSpec) -> Insert {
         self.neighbors = Some(spec);
         self

@@ -16,7 +16,7 @@ pub struct Remove {
     operation_id: String,
 }
 
-/// What a removal did.
+/// The effect of a removal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Removed {
@@ -47,7 +47,7 @@ impl Remove {
         }
     }
 
-    /// As [`Insert::operation_id`](crate::Insert::operation_id).
+    /// Sets the operation id; see [`Insert::operation_id`](crate::Insert::operation_id).
     pub fn operation_id(mut self, id: impl Into<String>) -> Remove {
         self.operation_id = id.into();
         self

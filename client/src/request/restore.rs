@@ -14,7 +14,7 @@ use crate::{Client, Error, IndexHandle, IndexInfo, SnapshotPart};
 
 const CALL: &str = "restore_index";
 
-/// What the server may take for each point once it has them all and builds the index, beside the timeout.
+/// Time per point that the client adds to the timeout after the last part, while the server builds the index.
 const BUILDING: Duration = Duration::from_micros(100);
 
 type Parts = Pin<Box<dyn Stream<Item = Result<SnapshotPart, Error>> + Send>>;
@@ -71,9 +71,9 @@ impl Client {
 /// How far the sending is.
 #[derive(Clone, Copy, Debug, Default)]
 struct Movement {
-    /// Whether the client waits for the server, and not for the next part.
+    /// True while the client waits for the server, and not for the next part.
     servers: bool,
-    /// Whether the last part was given.
+    /// True once the last part was given.
     done: bool,
     points: u32,
 }

@@ -52,7 +52,7 @@ impl ScanRequest {
         self
     }
 
-    /// The columns of the answer beside ids; states, tags and revisions unless set.
+    /// The columns of the answer in addition to ids; states, tags and revisions unless set.
     pub fn include(mut self, include: Include) -> ScanRequest {
         self.include = include;
         self

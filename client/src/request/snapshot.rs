@@ -111,7 +111,7 @@ async fn receive(
 }
 
 impl Snapshot {
-    /// What the snapshot says of itself before its points.
+    /// The header, which the snapshot holds before its points.
     pub fn header(&self) -> &Header {
         &self.header
     }

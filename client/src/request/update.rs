@@ -23,7 +23,7 @@ pub struct Update {
     operation_id: String,
 }
 
-/// What an update did.
+/// The effect of an update.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Updated {
@@ -83,7 +83,7 @@ impl Update {
         self
     }
 
-    /// As [`Insert::operation_id`](crate::Insert::operation_id).
+    /// Sets the operation id; see [`Insert::operation_id`](crate::Insert::operation_id).
     pub fn operation_id(mut self, id: impl Into<String>) -> Update {
         self.operation_id = id.into();
         self

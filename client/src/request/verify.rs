@@ -26,7 +26,7 @@ pub struct Verify {
     seed: u64,
 }
 
-/// What a verification found.
+/// The result of a verification.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Verified {
@@ -46,7 +46,7 @@ pub struct Verified {
 }
 
 impl Verified {
-    /// Whether the searched points are the stored ones, and the answers those of brute force.
+    /// True if the searched points are the stored ones, and the answers are those of brute force.
     pub fn agrees(&self) -> bool {
         self.disagreement_count == 0
     }

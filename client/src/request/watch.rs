@@ -131,7 +131,7 @@ impl WatchRequest {
         self
     }
 
-    /// The columns of stored points beside ids; states, tags and revisions unless set.
+    /// The columns of stored points in addition to ids; states, tags and revisions unless set.
     pub fn include(mut self, include: Include) -> WatchRequest {
         self.include = include;
         self

@@ -99,7 +99,7 @@ async fn a_file_is_written_and_read() {
     let read: Result<Vec<_>, _> = reader.collect();
     assert_eq!(read.unwrap(), parts);
 
-    // What is wrong is told once, and then there is no more.
+    // The reader returns an error once, and then ends.
     let mut reader = SnapshotReader::new(&bytes[..bytes.len() - 1]).unwrap();
     assert!(reader.by_ref().take(2).all(|part| part.is_ok()));
     let cut = reader.next().unwrap().unwrap_err();

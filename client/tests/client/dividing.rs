@@ -1,4 +1,4 @@
-//! What exceeds the bounds of one call is divided, in order, and joined.
+//! The client divides a request that exceeds the bounds of one call, in order, and joins the answers.
 
 use tonic::Status;
 use wayfold::{
@@ -51,7 +51,7 @@ async fn reads_are_divided_by_rows_and_by_the_bytes_of_their_answers() {
     // 10,000 neighbours of 16 bytes each: 26 states fill 4 MiB.
     index.knn(&scattered(60, 1)).k(10_000).await.unwrap();
     assert_eq!(rows_of(&fake.knn_requests()[3..]), [26, 26, 8]);
-    // With a tag and a revision of up to 10 bytes, 34 bytes each: 12.
+    // A tag and a revision of up to 10 bytes make it 34 bytes each: 12 states fill 4 MiB.
     let include = Include::none().tags().revisions();
     let broken = index
         .knn(&scattered(13, 1))
@@ -77,7 +77,8 @@ async fn an_answer_that_is_too_large_is_asked_for_by_halves() {
         [1000, 500, 250, 250, 250, 250]
     );
 
-    // A limit that fewer rows do not keep is told at once, and so is one that a single row exceeds.
+    // The limit on `k` does not depend on the rows: the call fails at once. The limit on the bytes of an answer makes
+    // the client halve the rows: the call fails once a single row exceeds the limit.
     fake.fail(|_, _| Some(too_large("k")));
     assert_eq!(
         index.knn(&scattered(1000, 1)).await.unwrap_err().code(),
@@ -155,7 +156,7 @@ async fn a_divided_insert_is_atomic_by_part() {
         }
     ));
 
-    // What one call would refuse is refused before the first part.
+    // An argument that one call would refuse fails before the first part is sent.
     let mut twice = ids;
     twice[rows - 1] = twice[0];
     let error = index.insert(&states).ids(twice).await.unwrap_err();

@@ -61,7 +61,7 @@ fn to_segment(point: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
 async fn workers_of_shared_prm_connect_all_milestones() {
     let server = Server::start();
     let roadmap = shared_prm::shared_prm(&server.uri).await.unwrap();
-    // Assigned in the order of the inserts, whoever made them.
+    // The server assigns ids in the order of the inserts, across all workers.
     assert!(roadmap.keys().copied().eq(0..400));
     let mut reached = vec![false; 400];
     let mut open = vec![0];

@@ -55,19 +55,19 @@ struct Inner {
     timeouts: Vec<Option<String>>,
     /// How often it was asked for its limits; these calls are counted nowhere else.
     described: usize,
-    /// The revisions that the next answers tell of; the last of them also those after.
+    /// The revisions of the next answers; later answers repeat the last.
     revisions: VecDeque<u64>,
-    /// Whether calls wait for ever.
+    /// True if calls wait for ever.
     silent: bool,
-    /// What the next snapshots are; one that is not ended waits for ever after its last part.
+    /// The parts of the next snapshots; a snapshot that is not ended waits for ever after its last part.
     snapshot: Vec<v1::SnapshotPart>,
     snapshot_ends: bool,
     verification: Vec<v1::VerifyIndexResponse>,
-    /// What the next watches tell, one after the other; those after them find nothing new, and wait.
+    /// The messages of the next watches, one after the other; later watches find nothing new, and wait.
     watches: VecDeque<Vec<Result<v1::WatchResponse, Status>>>,
     watched: Vec<v1::WatchRequest>,
-    /// What the next scans answer, one after the other; those after them answer nothing.
-    /// One that is not ended waits for ever after its last part.
+    /// The answers of the next scans, one after the other; later scans answer nothing.
+    /// A scan that is not ended waits for ever after its last part.
     scans: VecDeque<(Vec<v1::ScanResponse>, bool)>,
 }
 
@@ -114,7 +114,7 @@ impl Fake {
         inner.calls = 0;
     }
 
-    /// Lets the next answers tell of these revisions, and all later ones of the last.
+    /// Sets the revisions of the next answers; later answers repeat the last.
     pub(crate) fn tell<const N: usize>(&self, revisions: [u64; N]) {
         self.inner.lock().unwrap().revisions = revisions.into();
     }
@@ -123,18 +123,18 @@ impl Fake {
         self.inner.lock().unwrap().silent = true;
     }
 
-    /// Lets snapshots consist of these parts, and then end, or not.
+    /// Sets the parts of snapshots. If `end` is false, a snapshot waits for ever after its last part.
     pub(crate) fn snapshots(&self, parts: &[v1::SnapshotPart], end: bool) {
         let mut inner = self.inner.lock().unwrap();
         (inner.snapshot, inner.snapshot_ends) = (parts.to_vec(), end);
     }
 
-    /// Lets verifications answer so.
+    /// Sets the answers of verifications.
     pub(crate) fn verifies(&self, answers: &[v1::VerifyIndexResponse]) {
         self.inner.lock().unwrap().verification = answers.to_vec();
     }
 
-    /// Lets the next watch tell this; unless that ends with an error, it waits for ever then.
+    /// Sets the messages of the next watch. After them it waits for ever, unless the last is an error.
     pub(crate) fn watch_tells(&self, messages: Vec<Result<v1::WatchResponse, Status>>) {
         self.inner.lock().unwrap().watches.push_back(messages);
     }
@@ -174,7 +174,7 @@ impl Fake {
         self.inner.lock().unwrap().timeouts.clone()
     }
 
-    /// Counts a call, and lets it fail if it should.
+    /// Counts a call, and fails it if the script says so.
     async fn enter<Q>(&self, request: &Request<Q>, rows: usize) -> Result<u64, Status> {
         let silent = {
             let mut inner = self.inner.lock().unwrap();

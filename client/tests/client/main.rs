@@ -1,4 +1,4 @@
-//! The client against a real server in this process, and against a fake one that fails as it is told.
+//! The client against a real server in this process, and against a fake one that fails as a script says.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 

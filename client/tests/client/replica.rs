@@ -1,4 +1,4 @@
-//! A replica and its server: what is told in pieces, twice, not at all, or wrongly.
+//! A replica and its server: messages that come in pieces, come twice, do not come, or are wrong.
 
 use std::time::Duration;
 
@@ -51,7 +51,7 @@ fn revision(number: u64) -> Revision {
     Revision::new(fake::UID, number)
 }
 
-/// The revisions after which the first watches asked, of which there are so many.
+/// The `after_revision` of each of the first `watches` requests to watch.
 fn asked_after(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
     let asked = fake.watch_requests().into_iter().take(watches);
     asked
@@ -122,7 +122,7 @@ async fn after_a_reset_all_points_are_read_anew() {
         Ok(message(9, vec![piece(4, &[(2, 1.0)], &[], (0, true))])),
         Ok(reset(v1::ResetReason::WindowPassed, 9)),
     ]);
-    // The first scan tells of more points than come.
+    // The first scan announces more points than it sends.
     let mut short = scanned(9, &[(8, 1.0)]);
     short[0].point_count = 2;
     fake.scan_answers(short, true);
@@ -157,7 +157,7 @@ async fn while_there_is_no_server_it_answers_what_it_had_until_that_is_stale() {
     assert_eq!(nearest(&replica, 7.0), (1, 3));
     let stale = replica.clone();
     assert!(stale.at_least_within(&revision(4), bound).await.is_err());
-    // By now more time has passed than is allowed.
+    // More time has passed than the bound allows.
     let Err(Error::Stale { age, .. }) = bounded.knn([7.0], 1) else {
         panic!("an answer that may be stale")
     };

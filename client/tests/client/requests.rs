@@ -218,7 +218,7 @@ async fn a_scan_reads_all_points_of_one_revision() {
     let mut scan = index.scan().await.unwrap();
     let revision = scan.revision().clone();
     assert_eq!((scan.point_count(), &revision), (30_000, &index.revision()));
-    // What is removed meanwhile is still read.
+    // The scan still reads a point that is removed meanwhile.
     index.remove([15_000]).await.unwrap();
     let mut next = 0;
     while let Some(part) = scan.next().await.unwrap() {

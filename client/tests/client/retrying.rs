@@ -1,4 +1,4 @@
-//! What is tried again, and what is not.
+//! The calls that the client retries, and those that it does not.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use wayfold::{Client, Code, Error, RetryPolicy};
 
 use crate::fake::Fake;
 
-/// As many tries as the default, but quick.
+/// A policy of `attempts` tries with short pauses.
 fn quick(attempts: u32) -> RetryPolicy {
     RetryPolicy {
         attempts,
@@ -180,7 +180,7 @@ async fn a_connection_that_breaks_is_made_anew() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let uri = format!("http://{}", listener.local_addr().unwrap());
     let broken = tokio::spawn(async move {
-        // The first connection is taken, and dropped when something was asked.
+        // The server accepts the first connection, and drops it once a request arrives.
         let (socket, _) = listener.accept().await.unwrap();
         socket.readable().await.unwrap();
         drop(socket);
@@ -197,8 +197,9 @@ async fn a_connection_that_breaks_is_made_anew() {
     assert_eq!(fake.calls(), 1);
 }
 
-/// A server that stops takes no more calls on a connection. One that the client sent all the same, before it was told
-/// or while the connection was closing, has not been taken and is made again on the next connection.
+/// A server that stops takes no more calls on a connection. The client may still send one before it hears of the stop,
+/// or while the connection closes. The server does not take that call. The client makes it again on the next
+/// connection.
 #[tokio::test]
 async fn a_call_on_a_connection_that_is_going_away_is_made_again() {
     // Frames of HTTP/2 (RFC 9113): length, type, flags, stream. SETTINGS, then GOAWAY: no stream was taken, no error.

@@ -1,4 +1,4 @@
-//! Read-your-writes: what a handle was told, its reads ask for.
+//! Read-your-writes: the reads of a handle ask for the newest revision that the handle has seen.
 
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ async fn reads_ask_for_the_last_revision_that_was_told() {
     index.knn([[0.0]]).await.unwrap();
     fake.tell([7]);
     index.insert([[0.0]]).await.unwrap();
-    // An answer of an older revision is not forgotten the newer one for.
+    // An answer of an older revision does not replace the newer one.
     fake.tell([5]);
     clone.knn([[0.0]]).await.unwrap();
     clone.remove([1]).await.unwrap();

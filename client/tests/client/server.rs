@@ -6,7 +6,7 @@ use tokio::sync::oneshot;
 use wayfold::{Client, IndexHandle};
 use wayfold_server::config::{Config, DataConfig, ZenohConfig};
 
-/// Stops when it is dropped, which nobody waits for: the connections to close may belong to the thread that drops it.
+/// Stops when it is dropped. The drop does not wait for the stop: the connections to close may belong to its thread.
 pub(crate) struct Server {
     pub(crate) uri: String,
     _stop: oneshot::Sender<()>,
@@ -17,7 +17,7 @@ impl Server {
         Server::with(|_| ())
     }
 
-    /// A server with the settings that `adapt` makes of the defaults. Who connects before it serves waits.
+    /// A server with the settings that `adapt` makes of the defaults. A client that connects before it serves waits.
     pub(crate) fn with(adapt: impl FnOnce(&mut Config)) -> Server {
         let mut config = Config::default();
         config.data.dir = DataConfig::MEMORY.into();

@@ -47,7 +47,7 @@ async fn one_bad_request_does_not_end_the_stream() {
     let include = Include::none().states();
     requests.send(index.knn([[0.0]])).await.unwrap();
     requests.send(index.knn([[f64::NAN]])).await.unwrap();
-    // What is wrong at a glance is not sent.
+    // A state of the wrong width is not sent.
     assert!(matches!(
         requests.send(index.knn([[0.0, 1.0]])).await,
         Err(Error::Width { .. })

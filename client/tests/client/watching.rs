@@ -9,7 +9,7 @@ use crate::{
     server::Server,
 };
 
-/// A message that tells of these mutations.
+/// A message with these mutations.
 pub(crate) fn message(newest: u64, mutations: Vec<v1::Mutation>) -> v1::WatchResponse {
     v1::WatchResponse {
         revision: revision(newest),

@@ -135,7 +135,7 @@ fn of_client(error: &Error) -> (&str, &str) {
         Error::Connection { .. } => ("UNAVAILABLE", "UNREACHABLE"),
         Error::Timeout { .. } => ("DEADLINE_EXCEEDED", "TIMEOUT"),
         Error::Protocol { .. } => ("INTERNAL", "PROTOCOL"),
-        // Errors of replicas, of which the command makes none.
+        // The errors of replicas; the command makes no replica.
         _ => ("UNKNOWN", "UNKNOWN"),
     }
 }

@@ -115,7 +115,7 @@ fn read(
 struct CsvRows<R> {
     file: Arc<File>,
     space: String,
-    /// Whether the header has a column `id` that no option names.
+    /// True if the header has a column `id` that no option names.
     names_id: bool,
     /// The first line, if it is not a header.
     unread: Option<StringRecord>,

@@ -81,7 +81,7 @@ struct NeighborArgs {
     /// Only neighbours whose state a later revision stored
     #[arg(long, value_name = "NUMBER[@UID]", value_parser = parse::revision, requires = "neighbors")]
     since: Option<RevisionArg>,
-    /// The columns to print of each neighbour beside its id and distance, separated by commas
+    /// The columns to print of each neighbour in addition to its id and distance, separated by commas
     #[arg(
         long,
         value_enum,
@@ -206,7 +206,7 @@ struct RowLine<'a> {
     neighbors: NeighborFields<'a>,
 }
 
-/// Prints the rows of one call, the first of which is row `start` of the file.
+/// Prints the rows of one call; its first row is row `start` of the file, counted from 0.
 fn print_rows(
     output: &mut Output,
     start: usize,
@@ -259,7 +259,7 @@ fn print_row(
     Ok(())
 }
 
-/// What the calls did.
+/// The outcomes of all calls together.
 #[derive(Default)]
 struct Summary {
     inserted: u64,

@@ -145,7 +145,7 @@ fn header(space: &Space, include: Include) -> String {
 struct Writer<'a> {
     output: &'a mut Output,
     include: Include,
-    /// Whether the output is standard output.
+    /// True if the output is standard output.
     prints: bool,
 }
 

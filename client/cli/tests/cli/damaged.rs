@@ -21,7 +21,7 @@ fn lose_a_mutation(directory: &Path) -> Vec<String> {
     let service = Service::new(registry, Limits::default());
     service.set_ready();
     let call = Call { deadline: None };
-    // With the runtime all that is under way ends, and the store is closed.
+    // The end of the runtime ends all running tasks, and closes the store.
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let uids = runtime.block_on(async move {
         let mut uids = Vec::new();
