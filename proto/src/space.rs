@@ -12,11 +12,11 @@ use wayfold_index::{Factor, Group, Space, SpaceError, Term};
 pub struct SpaceMessageError {
     /// The field, from the `Space` message: `product.terms[2].space`.
     pub path: String,
-    /// What is wrong with it.
+    /// The problem with it.
     pub problem: SpaceMessageProblem,
 }
 
-/// What can be wrong with a field of a space's message.
+/// A problem with a field of a space's message.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SpaceMessageProblem {
     /// A term without a space.
@@ -199,7 +199,7 @@ fn expand(
     Ok(())
 }
 
-/// The factor, if a space may consist of it; asked here, where the field is known.
+/// Returns the factor, if a space may consist of it. The check is here because the field is known here.
 fn valid(factor: Factor, path: &str) -> Result<Factor, SpaceMessageError> {
     match Space::product(vec![factor.into()]) {
         Ok(_) => Ok(factor),

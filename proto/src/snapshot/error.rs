@@ -1,4 +1,4 @@
-//! What can be wrong with a snapshot.
+//! The errors of snapshots.
 
 use std::{fmt, io};
 
@@ -70,15 +70,15 @@ pub enum SnapshotError {
     Malformed {
         /// Which part.
         part: u64,
-        /// What is wrong.
+        /// The problem with it.
         problem: String,
     },
-    /// The space of the header is none.
+    /// The space of the header is invalid.
     #[error("part {part}: space.{problem}")]
     Space {
         /// Which part.
         part: u64,
-        /// What is wrong.
+        /// The problem with it.
         problem: Box<SpaceMessageError>,
     },
     /// A column of points is too short or too long.
@@ -98,7 +98,7 @@ pub enum SnapshotError {
     Point {
         /// Where it is.
         place: Place,
-        /// What is wrong with it.
+        /// The problem with it.
         problem: Box<PointProblem>,
     },
     /// There are more or fewer points than were announced.
@@ -133,7 +133,7 @@ impl fmt::Display for Place {
     }
 }
 
-/// What is wrong with a point.
+/// A problem with a point.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PointProblem {
     /// The ids do not ascend.
@@ -145,7 +145,7 @@ pub enum PointProblem {
     /// An id that the header excludes.
     #[error("ids are below next_id, which is {next_id}")]
     Id {
-        /// What the header says.
+        /// The `next_id` of the header.
         next_id: u64,
     },
     /// Revisions that the header excludes, or that contradict each other.
@@ -158,7 +158,7 @@ pub enum PointProblem {
         stored: u64,
         /// The revision that last changed it.
         modified: u64,
-        /// What the header says.
+        /// The revision of the header.
         revision: u64,
     },
     /// No state of the space.

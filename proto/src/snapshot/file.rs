@@ -8,16 +8,17 @@ use prost::Message;
 use super::{Content, FORMAT_VERSION, MAX_CONTENT_BYTES, Reader, SnapshotError};
 use crate::v1;
 
-/// What the first line begins with; a version follows.
+/// The beginning of the first line; a version follows.
 const NAME: &str = "wayfold snapshot ";
 
 /// No first line has more bytes.
 const MAX_LINE: u64 = 64;
 
-/// What a part may have beside its content.
+/// The most bytes of an encoded part: its content, and 256 bytes for the other fields.
 const MAX_PART_BYTES: u64 = MAX_CONTENT_BYTES as u64 + 256;
 
-/// Writes the parts of a snapshot into a file. To flush and sync it is the caller's care.
+/// Writes the parts of a snapshot into a file. The caller ends with [`FileWriter::finish`],
+/// and syncs the file.
 #[derive(Debug)]
 pub struct FileWriter<W> {
     file: W,

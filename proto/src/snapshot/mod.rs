@@ -1,8 +1,8 @@
 //! Snapshots of indices: how the parts are made ([`Writer`]), checked ([`Reader`]) and kept in files ([`FileWriter`],
 //! [`FileReader`]).
 //!
-//! The format is documented in `wayfold/v1/snapshot.proto`. Whoever takes a snapshot, keeps it or restores it checks it
-//! here, whole: nobody trusts the one before.
+//! The format is documented in `wayfold/v1/snapshot.proto`. Each program that takes, keeps or restores a snapshot
+//! checks all of it here, and does not rely on the checks of the program before it.
 
 mod error;
 mod file;
@@ -34,7 +34,7 @@ pub const END_OF_IDS: u64 = 1 << 63;
 /// A SHA-256.
 pub type Digest = [u8; 32];
 
-/// What is known of a snapshot before its points.
+/// The facts that a snapshot states before its points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
     /// The name that the index had.
@@ -51,7 +51,7 @@ pub struct Header {
     pub points: u64,
 }
 
-/// Reads a file from its first byte to its last, checks all of it, and tells its header.
+/// Reads a file from its first byte to its last, checks all of it, and returns its header.
 ///
 /// # Errors
 /// It is not a whole snapshot of a known version, or cannot be read.

@@ -1,4 +1,4 @@
-//! What is in the parts, once it is known to be good.
+//! The contents of the parts, returned after they were checked.
 
 use prost::Message;
 use wayfold_index::Space;
@@ -12,13 +12,13 @@ use crate::{
     v1::{self, snapshot_content},
 };
 
-/// What a part holds.
+/// The content of a part.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Content {
     /// The first part.
     Header(Header),
-    /// Points such as an index holds them: all columns are there and as long as the ids, but for the payloads, of which
-    /// there may be none; and all that an index promises of its points is so.
+    /// Points in the form in which an index holds them. Every column is as long as the ids, except that there may be no
+    /// payloads. The points meet every guarantee that an index gives about its points.
     Points(v1::Points, Vec<u64>),
     /// The last part.
     Trailer,
@@ -97,7 +97,7 @@ impl Reader {
         self.parts
     }
 
-    /// Whether the trailer was read.
+    /// True if the trailer was read.
     pub fn is_done(&self) -> bool {
         self.done
     }
@@ -114,7 +114,7 @@ impl Reader {
         }
     }
 
-    /// Before its meaning: what does not match is not worth reading.
+    /// Checks the size, the digest and the number of a part before its content is decoded.
     fn authenticate(&mut self, number: u64, part: &v1::SnapshotPart) -> Result<(), SnapshotError> {
         if part.content.len() > MAX_CONTENT_BYTES {
             return Err(SnapshotError::TooLarge {
@@ -122,7 +122,7 @@ impl Reader {
                 bytes: part.content.len() as u64,
             });
         }
-        // A part that is whole and elsewhere is told from one that is damaged, whatever its number says.
+        // A wrong digest under the expected number is damage; another number is an error of order, whatever the digest.
         let found = digest(&self.digest, number, &part.content);
         if found[..] == part.digest[..] && part.number == number {
             self.digest = found;
@@ -169,7 +169,7 @@ impl Reader {
         Ok(Content::Points(points, modified))
     }
 
-    /// Whether an index as the header describes it may hold this point after those before.
+    /// Checks that an index as the header describes it may hold this point after the points before it.
     fn check_point(
         &mut self,
         header: &Header,
@@ -284,7 +284,7 @@ fn check_columns(
         (
             "coordinates",
             states.map_or(0, |states| states.coordinates.len()),
-            // A part has at most so many bytes that this cannot overflow.
+            // `MAX_CONTENT_BYTES` bounds the rows of a part, so the product cannot overflow.
             rows * space.coordinates(),
         ),
         ("tags", points.tags.len(), rows),

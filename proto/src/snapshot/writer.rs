@@ -10,7 +10,7 @@ use crate::{
 
 /// Makes the parts of one snapshot, in order.
 ///
-/// What is in them is the caller's care; a [`Reader`](super::Reader) tells whether it is good.
+/// The caller is responsible for their contents. A [`Reader`](super::Reader) checks them.
 #[derive(Clone, Debug, Default)]
 pub struct Writer {
     parts: u64,
