@@ -26,8 +26,8 @@ pub(crate) struct Candidate<'a> {
 /// whole depth at every change.
 const MAX_SORTED: usize = 48;
 
-/// The number of undecided points, beside one for each of the `k`, at which all are measured: points at equal distances
-/// would otherwise be held without bound.
+/// The number of undecided points, in addition to one for each of the `k`, at which all are measured. Points at equal
+/// distances would otherwise be held without bound.
 const MAX_UNDECIDED: usize = 256;
 
 /// The candidates for the `k` nearest.

@@ -111,7 +111,7 @@ impl Points {
     /// Appends a copy of a point.
     ///
     /// # Panics
-    /// As [`Points::push`].
+    /// In the same cases as [`Points::push`].
     pub fn push_point(&mut self, point: PointRef<'_>) {
         self.push(point.id, point.tag, point.revision, point.row);
     }

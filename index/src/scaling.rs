@@ -58,8 +58,8 @@ impl Scaling {
         Some((k as usize).max(1))
     }
 
-    /// r(n) = min(radius_max, radius_factor · (ln n / n)^(1/d)), if there is a factor. Of no point and of a single one it
-    /// is `radius_max`, or infinite without it: the formula's 0 would leave the second point alone.
+    /// r(n) = min(radius_max, radius_factor · (ln n / n)^(1/d)), if there is a factor. For at most one point it is
+    /// `radius_max`, or infinite without it: the formula's 0 would leave the second point alone.
     ///
     /// It falls from n = 3 on; r(2) is a little below r(3).
     pub fn radius(&self, points: usize, dimension: usize) -> Option<f64> {

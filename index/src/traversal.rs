@@ -30,7 +30,7 @@ const MAX_BOUND_RATIO: f64 = 1.001;
 pub(crate) trait Tree<'a> {
     /// A node or a leaf.
     type Cell: Copy;
-    /// A node, of which children are still to be visited.
+    /// A node with children still to be visited.
     type Node: Copy;
 
     /// The newest revision of a state in the tree.

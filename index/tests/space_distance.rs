@@ -131,7 +131,7 @@ fn nearly_equal_rotations_are_not_equal() {
 
 #[test]
 fn a_weight_within_a_product_multiplies_the_square() {
-    // 3-4-5 in the plane beside a quarter turn: √(25 + 0.15·(π/4)²), the paper's weights for SE(3).
+    // 3-4-5 in the plane and a quarter turn: √(25 + 0.15·(π/4)²), the paper's weights for SE(3).
     let (a, b) = ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], rotation(Z, FRAC_PI_2));
     let b = [3.0, 4.0, 0.0, b[0], b[1], b[2], b[3]];
     for space in ["R3*SO3:0.15", "mpnn-se3"] {
@@ -187,7 +187,7 @@ fn moveit_joints_add_up() {
 
 #[test]
 fn one_group_of_joints_beside_another() {
-    // A torus of arcs 3 and 4 on circles of circumference 100, beside a translation of 7.
+    // A torus of arcs 3 and 4 on circles of circumference 100, and a translation of 7.
     let (a, b) = ([0.0; 5], [3.0, -4.0, 2.0, 3.0, 6.0]);
     assert_eq!(distance("sum((SO2[100]^2), R3)", &a, &b), 12.0);
     assert_eq!(distance("sum(SO2[100]^2, R3)", &a, &b), 14.0);

@@ -125,7 +125,7 @@ proptest! {
         let space: Space = "SO3".parse().unwrap();
         let [a, b, _] = numbers.map(|row| state(&space, &row));
         let negative: Vec<f64> = b.iter().map(|x| -x).collect();
-        // In the distance itself, and in the canonical form.
+        // Both the distance itself and the canonical form treat b and −b alike.
         let d = space.distance(&a, &b);
         prop_assert_eq!(d.to_bits(), space.distance(&a, &negative).to_bits());
         let mut canonical = negative;

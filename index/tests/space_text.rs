@@ -1,4 +1,4 @@
-//! The text form: what it means, what is refused and where, and that what is printed is read as the same space.
+//! The text form: its meaning, the errors and their places, and that the printed form is read as the same space.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
 

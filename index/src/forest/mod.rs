@@ -153,7 +153,7 @@ impl Forest {
     /// Answers `search` for a canonical `state` at the head.
     ///
     /// # Errors
-    /// As [`Snapshot::search`].
+    /// The errors of [`Snapshot::search`].
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         self.head.search(state, search)
     }
@@ -252,16 +252,16 @@ impl Forest {
         levels.insert(at, Arc::new(level));
     }
 
-    /// Tells the forest that writes pause: until the next mutation, merges work towards a single level. No level is rebuilt for
-    /// less than a sixteenth of its points; smaller levels stay beside it.
+    /// Tells the forest that writes pause: until the next mutation, merges work towards a single level. No level is
+    /// rebuilt for less than a sixteenth of its points; smaller levels stay separate.
     pub fn pause(&mut self) {
         self.paused_at = Some(self.head.revision);
         self.retired.clear();
     }
 
-    /// The next merge that is due, or None. The forest stays usable until the merge is finished, and merges of other levels
-    /// may begin meanwhile. While writes pause, levels are merged until those beside the largest are less than a sixteenth
-    /// of it.
+    /// The next merge that is due, or None. The forest stays usable until the merge is finished, and merges of other
+    /// levels may begin meanwhile. While writes pause, levels are merged until the levels other than the largest are
+    /// together less than a sixteenth of it.
     pub fn begin_merge(&mut self) -> Option<Merge> {
         let paused = self.paused_at == Some(self.head.revision);
         if paused && self.head.growing.rows() >= policy::MIN_ROWS {

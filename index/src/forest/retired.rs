@@ -27,7 +27,7 @@ impl<T> Default for Retired<T> {
 }
 
 impl<T: Clone> Retired<T> {
-    /// As [`Arc::make_mut`], but keeps a reference to a value that others still share.
+    /// Acts like [`Arc::make_mut`], but keeps a reference to a value that others still share.
     pub(super) fn make_mut<'a>(&mut self, shared: &'a mut Arc<T>) -> &'a mut T {
         self.free_some();
         if Arc::get_mut(shared).is_none() {

@@ -56,10 +56,10 @@ impl Snapshot {
         self.search_with(&Kernels::default(), state, search)
     }
 
-    /// As [`Snapshot::search`], with these kernels.
+    /// Acts like [`Snapshot::search`], with these kernels.
     ///
     /// # Errors
-    /// As [`Snapshot::search`].
+    /// The errors of [`Snapshot::search`].
     pub fn search_with(
         &self,
         kernels: &Kernels,
@@ -75,7 +75,7 @@ impl Snapshot {
 
     /// A copy of the point with this id.
     pub fn get(&self, id: u64) -> Option<Point> {
-        // The newest points are asked for most.
+        // Most calls ask for the newest points.
         if let Some(slot) = self.growing.find(id, self.revision) {
             return Some(self.growing.get(slot));
         }

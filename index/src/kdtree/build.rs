@@ -18,7 +18,7 @@ use crate::{
 const SAMPLE: usize = 256;
 
 impl KdTree {
-    /// As [`KdTree::new`], over points that were checked, in a space that several trees share.
+    /// Acts like [`KdTree::new`], but takes points that were checked, and a space that several trees share.
     pub(crate) fn build(space: Arc<Space>, points: Points, leaf_rows: usize) -> Self {
         debug_assert_eq!(points.check(&space), Ok(()));
         let leaf_rows = leaf_rows.max(1);

@@ -96,10 +96,10 @@ impl KdTree {
         self.search_with(&Kernels::default(), state, search)
     }
 
-    /// As [`KdTree::search`], with these kernels.
+    /// Acts like [`KdTree::search`], with these kernels.
     ///
     /// # Errors
-    /// As [`KdTree::search`].
+    /// The errors of [`KdTree::search`].
     pub fn search_with(
         &self,
         kernels: &Kernels,

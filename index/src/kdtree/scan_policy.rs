@@ -47,7 +47,7 @@ impl ScanPolicy {
         self.scans.load(Relaxed)
     }
 
-    /// Takes note of a search that descended: whether a scan would have been cheaper.
+    /// Records a search that descended; `scan_is_cheaper` is true if a scan would have cost less.
     pub(crate) fn observe(&self, scan_is_cheaper: bool) {
         let state = self.state.load(Relaxed);
         if scan_is_cheaper {

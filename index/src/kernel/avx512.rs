@@ -236,7 +236,7 @@ mod tests {
         if !is_available() {
             return;
         }
-        // SAFETY: the processor was asked for the instructions.
+        // SAFETY: `is_available` found the instructions in this processor.
         let wide = unsafe { run(Widened) };
         assert!(
             wide.iter()
@@ -255,7 +255,7 @@ mod tests {
         for apart in [1, 3, 5, 7] {
             let keys =
                 std::array::from_fn(|lane| few[lane * apart / 4 % 4] + (lane % apart) as f64);
-            // SAFETY: the processor was asked for the instructions.
+            // SAFETY: `is_available` found the instructions in this processor.
             let wide = unsafe { run(LowestLanes(keys)) };
             assert_eq!(wide, LowestLanes(keys).run::<Plain>());
         }
@@ -287,7 +287,7 @@ mod tests {
             let x: [f64; 32] = std::array::from_fn(|lane| numbers[lane % 8]);
             let y: [f64; 32] = std::array::from_fn(|lane| numbers[(lane + shift) % 8]);
             let halves = (x.map(|x| x as f32), y.map(|y| y as f32));
-            // SAFETY: the processor was asked for the instructions.
+            // SAFETY: `is_available` found the instructions in this processor.
             let wide = unsafe { (run(All(x, y)), run(All(halves.0, halves.1))) };
             let plain = All(x, y).run::<Plain>();
             assert_eq!(wide, (plain, All(halves.0, halves.1).run::<Plain>()));

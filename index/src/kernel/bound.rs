@@ -60,12 +60,12 @@ pub(crate) trait Rows<T: Number, const N: usize> {
     fn period(period: f64) -> T;
     /// The part of the cosines in the factor at `place` that is the same for all points.
     fn cosine_of_lows(&self, place: usize) -> T;
-    /// As [`Terms::weight`].
+    /// See [`Terms::weight`].
     #[inline(always)]
     fn weight(&self, _: usize, part: &Part) -> T {
         T::near(part.weight)
     }
-    /// As [`Terms::group_weight`].
+    /// See [`Terms::group_weight`].
     #[inline(always)]
     fn group_weight(&self, space: &Space, group: usize) -> T {
         T::near(space.groups()[group].weight)

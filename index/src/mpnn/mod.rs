@@ -1,11 +1,12 @@
-//! The kd-tree of Yershova and LaValle as their paper describes it, kept beside [`KdTree`](crate::KdTree) to compare with.
+//! The kd-tree of Yershova and LaValle as their paper describes it, for comparison with [`KdTree`](crate::KdTree).
 //!
 //! Source: A. Yershova, S. M. LaValle, "Improving Motion Planning Algorithms by Efficient Nearest-Neighbor Searching", IEEE
 //! Transactions on Robotics 23(1), 2007. Its library MPNN extends ANN, by Mount and Arya, to products of R, S¹ and RP³.
 //!
 //! - **Construction.** The tree is built in the un-identified space: an interval for each circle, R⁴ for each rotation. The
 //!   root cell encloses the points. A *sliding midpoint* splits a cell: the plane cuts the longest side at its middle, and
-//!   slides to the first point when one half would be empty. Of equal sides the one with the largest point spread is cut.
+//!   slides to the first point when one half would be empty. Among equal sides, it cuts the one with the largest point
+//!   spread.
 //! - **Query.** Identifications enter only here. With p the state and R a cell, the distance in the factor K is
 //!   d_R(p, \[a, b\]), dist_S¹(p, \[a, b\]) = min over both ways around the circle, or the smaller angle to R from p and −p.
 //!   A split changes the distance of one factor, so a cell R₂ within R₁ is bounded *incrementally*:
@@ -162,7 +163,7 @@ impl Mpnn {
         self.points.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }

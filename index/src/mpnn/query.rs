@@ -25,7 +25,7 @@ pub(super) fn search(tree: &Mpnn, state: &[f64], search: &Search<'_>) -> Answer 
     }
 }
 
-/// A side of a cell, and the bounds that follow from it: what a step down or up the tree changes.
+/// A side of a cell, and the bounds that follow from it. A step down or up the tree changes these.
 #[derive(Clone, Copy, Debug)]
 struct Side {
     /// The node to visit, or none after both children of the cell.
@@ -208,7 +208,7 @@ impl<'a> Query<'a> {
         }
     }
 
-    /// Whether a cell of this bound is to be visited.
+    /// True if a cell of this bound is to be visited.
     fn admits(&mut self, key: f64) -> bool {
         if key > self.limit {
             return false;

@@ -14,8 +14,8 @@ use super::{
 pub enum Factor {
     /// R^n for the given n ≥ 1: n coordinates, Euclidean distance.
     RealVector(usize),
-    /// The circle S¹: one angle, of which any two that differ by the period are the same; the distance is the length
-    /// of the shorter arc.
+    /// The circle S¹: one angle. Two angles that differ by the period are the same; the distance is the length of the
+    /// shorter arc.
     SO2 {
         /// The circumference, within [1e-150, 1e150]; 2π where angles are radians.
         period: f64,

@@ -104,7 +104,7 @@ impl Space {
     /// The space of one group of weight 1, d = √(Σ_i μ_i · d_i²).
     ///
     /// # Errors
-    /// As [`Space::new`].
+    /// The errors of [`Space::new`].
     pub fn product(terms: Vec<Term>) -> Result<Space, SpaceError> {
         Self::new(vec![Group { weight: 1.0, terms }])
     }
@@ -198,7 +198,8 @@ impl Space {
     /// Checks that a row is in canonical form: that [`Space::canonicalize`] would leave it as it is, to the bit.
     ///
     /// # Errors
-    /// As [`Space::canonicalize`], or [`StateProblem::NotCanonical`] naming the first coordinate that it would change.
+    /// The errors of [`Space::canonicalize`], or [`StateProblem::NotCanonical`] with the first coordinate that it would
+    /// change.
     #[inline]
     pub fn check_canonical(&self, row: &[f64]) -> Result<(), StateError> {
         if self.is_canonical(row) {

@@ -47,12 +47,14 @@ fn chord_2(a: &[f64], b: &[f64]) -> f64 {
 pub(crate) fn to_boxes_2<I: Isa>(state: &[f64], ends: &[f64]) -> Lanes<I, f64, MAX_CHILDREN> {
     let plus_2 = real_vector::to_boxes_2(state, 1.0, ends);
     let s = plus_2.min(real_vector::to_boxes_2(state, -1.0, ends));
-    // With one term less than for points: at most 1.2 % lower, and so far only among the largest angles.
+    // The series has one term less than for points. The result is at most 1.2 % lower, which only the largest angles
+    // reach.
     let [c1, c2, _] = SERIES.map(Lanes::splat);
     s * ((Lanes::splat(1.0) + s * c1) + (s * s) * c2)
 }
 
-/// Lower bounds of the squared angles to points, by their cosines, of which a part is given.
+/// Lower bounds of the squared angles to points, from their cosines. `cosine` is the part of the cosines that is the
+/// same for all points.
 #[inline(always)]
 pub(crate) fn to_points_2<I, T, const N: usize, R>(
     query: &[T],
@@ -74,7 +76,7 @@ where
     let [c1, c2, c3] = SERIES;
     let [c1, c2] = [Lanes::splat(T::near(c1)), Lanes::splat(T::near(c2))];
     let c3 = Lanes::splat(T::near(c3));
-    // In halves that do not wait for each other (Estrin's scheme).
+    // The two halves of the sum are independent (Estrin's scheme).
     s * ((Lanes::splat(T::near(1.0)) + s * c1) + (s * s) * (c2 + s * c3))
 }
 

@@ -256,7 +256,7 @@ fn merges_end_in_one_level() {
         merges += 1;
     }
     assert!((1..12).contains(&merges), "{merges}");
-    // As many leaves as one tree has.
+    // One tree has this many leaves.
     let leaves = Search {
         max_leaves: 1024 / 2,
         ..Search::nearest_r(f64::INFINITY)

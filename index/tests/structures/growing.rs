@@ -76,7 +76,7 @@ fn a_search_of_the_newest_visits_their_leaves_only() {
             since_revision: 4997,
             ..Filter::default()
         },
-        // Of some 500. (When a leaf is split, either part counts as new.)
+        // The forest has about 500 leaves. (When a leaf is split, either part counts as new.)
         max_leaves: 6,
         ..Search::nearest_k(10)
     };

@@ -173,7 +173,7 @@ fn in_many_dimensions_answers_stay_the_same() {
     }
 }
 
-/// Of more equally near points than a search holds, the least ids win.
+/// If more points are equally near than a search holds, the least ids win.
 #[test]
 fn of_many_that_coincide_the_least_ids_win() {
     for text in ["R3", "SO3", "R3*SO3:0.15", "sum(R1, SO3)"] {

@@ -177,7 +177,8 @@ impl Branch {
             self.add(child, split, width);
             return None;
         }
-        // Along the first cut, so that regions stay disjoint. A split by the children's boxes would let them overlap.
+        // The node splits along its first cut, so that regions stay disjoint. A split by the children's boxes would let
+        // them overlap.
         let Cut { axis, at, sides } = self.cuts[0];
         let [mut below, mut above] = sides.map(|side| self.part(side, width));
         let axis = axis as usize;

@@ -2,7 +2,8 @@
 
 use crate::space::{Factor, Group, Space, SpaceError, Term, is_weight, presets, so2};
 
-/// Parentheses nest at most so deep. What is printed needs eight: each level repeats, and there are 256 coordinates.
+/// The greatest depth of nested parentheses. The printed form needs eight: each level repeats, and there are 256
+/// coordinates.
 const MAX_DEPTH: usize = 32;
 
 /// Reads a whole space.
@@ -202,7 +203,7 @@ impl<'a> Parser<'a> {
         &rest[..end.unwrap_or(rest.len())]
     }
 
-    /// What comes next and looks like a number, which stays; a sign belongs to it at its start and after an e.
+    /// The characters that come next and look like a number; they stay. A sign counts at the start and after an e.
     fn numeral(&self) -> &'a str {
         let rest = self.rest();
         let mut before = 'e';
