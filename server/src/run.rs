@@ -79,7 +79,7 @@ pub async fn run(
     serve(config, listener, shutdown, |_| ()).await
 }
 
-/// As [`run`], and calls `ready` with the addresses once the server answers calls.
+/// Does the work of [`run`], and calls `ready` with the addresses once the server answers calls.
 pub(crate) async fn serve(
     config: Config,
     listener: TcpListener,

@@ -34,7 +34,7 @@ pub(crate) struct Status {
     detail: Option<Detail>,
 }
 
-/// The machine-readable detail beside the reason.
+/// The machine-readable detail that accompanies the reason.
 #[derive(Clone, Debug, PartialEq)]
 enum Detail {
     /// The wrong fields.

@@ -10,18 +10,18 @@ use crate::service::Code;
 /// How a call ended.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Ending {
-    /// Well.
+    /// It succeeded.
     Ok,
-    /// With an error.
+    /// It failed with an error of the service.
     Failed(Code),
-    /// Its caller left, or its connection was cut: nobody waited for a status.
+    /// The caller left, or its connection was cut: the status had no reader.
     Left,
-    /// With a status of the transport's own, as gRPC numbers them.
+    /// The transport ended it with a status of its own, by gRPC's number.
     Transport(i32),
 }
 
 impl Ending {
-    /// The number of UNKNOWN, which is nobody's but the server's.
+    /// The number of UNKNOWN. Only a fault of the server causes it.
     const UNKNOWN: i32 = 2;
 
     fn is_fault(self) -> bool {

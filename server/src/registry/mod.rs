@@ -41,7 +41,7 @@ pub struct RegistryOptions {
     pub leaf_rows: Option<usize>,
     /// How many merges run at once, over all indices.
     pub merge_threads: usize,
-    /// Each index keeps about this many bytes of its newest records beside its points.
+    /// Each index keeps about this many bytes of its newest records in addition to its points.
     pub window_bytes: usize,
     /// Each index forgets records older than this.
     pub window: Duration,

@@ -1,4 +1,4 @@
-//! What the command line answers by itself: help, version, the default settings, and mistakes.
+//! The answers of the command line that need no server: help, version, the default settings, and mistakes.
 
 use std::process::{Command, Output};
 

@@ -1,4 +1,4 @@
-//! Where settings come from, which layer wins, and what is said of settings that are wrong.
+//! The sources of settings, the layer that wins, and the messages for wrong settings.
 
 use std::{collections::BTreeMap, fs, path::PathBuf};
 
@@ -44,7 +44,7 @@ fn the_defaults_protect() {
     assert_eq!(config.zenoh.listen, "tcp/127.0.0.1:7448");
     assert_eq!(config.data.dir, "./wayfold-data");
     assert_eq!(config.data.durability, Durability::Fsync);
-    // What stock gRPC clients take.
+    // Stock gRPC clients accept messages of up to 4 MiB.
     assert!(config.limits.answer_bytes < 4 << 20);
     assert_eq!(config.limits, wayfold_server::service::Limits::default());
 }

@@ -233,7 +233,7 @@ pub(crate) fn variants(request: &DynamicMessage) -> Vec<(String, DynamicMessage)
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut variant = request.clone();
         for path in &paths {
-            // Of requests with many wrong fields only the first is looked at.
+            // The server looks only at the first wrong field of a request, so most fields keep their good values.
             if random.random_range(0..3) == 0 {
                 let integer = match random.random() {
                     true => random.next_u64() >> random.random_range(0..64),

@@ -1,5 +1,5 @@
-//! Snapshots, restores and verifications over the network: what is not read holds up nobody, and what is refused says
-//! why.
+//! Snapshots, restores and verifications over the network. A stream that is not read blocks no other call, and each
+//! refusal gives its reason.
 
 use futures_util::stream;
 use tonic::{Code, Status};

@@ -13,7 +13,7 @@ use crate::{
     raw::Raw,
 };
 
-/// What waits for more than there is waits for so long.
+/// The timeout of a call: one that waits for a revision that does not exist ends after this time.
 const PATIENCE: Duration = Duration::from_millis(20);
 
 /// Calls a method, whether or not it streams, and reads its answers to their end.

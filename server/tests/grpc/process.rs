@@ -133,7 +133,7 @@ async fn what_is_cut_shows_in_the_exit_status() {
     let mut parts = points.scan(request).await.unwrap().into_inner();
     parts.message().await.unwrap().unwrap();
 
-    // Nobody reads on, so the scan cannot end.
+    // The client reads no further, so the scan cannot end.
     server.signal("TERM");
     let (status, _, stderr) = server.finish();
     assert_eq!(status, Some(1), "{stderr}");
@@ -195,7 +195,7 @@ async fn a_file_of_marks_that_is_gone_is_told_of_once() {
         assert_eq!(status, Some(0), "{stderr}");
         stderr.matches("no mark says").count()
     };
-    // Of nothing there is no mark.
+    // An empty store has no mark.
     assert_eq!(told(Server::start(&data)), 0);
     assert_eq!(told(Server::start(&data)), 0);
     let server = Server::start(&data);

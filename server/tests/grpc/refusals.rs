@@ -1,4 +1,4 @@
-//! What does not reach the service: messages too large or malformed, and calls beyond the server's capacity.
+//! Calls that do not reach the service: messages too large or malformed, and calls beyond the server's capacity.
 
 use crate::{
     harness::{TestServer, insert, knn, reason, uid_of},

@@ -16,7 +16,7 @@ use wayfold_proto::v1::{
 };
 use wayfold_server::ServerError;
 
-/// So many points that a scan of them does not fit into the buffers on its way.
+/// The number of points. A scan of them does not fit into the buffers on its way.
 const MANY: u64 = 300_000;
 
 fn scan(index: &str) -> v1::ScanRequest {
@@ -138,7 +138,7 @@ async fn what_is_not_done_in_time_is_cut() {
     let mut parts = scanned.unwrap().into_inner();
     parts.message().await.unwrap().unwrap();
 
-    // Nobody reads on, so the scan cannot end.
+    // The client reads no further, so the scan cannot end.
     let error = server.stop().await.unwrap().unwrap_err();
     let ServerError::Cut { calls, grace_ms } = error else {
         panic!("{error}");
@@ -148,7 +148,8 @@ async fn what_is_not_done_in_time_is_cut() {
     assert!(rest.last().unwrap().is_err());
 }
 
-/// Time stands still but for what the server waits for: a grace of weeks would be waited for, and told as a failure.
+/// The clock stands still except while the server waits for a timer. A server that waited for the grace period of
+/// several weeks would advance the clock by it and report a failure.
 #[tokio::test]
 async fn connections_without_calls_whose_peers_are_frozen_are_cut_and_that_is_no_failure() {
     let server = TestServer::start(|config| config.shutdown.grace_ms = 2_000_000_000).await;

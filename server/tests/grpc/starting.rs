@@ -1,4 +1,4 @@
-//! A server listens before it has read its indices, and says so to whoever calls.
+//! A server listens before it has read its indices, and says so to each caller.
 #![cfg(unix)]
 
 use std::{fs::File, io::Write, process::Command};
@@ -22,7 +22,7 @@ use crate::harness::{connect, knn, reason};
 
 #[tokio::test]
 async fn calls_are_told_to_come_again_until_the_indices_are_read() {
-    // A data directory that is read for as long as nobody writes into a pipe.
+    // Reading this data directory blocks until a writer opens the pipe.
     let directory = tempfile::tempdir().unwrap();
     let marker = directory.path().join("wayfold-data");
     assert!(
@@ -54,7 +54,7 @@ async fn calls_are_told_to_come_again_until_the_indices_are_read() {
     let status = health.unwrap().into_inner().status();
     assert_eq!(status, ServingStatus::NotServing);
 
-    // What comes out of the pipe is no marker.
+    // The bytes that the pipe yields are no marker.
     let mut pipe = File::options().write(true).open(marker).unwrap();
     pipe.write_all(&[b'x'; 2000]).unwrap();
     assert!(matches!(

@@ -1,14 +1,14 @@
-//! What a crash would leave.
+//! Copies a log in the state that a crash would leave.
 
 use std::{fs, path::Path, process::Command};
 
-/// How often a copy is begun anew, at most: who copies a log writes little to it meanwhile.
+/// The greatest number of attempts to copy a log: callers write little to it meanwhile.
 const TRIES: usize = 100;
 
 /// The files of a log as they were at one moment. The copy of a lock is not locked.
 pub(crate) fn copied(directory: &Path) -> tempfile::TempDir {
-    // A mark is written after what it speaks of, and never the same twice: while the marks stay as they are, the rest
-    // that is copied goes with them.
+    // A mark is written after the data it describes, and never the same twice. While the marks stay as they are, the
+    // rest of the copy matches them.
     let marks = || fs::read(directory.join("marks")).unwrap();
     for _ in 0..TRIES {
         let before = marks();

@@ -1,4 +1,5 @@
-//! What the log on disk promises beyond the others: what a crash leaves, and what it does while its disk fails.
+//! Promises of the log on disk beyond those of the others: its state after a crash, and its behaviour while its disk
+//! fails.
 
 use std::{fs, slice};
 
@@ -55,7 +56,8 @@ fn one_sync_is_shared_by_all_who_wrote_before_it() {
     assert_eq!(other.now_or_never(), Some(Ok(50)));
 }
 
-/// The disk is taken away and comes back. What was acknowledged is there, what was not is there whole or not at all.
+/// The disk is taken away and comes back. Every acknowledged mutation is there, and any other is there whole or not at
+/// all.
 #[test]
 fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
     let directory = tempfile::tempdir().unwrap();
@@ -101,7 +103,7 @@ fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
     assert_eq!(log.points(uid).unwrap().revision(), 6);
 }
 
-/// What a disk does not let be read is not damaged.
+/// An unreadable disk is not reported as damage.
 #[test]
 fn a_list_of_tables_that_cannot_be_read_is_no_loss_of_data() {
     let directory = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! A flipped bit, in whatever file of a closed log: either what it holds is not different by a bit, or it is told.
+//! A flipped bit in any file of a closed log. Either the content of the log stays equal bit by bit, or the log reports
+//! damage.
 
 use std::{
     collections::BTreeMap,
@@ -14,7 +15,7 @@ use wayfold_server::log::{
 
 use crate::{copied::copied, effects, entry};
 
-/// At most about so many flips in a file, unless the environment variable `FLIPS` says otherwise.
+/// The greatest number of flips in a file, approximately, unless the environment variable `FLIPS` sets another.
 const FLIPS: u64 = 16;
 
 /// Revisions of an index that go into tables, and as many stay in the journal.
@@ -91,7 +92,7 @@ fn files(directory: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Whether it is told that something is wrong with a log; if not, it holds what it held.
+/// Returns true if the log reports damage. Checks that all it does not report is unchanged.
 fn told(directory: &Path, entries: &[Entry], whole: &[Content], what: &str) -> bool {
     let Ok(log) = FjallLog::open(directory, Durability::Fsync) else {
         return true;
@@ -114,7 +115,7 @@ fn a_flipped_bit_of_any_file_is_told_or_changes_nothing() {
     let flips = std::env::var("FLIPS").map_or(FLIPS, |flips| flips.parse().unwrap());
     let directory = tempfile::tempdir().unwrap();
     let entries = fill(directory.path());
-    // Opened and closed once more, so that the journal is as short as what is in it.
+    // The log is opened and closed once more, so that the journal is no longer than its content.
     let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
     let whole: Vec<Content> = entries
         .iter()

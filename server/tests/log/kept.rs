@@ -56,7 +56,7 @@ impl Kept {
         }
     }
 
-    /// Ends it there and then; what was not synced may be lost. A log on disk loses what a killed process loses.
+    /// Ends the log without closing it. Unsynced writes may be lost. A log on disk loses what a killed process loses.
     pub(crate) fn cut(&mut self) {
         match self {
             Kept::Memory(_) => {}
@@ -65,7 +65,7 @@ impl Kept {
         }
     }
 
-    /// Lets a writing call fail, the next after so many; false if it cannot.
+    /// Lets the writing call after this many others fail; false if it cannot.
     pub(crate) fn fail_after(&self, calls: u64) -> bool {
         match self {
             Kept::Memory(_) | Kept::Disk { .. } => false,

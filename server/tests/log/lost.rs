@@ -1,4 +1,4 @@
-//! What is lost of a log on disk is named, and what was deleted stays so.
+//! The log on disk names its lost indices, and a deleted index stays deleted.
 
 use std::slice;
 
@@ -106,7 +106,7 @@ fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
     assert_eq!(log.gone(), []);
 }
 
-/// What fjall does not find it makes anew, over what is left.
+/// Fjall recreates a part that it does not find, over the files that are left.
 #[test]
 fn whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched() {
     let directory = tempfile::tempdir().unwrap();
@@ -159,7 +159,7 @@ fn what_does_not_belong_to_a_store_is_named() {
     assert_eq!(log.points(arm.uid).unwrap().revision(), 0);
 }
 
-/// An index of which the creation was synced and then cut off is named, keeps its number, and can be deleted.
+/// An index whose creation was synced and then cut off is named, keeps its number, and can be deleted.
 #[test]
 fn an_index_of_which_only_the_mark_is_left_is_named_until_it_is_deleted() {
     let directory = tempfile::tempdir().unwrap();
@@ -184,7 +184,8 @@ fn an_index_of_which_only_the_mark_is_left_is_named_until_it_is_deleted() {
     assert_eq!((log.indexes().unwrap(), log.gone()), (vec![new], vec![]));
 }
 
-/// A restore that was acknowledged, and of which the journal then lost some, is not taken for one that was given up.
+/// A restore was acknowledged, and the journal then lost part of it. The log does not take it for a restore that was
+/// given up.
 #[test]
 fn a_restored_index_that_is_cut_off_is_named() {
     let directory = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! What every store of the mutation log promises; each must pass the same.
+//! The promises of every store of the mutation log; each store must pass the same tests.
 
 #![expect(
     clippy::unwrap_used,
@@ -55,7 +55,7 @@ fn effects(revision: u64, stored: &[u64], removed: &[u64]) -> Effects {
     effects
 }
 
-/// So many bytes of records, however old, and every operation.
+/// Keeps this many bytes of records, however old, and every operation.
 fn keep(record_bytes: usize) -> Keep {
     Keep {
         record_bytes,
@@ -80,7 +80,7 @@ fn all_points(view: &dyn View) -> BTreeMap<u64, Arc<StoredPoint>> {
     }
 }
 
-/// So many cases, the same in every run.
+/// Runs this many cases, the same in every run.
 fn cases(cases: u32) -> ProptestConfig {
     ProptestConfig {
         cases,

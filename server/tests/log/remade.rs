@@ -1,5 +1,5 @@
-//! A store of which a block is not what was written: it costs the indices that had something in that block, and nobody
-//! else a write.
+//! A store with a damaged block. The indices that had something in that block lose it, and the other indices stay
+//! writable.
 
 use std::{
     fs::{self, File},
@@ -25,7 +25,7 @@ use super::{
     effects, entry, keep,
 };
 
-/// Bytes of a payload: several blocks, and so many that fjall soon begins another table.
+/// Bytes of a payload: several blocks, and large enough that fjall soon begins another table.
 const PAYLOAD: usize = 32 * 1024;
 const MUCH: usize = 1024 * 1024;
 
@@ -58,8 +58,8 @@ fn store(directory: &Path) -> (Database, Keyspace) {
     (database, keyspace)
 }
 
-/// Two indices of which all is in tables: `arm` with 20 points with payloads, `base` with one revision. With the next
-/// table or two fjall will rewrite them.
+/// Creates two indices that are wholly in tables: `arm` with 20 points with payloads, `base` with one revision. Fjall
+/// will rewrite them with the next table or two.
 fn fill(directory: &Path) -> [Entry; 2] {
     let entries = [entry("arm"), entry("base")];
     let log = open(directory);
@@ -160,18 +160,18 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
     assert_eq!(open(directory.path()).indexes().unwrap(), [base]);
 }
 
-/// What is in the block that is damaged.
+/// The content of the damaged block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Held {
     /// A point of `arm`.
     Point,
     /// A record of `arm` that was trimmed since.
     Past,
-    /// What an index left that was deleted.
+    /// The remains of a deleted index.
     Deleted,
 }
 
-/// fjall comes upon it while the log is written, whether or not anybody would ask for what was there.
+/// fjall finds the damage while the log is written, even if no read asks for the block.
 #[test]
 fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_log_is_opened_anew() {
     for held in [Held::Point, Held::Past, Held::Deleted] {
@@ -286,7 +286,7 @@ fn no_block_of_a_table_costs_all_indices() {
                 assert_eq!(points.len() as u64, REVISIONS);
             }
         }
-        // Without what stands at its end fjall opens no table.
+        // fjall opens no table without the data at its end.
         let end = bytes.len() * 9 / 10;
         assert!(all_lost.iter().all(|at| *at > end), "{all_lost:?}");
     }

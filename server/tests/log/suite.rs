@@ -16,7 +16,7 @@ use crate::{
 
 #[derive(Clone, Debug)]
 enum Step {
-    /// With an operation of so many bytes, unless there are none.
+    /// `operation` is the size of the operation in bytes; 0 appends without one.
     Append {
         store: Vec<u64>,
         remove: Vec<u64>,
@@ -31,15 +31,15 @@ enum Step {
         record_bytes: usize,
         operations: usize,
         operation_bytes: usize,
-        /// Those before this one of the held records are too old, if there are so many.
+        /// The place of a held record: records before it are too old. It has no effect if fewer records are held.
         oldest: usize,
     },
     Sync,
     /// Closed in order, and opened.
     Reopen,
-    /// Ended there and then, and opened.
+    /// The log ends without closing, and is opened again.
     Cut,
-    /// The writing call after so many fails.
+    /// The writing call after this many others fails.
     Fail(u64),
     /// A copy is made, and, if it is finished, takes the place of the index.
     Copy {
@@ -72,7 +72,7 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// A log, what it must be, and the views that are held of it.
+/// A log, its model, and the views that are held of it.
 struct Run {
     kept: Kept,
     ours: Entry,
@@ -204,8 +204,8 @@ impl Run {
         runtime.block_on(synced)
     }
 
-    /// After a call that failed: it has changed nothing that can be seen, nothing more is written, and reads go on; once
-    /// it is opened anew, what is unknown is there whole or not at all.
+    /// Checks the log after a call that failed. The call has changed nothing visible, the log refuses further writes,
+    /// and reads go on. After the log is reopened, the unknown mutation is there whole or not at all.
     fn recover(&mut self, why: &LogError, unknown: Option<&Effects>) {
         let may = (self.model.trimmed, self.model.operations_trimmed);
         self.failed(why);
@@ -224,7 +224,7 @@ impl Run {
         self.check();
     }
 
-    /// As much as `may` of records and operations may have been trimmed.
+    /// `may` is the limit up to which records and operations may have been trimmed.
     fn reopen_failed(&mut self, unknown: Option<&Effects>, may: (usize, usize)) {
         let log = self.kept.log();
         log.reopen().unwrap();

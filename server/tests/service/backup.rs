@@ -12,7 +12,7 @@ use wayfold_server::service::{Error, Service};
 
 use crate::{random::Requests, support::*};
 
-/// What a snapshot holds, and in which revision each point was last changed.
+/// The content of a snapshot, with the revision in which each point was last changed.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Held {
     pub(crate) header: Header,
@@ -33,7 +33,7 @@ pub(crate) async fn snapshot(service: &Service, name: &str) -> Vec<v1::SnapshotP
     parts
 }
 
-/// What is in the parts, which are good.
+/// Reads the parts of a sound snapshot.
 pub(crate) fn read(parts: &[v1::SnapshotPart]) -> Held {
     let mut reader = Reader::new();
     let (mut header, mut ids, mut all) = (None, Vec::new(), Vec::new());
@@ -106,7 +106,7 @@ pub(crate) async fn verify(
     }
 }
 
-/// What `GetIndex` tells, but for the memory, which merging changes when it likes.
+/// The answer of `GetIndex` without the memory: merging changes the memory at any time.
 pub(crate) async fn described(service: &Service, name: &str) -> v1::Index {
     settled(info(service, name).await)
 }

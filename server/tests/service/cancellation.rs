@@ -60,7 +60,7 @@ async fn a_call_dropped_while_it_is_evaluated_changes_nothing() {
     assert_eq!(everything(&service).await.point_count, stored + 1);
 }
 
-/// Polls until the deadline, and says what came of the call.
+/// Polls until the deadline, and returns the outcome of the call.
 async fn past<T>(deadline: Instant, long: impl Future<Output = T>) -> T {
     let mut long = Box::pin(long);
     while Instant::now() < deadline {

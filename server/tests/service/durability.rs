@@ -149,7 +149,7 @@ async fn a_retry_is_not_acknowledged_before_the_original_is_durable() {
     assert_eq!(retry.await.unwrap(), original.await.unwrap());
 }
 
-/// Tells that what is polled is to be polled again.
+/// Notifies that the polled future is to be polled again.
 #[derive(Default)]
 struct Woken(Notify);
 
@@ -188,7 +188,7 @@ async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
         let waker = Waker::from(Arc::clone(&woken));
         let mut context = Context::from_waker(&waker);
         assert!(call.as_mut().poll(&mut context).is_pending());
-        // It lets others on, and reads what is stored on another thread; in the end it waits for the sync.
+        // It yields, and reads stored points on another thread; in the end it waits for the sync.
         while timeout(Duration::from_secs(1), woken.0.notified())
             .await
             .is_ok()
@@ -248,7 +248,7 @@ async fn an_index_whose_log_fails_takes_no_more_and_still_answers() {
     for _ in 0..2 {
         let answer = service.insert(&CALL, insertion(&[[2.0]], &[])).await;
         assert_eq!(refusal(answer).0, Code::DataLoss);
-        // What failed once is not trusted again.
+        // A log that failed once is not trusted again.
         log.fails.store(false, Ordering::Relaxed);
         log.synced.send_replace(9);
     }

@@ -97,7 +97,7 @@ async fn quietly<T>(call: impl Future<Output = T>) -> T {
     .await
 }
 
-/// What waits ends with its deadline, which comes at once: the time is that of the test.
+/// A waiting call ends at its deadline. The clock of the test is paused, so the deadline comes at once.
 #[tokio::test(start_paused = true)]
 async fn every_verb_answers_or_refuses_whatever_integers_it_is_asked_with() {
     let (service, uid) = two_points().await;
@@ -135,7 +135,7 @@ async fn the_requests_that_are_varied_are_good_ones() {
     }
 }
 
-/// Counts how often what is polled asks to be polled again.
+/// Counts how often the polled future asks to be polled again.
 #[derive(Default)]
 struct Wakes(AtomicUsize);
 
@@ -145,7 +145,7 @@ impl Wake for Wakes {
     }
 }
 
-/// Polls what has to wait: it must not be woken before there is news.
+/// Polls a future that has to wait: it must not be woken before there is news.
 fn assert_rests(waiting: impl Future) {
     let wakes = Arc::new(Wakes::default());
     let waker = Waker::from(Arc::clone(&wakes));

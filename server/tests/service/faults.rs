@@ -1,5 +1,5 @@
-//! Whichever call of the log fails: what was acknowledged is there afterwards, what was refused is there whole or not at
-//! all, and reads go on.
+//! Any call of the log fails: an acknowledged mutation is there afterwards, a refused one is there whole or not at all,
+//! and reads go on.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -18,7 +18,7 @@ const SEEDS: u64 = 4;
 const MUTATIONS: u64 = 25;
 /// Calls that fail, one in each run. Every mutation makes two at least.
 const CALLS: u64 = 60;
-/// Of these each is reached.
+/// Every run makes at least this many of these calls.
 const REACHED: u64 = 30;
 
 /// State, tag, payload.
@@ -109,7 +109,7 @@ impl Mutation {
     }
 }
 
-/// What can be read of `arm`, and at which revision.
+/// The readable content of `arm`, and its revision.
 async fn read(service: &Service) -> (u64, BTreeMap<u64, Point>) {
     let part = everything(service).await;
     let points = part.points.unwrap_or_default();
@@ -143,7 +143,7 @@ fn serving(registry: &Arc<Registry>) -> Service {
     service
 }
 
-/// How many mutations were refused, when so many calls of the log have gone well and the next fails.
+/// Lets the call of the log after `calls` others fail, and returns the number of refused mutations.
 async fn run(seed: u64, calls: u64) -> u64 {
     let log = FaultLog::new(seed ^ (calls << 8));
     let registry = registry(&log);

@@ -1,6 +1,6 @@
 //! Logs in memory that do something otherwise.
 
-/// What nobody does otherwise: all of `Log` but `append`, `synced` and `points`, as the log in this field does it.
+/// Forwards all of `Log` but `append`, `synced` and `points` to the log in this field.
 macro_rules! forward_to {
     ($field:tt) => {
         fn indexes(&self) -> Result<Vec<wayfold_server::log::Entry>, LogError> {

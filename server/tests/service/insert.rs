@@ -1,4 +1,4 @@
-//! What an insert does and tells, case by case; the rest is the random comparison with a model.
+//! The effect and the answer of an insert, case by case; a random comparison with a model covers the rest.
 
 use bytes::Bytes;
 use wayfold_proto::v1::{self, Outcome};

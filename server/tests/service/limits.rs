@@ -1,4 +1,4 @@
-//! Answers stay below their limit, and what exceeds one is refused by name.
+//! Answers stay below their limit, and a request that exceeds a limit is refused by the limit's name.
 
 use std::sync::Arc;
 

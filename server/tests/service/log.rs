@@ -1,4 +1,4 @@
-//! Who missed mutations asks for them, and gets what a watch would have told.
+//! A client that missed mutations asks for them, and receives what a watch would have sent.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ fn after(uid: &str, number: u64) -> v1::WatchRequest {
     }
 }
 
-/// What a watch tells up to `revision`.
+/// The mutations that a watch sends up to `revision`.
 async fn watched(service: &Service, uid: &str, revision: u64) -> Vec<v1::Mutation> {
     let mut watch = service.watch(&CALL, after(uid, 0)).await.unwrap();
     let mut mutations: Vec<v1::Mutation> = Vec::new();

@@ -1,4 +1,4 @@
-//! What goes on behind the calls: levels are merged, and what was removed is let go.
+//! Background work behind the calls: the service merges levels and frees removed points.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! What a read sees: columns, filters, and the revision it waits for.
+//! The points that a read sees: columns, filters, and the revision it waits for.
 
 use std::{
     pin::pin,
@@ -153,7 +153,7 @@ async fn a_read_waits_for_its_revision() {
     );
 }
 
-/// Who has been told of a revision asks what came after it: a server that has not got there yet cannot say "nothing".
+/// A client that knows a revision asks what came after it: a server that has not got there yet cannot say "nothing".
 #[tokio::test]
 async fn a_read_waits_for_the_revision_it_asks_after() {
     let (service, uid) = arm("R1").await;

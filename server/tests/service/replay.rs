@@ -128,7 +128,7 @@ impl Log for Damaging {
     }
 }
 
-/// Makes an index of which the second mutation is logged, and then cannot be shown to anybody.
+/// Makes an index whose second mutation is logged and then cannot be applied for readers.
 async fn create_damaged(service: &Service, name: &str) -> String {
     let uid = create(service, name, "R1").await;
     for row in [[1.0], [2.0]] {

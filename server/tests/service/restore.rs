@@ -1,4 +1,4 @@
-//! Restored indices answer as the one that the snapshot was taken of; what is not restored leaves nothing.
+//! Restored indices answer like the source of the snapshot; a failed restore leaves nothing.
 
 use std::sync::Arc;
 
@@ -74,7 +74,7 @@ async fn answers(service: &Service, space: &Space) -> Vec<Vec<u8>> {
     answers
 }
 
-/// The revision without the uid, which is another one of a restored index.
+/// The revision without the uid: a restored index has a new uid.
 fn numbered(named: &Option<v1::Revision>) -> Option<v1::Revision> {
     revision("", named.number())
 }
@@ -241,7 +241,7 @@ async fn the_limit_of_indices_is_kept() {
     assert_eq!(refused.0, Code::ResourceExhausted);
 }
 
-/// That nothing of a restore is left: neither an index, nor, once its leavings are swept, a trace in the log.
+/// Asserts that a restore left nothing: neither an index nor, once its remains are swept, a trace in the log.
 async fn is_untouched(service: &Service, log: &dyn Log) {
     let page = v1::ListIndexesRequest::default();
     let listed = service.list_indexes(&CALL, page).await.unwrap();

@@ -1,4 +1,4 @@
-//! Number and radius by the size of the index: what the random comparison with a model does not reach.
+//! Number and radius by the size of the index: cases that the random comparison with a model does not reach.
 
 use std::collections::HashSet;
 
@@ -52,7 +52,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         };
         (row, asked, service.insert(&CALL, request).await.unwrap())
     });
-    // All are under way at once, so that none waits for one that nobody asks to go on.
+    // All calls are polled at once, so that none waits for a call that is not polled.
     let (long, waiting, told) = tokio::join!(long, waiting, join_all(calls));
     long.unwrap();
     waiting.unwrap();

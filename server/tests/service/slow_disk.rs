@@ -8,7 +8,7 @@ use wayfold_server::service::{Error, Limits, Service};
 
 use crate::{fault::FaultLog, support::*};
 
-/// Serves what the log holds; nothing of it is at hand.
+/// Serves the content of the log; none of it is cached.
 fn serving(log: &FaultLog) -> Service {
     restarted_with(Arc::new(log.clone()), options(), Limits::default())
 }
@@ -44,7 +44,7 @@ fn include() -> Option<v1::Include> {
     })
 }
 
-/// A call that reads from the disk, and what it is to answer.
+/// A call that reads from the disk, and checks its answer.
 type Reading = fn(Service, String) -> BoxFuture<'static, Result<(), Error>>;
 
 /// Calls that must not keep the writer while they read.
@@ -178,7 +178,7 @@ const READING: [(&str, Reading); 10] = [
     }),
 ];
 
-/// A call that changes nothing and reads nothing, and one that writes what is new.
+/// Makes a call that changes nothing and reads nothing, and, if `writes`, one that writes a new point.
 async fn go_on(service: &Service, writes: bool) {
     let told = service.knn(&CALL, knn(&[[7.9]], 1)).await.unwrap();
     assert_eq!(told.neighbors.unwrap().ids, [8]);
@@ -208,7 +208,7 @@ async fn other_calls_are_answered_while_one_reads() {
     }
 }
 
-/// The log itself reads what it replaces, with the writer held: others read meanwhile.
+/// The log itself reads the points it replaces, with the writer held: others read meanwhile.
 #[tokio::test]
 async fn other_calls_are_answered_while_the_log_reads_what_it_replaces() {
     let (log, _) = ten_points().await;
@@ -225,7 +225,8 @@ async fn other_calls_are_answered_while_the_log_reads_what_it_replaces() {
     assert_eq!(removes.await.unwrap().unwrap().removed_count, 1);
 }
 
-/// Begins a call, and makes a change once the call has begun to read what is there; says what came of the call.
+/// Begins a call, and makes a change once the call has begun to read the stored points. Returns the outcome of the
+/// call.
 async fn overtaken<T>(
     call: impl AsyncFnOnce(Service) -> Result<T, Error>,
     change: impl AsyncFnOnce(Service),
@@ -267,7 +268,7 @@ async fn remove_three(service: Service) {
     );
 }
 
-/// What is read before a mutation has the writer is what it is when the mutation has it.
+/// The points that a mutation reads before it has the writer are up to date once it has it.
 #[tokio::test]
 async fn a_mutation_sees_what_changed_while_it_read() {
     let again = async |service: Service| service.insert(&CALL, insert_point(4)).await;

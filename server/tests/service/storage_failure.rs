@@ -25,7 +25,7 @@ impl Failing {
         Self::at(tempfile::tempdir().unwrap())
     }
 
-    /// Over what another service left.
+    /// Starts a service over the directory that another service left.
     fn at(directory: tempfile::TempDir) -> Self {
         let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
         let registry = Arc::new(Registry::new(Arc::new(log), options()));
@@ -87,7 +87,7 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
     for (round, id) in (20..23).enumerate() {
         let before = everything(service).await;
         failing.fail();
-        // Under way while it failed: nobody knows.
+        // It was under way during the failure, so its outcome is unknown.
         unavailable(service.insert(&CALL, operation(id)).await);
         // Refused before anything was written.
         unavailable(service.insert(&CALL, operation(99)).await);
@@ -169,7 +169,8 @@ fn damage(store: &std::path::Path) {
     std::fs::write(&journal, bytes).unwrap();
 }
 
-/// A failed store that turns out to be damaged when it is opened anew: what a start would say, without one.
+/// A failed store turns out to be damaged when the service reopens it. The service reports it as a start would, without
+/// a restart.
 #[tokio::test]
 async fn damage_that_is_found_on_the_way_is_named_for_every_call() {
     let failing = Failing::new();
@@ -194,8 +195,8 @@ async fn damage_that_is_found_on_the_way_is_named_for_every_call() {
     assert_eq!((listed.indexes.len(), &*listed.damaged[0].name), (0, "arm"));
 }
 
-/// A block of a table, which is found to be damaged when the store is opened anew: what was in it is gone, and the rest is
-/// written on.
+/// The service finds a damaged block of a table when it reopens the store. The content of the block is lost, and the
+/// rest stays writable.
 #[tokio::test]
 async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
     let directory = tempfile::tempdir().unwrap();
@@ -204,7 +205,7 @@ async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
     for name in ["arm", "base"] {
         create(&service, name, "R1").await;
     }
-    // Each fills blocks of its own; what leads to them is in the first.
+    // Each payload fills blocks of its own; the first block leads to them.
     for id in 1..4 {
         let mut insert = insertion(&[[1.0]], &[id]);
         insert.payloads = vec![vec![id as u8; 20_000].into()];
@@ -252,7 +253,7 @@ async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
     assert_eq!(info(service, "base").await.revision, inserted.revision);
 }
 
-/// Below fsync no mark names what there is: then no call is answered as if there were nothing.
+/// Below fsync no mark names the indices. A missing store must still not be served as an empty one.
 #[tokio::test]
 async fn a_store_that_cannot_be_opened_is_not_served_as_an_empty_one() {
     let directory = tempfile::tempdir().unwrap();

@@ -207,7 +207,7 @@ impl Named for Option<v1::Revision> {
     }
 }
 
-/// Lets this much time pass on a clock that stands still; what is due meanwhile takes place, in its order.
+/// Advances the paused clock by this much; the timers that are due meanwhile fire in their order.
 pub(crate) async fn pass(time: std::time::Duration) {
     let _ = tokio::time::timeout(time, std::future::pending::<()>()).await;
 }

@@ -1,4 +1,4 @@
-//! Verification: it agrees with what is so, and finds what is not.
+//! Verification: it accepts sound data, and finds damage.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use wayfold_server::{
 
 use crate::{backup::*, forward::forward_to, support::*};
 
-/// The hash as documented, of what a scan tells.
+/// The documented hash of the points that a scan returns.
 async fn content_hash(service: &Service, space: &str) -> Vec<u8> {
     hash_of(&everything(service).await.points.unwrap(), space)
 }

@@ -1,4 +1,4 @@
-//! Who follows an index sees each mutation once, in order, whole, and not before readers do.
+//! A follower of an index sees each mutation once, in order, whole, and not before readers do.
 
 use std::{collections::BTreeMap, pin::pin, sync::Arc, time::Duration};
 
@@ -27,7 +27,7 @@ async fn message(watch: &mut Watch) -> v1::WatchResponse {
     watch.next().await.unwrap().unwrap()
 }
 
-/// What a follower knows: each point with its state, tag, revision and payload.
+/// A follower's knowledge: each point with its state, tag, revision and payload.
 #[derive(Default)]
 struct Follower {
     points: BTreeMap<u64, (Vec<f64>, u64, u64, Bytes)>,

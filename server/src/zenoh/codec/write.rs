@@ -48,7 +48,7 @@ impl Writer {
                 }
                 continue;
             }
-            // An absent column beside a present one.
+            // This column is absent while others are present.
             let is_left_out = name == special::POINTS && field.name() != "ids" && field.is_list();
             if !is_written(message, &field, &value) || is_left_out && !message.has_field(&field) {
                 continue;

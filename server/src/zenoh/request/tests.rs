@@ -88,7 +88,7 @@ fn request_in<'a>(form: Form, key: &'a str, message: &DynamicMessage) -> Request
     }
 }
 
-/// In JSON states are rows, of which there are as many as there are.
+/// In JSON, states are rows. Their number is the length of the list, not a field.
 fn count_rows(message: &mut DynamicMessage) {
     if let Some(Value::Message(states)) = message.get_field_by_name_mut("states")
         && states.has_field_by_name("rows")

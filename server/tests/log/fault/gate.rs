@@ -7,7 +7,7 @@ use tokio::sync::watch;
 
 /// Every read passes it.
 pub(crate) struct Gate {
-    /// Where nothing may be read, if anywhere.
+    /// The thread on which no read may run, if any.
     answering: Mutex<Option<ThreadId>>,
     closed: Mutex<bool>,
     opened: Condvar,
@@ -45,7 +45,7 @@ impl Gate {
         held.wait_for(|held| *held > 0).await.unwrap();
     }
 
-    /// What every read does first.
+    /// Every read calls this first.
     pub(super) fn pass(&self) {
         let answering = *self.answering.lock();
         assert_ne!(

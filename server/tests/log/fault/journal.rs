@@ -1,4 +1,4 @@
-//! The journal, and the sum of what is in it.
+//! The journal, and the state that its items add up to.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -10,11 +10,11 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_server::log::{Entry, Keep, LogError, Operation, Origin, Record, StoredPoint, Uid};
 
-/// What is written, one after the other.
+/// One write to the journal.
 pub(super) enum Item {
     Create(Entry, Origin, Points),
     Append(Uid, Arc<Record>),
-    /// So many of the oldest records and operations are forgotten.
+    /// The oldest records and operations are forgotten, in these numbers.
     Trim(Uid, usize, usize),
     Delete(Uid),
     /// A half of something.
@@ -62,7 +62,7 @@ impl Journal {
         }
     }
 
-    /// Opens what is left of the journal, up to the first half.
+    /// Opens the remaining journal, up to the first half item.
     pub(super) fn open(&mut self, left: usize) {
         let whole = |item: &Item| !matches!(item, Item::Torn);
         let left = self.items[..left]
@@ -81,7 +81,7 @@ impl Journal {
         self.opened += 1;
     }
 
-    /// Whether this writing call may go on.
+    /// Counts a writing call; fails if the call must not go on.
     pub(super) fn called(&mut self) -> Result<(), LogError> {
         if let Some(why) = &self.failed {
             return Err(why.clone());
@@ -119,7 +119,7 @@ impl Journal {
         Ok(())
     }
 
-    /// As [`Journal::write`], and for certain.
+    /// Writes an item like [`Journal::write`], and syncs it.
     pub(super) fn write_and_sync(&mut self, item: Item) -> Result<(), LogError> {
         self.write(item)?;
         self.all_synced();

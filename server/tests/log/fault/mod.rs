@@ -1,7 +1,8 @@
-//! A log that fails when it is told to: a journal in memory, of which a loss of power leaves what was synced and,
-//! perhaps, the first of the rest.
+//! A log that fails on demand. It is a journal in memory. A loss of power leaves what was synced and, perhaps, the
+//! first of the rest.
 //!
-//! It shares no code with the other stores. What a call that failed left behind is drawn: nothing, all of it, or a half.
+//! It shares no code with the other stores. A random draw decides what a failed call leaves behind: nothing, all of it,
+//! or a half.
 
 mod gate;
 mod journal;
@@ -29,17 +30,17 @@ impl FaultLog {
         Self(Arc::new(Mutex::new(Journal::new(seed))), Arc::default())
     }
 
-    /// What every read of points and records passes.
+    /// The gate that every read of points and records passes.
     pub(crate) fn gate(&self) -> &Gate {
         &self.1
     }
 
-    /// Lets a writing call fail: the next, after so many.
+    /// Lets the writing call after this many others fail.
     pub(crate) fn fail_after(&self, calls: u64) {
         self.0.lock().fails = Some(calls);
     }
 
-    /// Cuts the power: what is left is the journal as far as it was synced, or a little more.
+    /// Cuts the power: the journal keeps its synced items, or a little more.
     pub(crate) fn cut(&self) {
         let mut journal = self.0.lock();
         let (synced, written) = (journal.synced, journal.items.len());
@@ -87,7 +88,7 @@ impl Log for FaultLog {
     }
 
     fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
-        // As a store does that sums up its points: it reads those that go.
+        // It does this like a store that sums up its points: it reads those that go.
         let next_id = self.0.lock().index(uid)?.next_id;
         let replaces = effects.stored().iter().any(|point| point.id < next_id);
         if replaces || !effects.removed().is_empty() {
@@ -176,7 +177,7 @@ impl Log for FaultLog {
         self.0.lock().failed.clone()
     }
 
-    /// What was not synced when it failed is there, or not, or the first of it.
+    /// After a failure, the journal keeps its synced items and, perhaps, the first of the others.
     fn reopen(&self) -> Result<(), LogError> {
         if self.failure().is_some() {
             self.cut();
@@ -185,7 +186,7 @@ impl Log for FaultLog {
     }
 }
 
-/// An index in the making. What is added to it is a writing call of its own, and seen by nobody.
+/// An index in the making. Each addition to it is a writing call of its own, and no reader sees it.
 struct Copy {
     log: FaultLog,
     entry: Entry,
@@ -209,7 +210,7 @@ impl Restoring for Copy {
     }
 }
 
-/// A view. It ends when the log is opened anew.
+/// A view. It ends when the log is reopened.
 struct Pinned {
     log: FaultLog,
     opened: u64,

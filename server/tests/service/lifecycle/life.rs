@@ -325,7 +325,7 @@ impl<'a> Life<'a> {
         assert_eq!(report.content_hash, expected);
     }
 
-    /// That the server holds what it must, and nothing else.
+    /// Asserts that the server holds what it must, and nothing else.
     pub(super) async fn is_as_it_must(&mut self) {
         let expected = self.world.indexes.iter();
         let expected: Vec<_> = expected

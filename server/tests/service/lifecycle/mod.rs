@@ -1,5 +1,5 @@
-//! Lives of a server: indices are made, changed, read, copied, deleted and made again of their copies, from start to
-//! start; all of it is what the models say.
+//! Lives of a server: indices are created, changed, read, copied, deleted and restored from their copies, from start to
+//! start. All of it agrees with the models.
 
 mod life;
 mod mutation;

@@ -1,4 +1,4 @@
-//! Where the indices are kept from one start of the server to the next.
+//! The store that keeps the indices from one start of the server to the next.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ impl Store {
         }
     }
 
-    /// What is left where the server ends as it is now. It still runs.
+    /// The store that is left if the server ends in its present state. The server still runs.
     pub(super) fn left(&self, end: End) -> Option<Self> {
         match (self, end) {
             (Self::Disk(directory), End::Crash) => Some(Self::Disk(copied(directory.path()))),

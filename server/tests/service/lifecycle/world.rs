@@ -1,4 +1,5 @@
-//! What there must be on the server: a model an index, with the operations that it answered, and copies of some.
+//! The expected content of the server: one model for each index, with the operations that it answered, and snapshots of
+//! some.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -34,9 +35,9 @@ pub(super) struct Kept {
 #[derive(Clone)]
 pub(super) struct Operation {
     pub(super) mutation: Mutation,
-    /// What its retry is told; None if it is evaluated anew.
+    /// The answer to a retry; None if a retry is evaluated again.
     pub(super) told: Option<Told>,
-    /// Whether it made a revision: others are forgotten by a restart.
+    /// True if it made a revision: a restart forgets the others.
     pub(super) changed: bool,
 }
 
@@ -81,7 +82,7 @@ impl World {
         assert!(self.indexes.insert(name.into(), kept).is_none());
     }
 
-    /// What a server forgets when it ends.
+    /// Forgets what a server forgets when it ends.
     pub(super) fn forget(&mut self) {
         for kept in self.indexes.values_mut() {
             for operation in &mut kept.operations {
@@ -94,7 +95,7 @@ impl World {
 }
 
 impl Kept {
-    /// Applies one of its operations, or recalls what it was told.
+    /// Applies one of its operations, or recalls the answer to it.
     pub(super) fn apply(&mut self, at: usize) -> Told {
         let operation = &mut self.operations[at];
         if let Some(told) = &operation.told {
@@ -108,7 +109,7 @@ impl Kept {
     }
 }
 
-/// What `GetIndex` tells, but for the memory.
+/// The answer of `GetIndex` without the memory.
 pub(super) fn described(name: &str, model: &Model) -> v1::Index {
     v1::Index {
         name: name.into(),
@@ -122,7 +123,7 @@ pub(super) fn described(name: &str, model: &Model) -> v1::Index {
     }
 }
 
-/// That a snapshot holds all of the model, and nothing else.
+/// Asserts that a snapshot holds all of the model, and nothing else.
 pub(super) fn assert_holds(name: &str, parts: &[v1::SnapshotPart], model: &Model) {
     let points = model.points.values().map(|point| {
         let (row, payload) = (point.row.clone(), point.payload.clone());
