@@ -33,7 +33,7 @@ pub fn resident_bytes(process: u32) -> Option<u64> {
 /// The processor time that this thread has taken.
 ///
 /// # Panics
-/// Where the system does not tell it, which Linux does.
+/// If the system does not report it; Linux does.
 pub fn thread_time() -> Duration {
     let text = fs::read_to_string("/proc/thread-self/schedstat").expect("Linux's /proc");
     let nanos = text.split(' ').next().and_then(|nanos| nanos.parse().ok());
@@ -42,7 +42,7 @@ pub fn thread_time() -> Duration {
 
 /// The processor time that a process has taken, in seconds, where the system tells it.
 pub fn processor_seconds(process: u32) -> Option<f64> {
-    /// Of `clock_t` in /proc on Linux, whatever the kernel's own ticks are.
+    /// The ticks of `clock_t` in /proc on Linux, whatever the kernel's own ticks are.
     const TICKS_PER_SECOND: f64 = 100.0;
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     // The name before may hold spaces; user and system time are the 14th and 15th field.

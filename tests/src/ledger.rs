@@ -1,4 +1,4 @@
-//! What a client process was told, written down for a test to check afterwards.
+//! The answers that a client process received, written down for a test to check afterwards.
 //!
 //! A ledger is a file of entries; an entry is a byte for its kind, the request and the response, both as protobuf with
 //! their length before them. So not a bit of a distance is lost.
@@ -37,7 +37,7 @@ impl Entry {
         }
     }
 
-    /// Whether the call made its revision, by what the answer says of itself.
+    /// True if the call made its revision, according to the answer.
     pub fn changed(&self) -> bool {
         use wayfold_proto::v1::Outcome::{Inserted, Replaced};
         match self {

@@ -1,5 +1,5 @@
-//! Programs that measure. Each is, in processes of its own, also the server and the echo that it measures: what is
-//! compared is built alike.
+//! Support for the programs that measure. Each such program is, in processes of its own, also the server and the echo
+//! that it measures, so all contestants are built alike.
 
 use std::{
     env, fs,
@@ -62,10 +62,10 @@ pub fn server_over_zenoh(data: &str) -> ServerProcess {
     start("server", &[&listen[..], &["--data", data]].concat())
 }
 
-/// A Zenoh session with whom is at the locator alone.
+/// A Zenoh session with the peer at the locator alone.
 ///
 /// # Panics
-/// If nobody is.
+/// If the locator has no peer.
 pub async fn connect(locator: &str) -> Session {
     let config = json!({
         "mode": "client",

@@ -12,9 +12,9 @@ use wayfold_proto::v1::{
 
 use crate::{Content, StoredPoint, bits, ledger::Entry, neighbor_rows, number};
 
-/// What an index must hold at one revision.
+/// The content that an index must hold at one revision.
 ///
-/// Mutations are told to it in the order of their revisions; it decides for itself what each must have answered.
+/// It receives mutations in the order of their revisions, and computes by itself the answer that each must have had.
 #[derive(Clone, Debug)]
 pub struct Model {
     points: Linear,
@@ -34,7 +34,7 @@ impl Model {
         }
     }
 
-    /// How many mutations it was told of.
+    /// The number of mutations that it received.
     pub fn revision(&self) -> u64 {
         self.revision
     }
@@ -61,7 +61,7 @@ impl Model {
     /// Checks an insert's outcomes, ids and neighbours, and applies it.
     ///
     /// # Panics
-    /// As [`Model::check`].
+    /// Panics where [`Model::check`] does.
     pub fn insert(&mut self, request: &InsertRequest, response: &InsertResponse) {
         let rows = self.canonical(request.states.as_ref());
         assert_eq!(response.outcomes.len(), rows.len());
@@ -105,7 +105,7 @@ impl Model {
     /// Checks a removal and applies it.
     ///
     /// # Panics
-    /// As [`Model::check`].
+    /// Panics where [`Model::check`] does.
     pub fn remove(&mut self, request: &RemoveRequest, response: &RemoveResponse) {
         let mut removed = 0;
         for &id in &request.ids {
@@ -125,7 +125,7 @@ impl Model {
     /// Checks the answer to a Knn.
     ///
     /// # Panics
-    /// As [`Model::check`].
+    /// Panics where [`Model::check`] does.
     pub fn knn(&self, request: &KnnRequest, response: &KnnResponse) {
         assert_eq!(number(&response.revision), self.revision);
         let search = search(
@@ -143,7 +143,7 @@ impl Model {
     /// Checks the answer to a Query.
     ///
     /// # Panics
-    /// As [`Model::check`].
+    /// Panics where [`Model::check`] does.
     pub fn query(&self, request: &QueryRequest, response: &QueryResponse) {
         assert_eq!(number(&response.revision), self.revision);
         let reach = request.reach.expect("a reach");
@@ -158,7 +158,7 @@ impl Model {
     /// Checks the answer to a Get with payloads.
     ///
     /// # Panics
-    /// As [`Model::check`].
+    /// Panics where [`Model::check`] does.
     pub fn get(&self, request: &GetRequest, response: &GetResponse) {
         assert_eq!(number(&response.revision), self.revision);
         let told = response.points.as_ref().expect("points");
@@ -222,7 +222,7 @@ impl Model {
         self.search(row, &search)
     }
 
-    /// What must become of a row, and under which id: none where the server assigns one.
+    /// The required outcome of a row, and its id: none where the server assigns one.
     fn outcome(
         &self,
         request: &InsertRequest,

@@ -12,14 +12,14 @@ use std::{
 /// How long a process may take to say its next line or to end before a test gives up on it.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// What to send a process.
+/// The signal to send to a process.
 #[derive(Clone, Copy, Debug)]
 pub enum Signal {
     /// SIGTERM: what a supervisor sends.
     Terminate,
     /// SIGINT: what Ctrl-C sends.
     Interrupt,
-    /// SIGKILL: the end, there and then.
+    /// SIGKILL: the process ends at once.
     Kill,
 }
 
@@ -41,7 +41,7 @@ pub struct Process {
     child: Child,
     lines: Receiver<String>,
     log: Receiver<String>,
-    /// What was received of the log already.
+    /// The part of the log that was received already.
     logged: String,
 }
 
@@ -54,7 +54,7 @@ impl Process {
         Self::spawn(Command::new(program.as_ref()).args(arguments))
     }
 
-    /// Starts a command. A server speaks Zenoh only if it is told to by a flag: its usual port may be another's.
+    /// Starts a command. A server speaks Zenoh only if a flag enables it: its usual port may be another's.
     ///
     /// # Panics
     /// If it cannot be started.
@@ -103,7 +103,7 @@ impl Process {
     /// Sends it a signal and waits for its end.
     ///
     /// # Panics
-    /// As [`Process::signal`] and [`Process::finish`].
+    /// Panics where [`Process::signal`] and [`Process::finish`] do.
     pub fn stop(mut self, signal: Signal) -> Finished {
         match signal {
             // At this very moment: no other program need be started for it.
@@ -116,7 +116,7 @@ impl Process {
     /// All that it said to standard error up to the next line that has `part` in it, and that line.
     ///
     /// # Panics
-    /// As [`Process::log_line`], and if it ends before.
+    /// Panics where [`Process::log_line`] does, and if the process ends before.
     pub fn log_until(&mut self, part: &str) -> Vec<String> {
         let mut lines = Vec::new();
         while let Some(line) = self.log_line() {
@@ -129,10 +129,10 @@ impl Process {
         panic!("the process has ended and never said \"{part}\"");
     }
 
-    /// Kills it once it has said so many lines to standard error.
+    /// Kills it once it has written `lines` lines to standard error.
     ///
     /// # Panics
-    /// As [`Process::log_line`] and [`Process::finish`].
+    /// Panics where [`Process::log_line`] and [`Process::finish`] do.
     pub fn kill_at_line(mut self, lines: u32) {
         for _ in 0..lines {
             self.log_line();
@@ -260,10 +260,10 @@ impl ServerProcess {
         }
     }
 
-    /// A server of which `line` is the first that it said.
+    /// A server whose first line was `line`.
     ///
     /// # Panics
-    /// If that is not that it listens.
+    /// If the line does not say that it listens.
     pub fn listening(process: Process, line: &str) -> Self {
         let uri = line.strip_prefix("listening on ");
         let uri = uri.unwrap_or_else(|| panic!("the server said {line:?} and not that it listens"));
@@ -271,7 +271,7 @@ impl ServerProcess {
         Self { process, uri }
     }
 
-    /// Where it listens for Zenoh, `tcp/127.0.0.1:PORT`: the second line that it says, which is read here.
+    /// Its Zenoh locator, `tcp/127.0.0.1:PORT`, read here from the second line that it says.
     ///
     /// # Panics
     /// If it does not listen, or was asked before.
@@ -281,7 +281,7 @@ impl ServerProcess {
         locator.expect("a server that speaks Zenoh").to_owned()
     }
 
-    /// Where it listens: `http://127.0.0.1:PORT`.
+    /// Its gRPC address: `http://127.0.0.1:PORT`.
     pub fn uri(&self) -> &str {
         &self.uri
     }
@@ -291,10 +291,10 @@ impl ServerProcess {
         &self.process
     }
 
-    /// As [`Process::log_until`].
+    /// Forwards to [`Process::log_until`].
     ///
     /// # Panics
-    /// As that.
+    /// Panics where [`Process::log_until`] does.
     pub fn log_until(&mut self, part: &str) -> Vec<String> {
         self.process.log_until(part)
     }
@@ -302,7 +302,7 @@ impl ServerProcess {
     /// Waits for its end.
     ///
     /// # Panics
-    /// As [`Process::finish`].
+    /// Panics where [`Process::finish`] does.
     pub fn finish(self) -> Finished {
         self.process.finish()
     }
@@ -310,7 +310,7 @@ impl ServerProcess {
     /// Sends it a signal and waits for its end.
     ///
     /// # Panics
-    /// As [`Process::signal`] and [`Process::finish`].
+    /// Panics where [`Process::signal`] and [`Process::finish`] do.
     pub fn stop(self, signal: Signal) -> Finished {
         self.process.stop(signal)
     }

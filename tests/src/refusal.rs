@@ -1,4 +1,4 @@
-//! What a failed call says.
+//! The contents of a failed call's status.
 
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};

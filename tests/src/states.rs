@@ -36,7 +36,7 @@ impl States {
         self.rows(1)
     }
 
-    /// So many states, one after the other.
+    /// This many states, one after the other.
     pub fn rows(&mut self, count: usize) -> Vec<f64> {
         let mut rows = Vec::with_capacity(count * self.space.coordinates());
         for _ in 0..count {

@@ -1,7 +1,7 @@
-//! Compares what planners were told with brute force: `ledger-check URI INDEX LEDGER...`.
+//! Compares the answers that planners received with brute force: `ledger-check URI INDEX LEDGER...`.
 //!
-//! The ledgers have every mutation of the index, and nobody else has changed it. The process fails where an answer is
-//! wrong.
+//! The ledgers have every mutation of the index, and no other client has changed it. The process fails where an answer
+//! is wrong.
 
 use std::{env, path::Path};
 

@@ -1,7 +1,7 @@
 //! One of the planners that share an index: `planner-process URI INDEX SEED ROUNDS LEDGER`.
 //!
-//! It says `ready`, waits for a line, and then inserts, removes and asks in an order drawn from its seed. What it was
-//! told it writes to the ledger.
+//! It says `ready`, waits for a line, and then inserts, removes and asks in an order drawn from its seed. It writes the
+//! answers to the ledger.
 
 use std::{
     env,
@@ -55,7 +55,7 @@ struct Planner {
     states: States,
     index: String,
     uid: String,
-    /// The newest revision it was told of.
+    /// The newest revision that an answer named.
     revision: u64,
     first_id: u64,
     given_ids: u64,

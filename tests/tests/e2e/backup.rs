@@ -1,5 +1,5 @@
-//! Backup and verification through the command line: what is restored elsewhere is the same to the bit, and what is
-//! damaged, cut or killed leaves nothing.
+//! Backup and verification through the command line. An index restored elsewhere is the same to the bit. A restore of a
+//! damaged file, or one that is cut or killed, leaves nothing.
 
 use std::{
     fs,
@@ -32,7 +32,7 @@ fn cli(server: &ServerProcess, arguments: &[&str]) -> Finished {
     Process::start(CLI, &arguments).finish()
 }
 
-/// What a command prints that succeeds, as JSON.
+/// The JSON that a successful command prints.
 fn told(server: &ServerProcess, arguments: &[&str]) -> Value {
     let finished = cli(server, &[arguments, &["--output", "json"]].concat());
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
@@ -380,7 +380,7 @@ async fn a_restore_that_is_cut_anywhere_leaves_nothing() {
     let directory = tempfile::tempdir().unwrap();
     let data = directory.path().to_str().unwrap();
     let mut target = server!("--data", data);
-    // The server is killed when it has been sent so many parts.
+    // The server is killed after it was sent `sent` parts.
     for sent in 1..=parts.len() {
         let mut stubs = Stubs::connect(target.uri()).await;
         let (sender, receiver) = mpsc::channel(1);
@@ -466,7 +466,7 @@ async fn a_file_has_its_name_once_it_is_whole() {
     let full = complaint(Process::start("sh", &["-c", &command]).finish());
     assert!(full.contains("standard output"), "{full}");
 
-    // Nothing else is left, and what was there is there.
+    // No other file is left, and the earlier file is unchanged.
     assert_eq!(source.names(), ["arm.snapshot"]);
     assert_eq!(fs::read(file).unwrap(), before);
     let mut stubs = source.stubs.clone();

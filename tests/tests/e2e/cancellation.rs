@@ -1,4 +1,4 @@
-//! Deadlines, dropped calls, and long batches beside short calls.
+//! Deadlines, dropped calls, and long batches next to short calls.
 
 use std::time::Duration;
 
@@ -99,7 +99,7 @@ async fn a_dropped_mutation_is_whole_or_not_there() {
         };
         let mut other = stubs.clone();
         let call = tokio::spawn(async move { other.insert(request).await });
-        // So many answers later it is well under way.
+        // The delay is this many answers, so the insert is under way in most rounds.
         for _ in 0..round {
             stubs.points.knn(knn(&mut states, 1)).await.unwrap();
         }

@@ -29,19 +29,19 @@ const SPACE: &str = "R3*SO3:0.15";
 /// Its coordinates.
 const COORDINATES: usize = 7;
 const READERS: u64 = 2;
-/// One in so many is kept of the reads of which there are as many as there is time for.
+/// The readers read as often as time allows; one read in this many is kept.
 const KEPT: usize = 20;
 
 /// When a server is killed, or its disk fails.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Moment {
-    /// Once so many mutations were acknowledged.
+    /// Once this many mutations were acknowledged.
     Acknowledged(u64),
-    /// Once so many indices were begun to be created or deleted.
+    /// Once the creation or deletion of this many indices was begun.
     Built(u64),
 }
 
-/// Eight writers, two readers, and one who creates and deletes indices; and a model of what they must find.
+/// Eight writers, two readers, one client that creates and deletes indices, and a model of what they must find.
 pub(crate) struct Clients {
     writers: Vec<Writer>,
     readers: Vec<Reader>,
@@ -57,7 +57,7 @@ pub(crate) struct Clients {
 struct Working {
     writing: JoinSet<Writer>,
     reading: JoinSet<Reader>,
-    /// Ends the readers, who end by nothing else.
+    /// Ends the readers: only this signal ends them.
     over: watch::Sender<bool>,
     building: JoinHandle<Builder>,
     at_acknowledged: watch::Receiver<u64>,
@@ -115,7 +115,7 @@ impl Clients {
         }
     }
 
-    /// All work, until each writer was refused, as it will be after `fail`: what they were told.
+    /// All work until each writer was refused, as it will be after `fail`. Returns the refusals.
     pub(crate) async fn work_until_refused(
         &mut self,
         server: &ServerProcess,
@@ -130,7 +130,7 @@ impl Clients {
         refusals.map(Option::unwrap).collect()
     }
 
-    /// Each writer asks again for what is unknown: how many are refused again.
+    /// Each writer asks again for its unknown mutation. Returns how many are refused again.
     pub(crate) async fn ask_again(&mut self, server: &ServerProcess) -> usize {
         let mut stubs = Stubs::connect(server.uri()).await;
         let mut refused = 0;
@@ -140,7 +140,7 @@ impl Clients {
         refused
     }
 
-    /// Each reader reads so many times.
+    /// Each reader reads `times` times.
     pub(crate) async fn look(&mut self, server: &ServerProcess, times: usize) {
         let stubs = Stubs::connect(server.uri()).await;
         for reader in &mut self.readers {
@@ -177,7 +177,7 @@ impl Clients {
         }
     }
 
-    /// What readers were refused with, which is never a search.
+    /// The refusals of reads; none of them is a search.
     pub(crate) fn refused_reads(&mut self) -> Vec<Status> {
         let mut refusals = Vec::new();
         for reader in &mut self.readers {
@@ -216,7 +216,7 @@ impl Clients {
         }
     }
 
-    /// Those who write are refused, and end.
+    /// The writers are refused, and end.
     async fn end(&mut self, working: Working) {
         self.writers = working.writing.join_all().await;
         self.writers.sort_by_key(|writer| writer.name);
@@ -225,7 +225,8 @@ impl Clients {
         self.builder = working.building.await.unwrap();
     }
 
-    /// All that was acknowledged is there, once, in order; what was seen is so still; answers equal brute force.
+    /// Checks that each acknowledged mutation is there, once, in order, that each answer seen still holds, and that
+    /// answers equal brute force.
     pub(crate) async fn check(&mut self, server: &ServerProcess) {
         let mut stubs = Stubs::connect(server.uri()).await;
         let described = stubs.describe("arm").await;
@@ -270,7 +271,8 @@ impl Clients {
         assert_eq!(self.model.revision(), self.tally.acknowledged);
     }
 
-    /// Compares what was acknowledged with what is left of it, where some may be missing: the newest content.
+    /// Compares the acknowledged mutations with the newest content, from which some may be missing. Returns the
+    /// content.
     pub(crate) async fn count(&mut self, server: &ServerProcess) -> Content {
         self.acknowledged();
         let stubs = Stubs::connect(server.uri()).await;
@@ -289,7 +291,7 @@ impl Clients {
         &self.uid
     }
 
-    /// What was acknowledged since the last time, in the order of revisions.
+    /// The mutations acknowledged since the last time, in the order of revisions.
     fn acknowledged(&mut self) -> Vec<Entry> {
         let ledgers = self.writers.iter_mut().map(|writer| &mut writer.ledger);
         let mut entries: Vec<Entry> = ledgers.flat_map(|ledger| ledger.drain(..)).collect();
@@ -300,7 +302,7 @@ impl Clients {
         entries
     }
 
-    /// Checks what was seen at the model's revision.
+    /// Checks the answers seen at the model's revision.
     fn check_seen(&self, seen: &mut std::iter::Peekable<std::vec::IntoIter<Seen>>) {
         let here = (self.uid.as_str(), self.model.revision());
         while let Some(seen) = seen.next_if(|seen| seen.at() == here) {

@@ -48,7 +48,7 @@ async fn a_server_that_is_killed_comes_back_with_all_that_it_acknowledged() {
         };
         clients.work(server, moment).await;
         kills += 1;
-        // Sometimes again while it starts, once it has come so far as to say so many lines.
+        // Sometimes it is killed again while it starts, after some number of log lines.
         while kills < wanted && random.random_bool(0.4) {
             start(&data).kill_at_line(random.random_range(0..LINES));
             kills += 1;

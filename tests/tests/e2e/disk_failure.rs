@@ -30,7 +30,7 @@ const SEED: u64 = 7;
 const FAILURES: u64 = 1;
 /// Reads by each reader while it fails.
 const READS: usize = 40;
-/// What a server says once it writes again.
+/// The server logs this once it writes again.
 const RECOVERED: &str = "the log is writable again";
 
 fn failures() -> u64 {
@@ -78,14 +78,14 @@ impl Scene {
         check_refusals(&refusals);
         for status in refusals {
             let told = status.message();
-            // The latter where it was just being opened anew.
+            // It answers the latter while it reopens the store.
             let says_what_to_do =
                 told.contains("tried again and again") || told.contains("ask again");
             assert!(says_what_to_do, "{told}");
         }
     }
 
-    /// As long as it fails every write is refused, and every read answered.
+    /// While the disk fails, the server refuses every write and answers every read.
     async fn look(&mut self) {
         self.clients.look(&self.server, READS).await;
         let refused = self.clients.ask_again(&self.server).await;
@@ -95,7 +95,7 @@ impl Scene {
         assert!(refused.is_empty(), "{refused:?}");
     }
 
-    /// Who writes is told what the disk says.
+    /// A refused writer receives the words of the disk's error.
     async fn check_reason(&self, reason: &str) {
         let mut stubs = Stubs::connect(self.server.uri()).await;
         let request = CreateIndexRequest {
@@ -107,7 +107,7 @@ impl Scene {
         check_refusals(&[refused]);
     }
 
-    /// The disk comes back. While the store is opened anew reads of what it keeps are to be asked for again.
+    /// The disk comes back. While the store reopens, reads of its content are refused and must be repeated.
     async fn recover(&mut self) {
         let disk = &self.disk;
         let recovered = self.clients.look_during(&mut self.server, |server| {
@@ -140,7 +140,7 @@ async fn a_disk_that_fails_and_comes_back_costs_no_acknowledged_mutation() {
     scene.end().await;
 }
 
-/// There is room for a little, and not for what the store moves out of its journal.
+/// The disk has room for a little, but not for the points that the store moves out of its journal.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_disk_without_the_room_that_the_store_needs_is_waited_for() {
     let mut scene = Scene::new(HEAVY).await;
@@ -154,8 +154,8 @@ async fn a_disk_without_the_room_that_the_store_needs_is_waited_for() {
     scene.end().await;
 }
 
-/// The disk looks well, and only what the store moves out of its journal cannot be written: the store is opened anew
-/// again and again. Searches go on even so.
+/// The disk looks well, and the store fails only to write what it moves out of its journal. The server reopens the
+/// store again and again. Searches go on even so.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_store_that_fails_on_a_disk_that_looks_well_recovers_once_it_can() {
     let mut scene = Scene::new(HEAVY).await;

@@ -17,7 +17,7 @@ use wayfold_tests::{States, Stubs, neighbor_rows, number, revision, row_states, 
 
 const WORKERS: u64 = 48;
 const PAIRS: usize = 10_000;
-/// More rounds than any scheduling needs to bring about so many concurrent pairs.
+/// No scheduling needs this many rounds to bring about that many concurrent pairs.
 const ROUNDS: u64 = 60;
 
 /// One insert, and what its worker knows of it.
@@ -27,7 +27,7 @@ struct Told {
     answered: u64,
     revision: u64,
     id: u64,
-    /// What a read told before the insert, with its revision.
+    /// The answer of a read before the insert, with its revision.
     before: Option<(u64, BTreeSet<u64>)>,
     neighbors: BTreeSet<u64>,
 }
@@ -51,8 +51,8 @@ async fn a_worker_that_read_before_is_told_of_what_arrived_meanwhile() {
     );
 }
 
-/// Every point is a neighbour of every other, so an insert must have been told of exactly the ids that were stored by
-/// the revisions before its own.
+/// Every point is a neighbour of every other. An insert must therefore have returned exactly the ids that were stored
+/// by the revisions before its own.
 fn check(told: &[Told]) {
     let mut by_revision: Vec<&Told> = told.iter().collect();
     by_revision.sort_by_key(|insert| insert.revision);

@@ -1,5 +1,5 @@
-//! A loss of power: what a server did not sync is gone from its files, and nothing that it acknowledged, or showed to a
-//! reader, is missing.
+//! A loss of power. The unsynced writes of a server are gone from its files. No mutation that it acknowledged, or
+//! showed to a reader, is missing.
 
 mod disk;
 
@@ -74,7 +74,7 @@ async fn lose_power(mut disk: Disk, seed: u64) {
     println!("{cuts} losses of power, {}", clients.tally());
 }
 
-/// After a failed sync the kernel takes for clean what it could not write, and the next sync succeeds without it.
+/// After a failed sync, the kernel marks the unwritten pages clean, and the next sync succeeds without them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_a_failed_sync_has_left_is_written_before_more_is_acknowledged() {
     println!("seed {SEED}");
@@ -136,7 +136,7 @@ async fn a_first_start_may_be_cut_short_anywhere() {
     println!("{cuts} first starts cut short");
 }
 
-/// The control: the disk does lose what was not synced, and then the index has another uid.
+/// The control: the disk does lose unsynced writes, and then the index has another uid.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn without_syncs_something_is_lost_and_the_uid_is_new() {
     let settings = [("WAYFOLD_DATA__DURABILITY", "none")];

@@ -1,5 +1,5 @@
-//! A replica answers what brute force answers at the revision that it names, whatever happens to its server and to the
-//! way there.
+//! A replica answers like brute force at the revision that it names, whatever happens to its server and to the
+//! connection.
 
 mod past;
 mod proxy;
@@ -116,7 +116,7 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
         .await
         .unwrap();
 
-    // Once cut off, once connected to what brings nothing.
+    // The replica is cut off once, and once connected to a proxy that sends nothing.
     for held in [false, true] {
         let from = replica.revision();
         match held {
@@ -160,7 +160,8 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
         compare(&replica, &points);
     }
 
-    // A follower that takes nothing for so long gets what was on the way, without a gap, and is told that there is more.
+    // A follower that took nothing for this long gets what was on the way, without a gap. Then a reset reports that
+    // there is more.
     let mut revision = inserted.revision.number;
     loop {
         match slow.next().await.unwrap().unwrap() {

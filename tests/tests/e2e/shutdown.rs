@@ -1,4 +1,4 @@
-//! Starting and stopping: a server that is told to stop finishes what it accepted, and takes nothing more.
+//! Starting and stopping: a stopping server finishes what it accepted, and takes nothing more.
 
 use tonic::{Code, Streaming, transport::Channel};
 use tonic_health::pb::{
@@ -62,7 +62,7 @@ async fn stops_gracefully(signal: Signal) {
     let mut states = filled(&mut stubs).await;
     let mut health = serving(server.uri()).await;
 
-    // A scan larger than the connection lets the server send ahead, of which one part was read.
+    // The scan is larger than the connection, so the server sends ahead; the client has read one part.
     let scan = ScanRequest {
         index: "roadmap".into(),
         ..Default::default()

@@ -1,4 +1,4 @@
-//! Servers and routers are killed and come back: whoever asks and follows goes on, and is told nothing wrong.
+//! Servers and routers are killed and come back: clients go on asking and following, and no answer is wrong.
 
 use serde_json::json;
 use wayfold_proto::v1;
@@ -60,7 +60,7 @@ async fn a_server_that_is_killed_and_comes_back_is_found_again_with_its_past() {
         stubs.insert(insertion(&[round], 20)).await;
         next(&events).await;
         server.stop(Signal::Kill);
-        // Whether it was stored is unknown, and either is right.
+        // The mutation may have been stored or not; either is right.
         let _ = writing.await.unwrap();
         until(&tokens, SampleKind::Delete).await;
 
@@ -110,7 +110,7 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
         until(&tokens, SampleKind::Put).await;
         let again = insert().await.remove(0).unwrap().json();
         assert_eq!(again["outcomes"], json!(["INSERTED"]));
-        // What is no answer of the server is Zenoh's word that there will be none.
+        // Any other reply is Zenoh's error that there will be no answer.
         for told in first.into_iter().flatten() {
             assert_eq!(told.json(), again);
         }

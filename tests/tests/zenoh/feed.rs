@@ -1,4 +1,4 @@
-//! What is published: the mutations of an index, whole and in order, and which indices there are.
+//! The publications: the mutations of an index, whole and in order, and the list of indices.
 
 use std::{
     fs,
@@ -51,7 +51,7 @@ pub(crate) fn insertion(ids: &[u64], payload: usize) -> v1::InsertRequest {
     }
 }
 
-/// Inserts, updates and removals: so many mutations, from `first` on.
+/// Makes `count` mutations, from `first` on: inserts, updates and removals.
 async fn mutate(stubs: &mut Stubs, first: u64, count: u64) {
     for step in first..first + count {
         match step % 4 {
@@ -187,7 +187,7 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
             follower.take(told).await;
         }
     }
-    // The last that was lost shows only when there is another.
+    // The loss of the last publication shows only once another arrives.
     mutate(&mut stubs, 40, 1).await;
     follower.take(next(&events).await).await;
     assert_eq!(
@@ -206,7 +206,7 @@ async fn a_piece_that_is_missing_is_seen() {
     let events = subscribe(&robot).await;
     let mut follower = Follower::new(&robot, &uid);
     follower.take(next(&events).await).await;
-    // Any of three, and what comes after it is told of the same mutation.
+    // Each of the three pieces is lost once, and the next piece still belongs to the same mutation.
     for lost in 0..3 {
         let ids: Vec<_> = (lost * 100..lost * 100 + 60).collect();
         let made = stubs.insert(insertion(&ids, 5_000)).await;
@@ -306,7 +306,7 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
     mutate(&mut stubs, 0, 3).await;
     assert_eq!(next_token().await, (SampleKind::Delete, token("arm")));
     assert_eq!(next_token().await, (SampleKind::Put, token("arm")));
-    // What it knows is of another past: it is told so, here and there.
+    // The follower knows another past: the publication and the log both say so.
     let told = next(&events).await;
     assert_eq!(told.revision.as_ref().unwrap().uid, new);
     let reset = follower.log().await;
@@ -383,7 +383,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
     assert_eq!(follower.log().await.reset(), ResetReason::WindowPassed);
 
     drop(open);
-    // Once it reads again, what is new comes through, and shows what was dropped.
+    // Once it reads again, new publications come through, and show that some were dropped.
     let mut last = 0;
     for more in 2.. {
         if last > WRITES + 1 {

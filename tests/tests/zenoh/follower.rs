@@ -1,4 +1,4 @@
-//! One who follows an index by its publications, and asks the log for what it missed.
+//! A client that follows an index by its publications, and asks the log for missed mutations.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use zenoh::bytes::Encoding;
 
 use crate::robot::Robot;
 
-/// What it knows of the index "arm".
+/// The follower's knowledge of the index "arm".
 pub(crate) struct Follower<'a> {
     robot: &'a Robot,
     pub(crate) content: Content,
@@ -17,7 +17,7 @@ pub(crate) struct Follower<'a> {
     pub(crate) mutations: Vec<v1::Mutation>,
     /// The pieces of the next one.
     pieces: Vec<v1::Mutation>,
-    /// How often it asked for what it missed.
+    /// The number of times it asked the log for missed mutations.
     pub(crate) repairs: usize,
 }
 
@@ -38,7 +38,7 @@ impl<'a> Follower<'a> {
         }
     }
 
-    /// Takes a publication, and asks for what it shows to be missing.
+    /// Takes a publication, and asks for the mutations that it shows to be missing.
     pub(crate) async fn take(&mut self, told: v1::WatchResponse) {
         let newest = told.revision.unwrap();
         assert_eq!(newest.uid, self.content.uid);
@@ -50,7 +50,7 @@ impl<'a> Follower<'a> {
         let first = told.mutations.first();
         match first.map(|first| (number(&first.revision), first.piece)) {
             Some(first) if first > expected => {
-                // A mutation of which pieces came before is asked for as a whole.
+                // The follower missed earlier pieces of this mutation, so it asks for all of it.
                 let before = first.0 - u64::from(first.1 == 0);
                 self.repair(before).await;
             }
@@ -76,7 +76,7 @@ impl<'a> Follower<'a> {
         }
     }
 
-    /// What the log tells after the newest revision that is known.
+    /// The log's mutations after the newest known revision.
     pub(crate) async fn log(&self) -> v1::WatchResponse {
         let request = v1::WatchRequest {
             after_revision: revision(&self.content.uid, self.content.revision),
@@ -93,7 +93,7 @@ impl<'a> Follower<'a> {
     }
 
     fn apply(&mut self, mutation: v1::Mutation) {
-        // After a repair, what was asked for may be published once more.
+        // After a repair, a mutation from the log may be published once more.
         let made = number(&mutation.revision);
         if made <= self.content.revision {
             return;

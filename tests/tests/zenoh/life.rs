@@ -60,7 +60,7 @@ async fn stopped_under_load() {
 
     server.process().signal(Signal::Terminate);
     server.log_until("stopping: finishing accepted calls");
-    // Whoever goes on asking must not cost anybody the answer.
+    // A client that goes on asking must not cost another its answer.
     let mut later = JoinSet::new();
     for _ in 0..200 {
         let replies = robot
@@ -69,7 +69,7 @@ async fn stopped_under_load() {
             .consolidation(ConsolidationMode::None)
             .timeout(PATIENCE)
             .await;
-        // A session that has lost its only link has nobody to ask.
+        // A session that has lost its only link has no peer to ask.
         let Ok(replies) = replies else { break };
         later.spawn(async move { replies.into_recv_async().await });
     }
@@ -111,7 +111,7 @@ async fn what_is_not_done_in_time_is_cut_and_shows_in_the_exit_status() {
     let robot = Robot::connect(&locator).await;
     let space = json!({ "name": "arm", "space_text": "R3" });
     let created = robot.json("create", space).await.unwrap();
-    // It waits for what will never come.
+    // The call waits for a revision that will never come.
     let at = json!({ "uid": created["index"]["revision"]["uid"], "number": 1 });
     let get = json!({ "ids": [1], "min_revision": at }).to_string();
     let replies = robot

@@ -1,4 +1,4 @@
-//! Peers that ask and take none of their answers: they hold up nobody, and are cut off.
+//! Peers that ask and take none of their answers: they block no other peer, and are cut off.
 
 use serde_json::{Value, json};
 use tokio::{
@@ -55,8 +55,8 @@ impl Mute {
                 }
             };
             tokio::select! {
-                // Where nobody reads any more, what the peer sends comes back as an error: at the latest its next sign
-                // of life.
+                // If the other side no longer reads, the peer's data comes back as an error: at the latest at its next
+                // sign of life.
                 _ = asked => {}
                 () = answered => {}
             }
@@ -75,7 +75,7 @@ impl Mute {
         task::spawn_blocking(move || {
             let send = |selector: &str, payload: &str| {
                 let query = self.session.get(format!("wayfold/v1/{selector}"));
-                // A session that was cut off has nobody to ask.
+                // A session that was cut off has no peer to ask.
                 let _ = query.payload(payload).timeout(PATIENCE).wait();
             };
             for _ in 0..queries {
@@ -108,11 +108,12 @@ async fn beside_mutes(locator: &str, queries: usize) -> (Robot, Vec<JoinHandle<(
     )
 }
 
-/// A server with small buffers, that waits so long for a peer to take an answer, and works on so many calls at a time. No
-/// peer gives it up before.
+/// A server with small buffers. It waits `wait_us` for a peer to take an answer, and works on at most `max_calls` calls
+/// at a time. No peer gives it up before.
 fn server(wait_us: u64, max_calls: &str) -> (ServerProcess, String) {
     let tx = json!({
-        // In an hour, 36,000 signs of life: how long Zenoh tries to send what is left is one of them.
+        // The lease of an hour has 36,000 signs of life, one each 100 ms. Zenoh tries for one such interval to send the
+        // rest.
         "lease": 3_600_000,
         "keep_alive": 36_000,
         "queue": { "congestion_control": { "block": { "wait_before_close": wait_us } } },
@@ -128,7 +129,7 @@ fn server(wait_us: u64, max_calls: &str) -> (ServerProcess, String) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn those_who_take_no_answers_hold_up_nobody() {
-    // As long as this test lasts.
+    // The wait lasts longer than this test.
     let (_server, locator) = server(3_600_000_000, "1024");
     let (robot, _relays) = beside_mutes(&locator, QUERIES).await;
     // The queries of a peer are taken in their order, those of one that a thread waits for not to the last.
@@ -155,7 +156,7 @@ async fn those_who_take_no_answers_are_cut_off() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn those_who_take_no_refusals_are_cut_off() {
-    // Most of what is asked has no place.
+    // Most of the queries exceed the capacity.
     let (_server, locator) = server(100_000, "4");
     let (robot, relays) = beside_mutes(&locator, REFUSED).await;
     for relay in relays {

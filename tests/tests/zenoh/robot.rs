@@ -39,7 +39,7 @@ pub(crate) fn server_at(
     (server, locator)
 }
 
-/// A session that finds nobody by itself.
+/// A session that finds no peer by itself.
 pub(crate) async fn session(mode: &str, listen: &[&str], connect: &[&str]) -> Session {
     let config = json!({
         "mode": mode,

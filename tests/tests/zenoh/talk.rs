@@ -1,4 +1,4 @@
-//! What is asked, and how: keys, parameters, payloads, encodings.
+//! The forms of a query: keys, parameters, payloads, encodings.
 
 use std::collections::BTreeSet;
 

@@ -1,6 +1,6 @@
-//! fjall alone, with group commit, writing the same bytes as our log: what a store of this kind leaves room for.
+//! fjall alone, with group commit, writing the same bytes as our log: the limit for a store of this kind.
 //!
-//! Nothing orders the writers, nothing is computed, and nobody reads.
+//! The writers are not ordered, the benchmark computes nothing, and it reads nothing.
 
 use std::{
     fs::{self, File},
@@ -20,13 +20,13 @@ use crate::{CLIENTS, place::Place, shape::Shape};
 
 /// How far behind an added key the removed one is: as many records as our window keeps.
 const BEHIND: u64 = 12_000;
-/// As our log has it.
+/// Our log uses the same size.
 const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 
 /// A way to share a sync.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Way {
-    /// 64 threads; who finds nobody syncing calls `persist(SyncData)` for all.
+    /// 64 threads; a thread that finds no sync under way calls `persist(SyncData)` for all.
     Leader,
     /// 64 threads, and one more that calls `persist(SyncData)`.
     Thread,
@@ -110,7 +110,7 @@ impl Bare {
         }
     }
 
-    /// Returns when 64 writers have had so many writes acknowledged.
+    /// Returns when 64 writers have had `count` writes acknowledged in all.
     pub(crate) async fn write(&self, count: usize) {
         let each = count / CLIENTS;
         if matches!(self.way, Way::Leader | Way::Thread) {
@@ -195,7 +195,7 @@ impl Writing {
         mine
     }
 
-    /// Returns once what this thread has committed is synced.
+    /// Returns once the writes that this thread has committed are synced.
     fn settle(&self, way: Way) {
         let mine = self.announce();
         let mut round = self.round();

@@ -1,4 +1,4 @@
-//! What a thousand idle indices of one point each take.
+//! The cost of a thousand idle indices of one point each.
 
 use std::{fs, time::Instant};
 
@@ -19,7 +19,7 @@ const COUNTS: [usize; 3] = [0, 100, 1_000];
 /// How often each is started.
 const STARTS: usize = 5;
 
-/// What a server with some idle indices takes.
+/// The cost of a server with some idle indices.
 struct Idle {
     files: f64,
     bytes: f64,

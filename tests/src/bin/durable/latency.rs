@@ -1,4 +1,4 @@
-//! What one client with one state in flight waits for.
+//! The latency for one client with one state in flight.
 
 use std::time::{Duration, Instant};
 

@@ -1,4 +1,4 @@
-//! Measures durability: what an acknowledgement, a restart and the disk cost, each beside the bare thing.
+//! Measures durability: the cost of an acknowledgement, of a restart and on disk. Each figure has a bare counterpart.
 //!
 //!     cargo run --release -p wayfold-tests --bin durable -- [--quick] [--dir DIR] [--json FILE]
 
@@ -22,7 +22,7 @@ use place::{Appended, Place};
 use report::Report;
 use shape::Shape;
 
-/// The server's own, so that what is measured is what runs; all contestants share it.
+/// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -32,7 +32,7 @@ const INDEX: &str = "durable";
 const K: u32 = 10;
 const CLIENTS: usize = 64;
 
-/// Measures what durability costs, each figure beside the bare thing.
+/// Measures the cost of durability; each figure has a bare counterpart.
 #[derive(Debug, Parser)]
 #[command(name = "durable")]
 struct Arguments {
@@ -58,7 +58,7 @@ struct Arguments {
 enum Part {
     /// Acknowledged inserts a second of 64 clients.
     Rates,
-    /// What one client waits for.
+    /// The latency for one client.
     Latency,
     /// The slowest calls while an index grows.
     Pauses,

@@ -22,9 +22,9 @@ use crate::{
 };
 
 const BATCH: usize = 1_000;
-/// What counts as a pause.
+/// A call that takes longer than this counts as a pause.
 const PAUSE: Duration = Duration::from_millis(20);
-/// A sync of the witness that takes this long is to blame for what waits beside it.
+/// A sync of the witness that takes this long is to blame for a pause at the same time.
 const SLOW_SYNC: Duration = Duration::from_millis(10);
 /// How often the witness syncs.
 const EVERY: Duration = Duration::from_millis(2);
@@ -104,7 +104,7 @@ fn is_excused(pause: &Taken, syncs: &[Taken]) -> bool {
         .any(|sync| sync.1 >= SLOW_SYNC && sync.0 < pause.0 + pause.1 && pause.0 < sync.0 + sync.1)
 }
 
-/// Appends and syncs on the same disk until it is told to stop: what is slow here is the disk's doing.
+/// Appends and syncs on the same disk until a message stops it. A slow sync here is due to the disk.
 fn witness(directory: &Path, stopped: &mpsc::Receiver<()>) -> Vec<Taken> {
     let mut file = Appended::new(directory);
     let mut taken = Vec::new();

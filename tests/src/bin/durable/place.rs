@@ -1,4 +1,4 @@
-//! Where the data goes.
+//! The place of the data on disk, and its size.
 
 use std::{
     fs::{self, File},
@@ -48,7 +48,7 @@ impl Appended {
         Self(file.expect("a file"))
     }
 
-    /// How long one append of so many bytes and its fdatasync take.
+    /// The duration of one append of `bytes` and its fdatasync.
     pub(crate) fn append(&mut self, bytes: &[u8]) -> Duration {
         let began = Instant::now();
         self.0.write_all(bytes).expect("room on the disk");
@@ -80,7 +80,7 @@ pub(crate) fn bytes_of(path: &Path) -> u64 {
 
 #[cfg(unix)]
 fn on_disk(metadata: &fs::Metadata) -> u64 {
-    // Journals are made with room for more: what was not written takes none.
+    // Journals are created with spare room. The unwritten part takes no space.
     std::os::unix::fs::MetadataExt::blocks(metadata) * 512
 }
 

@@ -26,7 +26,7 @@ const CONNECTIONS: [usize; 2] = [CLIENTS, 4];
 /// States of one client; they are inserted over and over, under new ids.
 const POOL: usize = 1024;
 
-/// What one round of one contestant came to.
+/// The result of one round of one contestant.
 #[derive(Clone, Copy, Debug, Default)]
 struct Round {
     /// Inserts a second.
@@ -35,12 +35,12 @@ struct Round {
     processor_us: (f64, f64),
 }
 
-/// Who is measured.
+/// A contestant of the measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Contestant {
     Bare(bare::Way),
     Service(Option<u32>),
-    /// Over so many connections.
+    /// The first number is that of the connections.
     Grpc(usize, Option<u32>),
     Echo(usize, Option<u32>),
 }
@@ -54,7 +54,7 @@ pub(crate) async fn measure(
 ) {
     let mut taken = BTreeMap::<Contestant, Vec<Round>>::new();
     for round in 0..rounds {
-        // In turns, so that what else the machine does meets all of them.
+        // The contestants take turns, so that other load on the machine affects all of them.
         for way in bare::Way::ALL {
             let bare = Bare::open(place, shape, way);
             let meter = Meter::start(None, count);
@@ -140,7 +140,7 @@ fn tell(medians: &BTreeMap<Contestant, Round>, shape: &Shape, report: &mut Repor
     report.data("bytes an insert", json!(shape.bytes()));
 }
 
-/// The server's figures, beside the echo's.
+/// Reports the server's figures, and the echo's for comparison.
 fn tell_grpc((grpc, echo): (Round, Round), bare: f64, with: &str, report: &mut Report) {
     let goal = Goal::AtLeast(0.7);
     report.ratio(&format!("gRPC, {with}"), grpc.rate, bare, "/s", goal);
@@ -165,7 +165,7 @@ fn tell_grpc((grpc, echo): (Round, Round), bare: f64, with: &str, report: &mut R
     }
 }
 
-/// Takes the time of so many inserts.
+/// Measures the time of `count` inserts.
 struct Meter {
     count: f64,
     server: Option<u32>,

@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-/// What is to be reached.
+/// The target of a ratio.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Goal {
     /// A ratio of at least this.
@@ -29,7 +29,7 @@ impl Report {
         self.json.insert(title.into(), json!({}));
     }
 
-    /// A figure beside another, and what their ratio is to be.
+    /// Prints a figure, the one it is compared with, and the target of their ratio.
     pub(crate) fn ratio(&mut self, what: &str, figure: f64, against: f64, unit: &str, goal: Goal) {
         let ratio = figure / against;
         let (sign, bound, reached) = match goal {
@@ -48,7 +48,7 @@ impl Report {
         );
     }
 
-    /// A figure beside another.
+    /// Prints a figure and the one it is compared with.
     pub(crate) fn compare(&mut self, what: &str, figure: f64, against: f64, unit: &str) {
         let ratio = figure / against;
         println!(
@@ -68,7 +68,7 @@ impl Report {
         self.put(what, json!({"figure": figure, "unit": unit}));
     }
 
-    /// What only programs read.
+    /// Adds data for programs only; it is not printed.
     pub(crate) fn data(&mut self, what: &str, value: Value) {
         self.put(what, value);
     }

@@ -14,7 +14,7 @@ use wayfold_tests::{k_nearest, row_states};
 
 use crate::{INDEX, SPACE, WIDTH};
 
-/// What the server keeps of recent mutations, by default.
+/// The bytes of recent mutations that the server keeps by default.
 pub(crate) const WINDOW_BYTES: usize = 4 * 1024 * 1024;
 
 /// A service over the durable log in a directory.

@@ -1,4 +1,4 @@
-//! What one insert of one state writes, read off a log of ours: the keys and values of its batch.
+//! The writes of one insert of one state, read off a log of ours: the keys and values of its batch.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -11,7 +11,7 @@ use crate::{
     service::{Hosting, insertion},
 };
 
-/// Where our log keeps its store, and all that is in it.
+/// The directory in which our log keeps its store, and the keyspace that holds all of it.
 pub(crate) const STORE: &str = "store";
 pub(crate) const KEYSPACE: &str = "wayfold";
 /// Records that are kept while the shape is read, in bytes: few, so that each insert also removes one.
@@ -23,7 +23,7 @@ const INSERTS: usize = 40;
 pub(crate) struct Shape {
     /// Keys and values that are new with each insert; the keys end with a number that counts.
     pub(crate) added: Vec<(Vec<u8>, Vec<u8>)>,
-    /// Keys and values that each insert writes anew.
+    /// Keys and values that each insert overwrites.
     pub(crate) changed: Vec<(Vec<u8>, Vec<u8>)>,
     /// Keys that each insert removes, of the form of an added one.
     pub(crate) removed: Vec<Vec<u8>>,

@@ -20,9 +20,9 @@ use crate::{
 };
 
 const BATCH: usize = 1_000;
-/// What a point is: its coordinates, id, tag and revision.
+/// The numbers of a point: its coordinates, id, tag and revision.
 const POINT_BYTES: usize = 8 * (WIDTH + 3);
-/// Where the coordinates are in the stored value of a point: after two revisions, the tag and the width.
+/// The offset of the coordinates in the stored value of a point: after two revisions, the tag and the width.
 const STATE_AT: usize = 26;
 
 pub(crate) async fn measure(place: &Place, points: usize, rounds: usize, report: &mut Report) {
@@ -102,7 +102,7 @@ pub(crate) async fn measure(place: &Place, points: usize, rounds: usize, report:
     );
 }
 
-/// Leaves so many points in a data directory, as a server does.
+/// Leaves `points` points in a data directory, as a server does.
 async fn fill(data: &Path, points: usize) {
     let server = measuring::server(&data.to_string_lossy());
     let mut stubs = Stubs::connect(server.uri()).await;

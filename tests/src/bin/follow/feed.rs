@@ -17,7 +17,7 @@ pub(crate) struct Inserted {
     pub(crate) acknowledged: Instant,
 }
 
-/// What feeding took.
+/// The cost of feeding.
 pub(crate) struct Fed {
     /// Points inserted a second.
     pub(crate) rate: f64,
@@ -25,7 +25,7 @@ pub(crate) struct Fed {
     pub(crate) round_trips: Vec<Duration>,
 }
 
-/// Inserts batches, each at its time, and tells of each; calls the echo beside.
+/// Inserts batches, each at its time, and reports each insert. Meanwhile it calls the echo.
 pub(crate) async fn feed(
     index: &IndexHandle,
     echo: &Stubs,
@@ -63,7 +63,7 @@ pub(crate) async fn feed(
         inserts.spawn(async move {
             let sent = Instant::now();
             let inserted = index.insert(rows.chunks(WIDTH)).await.expect("an insert");
-            // Nobody listens where nobody measures it.
+            // The receiver is gone where the inserts are not measured.
             let _ = told.send(Inserted {
                 rows,
                 revision: inserted.revision,

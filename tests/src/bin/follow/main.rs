@@ -1,4 +1,4 @@
-//! Measures a replica that follows a server, beside the same forest in this process, fed at the same rate.
+//! Measures a replica that follows a server, and the same forest in this process, fed at the same rate, for comparison.
 //!
 //!     cargo run --release -p wayfold-tests --bin follow -- [--points 50000] [--rate 10000] [--rounds 5] [--over-zenoh]
 //!         [--json FILE]
@@ -26,11 +26,11 @@ const SPACE: &str = "R3*SO3:0.15";
 const WIDTH: usize = 7;
 const K: u32 = 10;
 
-/// The server's own, so that what is measured is what runs; all contestants share it.
+/// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Measures a replica that follows a server, beside the same forest in this process.
+/// Measures a replica that follows a server, and the same forest in this process for comparison.
 #[derive(Debug, Parser)]
 #[command(name = "follow")]
 struct Arguments {

@@ -23,10 +23,10 @@ use crate::{
 
 /// States drawn in advance; they are asked about over and over.
 const POOL: usize = 4_096;
-/// As many as a replica runs.
+/// A replica runs this many.
 const MERGERS: usize = 2;
 
-/// What is measured.
+/// The setting of a measurement.
 pub(crate) struct Setting {
     pub(crate) points: usize,
     pub(crate) batch: usize,
@@ -45,7 +45,7 @@ pub(crate) struct Asked {
     pub(crate) by_clock: f64,
 }
 
-/// What a measurement of a replica found.
+/// The result of measuring a replica.
 pub(crate) struct Followed {
     pub(crate) asked: Asked,
     pub(crate) fed: Fed,
@@ -183,7 +183,7 @@ fn points(index: &IndexHandle, rows: &[f64], first_id: u64, revision: u64) -> Po
     points
 }
 
-/// A thread that asks on end.
+/// A thread that asks without pause.
 struct Asking {
     stop: Arc<AtomicBool>,
     thread: thread::JoinHandle<Asked>,

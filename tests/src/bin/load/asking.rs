@@ -26,7 +26,7 @@ const CALLS: usize = 1_000_000;
 const POOL: usize = 20_000;
 const BATCH: usize = 1_000;
 const IN_FLIGHT: usize = 64;
-/// What a measurement counts for beside an inserted point in the progress bar.
+/// A measurement advances the progress bar by this much; an inserted point advances it by one.
 pub(crate) const STEPS: usize = 20_000;
 
 /// A way to ask.
@@ -72,7 +72,7 @@ impl fmt::Display for Way {
     }
 }
 
-/// What one measurement found.
+/// The result of one measurement.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Asked {
     /// States answered a second.

@@ -1,4 +1,4 @@
-//! An index that grows by batches while a reader asks on.
+//! An index that grows by batches while a reader asks without pause.
 
 use std::{
     sync::{
@@ -16,10 +16,10 @@ use crate::{INDEX, SPACE, WIDTH, asking::Asker, asking::Way};
 
 const BATCH: usize = 1_000;
 
-/// What growing took.
+/// The cost of growing.
 #[derive(Clone, Debug)]
 pub(crate) struct Growth {
-    /// Points a second, with the reader beside.
+    /// Points a second, while the reader reads.
     pub(crate) inserts_per_second: f64,
     /// How long the calls took, in the order of their lengths.
     pub(crate) inserts: Vec<Duration>,
@@ -27,7 +27,7 @@ pub(crate) struct Growth {
     pub(crate) queries: Vec<Duration>,
 }
 
-/// Inserts so many points, one call in flight, with one call of a reader in flight beside it.
+/// Inserts `points` points with one call in flight. A reader has one call in flight meanwhile.
 pub(crate) async fn grow(stubs: &Stubs, points: usize, progress: &ProgressBar) -> Growth {
     let grown = Arc::new(AtomicBool::new(false));
     let (reading, mut reader) = (stubs.clone(), Asker::new(Way::OneInFlight, 1));

@@ -1,4 +1,4 @@
-//! The same search in this process: what of an answer's time is not the network's.
+//! The same search in this process: the part of an answer's time that is not the network's.
 
 use std::time::Duration;
 

@@ -1,12 +1,12 @@
-//! Measures a server under load, beside a bare tonic echo of the same messages.
+//! Measures a server under load, and a bare tonic echo of the same messages for comparison.
 //!
 //!     cargo run --release -p wayfold-tests --bin load -- [--points 1000000] [--rounds 5] [--json FILE]
 //!
-//! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`) in batches while a reader asks on,
-//! and then asks for ten neighbours in four ways: one call in flight, 64 in flight, batches of 1,000 states, and one
-//! pipelined stream. The echo takes the same requests and answers messages of the same size without looking at them:
-//! what it reaches is what the protocol leaves. The same search is done in this process, too: no server can take less
-//! than the echo and that search together. At last 64 writers insert without the network, and have neighbours told.
+//! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`) in batches while a reader asks
+//! on, and then asks for ten neighbours in four ways: one call in flight, 64 in flight, batches of 1,000 states, and
+//! one pipelined stream. The echo takes the same requests and answers messages of the same size without looking at
+//! them: its rate is the limit that the protocol sets. This process does the same search, too: no server can take less
+//! than the echo and that search together. At last 64 writers insert without the network, and ask for neighbours.
 
 mod asking;
 mod growth;
@@ -24,7 +24,7 @@ use asking::{Asker, Way};
 use inside::Inside;
 use report::{Report, Round};
 
-/// The server's own, so that what is measured is what runs; all contestants share it.
+/// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -33,7 +33,7 @@ const INDEX: &str = "load";
 const WIDTH: usize = 7;
 const K: u32 = 10;
 
-/// Measures a server under load, beside a bare tonic echo of the same messages.
+/// Measures a server under load, and a bare tonic echo of the same messages for comparison.
 #[derive(Debug, Parser)]
 #[command(name = "load")]
 struct Arguments {
@@ -88,7 +88,7 @@ async fn measure(arguments: &Arguments) -> Report {
     for way in Way::ALL {
         progress.set_message(way.to_string());
         let mut measured = Vec::new();
-        // In turns, so that what else the machine does meets all.
+        // The contestants take turns, so that other load on the machine affects all of them.
         for round in 0..rounds as u64 {
             let mut asker = Asker::new(way, round);
             measured.push(Round {

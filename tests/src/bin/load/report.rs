@@ -12,7 +12,7 @@ use crate::{
     writers::{self, WRITERS, Written},
 };
 
-/// What one round found.
+/// The result of one round.
 pub(crate) struct Round {
     pub(crate) server: Asked,
     pub(crate) echo: Asked,
@@ -21,7 +21,7 @@ pub(crate) struct Round {
 }
 
 impl Round {
-    /// The processor time that echo and search take together, of what the server and its client take.
+    /// The processor time of echo and search together, as a fraction of the time of the server and its client.
     fn share(&self) -> f64 {
         (self.echo.processor_us + self.search_us) / self.server.processor_us
     }
@@ -33,7 +33,7 @@ pub(crate) struct Figures {
     server: Asked,
     echo: Asked,
     search_us: f64,
-    /// Of [`Round::share`].
+    /// The median of [`Round::share`].
     share: f64,
 }
 
@@ -55,9 +55,9 @@ pub(crate) struct Report {
     pub(crate) written: Vec<(usize, Written)>,
     /// How many points the server held.
     pub(crate) points: u64,
-    /// What it says that they take.
+    /// The memory that the server reports for its points.
     pub(crate) memory_bytes: u64,
-    /// What the system says that its process took, before and after.
+    /// The resident memory of its process according to the system, before and after.
     pub(crate) resident_bytes: Option<(u64, u64)>,
 }
 

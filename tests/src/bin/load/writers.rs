@@ -1,5 +1,5 @@
-//! Inserts that ask for the neighbours of what they insert, 64 at a time, without the network: what the one writer of an
-//! index leaves to be done side by side.
+//! Inserts that ask for the neighbours of what they insert, 64 at a time, without the network. They show how much work
+//! runs in parallel although an index has only one writer.
 
 use std::{
     sync::Arc,
@@ -24,7 +24,7 @@ pub(crate) const BATCHES: [usize; 2] = [1, 100];
 /// Points that are there before, and as many are inserted.
 pub(crate) const POINTS: usize = 50_000;
 
-/// What one measurement found.
+/// The result of one measurement.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Written {
     /// States inserted a second.
@@ -35,7 +35,7 @@ pub(crate) struct Written {
     pub(crate) processors: f64,
 }
 
-/// Inserts into an index in memory, `batch` states a call, and has the nearest of each told.
+/// Inserts into an index in memory, `batch` states a call. Each call asks for the nearest of each state.
 pub(crate) async fn write(batch: usize, round: u64) -> Written {
     let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
     registry.replay().expect("an empty log");

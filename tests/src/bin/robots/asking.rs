@@ -30,7 +30,7 @@ pub(crate) enum Form {
 /// How long each answer took, in order.
 pub(crate) struct One(pub(crate) Vec<Duration>);
 
-/// What many in flight reach.
+/// The result of many queries in flight.
 pub(crate) struct Many {
     /// Answers a second.
     pub(crate) rate: f64,

@@ -19,7 +19,7 @@ pub(crate) fn main() -> ExitCode {
     });
     let config = Config::from_json5(&config.to_string()).expect("a configuration");
     let session = zenoh::open(config).wait().expect("a session");
-    // As long as most.
+    // The numbers have as many digits as most.
     let distances: Vec<f64> = (1..=K).map(|rank| (f64::from(rank) / 7.0).sqrt()).collect();
     let ids: Vec<u64> = (0..K).map(|rank| u64::from(rank) * 4_999).collect();
     let in_json = json!({

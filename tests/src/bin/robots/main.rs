@@ -1,10 +1,10 @@
-//! Measures the server over Zenoh, beside a bare queryable that answers the same bytes, and the search by itself.
+//! Measures the server over Zenoh, a bare queryable that answers the same bytes, and the search by itself.
 //!
 //!     cargo run --release -p wayfold-tests --bin robots -- [--points 50000] [--rounds 5]
 //!
-//! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`), and asks for ten neighbours of one
-//! state: with one query in flight, and with 64. The bare queryable answers what the server might, without looking at
-//! what is asked: what it reaches is what Zenoh leaves. All share one machine.
+//! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`), and asks for ten neighbours of
+//! one state: with one query in flight, and with 64. The bare queryable answers what the server might, without looking
+//! at the query: its rate is the limit that Zenoh sets. All share one machine.
 
 mod asking;
 mod bare;
@@ -23,7 +23,7 @@ use wayfold_tests::{
 
 use asking::{Asker, Form, Many, One};
 
-/// The server's own, so that what is measured is what runs; all contestants share it.
+/// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -37,7 +37,7 @@ const BATCH: usize = 1_000;
 /// Searches by which one is measured.
 const SEARCHES: usize = 20_000;
 
-/// Measures the server over Zenoh, beside a bare queryable.
+/// Measures the server over Zenoh, and a bare queryable for comparison.
 #[derive(Debug, Parser)]
 #[command(name = "robots")]
 struct Arguments {
@@ -99,7 +99,7 @@ async fn measure(arguments: &Arguments) {
         let mut figures = Figures::default();
         for round in 0..arguments.rounds.max(1) {
             let asker = Asker::new(&space, form, round as u64);
-            // In turns, so that what else the machine does meets both.
+            // The contestants take turns, so that other load on the machine affects both.
             figures.one.0.push(asker.one(&to_server).await);
             figures.one.1.push(asker.one(&to_bare).await);
             figures
@@ -150,7 +150,7 @@ fn search_us(space: &Space, rows: &[f64]) -> f64 {
     (thread_time() - before).as_secs_f64() * 1e6 / SEARCHES as f64
 }
 
-/// What was measured, of the server and of the bare queryable.
+/// The measurements of the server and of the bare queryable.
 #[derive(Default)]
 struct Figures {
     one: (Vec<One>, Vec<One>),

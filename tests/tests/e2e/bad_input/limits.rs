@@ -1,4 +1,4 @@
-//! What is too large is refused with the limit's name and value, never cut.
+//! A message that is too large is refused with the limit's name and value, never cut.
 
 use std::fs;
 

@@ -10,7 +10,7 @@ use super::{Bench, INDEX, good_row};
 
 type Expected = (Code, &'static str, &'static str);
 
-/// What can be wrong with a state, whichever call carries it.
+/// All faults that a state can have, whichever call carries it.
 fn bad_states() -> Vec<(&'static str, Option<States>, Expected)> {
     let row = |at: usize, value: f64| {
         let mut row = good_row();

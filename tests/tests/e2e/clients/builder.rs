@@ -51,7 +51,7 @@ impl Builder {
         }
     }
 
-    /// Checks that what it was told is so, and what is unknown whole or not at all.
+    /// Checks that each acknowledged change is there, and each unknown one whole or not at all.
     pub(crate) async fn check(&mut self, stubs: &mut Stubs) {
         let request = ListIndexesRequest::default();
         let listed = stubs.indexes.list_indexes(request).await.unwrap();

@@ -1,4 +1,4 @@
-//! Reads, and notes what it saw: at which revision of which index, bit for bit.
+//! Reads, and notes the answers bit for bit, each with its revision and index.
 
 use rand::RngExt;
 use tokio::{net::unix::pipe, sync::watch};
@@ -10,12 +10,12 @@ use wayfold_tests::{Content, INCLUDE_ALL, Model, States, Stubs, number, revision
 
 use super::{COORDINATES, SPACE};
 
-/// One read in so many is a scan of everything.
+/// One read in this many is a scan of everything.
 const SCANS: u32 = 30;
-/// Of so many revisions before the last that it saw it asks again, and of all since.
+/// A reader asks for the changes since a revision at most this far before the last that it saw.
 const RECENT: u64 = 2;
 
-/// What a reader saw.
+/// An answer that a reader saw.
 pub(crate) enum Seen {
     Knn(KnnRequest, KnnResponse),
     Get(GetRequest, GetResponse),
@@ -48,9 +48,9 @@ pub(crate) struct Reader {
     ids: Vec<u64>,
     newest: u64,
     uid: String,
-    /// What it saw since it was taken away last.
+    /// The answers since they were taken away last.
     pub(crate) seen: Vec<Seen>,
-    /// What it was refused with since then.
+    /// The refusals since then.
     pub(crate) refusals: Vec<Status>,
     /// How many of these were searches, for which nothing needs to be read.
     pub(crate) searches_refused: usize,
@@ -69,8 +69,8 @@ impl Reader {
         }
     }
 
-    /// Reads until it is over, whatever it is told. What others have under way meanwhile must not be seen. After each
-    /// time it tells so.
+    /// Reads until it is over, whatever the answers are. Unfinished work of others must not be seen. It signals each
+    /// read.
     pub(crate) async fn read(
         mut self,
         stubs: Stubs,
@@ -80,14 +80,14 @@ impl Reader {
         while !*over.borrow() {
             self.note(stubs.clone()).await;
             if let Some(looked) = &looked {
-                // It is full if it was told enough, and broken if the server was killed.
+                // The pipe is full if the other side has signals enough, and broken if the server was killed.
                 let _ = looked.try_write(&[1]);
             }
         }
         self
     }
 
-    /// Reads once, and notes what it sees or is told.
+    /// Reads once, and notes the answer or the refusal.
     pub(crate) async fn note(&mut self, stubs: Stubs) {
         match self.look(stubs).await {
             Ok(seen) => self.seen.push(seen),

@@ -1,4 +1,4 @@
-//! Counts what was acknowledged, and what of it is not there, or there twice.
+//! Counts the acknowledged mutations, and those of them that are lost or duplicated.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -29,7 +29,7 @@ struct Row {
 }
 
 impl Tally {
-    /// Takes note of what was acknowledged; of one client in its order.
+    /// Notes an acknowledged call. The calls of one client come in its order.
     pub(crate) fn note(&mut self, entry: &Entry) {
         self.calls += 1;
         self.acknowledged += 1;
@@ -59,7 +59,7 @@ impl Tally {
         }
     }
 
-    /// Compares it with what there is. What is found neither stored nor removed was lost, and is forgotten.
+    /// Compares it with the content. A mutation without its effect counts as lost. Removed rows are forgotten.
     pub(crate) fn count(&mut self, content: &Content) {
         let mut found: HashMap<&[u8], u64> = HashMap::new();
         for point in content.points.values() {

@@ -1,4 +1,4 @@
-//! Writes, and keeps a ledger of what was acknowledged.
+//! Writes, and keeps a ledger of the acknowledged mutations.
 
 use prost::bytes::Bytes;
 use rand::{RngExt, SeedableRng};
@@ -10,10 +10,10 @@ use wayfold_tests::{States, Stubs, k_nearest, ledger::Entry, row_states};
 
 use super::{COORDINATES, SPACE};
 
-/// What a writer sends.
+/// The calls that a writer sends.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Load {
-    /// Up to so many rows in one call.
+    /// The greatest number of rows in one call.
     pub(crate) rows: usize,
     /// How often a call carries large payloads instead.
     pub(crate) heavy: f64,
@@ -24,22 +24,22 @@ pub(crate) struct Load {
 /// Bytes of a large payload: as much as is allowed.
 const HEAVY_BYTES: usize = 64 * 1024;
 
-/// A client that writes one mutation after another, and remembers the one of which it does not know what became.
+/// A client that writes one mutation after another, and remembers the one whose outcome it does not know.
 pub(crate) struct Writer {
     pub(crate) name: u64,
     load: Load,
     random: ChaCha8Rng,
     states: States,
-    /// What large payloads are filled with: nothing is to be saved by compressing it.
+    /// The bytes that fill large payloads: compression saves nothing.
     noise: Vec<u8>,
     calls: u64,
     mine: Vec<u64>,
-    /// Those with large payloads.
+    /// The ids of points with large payloads.
     heavy: Vec<u64>,
     unknown: Option<Request>,
-    /// What it was told of that, if anything.
+    /// The refusal of that mutation, if it was refused.
     pub(crate) refusal: Option<Status>,
-    /// What was acknowledged since it was taken away last.
+    /// The mutations acknowledged since they were taken away last.
     pub(crate) ledger: Vec<Entry>,
 }
 
@@ -111,13 +111,13 @@ impl Writer {
         Vec::from_iter(one.map(|at| self.mine.swap_remove(at)))
     }
 
-    /// A payload like no other, of at least so many bytes.
+    /// A payload like no other, of at least `bytes` bytes.
     fn payload(&self, text: &str, bytes: usize) -> Bytes {
         let noise = &self.noise[text.len().min(bytes)..bytes];
         [text.as_bytes(), noise].concat().into()
     }
 
-    /// Writes until it is refused, or the server is gone; first what may or may not have taken place before.
+    /// Writes until it is refused, or the server is gone. It starts with the mutation whose outcome is unknown.
     pub(crate) async fn write(
         mut self,
         mut stubs: Stubs,
@@ -135,13 +135,13 @@ impl Writer {
         }
     }
 
-    /// What is unknown becomes known by asking again, and takes place once.
+    /// Resolves the unknown mutation by asking again; it takes place once.
     pub(crate) async fn resolve(&mut self, stubs: &mut Stubs) {
         let known = self.ask_again(stubs).await;
         assert!(known, "{:?}", self.refusal);
     }
 
-    /// Asks again for what is unknown; false if it still is.
+    /// Asks again for the unknown mutation; false if it is still unknown.
     pub(crate) async fn ask_again(&mut self, stubs: &mut Stubs) -> bool {
         match self.unknown.take() {
             Some(request) => self.send(stubs, request).await,
@@ -149,7 +149,7 @@ impl Writer {
         }
     }
 
-    /// Whether it was acknowledged; it is unknown if not.
+    /// Returns true if it was acknowledged; it is unknown if not.
     async fn send(&mut self, stubs: &mut Stubs, request: Request) -> bool {
         let answered = match &request {
             Request::Insert(insert) => {

@@ -57,7 +57,7 @@ impl Disk {
         Process::spawn(&mut command)
     }
 
-    /// As [`Disk::start`], and waits until it answers.
+    /// Calls [`Disk::start`], and waits until the server answers.
     pub(super) fn serve(&self) -> ServerProcess {
         ServerProcess::ready(self.start())
     }

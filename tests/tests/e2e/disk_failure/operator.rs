@@ -1,4 +1,4 @@
-//! What an operator is told of it.
+//! The server's report of a failed disk to an operator.
 
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{Finished, Process, Signal, Stubs, row_states};
@@ -7,7 +7,7 @@ use super::{RECOVERED, check_refusals, disk::Disk};
 
 /// Refused writes.
 const WRITES: u64 = 50;
-/// More than one, each of which could complain.
+/// The server has several indices, and each could complain.
 const INDEXES: u64 = 5;
 
 fn insert(uri: &str, row: &str) -> Finished {
@@ -49,6 +49,6 @@ async fn one_line_says_that_it_began_and_one_that_it_ended() {
     assert_eq!(count("ERROR"), 1, "{log}");
     assert_eq!(count("the log has failed"), 1, "{log}");
     assert_eq!(count(RECOVERED), 1, "{log}");
-    // And one that it was tried in vain to go on, however often.
+    // At most one warning says that the store could not go on, however often it tried.
     assert!(count("WARN") <= 1, "{log}");
 }

@@ -1,4 +1,4 @@
-//! A disk whose power can be cut: the files of a server, and the shadow that `tests/power/disk.c` keeps beside them.
+//! A disk whose power can be cut: the files of a server, and the shadow that `tests/power/disk.c` keeps of them.
 
 use std::{
     fs,
@@ -10,12 +10,12 @@ use wayfold_tests::{Process, ServerProcess};
 
 use crate::preload::compiled;
 
-/// A disk. What runs on it sees its files as they are written; once the power is cut only what is durable is left.
+/// A disk. A server on it sees its files as they are written. Once the power is cut, only the durable part is left.
 pub(super) struct Disk {
     directory: tempfile::TempDir,
     library: PathBuf,
     cuts: u64,
-    /// Whether the disk writes some of what it was not asked to, and what.
+    /// If present, the disk also writes some data that no sync asked for; the seed draws which.
     unasked: Option<u64>,
 }
 
@@ -68,7 +68,7 @@ impl Disk {
         Process::spawn(&mut command)
     }
 
-    /// As [`Disk::start`], and waits until it answers.
+    /// Calls [`Disk::start`], and waits until the server answers.
     pub(super) fn serve(&self, settings: &[(&str, &str)]) -> ServerProcess {
         ServerProcess::ready(self.start(settings))
     }
@@ -81,7 +81,7 @@ impl Disk {
         fs::create_dir(self.shadow()).unwrap();
     }
 
-    /// Cuts the power. What ran on it must have been killed.
+    /// Cuts the power. The server on it must have been killed.
     pub(super) fn cut(&mut self) {
         let (files, shadow) = (self.files(), self.shadow());
         self.cuts += 1;
@@ -97,8 +97,7 @@ impl Disk {
         fs::create_dir(self.shadow()).unwrap();
     }
 
-    /// Checks that the shadow of a server that has ended in order is what its files are: nothing was written behind its
-    /// back.
+    /// Checks that the shadow of a server that has ended in order equals its files: the shadow missed no write.
     pub(super) fn check_shadow(&self) {
         Self::check(&self.shadow());
         let copy = self.directory.path().join("copy");

@@ -1,4 +1,4 @@
-//! Writers, and what they did at each revision: what every answer of a replica is compared with.
+//! Writers, and their mutations at each revision. Every answer of a replica is compared with them.
 
 use std::{
     collections::BTreeMap,
@@ -12,7 +12,7 @@ use wayfold::{Client, Found, IndexHandle, Replica, RetryPolicy};
 use wayfold_index::{Filter, Linear, PointRef, Search, Space};
 use wayfold_tests::{States, bits};
 
-/// What one mutation did.
+/// The effect of one mutation.
 pub(super) enum Change {
     Stored {
         ids: Vec<u64>,
@@ -28,7 +28,7 @@ pub(super) enum Change {
     },
 }
 
-/// What was done, by the revision that it made.
+/// The changes, by the revision that each made.
 pub(super) type Past = BTreeMap<u64, Change>;
 
 /// A question, and what a replica answered.
@@ -46,7 +46,7 @@ pub(super) async fn client(uri: &str) -> Client {
     patient.connect(uri).await.unwrap()
 }
 
-/// Makes so many mutations, each of which changes something, of points of its own.
+/// Makes `calls` mutations of its own points; each changes something.
 pub(super) async fn write(index: IndexHandle, name: u64, calls: u64) -> Past {
     let mut random = ChaCha8Rng::seed_from_u64(100 + name);
     let mut states = States::new(index.space().clone(), name);
@@ -154,7 +154,7 @@ pub(super) fn question(random: &mut ChaCha8Rng, revision: u64) -> Question {
     Question { k, radius, filter }
 }
 
-/// Asks on until it is told to stop; keeps at most one answer for each revision that it saw.
+/// Asks on until `stop` is set; keeps at most one answer for each revision that it saw.
 pub(super) fn ask(replica: &Replica, space: Space, seed: u64, stop: &AtomicBool) -> Vec<Answered> {
     let mut states = States::new(space, 1_000 + seed);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -192,7 +192,7 @@ pub(super) fn compare(replica: &Replica, points: &Linear) {
     }
 }
 
-/// Replays the past and compares each answer with brute force at its revision. Returns what is there in the end.
+/// Replays the past and compares each answer with brute force at its revision. Returns the points at the end.
 pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> Linear {
     answers.sort_by_key(|answered| answered.found.revision.number);
     let mut answers = answers.into_iter().peekable();

@@ -22,12 +22,12 @@ pub(super) struct Proxy {
 
 struct Shared {
     way: watch::Sender<Way>,
-    /// After so many more bytes to the clients, all connections are cut, once.
+    /// After this many more bytes to the clients, all connections are cut, once.
     bytes_left: AtomicI64,
     cuts: watch::Sender<u64>,
 }
 
-/// Where connections lead.
+/// The destination of connections.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Way {
     To(SocketAddr),
@@ -74,7 +74,7 @@ impl Proxy {
         self.shared.cut();
     }
 
-    /// Cuts all connections after so many more bytes to the clients.
+    /// Cuts all connections after `bytes` more bytes to the clients.
     pub(super) fn cut_after(&self, bytes: i64) {
         self.shared.bytes_left.store(bytes, Ordering::Relaxed);
     }
@@ -123,7 +123,7 @@ impl Shared {
             let left = self.bytes_left.fetch_sub(count, Ordering::Relaxed);
             if left < count {
                 self.bytes_left.store(i64::MAX, Ordering::Relaxed);
-                // What is left goes through, and it ends in the middle of a frame.
+                // The remaining bytes go through, and the stream ends in the middle of a frame.
                 let passes = usize::try_from(left).unwrap_or(0);
                 let _ = to_client.write_all(&bytes[..passes]).await;
                 return self.cut();

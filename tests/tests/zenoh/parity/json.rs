@@ -1,4 +1,4 @@
-//! Requests as somebody writes them in JSON, and what the answers in JSON say: by hand, field for field.
+//! Requests in handwritten JSON, and the answers in JSON, read by hand field for field.
 
 use serde_json::{Map, Value, json};
 use wayfold_proto::v1::{self, create_index_request::SpaceForm, neighbor_spec};
@@ -14,7 +14,7 @@ fn float(value: f64) -> Value {
     }
 }
 
-/// As a program writes it that cares for readers with doubles only.
+/// Writes it like a program that supports readers with doubles only.
 fn integer(value: &u64) -> Value {
     match *value {
         large if large >= 1 << 53 => json!(large.to_string()),
@@ -197,7 +197,7 @@ fn text(value: &Value) -> String {
     value.as_str().unwrap().to_owned()
 }
 
-/// The elements of an array; none of what is not there.
+/// The elements of an array; empty if the value is missing.
 fn list<T>(value: &Value, read: impl Fn(&Value) -> T) -> Vec<T> {
     value.as_array().into_iter().flatten().map(read).collect()
 }
@@ -259,7 +259,7 @@ fn read_revision(it: &Value) -> Option<v1::Revision> {
 }
 
 fn read_index(it: &Value) -> v1::Index {
-    // The message of a space is told apart from its text in another test.
+    // Another test compares the message of a space with its text.
     let space: wayfold_index::Space = text(&it["space_text"]).parse().unwrap();
     assert!(it["space"].is_object());
     v1::Index {
@@ -274,7 +274,7 @@ fn read_index(it: &Value) -> v1::Index {
     }
 }
 
-/// What an answer says.
+/// Reads an answer from its JSON.
 pub(super) fn answer(op: &Op, it: &Value) -> Answer {
     let revision = || read_revision(&it["revision"]);
     match op {

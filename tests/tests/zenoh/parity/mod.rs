@@ -54,7 +54,7 @@ async fn the_faces_answer_alike() {
         }
         said.push(outcomes);
     }
-    // What a status says beyond the service's error, its words and all details, is the same on each face.
+    // A status adds words and all details to the service's error: these are the same on each face.
     for (at, (op, _)) in recorded.iter().enumerate() {
         assert_eq!(said[1][at], said[2][at], "{at}: {op:?}");
         if !matches!(op, Op::Log(_)) {

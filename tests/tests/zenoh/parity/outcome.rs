@@ -1,4 +1,4 @@
-//! What came of an operation, in a form that can be compared.
+//! The outcome of an operation, in a form that can be compared.
 
 use std::{collections::BTreeMap, fmt::Debug};
 
@@ -8,7 +8,7 @@ use tonic_types::pb;
 use wayfold_proto::v1;
 use wayfold_server::service::{Code, Error};
 
-/// Stands for the uid of the index, which is another on each server.
+/// Stands for the uid of the index, which differs on each server.
 pub(crate) const UID: &str = "11111111-2222-3333-4444-555555555555";
 
 /// An answer, written so that every bit shows, or a refusal.
@@ -25,7 +25,7 @@ pub(crate) struct Refused {
     reason: String,
     /// The fields and their reasons.
     fields: Vec<(String, String)>,
-    /// What the service's error does not have: the words, and the details but for the above.
+    /// The parts that the service's error lacks: the words, and the details but for the above.
     message: String,
     metadata: BTreeMap<String, String>,
     details: Vec<String>,
@@ -50,7 +50,7 @@ impl Outcome {
         }
     }
 
-    /// What also the service itself says.
+    /// The part that the service itself also returns.
     pub(crate) fn core(&self) -> Self {
         match self {
             Outcome::Told { .. } => self.clone(),

@@ -6,7 +6,7 @@ use wayfold_proto::v1::{self, neighbor_spec};
 
 use super::script::Op;
 
-/// Scales what some operations ask for.
+/// Scales the numbers and radii of some operations.
 pub(super) fn scale(op: &mut Op, random: &mut ChaCha8Rng) {
     if !random.random_bool(0.4) {
         return;
@@ -56,7 +56,7 @@ fn draw(random: &mut ChaCha8Rng) -> (Option<f64>, Option<v1::ScaledRadius>) {
     (k_factor, radius)
 }
 
-/// Whether it asks for numbers or radii by the size of the index.
+/// True if it asks for numbers or radii by the size of the index.
 pub(super) fn is_scaled(op: &Op) -> bool {
     let (count, reach): (Option<neighbor_spec::Count>, Option<neighbor_spec::Reach>) = match op {
         Op::Insert(it) => it

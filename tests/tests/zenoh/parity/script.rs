@@ -1,5 +1,5 @@
-//! The script: operations drawn from a seed, from few values, so that ties and conflicts are common; and by hand, whatever
-//! can be wrong with one.
+//! The script. Most operations are drawn from a seed, with few values, so that ties and conflicts are common. The
+//! others are written by hand: every way in which an operation can be wrong.
 
 use std::collections::VecDeque;
 
@@ -32,7 +32,7 @@ pub(crate) enum Op {
 }
 
 impl Op {
-    /// Where it is asked over Zenoh, under the prefix.
+    /// The key of the operation over Zenoh, under the prefix.
     pub(crate) fn key(&self) -> String {
         match self {
             Op::Create(_) => "create".into(),
@@ -65,7 +65,7 @@ impl Op {
         }
     }
 
-    /// Where it says the uid.
+    /// The fields that hold the uid.
     pub(crate) fn uids(&mut self) -> Vec<&mut String> {
         match self {
             Op::Create(_) | Op::Info(_) | Op::List(_) => Vec::new(),
@@ -100,7 +100,7 @@ fn since(filter: &mut Option<v1::Filter>) -> Option<&mut String> {
     Some(&mut revision.uid)
 }
 
-/// The operations, one by one: what is asked depends on the revision that was reached.
+/// The operations, one by one: some depend on the revision that was reached.
 pub(crate) struct Script {
     random: ChaCha8Rng,
     by_hand: VecDeque<Op>,
@@ -118,7 +118,7 @@ impl Script {
         }
     }
 
-    /// What came of the last operation.
+    /// Learns from the outcome of the last operation.
     pub(crate) fn learn(&mut self, outcome: &Outcome) {
         if let Outcome::Told { revision, .. } = outcome {
             self.revision = self.revision.max(*revision);
@@ -160,7 +160,7 @@ impl Script {
                 min_revision: self.min_revision(),
                 index: self.index(),
             }),
-            // Nothing that costs exactness: what else is found depends on how the trees were merged.
+            // The request keeps the search exact: an inexact one depends on how the trees were merged.
             65..80 => Op::Knn(v1::KnnRequest {
                 states: self.states(3),
                 count: self.k().map(knn_request::Count::K),
@@ -368,7 +368,7 @@ impl Script {
         name.to_owned()
     }
 
-    /// Of few, so that some come back, with another request or a twin.
+    /// Draws one of a few ids, so that some come back, with another request or a twin.
     fn operation_id(&mut self) -> String {
         match self.random.random_range(0..20) {
             0 if self.chance(0.3) => "x".repeat(65),

@@ -1,4 +1,4 @@
-//! Where the script is played: the service in this process, and the faces of servers.
+//! The places where the script is played: the service in this process, and the faces of servers.
 
 use std::sync::Arc;
 
@@ -131,7 +131,7 @@ pub(crate) enum Answer {
 }
 
 impl Answer {
-    /// What is another at each time and place is left out.
+    /// Leaves out the values that differ at each time and place.
     fn outcome(self) -> Outcome {
         let plain = |mut index: v1::Index| {
             index.memory_bytes = 0;
