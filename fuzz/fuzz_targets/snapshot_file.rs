@@ -1,4 +1,4 @@
-//! Snapshot files: as they are, and as parts whose digests match, whatever is in them.
+//! Snapshot files: as they are, and as parts whose digests match, with any content.
 #![no_main]
 
 use bytes::Bytes;

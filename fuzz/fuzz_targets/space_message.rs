@@ -1,4 +1,4 @@
-//! Spaces as messages: what is accepted is sent, printed and read again as the same space.
+//! Spaces as messages: an accepted space is sent, printed and read again as the same space.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

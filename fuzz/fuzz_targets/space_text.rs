@@ -1,4 +1,4 @@
-//! Spaces as people type them: what is read is printed, read again and sent as the same space.
+//! Spaces as people type them: an accepted text is printed, read again and sent as the same space.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,16 +1,17 @@
-//! How a structure that knows Euclidean space alone can answer exactly in a space with circles, or in the rotations.
+//! Lets a structure that knows only Euclidean space answer exactly in a space with circles, or in the rotations.
 //!
-//! A state is placed at its coordinates, each times √μ, and an answer is what lies nearest to any *image* of the query.
-//! An angle θ has the image θ ± P, on the other side of the interval that the stored angles lie in; a quaternion q has
-//! −q, while all that are stored have w ≥ 0. So an image is outside the region of the stored points, and the *gap*
-//! between the two bounds from below all that can be found from there: an image beyond what is needed is not asked.
+//! A state is placed at its coordinates, each times √μ, and an answer is the point nearest to any *image* of the query.
+//! An angle θ has the image θ ± P, on the other side of the interval of the stored angles. A quaternion q has the image
+//! −q, while all stored ones have w ≥ 0. So an image is outside the region of the stored points, and the *gap* between
+//! the two is a lower bound on all distances found from there. An image whose gap exceeds the needed distance is not
+//! searched.
 //!
-//! Products of a rotation with anything else have no such chart: the chord orders rotations as the angle does, but sums
-//! of squares of chords are not ordered as sums of squares of angles.
+//! Products of a rotation with anything else have no such chart. The chord orders rotations as the angle does, but sums
+//! of squares of chords have another order than sums of squares of angles.
 
 use wayfold_index::{Factor, Space};
 
-/// What a space looks like in Euclidean coordinates.
+/// The form of a space in Euclidean coordinates.
 #[derive(Clone, Debug)]
 pub struct Chart {
     /// √μ of each coordinate.
@@ -56,7 +57,7 @@ impl Chart {
         self.scales.len()
     }
 
-    /// Where a state lies.
+    /// The Euclidean coordinates of a state.
     pub fn place(&self, state: &[f64], place: &mut [f64]) {
         for ((at, x), scale) in place.iter_mut().zip(state).zip(&self.scales) {
             *at = x * scale;
@@ -73,10 +74,10 @@ impl Chart {
         chord * chord
     }
 
-    /// Asks from each image of `place` that may see something within `reach_2`; `ask` returns what is left of that.
+    /// Asks from each image of `place` that may see something within `reach_2`; `ask` returns the rest of that reach.
     ///
     /// No point can be found twice as long as the reach stays below half of each period, and below the chord of a right
-    /// angle: who checks answers for points that come twice will see it.
+    /// angle. The check of answers against brute force would show a point that comes twice.
     pub fn images(&self, place: &mut [f64], reach_2: f64, mut ask: impl FnMut(&[f64], f64) -> f64) {
         if self.is_rotation {
             let w = place[3];
@@ -93,7 +94,7 @@ impl Chart {
 }
 
 /// Asks from all images that differ from `place` in some of these circles, or, if it is one itself, in none.
-/// Leaves `place` as it was, and returns what is left of the reach.
+/// Leaves `place` as it was, and returns the rest of the reach.
 fn turn(
     circles: &[(usize, f64)],
     place: &mut [f64],

@@ -14,7 +14,7 @@ pub const MANY: usize = 10;
 /// How far distances may differ, relatively, where a structure computes them in another way than we do.
 const TOLERANCE: f64 = 1e-9;
 
-/// The points and queries of one row of the table, and what is true of them.
+/// The points and queries of one row of the table, with the correct answers to the first queries.
 pub struct Case<'a> {
     /// The space, by name.
     pub name: &'a str,
@@ -22,13 +22,13 @@ pub struct Case<'a> {
     pub space: &'a Space,
     /// The data's name.
     pub data: Data,
-    /// What is stored.
+    /// The stored points.
     pub points: &'a Rows,
-    /// What is asked.
+    /// The query states.
     pub queries: &'a Rows,
     /// The radius that `radius` asks for.
     pub radius: f64,
-    /// Of the first queries, what brute force finds: the nearest ones, and those within the radius.
+    /// The answers of brute force to the first queries: the nearest ones, and those within the radius.
     truth: Vec<(Vec<Neighbor>, Vec<Neighbor>)>,
 }
 

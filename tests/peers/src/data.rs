@@ -29,7 +29,7 @@ impl Data {
     /// All but the uniform.
     pub const UNEVEN: [Data; 4] = [Data::Sorted, Data::Clusters, Data::Rrt, Data::Manifold];
 
-    /// As tables call it.
+    /// The name in the tables.
     pub fn name(self) -> &'static str {
         match self {
             Data::Uniform => "uniform",
@@ -98,7 +98,7 @@ pub fn generate(
     let width = space.coordinates();
     let (mut stored, mut asked) = (Vec::new(), Vec::new());
     for (at, row) in rows.into_iter().enumerate() {
-        // Evenly from beginning to end: what a tree reaches late lies elsewhere than what it began with.
+        // The queries are spread evenly from beginning to end: a tree's late states lie elsewhere than its first ones.
         let is_query = (at + 1) * queries / all > at * queries / all;
         if is_query { &mut asked } else { &mut stored }.push(row);
     }
@@ -130,7 +130,7 @@ fn uniform(space: &Space, rng: &mut ChaCha8Rng) -> Vec<f64> {
     row
 }
 
-/// A uniform rotation: what of a cube lies in a ball, brought to the sphere.
+/// A uniform rotation: a point of a cube that lies in the ball, brought to the sphere.
 fn rotation(rng: &mut ChaCha8Rng) -> [f64; 4] {
     loop {
         let q: [f64; 4] = std::array::from_fn(|_| rng.random_range(-1.0..1.0));

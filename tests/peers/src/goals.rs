@@ -1,4 +1,4 @@
-//! What the index is meant to reach beside its peers, and what it reached in a run: a line for each goal.
+//! The goals of the index against its peers, and the figures that a run reached: a line for each goal.
 
 use crate::{
     MANY_POINTS, POINTS,
@@ -7,7 +7,7 @@ use crate::{
     structures::Kind,
 };
 
-/// What ours is held against.
+/// The value that ours is compared with.
 #[derive(Clone, Copy, Debug)]
 enum Against {
     /// The best of these.
@@ -39,7 +39,7 @@ const AT_REST: Against = Best(&[Kind::WayfoldRest]);
 /// How much longer than at rest a search may take while it grows.
 const GROWING: f64 = 1.5;
 
-/// What a point of SE3 is: seven coordinates, id, tag and revision.
+/// The size of a point of SE3: seven coordinates, id, tag and revision.
 const POINT_BYTES: Against = Value(80.0, "80 bytes of numbers");
 
 /// All goals.
@@ -131,7 +131,7 @@ impl Against {
     }
 }
 
-/// The goals of which a run has measured both sides; empty if there are none.
+/// The goals for which a run has measured both sides; empty if there are none.
 pub fn table(report: &Report) -> String {
     let header = [
         "goal",

@@ -1,5 +1,5 @@
-//! Wayfold's index beside the libraries that a planner could link instead: the same points, the same queries, one
-//! thread, answers checked against brute force before they are timed.
+//! Compares Wayfold's index with the libraries that a planner could link instead: the same points, the same queries,
+//! one thread, answers checked against brute force before they are timed.
 
 mod chart;
 mod check;
@@ -25,7 +25,7 @@ use report::{Op, Report};
 use spaces::{SETTINGS, Setting};
 use structures::Kind;
 
-/// Measures the index beside its peers and prints a table.
+/// Measures the index and its peers and prints a table.
 #[derive(Debug, Parser)]
 struct Options {
     /// Fewer spaces, 50,000 points, and little but uniform data: some minutes instead of twenty
@@ -34,11 +34,11 @@ struct Options {
     /// Figures 5, 6 and 7 of the paper again, instead of the table
     #[arg(long, conflicts_with = "quick")]
     paper: bool,
-    /// What a build that is not for this CPU alone loses, instead of the table (`run` fills in the program)
+    /// Measures the loss of a build that is not for this CPU alone, instead of the table (`run` fills in the program)
     #[arg(long, value_name = "PROGRAM", conflicts_with = "paper")]
     portable: Option<PathBuf>,
-    /// Measures nothing, and prints the table and the goals of figures that `--json` has written; of two figures of the same
-    /// the first file's counts
+    /// Measures nothing, and prints the table and the goals of figures that `--json` has written; of two figures of the
+    /// same the first file's counts
     #[arg(long, value_name = "FILE,...", value_delimiter = ',', conflicts_with_all = ["paper", "portable", "json"])]
     from: Vec<PathBuf>,
     /// Writes the figures to this file too
@@ -102,7 +102,7 @@ fn run(options: &Options) -> Result<(), Problem> {
     }
 }
 
-/// Those that are named, or all if none is.
+/// The named ones, or all if none is named.
 fn named<T: Clone>(
     what: &'static str,
     all: &[T],

@@ -1,5 +1,5 @@
-//! Timing in turns: every structure once, then every structure again, and the median of all rounds, so that what else
-//! the machine does meanwhile falls on all of them alike.
+//! Timing in turns: every structure once, then every structure again, and the median of all rounds, so that other load
+//! on the machine affects all of them alike.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -33,15 +33,15 @@ pub struct Effort {
     pub longest_rrt: Duration,
 }
 
-/// What takes longer to make than this is made once.
+/// A structure that takes longer than this to make is made once.
 const LONG_TO_MAKE: Duration = Duration::from_secs(5);
 
 /// A structure that is measured.
 struct Measured {
     kind: Kind,
-    /// What it took to make, in the way that is its own.
+    /// The time to make it, in its own way.
     made: Duration,
-    /// What the nearest takes.
+    /// The time of a search for the nearest.
     nearest: Duration,
 }
 
@@ -105,7 +105,7 @@ fn time_queries(
     let counts: Vec<usize> = structures
         .iter_mut()
         .map(|(_, structure)| {
-            // More and more, until caches are warm and what is left of a first call does not count.
+            // The count grows until caches are warm and the cost of a first call is negligible.
             let mut count = LEAST_QUERIES;
             loop {
                 let one = ask(case, op, structure.as_mut(), 0, count).as_secs_f64();
@@ -127,7 +127,7 @@ fn time_queries(
     times.into_iter().map(median).collect()
 }
 
-/// What each of `count` queries takes on average, from the `first` on.
+/// The average time of each of `count` queries, from the `first` on.
 fn ask(
     case: &Case<'_>,
     op: Op,
@@ -155,7 +155,7 @@ fn ask(
     (processor_time() - begin) / count as u32
 }
 
-/// Times what builds, what grows, and what is asked while it grows.
+/// Times building, growing, and searching while growing.
 fn time_growth(case: &Case<'_>, measured: &[Measured], effort: Effort, report: &mut Report) {
     let n = case.points.len();
     let mut times = vec![[const { Vec::new() }; 3]; measured.len()];
@@ -211,7 +211,7 @@ fn grow(kind: Kind, space: &Space, rows: &Rows, is_asked: bool) -> Duration {
     taken
 }
 
-/// The time that this thread has spent on a processor: what other programs take of a shared machine is not in it.
+/// The time that this thread has spent on a processor. It excludes other programs on a shared machine.
 fn processor_time() -> Duration {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     Duration::new(time.tv_sec as u64, time.tv_nsec as u32)

@@ -1,6 +1,6 @@
 //! Figures 5, 6 and 7 of the paper again: 100 queries for the nearest of 50,000 uniform points.
 //!
-//! Machines have changed since: what can be compared are ratios to brute force, the paper's to its own.
+//! Machines have changed since: only ratios to brute force can be compared, the paper's to its own.
 
 use std::time::Duration;
 
@@ -18,13 +18,14 @@ const TABLES: &str = include_str!("../paper-tables.csv");
 const POINTS: usize = 50_000;
 const QUERIES: usize = 100;
 
-/// A cover tree's construction grows from space to space of a figure; what follows one that took longer is left out.
+/// A cover tree's construction grows from space to space of a figure. The spaces after one that took longer are left
+/// out.
 const LONGEST_CONSTRUCTION: Duration = Duration::from_secs(20);
 
 /// One line of the paper's tables, in seconds.
 struct Line {
     figure: u32,
-    /// As the paper writes it.
+    /// The notation of the paper.
     space: String,
     naive: f64,
     /// Construction and queries of MPNN, of a cover tree, of sb(S).
@@ -61,7 +62,7 @@ impl Line {
     }
 }
 
-/// Measures all lines, and prints them beside the paper's.
+/// Measures all lines, and prints them next to the paper's.
 ///
 /// # Errors
 /// A structure does not equal brute force.
@@ -121,7 +122,7 @@ const MEASURED: [Kind; 5] = [
     Kind::CoverTree,
 ];
 
-/// What wide nodes, tight boxes and vector registers add to the paper's tree.
+/// The ratio that shows the gain from wide nodes, tight boxes and vector registers over the paper's tree.
 const REST_TO_MPNN: &str = "rest/mpnn";
 
 fn queries_header() -> Vec<Vec<String>> {

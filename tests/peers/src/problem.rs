@@ -1,4 +1,4 @@
-//! What can go wrong in a run.
+//! The errors of a run.
 
 use std::path::PathBuf;
 
@@ -10,9 +10,9 @@ pub enum Problem {
     /// A text that is none of a space.
     #[error("space {text:?}: {source}")]
     Space {
-        /// As it was given.
+        /// The given text.
         text: String,
-        /// What is wrong with it.
+        /// The fault of the space.
         source: SpaceError,
     },
     /// Generated data that the space refuses: a bug of the generator.
@@ -22,7 +22,7 @@ pub enum Problem {
         data: &'static str,
         /// The space, as text.
         space: String,
-        /// What is wrong with the state.
+        /// The fault of the state.
         source: StateError,
     },
     /// A structure that does not equal brute force.
@@ -39,19 +39,19 @@ pub enum Problem {
         n: usize,
         /// The name of the data.
         data: &'static str,
-        /// What was asked.
+        /// The operation of the query.
         op: &'static str,
         /// The place of the query in the run.
         query: usize,
-        /// What was found against what should have been.
+        /// The answer found against the correct one.
         difference: String,
     },
     /// A name that no structure or space has.
     #[error("no {what} is called {name:?}; there are {known}")]
     Unknown {
-        /// What was to be named.
+        /// The kind of thing that was to be named.
         what: &'static str,
-        /// As it was given.
+        /// The given name.
         name: String,
         /// The names there are.
         known: String,

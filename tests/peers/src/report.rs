@@ -1,10 +1,10 @@
-//! What was measured, as a table for people and as JSON for programs.
+//! The measurements, as a table for people and as JSON for programs.
 
 use std::{fmt::Write, fs, path::Path};
 
 use crate::{check::Case, data::Data, problem::Problem, structures::Kind};
 
-/// What is measured of a structure.
+/// The measured operation of a structure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Op {
     /// The nearest.
@@ -19,7 +19,7 @@ pub enum Op {
     Build,
     /// The nearest of a state is asked for, and the state inserted, until all are there.
     Rrt,
-    /// What is held, with the points themselves.
+    /// The memory held, with the points themselves.
     Memory,
 }
 
@@ -34,7 +34,7 @@ impl Op {
         Op::Memory,
     ];
 
-    /// As tables call it.
+    /// The name in the tables.
     pub fn name(self) -> &'static str {
         match self {
             Op::Knn1 => "knn1",
@@ -68,11 +68,11 @@ pub struct Figure {
     pub data: String,
     /// The structure, by name.
     pub structure: String,
-    /// What was measured, by name.
+    /// The measured operation, by name.
     pub op: String,
     /// The median.
     pub value: f64,
-    /// Of the value: for one query, one point, or the whole run.
+    /// The unit of the value: for one query, one point, or the whole run.
     pub unit: String,
 }
 
@@ -128,12 +128,12 @@ impl Report {
         self.figures.extend(figures);
     }
 
-    /// The figure of a structure in a space, of so many points of uniform data.
+    /// The figure of a structure in a space, with `n` points of uniform data.
     pub fn uniform(&self, space: &str, n: usize, kind: Kind, op: Op) -> Option<f64> {
         self.find((space, n, Data::Uniform.name()), kind.name(), op)
     }
 
-    /// The figure of a structure, of a space, so many points and the data of a name.
+    /// The figure of a structure for a case: a space, a number of points and the name of the data.
     fn find(&self, case: (&str, usize, &str), structure: &str, op: Op) -> Option<f64> {
         let is_it = |row: &&Figure| {
             (row.space.as_str(), row.n, row.data.as_str()) == case
@@ -199,7 +199,7 @@ impl Report {
         text + &self.uneven()
     }
 
-    /// What ours take where data is not uniform, in times of what they take where it is.
+    /// The figures of ours with data that is not uniform, as multiples of those with uniform data.
     fn uneven(&self) -> String {
         let ops = [Op::Knn1, Op::Knn10, Op::Radius, Op::Insert, Op::Build];
         let mut header = ["data / uniform", "n", "data"].map(str::to_owned).to_vec();
@@ -267,7 +267,7 @@ impl Report {
     }
 }
 
-/// What stands where nothing was measured.
+/// The cell of a table where no figure was measured.
 pub fn none() -> String {
     String::from("–")
 }

@@ -7,15 +7,15 @@ use crate::problem::Problem;
 /// A space and where it is measured.
 #[derive(Clone, Debug)]
 pub struct Setting {
-    /// What the tables call it.
+    /// The name in the tables.
     pub name: &'static str,
     /// Its text form, which has the weights.
     pub text: &'static str,
-    /// Whether `--quick` measures it.
+    /// True if `--quick` measures it.
     pub quick: bool,
-    /// Whether it is measured with a million points too.
+    /// True if it is measured with a million points too.
     pub million: bool,
-    /// Whether it is measured with data that is not uniform too.
+    /// True if it is measured with data that is not uniform too.
     pub uneven: bool,
 }
 

@@ -15,7 +15,7 @@ const CLUSTER_SPREAD: f64 = 0.02;
 const TREES: usize = 5;
 /// How far a tree is extended at once, as a part of the mean distance of two uniform states.
 const TREE_STEP: f64 = 0.1;
-/// States along an extension: what a planner stores of an edge that it has checked.
+/// States along an extension: a planner stores this many of an edge that it has checked.
 const STATES_OF_A_STEP: usize = 4;
 
 const SURFACE_THICKNESS: f64 = 1e-3;

@@ -1,6 +1,6 @@
-//! The peers in C++, behind the narrow face that `cpp/peer.h` declares.
+//! The peers in C++, behind the narrow interface that `cpp/peer.h` declares.
 //!
-//! This is the one place with `unsafe` code: calls into C++, and what they return.
+//! This is the one place with `unsafe` code: calls into C++, and their results.
 #![expect(unsafe_code, reason = "the peers are libraries in C++")]
 
 use std::ptr::NonNull;
@@ -17,7 +17,7 @@ struct Found {
     reach: f64,
 }
 
-/// A `Peer` of C++, of which only pointers are known.
+/// A `Peer` of C++. Rust knows only pointers to it.
 #[repr(C)]
 struct Opaque {
     _private: [u8; 0],
@@ -43,7 +43,7 @@ unsafe extern "C" {
     safe fn peer_heap_bytes() -> usize;
 }
 
-/// The bytes in use of the process's heap, whoever asked for them: Rust's allocator and C++'s are the same one here.
+/// The bytes in use of the process's heap, from any allocator: Rust's and C++'s are the same one here.
 pub fn heap_bytes() -> usize {
     peer_heap_bytes()
 }
@@ -76,7 +76,7 @@ impl Handle {
 
     fn nearest(&mut self, query: &[f64], k: usize, more: bool) -> (&[u32], f64) {
         assert_eq!(query.len(), self.width);
-        // SAFETY: as in `insert`; what it found stays in place until it is asked again, which borrows `self`.
+        // SAFETY: as in `insert`; the result stays in place until the next search, which borrows `self`.
         unsafe { held(peer_nearest(self.peer.as_ptr(), query.as_ptr(), k, more)) }
     }
 
@@ -101,7 +101,7 @@ impl Drop for Handle {
     }
 }
 
-/// What a peer found, and how far it reaches.
+/// The ids that a peer found, and its reach.
 ///
 /// # Safety
 /// The ids must stay in place for as long as the caller makes the borrow last.
@@ -109,7 +109,7 @@ unsafe fn held<'a>(found: Found) -> (&'a [u32], f64) {
     if found.count == 0 {
         return (&[], found.reach);
     }
-    // SAFETY: C++ returns a pointer to so many ids; that they stay is the caller's promise.
+    // SAFETY: C++ returns a pointer to `count` ids; that they stay is the caller's promise.
     let ids = unsafe { std::slice::from_raw_parts(found.ids, found.count) };
     (ids, found.reach)
 }
@@ -207,8 +207,8 @@ impl Structure for Charted {
     }
 }
 
-/// What OMPL's GNAT is compiled for: a cell of `cpp/gnat.cpp`, how often it stands in a row, and the weight of its
-/// rotation.
+/// The parameters that OMPL's GNAT is compiled for: a cell of `cpp/gnat.cpp`, its number of repeats in a row, and the
+/// weight of its rotation.
 #[derive(Clone, Copy)]
 pub struct Shape {
     cell: i32,
@@ -263,7 +263,7 @@ impl Shape {
 pub struct Gnat(Handle);
 
 impl Gnat {
-    /// With these rows, and room for so many in all.
+    /// Builds one from these rows, with room for `room` rows in all.
     pub fn new(shape: Shape, width: usize, rows: &[f64], room: usize) -> Self {
         let n = rows.len() / width;
         assert!(n <= room);

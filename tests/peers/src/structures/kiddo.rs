@@ -1,8 +1,8 @@
 //! The crate kiddo: its immutable and its mutable tree, with the parameters that it recommends, in Euclidean charts.
 //!
-//! Images are asked within what the answers so far leave to be found. The crate's own periodic boundaries are not used:
-//! they list all images first and ask those for the nearest without a bound, which was slower in SE2 and SO2^6 (1.5 and
-//! 0.6 us, 11.1 and 7.9 us in one run). Storing q and −q, instead of asking from both, took as long in SO3. The crate's
+//! The search of an image is bounded by the answers so far. The crate's own periodic boundaries are not used: they list
+//! all images first and search those for the nearest without a bound, which was slower in SE2 and SO2^6 (1.5 and 0.6
+//! us, 11.1 and 7.9 us in one run). Storing q and −q, instead of searching from both, took as long in SO3. The crate's
 //! feature `simd` needs a nightly compiler; its kernels for leaves do not, and are on.
 
 use std::num::NonZeroUsize;
@@ -14,7 +14,7 @@ use crate::{chart::Chart, data::Rows};
 
 type Metric = SquaredEuclidean<f64>;
 
-/// Whether a tree of this many coordinates is compiled in.
+/// True if a tree of this many coordinates is compiled in.
 pub fn has_width(coordinates: usize) -> bool {
     matches!(coordinates, 3 | 4 | 6 | 12 | 30)
 }
@@ -37,7 +37,7 @@ pub fn built(chart: Chart, rows: &Rows) -> Box<dyn Structure> {
 /// An empty mutable tree.
 ///
 /// # Panics
-/// As [`built`].
+/// Panics where [`built`] does.
 pub fn growing(chart: Chart) -> Box<dyn Structure> {
     match chart.width() {
         3 => Box::new(Growing::<3>::new(chart)),

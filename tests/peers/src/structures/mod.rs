@@ -1,4 +1,4 @@
-//! What is measured: ours and the peers', behind one face.
+//! The structures that are measured, ours and the peers', behind one trait.
 
 mod brute;
 mod cover;
@@ -16,8 +16,8 @@ use foreign::{Charted, Gnat, Shape};
 
 /// A structure that holds rows under the ids 0, 1, 2, … in the order in which they came.
 ///
-/// Answers are ids alone: what a distance is measured in is each library's own, and none is asked to convert it. All
-/// borrow themselves mutably, so that each can keep its buffers from query to query.
+/// Answers are ids alone: each library has its own measure of distance, and none is asked to convert it. All borrow
+/// themselves mutably, so that each can keep its buffers from query to query.
 pub trait Structure {
     /// The `k` nearest, into `found`.
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>);
@@ -25,7 +25,7 @@ pub trait Structure {
     /// All within a radius, into `found`, in any order.
     fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>);
 
-    /// Stores one more row. Only what [`Kind::empty`] made can.
+    /// Stores one more row. Only a structure that [`Kind::empty`] made can.
     fn insert(&mut self, row: &[f64]);
 }
 
@@ -78,7 +78,7 @@ impl Kind {
         Kind::Brute,
     ];
 
-    /// What the paper's tables are measured with.
+    /// The structures in the paper's tables.
     pub const PAPER: [Kind; 6] = [
         Kind::Wayfold,
         Kind::WayfoldRest,
@@ -88,7 +88,7 @@ impl Kind {
         Kind::Brute,
     ];
 
-    /// As tables call it.
+    /// The name in the tables.
     pub fn name(self) -> &'static str {
         match self {
             Kind::Wayfold => "wayfold",
@@ -106,17 +106,17 @@ impl Kind {
         }
     }
 
-    /// Whether it only appends, so that what an insertion takes says nothing.
+    /// True if it only appends, so that the time of an insertion says nothing.
     pub fn appends(self) -> bool {
         matches!(self, Kind::SimdScan | Kind::Brute)
     }
 
-    /// Whether it is the index that is measured against the others.
+    /// True if it is the index that is measured against the others.
     pub fn is_ours(self) -> bool {
         matches!(self, Kind::Wayfold | Kind::WayfoldRest)
     }
 
-    /// Whether it answers in the order (distance, id), and so in the ids that brute force finds.
+    /// True if it answers in the order (distance, id), and so in the ids that brute force finds.
     pub fn orders_by_id(self) -> bool {
         self.is_ours() || self == Kind::Mpnn
     }
@@ -148,7 +148,7 @@ impl Kind {
         }
     }
 
-    /// Whether it takes points one by one.
+    /// True if it takes points one by one.
     pub fn grows(self) -> bool {
         match self {
             Kind::Wayfold
@@ -166,12 +166,12 @@ impl Kind {
         }
     }
 
-    /// Whether it has another way to take all points at once.
+    /// True if it has another way to take all points at once.
     pub fn builds(self) -> bool {
         !self.grows() || self == Kind::OmplGnat
     }
 
-    /// An empty one, to be grown up to so many points.
+    /// An empty one, to be grown up to `room` points.
     ///
     /// # Panics
     /// If it does not grow, or refuses the space.

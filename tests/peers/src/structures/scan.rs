@@ -1,6 +1,6 @@
 //! The floor in many dimensions: every point, its coordinates side by side with those of its neighbours in memory, so
-//! that the compiler bounds several of them at once. Exact: what the bound lets through is measured by the
-//! space's own distance.
+//! that the compiler bounds several of them at once. It is exact: the space's own distance measures the points that the
+//! bound lets through.
 
 use wayfold_index::{Factor, Space};
 
@@ -9,7 +9,7 @@ use super::Structure;
 /// Points whose coordinates lie together, and whose bounds fit into the registers of a CPU.
 const LANES: usize = 32;
 
-/// How much a bound may exceed what it bounds, relatively: some dozens of roundings.
+/// The greatest relative excess of a bound over its quantity: some dozens of roundings.
 const MARGIN: f64 = 1e-13;
 
 /// How much a chord's square, of order 1, may be off by rounding.
