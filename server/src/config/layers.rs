@@ -15,7 +15,8 @@ const PREFIX: &str = "WAYFOLD_";
 const SEPARATOR: &str = "__";
 
 /// Settings that may be 0; `default.toml` says what 0 means for each.
-const MAY_BE_ZERO: [&str; 5] = [
+const MAY_BE_ZERO: [&str; 6] = [
+    "index.growing_rows",
     "grpc.keepalive_interval_ms",
     "limits.operations_remembered",
     "limits.operation_bytes",
