@@ -115,19 +115,22 @@ pub(crate) fn check_unique(ids: &[u64]) -> Result<(), Error> {
     }
 }
 
-/// The operation id of part `part` of `parts`: the call's own if there is one part only.
-pub(crate) fn operation_id(id: &str, part: usize, parts: usize) -> Result<String, Error> {
+/// The operation ids of the parts of a call: the call's own for the first, and for each other one with its first row. If a
+/// repeated call is divided in another way, an id comes with other rows, and the server refuses it.
+pub(crate) fn operation_ids(id: &str, parts: &[Range<usize>]) -> Result<Vec<String>, Error> {
     const MAX_BYTES: usize = 64;
-    let id = if parts == 1 {
-        id.to_owned()
-    } else {
-        format!("{id}/{part}")
+    let of_part = |part: &Range<usize>| {
+        let id = match part.start {
+            0 => id.to_owned(),
+            row => format!("{id}/{row}"),
+        };
+        if id.len() > MAX_BYTES {
+            return Err(Error::Argument {
+                field: "operation_id",
+                problem: format!("{id:?} is longer than {MAX_BYTES} bytes"),
+            });
+        }
+        Ok(id)
     };
-    if id.len() > MAX_BYTES {
-        return Err(Error::Argument {
-            field: "operation_id",
-            problem: format!("{id:?} is longer than {MAX_BYTES} bytes"),
-        });
-    }
-    Ok(id)
+    parts.iter().map(of_part).collect()
 }

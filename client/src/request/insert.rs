@@ -148,7 +148,7 @@ impl Insert {
     }
 
     /// At most 64 bytes: the insert takes effect once, however often it is sent under this id. Unless set, the client
-    /// makes one for its own retries. The parts of a divided insert have `ID/0`, `ID/1` and so on.
+    /// makes one for its own retries. The later parts of a divided insert have `ID/ROW`, with their first row.
     pub fn operation_id(mut self, id: impl Into<String>) -> Insert {
         self.operation_id = id.into();
         self
@@ -171,9 +171,9 @@ impl Insert {
             neighbors: None,
             revision: self.index.revision(),
         };
-        for (number, part) in parts.iter().enumerate() {
-            let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
-            let message = || self.message(&states, part, &operation_id);
+        let operation_ids = limits::operation_ids(&self.operation_id, &parts)?;
+        for (part, operation_id) in parts.iter().zip(&operation_ids) {
+            let message = || self.message(&states, part, operation_id);
             let answer = self
                 .index
                 .call(CALL, message, |mut stub, request| async move {

@@ -66,8 +66,8 @@ impl Remove {
             missing_count: 0,
             revision: self.index.revision(),
         };
-        for (number, part) in parts.iter().enumerate() {
-            let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
+        let operation_ids = limits::operation_ids(&self.operation_id, &parts)?;
+        for (part, operation_id) in parts.iter().zip(&operation_ids) {
             let message = || v1::RemoveRequest {
                 index: self.index.name().to_owned(),
                 ids: self.ids[part.clone()].to_vec(),

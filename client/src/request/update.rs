@@ -105,9 +105,9 @@ impl Update {
             unchanged_count: 0,
             revision: self.index.revision(),
         };
-        for (number, part) in parts.iter().enumerate() {
-            let operation_id = limits::operation_id(&self.operation_id, number, parts.len())?;
-            let message = || self.message(part, &operation_id);
+        let operation_ids = limits::operation_ids(&self.operation_id, &parts)?;
+        for (part, operation_id) in parts.iter().zip(&operation_ids) {
+            let message = || self.message(part, operation_id);
             let answer = self
                 .index
                 .call(CALL, message, |mut stub, request| async move {

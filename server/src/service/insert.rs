@@ -17,6 +17,7 @@ use super::{
     prefetch::{Prefetch, PrefetchedRow},
     read_view::revision,
     staging::Staging,
+    stored::MAX_READS_AHEAD,
 };
 use crate::{
     log::{Effects, Outcome},
@@ -61,10 +62,14 @@ impl Service {
         let most = self.limits().answer_bytes;
         let read = payloads.read(call, &hosted, &head, unread, most);
         read.await?;
+        let (mut reads, mut held) = (1, None);
         let (writer, effects, evaluated) = loop {
-            let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-                Start::Remembered(response) => return Ok(response),
-                Start::Writing(writer) => writer,
+            let writer = match held.take() {
+                Some(writer) => writer,
+                None => match self.begin(call, &hosted, claim.as_ref()).await? {
+                    Start::Remembered(response) => return Ok(response),
+                    Start::Writing(writer) => writer,
+                },
             };
             head = Arc::clone(writer.head());
             payloads.catch_up(&hosted, &writer);
@@ -95,8 +100,13 @@ impl Service {
                 let (effects, response) = evaluation.finish()?;
                 break (writer, effects, response);
             }
-            // Other writers changed the index: read the rest without the writer, then evaluate the rows again.
-            drop(writer);
+            // Other writers changed the index: read the rest, without the writer if possible, then evaluate the rows again.
+            if reads < MAX_READS_AHEAD {
+                drop(writer);
+            } else {
+                held = Some(writer);
+            }
+            reads += 1;
             let read = payloads.read(call, &hosted, &head, unread, most);
             // The answer has all of these payloads, and maybe more.
             Room::new(self.limits()).take(read.await?)?;

@@ -1,5 +1,5 @@
-//! Reads of stored points, possibly from a disk. They run on threads that may block, never on those that answer calls,
-//! and never while an index's writer is held: a mutation reads ahead ([`ReadAhead`]).
+//! Reads of stored points, possibly from a disk. They run on threads that may block, never on those that answer calls. A
+//! mutation reads before it takes the index's writer ([`ReadAhead`]), and with it only after [`MAX_READS_AHEAD`] reads.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -10,6 +10,10 @@ use crate::{
     log::{LogError, StoredPoint, View},
     registry::{Hosted, Published, Writer},
 };
+
+/// How often a mutation reads without the writer. Writers that commit a lot meanwhile could otherwise starve it, so the
+/// last time it reads with the writer held.
+pub(super) const MAX_READS_AHEAD: usize = 3;
 
 /// Points read at once. A call can be cancelled between two batches.
 pub(super) const BATCH_ROWS: usize = 256;

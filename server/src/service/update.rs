@@ -12,7 +12,7 @@ use super::{
     check::{self, Violations},
     mutation::{Claim, Start},
     read_view::{revision, revision_number},
-    stored::ReadAhead,
+    stored::{MAX_READS_AHEAD, ReadAhead},
 };
 use crate::{
     log::{Effects, Outcome},
@@ -36,6 +36,7 @@ impl Service {
 
         let mut stored = ReadAhead::new(false, Arc::clone);
         let mut head = hosted.newest();
+        let mut reads = 0;
         let writer = loop {
             let read = stored.read(call, DOING, &hosted, &head, &request.ids);
             read.await?;
@@ -44,8 +45,14 @@ impl Service {
                 Start::Writing(writer) => writer,
             };
             head = Arc::clone(writer.head());
-            // It fails only where others have written a great deal meanwhile.
+            reads += 1;
+            // It fails only if others have written a great deal meanwhile.
             if stored.catch_up(&hosted, &writer) {
+                break writer;
+            }
+            if reads == MAX_READS_AHEAD {
+                let read = stored.read(call, DOING, &hosted, &head, &request.ids);
+                read.await?;
                 break writer;
             }
         };

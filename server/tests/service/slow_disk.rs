@@ -2,9 +2,15 @@
 
 use std::sync::Arc;
 
-use futures_util::{future::BoxFuture, poll};
+use futures_util::{
+    future::{BoxFuture, join_all},
+    poll,
+};
 use wayfold_proto::v1;
-use wayfold_server::service::{Error, Limits, Service};
+use wayfold_server::{
+    registry::RegistryOptions,
+    service::{Error, Limits, Service},
+};
 
 use crate::{fault::FaultLog, support::*};
 
@@ -335,4 +341,29 @@ async fn an_insert_is_told_the_payloads_of_the_neighbours_it_has_at_last() {
         told.unwrap(),
         (vec![3, 50], vec![payload(3), "near".into()])
     );
+}
+
+/// Other writers commit more than the cache of records holds during each read: the update still ends.
+#[tokio::test]
+async fn an_update_that_others_overtake_again_and_again_ends() {
+    let (log, _) = ten_points().await;
+    let options = RegistryOptions {
+        window_bytes: 1,
+        ..options()
+    };
+    let service = restarted_with(Arc::new(log), options, Limits::default());
+    let updating = service.clone();
+    let update =
+        tokio::spawn(async move { updating.update(&CALL, update(&[], &["changed"])).await });
+    let mut overtaken = 0;
+    while !update.is_finished() {
+        let others = [[100.0], [101.0]].map(async |row| {
+            let inserted = service.insert(&CALL, insertion(&[row], &[])).await;
+            inserted.unwrap();
+        });
+        join_all(others).await;
+        overtaken += 1;
+        assert!(overtaken < 5_000, "the update starves");
+    }
+    assert_eq!(update.await.unwrap().unwrap().updated_count, 1);
 }
