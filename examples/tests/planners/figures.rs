@@ -1,4 +1,4 @@
-//! What `--json` writes: the same rows by each program, whoever solved the problem.
+//! The rows that `--json` writes, the same for each program and each kind of planner.
 
 use std::{collections::BTreeSet, fs, process::Command};
 

@@ -1,4 +1,4 @@
-//! What the library `rigid-checks` tells other languages is what the program `rigid` sees itself.
+//! The library `rigid-checks` gives other languages the answers that the program `rigid` gets itself.
 
 #![expect(
     unsafe_code,
