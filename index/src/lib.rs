@@ -11,7 +11,8 @@
 //!
 //! Nothing here does I/O, waits, or starts a thread. Reading order: `space` (the metric), `points` and `neighbor` (points
 //! stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `kernel` and `quantize` (bounds of
-//! many boxes or points at once), `kdtree`, `forest`.
+//! many boxes or points at once), `kdtree`, `forest`, `overlay` (changes
+//! that a snapshot does not have yet).
 //!
 //! ```
 //! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
@@ -38,6 +39,7 @@ mod kernel;
 mod linear;
 mod mpnn;
 mod neighbor;
+mod overlay;
 mod points;
 mod quantize;
 mod scaling;
@@ -52,6 +54,7 @@ pub use kernel::Kernels;
 pub use linear::Linear;
 pub use mpnn::Mpnn;
 pub use neighbor::Neighbor;
+pub use overlay::{Overlay, search_overlaid};
 pub use points::{Point, PointRef, Points};
 pub use scaling::Scaling;
 pub use search::{Answer, Filter, Search};

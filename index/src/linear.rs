@@ -91,8 +91,7 @@ impl Linear {
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         search.check(&self.space, state)?;
         let admitted = self.points.iter().filter(|point| {
-            search.filter.admits(point.tag, point.revision)
-                && search.excluded.is_none_or(|ids| !ids.contains(&point.id))
+            search.filter.admits(point.tag, point.revision) && !search.excludes(point.id)
         });
         let measured = admitted.map(|point| Neighbor {
             distance: self.space.distance(state, point.row),

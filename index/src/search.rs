@@ -40,8 +40,8 @@ pub struct Search<'a> {
     pub until: Option<Instant>,
     /// Limits the search to some of the points.
     pub filter: Filter,
-    /// Leaves out the points with these ids.
-    pub excluded: Option<&'a HashSet<u64>>,
+    /// Leaves out the points whose ids are in one of these sets.
+    pub excluded: &'a [&'a HashSet<u64>],
 }
 
 impl Search<'_> {
@@ -54,7 +54,7 @@ impl Search<'_> {
             max_leaves: usize::MAX,
             until: None,
             filter: Filter::default(),
-            excluded: None,
+            excluded: &[],
         }
     }
 
@@ -64,6 +64,12 @@ impl Search<'_> {
             radius,
             ..Self::nearest_k(usize::MAX)
         }
+    }
+
+    /// True if the point with this id is left out.
+    #[inline]
+    pub(crate) fn excludes(&self, id: u64) -> bool {
+        self.excluded.iter().any(|ids| ids.contains(&id))
     }
 
     /// Checks that the search can be answered for `state` in `space`.

@@ -207,7 +207,7 @@ impl<'a> Traversal<'a> {
                 continue;
             }
             let id = labels.id(slot);
-            if self.search.excluded.is_some_and(|ids| ids.contains(&id)) {
+            if self.search.excludes(id) {
                 continue;
             }
             self.add_candidate(keys[lane], id, &block[lane..]);

@@ -209,9 +209,9 @@ async fn open_registry(
     data: DataConfig,
 ) -> Result<Registry, ServerError> {
     let open = move || {
-        let log: Arc<dyn Log> = match data.directory() {
-            Some(directory) => Arc::new(FjallLog::open(directory, data.durability)?),
-            None => Arc::new(MemoryLog::default()),
+        let log = match data.directory() {
+            Some(directory) => Log::from(Arc::new(FjallLog::open(directory, data.durability)?)),
+            None => Log::from(Arc::new(MemoryLog::new())),
         };
         let registry = Registry::new(log, options);
         registry.replay()?;

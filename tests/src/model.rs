@@ -216,7 +216,7 @@ impl Model {
     fn neighbors(&self, spec: &NeighborSpec, row: &[f64], id: Option<u64>) -> Vec<(u64, u64)> {
         let own = HashSet::from_iter(id);
         let search = Search {
-            excluded: Some(&own),
+            excluded: &[&own],
             ..search(spec.count, spec.reach, spec.filter.as_ref())
         };
         self.search(row, &search)
@@ -241,7 +241,7 @@ impl Model {
         }
         let own = HashSet::from_iter(id);
         let nearest = Search {
-            excluded: Some(&own),
+            excluded: &[&own],
             ..Search::nearest_k(1)
         };
         if request.min_separation > 0.0

@@ -222,9 +222,7 @@ impl<'a> Query<'a> {
     fn scan(&mut self, slots: Range<usize>) {
         let search = self.search;
         for point in slots.map(|slot| self.tree.points.get(slot)) {
-            if !search.filter.admits(point.tag, point.revision)
-                || search.excluded.is_some_and(|ids| ids.contains(&point.id))
-            {
+            if !search.filter.admits(point.tag, point.revision) || search.excludes(point.id) {
                 continue;
             }
             let neighbor = Neighbor {

@@ -184,7 +184,7 @@ pub fn brute_force<'a>(
     let mut all: Vec<Neighbor> = points
         .into_iter()
         .filter(|point| point.tag & tag_mask == tag_value && point.revision > since_revision)
-        .filter(|point| search.excluded.is_none_or(|ids| !ids.contains(&point.id)))
+        .filter(|point| !search.excluded.iter().any(|ids| ids.contains(&point.id)))
         .map(|point| Neighbor {
             distance: space.distance(state, point.row),
             id: point.id,
@@ -216,7 +216,7 @@ pub fn assert_same(found: &[Neighbor], expected: &[Neighbor], what: &str) {
 pub fn searches<'a>(
     near: &[Neighbor],
     points: usize,
-    excluded: &'a HashSet<u64>,
+    excluded: &'a [&'a HashSet<u64>],
 ) -> Vec<(String, Search<'a>)> {
     let mut searches = Vec::new();
     let mut ask = |name: &str, search: Search<'a>| searches.push((name.to_owned(), search));
@@ -242,7 +242,7 @@ pub fn searches<'a>(
     search.filter.since_revision = 1 + points as u64 / 20;
     ask("k, tag, since", search);
     let mut search = Search::nearest_k(5);
-    search.excluded = Some(excluded);
+    search.excluded = excluded;
     ask("k, excluded", search);
     searches
 }

@@ -135,7 +135,7 @@ fn conforms(space_text: &str, shape: Shape) {
     for query in &queries {
         let near = brute_force(&space, points.iter(), query, &Search::nearest_k(usize::MAX));
         let excluded: HashSet<u64> = near.iter().step_by(2).map(|neighbor| neighbor.id).collect();
-        for (asked, search) in searches(&near, points.len(), &excluded) {
+        for (asked, search) in searches(&near, points.len(), &[&excluded]) {
             let expected = brute_force(&space, points.iter(), query, &search);
             for (name, structure) in &structures {
                 let what = format!("{space_text} {shape:?} {name} {asked} {query:?}");

@@ -19,17 +19,28 @@ pub enum LogError {
         /// The uid.
         uid: Uid,
     },
-    /// Somebody else appended first.
-    #[error(
-        "index {uid}: the head is revision {head}, not {expected}: another writer has appended"
-    )]
+    /// Another writer was first.
+    #[error("index {uid}: the newest revision is {head}, not {expected}: another writer was first")]
     Fenced {
         /// The index.
         uid: Uid,
-        /// What the writer took for the head.
+        /// The revision that the writer took for the newest.
         expected: u64,
-        /// The head.
+        /// The newest revision.
         head: u64,
+    },
+    /// The journal's answer to a record was lost: the record may be in the journal or not.
+    #[error(
+        "index {uid}: the answer to the record of revision {revision} was lost ({what}): it may be in the journal or not; read \
+         what you wrote, or repeat the call with the same operation_id"
+    )]
+    Unconfirmed {
+        /// The index.
+        uid: Uid,
+        /// The revision of the record.
+        revision: u64,
+        /// The cause.
+        what: String,
     },
     /// Records that were asked for have been trimmed.
     #[error("index {uid}: the records after revision {after} are held only from {oldest} on")]

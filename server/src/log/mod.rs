@@ -1,20 +1,22 @@
 //! The mutation log: the server's only source of state.
 //!
-//! The server is one state machine, *mutation log → forest*. A mutation is evaluated against the head, its
-//! [`Effects`] are appended as one [`Record`], and the record is applied to the forest. Whatever else needs to know
-//! what happened (a restart, a feed, a replica) reads the same records. Replaying one decides nothing: a record holds
-//! what a mutation did, never what was asked.
+//! The server is one state machine, *mutation log → forest*. A mutation is evaluated, its [`Effects`] are submitted to the
+//! [`Journal`] as one [`Record`], and the apply loop of the index (`registry`) takes the record from the journal and applies
+//! it to the [`PointStore`] and the forest. A restart, a feed and a replica read the same records. A record holds the effects
+//! of a mutation, never the request, so applying one decides nothing.
 //!
-//! Besides its records a log keeps their sum, the *points* of each index as of its head ([`View`]): the checkpoint
-//! from which replay starts, and the place where payloads live.
+//! The point store holds the sum of the records ([`View`]): the checkpoint from which a restart goes on, and the place where
+//! payloads live. The [`Catalogue`] holds the names and uids of the indices.
 //!
-//! The stores: `fjall` keeps the log in a directory, `memory` in the process. One suite runs over these, and over one
-//! that fails on purpose.
+//! Two engines implement all three: `fjall` in a directory, where a record and the points that it changes are one batch, and
+//! `memory` in the process. One conformance suite runs over these, over an engine that fails on purpose, and over a journal
+//! that behaves like one on another machine.
 //!
-//! Invariants of every [`Log`]:
-//! - The revisions of an index start at 1 and have no gaps; record `n` carries the digest of record `n - 1`.
-//! - Of two writers that append after the same revision one wins, and the other is refused ([`LogError::Fenced`]).
-//! - A view never changes, whatever is appended, trimmed or deleted while it is held.
+//! Invariants:
+//! - The revisions of an index start at 1 and have no gaps; record `n` carries the digest of record `n - 1`. Every record
+//!   takes a revision, also one without points.
+//! - Of two writers that submit after the same revision one wins, and the other is refused ([`LogError::Fenced`]).
+//! - A view never changes, whatever is applied, trimmed or deleted while it is held.
 //! - A uid is never used again.
 
 mod cursor;
@@ -22,13 +24,13 @@ mod error;
 mod fjall;
 mod memory;
 mod record;
+mod retention;
 mod uid;
-mod window;
 
 use std::sync::Arc;
 
 use bytes::Bytes;
-use futures_util::future::BoxFuture;
+use futures_util::{future::BoxFuture, stream::BoxStream};
 use wayfold_index::Space;
 
 #[cfg(fuzzing)]
@@ -37,13 +39,13 @@ pub use self::fjall::{Durability, FjallLog, OpenError};
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Effects, Operation, Outcome, Record};
+pub use retention::Retention;
 pub use uid::Uid;
-pub use window::Keep;
 
-/// An index as the log knows it. That names are unique is the registry's care.
+/// An index of the catalogue. The registry keeps names unique.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
-    /// Names its past.
+    /// Its uid, which stands for its history.
     pub uid: Uid,
     /// Its name.
     pub name: String,
@@ -51,30 +53,30 @@ pub struct Entry {
     pub space: Space,
 }
 
-/// An index of which the log knows that it was there, and not what it held.
+/// An index of which only the name is left.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Gone {
+pub struct Lost {
     /// Its name.
     pub name: String,
     /// Its uid.
     pub uid: Uid,
-    /// What became of it.
+    /// The cause.
     pub why: LogError,
 }
 
-/// Where the log of an index begins.
+/// The beginning of an index's log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Origin {
     /// Its first revision: that of its first points.
     pub revision: u64,
     /// The least id above every id that was ever stored.
     pub next_id: u64,
-    /// What its first record carries for the digest of the record before.
+    /// The digest that its first record carries as that of the record before.
     pub digest: Digest,
 }
 
 impl Origin {
-    /// Of an index that begins with nothing.
+    /// The origin of an empty index.
     pub const START: Self = Self {
         revision: 0,
         next_id: 0,
@@ -82,66 +84,121 @@ impl Origin {
     };
 }
 
-/// A store of mutation logs, one for each index.
+/// A record's place in the log of its index. Two writers may give their records the same revision, but not the same digest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tip {
+    /// Its revision.
+    pub revision: u64,
+    /// Its digest.
+    pub digest: Digest,
+}
+
+/// A stream of batches of records, each the successor of the one before. It waits at the end, and ends after an error.
+pub type RecordStream = BoxStream<'static, Result<Vec<Arc<Record>>, LogError>>;
+
+/// The answer of a [`Journal`] to a record that it was handed.
+pub enum Receipt {
+    /// The journal cannot refuse the record any more. [`Journal::follow`] yields it once it is durable, or an error.
+    Accepted,
+    /// Resolves once the journal has accepted or refused the record: [`LogError::Fenced`] if another writer has its revision,
+    /// [`LogError::Unconfirmed`] if the answer was lost, so that the record may be in the journal or not.
+    Awaited(BoxFuture<'static, Result<(), LogError>>),
+}
+
+/// The records of all indices, in the order of their revisions: the only truth.
 ///
-/// A [`LogError::Storage`] ends all writing, until [`Log::reopen`] succeeds; reading goes on.
-pub trait Log: Send + Sync {
-    /// All indices, in no particular order; also those that cannot be read, of which [`Log::points`] says why.
-    fn indexes(&self) -> Result<Vec<Entry>, LogError>;
+/// A [`LogError::Storage`] ends all writing, until [`PointStore::reopen`] succeeds; reading goes on.
+pub trait Journal: Send + Sync {
+    /// Hands over a record, which names the record that it follows. An error means that the record is not in the journal:
+    /// [`LogError::Fenced`] if it does not follow the newest. Records may be submitted while earlier ones are under way. May
+    /// block if [`Journal::is_busy`], or if points are replaced or removed.
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError>;
 
-    /// The indices of which nothing is left but that they were there. They can be deleted.
-    fn gone(&self) -> Vec<Gone> {
-        Vec::new()
-    }
+    /// The records after the revision `after`, once they are as durable as this journal makes them.
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream;
 
-    /// Starts the log of a new index, at revision 0.
-    fn create(&self, entry: Entry) -> Result<(), LogError>;
-
-    /// Starts the log of a new index that begins as a copy of another: at a revision, with points and without records.
-    /// It is there once the copy is finished, whole or not at all.
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
-
-    /// Deletes an index's records and points. Views that are held stay as they are.
-    fn delete(&self, uid: Uid) -> Result<(), LogError>;
-
-    /// Appends one record after `expected`, the revision that the writer takes for the head; the record's revision is
-    /// the next. On return [`Log::tail`] and [`Log::points`] show the record, but only [`Log::synced`] says when it
-    /// will survive a crash.
-    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError>;
-
-    /// Resolves once the record of `revision`, and so every one before it, is as durable as this log makes it, to the
-    /// newest revision of which that is so then.
-    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>>;
-
-    /// The records after the revision `after`, intact and each the successor of the one before; None for all that are
-    /// still held. Only the first of them, as many as take `most` bytes (see [`Effects::bytes`]), but at least one.
-    /// [`LogError::Trimmed`] if some of them are held no longer.
-    fn tail(&self, uid: Uid, after: Option<u64>, most: usize)
-    -> Result<Vec<Arc<Record>>, LogError>;
-
-    /// The points as of the head, pinned.
-    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;
-
-    /// The newest operations among those of all records, the oldest first; also of records that are held no longer.
-    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError>;
+    /// The records after the revision `after` that the journal holds, durable or not; None for all. Only the first of them
+    /// that fit into `max_bytes` (see [`Effects::bytes`]), but at least one. [`LogError::Trimmed`] if some of them are no
+    /// longer held. Blocks.
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError>;
 
     /// Forgets the oldest records and operations that need not be kept, but never the newest of each.
-    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError>;
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;
 
-    /// Whether the next append may have to wait until the store has caught up: it is better made where one may block.
+    /// True if the next [`Journal::submit`] may block on the store; call it from a blocking thread then.
     fn is_busy(&self) -> bool {
         false
     }
+}
 
-    /// Why nothing is written any more.
+/// The points of all indices as of the newest record that was applied: the local checkpoint, where payloads live.
+pub trait PointStore: Send + Sync {
+    /// Applies consecutive records of an index, and returns its points as of the last of them. A record that the store has
+    /// already, because it was submitted here, is not applied again. Applies at least one record.
+    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError>;
+
+    /// The points as they are stored now, pinned.
+    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;
+
+    /// The newest operations among those of all records, the oldest first; also of records that were trimmed.
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError>;
+
+    /// Starts a new index that begins as a copy of another: at a revision, with points and without records. It appears once
+    /// the copy is finished, whole or not at all.
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
+
+    /// The failure after which nothing is written.
     fn failure(&self) -> Option<LogError> {
         None
     }
 
-    /// Opens a store that has failed anew, if what made it fail is over. Afterwards each index is as it is stored:
-    /// mutations that were not synced are there or not. Views from before are [`LogError::Closed`].
+    /// Reopens a store that has failed, if the cause is gone. Afterwards each index is as it is stored: records that were
+    /// not durable are there or not. Earlier views return [`LogError::Closed`].
     fn reopen(&self) -> Result<(), LogError> {
         Ok(())
+    }
+}
+
+/// The indices, by name and uid.
+pub trait Catalogue: Send + Sync {
+    /// All indices, in no particular order; also those that cannot be read, of which [`PointStore::view`] gives the cause.
+    fn indexes(&self) -> Result<Vec<Entry>, LogError>;
+
+    /// The indices of which only the names are left. They can be deleted.
+    fn lost(&self) -> Vec<Lost> {
+        Vec::new()
+    }
+
+    /// Adds a new index, at revision 0.
+    fn create(&self, entry: Entry) -> Result<(), LogError>;
+
+    /// Deletes an index with its records and points. Views that are held stay as they are.
+    fn delete(&self, uid: Uid) -> Result<(), LogError>;
+}
+
+/// The three parts of a log. They may be one engine, or a journal on another machine beside a local point store.
+#[derive(Clone)]
+pub struct Log {
+    /// Its records.
+    pub journal: Arc<dyn Journal>,
+    /// Their sum.
+    pub points: Arc<dyn PointStore>,
+    /// Its indices.
+    pub catalogue: Arc<dyn Catalogue>,
+}
+
+impl<Engine: Journal + PointStore + Catalogue + 'static> From<Arc<Engine>> for Log {
+    fn from(engine: Arc<Engine>) -> Self {
+        Self {
+            journal: Arc::clone(&engine) as Arc<dyn Journal>,
+            points: Arc::clone(&engine) as Arc<dyn PointStore>,
+            catalogue: engine,
+        }
     }
 }
 
@@ -150,17 +207,22 @@ pub trait Restoring: Send {
     /// Adds the next points, by ascending id.
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError>;
 
-    /// Makes the index one of the log's, for certain.
+    /// Adds the index to the catalogue, durably.
     fn finish(self: Box<Self>) -> Result<(), LogError>;
 }
 
-/// The points of one index as of one revision, for as long as it is held: the sum of the records up to there.
+/// The points of one index as of one revision, for as long as it is held: the sum of the records up to that revision.
 pub trait View: Send + Sync {
     /// The revision.
-    fn revision(&self) -> u64;
+    fn revision(&self) -> u64 {
+        self.tip().revision
+    }
 
     /// The least id above every id that was ever stored, by this revision or an earlier one.
     fn next_id(&self) -> u64;
+
+    /// The newest record in the sum.
+    fn tip(&self) -> Tip;
 
     /// The point with this id.
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError>;

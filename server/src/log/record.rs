@@ -6,7 +6,7 @@ use bytes::Bytes;
 use sha2::{Digest as _, Sha256};
 use wayfold_index::{PointRef, Points};
 
-use super::cursor::Cursor;
+use super::{Tip, cursor::Cursor};
 
 mod encoding;
 
@@ -113,7 +113,15 @@ impl Effects {
         self.removed.is_empty() && outcomes.all(|&outcome| outcome == Outcome::Inserted)
     }
 
-    /// How many points it stores or removes.
+    /// The number of new points it stores.
+    pub fn inserted(&self) -> usize {
+        let outcomes = self.outcomes.iter();
+        outcomes
+            .filter(|&&outcome| outcome == Outcome::Inserted)
+            .count()
+    }
+
+    /// The number of points it stores or removes.
     pub fn len(&self) -> usize {
         self.stored.len() + self.removed.len()
     }
@@ -176,7 +184,22 @@ impl Record {
     /// What the first record of an index carries for the digest of the record before.
     pub const NO_PREVIOUS: Digest = [0; 32];
 
-    /// The record of `revision`, after one whose digest is `previous`, appended at `time_ms`.
+    /// The next record after `tip`, made now.
+    pub fn after(tip: Tip, effects: Effects) -> Self {
+        Self::new(
+            tip.revision + 1,
+            tip.digest,
+            time_ms(SystemTime::now()),
+            effects,
+        )
+    }
+
+    /// True if it is the next record after `tip`.
+    pub fn follows(&self, tip: Tip) -> bool {
+        self.revision == tip.revision + 1 && self.previous == tip.digest
+    }
+
+    /// The record of `revision`, after one whose digest is `previous`, made at `time_ms`.
     pub fn new(revision: u64, previous: Digest, time_ms: u64, effects: Effects) -> Self {
         let mut record = Self {
             revision,
@@ -187,6 +210,14 @@ impl Record {
         };
         record.digest = record.computed_digest();
         record
+    }
+
+    /// Its place in the log.
+    pub fn tip(&self) -> Tip {
+        Tip {
+            revision: self.revision,
+            digest: self.digest,
+        }
     }
 
     /// The revision that this mutation made.

@@ -46,6 +46,7 @@ impl From<LogError> for RegistryError {
             LogError::UnknownIndex { .. } => Self::Deleted,
             error @ (LogError::UidTaken { .. }
             | LogError::Fenced { .. }
+            | LogError::Unconfirmed { .. }
             | LogError::Trimmed { .. }
             | LogError::Damaged { .. }
             | LogError::DamagedPoint { .. }

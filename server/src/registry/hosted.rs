@@ -1,26 +1,26 @@
 //! One index: the state that its readers see, and access to its writer.
 
 use std::{
-    collections::VecDeque,
-    sync::{Arc, atomic::AtomicU64},
+    sync::{
+        Arc, Weak,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
     time::SystemTime,
 };
 
-use futures_util::FutureExt;
-use tokio::sync::{Mutex, watch};
-use tracing::{debug, warn};
-use wayfold_index::{Snapshot, Space};
+use tokio::sync::{Mutex, mpsc, watch};
+use tokio_util::task::AbortOnDropHandle;
+use wayfold_index::{Forest, Snapshot, Space};
 
 use super::{
-    Host, OperationWindow, RegistryError, WriteGuard, Writer, merging::FinishedMerge,
+    Host, RegistryError, WriteGuard, Writer,
+    apply::{self, Applied, Awaited},
+    in_flight::{InFlight, notify},
+    merging::FinishedMerge,
+    operations::Operations,
     recent::RecentRecords,
 };
-use crate::log::{Effects, Entry, Keep, LogError, Record, Uid, View};
-
-/// A mutation above these sizes, or one that changes existing points, is committed on a blocking thread. Inline it would
-/// delay the calls that share the caller's thread.
-const MAX_INLINE_POINTS: usize = 1024;
-const MAX_INLINE_BYTES: usize = 128 * 1024;
+use crate::log::{Entry, LogError, Record, Retention, Uid, View};
 
 /// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
@@ -40,54 +40,77 @@ pub struct Hosted {
     space: Space,
     pub(super) host: Arc<Host>,
     state: watch::Sender<State>,
-    writer: Arc<Mutex<Writer>>,
+    pub(super) writer: Arc<Mutex<Writer>>,
+    pub(super) applied: Arc<Mutex<Applied>>,
+    pub(super) in_flight: parking_lot::Mutex<InFlight>,
+    pub(super) operations: parking_lot::Mutex<Operations>,
+    /// The newest revision that may have done more than add points.
+    pub(super) last_change: AtomicU64,
     /// Merges that wait to be swapped in.
     pub(super) finished_merges: parking_lot::Mutex<Vec<FinishedMerge>>,
-    /// The head's revision at the last check for idleness, and at the last check that found the index idle.
+    /// The published revision at the last check for idleness, and at the last check that found the index idle.
     pub(super) last_seen_revision: AtomicU64,
     pub(super) last_idle_revision: AtomicU64,
-    unsynced: parking_lot::Mutex<Unsynced>,
-    recent: parking_lot::Mutex<RecentRecords>,
+    pub(super) recent: parking_lot::Mutex<RecentRecords>,
+    apply_loop: parking_lot::Mutex<ApplyLoop>,
 }
 
-/// Heads that are not yet as durable as configured, and so not published.
-#[derive(Default)]
-struct Unsynced {
-    /// Oldest first.
-    heads: VecDeque<Arc<Published>>,
-    /// True if a task publishes them.
-    publishing: bool,
+/// The task that applies the records of the log, and the receipts that it is given.
+struct ApplyLoop {
+    receipts: mpsc::UnboundedSender<Awaited>,
+    _task: AbortOnDropHandle<()>,
 }
 
 struct State {
-    /// The writer's head, with all finished merges.
-    head: Arc<Published>,
-    /// The newest revision that is as durable as configured.
+    /// The newest revision that is applied; it is as durable as configured.
     published: Arc<Published>,
     /// The error that closed the index; no later state comes.
     closed: Option<RegistryError>,
 }
 
 impl Hosted {
-    pub(super) fn new(host: &Arc<Host>, entry: &Entry, writer: Writer) -> Arc<Self> {
-        let state = State {
-            head: Arc::clone(writer.head()),
-            published: Arc::clone(writer.head()),
-            closed: None,
-        };
-        Arc::new(Self {
+    /// Serves an index from the points of `view`, of which `forest` is made, and follows the log from there on. Needs a
+    /// runtime.
+    pub(super) fn new(
+        host: &Arc<Host>,
+        entry: &Entry,
+        forest: Forest,
+        view: Arc<dyn View>,
+        operations: Operations,
+    ) -> Arc<Self> {
+        let published = Arc::new(Published {
+            snapshot: forest.snapshot(),
+            revision: view.revision(),
+            view,
+        });
+        Arc::new_cyclic(|hosted| Self {
             name: entry.name.clone(),
             uid: entry.uid,
             uid_text: entry.uid.to_string(),
             space: entry.space.clone(),
             host: Arc::clone(host),
-            state: watch::Sender::new(state),
-            writer: Arc::new(Mutex::new(writer)),
+            writer: Arc::new(Mutex::new(Writer::new(
+                &entry.space,
+                Arc::clone(&published),
+            ))),
+            applied: Arc::new(Mutex::new(Applied { forest, mergers: 0 })),
+            in_flight: parking_lot::Mutex::default(),
+            operations: parking_lot::Mutex::new(operations),
+            last_change: AtomicU64::new(published.revision),
             finished_merges: parking_lot::Mutex::default(),
             last_seen_revision: AtomicU64::new(u64::MAX),
             last_idle_revision: AtomicU64::new(u64::MAX),
-            unsynced: parking_lot::Mutex::default(),
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
+            apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
+                hosted.clone(),
+                host,
+                entry.uid,
+                published.revision,
+            )),
+            state: watch::Sender::new(State {
+                published,
+                closed: None,
+            }),
         })
     }
 
@@ -116,11 +139,6 @@ impl Hosted {
         Arc::clone(&self.state.borrow().published)
     }
 
-    /// The writer's head, which readers may not see yet.
-    pub fn newest(&self) -> Arc<Published> {
-        Arc::clone(&self.state.borrow().head)
-    }
-
     /// Waits until `revision` or a later one is published.
     pub async fn reached(&self, revision: u64) -> Result<Arc<Published>, RegistryError> {
         let published = self.published();
@@ -138,8 +156,9 @@ impl Hosted {
         }
     }
 
-    /// The published mutations after the revision `after`: the first ones that fit into `max_bytes` (see
-    /// [`Effects::bytes`]), but at least one if there is any. [`LogError::Trimmed`] if the log no longer holds them.
+    /// The published records after the revision `after`: the first ones that fit into `max_bytes` (see
+    /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. [`LogError::Trimmed`] if the log no
+    /// longer holds them.
     pub async fn mutations(
         self: &Arc<Self>,
         after: u64,
@@ -150,210 +169,131 @@ impl Hosted {
             return Ok(records);
         }
         let hosted = Arc::clone(self);
-        let read = move || hosted.host.log.tail(hosted.uid, Some(after), max_bytes);
+        let read = move || {
+            let journal = &hosted.host.log.journal;
+            journal.read(hosted.uid, Some(after), max_bytes)
+        };
         let read = tokio::task::spawn_blocking(read).await;
         let mut records = read.map_err(|_| RegistryError::Stopped)??;
         records.retain(|record| record.revision() <= last);
         Ok(records)
     }
 
-    /// The records after `revision` up to the head of `writer`, this index's writer; None if some are not cached.
+    /// The records after `revision` up to the newest of `writer`, this index's writer; None if some are not cached.
     pub fn records_since(&self, revision: u64, writer: &Writer) -> Option<Vec<Arc<Record>>> {
-        let head = writer.head().revision;
-        if revision == head {
-            return Some(Vec::new());
-        }
-        self.recent.lock().after(revision, head, usize::MAX)
+        let base = writer.base().revision;
+        let mut records = match revision >= base {
+            true => Vec::new(),
+            false => self.recent.lock().after(revision, base, usize::MAX)?,
+        };
+        let pending = writer
+            .pending()
+            .filter(|record| record.revision() > revision);
+        records.extend(pending.cloned());
+        Some(records)
     }
 
     /// Waits for the writer, in the order of arrival.
     pub async fn write(&self) -> Result<WriteGuard, RegistryError> {
-        let writer = self.write_closed().await;
-        match &self.state.borrow().closed {
-            Some(why) => Err(why.clone()),
-            None => Ok(writer),
-        }
-    }
-
-    /// Commits a mutation that was evaluated under `writer`: appends the non-empty `effects`, applies them and publishes
-    /// them. Returns the new revision once it is as durable as configured. From the first poll on the commit completes,
-    /// even if the caller drops the future.
-    pub async fn commit(
-        self: &Arc<Self>,
-        writer: WriteGuard,
-        effects: Effects,
-        window: OperationWindow,
-    ) -> Result<u64, RegistryError> {
-        let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
-        // The log reads a point before it replaces or removes it.
-        let next_id = writer.head().view.next_id();
-        let is_new = effects.removed().is_empty()
-            && effects.stored().iter().all(|point| point.id >= next_id);
-        let revision = if is_small && is_new && !self.host.log.is_busy() {
-            self.append_and_publish(writer, effects, window)?
-        } else {
-            let hosted = Arc::clone(self);
-            tokio::task::spawn_blocking(move || hosted.append_and_publish(writer, effects, window))
-                .await
-                .map_err(|_| RegistryError::Stopped)??
+        let mut writer = self.write_closed().await;
+        let base = {
+            let state = self.state.borrow();
+            if let Some(why) = &state.closed {
+                return Err(why.clone());
+            }
+            Arc::clone(&state.published)
         };
-        self.reached(revision).await?;
-        Ok(revision)
+        // Read after the published state, so that no pending record is kept over one that took its revision.
+        let refusals = self.in_flight.lock().refusals();
+        writer.catch_up(base, self.last_change.load(Relaxed), refusals);
+        Ok(writer)
     }
 
-    fn append_and_publish(
-        self: &Arc<Self>,
-        mut writer: WriteGuard,
-        effects: Effects,
-        window: OperationWindow,
-    ) -> Result<u64, RegistryError> {
-        let log = &self.host.log;
-        let record = log.append(self.uid, writer.head().revision, effects)?;
-        self.swap_in(&mut writer);
-        writer.apply(&record, window);
-        self.recent.lock().push(record);
-        match log.points(self.uid) {
-            Ok(view) => writer.advance(view),
-            Err(error) => {
-                // The log holds the mutation, but no view of it can be published.
-                self.close(error.clone().into());
-                return Err(error.into());
-            }
-        }
-        self.set_head(writer.head());
-        self.start_merging(&mut writer);
-        let keep = self.retention(writer.window(), SystemTime::now());
-        if let Err(error) = log.trim(self.uid, &keep) {
-            warn!(index = self.name, %error, "cannot trim the log");
-        }
-        let revision = writer.head().revision;
-        self.publish_once_synced(writer);
-        Ok(revision)
-    }
-
-    /// Has the writer's head published once it is synced. One task publishes all heads of an index, and only the newest
-    /// head of each sync, so that waiting calls wake once per sync.
-    fn publish_once_synced(self: &Arc<Self>, writer: WriteGuard) {
-        let mut unsynced = self.unsynced.lock();
-        unsynced.heads.push_back(Arc::clone(writer.head()));
-        let already_publishing = std::mem::replace(&mut unsynced.publishing, true);
-        drop(unsynced);
-        // The writer is released only now: otherwise the next head could be queued before this one.
-        drop(writer);
-        if !already_publishing {
-            // Heads that are synced already are published here. A task publishes the rest, since the caller may leave.
-            let mut publishing = Box::pin(Arc::clone(self).publish_synced());
-            if (&mut publishing).now_or_never().is_none() {
-                tokio::spawn(publishing);
-            }
-        }
-    }
-
-    async fn publish_synced(self: Arc<Self>) {
-        while let Some(revision) = self.oldest_unsynced() {
-            match self.host.log.synced(self.uid, revision).await {
-                Ok(synced) => {
-                    if let Some(head) = self.take_synced(synced) {
-                        self.publish(head);
-                    }
-                }
-                Err(error) => {
-                    // The log reports its failure once, so an index logs it at debug level only.
-                    debug!(index = self.name, %error, "cannot sync the log");
-                    self.close(error.into());
-                    *self.unsynced.lock() = Unsynced::default();
-                    return;
-                }
-            }
-        }
-    }
-
-    /// The revision of the oldest unsynced head. Without one, publishing ends.
-    fn oldest_unsynced(&self) -> Option<u64> {
-        let mut unsynced = self.unsynced.lock();
-        let oldest = unsynced.heads.front().map(|head| head.revision);
-        unsynced.publishing = oldest.is_some();
-        oldest
-    }
-
-    /// Removes the heads up to the revision `synced` and returns the newest of them.
-    fn take_synced(&self, synced: u64) -> Option<Arc<Published>> {
-        let mut unsynced = self.unsynced.lock();
-        let count = unsynced
-            .heads
-            .partition_point(|head| head.revision <= synced);
-        unsynced.heads.drain(..count).next_back()
-    }
-
-    /// Publishes `head`, with all merges since if it is still the writer's head, unless a later revision is published.
-    fn publish(&self, head: Arc<Published>) {
+    /// Publishes a newer revision, or the same one after a merge.
+    pub(super) fn publish(&self, published: &Arc<Published>) {
         self.state.send_if_modified(|state| {
-            let newer = head.revision > state.published.revision;
-            if newer {
-                let same = state.head.revision == head.revision;
-                state.published = if same { Arc::clone(&state.head) } else { head };
-            }
-            newer
+            let is_newer = published.revision > state.published.revision;
+            state.published = Arc::clone(published);
+            is_newer
         });
     }
 
-    /// Sets the writer's new head, or the same head after a merge. It replaces a published head of the same revision.
-    pub(super) fn set_head(&self, head: &Arc<Published>) {
-        self.state.send_if_modified(|state| {
-            state.head = Arc::clone(head);
-            if state.published.revision == head.revision {
-                state.published = Arc::clone(head);
-            }
-            false
-        });
-    }
-
-    /// The records and operations that the log is to keep.
-    fn retention(&self, window: OperationWindow, now: SystemTime) -> Keep {
+    /// Trims records and operations that need not be kept.
+    pub(super) fn trim(&self, now: SystemTime) -> Result<(), LogError> {
         let since = now.checked_sub(self.host.options.window);
-        Keep {
+        let window = self.operations.lock().window();
+        let retention = Retention {
             record_bytes: self.host.options.window_bytes,
             since: since.unwrap_or(SystemTime::UNIX_EPOCH),
             operations: window.count,
             operation_bytes: window.bytes,
-        }
+        };
+        self.host.log.journal.trim(self.uid, &retention)
     }
 
-    /// Trims records that are too old. Every commit trims too, so a busy writer is skipped.
-    pub(super) fn trim(&self, now: SystemTime) -> Result<(), LogError> {
-        match self.writer.try_lock() {
-            Ok(writer) => self
-                .host
-                .log
-                .trim(self.uid, &self.retention(writer.window(), now)),
-            Err(_) => Ok(()),
-        }
-    }
-
-    /// Resumes after the log was reopened, if the stored points `view` are at the writer's head; then the head is durable.
-    /// Returns false otherwise. Blocks.
-    pub(super) fn resume(&self, view: Arc<dyn View>) -> bool {
+    /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points with
+    /// all later records applied. Blocks.
+    pub(super) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
         let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
-        if !writer.is_at(view.revision()) {
-            return false;
+        let applied = Arc::clone(&self.applied).blocking_lock_owned();
+        let published = self.published();
+        let tip = published.view.tip();
+        let stored = view.tip();
+        let is_resumed = if stored.revision == tip.revision {
+            self.publish(&Arc::new(Published {
+                snapshot: published.snapshot.clone(),
+                revision: tip.revision,
+                view: Arc::clone(view),
+            }));
+            stored == tip
+        } else if stored.revision > tip.revision {
+            let journal = &self.host.log.journal;
+            let records = journal.read(self.uid, Some(tip.revision), usize::MAX);
+            records.is_ok_and(|records| {
+                let applied = self.apply_now(applied, &records, |_| Ok(Arc::clone(view)));
+                applied.is_ok() && self.published().view.tip() == stored
+            })
+        } else {
+            false
+        };
+        if is_resumed {
+            let refusals = self.in_flight.lock().refusals();
+            writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
+            let hosted = Arc::downgrade(self);
+            let revision = stored.revision;
+            *self.apply_loop.lock() = ApplyLoop::start(hosted, &self.host, self.uid, revision);
+            self.state.send_modify(|state| state.closed = None);
         }
-        writer.advance(view);
-        let head = Arc::clone(writer.head());
-        self.state.send_modify(|state| {
-            state.head = Arc::clone(&head);
-            state.published = head;
-            state.closed = None;
-        });
-        true
+        is_resumed
     }
 
     /// Closes the index: later writes, and calls that wait for it, get `why`.
     pub(super) fn close(&self, why: RegistryError) {
+        let decided = self.in_flight.lock().fail(&why);
         self.state.send_modify(|state| state.closed = Some(why));
+        notify(decided);
     }
 
     /// Waits for the writer, also if the index is closed.
     pub(super) async fn write_closed(&self) -> WriteGuard {
         Arc::clone(&self.writer).lock_owned().await.into()
+    }
+
+    /// Gives the apply loop a receipt to wait for.
+    pub(super) fn await_receipt(&self, awaited: Awaited) {
+        // It fails if the loop has ended, which closed the index.
+        let _ = self.apply_loop.lock().receipts.send(awaited);
+    }
+}
+
+impl ApplyLoop {
+    fn start(hosted: Weak<Hosted>, host: &Host, uid: Uid, after: u64) -> Self {
+        let (receipts, awaited) = mpsc::unbounded_channel();
+        let records = host.log.journal.follow(uid, after);
+        let task = tokio::spawn(apply::run(hosted, records, awaited));
+        Self {
+            receipts,
+            _task: AbortOnDropHandle::new(task),
+        }
     }
 }

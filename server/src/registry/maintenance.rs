@@ -63,20 +63,20 @@ impl Registry {
 
     /// The error of a log that can no longer be written.
     pub fn failure(&self) -> Option<RegistryError> {
-        self.host.log.failure().map(RegistryError::Log)
+        self.host.log.points.failure().map(RegistryError::Log)
     }
 
     /// Reopens a failed log and brings every index to its stored state. An index whose stored revision is its writer's head
     /// resumes. Any other index is replayed, and the calls that waited for it fail and can be retried. Blocks.
     pub fn recover(&self) -> Result<(), RegistryError> {
         let _change = self.change_lock.lock();
-        if let Err(why) = self.host.log.reopen() {
+        if let Err(why) = self.host.log.points.reopen() {
             if matches!(why, LogError::Unopened { .. }) {
                 self.mark_damaged(&why);
             }
             return Err(why.into());
         }
-        let entries = self.host.log.indexes()?;
+        let entries = self.host.log.catalogue.indexes()?;
         let states = self.indexes.read().clone();
         for (name, state) in &states {
             let is_stored = entries.iter().any(|entry| entry.name == *name);
@@ -98,12 +98,12 @@ impl Registry {
 
     /// Marks every index as damaged, as a restart would: nothing of the log can be read.
     fn mark_damaged(&self, why: &LogError) {
-        let gone = self.host.log.gone();
+        let lost = self.host.log.catalogue.lost();
         self.change(|indexes| {
             for (name, state) in indexes.iter_mut() {
                 if let IndexState::Hosted(hosted) = state {
-                    let lost = gone.iter().find(|gone| gone.name == *name);
-                    let why = lost.map_or(why, |gone| &gone.why).clone();
+                    let lost = lost.iter().find(|lost| lost.name == *name);
+                    let why = lost.map_or(why, |lost| &lost.why).clone();
                     let uid = hosted.uid();
                     hosted.close(RegistryError::Log(why.clone()));
                     *state = IndexState::Damaged(uid, RegistryError::Log(why));
@@ -124,8 +124,8 @@ impl Registry {
     }
 
     fn resumes(&self, hosted: &Arc<Hosted>) -> bool {
-        match self.host.log.points(hosted.uid()) {
-            Ok(view) => hosted.resume(view),
+        match self.host.log.points.view(hosted.uid()) {
+            Ok(view) => hosted.resume(&view),
             Err(error) => {
                 error!(index = hosted.name(), %error, "cannot read an index after the log was reopened");
                 false

@@ -6,7 +6,7 @@ use tokio::task::JoinError;
 use tracing::{debug, error};
 use wayfold_index::{Merge, Merged};
 
-use super::{Hosted, Writer};
+use super::{Hosted, Published, apply::Applied};
 
 /// A merge that ran and is not yet swapped in.
 pub(super) struct FinishedMerge {
@@ -17,26 +17,26 @@ pub(super) struct FinishedMerge {
 impl Hosted {
     /// Starts the merges that are due. An index runs at most as many merge tasks as all indices may run merges. Further
     /// levels wait in the forest, where they may become part of one merge instead of several.
-    pub(super) fn start_merging(self: &Arc<Self>, writer: &mut Writer) {
-        while writer.mergers < self.host.options.merge_threads.max(1)
-            && let Some(merge) = writer.forest.begin_merge()
+    pub(super) fn start_merging(self: &Arc<Self>, applied: &mut Applied) {
+        while applied.mergers < self.host.options.merge_threads.max(1)
+            && let Some(merge) = applied.forest.begin_merge()
         {
-            writer.mergers += 1;
+            applied.mergers += 1;
             tokio::spawn(Arc::clone(self).merge(merge));
         }
     }
 
     /// Called periodically. Starts merging towards a single level if no mutation came since the previous call.
     pub(super) fn merge_if_idle(self: &Arc<Self>) {
-        let revision = self.newest().revision;
+        let revision = self.published().revision;
         let is_pause = self.last_seen_revision.swap(revision, Relaxed) == revision;
         if is_pause && self.last_idle_revision.swap(revision, Relaxed) != revision {
             let hosted = Arc::clone(self);
             tokio::spawn(async move {
-                let mut writer = hosted.write_closed().await;
-                if writer.forest.revision() == revision {
-                    writer.forest.pause();
-                    hosted.start_merging(&mut writer);
+                let mut applied = hosted.applied.lock().await;
+                if applied.forest.revision() == revision {
+                    applied.forest.pause();
+                    hosted.start_merging(&mut applied);
                 }
             });
         }
@@ -52,25 +52,29 @@ impl Hosted {
         self.finished_merges
             .lock()
             .push(FinishedMerge { rows, merged });
-        // Usually a mutation gets the writer first and has swapped the merge in by then.
-        let mut writer = self.write_closed().await;
-        if self.swap_in(&mut writer) {
-            writer.refresh();
-            self.set_head(writer.head());
+        // Usually the apply loop gets the forest first and has swapped the merge in by then.
+        let mut applied = self.applied.lock().await;
+        if self.swap_in(&mut applied) {
+            let published = self.published();
+            self.publish(&Arc::new(Published {
+                snapshot: applied.forest.snapshot(),
+                revision: published.revision,
+                view: Arc::clone(&published.view),
+            }));
         }
-        self.start_merging(&mut writer);
+        self.start_merging(&mut applied);
     }
 
-    /// Swaps in the finished merges; true if there were any. Every mutation calls this too: a merge that queued for a
-    /// contended writer would come late, and searches would visit dozens of small levels meanwhile.
-    pub(super) fn swap_in(&self, writer: &mut Writer) -> bool {
+    /// Swaps in the finished merges; true if there were any. The apply loop calls this too: a merge that queued for a
+    /// contended forest would come late, and searches would visit dozens of small levels meanwhile.
+    pub(super) fn swap_in(&self, applied: &mut Applied) -> bool {
         let finished = std::mem::take(&mut *self.finished_merges.lock());
         let any = !finished.is_empty();
         for FinishedMerge { rows, merged } in finished {
-            writer.mergers -= 1;
+            applied.mergers -= 1;
             match merged {
                 Ok(merged) => {
-                    writer.forest.finish_merge(merged);
+                    applied.forest.finish_merge(merged);
                     debug!(index = self.name(), rows, "merged levels");
                 }
                 // The levels stay unmerged: answers stay exact, and searches are slower.

@@ -1,15 +1,19 @@
 //! The indices of the server by name, each with one writer and many readers.
 //!
 //! Architecture:
-//! - The log alone feeds a [`Hosted`] index: its [`Writer`] appends effects, applies the record to the forest, and
-//!   publishes the result. Only merging changes a forest besides, and merging changes no answer.
+//! - The journal alone feeds a [`Hosted`] index: its apply loop takes the next record, applies it to the point store and the
+//!   forest, and publishes the result (`apply`). Only merging changes a forest besides, and merging changes no answer.
 //! - Readers take the [`Published`] state, one frozen revision, and never wait for the writer.
-//! - The holder of the writer evaluates a mutation and decides it before the commit. From the append to the publication
-//!   nothing waits for the caller, so a dropped call takes effect whole or not at all.
+//! - The holder of the [`Writer`] evaluates a mutation against the published state and the records that are not yet part of
+//!   it, and submits the effects (`commit`). Nothing waits for the caller after that, so a dropped call takes effect whole or
+//!   not at all. If another writer was first, the mutation is evaluated again.
 //! - The registry knows no requests, no limits and no transport.
 
+mod apply;
+mod commit;
 mod error;
 mod hosted;
+mod in_flight;
 mod maintenance;
 mod merging;
 mod operations;
@@ -26,9 +30,11 @@ use tracing::info;
 use wayfold_index::{Forest, ForestOptions, Space};
 
 use crate::log::{Entry, Log, LogError, Uid};
+pub use commit::Committed;
 pub use error::RegistryError;
 pub use hosted::{Hosted, Published};
 pub use operations::OperationWindow;
+use operations::Operations;
 pub use restore::Restore;
 pub use writer::{WriteGuard, Writer};
 
@@ -115,7 +121,7 @@ pub enum Listed {
 
 /// The log, the options and the merge slots that all indices share.
 struct Host {
-    log: Arc<dyn Log>,
+    log: Log,
     options: RegistryOptions,
     /// A permit per merge that may run.
     merges: Semaphore,
@@ -123,11 +129,11 @@ struct Host {
 
 impl Registry {
     /// An empty registry over `log`. [`Registry::replay`] fills it.
-    pub fn new(log: Arc<dyn Log>, options: RegistryOptions) -> Self {
+    pub fn new(log: impl Into<Log>, options: RegistryOptions) -> Self {
         let merges = Semaphore::new(options.merge_threads.max(1));
         Self {
             host: Arc::new(Host {
-                log,
+                log: log.into(),
                 options,
                 merges,
             }),
@@ -140,7 +146,7 @@ impl Registry {
     /// Hosts every index that the log holds. Call it once, before the first call is answered; with an empty log it does
     /// nothing. A damaged index does not prevent the others: [`Registry::get`] returns its error.
     pub fn replay(&self) -> Result<(), RegistryError> {
-        let entries = self.host.log.indexes()?;
+        let entries = self.host.log.catalogue.indexes()?;
         for (done, entry) in entries.iter().enumerate() {
             let state = replay::replay_or_damaged(&self.host, entry);
             self.change(|indexes| indexes.insert(entry.name.clone(), state));
@@ -167,10 +173,10 @@ impl Registry {
 
     /// Adds the indices whose data is lost as damaged, unless other indices have their names.
     fn add_lost(&self) {
-        for gone in self.host.log.gone() {
-            let damaged = IndexState::Damaged(gone.uid, RegistryError::Log(gone.why));
+        for lost in self.host.log.catalogue.lost() {
+            let damaged = IndexState::Damaged(lost.uid, RegistryError::Log(lost.why));
             self.change(|indexes| {
-                indexes.entry(gone.name).or_insert(damaged);
+                indexes.entry(lost.name).or_insert(damaged);
             });
         }
     }
@@ -187,7 +193,7 @@ impl Registry {
     fn unopened(&self) -> Option<RegistryError> {
         let not_open =
             |why: &LogError| matches!(why, LogError::Unopened { .. } | LogError::Shut { .. });
-        let why = self.host.log.failure().filter(not_open);
+        let why = self.host.log.points.failure().filter(not_open);
         why.map(RegistryError::Log)
     }
 
@@ -241,10 +247,10 @@ impl Registry {
             name: name.into(),
             space,
         };
-        self.host.log.create(entry.clone())?;
+        self.host.log.catalogue.create(entry.clone())?;
         let forest = self.host.options.forest(&entry.space);
-        let view = self.host.log.points(entry.uid)?;
-        let hosted = Hosted::new(&self.host, &entry, Writer::new(forest, view));
+        let view = self.host.log.points.view(entry.uid)?;
+        let hosted = Hosted::new(&self.host, &entry, forest, view, Operations::new());
         let state = IndexState::Hosted(Arc::clone(&hosted));
         self.change(|indexes| indexes.insert(entry.name, state));
         info!(index = name, uid = %entry.uid, space = %entry.space, "created an index");
@@ -263,7 +269,7 @@ impl Registry {
         if uid.is_some_and(|uid| uid != found.to_string()) {
             return Err(RegistryError::OtherUid { found });
         }
-        self.host.log.delete(found)?;
+        self.host.log.catalogue.delete(found)?;
         self.change(|indexes| indexes.remove(name));
         if let Some(IndexState::Hosted(hosted)) = state {
             hosted.close(RegistryError::Deleted);

@@ -17,34 +17,62 @@ pub struct OperationWindow {
 }
 
 impl OperationWindow {
-    /// No bound. Replay uses it: the log bounds its operations, and the next mutation applies the configured window.
-    pub(super) const UNBOUNDED: Self = Self {
+    /// No bound. A restart uses it: the log bounds its operations, and the next mutation sets the configured window.
+    const UNBOUNDED: Self = Self {
         count: usize::MAX,
         bytes: usize::MAX,
     };
 }
 
 /// The newest operations, by id.
-#[derive(Default)]
 pub(super) struct Operations {
+    window: OperationWindow,
     by_id: HashMap<String, Arc<Operation>>,
     oldest_first: VecDeque<Arc<Operation>>,
     bytes: usize,
 }
 
 impl Operations {
+    /// No operations, and no bound.
+    pub(super) fn new() -> Self {
+        Self {
+            window: OperationWindow::UNBOUNDED,
+            by_id: HashMap::new(),
+            oldest_first: VecDeque::new(),
+            bytes: 0,
+        }
+    }
+
+    /// The bounds.
+    pub(super) fn window(&self) -> OperationWindow {
+        self.window
+    }
+
+    /// Sets the bounds, for the next operation.
+    pub(super) fn set_window(&mut self, window: OperationWindow) {
+        self.window = window;
+    }
+
+    /// Forgets the operation with this id.
+    pub(super) fn forget(&mut self, id: &str) {
+        if let Some(forgotten) = self.by_id.remove(id) {
+            self.bytes -= forgotten.bytes();
+            self.oldest_first.retain(|operation| operation.id != id);
+        }
+    }
+
     pub(super) fn recall(&self, id: &str) -> Option<&Arc<Operation>> {
         self.by_id.get(id)
     }
 
-    /// Adds an operation with a new id and forgets the oldest ones outside `window`.
-    pub(super) fn remember(&mut self, operation: Arc<Operation>, window: OperationWindow) {
+    /// Adds an operation with a new id and forgets the oldest ones outside the bounds.
+    pub(super) fn remember(&mut self, operation: Arc<Operation>) {
         self.bytes += operation.bytes();
         self.by_id
             .insert(operation.id.clone(), Arc::clone(&operation));
         self.oldest_first.push_back(operation);
         while self.oldest_first.len() > 1
-            && (self.oldest_first.len() > window.count || self.bytes > window.bytes)
+            && (self.oldest_first.len() > self.window.count || self.bytes > self.window.bytes)
         {
             let Some(forgotten) = self.oldest_first.pop_front() else {
                 break;
@@ -70,9 +98,10 @@ mod tests {
     }
 
     fn remembered(sizes: &[usize], window: OperationWindow) -> Vec<bool> {
-        let mut operations = Operations::default();
+        let mut operations = Operations::new();
+        operations.set_window(window);
         for (at, &bytes) in sizes.iter().enumerate() {
-            operations.remember(operation(&at.to_string(), bytes), window);
+            operations.remember(operation(&at.to_string(), bytes));
         }
         (0..sizes.len())
             .map(|at| operations.recall(&at.to_string()).is_some())
@@ -96,14 +125,14 @@ mod tests {
 
     #[test]
     fn the_response_is_remembered_as_it_was() {
-        let mut operations = Operations::default();
+        let mut operations = Operations::new();
         let done = Arc::new(Operation {
             id: "op".into(),
             fingerprint: [7; 32],
             response: Bytes::from_static(b"response"),
         });
-        let window = OperationWindow { count: 1, bytes: 0 };
-        operations.remember(Arc::clone(&done), window);
+        operations.set_window(OperationWindow { count: 1, bytes: 0 });
+        operations.remember(Arc::clone(&done));
         assert_eq!(operations.recall("op"), Some(&done));
         assert_eq!(operations.recall("other"), None);
     }

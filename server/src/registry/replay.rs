@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tracing::{error, info};
 use wayfold_index::{ApplyError, PointRef, Points, PointsError};
 
-use super::{Host, Hosted, IndexState, OperationWindow, RegistryError, Writer};
+use super::{Host, Hosted, IndexState, RegistryError, operations::Operations};
 use crate::log::{Entry, LogError, View};
 
 /// The points that one read of the log returns.
@@ -28,7 +28,7 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
 /// Builds an index from its points and from the operations that the log remembers. The log remembers no call that changed
 /// nothing: the server evaluates its retry again, with the same outcome as a first try.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
-    let view = host.log.points(entry.uid)?;
+    let view = host.log.points.view(entry.uid)?;
     let mut forest = host.options.forest(&entry.space);
     if view.revision() > 0 {
         let points = load(&*view, entry)?;
@@ -37,18 +37,18 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
             .map_err(|error| damaged(entry, view.revision(), &points, &error))?;
         forest.settle();
     }
-    let mut writer = Writer::new(forest, Arc::clone(&view));
-    for operation in host.log.operations(entry.uid)? {
-        writer.remember(operation, OperationWindow::UNBOUNDED);
+    let mut operations = Operations::new();
+    for operation in host.log.points.operations(entry.uid)? {
+        operations.remember(operation);
     }
     info!(
         index = entry.name,
         uid = %entry.uid,
         revision = view.revision(),
-        points = writer.head().snapshot.len(),
+        points = forest.len(),
         "replayed an index"
     );
-    Ok(Hosted::new(host, entry, writer))
+    Ok(Hosted::new(host, entry, forest, view, operations))
 }
 
 /// Points of the log that the forest refuses are not those that were written.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tracing::info;
 use wayfold_index::{PointRef, Points, Space};
 
-use super::{Host, Hosted, IndexState, Registry, RegistryError, Writer};
+use super::{Host, Hosted, IndexState, Registry, RegistryError, operations::Operations};
 use crate::log::{Entry, Origin, Restoring, StoredPoint, Uid};
 
 /// An index that is being restored. Dropping it before [`Registry::host`] leaves nothing behind.
@@ -36,7 +36,7 @@ impl Registry {
             space,
         };
         Ok(Restore {
-            stored: self.host.log.restore(entry.clone(), origin)?,
+            stored: self.host.log.points.restore(entry.clone(), origin)?,
             points: Points::new(entry.space.coordinates()),
             host: Arc::clone(&self.host),
             entry,
@@ -65,8 +65,8 @@ impl Registry {
         let _change = self.change_lock.lock();
         self.room_for(&entry.name, limit)?;
         stored.finish()?;
-        let view = host.log.points(entry.uid)?;
-        let hosted = Hosted::new(&host, &entry, Writer::new(forest, view));
+        let view = host.log.points.view(entry.uid)?;
+        let hosted = Hosted::new(&host, &entry, forest, view, Operations::new());
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points = points.len(), "restored an index");
         let state = IndexState::Hosted(Arc::clone(&hosted));
         self.change(|indexes| indexes.insert(entry.name, state));

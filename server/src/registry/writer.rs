@@ -1,16 +1,17 @@
-//! The single writer of an index: the forest at the head, and the operations and revisions that evaluation needs.
+//! The single writer of an index: what mutations are evaluated against.
 
 use std::{
+    collections::VecDeque,
     ops::{Deref, DerefMut},
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use tokio::sync::OwnedMutexGuard;
-use wayfold_index::Forest;
+use wayfold_index::{Overlay, Point, Space};
 
-use super::{OperationWindow, Published, operations::Operations};
-use crate::log::{Operation, Record, View};
+use super::Published;
+use crate::log::{Operation, Record, Tip};
 
 /// Exclusive access to an index's writer.
 pub struct WriteGuard {
@@ -45,44 +46,96 @@ impl Drop for WriteGuard {
     }
 }
 
-/// The state that records are applied to. Its head is ahead of the published revision while the log is not yet synced.
+/// The published state of an index and, over it, the records that were submitted and are not yet published.
 pub struct Writer {
-    pub(super) forest: Forest,
-    /// The number of tasks that merge this forest's levels.
-    pub(super) mergers: usize,
-    head: Arc<Published>,
-    operations: Operations,
-    /// The newest revision that may have done more than add points.
+    space: Space,
+    base: Arc<Published>,
+    /// Consecutive records after `base`.
+    pending: VecDeque<Pending>,
+    /// The changes of the pending records, for searches; the older part first. A part is dropped once all its records are
+    /// published, so a record is indexed once.
+    overlays: [Part; 2],
+    /// The count of refusals at which the pending records were submitted.
+    refusals: u64,
+    /// The newest published revision that may have done more than add points.
     last_change: u64,
-    /// The bounds that the last mutation gave.
-    window: OperationWindow,
     /// The time that dropped guards held the writer, in total.
     held: Duration,
 }
 
-impl Writer {
-    /// A writer whose head is `view`, with a forest of the same points.
-    pub(super) fn new(forest: Forest, view: Arc<dyn View>) -> Self {
-        let last_change = view.revision();
-        let head = Published {
-            snapshot: forest.snapshot(),
-            revision: view.revision(),
-            view,
-        };
+struct Pending {
+    record: Arc<Record>,
+    /// The least id above every id that was ever stored, by this record or an earlier one.
+    next_id: u64,
+    /// The number of points after it.
+    points: usize,
+}
+
+/// The changes of some pending records, up to the revision `last`; 0 if of none.
+struct Part {
+    overlay: Overlay,
+    last: u64,
+}
+
+impl Part {
+    fn empty(space: &Space) -> Self {
         Self {
-            forest,
-            mergers: 0,
-            head: Arc::new(head),
-            operations: Operations::default(),
-            last_change,
-            window: OperationWindow::UNBOUNDED,
+            overlay: Overlay::new(space),
+            last: 0,
+        }
+    }
+}
+
+impl Writer {
+    /// A writer over `base`.
+    pub(super) fn new(space: &Space, base: Arc<Published>) -> Self {
+        Self {
+            space: space.clone(),
+            last_change: base.revision,
+            base,
+            pending: VecDeque::new(),
+            overlays: [Part::empty(space), Part::empty(space)],
+            refusals: 0,
             held: Duration::ZERO,
         }
     }
 
-    /// The state against which the next mutation is evaluated.
-    pub fn head(&self) -> &Arc<Published> {
-        &self.head
+    /// The space of the states.
+    pub fn space(&self) -> &Space {
+        &self.space
+    }
+
+    /// The published state below the pending records.
+    pub fn base(&self) -> &Arc<Published> {
+        &self.base
+    }
+
+    /// The newest record, pending ones included.
+    pub fn tip(&self) -> Tip {
+        let last = self.pending.back();
+        last.map_or_else(|| self.base.view.tip(), |last| last.record.tip())
+    }
+
+    /// The revision of the newest record, pending ones included.
+    pub fn revision(&self) -> u64 {
+        self.tip().revision
+    }
+
+    /// The least id above every id that was ever stored.
+    pub fn next_id(&self) -> u64 {
+        let last = self.pending.back();
+        last.map_or_else(|| self.base.view.next_id(), |last| last.next_id)
+    }
+
+    /// The number of points.
+    pub fn points(&self) -> usize {
+        let last = self.pending.back();
+        last.map_or_else(|| self.base.snapshot.len(), |last| last.points)
+    }
+
+    /// The pending records.
+    pub fn pending(&self) -> impl DoubleEndedIterator<Item = &Arc<Record>> {
+        self.pending.iter().map(|pending| &pending.record)
     }
 
     /// The total time the writer was held: the serial part of the index's mutations.
@@ -90,57 +143,91 @@ impl Writer {
         self.held
     }
 
-    /// The remembered operation with this id; None if it had no effect or is forgotten.
-    pub fn recall(&self, id: &str) -> Option<&Arc<Operation>> {
-        self.operations.recall(id)
+    /// The count of refusals at which the pending records were submitted.
+    pub(super) fn refusals(&self) -> u64 {
+        self.refusals
+    }
+
+    /// The pending operation with this id.
+    pub(super) fn pending_operation(&self, id: &str) -> Option<&Arc<Operation>> {
+        let operations = self
+            .pending()
+            .filter_map(|record| record.effects().operation());
+        operations.rev().find(|operation| operation.id == id)
     }
 
     /// True if every point of that revision is unchanged and every other point is newer.
     pub fn only_added_since(&self, revision: u64) -> bool {
-        self.last_change <= revision
+        let is_add =
+            |record: &Arc<Record>| record.revision() <= revision || record.effects().only_adds();
+        self.last_change <= revision && self.pending().all(is_add)
     }
 
-    /// The bounds on remembered operations.
-    pub(super) fn window(&self) -> OperationWindow {
-        self.window
+    /// Shows the changes of all pending records in [`Writer::overlays`] and [`Writer::get`].
+    pub fn index_pending(&mut self) {
+        let [older, newer] = &mut self.overlays;
+        let indexed = older.last.max(newer.last);
+        for Pending { record, .. } in &self.pending {
+            if record.revision() <= indexed {
+                continue;
+            }
+            let effects = record.effects();
+            newer
+                .overlay
+                .apply(effects.stored(), effects.removed())
+                .expect("a record's rows are checked before it is submitted");
+            newer.last = record.revision();
+        }
     }
 
-    /// True if the forest and the head are at `revision`.
-    pub(super) fn is_at(&self, revision: u64) -> bool {
-        self.head.revision == revision && self.forest.revision() == revision
+    /// The changes of the pending records, the oldest first; complete after [`Writer::index_pending`].
+    pub fn overlays(&self) -> [&Overlay; 2] {
+        let [older, newer] = &self.overlays;
+        [&older.overlay, &newer.overlay]
     }
 
-    /// Remembers an operation.
-    pub fn remember(&mut self, operation: Arc<Operation>, window: OperationWindow) {
-        self.operations.remember(operation, window);
+    /// The point with this id, as the pending records leave it; complete after [`Writer::index_pending`].
+    pub fn get(&self, id: u64) -> Option<Point> {
+        let mut overlays = self.overlays().into_iter().rev();
+        let changed = overlays.find_map(|overlay| overlay.get(id));
+        changed.unwrap_or_else(|| self.base.snapshot.get(id))
     }
 
-    /// Applies a record. The forest's points change here only.
-    pub(super) fn apply(&mut self, record: &Record, window: OperationWindow) {
+    /// Adds a record that was submitted.
+    pub(super) fn push(&mut self, record: Arc<Record>) {
         let effects = record.effects();
-        self.window = window;
-        if !effects.only_adds() {
-            self.last_change = record.revision();
-        }
-        self.forest
-            .apply(record.revision(), effects.stored(), effects.removed())
-            .expect("a record's rows are checked before it is logged");
-        if let Some(operation) = effects.operation() {
-            self.remember(Arc::clone(operation), window);
-        }
-    }
-
-    /// Makes the forest and `view`, the same points in the log, the new head.
-    pub(super) fn advance(&mut self, view: Arc<dyn View>) {
-        self.head = Arc::new(Published {
-            snapshot: self.forest.snapshot(),
-            revision: view.revision(),
-            view,
+        let highest = effects.stored().ids().iter().max();
+        let removed = effects.removed().len();
+        self.pending.push_back(Pending {
+            next_id: self.next_id().max(highest.map_or(0, |id| id + 1)),
+            points: self.points() + effects.inserted() - removed,
+            record,
         });
     }
 
-    /// Makes the current forest the head, at the same revision.
-    pub(super) fn refresh(&mut self) {
-        self.advance(Arc::clone(&self.head.view));
+    /// Takes back the last record, which the journal did not take.
+    pub(super) fn take_back(&mut self) {
+        self.pending.pop_back();
+    }
+
+    /// Moves to a newer published state. If records were refused since, none is pending any more.
+    pub(super) fn catch_up(&mut self, base: Arc<Published>, last_change: u64, refusals: u64) {
+        if self.refusals != refusals {
+            self.pending.clear();
+        }
+        while let Some(oldest) = self.pending.front()
+            && oldest.record.revision() <= base.revision
+        {
+            self.pending.pop_front();
+        }
+        let [older, newer] = &mut self.overlays;
+        let is_published = |part: &Part| part.last <= base.revision;
+        if self.refusals != refusals || (is_published(older) && is_published(newer)) {
+            self.overlays = [Part::empty(&self.space), Part::empty(&self.space)];
+        } else if is_published(older) {
+            std::mem::swap(older, newer);
+            *newer = Part::empty(&self.space);
+        }
+        (self.base, self.last_change, self.refusals) = (base, last_change, refusals);
     }
 }

@@ -21,7 +21,7 @@ use super::{
 };
 use crate::{
     log::{Effects, Outcome},
-    registry::{Hosted, Published},
+    registry::{Committed, Hosted, Published, Writer},
 };
 
 const DOING: &str = "while evaluating the rows; nothing was changed";
@@ -53,32 +53,34 @@ impl Service {
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
         let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;
 
-        let mut head = hosted.newest();
-        let prefetch = insertion.prefetch(&head, self.limits(), &mut pace).await?;
+        let mut base = hosted.published();
+        let prefetch = insertion.prefetch(&base, self.limits(), &mut pace).await?;
         let mut payloads = Payloads::new(insertion.answers_payloads());
         let unread = insertion
-            .unread_in(&head, prefetch.as_ref(), &mut pace)
+            .unread_in(&base, prefetch.as_ref(), &mut pace)
             .await?;
         let most = self.limits().answer_bytes;
-        let read = payloads.read(call, &hosted, &head, unread, most);
+        let read = payloads.read(call, &hosted, &base, unread, most);
         read.await?;
         let (mut reads, mut held) = (1, None);
-        let (writer, effects, evaluated) = loop {
-            let writer = match held.take() {
+        loop {
+            let mut writer = match held.take() {
                 Some(writer) => writer,
                 None => match self.begin(call, &hosted, claim.as_ref()).await? {
                     Start::Remembered(response) => return Ok(response),
                     Start::Writing(writer) => writer,
                 },
             };
-            head = Arc::clone(writer.head());
+            base = Arc::clone(writer.base());
             payloads.catch_up(&hosted, &writer);
+            if insertion.looks_up() {
+                writer.index_pending();
+            }
             let prefetch = prefetch.as_ref().filter(|prefetch| prefetch.holds(&writer));
-            let base = Arc::clone(&head);
             let mut evaluation = Evaluation::new(
                 &insertion,
                 &hosted,
-                base,
+                &writer,
                 self.limits(),
                 prefetch,
                 &payloads,
@@ -97,9 +99,20 @@ impl Service {
             }
             let unread = std::mem::take(&mut evaluation.unread);
             if unread.is_empty() {
-                let (effects, response) = evaluation.finish()?;
-                break (writer, effects, response);
+                let (effects, evaluated) = evaluation.finish()?;
+                let after = writer.revision() + u64::from(!effects.is_empty());
+                let response = v1::InsertResponse {
+                    revision: Some(revision(&hosted, after)),
+                    ..evaluated
+                };
+                let claim = claim.as_ref();
+                let committed = self.commit(call, &hosted, writer, effects, claim, &response);
+                if committed.await? == Committed::Done {
+                    return Ok(response);
+                }
+                continue;
             }
+            drop(evaluation);
             // Other writers changed the index: read the rest, without the writer if possible, then evaluate the rows again.
             if reads < MAX_READS_AHEAD {
                 drop(writer);
@@ -107,26 +120,18 @@ impl Service {
                 held = Some(writer);
             }
             reads += 1;
-            let read = payloads.read(call, &hosted, &head, unread, most);
+            let read = payloads.read(call, &hosted, &base, unread, most);
             // The answer has all of these payloads, and maybe more.
             Room::new(self.limits()).take(read.await?)?;
-        };
-        let found = head.revision;
-        let response = v1::InsertResponse {
-            revision: Some(revision(&hosted, found + u64::from(!effects.is_empty()))),
-            ..evaluated
-        };
-        self.commit(call, &hosted, writer, effects, claim, &response)
-            .await?;
-        Ok(response)
+        }
     }
 }
 
-/// An insertion evaluated against the head of an index, row by row, invisible to others.
+/// An insertion evaluated against the newest state of an index, row by row, invisible to others.
 struct Evaluation<'a> {
     insertion: &'a Insertion,
     index: &'a str,
-    staging: Staging,
+    staging: Staging<'a>,
     prefetch: Option<&'a Prefetch>,
     payloads: &'a Payloads,
     /// Payloads to read before the rows can be evaluated.
@@ -143,7 +148,7 @@ impl<'a> Evaluation<'a> {
     fn new(
         insertion: &'a Insertion,
         hosted: &'a Hosted,
-        head: Arc<Published>,
+        writer: &'a Writer,
         limits: &Limits,
         prefetch: Option<&'a Prefetch>,
         payloads: &'a Payloads,
@@ -154,8 +159,8 @@ impl<'a> Evaluation<'a> {
         Ok(Self {
             insertion,
             index: hosted.name(),
-            next_id: head.view.next_id(),
-            staging: Staging::new(head, space, insertion.is_searched()),
+            next_id: writer.next_id(),
+            staging: Staging::new(writer, insertion.is_searched()),
             prefetch,
             payloads,
             unread: Unread::default(),
@@ -300,7 +305,7 @@ impl Insertion {
         })
     }
 
-    /// Searches the newest revision for the rows.
+    /// Searches the published revision for the rows.
     async fn prefetch(
         &self,
         head: &Arc<Published>,
@@ -355,6 +360,11 @@ impl Insertion {
     fn answers_payloads(&self) -> bool {
         let include = self.neighbors.and_then(|(_, include)| include);
         include.is_some_and(|include| include.payloads)
+    }
+
+    /// True if the evaluation looks for stored points.
+    fn looks_up(&self) -> bool {
+        self.is_searched() || !self.ids.is_empty()
     }
 
     /// True if rows must find the rows before them.

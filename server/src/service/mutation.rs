@@ -8,7 +8,7 @@ use sha2::{Digest as _, Sha256};
 use super::{Call, Error, Service, call::Pace, error_map::registry_error};
 use crate::{
     log::{Digest, Effects, Operation},
-    registry::{Hosted, OperationWindow, WriteGuard, Writer},
+    registry::{Committed, Hosted, OperationWindow, WriteGuard},
 };
 
 /// Bytes of a request digested between two pauses.
@@ -61,34 +61,34 @@ impl Service {
         hosted: &Hosted,
         claim: Option<&Claim>,
     ) -> Result<Start<R>, Error> {
-        let writer = call
-            .bound(
-                "while waiting for other mutations of the index",
-                hosted.write(),
-            )
-            .await?
-            .map_err(|error| registry_error(hosted.name(), error))?;
-        let Some(response) = recalled(&writer, claim)? else {
-            return Ok(Start::Writing(writer));
-        };
-        let revision = writer.head().revision;
-        // Nothing is left to write: release the writer before waiting for the log.
-        drop(writer);
-        acknowledge(call, hosted, revision).await?;
-        Ok(Start::Remembered(response))
+        loop {
+            let writer = call
+                .bound(
+                    "while waiting for other mutations of the index",
+                    hosted.write(),
+                )
+                .await?
+                .map_err(|error| registry_error(hosted.name(), error))?;
+            let Some(response) = recalled(hosted, &writer, claim)? else {
+                return Ok(Start::Writing(writer));
+            };
+            if settled(call, hosted, writer).await? == Committed::Done {
+                return Ok(Start::Remembered(response));
+            }
+        }
     }
 
-    /// Commits a mutation that was evaluated under `writer`; returns once it may be acknowledged with `response`.
-    /// Before the first poll nothing has happened; after it the mutation completes.
+    /// Commits a mutation that was evaluated under `writer`; returns [`Committed::Done`] once it may be acknowledged with
+    /// `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
     pub(super) async fn commit(
         &self,
         call: &Call,
         hosted: &Arc<Hosted>,
-        mut writer: WriteGuard,
+        writer: WriteGuard,
         mut effects: Effects,
-        claim: Option<Claim>,
+        claim: Option<&Claim>,
         response: &impl Message,
-    ) -> Result<(), Error> {
+    ) -> Result<Committed, Error> {
         call.check("before anything was changed")?;
         let window = OperationWindow {
             count: self.limits().operations_remembered,
@@ -96,19 +96,21 @@ impl Service {
         };
         let operation = claim.map(|claim| {
             Arc::new(Operation {
-                id: claim.id,
+                id: claim.id.clone(),
                 fingerprint: claim.fingerprint,
                 response: response.encode_to_vec().into(),
             })
         });
         if effects.is_empty() {
+            // A twin that is under way finds it, and waits for the same records.
             if let Some(operation) = operation {
-                writer.remember(operation, window);
+                hosted.remember(operation, window);
             }
-            let revision = writer.head().revision;
-            // Other writers continue; a retry finds the remembered response.
-            drop(writer);
-            return acknowledge(call, hosted, revision).await;
+            let committed = settled(call, hosted, writer).await?;
+            if let (Committed::Refused, Some(claim)) = (committed, claim) {
+                hosted.forget(&claim.id);
+            }
+            return Ok(committed);
         }
         effects.set_operation(operation);
         call.bound(
@@ -116,20 +118,20 @@ impl Service {
             hosted.commit(writer, effects, window),
         )
         .await?
-        .map_err(|error| registry_error(hosted.name(), error))?;
-        Ok(())
+        .map_err(|error| registry_error(hosted.name(), error))
     }
 }
 
 /// The response that the claimed operation was given, if it took effect already.
 fn recalled<R: Message + Default>(
-    writer: &Writer,
+    hosted: &Hosted,
+    writer: &WriteGuard,
     claim: Option<&Claim>,
 ) -> Result<Option<R>, Error> {
     let Some(claim) = claim else {
         return Ok(None);
     };
-    let Some(operation) = writer.recall(&claim.id) else {
+    let Some(operation) = hosted.recall(writer, &claim.id) else {
         return Ok(None);
     };
     if operation.fingerprint != claim.fingerprint {
@@ -146,10 +148,9 @@ fn recalled<R: Message + Default>(
     Ok(Some(response))
 }
 
-/// Waits until `revision`, which the response names, is as durable as configured.
-async fn acknowledge(call: &Call, hosted: &Hosted, revision: u64) -> Result<(), Error> {
-    call.bound("while the log was being synced", hosted.reached(revision))
+/// Waits until all that a response was evaluated against is as durable as configured.
+async fn settled(call: &Call, hosted: &Hosted, writer: WriteGuard) -> Result<Committed, Error> {
+    call.bound("while the log was being synced", hosted.settled(writer))
         .await?
-        .map_err(|error| registry_error(hosted.name(), error))?;
-    Ok(())
+        .map_err(|error| registry_error(hosted.name(), error))
 }

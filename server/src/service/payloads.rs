@@ -90,7 +90,7 @@ impl Payloads {
         Ok(bytes)
     }
 
-    /// Catches up to the writer's head, or forgets the payloads.
+    /// Catches up to the writer's newest record, or forgets the payloads.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) {
         self.compared.catch_up(hosted, writer);
         if let Some(neighbors) = &mut self.neighbors {

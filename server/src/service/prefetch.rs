@@ -66,7 +66,7 @@ impl Prefetch {
         Ok(prefetch)
     }
 
-    /// True if points were only added between this revision and the head of `writer`.
+    /// True if points were only added between this revision and the newest record of `writer`.
     pub(super) fn holds(&self, writer: &Writer) -> bool {
         writer.only_added_since(self.revision)
     }

@@ -8,7 +8,7 @@ use super::{
     mutation::{Claim, Start},
     read_view::revision,
 };
-use crate::log::Effects;
+use crate::{log::Effects, registry::Committed};
 
 impl Service {
     /// Removes points by id, and counts those that were not stored.
@@ -27,26 +27,30 @@ impl Service {
         check::operation_id(&request.operation_id, &mut violations);
         violations.finish()?;
 
-        let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
-            Start::Remembered(response) => return Ok(response),
-            Start::Writing(writer) => writer,
-        };
-        let head = writer.head().clone();
-        let mut effects = Effects::new(hosted.space().coordinates());
-        for &id in &request.ids {
-            if head.snapshot.get(id).is_some() {
-                effects.remove(id);
+        loop {
+            let mut writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+                Start::Remembered(response) => return Ok(response),
+                Start::Writing(writer) => writer,
+            };
+            writer.index_pending();
+            let mut effects = Effects::new(hosted.space().coordinates());
+            for &id in &request.ids {
+                if writer.get(id).is_some() {
+                    effects.remove(id);
+                }
+                pace.step().await?;
             }
-            pace.step().await?;
+            let removed = effects.len() as u64;
+            let after = writer.revision() + u64::from(removed > 0);
+            let response = v1::RemoveResponse {
+                removed_count: removed,
+                missing_count: request.ids.len() as u64 - removed,
+                revision: Some(revision(&hosted, after)),
+            };
+            let committed = self.commit(call, &hosted, writer, effects, claim.as_ref(), &response);
+            if committed.await? == Committed::Done {
+                return Ok(response);
+            }
         }
-        let removed = effects.len() as u64;
-        let response = v1::RemoveResponse {
-            removed_count: removed,
-            missing_count: request.ids.len() as u64 - removed,
-            revision: Some(revision(&hosted, head.revision + u64::from(removed > 0))),
-        };
-        self.commit(call, &hosted, writer, effects, claim, &response)
-            .await?;
-        Ok(response)
     }
 }

@@ -101,10 +101,10 @@ impl<T: Send + 'static> ReadAhead<T> {
         Ok(())
     }
 
-    /// Catches up to the writer's head from the recent records. If these do not reach back far enough, it forgets all
-    /// values and returns false.
+    /// Catches up to the writer's newest record from the recent and pending records. If these do not reach back far enough, it
+    /// forgets all values and returns false.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) -> bool {
-        let before = std::mem::replace(&mut self.revision, writer.head().revision);
+        let before = std::mem::replace(&mut self.revision, writer.revision());
         if self.points.is_empty() && !self.takes_new {
             return true;
         }

@@ -15,8 +15,8 @@ use super::{
     stored::{MAX_READS_AHEAD, ReadAhead},
 };
 use crate::{
-    log::{Effects, Outcome},
-    registry::Hosted,
+    log::{Effects, Outcome, StoredPoint},
+    registry::{Committed, Hosted},
 };
 
 const DOING: &str = "while evaluating the update; nothing was changed";
@@ -35,82 +35,114 @@ impl Service {
         let if_revision = check_update(&request, &hosted, self.limits(), &mut pace).await?;
 
         let mut stored = ReadAhead::new(false, Arc::clone);
-        let mut head = hosted.newest();
-        let mut reads = 0;
-        let writer = loop {
-            let read = stored.read(call, DOING, &hosted, &head, &request.ids);
-            read.await?;
-            let writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+        loop {
+            let writer = match self
+                .read_for_update(call, &hosted, claim.as_ref(), &mut stored, &request.ids)
+                .await?
+            {
                 Start::Remembered(response) => return Ok(response),
                 Start::Writing(writer) => writer,
             };
-            head = Arc::clone(writer.head());
+            let effects = updated(&request, if_revision, &stored, &hosted, &mut pace).await?;
+            let updated = effects.len() as u64;
+            let after = writer.revision() + u64::from(updated > 0);
+            let response = v1::UpdateResponse {
+                updated_count: updated,
+                unchanged_count: request.ids.len() as u64 - updated,
+                revision: Some(revision(&hosted, after)),
+            };
+            let committed = self.commit(call, &hosted, writer, effects, claim.as_ref(), &response);
+            if committed.await? == Committed::Done {
+                return Ok(response);
+            }
+        }
+    }
+
+    /// Takes the writer with the stored points read, as of the newest record.
+    async fn read_for_update(
+        &self,
+        call: &Call,
+        hosted: &Hosted,
+        claim: Option<&Claim>,
+        stored: &mut ReadAhead<Arc<StoredPoint>>,
+        ids: &[u64],
+    ) -> Result<Start<v1::UpdateResponse>, Error> {
+        let mut base = hosted.published();
+        let mut reads = 0;
+        loop {
+            stored.read(call, DOING, hosted, &base, ids).await?;
+            let writer = match self.begin(call, hosted, claim).await? {
+                Start::Writing(writer) => writer,
+                remembered @ Start::Remembered(_) => return Ok(remembered),
+            };
+            base = Arc::clone(writer.base());
             reads += 1;
             // It fails only if others have written a great deal meanwhile.
-            if stored.catch_up(&hosted, &writer) {
-                break writer;
+            if stored.catch_up(hosted, &writer) {
+                return Ok(Start::Writing(writer));
             }
             if reads == MAX_READS_AHEAD {
-                let read = stored.read(call, DOING, &hosted, &head, &request.ids);
-                read.await?;
-                break writer;
-            }
-        };
-        let mut effects = Effects::new(hosted.space().coordinates());
-        let (mut missing, mut changed) = (Vec::new(), Vec::new());
-        for (at, &id) in request.ids.iter().enumerate() {
-            pace.step().await?;
-            let Some(held) = stored.get(id) else {
-                missing.push(id);
-                continue;
-            };
-            if if_revision.is_some_and(|revision| held.modified > revision) {
-                changed.push(id);
-                continue;
-            }
-            let tag = match request.tags.get(at).or(request.tags.first()) {
-                Some(tag) => set_bits(held.tag, *tag, request.tag_mask),
-                None => held.tag,
-            };
-            // A copy: the request's payloads are slices of the message, and would keep all of it.
-            let payload = match request.payloads.get(at) {
-                Some(payload) if *payload != held.payload => Bytes::copy_from_slice(payload),
-                _ => held.payload.clone(),
-            };
-            if tag != held.tag || payload != held.payload {
-                let point = PointRef {
-                    id,
-                    tag,
-                    revision: held.revision,
-                    row: &held.state,
-                };
-                effects.store(point, Outcome::Updated, payload);
+                stored.read(call, DOING, hosted, &base, ids).await?;
+                stored.catch_up(hosted, &writer);
+                return Ok(Start::Writing(writer));
             }
         }
-        if !missing.is_empty() {
-            return Err(Error::PointsNotFound {
-                index: request.index,
-                ids: missing,
-            });
-        }
-        if let Some(if_revision) = if_revision.filter(|_| !changed.is_empty()) {
-            return Err(Error::RevisionConflict {
-                index: request.index,
-                if_revision,
-                ids: changed,
-            });
-        }
-
-        let updated = effects.len() as u64;
-        let response = v1::UpdateResponse {
-            updated_count: updated,
-            unchanged_count: request.ids.len() as u64 - updated,
-            revision: Some(revision(&hosted, head.revision + u64::from(updated > 0))),
-        };
-        self.commit(call, &hosted, writer, effects, claim, &response)
-            .await?;
-        Ok(response)
     }
+}
+
+/// The effects of an update on the stored points.
+async fn updated(
+    request: &v1::UpdateRequest,
+    if_revision: Option<u64>,
+    stored: &ReadAhead<Arc<StoredPoint>>,
+    hosted: &Hosted,
+    pace: &mut Pace,
+) -> Result<Effects, Error> {
+    let mut effects = Effects::new(hosted.space().coordinates());
+    let (mut missing, mut changed) = (Vec::new(), Vec::new());
+    for (at, &id) in request.ids.iter().enumerate() {
+        pace.step().await?;
+        let Some(held) = stored.get(id) else {
+            missing.push(id);
+            continue;
+        };
+        if if_revision.is_some_and(|revision| held.modified > revision) {
+            changed.push(id);
+            continue;
+        }
+        let tag = match request.tags.get(at).or(request.tags.first()) {
+            Some(tag) => set_bits(held.tag, *tag, request.tag_mask),
+            None => held.tag,
+        };
+        // A copy: the request's payloads are slices of the message, and would keep all of it.
+        let payload = match request.payloads.get(at) {
+            Some(payload) if *payload != held.payload => Bytes::copy_from_slice(payload),
+            _ => held.payload.clone(),
+        };
+        if tag != held.tag || payload != held.payload {
+            let point = PointRef {
+                id,
+                tag,
+                revision: held.revision,
+                row: &held.state,
+            };
+            effects.store(point, Outcome::Updated, payload);
+        }
+    }
+    if !missing.is_empty() {
+        return Err(Error::PointsNotFound {
+            index: request.index.clone(),
+            ids: missing,
+        });
+    }
+    if let Some(if_revision) = if_revision.filter(|_| !changed.is_empty()) {
+        return Err(Error::RevisionConflict {
+            index: request.index.clone(),
+            if_revision,
+            ids: changed,
+        });
+    }
+    Ok(effects)
 }
 
 /// Checks a request; the number of the revision that it compares with, if there is one.

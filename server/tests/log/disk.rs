@@ -5,9 +5,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use wayfold_server::log::{Durability, Entry, FjallLog, Log, LogError, Uid};
+use wayfold_server::log::{Catalogue, Durability, Entry, FjallLog, LogError, Uid};
 
-use super::{copied::copied, effects};
+use super::{copied::copied, effects, submit, synced};
 
 pub(crate) fn open(directory: &Path) -> FjallLog {
     open_at(directory, Durability::Fsync)
@@ -18,16 +18,8 @@ pub(crate) fn open_at(directory: &Path, durability: Durability) -> FjallLog {
 }
 
 pub(crate) fn append(log: &FjallLog, uid: Uid, revision: u64) {
-    let appended = log.append(uid, revision - 1, effects(revision, &[revision], &[]));
+    let appended = submit(log, uid, revision - 1, effects(revision, &[revision], &[]));
     assert_eq!(appended.unwrap().revision(), revision);
-}
-
-/// Waits on this thread.
-pub(crate) fn synced(log: &FjallLog, uid: Uid, revision: u64) -> Result<u64, LogError> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .build()
-        .unwrap();
-    runtime.block_on(log.synced(uid, revision))
 }
 
 pub(crate) fn append_synced(log: &FjallLog, uid: Uid, revision: u64) {
@@ -37,14 +29,14 @@ pub(crate) fn append_synced(log: &FjallLog, uid: Uid, revision: u64) {
 
 /// Only this index is gone; why.
 pub(crate) fn only_gone(log: &FjallLog, entry: &Entry) -> LogError {
-    let mut gone = log.gone();
+    let mut gone = log.lost();
     let names: Vec<_> = gone.iter().map(|gone| (&*gone.name, gone.uid)).collect();
     assert_eq!(names, [(&*entry.name, entry.uid)]);
     gone.remove(0).why
 }
 
 /// The newest journal of fjall in a directory.
-pub(crate) struct Journal<'a> {
+pub(crate) struct JournalFile<'a> {
     directory: &'a Path,
     /// In the directory.
     pub(crate) name: PathBuf,
@@ -52,7 +44,7 @@ pub(crate) struct Journal<'a> {
     pub(crate) used: u64,
 }
 
-impl<'a> Journal<'a> {
+impl<'a> JournalFile<'a> {
     pub(crate) fn of(directory: &'a Path) -> Self {
         let files = fs::read_dir(directory.join("store")).unwrap();
         let journals = files

@@ -3,14 +3,14 @@
 
 use std::{fs, slice};
 
-use futures_util::FutureExt;
-use wayfold_server::log::{Durability, Log, LogError, Uid};
+use futures_util::{FutureExt, StreamExt};
+use wayfold_server::log::{Catalogue, Durability, Journal, LogError, PointStore, Uid};
 
 use super::{
     all_points,
     copied::copied,
-    disk::{Part, append, append_synced, open, open_at, synced},
-    effects, entry,
+    disk::{Part, append, append_synced, open, open_at},
+    effects, entry, submit, synced,
 };
 
 #[test]
@@ -28,12 +28,12 @@ fn what_was_synced_survives_a_crash_at_any_moment() {
         let copy = copied(directory.path());
         let after = open(copy.path());
         assert_eq!(after.indexes().unwrap()[..], *slice::from_ref(&arm));
-        let view = after.points(uid).unwrap();
+        let view = after.view(uid).unwrap();
         assert_eq!((view.revision(), view.next_id()), (revision, revision + 1));
-        assert_eq!(all_points(&*view), all_points(&*log.points(uid).unwrap()));
+        assert_eq!(all_points(&*view), all_points(&*log.view(uid).unwrap()));
         assert_eq!(
-            after.tail(uid, None, usize::MAX),
-            log.tail(uid, None, usize::MAX)
+            after.read(uid, None, usize::MAX),
+            log.read(uid, None, usize::MAX)
         );
         append(&after, uid, revision + 1);
     }
@@ -52,8 +52,9 @@ fn one_sync_is_shared_by_all_who_wrote_before_it() {
     }
     synced(&log, indexes[1].uid, 50).unwrap();
     // It was written before, so it needs no other.
-    let other = log.synced(indexes[0].uid, 50);
-    assert_eq!(other.now_or_never(), Some(Ok(50)));
+    let mut other = log.follow(indexes[0].uid, 49);
+    let records = other.next().now_or_never().unwrap().unwrap().unwrap();
+    assert_eq!(records.last().unwrap().revision(), 50);
 }
 
 /// The disk is taken away and comes back. Every acknowledged mutation is there, and any other is there whole or not at
@@ -71,14 +72,14 @@ fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
     let store = Part::of(directory.path(), "store");
     for head in [3, 4, 5] {
         assert_eq!(log.failure(), None);
-        let view = log.points(uid).unwrap();
+        let view = log.view(uid).unwrap();
         let before = all_points(&*view);
         store.take_away();
         append(&log, uid, head + 1);
         let failed = synced(&log, uid, head + 1).unwrap_err();
         assert!(matches!(failed, LogError::Storage { .. }));
         for _ in 0..2 {
-            let refused = log.append(uid, head + 1, effects(head + 2, &[99], &[]));
+            let refused = submit(&log, uid, head + 1, effects(head + 2, &[99], &[]));
             assert_eq!(refused.unwrap_err(), failed);
             assert_eq!(log.create(entry("other")), Err(failed.clone()));
             assert_eq!(log.delete(uid), Err(failed.clone()));
@@ -91,8 +92,8 @@ fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
         log.reopen().unwrap();
         assert_eq!(view.get(1).unwrap_err(), LogError::Closed);
         let (found, tail) = (
-            log.points(uid).unwrap(),
-            log.tail(uid, None, usize::MAX).unwrap(),
+            log.view(uid).unwrap(),
+            log.read(uid, None, usize::MAX).unwrap(),
         );
         // The last one was handed to the system: it happens to be there.
         assert_eq!((found.revision(), tail.len() as u64), (head + 1, head + 1));
@@ -100,7 +101,7 @@ fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
     }
     drop(log);
     let log = open(directory.path());
-    assert_eq!(log.points(uid).unwrap().revision(), 6);
+    assert_eq!(log.view(uid).unwrap().revision(), 6);
 }
 
 /// An unreadable disk is not reported as damage.
@@ -135,7 +136,7 @@ fn an_index_is_deleted_for_good() {
     let (first, second) = (entry("arm"), entry("arm"));
     log.create(first.clone()).unwrap();
     append(&log, first.uid, 1);
-    let view = log.points(first.uid).unwrap();
+    let view = log.view(first.uid).unwrap();
     log.delete(first.uid).unwrap();
     log.create(second.clone()).unwrap();
     assert_eq!(view.get(1).unwrap().unwrap().id, 1);
@@ -144,7 +145,7 @@ fn an_index_is_deleted_for_good() {
     for directory in [crashed.path(), directory.path()] {
         let after = open(directory);
         assert_eq!(after.indexes().unwrap()[..], *slice::from_ref(&second));
-        assert_eq!(after.points(second.uid).unwrap().revision(), 0);
+        assert_eq!(after.view(second.uid).unwrap().revision(), 0);
     }
 }
 
@@ -170,11 +171,11 @@ fn below_fsync_a_crash_that_may_have_lost_something_makes_new_uids() {
         assert_eq!(uids == [arm.uid], kept, "{durability:?}");
         assert!(uids.len() == 1 || durability == Durability::None);
         if durability != Durability::None {
-            assert_eq!(after.points(uids[0]).unwrap().revision(), 1);
+            assert_eq!(after.view(uids[0]).unwrap().revision(), 1);
         }
         // After an orderly stop everything is there.
         drop(log);
         let after = open_at(directory.path(), durability);
-        assert_eq!(after.points(arm.uid).unwrap().revision(), 1);
+        assert_eq!(after.view(arm.uid).unwrap().revision(), 1);
     }
 }

@@ -10,10 +10,11 @@ use std::{
 
 use fjall::{Database, KeyspaceCreateOptions};
 use wayfold_server::log::{
-    Durability, Entry, FjallLog, Log, LogError, Operation, Record, StoredPoint, Uid,
+    Catalogue, Durability, Entry, FjallLog, Journal, LogError, Operation, PointStore, Record,
+    StoredPoint, Uid,
 };
 
-use crate::{copied::copied, effects, entry};
+use crate::{copied::copied, effects, entry, submit};
 
 /// The greatest number of flips in a file, approximately, unless the environment variable `FLIPS` sets another.
 const FLIPS: u64 = 16;
@@ -39,7 +40,7 @@ fn fill(directory: &Path) -> Vec<Entry> {
             for revision in half * REVISIONS + 1..=(half + 1) * REVISIONS {
                 let (stored, removed) = changed(revision);
                 let effects = effects(revision, &stored, &removed);
-                log.append(entry.uid, revision - 1, effects).unwrap();
+                submit(&log, entry.uid, revision - 1, effects).unwrap();
             }
         }
         drop(log);
@@ -61,7 +62,7 @@ type Content = (
 );
 
 fn content(log: &FjallLog, uid: Uid) -> Result<Content, LogError> {
-    let view = log.points(uid)?;
+    let view = log.view(uid)?;
     let mut points = BTreeMap::new();
     let mut after = None;
     while let page = view.page(after, 7)?
@@ -72,7 +73,7 @@ fn content(log: &FjallLog, uid: Uid) -> Result<Content, LogError> {
     }
     Ok((
         points,
-        log.tail(uid, None, usize::MAX)?,
+        log.read(uid, None, usize::MAX)?,
         log.operations(uid)?,
         view.next_id(),
     ))
@@ -99,7 +100,7 @@ fn told(directory: &Path, entries: &[Entry], whole: &[Content], what: &str) -> b
     };
     let mut told = false;
     for (entry, whole) in entries.iter().zip(whole) {
-        let gone = log.gone().iter().any(|gone| gone.uid == entry.uid);
+        let gone = log.lost().iter().any(|gone| gone.uid == entry.uid);
         told |= gone;
         match content(&log, entry.uid) {
             Ok(content) => assert!(content == *whole, "{what}: {} is another", entry.name),

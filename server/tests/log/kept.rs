@@ -1,8 +1,8 @@
 //! The stores under test.
 
-use wayfold_server::log::{Durability, FjallLog, Log, MemoryLog};
+use wayfold_server::log::{Durability, FjallLog, MemoryLog};
 
-use crate::{copied::copied, fault::FaultLog};
+use crate::{Engine, copied::copied, fault::FaultLog};
 
 /// A log under test, which is closed and opened again, cut off and made to fail where it can be.
 pub(crate) enum Kept {
@@ -35,7 +35,7 @@ impl Kept {
         Self::Faulty(FaultLog::new(seed))
     }
 
-    pub(crate) fn log(&self) -> &dyn Log {
+    pub(crate) fn log(&self) -> &dyn Engine {
         match self {
             Kept::Memory(log) => log,
             Kept::Disk { log, .. } => &**log.as_ref().unwrap(),

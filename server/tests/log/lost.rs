@@ -3,13 +3,13 @@
 use std::slice;
 
 use bytes::Bytes;
-use wayfold_server::log::{Log, LogError, Origin, StoredPoint};
+use wayfold_server::log::{Catalogue, Journal, LogError, Origin, PointStore, StoredPoint};
 
 use super::{
     all_points,
     copied::copied,
-    disk::{Journal, Part, append, append_synced, only_gone, open},
-    effects, entry,
+    disk::{JournalFile, Part, append, append_synced, only_gone, open},
+    effects, entry, submit,
 };
 
 #[test]
@@ -24,7 +24,7 @@ fn a_journal_cut_short_of_what_was_synced_is_named() {
         append(&log, arm.uid, revision);
     }
     drop(log);
-    let journal = Journal::of(directory.path());
+    let journal = JournalFile::of(directory.path());
     let damaged = journal.cut(journal.used - 1);
 
     let lost = LogError::Lost {
@@ -35,11 +35,11 @@ fn a_journal_cut_short_of_what_was_synced_is_named() {
     // It stays so, and the other index is not concerned.
     for _ in 0..2 {
         let log = open(damaged.path());
-        assert_eq!(log.tail(arm.uid, None, usize::MAX).unwrap_err(), lost);
-        assert_eq!(log.points(arm.uid).err(), Some(lost.clone()));
-        let refused = log.append(arm.uid, 2, effects(3, &[1], &[]));
+        assert_eq!(log.read(arm.uid, None, usize::MAX).unwrap_err(), lost);
+        assert_eq!(log.view(arm.uid).err(), Some(lost.clone()));
+        let refused = submit(&log, arm.uid, 2, effects(3, &[1], &[]));
         assert_eq!(refused.unwrap_err(), lost);
-        assert_eq!(log.points(idle.uid).unwrap().revision(), 0);
+        assert_eq!(log.view(idle.uid).unwrap().revision(), 0);
     }
     let log = open(damaged.path());
     log.delete(arm.uid).unwrap();
@@ -56,15 +56,15 @@ fn a_flipped_byte_of_the_journal_is_never_a_silent_gap() {
     for revision in 1..=3 {
         append(&log, arm.uid, revision);
     }
-    let whole = all_points(&*log.points(arm.uid).unwrap());
+    let whole = all_points(&*log.view(arm.uid).unwrap());
     drop(log);
-    let journal = Journal::of(directory.path());
+    let journal = JournalFile::of(directory.path());
     let mut told = 0;
     for at in (0..journal.used).step_by(97) {
         println!("byte {at}");
         let damaged = journal.flipped(at);
         let log = open(damaged.path());
-        match log.points(arm.uid) {
+        match log.view(arm.uid) {
             Ok(view) => assert_eq!(all_points(&*view), whole),
             Err(LogError::Lost { .. }) => told += 1,
             // The index as a whole, where its creation was cut off, or all there is.
@@ -93,7 +93,7 @@ fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
     let why = only_gone(&log, &arm).to_string();
     assert!(why.contains("revisions 1 to 1"), "{why}");
     for error in [
-        log.points(uid).err().unwrap(),
+        log.view(uid).err().unwrap(),
         log.create(entry("other")).unwrap_err(),
         log.failure().unwrap(),
     ] {
@@ -102,8 +102,8 @@ fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
     assert!(log.reopen().is_err());
     store.bring_back();
     log.reopen().unwrap();
-    assert_eq!(log.points(uid).unwrap().revision(), 1);
-    assert_eq!(log.gone(), []);
+    assert_eq!(log.view(uid).unwrap().revision(), 1);
+    assert_eq!(log.lost(), []);
 }
 
 /// Fjall recreates a part that it does not find, over the files that are left.
@@ -114,9 +114,9 @@ fn whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched() {
     let arm = entry("arm");
     log.create(arm.clone()).unwrap();
     append_synced(&log, arm.uid, 1);
-    let whole = all_points(&*log.points(arm.uid).unwrap());
+    let whole = all_points(&*log.view(arm.uid).unwrap());
     drop(log);
-    let journal = Journal::of(directory.path()).name;
+    let journal = JournalFile::of(directory.path()).name;
     for part in [
         "store/version",
         "store/keyspaces",
@@ -137,7 +137,7 @@ fn whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched() {
         }
         part_of.bring_back();
         log.reopen().unwrap();
-        assert_eq!(all_points(&*log.points(arm.uid).unwrap()), whole);
+        assert_eq!(all_points(&*log.view(arm.uid).unwrap()), whole);
     }
 }
 
@@ -156,7 +156,7 @@ fn what_does_not_belong_to_a_store_is_named() {
     assert!(why.contains("keyspaces/abc is not its"), "{why}");
     std::fs::remove_dir(strange).unwrap();
     log.reopen().unwrap();
-    assert_eq!(log.points(arm.uid).unwrap().revision(), 0);
+    assert_eq!(log.view(arm.uid).unwrap().revision(), 0);
 }
 
 /// An index whose creation was synced and then cut off is named, keeps its number, and can be deleted.
@@ -167,7 +167,7 @@ fn an_index_of_which_only_the_mark_is_left_is_named_until_it_is_deleted() {
     let arm = entry("arm");
     log.create(arm.clone()).unwrap();
     drop(log);
-    let damaged = Journal::of(directory.path()).cut(0);
+    let damaged = JournalFile::of(directory.path()).cut(0);
     for _ in 0..2 {
         let log = open(damaged.path());
         assert_eq!(log.indexes().unwrap(), []);
@@ -175,13 +175,13 @@ fn an_index_of_which_only_the_mark_is_left_is_named_until_it_is_deleted() {
     }
     let log = open(damaged.path());
     log.delete(arm.uid).unwrap();
-    assert_eq!(log.gone(), []);
+    assert_eq!(log.lost(), []);
     let new = entry("arm");
     log.create(new.clone()).unwrap();
     append_synced(&log, new.uid, 1);
     drop(log);
     let log = open(damaged.path());
-    assert_eq!((log.indexes().unwrap(), log.gone()), (vec![new], vec![]));
+    assert_eq!((log.indexes().unwrap(), log.lost()), (vec![new], vec![]));
 }
 
 /// A restore was acknowledged, and the journal then lost part of it. The log does not take it for a restore that was
@@ -192,7 +192,7 @@ fn a_restored_index_that_is_cut_off_is_named() {
     let log = open(directory.path());
     let arm = entry("arm");
     log.create(arm.clone()).unwrap();
-    let before = Journal::of(directory.path()).used;
+    let before = JournalFile::of(directory.path()).used;
     let copy = entry("copy");
     let origin = Origin {
         revision: 7,
@@ -215,13 +215,13 @@ fn a_restored_index_that_is_cut_off_is_named() {
     // Given up: it leaves nothing, also no mark.
     let mut given_up = log.restore(entry("given-up"), origin).unwrap();
     given_up.add(&[point(1)]).unwrap();
-    let journal = Journal::of(directory.path());
+    let journal = JournalFile::of(directory.path());
     let crashed = copied(directory.path());
     drop(given_up);
     drop(log);
     let log = open(crashed.path());
-    assert_eq!(log.points(copy.uid).unwrap().revision(), 7);
-    assert_eq!((log.indexes().unwrap().len(), log.gone()), (2, vec![]));
+    assert_eq!(log.view(copy.uid).unwrap().revision(), 7);
+    assert_eq!((log.indexes().unwrap().len(), log.lost()), (2, vec![]));
     drop(log);
     let lost = LogError::Lost {
         uid: copy.uid,
@@ -242,7 +242,7 @@ fn a_restored_index_that_is_cut_off_is_named() {
         drop(log);
         let log = open(damaged.path());
         assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm));
-        assert_eq!(log.gone(), []);
+        assert_eq!(log.lost(), []);
     }
 }
 
@@ -254,10 +254,10 @@ fn an_index_that_was_deleted_does_not_come_back() {
     let (arm, leg) = (entry("arm"), entry("leg"));
     log.create(arm.clone()).unwrap();
     log.create(leg.clone()).unwrap();
-    let before = Journal::of(directory.path()).used;
+    let before = JournalFile::of(directory.path()).used;
     append_synced(&log, leg.uid, 1);
     log.delete(leg.uid).unwrap();
-    let journal = Journal::of(directory.path());
+    let journal = JournalFile::of(directory.path());
     drop(log);
     for length in (before..journal.used).step_by(37) {
         println!("{length} of {}", journal.used);
@@ -265,7 +265,7 @@ fn an_index_that_was_deleted_does_not_come_back() {
         for _ in 0..2 {
             let log = open(damaged.path());
             assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm));
-            assert_eq!(log.gone(), []);
+            assert_eq!(log.lost(), []);
         }
         // Its number is not used again.
         let log = open(damaged.path());
@@ -274,6 +274,6 @@ fn an_index_that_was_deleted_does_not_come_back() {
         append_synced(&log, new.uid, 1);
         drop(log);
         let log = open(damaged.path());
-        assert_eq!(log.points(new.uid).unwrap().revision(), 1);
+        assert_eq!(log.view(new.uid).unwrap().revision(), 1);
     }
 }

@@ -20,13 +20,50 @@ mod suite;
 use std::{collections::BTreeMap, sync::Arc, time::SystemTime};
 
 use bytes::Bytes;
+use futures_util::StreamExt;
 use proptest::prelude::*;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Effects, Entry, Keep, Log, LogError, MemoryLog, Outcome, StoredPoint, Uid, View,
+    Catalogue, Effects, Entry, Journal, LogError, MemoryLog, Outcome, PointStore, Receipt, Record,
+    Retention, StoredPoint, Tip, Uid, View,
 };
 
 use kept::Kept;
+
+/// A log that is all three parts.
+trait Engine: Journal + PointStore + Catalogue {}
+
+impl<Log: Journal + PointStore + Catalogue> Engine for Log {}
+
+/// Submits a record after the revision `expected`.
+fn submit(
+    log: &(impl Engine + ?Sized),
+    uid: Uid,
+    expected: u64,
+    effects: Effects,
+) -> Result<Arc<Record>, LogError> {
+    let tip = Tip {
+        revision: expected,
+        ..log.view(uid)?.tip()
+    };
+    let record = Arc::new(Record::after(tip, effects));
+    let receipt = log.submit(uid, Arc::clone(&record))?;
+    assert!(matches!(receipt, Receipt::Accepted));
+    Ok(record)
+}
+
+/// Waits on this thread until a revision is durable, and returns the newest that is so then.
+fn synced(log: &(impl Engine + ?Sized), uid: Uid, revision: u64) -> Result<u64, LogError> {
+    if revision == 0 {
+        return Ok(0);
+    }
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .build()
+        .unwrap();
+    let mut records = log.follow(uid, revision - 1);
+    let batch = runtime.block_on(records.next()).unwrap()?;
+    Ok(batch.last().unwrap().revision())
+}
 
 fn entry(name: &str) -> Entry {
     Entry {
@@ -56,8 +93,8 @@ fn effects(revision: u64, stored: &[u64], removed: &[u64]) -> Effects {
 }
 
 /// Keeps this many bytes of records, however old, and every operation.
-fn keep(record_bytes: usize) -> Keep {
-    Keep {
+fn keep(record_bytes: usize) -> Retention {
+    Retention {
         record_bytes,
         since: SystemTime::UNIX_EPOCH,
         operations: usize::MAX,
@@ -97,18 +134,18 @@ fn unknown_and_taken_uids_are_refused() {
     }
 }
 
-fn check_uids(log: &dyn Log) {
+fn check_uids(log: &dyn Engine) {
     let entry = entry("arm");
     let uid = entry.uid;
     let unknown = LogError::UnknownIndex { uid };
     assert_eq!(
-        log.append(uid, 0, effects(1, &[1], &[])).unwrap_err(),
+        submit(log, uid, 0, effects(1, &[1], &[])).unwrap_err(),
         unknown
     );
-    assert_eq!(log.tail(uid, None, usize::MAX).unwrap_err(), unknown);
+    assert_eq!(log.read(uid, None, usize::MAX).unwrap_err(), unknown);
     assert_eq!(log.trim(uid, &keep(0)).unwrap_err(), unknown);
     assert_eq!(log.delete(uid).unwrap_err(), unknown);
-    assert!(log.points(uid).is_err());
+    assert!(log.view(uid).is_err());
     log.create(entry.clone()).unwrap();
     assert_eq!(log.create(entry), Err(LogError::UidTaken { uid }));
 }
@@ -120,10 +157,9 @@ fn who_has_all_records_but_the_newest_gets_it_however_large_it_is() {
     let uid = entry.uid;
     log.create(entry).unwrap();
     for revision in 1..=2 {
-        log.append(uid, revision - 1, effects(revision, &[1], &[]))
-            .unwrap();
+        submit(&log, uid, revision - 1, effects(revision, &[1], &[])).unwrap();
         log.trim(uid, &keep(0)).unwrap();
-        let tail = log.tail(uid, Some(revision - 1), usize::MAX).unwrap();
+        let tail = log.read(uid, Some(revision - 1), usize::MAX).unwrap();
         assert_eq!(tail[0].revision(), revision);
     }
 }
@@ -136,7 +172,7 @@ fn views_are_never_torn() {
     }
 }
 
-fn check_views(log: &dyn Log) {
+fn check_views(log: &dyn Engine) {
     const IDS: u64 = 2000;
     let entry = entry("arm");
     let uid = entry.uid;
@@ -145,14 +181,13 @@ fn check_views(log: &dyn Log) {
     std::thread::scope(|scope| {
         scope.spawn(|| {
             for revision in 1..=30 {
-                log.append(uid, revision - 1, effects(revision, &ids, &[]))
-                    .unwrap();
+                submit(log, uid, revision - 1, effects(revision, &ids, &[])).unwrap();
             }
         });
         for _ in 0..2 {
             scope.spawn(|| {
                 loop {
-                    let view = log.points(uid).unwrap();
+                    let view = log.view(uid).unwrap();
                     let revision = view.revision();
                     for id in (0..IDS).step_by(97) {
                         let modified = view.get(id).unwrap().map_or(0, |point| point.modified);

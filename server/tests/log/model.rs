@@ -8,10 +8,10 @@ use std::{
 
 use bytes::Bytes;
 use wayfold_server::log::{
-    Effects, Keep, Log, LogError, Operation, Origin, Record, StoredPoint, Uid, View,
+    Effects, LogError, Operation, Origin, Record, Retention, StoredPoint, Uid, View,
 };
 
-use crate::{all_points, effects};
+use crate::{Engine, all_points, effects};
 
 pub(crate) type Points = BTreeMap<u64, Arc<StoredPoint>>;
 
@@ -104,7 +104,7 @@ impl Model {
         operations.flatten().cloned().collect()
     }
 
-    pub(crate) fn trim(&mut self, keep: &Keep) {
+    pub(crate) fn trim(&mut self, keep: &Retention) {
         let time =
             |record: &Record| SystemTime::UNIX_EPOCH + Duration::from_millis(record.time_ms());
         let bytes = |records: &[Arc<Record>]| -> usize {
@@ -130,9 +130,9 @@ impl Model {
 
     /// Goes back to where a log is that was opened again; what was trimmed may have come back. `unknown` are the effects
     /// of an append that failed.
-    pub(crate) fn rejoin(&mut self, log: &dyn Log, uid: Uid, unknown: Option<&Effects>) {
-        let revision = log.points(uid).unwrap().revision();
-        let held = log.tail(uid, None, usize::MAX).unwrap();
+    pub(crate) fn rejoin(&mut self, log: &dyn Engine, uid: Uid, unknown: Option<&Effects>) {
+        let revision = log.view(uid).unwrap().revision();
+        let held = log.read(uid, None, usize::MAX).unwrap();
         if revision == self.head() + 1 {
             let unknown = unknown.expect("nobody appended it");
             self.append(Arc::clone(held.last().unwrap()), unknown);
@@ -152,18 +152,18 @@ impl Model {
     }
 
     /// Checks all that a log shows of the index.
-    pub(crate) fn check(&self, log: &dyn Log, uid: Uid) {
-        let view = log.points(uid).unwrap();
+    pub(crate) fn check(&self, log: &dyn Engine, uid: Uid) {
+        let view = log.view(uid).unwrap();
         assert_eq!(view.revision(), self.head());
         assert_eq!(view.next_id(), self.newest().1);
         check_view(&*view, &self.newest().0);
         assert_eq!(
-            log.tail(uid, None, usize::MAX).unwrap(),
+            log.read(uid, None, usize::MAX).unwrap(),
             self.records[self.trimmed..]
         );
         let oldest = self.origin.revision + self.trimmed as u64;
         for after in self.origin.revision.saturating_sub(1)..=self.head() {
-            let tail = log.tail(uid, Some(after), usize::MAX);
+            let tail = log.read(uid, Some(after), usize::MAX);
             if after < oldest {
                 assert_eq!(tail, Err(LogError::Trimmed { uid, after, oldest }));
             } else {
@@ -171,7 +171,7 @@ impl Model {
                 let rest = &self.records[skipped..];
                 assert_eq!(tail.unwrap(), rest);
                 for most in [0, 600, 1500] {
-                    let part = log.tail(uid, Some(after), most).unwrap();
+                    let part = log.read(uid, Some(after), most).unwrap();
                     let bytes = |count: usize| -> usize {
                         let records = rest[..count].iter();
                         records.map(|record| record.effects().bytes()).sum()

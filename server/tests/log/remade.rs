@@ -15,14 +15,15 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Durability, Effects, Entry, FjallLog, Log, LogError, Operation, Outcome, Uid,
+    Catalogue, Durability, Effects, Entry, FjallLog, Journal, LogError, Operation, Outcome,
+    PointStore, Uid,
 };
 
 use super::{
     all_points,
     copied::copied,
-    disk::{append_synced, open, open_at, synced},
-    effects, entry, keep,
+    disk::{append_synced, open, open_at},
+    effects, entry, keep, submit, synced,
 };
 
 /// Bytes of a payload: several blocks, and large enough that fjall soon begins another table.
@@ -46,7 +47,7 @@ fn grow(log: &FjallLog, uid: Uid, revision: u64, payload: Bytes) -> Result<(), L
         row: &[0.5],
     };
     effects.store(point, Outcome::Inserted, payload);
-    log.append(uid, revision - 1, effects)?;
+    submit(log, uid, revision - 1, effects)?;
     synced(log, uid, revision).map(|_| ())
 }
 
@@ -120,8 +121,8 @@ fn flip(file: &Path, at: usize) {
 
 fn damaged(log: &FjallLog, entry: &Entry) {
     for error in [
-        log.points(entry.uid).err().unwrap(),
-        log.append(entry.uid, 20, Effects::new(0)).unwrap_err(),
+        log.view(entry.uid).err().unwrap(),
+        submit(log, entry.uid, 20, Effects::new(0)).unwrap_err(),
     ] {
         assert!(matches!(error, LogError::Unreadable { .. }), "{error}");
     }
@@ -142,7 +143,7 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
         damaged(&log, &arm);
         append_synced(&log, base.uid, revision);
         assert_eq!(
-            all_points(&*log.points(base.uid).unwrap()).len(),
+            all_points(&*log.view(base.uid).unwrap()).len(),
             revision as usize
         );
         drop(log);
@@ -151,7 +152,7 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
         assert!(!directory.path().join("store.damaged-2").exists());
     }
     let log = open(directory.path());
-    let why = log.points(arm.uid).err().unwrap().to_string();
+    let why = log.view(arm.uid).err().unwrap().to_string();
     for part in ["revisions 1 to 20", "store.damaged-N", "restore the index"] {
         assert!(why.contains(part), "{why}");
     }
@@ -201,7 +202,7 @@ fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_lo
         };
         println!("{held:?}, after {revision} revisions: {failure}");
         assert_eq!(log.failure(), Some(failure));
-        let points = |entry: &Entry| all_points(&*log.points(entry.uid).unwrap()).len() as u64;
+        let points = |entry: &Entry| all_points(&*log.view(entry.uid).unwrap()).len() as u64;
         assert!(points(&base) >= revision);
 
         log.reopen().unwrap();
@@ -210,7 +211,7 @@ fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_lo
             Held::Past => assert_eq!(points(&arm), 21),
             Held::Deleted => assert_eq!(log.indexes().unwrap(), slice::from_ref(&base)),
         }
-        let head = log.points(base.uid).unwrap().revision();
+        let head = log.view(base.uid).unwrap().revision();
         assert!(head >= revision);
         grow(&log, base.uid, head + 1, much).unwrap();
         assert_eq!(points(&base), head + 1);
@@ -239,7 +240,7 @@ fn no_block_of_a_table_costs_all_indices() {
                     fingerprint: [7; 32],
                     response: Bytes::new(),
                 })));
-                log.append(entry.uid, revision - 1, effects).unwrap();
+                submit(&log, entry.uid, revision - 1, effects).unwrap();
             }
         }
         drop(log);
@@ -257,7 +258,7 @@ fn no_block_of_a_table_costs_all_indices() {
             let log = open_at(copy.path(), durability);
             let lost: Vec<_> = entries
                 .iter()
-                .filter(|entry| log.points(entry.uid).is_err())
+                .filter(|entry| log.view(entry.uid).is_err())
                 .collect();
             println!(
                 "{durability:?}, byte {at} of {}: {} lost",
@@ -266,7 +267,7 @@ fn no_block_of_a_table_costs_all_indices() {
             );
             for lost in &lost {
                 let listed = log.indexes().unwrap_or_default().contains(lost);
-                let gone = log.gone().iter().any(|gone| gone.uid == lost.uid);
+                let gone = log.lost().iter().any(|gone| gone.uid == lost.uid);
                 assert!(
                     listed || gone || log.failure().is_some(),
                     "nothing tells of it"
@@ -280,9 +281,9 @@ fn no_block_of_a_table_costs_all_indices() {
             log.create(new.clone()).unwrap();
             drop(log);
             let log = open_at(copy.path(), durability);
-            assert_eq!(log.points(new.uid).unwrap().revision(), 0);
+            assert_eq!(log.view(new.uid).unwrap().revision(), 0);
             for entry in entries.iter().filter(|entry| !lost.contains(entry)) {
-                let points = all_points(&*log.points(entry.uid).unwrap());
+                let points = all_points(&*log.view(entry.uid).unwrap());
                 assert_eq!(points.len() as u64, REVISIONS);
             }
         }
@@ -304,7 +305,7 @@ fn a_store_that_was_made_anew_takes_its_place_at_the_next_start() {
     let is_whole = || {
         let log = open(directory.path());
         damaged(&log, &arm);
-        assert_eq!(log.points(base.uid).unwrap().revision(), 1);
+        assert_eq!(log.view(base.uid).unwrap().revision(), 1);
         assert!(kept.exists() && !remade.exists());
     };
     fs::rename(&store, &remade).unwrap();

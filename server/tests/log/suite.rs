@@ -6,12 +6,13 @@ use std::{
 };
 
 use proptest::prelude::*;
-use wayfold_server::log::{Effects, Entry, Keep, LogError, Origin, StoredPoint, View};
+use wayfold_server::log::{Effects, Entry, LogError, Origin, Retention, StoredPoint, View};
 
 use crate::{
     all_points, cases, effects, entry,
     kept::Kept,
     model::{Model, Points, check_view},
+    submit, synced,
 };
 
 #[derive(Clone, Debug)]
@@ -107,14 +108,14 @@ impl Run {
                 operation,
             } => {
                 let effects = self.model.next(&store, &remove, operation);
-                match log.append(uid, head, effects.clone()) {
+                match submit(log, uid, head, effects.clone()) {
                     Ok(record) => self.model.append(record, &effects),
                     Err(why) => self.recover(&why, Some(&effects)),
                 }
             }
             Step::Stale { behind } if behind <= head => {
                 let expected = head - behind;
-                let refused = log.append(uid, expected, effects(expected + 1, &[1], &[]));
+                let refused = submit(log, uid, expected, effects(expected + 1, &[1], &[]));
                 let fenced = LogError::Fenced {
                     uid,
                     expected,
@@ -124,7 +125,7 @@ impl Run {
             }
             Step::Stale { .. } => {}
             Step::Hold => {
-                let view = log.points(uid).unwrap();
+                let view = log.view(uid).unwrap();
                 self.views.push((view, self.model.newest().0.clone()));
             }
             Step::Release(at) if !self.views.is_empty() => {
@@ -140,7 +141,7 @@ impl Run {
             } => {
                 let oldest = self.model.records[self.model.trimmed..].get(oldest);
                 let since = oldest.map_or(0, |record| record.time_ms());
-                let keep = Keep {
+                let keep = Retention {
                     record_bytes,
                     since: SystemTime::UNIX_EPOCH + Duration::from_millis(since),
                     operations,
@@ -190,18 +191,15 @@ impl Run {
     fn check(&self) {
         let log = self.kept.log();
         self.model.check(log, self.ours.uid);
-        assert_eq!(log.points(self.other.uid).unwrap().revision(), 0);
+        assert_eq!(log.view(self.other.uid).unwrap().revision(), 0);
         for (view, points) in &self.views {
             check_view(&**view, points);
         }
     }
 
     fn wait_synced(&self) -> Result<u64, LogError> {
-        let synced = self.kept.log().synced(self.ours.uid, self.model.head());
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .build()
-            .unwrap();
-        runtime.block_on(synced)
+        let head = self.model.head();
+        synced(self.kept.log(), self.ours.uid, head).map(|newest| newest.max(head))
     }
 
     /// Checks the log after a call that failed. The call has changed nothing visible, the log refuses further writes,
@@ -217,7 +215,7 @@ impl Run {
         self.check();
         let log = self.kept.log();
         assert_eq!(log.failure().as_ref(), Some(why));
-        let refused = log.append(self.ours.uid, self.model.head(), effects(1, &[1], &[]));
+        let refused = submit(log, self.ours.uid, self.model.head(), effects(1, &[1], &[]));
         assert_eq!(refused.as_ref(), Err(why));
         assert_eq!(log.create(entry("new")).as_ref(), Err(why));
         assert_eq!(log.delete(self.other.uid).as_ref(), Err(why));
@@ -251,7 +249,7 @@ impl Run {
         let copied = log.restore(copy.clone(), origin).and_then(|mut copying| {
             for part in stored.chunks(3) {
                 copying.add(part)?;
-                assert!(log.points(copy.uid).is_err(), "it is not there yet");
+                assert!(log.view(copy.uid).is_err(), "it is not there yet");
             }
             if finished { copying.finish() } else { Ok(()) }
         });
@@ -264,7 +262,7 @@ impl Run {
             }
         };
         let log = self.kept.log();
-        assert_eq!(log.points(copy.uid).is_ok(), made);
+        assert_eq!(log.view(copy.uid).is_ok(), made);
         assert_eq!(log.indexes().unwrap().len(), 2 + usize::from(made));
         if made {
             let before = std::mem::replace(&mut self.ours, copy);
@@ -275,7 +273,7 @@ impl Run {
                 self.recover(&why, None);
                 let log = self.kept.log();
                 if log.indexes().unwrap().contains(&before) {
-                    assert_eq!(log.points(before.uid).unwrap().revision(), origin.revision);
+                    assert_eq!(log.view(before.uid).unwrap().revision(), origin.revision);
                     log.delete(before.uid).unwrap();
                 }
             }

@@ -1,7 +1,5 @@
 //! Snapshots and their parts, for the tests that take and restore them.
 
-use std::sync::Arc;
-
 use bytes::Bytes;
 use wayfold_index::Space;
 use wayfold_proto::{
@@ -144,6 +142,6 @@ pub(crate) async fn lived_in(service: &Service, space: &str, seed: u64) -> Strin
 }
 
 /// A service over this log.
-pub(crate) fn over(log: Arc<dyn wayfold_server::log::Log>) -> Service {
+pub(crate) fn over(log: impl Into<wayfold_server::log::Log>) -> Service {
     service_with(log, wayfold_server::service::Limits::default())
 }

@@ -11,24 +11,30 @@ use std::{
     time::Duration,
 };
 
-use futures_util::{FutureExt, future::BoxFuture, poll};
+use futures_util::{StreamExt, poll, stream};
 use tokio::{
     sync::{Notify, watch},
     time::timeout,
 };
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Effects, Log, LogError, MemoryLog, Record, Uid, View},
+    log::{
+        Catalogue, Journal, LogError, MemoryLog, PointStore, Receipt, Record, RecordStream, Uid,
+        View,
+    },
     service::{Code, Limits},
 };
 
-use crate::{forward::forward_to, support::*};
+use crate::{
+    forward::{forward_catalogue, forward_journal, forward_points},
+    support::*,
+};
 
 /// A log in memory that is synced up to the revision that the test says, and fails when it says so.
 struct Held {
     memory: MemoryLog,
     synced: watch::Sender<u64>,
-    fails: AtomicBool,
+    fails: Arc<AtomicBool>,
     /// The thread that last appended to it.
     appended_by: Mutex<Option<ThreadId>>,
 }
@@ -38,36 +44,56 @@ impl Held {
         Arc::new(Self {
             memory: MemoryLog::new(),
             synced: watch::Sender::new(0),
-            fails: AtomicBool::new(false),
+            fails: Arc::default(),
             appended_by: Mutex::new(None),
         })
     }
 }
 
-impl Log for Held {
-    forward_to!(memory);
+forward_catalogue!(Held, memory);
 
-    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
+impl Journal for Held {
+    forward_journal!(memory);
+
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
         *self.appended_by.lock().unwrap() = Some(std::thread::current().id());
-        self.memory.append(uid, expected, effects)
+        self.memory.submit(uid, record)
     }
 
-    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
-        if self.fails.load(Ordering::Relaxed) {
-            let what = "the disk is full";
-            return std::future::ready(Err(LogError::Damaged {
-                uid,
-                revision,
-                what,
-            }))
-            .boxed();
-        }
-        let mut synced = self.synced.subscribe();
-        async move { Ok(*synced.wait_for(|&synced| synced >= revision).await.unwrap()) }.boxed()
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        let (fails, synced) = (Arc::clone(&self.fails), self.synced.subscribe());
+        let records = self.memory.follow(uid, after);
+        let single = records.flat_map(|batch| stream::iter(batch.unwrap()));
+        let held = single.then(move |record| {
+            let (fails, mut synced) = (Arc::clone(&fails), synced.clone());
+            async move {
+                let revision = record.revision();
+                if fails.load(Ordering::Relaxed) {
+                    let what = "the disk is full";
+                    return Err(LogError::Damaged {
+                        uid,
+                        revision,
+                        what,
+                    });
+                }
+                let reached = synced.wait_for(|&synced| synced >= revision).await;
+                reached.unwrap();
+                Ok(vec![record])
+            }
+        });
+        held.boxed()
+    }
+}
+
+impl PointStore for Held {
+    forward_points!(memory);
+
+    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
+        self.memory.apply(uid, records)
     }
 
-    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
-        self.memory.points(uid)
+    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        self.memory.view(uid)
     }
 }
 
@@ -115,7 +141,7 @@ async fn a_call_dropped_after_it_was_logged_takes_place() {
         let request = insertion(&cube(1, rows), &[]);
         {
             let mut dropped = pin!(service.insert(&CALL, request));
-            while log.points(entry.uid).unwrap().revision() == 0 {
+            while log.view(entry.uid).unwrap().revision() == 0 {
                 assert!(poll!(&mut dropped).is_pending());
                 tokio::task::yield_now().await;
             }
@@ -195,7 +221,7 @@ async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
         {
             assert!(call.as_mut().poll(&mut context).is_pending());
         }
-        assert_eq!(log.points(entry.uid).unwrap().revision(), logged);
+        assert_eq!(log.view(entry.uid).unwrap().revision(), logged);
         calls.push(call);
     }
     log.synced.send_replace(1);

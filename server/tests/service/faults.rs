@@ -7,7 +7,6 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::Log,
     registry::{Registry, RegistryOptions},
     service::{Code, Error, Limits, Service},
 };
@@ -127,13 +126,12 @@ async fn read(service: &Service) -> (u64, BTreeMap<u64, Point>) {
 }
 
 fn registry(log: &FaultLog) -> Arc<Registry> {
-    let log: Arc<dyn Log> = Arc::new(log.clone());
     // So small a window that trimming, too, is a call that may fail.
     let options = RegistryOptions {
         window_bytes: 500,
         ..options()
     };
-    Arc::new(Registry::new(log, options))
+    Arc::new(Registry::new(Arc::new(log.clone()), options))
 }
 
 fn serving(registry: &Arc<Registry>) -> Service {

@@ -1,14 +1,75 @@
 //! Logs in memory that do something otherwise.
 
-/// Forwards all of `Log` but `append`, `synced` and `points` to the log in this field.
-macro_rules! forward_to {
+/// A `Catalogue` that forwards to the field of a log.
+macro_rules! forward_catalogue {
+    ($log:ty, $field:tt) => {
+        impl wayfold_server::log::Catalogue for $log {
+            fn indexes(&self) -> Result<Vec<wayfold_server::log::Entry>, LogError> {
+                self.$field.indexes()
+            }
+
+            fn create(&self, entry: wayfold_server::log::Entry) -> Result<(), LogError> {
+                self.$field.create(entry)
+            }
+
+            fn delete(&self, uid: Uid) -> Result<(), LogError> {
+                self.$field.delete(uid)
+            }
+        }
+    };
+}
+
+/// Forwards all of `Journal` but `submit` and `follow`.
+macro_rules! forward_journal {
     ($field:tt) => {
-        fn indexes(&self) -> Result<Vec<wayfold_server::log::Entry>, LogError> {
-            self.$field.indexes()
+        fn read(
+            &self,
+            uid: Uid,
+            after: Option<u64>,
+            max_bytes: usize,
+        ) -> Result<Vec<Arc<Record>>, LogError> {
+            self.$field.read(uid, after, max_bytes)
         }
 
-        fn create(&self, entry: wayfold_server::log::Entry) -> Result<(), LogError> {
-            self.$field.create(entry)
+        fn trim(
+            &self,
+            uid: Uid,
+            retention: &wayfold_server::log::Retention,
+        ) -> Result<(), LogError> {
+            self.$field.trim(uid, retention)
+        }
+    };
+}
+
+/// A `Journal` that forwards to the field of a log.
+macro_rules! forward_whole_journal {
+    ($log:ty, $field:tt) => {
+        impl wayfold_server::log::Journal for $log {
+            $crate::forward::forward_journal!($field);
+
+            fn submit(
+                &self,
+                uid: Uid,
+                record: Arc<Record>,
+            ) -> Result<wayfold_server::log::Receipt, LogError> {
+                self.$field.submit(uid, record)
+            }
+
+            fn follow(&self, uid: Uid, after: u64) -> wayfold_server::log::RecordStream {
+                self.$field.follow(uid, after)
+            }
+        }
+    };
+}
+
+/// Forwards all of `PointStore` but `apply` and `view`.
+macro_rules! forward_points {
+    ($field:tt) => {
+        fn operations(
+            &self,
+            uid: Uid,
+        ) -> Result<Vec<Arc<wayfold_server::log::Operation>>, LogError> {
+            self.$field.operations(uid)
         }
 
         fn restore(
@@ -18,31 +79,7 @@ macro_rules! forward_to {
         ) -> Result<Box<dyn wayfold_server::log::Restoring>, LogError> {
             self.$field.restore(entry, origin)
         }
-
-        fn delete(&self, uid: Uid) -> Result<(), LogError> {
-            self.$field.delete(uid)
-        }
-
-        fn tail(
-            &self,
-            uid: Uid,
-            after: Option<u64>,
-            most: usize,
-        ) -> Result<Vec<Arc<Record>>, LogError> {
-            self.$field.tail(uid, after, most)
-        }
-
-        fn operations(
-            &self,
-            uid: Uid,
-        ) -> Result<Vec<Arc<wayfold_server::log::Operation>>, LogError> {
-            self.$field.operations(uid)
-        }
-
-        fn trim(&self, uid: Uid, keep: &wayfold_server::log::Keep) -> Result<(), LogError> {
-            self.$field.trim(uid, keep)
-        }
     };
 }
 
-pub(crate) use forward_to;
+pub(crate) use {forward_catalogue, forward_journal, forward_points, forward_whole_journal};

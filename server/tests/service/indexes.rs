@@ -7,7 +7,7 @@ use wayfold_proto::{
     v1::{self, create_index_request::SpaceForm},
 };
 use wayfold_server::{
-    log::{Log, MemoryLog},
+    log::{Catalogue, MemoryLog},
     registry::Registry,
     service::{Code, Error, Limits, Service, Unavailability},
 };

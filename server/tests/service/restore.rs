@@ -123,8 +123,8 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
     for (seed, space) in SPACES.into_iter().enumerate() {
         println!("space {space}, seed {seed}");
         let directory = tempfile::tempdir().unwrap();
-        let disk = || Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap());
-        let logs: [Arc<dyn Log>; 2] = [Arc::new(MemoryLog::new()), disk()];
+        let disk = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+        let logs = [Log::from(Arc::new(MemoryLog::new())), Arc::new(disk).into()];
         for log in logs {
             let source = service();
             lived_in(&source, space, seed as u64).await;
@@ -242,11 +242,11 @@ async fn the_limit_of_indices_is_kept() {
 }
 
 /// Asserts that a restore left nothing: neither an index nor, once its remains are swept, a trace in the log.
-async fn is_untouched(service: &Service, log: &dyn Log) {
+async fn is_untouched(service: &Service, log: &Log) {
     let page = v1::ListIndexesRequest::default();
     let listed = service.list_indexes(&CALL, page).await.unwrap();
     assert_eq!(listed.indexes, Vec::new());
-    assert_eq!(log.indexes().unwrap(), Vec::new());
+    assert_eq!(log.catalogue.indexes().unwrap(), Vec::new());
 }
 
 #[tokio::test]
@@ -263,15 +263,15 @@ async fn what_is_not_whole_leaves_nothing() {
     assert!(parts.len() > 4);
     let directory = tempfile::tempdir().unwrap();
     let disk = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
-    let logs: [Arc<dyn Log>; 2] = [Arc::new(MemoryLog::new()), Arc::new(disk)];
+    let logs = [Log::from(Arc::new(MemoryLog::new())), Arc::new(disk).into()];
     for log in logs {
-        let target = over(Arc::clone(&log));
+        let target = over(log.clone());
         for end in 0..parts.len() {
             let cut = restore(&target, "arm", &parts[..end]).await;
             let (code, reason, _) = refusal(cut);
             let expected = (Code::InvalidArgument, "SNAPSHOT_CUT_SHORT");
             assert_eq!((code, reason), expected, "after {end} parts");
-            is_untouched(&target, &*log).await;
+            is_untouched(&target, &log).await;
 
             // One that is given up by its caller.
             let mut given_up = target.restore_index(&CALL).unwrap();
@@ -281,7 +281,7 @@ async fn what_is_not_whole_leaves_nothing() {
                 given_up.add(message).await.unwrap();
             }
             drop(given_up);
-            is_untouched(&target, &*log).await;
+            is_untouched(&target, &log).await;
         }
         for at in 0..parts.len() {
             let mut damaged = parts.clone();
@@ -293,7 +293,7 @@ async fn what_is_not_whole_leaves_nothing() {
             assert_eq!(error.reason(), "SNAPSHOT_DAMAGED");
             let place = format!("part: part {} does not match", at + 1);
             assert!(error.to_string().starts_with(&place), "{error}");
-            is_untouched(&target, &*log).await;
+            is_untouched(&target, &log).await;
         }
         // The name is free as before.
         restore(&target, "arm", &parts).await.unwrap();

@@ -29,19 +29,19 @@ pub(crate) fn service() -> Service {
     service_with(Arc::new(MemoryLog::new()), Limits::default())
 }
 
-pub(crate) fn service_with(log: Arc<dyn Log>, limits: Limits) -> Service {
+pub(crate) fn service_with(log: impl Into<Log>, limits: Limits) -> Service {
     let service = Service::new(Registry::new(log, options()), limits);
     service.set_ready();
     service
 }
 
 /// A service over a log that a service before may have left.
-pub(crate) fn restarted(log: Arc<dyn Log>) -> Service {
+pub(crate) fn restarted(log: impl Into<Log>) -> Service {
     restarted_with(log, options(), Limits::default())
 }
 
 pub(crate) fn restarted_with(
-    log: Arc<dyn Log>,
+    log: impl Into<Log>,
     options: RegistryOptions,
     limits: Limits,
 ) -> Service {

@@ -2,15 +2,18 @@
 
 use std::sync::Arc;
 
-use futures_util::future::BoxFuture;
 use sha2::{Digest, Sha256};
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Effects, Log, LogError, MemoryLog, Record, StoredPoint, Uid, View},
+    log::{LogError, MemoryLog, PointStore, Record, StoredPoint, Tip, Uid, View},
     service::{Code, Service},
 };
 
-use crate::{backup::*, forward::forward_to, support::*};
+use crate::{
+    backup::*,
+    forward::{forward_catalogue, forward_points, forward_whole_journal},
+    support::*,
+};
 
 /// The documented hash of the points that a scan returns.
 async fn content_hash(service: &Service, space: &str) -> Vec<u8> {
@@ -140,8 +143,8 @@ struct Lying(MemoryLog, Lie);
 struct LyingView(Arc<dyn View>, Lie);
 
 impl View for LyingView {
-    fn revision(&self) -> u64 {
-        self.0.revision()
+    fn tip(&self) -> Tip {
+        self.0.tip()
     }
 
     fn next_id(&self) -> u64 {
@@ -160,19 +163,18 @@ impl View for LyingView {
     }
 }
 
-impl Log for Lying {
-    forward_to!(0);
+forward_catalogue!(Lying, 0);
+forward_whole_journal!(Lying, 0);
 
-    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
-        self.0.append(uid, expected, effects)
+impl PointStore for Lying {
+    forward_points!(0);
+
+    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
+        Ok(Arc::new(LyingView(self.0.apply(uid, records)?, self.1)))
     }
 
-    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
-        self.0.synced(uid, revision)
-    }
-
-    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
-        Ok(Arc::new(LyingView(self.0.points(uid)?, self.1)))
+    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        Ok(Arc::new(LyingView(self.0.view(uid)?, self.1)))
     }
 }
 

@@ -8,7 +8,7 @@ use prost::Message;
 use wayfold_index::Space;
 use wayfold_proto::v1::{self, ResetReason};
 use wayfold_server::{
-    log::{Log, MemoryLog},
+    log::MemoryLog,
     registry::RegistryOptions,
     service::{Call, Code, Limits, Service, Watch},
 };
@@ -183,7 +183,7 @@ async fn what_can_not_be_told_any_more_is_a_reset() {
         window_bytes: 0,
         ..options()
     };
-    let served = || restarted_with(Arc::clone(&log) as Arc<dyn Log>, options, Limits::default());
+    let served = || restarted_with(Arc::clone(&log), options, Limits::default());
     let service = served();
     let uid = create(&service, "arm", "R1").await;
     for id in 0..4 {

@@ -2,7 +2,6 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Mutex, RwLock};
 use tracing::warn;
 
@@ -10,6 +9,7 @@ use super::{
     Durability, MARKS, STORE,
     directory::Directory,
     failure::Failure,
+    follow,
     index::{Index, State},
     journal::{self, Journal},
     layout::{Named, Number, Stage, Sum, entry_key},
@@ -21,14 +21,14 @@ use super::{
     sweeper::Sweeper,
     syncer::Syncer,
 };
-use crate::log::{Effects, Entry, Gone, LogError, Origin, Record, Uid};
+use crate::log::{Entry, LogError, Lost, Origin, Receipt, Record, RecordStream, Uid, View};
 
 /// See the module.
 pub(super) struct Engine {
     syncer: Option<Syncer>,
     pub(super) sweeper: Sweeper,
     indexes: RwLock<BTreeMap<Uid, Arc<Index>>>,
-    gone: Mutex<BTreeMap<Number, Gone>>,
+    gone: Mutex<BTreeMap<Number, Lost>>,
     /// The number of the next index; who holds it creates or deletes one.
     next: Mutex<Number>,
     failure: Arc<Failure>,
@@ -117,7 +117,7 @@ impl Engine {
         indexes.values().map(|index| index.entry.clone()).collect()
     }
 
-    pub(super) fn gone(&self) -> Vec<Gone> {
+    pub(super) fn gone(&self) -> Vec<Lost> {
         self.gone.lock().values().cloned().collect()
     }
 
@@ -145,8 +145,9 @@ impl Engine {
 
     /// Announces a batch that was committed.
     fn written(&self, index: &Arc<Index>, mark: Mark) {
-        if let Some(syncer) = &self.syncer {
-            syncer.written(index, mark);
+        match &self.syncer {
+            Some(syncer) => syncer.written(index, mark),
+            None => index.set_durable(mark.revision),
         }
     }
 
@@ -248,29 +249,32 @@ impl Engine {
         Ok(true)
     }
 
-    pub(super) fn append(
-        &self,
-        uid: Uid,
-        expected: u64,
-        effects: Effects,
-    ) -> Result<Arc<Record>, LogError> {
+    pub(super) fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
         self.writable()?;
         let index = self.index(uid)?;
-        let appended = index.append(&self.store, expected, effects, |mark| {
-            self.written(&index, mark);
-        });
-        appended.map_err(|error| self.note(error))
+        let submitted = index.submit(&self.store, record, |mark| self.written(&index, mark));
+        submitted.map_err(|error| self.note(error))?;
+        Ok(Receipt::Accepted)
     }
 
-    pub(super) fn synced(
+    pub(super) fn apply(
         &self,
         uid: Uid,
-        revision: u64,
-    ) -> Result<BoxFuture<'static, Result<u64, LogError>>, LogError> {
-        Ok(match &self.syncer {
-            Some(syncer) => syncer.synced(self.index(uid)?, revision),
-            None => std::future::ready(Ok(revision)).boxed(),
-        })
+        records: &[Arc<Record>],
+    ) -> Result<Arc<dyn View>, LogError> {
+        let index = self.index(uid)?;
+        let view = index.apply(&self.store, records, |mark| self.written(&index, mark));
+        view.map_err(|error| self.note(error))
+    }
+
+    pub(super) fn follow(&self, uid: Uid, after: u64) -> Result<RecordStream, LogError> {
+        let index = self.index(uid)?;
+        Ok(follow::follow(
+            index,
+            &self.store,
+            self.failure.watch(),
+            after,
+        ))
     }
 
     /// Notes that all there is was synced.
@@ -300,6 +304,9 @@ impl Engine {
         }
         self.sweeper.stop();
         self.store.close();
+        for index in self.indexes.read().values() {
+            index.end_followers(LogError::Closed);
+        }
     }
 
     /// About how many bytes the store has yet to move out of its journal.

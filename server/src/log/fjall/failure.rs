@@ -3,41 +3,59 @@
 //! After one of its own threads has failed, fjall says no more than that it has. What the disk itself says when it is
 //! tried then is the better reason.
 
-use parking_lot::Mutex;
+use tokio::sync::watch;
 use tracing::error;
 
 use super::store::UNTOLD;
 use crate::log::LogError;
 
 /// See the module.
-#[derive(Default)]
-pub(super) struct Failure(Mutex<Option<LogError>>);
+pub(super) struct Failure(watch::Sender<Option<LogError>>);
+
+impl Default for Failure {
+    fn default() -> Self {
+        Self(watch::Sender::new(None))
+    }
+}
 
 impl Failure {
-    /// What it is, if there is one.
+    /// The failure, if there is one.
     pub(super) fn get(&self) -> Option<LogError> {
-        self.0.lock().clone()
+        self.0.borrow().clone()
     }
 
-    /// Takes note of an error, after which, if it is one of the store and the first, nothing is written any more. What
-    /// to tell of it: of errors of the store the first, from which the others follow.
+    /// A receiver of the failure.
+    pub(super) fn watch(&self) -> watch::Receiver<Option<LogError>> {
+        self.0.subscribe()
+    }
+
+    /// Notes an error; after the first one of the store, nothing is written. Returns the error to report: for errors of the
+    /// store the first, since the others follow from it.
     pub(super) fn note(&self, error: LogError) -> LogError {
         if !matches!(error, LogError::Storage { .. }) {
             return error;
         }
-        let mut first = self.0.lock();
-        if first.is_none() {
-            error!(%error, "the log has failed");
-        }
-        first.get_or_insert(error).clone()
+        let mut noted = error.clone();
+        self.0.send_if_modified(|first| {
+            let is_first = first.is_none();
+            if is_first {
+                error!(%error, "the log has failed");
+            }
+            noted = first.get_or_insert(error).clone();
+            is_first
+        });
+        noted
     }
 
-    /// Takes what the disk says for the reason, if the store has not told any.
+    /// Replaces the failure by what the disk says, if the store gave no reason.
     pub(super) fn explain(&self, why: &LogError) {
-        let mut first = self.0.lock();
-        if first.as_ref().is_some_and(is_untold) {
-            *first = Some(why.clone());
-        }
+        self.0.send_if_modified(|first| {
+            let explained = first.as_ref().is_some_and(is_untold);
+            if explained {
+                *first = Some(why.clone());
+            }
+            explained
+        });
     }
 }
 

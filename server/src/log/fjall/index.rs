@@ -1,16 +1,10 @@
 //! One index of the store: where its log is, and how a record gets there.
 
-use std::{
-    collections::VecDeque,
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
-    time::SystemTime,
-};
+use std::{collections::VecDeque, sync::Arc};
 
-use fjall::{OwnedWriteBatch, Readable};
+use fjall::{OwnedWriteBatch, Readable, Snapshot};
 use parking_lot::{Mutex, MutexGuard};
+use tokio::sync::watch;
 
 use super::{
     layout::{
@@ -22,9 +16,8 @@ use super::{
     view::Pinned,
 };
 use crate::log::{
-    Effects, Entry, Keep, LogError, Operation, Origin, Record, View,
-    record::time_ms,
-    window::{Allowance, Window},
+    Entry, LogError, Operation, Origin, Record, Retention, Tip, View,
+    retention::{Allowance, Window},
 };
 
 /// See the module.
@@ -32,9 +25,10 @@ pub(super) struct Index {
     pub(super) entry: Entry,
     pub(super) number: Number,
     name: Arc<str>,
-    /// The newest revision that is known to be on disk.
-    durable: AtomicU64,
-    /// Who holds it may write, and sees the store at this very head.
+    progress: watch::Sender<Progress>,
+    /// The records that were submitted and not yet applied, oldest first. Locked after `state`, and never for long.
+    unapplied: Mutex<VecDeque<Unapplied>>,
+    /// Its holder may write, and sees the store at this head.
     state: Mutex<State>,
 }
 
@@ -48,8 +42,25 @@ pub(super) struct State {
     forgotten: Vec<u64>,
     /// The records up to this revision are not even in the store.
     pub(super) removed: u64,
+
     /// Why it is not to be read or written.
     closed: Option<LogError>,
+}
+
+/// What followers wait for.
+#[derive(Clone, Debug)]
+pub(super) struct Progress {
+    /// The newest revision that is known to be on disk.
+    pub(super) durable: u64,
+    /// The error after which no further record comes.
+    pub(super) closed: Option<LogError>,
+}
+
+/// A submitted record, and the store as it left it.
+struct Unapplied {
+    record: Arc<Record>,
+    snapshot: Snapshot,
+    next_id: u64,
 }
 
 impl State {
@@ -83,7 +94,11 @@ impl Index {
             name: entry.name.as_str().into(),
             entry,
             number,
-            durable: AtomicU64::new(state.head.revision),
+            progress: watch::Sender::new(Progress {
+                durable: state.head.revision,
+                closed: None,
+            }),
+            unapplied: Mutex::default(),
             state: Mutex::new(state),
         })
     }
@@ -102,14 +117,24 @@ impl Index {
         self.state.lock().closed.clone()
     }
 
-    /// The newest revision that is known to be on disk.
-    pub(super) fn durable(&self) -> u64 {
-        self.durable.load(Ordering::Acquire)
+    /// A receiver of the index's progress.
+    pub(super) fn progress(&self) -> watch::Receiver<Progress> {
+        self.progress.subscribe()
     }
 
-    /// Takes note that `revision` is on disk.
+    /// Notes that `revision` is on disk.
     pub(super) fn set_durable(&self, revision: u64) {
-        self.durable.fetch_max(revision, Ordering::Release);
+        self.progress.send_if_modified(|progress| {
+            let is_newer = revision > progress.durable;
+            progress.durable = revision.max(progress.durable);
+            is_newer
+        });
+    }
+
+    /// Ends the streams of records.
+    pub(super) fn end_followers(&self, why: LogError) {
+        let closed = |progress: &mut Progress| progress.closed = Some(why);
+        self.progress.send_modify(closed);
     }
 
     /// Takes the state that was found in the store, where it is made certain before anybody reads it.
@@ -131,7 +156,8 @@ impl Index {
     /// Ends it, and says where it is.
     pub(super) fn close(&self, why: LogError) -> Mark {
         let mut state = self.state.lock();
-        state.closed = Some(why);
+        state.closed = Some(why.clone());
+        self.end_followers(why);
         self.mark_of(&state.head)
     }
 
@@ -145,31 +171,104 @@ impl Index {
         }
     }
 
-    /// Appends a record; `written` is called with where the index is then, before anybody else can append.
-    pub(super) fn append(
+    /// Writes a record if it follows the head. Calls `written` with the new mark before another record can be written.
+    pub(super) fn submit(
         &self,
         store: &Store,
-        expected: u64,
-        effects: Effects,
+        record: Arc<Record>,
         written: impl FnOnce(Mark),
-    ) -> Result<Arc<Record>, LogError> {
+    ) -> Result<(), LogError> {
         let mut state = self.open()?;
-        let uid = self.entry.uid;
-        if state.head.revision != expected {
-            return Err(LogError::Fenced {
-                uid,
-                expected,
-                head: state.head.revision,
-            });
+        if !record.follows(state.head.tip()) {
+            return Err(self.fenced(record.revision() - 1, &state.head));
         }
-        let now = time_ms(SystemTime::now());
-        let record = Record::new(expected + 1, state.head.digest, now, effects);
-        let highest = record.effects().stored().iter().map(|point| point.id).max();
         let handles = store.handles()?;
+        self.write(&handles, &mut state, &record)?;
+        self.unapplied.lock().push_back(Unapplied {
+            record,
+            snapshot: handles.database.snapshot(),
+            next_id: state.head.next_id,
+        });
+        written(self.mark_of(&state.head));
+        Ok(())
+    }
+
+    /// Applies consecutive records, of which the store may have the first ones already. Returns the points as of the last
+    /// one. Calls `written` with the new mark if anything was written.
+    pub(super) fn apply(
+        &self,
+        store: &Arc<Store>,
+        records: &[Arc<Record>],
+        written: impl FnOnce(Mark),
+    ) -> Result<Arc<dyn View>, LogError> {
+        if let Some(view) = self.applied(store, records) {
+            return Ok(view);
+        }
+        let mut state = self.open()?;
+        let handles = store.handles()?;
+        let before = state.head.revision;
+        for record in records {
+            if record.revision() <= state.head.revision {
+                continue;
+            }
+            if !record.follows(state.head.tip()) {
+                return Err(LogError::Damaged {
+                    uid: self.entry.uid,
+                    revision: record.revision(),
+                    what: "it does not follow the record before it",
+                });
+            }
+            self.write(&handles, &mut state, record)?;
+        }
+        if state.head.revision > before {
+            written(self.mark_of(&state.head));
+        }
+        match records.last().map(|record| record.revision()) {
+            Some(last) if last != state.head.revision => Err(self.fenced(last, &state.head)),
+            _ => Ok(self.pin_head(store, &handles, &state.head)),
+        }
+    }
+
+    /// The points as of the last of `records` if it was submitted here; then none of them is unapplied any more.
+    fn applied(&self, store: &Arc<Store>, records: &[Arc<Record>]) -> Option<Arc<dyn View>> {
+        let last = records.last()?.revision();
+        let mut unapplied = self.unapplied.lock();
+        while let Some(oldest) = unapplied.pop_front() {
+            let Unapplied {
+                record,
+                snapshot,
+                next_id,
+            } = oldest;
+            if record.revision() == last {
+                return Some(self.pinned(store, snapshot, record.tip(), next_id));
+            }
+            if record.revision() > last {
+                unapplied.push_front(Unapplied {
+                    record,
+                    snapshot,
+                    next_id,
+                });
+                return None;
+            }
+        }
+        None
+    }
+
+    fn fenced(&self, expected: u64, head: &Head) -> LogError {
+        LogError::Fenced {
+            uid: self.entry.uid,
+            expected,
+            head: head.revision,
+        }
+    }
+
+    /// Writes the record after the head, and its points, in one batch.
+    fn write(&self, handles: &Handles, state: &mut State, record: &Record) -> Result<(), LogError> {
+        let highest = record.effects().stored().iter().map(|point| point.id).max();
         handles.wait_for_room()?;
-        let Handles { database, keyspace } = &*handles;
+        let Handles { database, keyspace } = handles;
         let mut batch = database.batch();
-        let sum = self.put(&handles, &mut batch, &record, &state.head)?;
+        let sum = self.put(handles, &mut batch, record, &state.head)?;
         let head = Head {
             revision: record.revision(),
             next_id: state.head.next_id.max(highest.map_or(0, |id| id + 1)),
@@ -187,13 +286,23 @@ impl Index {
         batch.commit().map_err(storage)?;
         state.removed = head.trimmed;
         state.forgotten.clear();
-        state.held(&record);
+        state.held(record);
         if let Some(operation) = record.effects().operation() {
             state.held_operation(record.revision(), operation);
         }
         state.head = head;
-        written(self.mark_of(&head));
-        Ok(Arc::new(record))
+        Ok(())
+    }
+
+    /// The submitted records after `after` up to `last`; None if the first of them is applied already.
+    pub(super) fn unapplied(&self, after: u64, last: u64) -> Option<Vec<Arc<Record>>> {
+        let unapplied = self.unapplied.lock();
+        let first = unapplied.front()?.record.revision();
+        let skipped = (after + 1).checked_sub(first)?;
+        let records = unapplied.iter().skip(skipped as usize);
+        let records = records.map(|unapplied| &unapplied.record);
+        let records = records.take_while(|record| record.revision() <= last);
+        Some(records.cloned().collect())
     }
 
     /// Puts a record and what it does into a batch; returns the sum of the points as they are then.
@@ -247,11 +356,11 @@ impl Index {
         Ok(sum)
     }
 
-    pub(super) fn tail(
+    pub(super) fn read(
         &self,
         store: &Store,
         after: Option<u64>,
-        most: usize,
+        max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let state = self.open()?;
         let (oldest, head) = (state.head.trimmed, state.head.revision);
@@ -263,7 +372,7 @@ impl Index {
             let uid = self.entry.uid;
             return Err(LogError::Trimmed { uid, after, oldest });
         }
-        let mut left = Allowance::of(most);
+        let mut left = Allowance::of(max_bytes);
         let mut records = Vec::new();
         for revision in after.saturating_add(1)..=head {
             let value = snapshot.get(&handles.keyspace, record_key(self.number, revision));
@@ -327,18 +436,33 @@ impl Index {
 
     pub(super) fn pin(&self, store: &Arc<Store>) -> Result<Arc<dyn View>, LogError> {
         let state = self.open()?;
-        Ok(Arc::new(Pinned {
+        Ok(self.pin_head(store, &*store.handles()?, &state.head))
+    }
+
+    fn pin_head(&self, store: &Arc<Store>, handles: &Handles, head: &Head) -> Arc<dyn View> {
+        let snapshot = handles.database.snapshot();
+        self.pinned(store, snapshot, head.tip(), head.next_id)
+    }
+
+    fn pinned(
+        &self,
+        store: &Arc<Store>,
+        snapshot: Snapshot,
+        tip: Tip,
+        next_id: u64,
+    ) -> Arc<dyn View> {
+        Arc::new(Pinned {
             store: Arc::clone(store),
-            snapshot: store.handles()?.database.snapshot(),
+            snapshot,
             number: self.number,
             uid: self.entry.uid,
-            revision: state.head.revision,
-            next_id: state.head.next_id,
-        }))
+            tip,
+            next_id,
+        })
     }
 
     /// Forgets the oldest records and operations. What is forgotten goes out of the store with the next record.
-    pub(super) fn trim(&self, keep: &Keep) -> Result<(), LogError> {
+    pub(super) fn trim(&self, keep: &Retention) -> Result<(), LogError> {
         let mut state = self.open()?;
         let trimmed = state.window.trim(keep);
         state.head.trimmed += trimmed.records as u64;

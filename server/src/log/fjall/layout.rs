@@ -19,7 +19,7 @@ use std::ops::RangeInclusive;
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::log::{Digest, Entry, Origin, Uid, cursor::Cursor};
+use crate::log::{Digest, Entry, Origin, Tip, Uid, cursor::Cursor};
 
 /// Stands for an index in keys.
 pub(super) type Number = u32;
@@ -200,6 +200,14 @@ impl Head {
             trimmed: origin.revision,
             digest: origin.digest,
             sum,
+        }
+    }
+
+    /// The newest record.
+    pub(super) fn tip(&self) -> Tip {
+        Tip {
+            revision: self.revision,
+            digest: self.digest,
         }
     }
 

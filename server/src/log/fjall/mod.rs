@@ -5,17 +5,18 @@
 //! write meanwhile (`syncer`).
 //!
 //! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` (before
-//! it is opened), `layout` and `point` (what it holds, byte for byte), `index` (one index's writer), `view` (its points,
+//! it is opened), `layout` and `point` (what it holds, byte for byte), `index` (one index's writer), `follow` (its records as a stream), `view` (its points,
 //! pinned), `restoring` (an index made from a copy), `journal`, `syncer` and `marks` (what is on disk for certain),
 //! `failure` (why nothing more is written), `recovery`, `making` (a store that is damaged is made anew), `loose` (after a
 //! server that does not sync), `sweeper` (what deleted indices leave).
 //!
 //! A store that has failed takes nothing any more and is read still. It is closed and opened anew as a whole
-//! ([`Log::reopen`]), by the same way as at the start: there is no other that leads from the files to the state.
+//! ([`PointStore::reopen`]), by the same way as at the start: there is no other that leads from the files to the state.
 
 mod directory;
 mod engine;
 mod failure;
+mod follow;
 #[cfg(fuzzing)]
 pub mod fuzzing;
 mod index;
@@ -35,7 +36,7 @@ mod view;
 
 use std::{collections::BTreeMap, io, path::Path, sync::Arc};
 
-use futures_util::{FutureExt, future::BoxFuture};
+use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
 use serde::Deserialize;
 use tracing::{error, info};
@@ -43,7 +44,8 @@ use tracing::{error, info};
 pub use directory::OpenError;
 
 use super::{
-    Effects, Entry, Gone, Keep, Log, LogError, Operation, Origin, Record, Restoring, Uid, View,
+    Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, Receipt, Record,
+    RecordStream, Restoring, Retention, Uid, View,
 };
 use directory::Directory;
 use engine::Engine;
@@ -87,7 +89,7 @@ impl TryFrom<String> for Durability {
     }
 }
 
-/// A [`Log`] in a directory.
+/// A log in a directory: journal, points and catalogue.
 ///
 /// Dropping it syncs what was appended, and closes the views that are held.
 pub struct FjallLog {
@@ -118,7 +120,7 @@ impl FjallLog {
     /// Opens the log in `directory`, which is made if there is none.
     ///
     /// A store that cannot be read is no error, or a server would be started again and again to no end: the log tells
-    /// with every call, and of each index in [`Log::gone`].
+    /// with every call, and of each index in [`Catalogue::lost`].
     pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
         let failed = |path: &Path, source| OpenError::Io {
@@ -232,65 +234,41 @@ impl Drop for FjallLog {
     }
 }
 
-impl Log for FjallLog {
-    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        match self.engine() {
-            Ok(engine) => Ok(engine.entries()),
-            // None of which more is known than that it is gone.
-            Err(LogError::Unopened { .. } | LogError::Shut { .. }) => Ok(Vec::new()),
-            Err(error) => Err(error),
-        }
+impl Journal for FjallLog {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        self.engine()?.submit(uid, record)
     }
 
-    fn gone(&self) -> Vec<Gone> {
-        match &*self.opened.read() {
-            Opened::Open(engine) => engine.gone(),
-            Opened::Not(why, marked) => {
-                let named = marked.values().filter(|mark| !mark.deleted);
-                let gone = named.map(|mark| Gone {
-                    name: mark.name.to_string(),
-                    uid: mark.uid,
-                    why: why_gone(why, mark),
-                });
-                gone.collect()
-            }
-        }
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        let followed = self.engine().and_then(|engine| engine.follow(uid, after));
+        followed.unwrap_or_else(|error| stream::once(async { Err(error) }).boxed())
     }
 
-    fn create(&self, entry: Entry) -> Result<(), LogError> {
-        self.engine()?.create(entry)
-    }
-
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        Ok(Box::new(self.engine()?.restore(entry, origin)?))
-    }
-
-    fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        self.engine()?.delete(uid)
-    }
-
-    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
-        self.engine()?.append(uid, expected, effects)
-    }
-
-    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
-        let synced = self
-            .engine()
-            .and_then(|engine| engine.synced(uid, revision));
-        synced.unwrap_or_else(|error| std::future::ready(Err(error)).boxed())
-    }
-
-    fn tail(
+    fn read(
         &self,
         uid: Uid,
         after: Option<u64>,
-        most: usize,
+        max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let engine = self.engine()?;
-        engine.index(uid)?.tail(&engine.store, after, most)
+        engine.index(uid)?.read(&engine.store, after, max_bytes)
     }
 
-    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        self.engine()?.index(uid)?.trim(retention)
+    }
+
+    fn is_busy(&self) -> bool {
+        self.engine().is_ok_and(|engine| engine.is_busy())
+    }
+}
+
+impl PointStore for FjallLog {
+    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
+        self.engine()?.apply(uid, records)
+    }
+
+    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
         let engine = self.engine()?;
         engine.index(uid)?.pin(&engine.store)
     }
@@ -300,12 +278,8 @@ impl Log for FjallLog {
         engine.index(uid)?.operations(&engine.store)
     }
 
-    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
-        self.engine()?.index(uid)?.trim(keep)
-    }
-
-    fn is_busy(&self) -> bool {
-        self.engine().is_ok_and(|engine| engine.is_busy())
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        Ok(Box::new(self.engine()?.restore(entry, origin)?))
     }
 
     fn failure(&self) -> Option<LogError> {
@@ -347,6 +321,40 @@ impl Log for FjallLog {
         };
         *self.opened.write() = opened;
         outcome
+    }
+}
+
+impl Catalogue for FjallLog {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        match self.engine() {
+            Ok(engine) => Ok(engine.entries()),
+            // None of which more is known than that it is lost.
+            Err(LogError::Unopened { .. } | LogError::Shut { .. }) => Ok(Vec::new()),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn lost(&self) -> Vec<Lost> {
+        match &*self.opened.read() {
+            Opened::Open(engine) => engine.gone(),
+            Opened::Not(why, marked) => {
+                let named = marked.values().filter(|mark| !mark.deleted);
+                let lost = named.map(|mark| Lost {
+                    name: mark.name.to_string(),
+                    uid: mark.uid,
+                    why: why_gone(why, mark),
+                });
+                lost.collect()
+            }
+        }
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.engine()?.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.engine()?.delete(uid)
     }
 }
 

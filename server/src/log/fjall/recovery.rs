@@ -14,7 +14,7 @@ use super::{
     marks::Mark,
     store::{Handles, not_readable, unopened, unreadable},
 };
-use crate::log::{Entry, Gone, LogError, Origin, Uid};
+use crate::log::{Entry, LogError, Lost, Origin, Uid};
 
 /// What a store holds.
 pub(super) struct Found {
@@ -23,7 +23,7 @@ pub(super) struct Found {
     /// Something of them is not what the store wrote.
     pub(super) unreadable: bool,
     /// Indices of which only the mark is left.
-    pub(super) gone: BTreeMap<Number, Gone>,
+    pub(super) gone: BTreeMap<Number, Lost>,
     /// Indices that were deleted, of which there may be something left.
     pub(super) deleted: Vec<Number>,
     /// The number of the next index.
@@ -91,7 +91,7 @@ pub(super) fn recover(
         error!(index = &*mark.name, error = %why, "an index is gone: every call for it will say so");
         let name = mark.name.to_string();
         let uid = mark.uid;
-        found.gone.insert(number, Gone { name, uid, why });
+        found.gone.insert(number, Lost { name, uid, why });
     }
     Ok(found)
 }
@@ -247,14 +247,19 @@ mod tests {
     /// What is wrong with an index of three records after `damage`; None if nothing is.
     fn found(damage: impl FnOnce(&Handles, &[Arc<Record>])) -> Option<String> {
         let directory = tempfile::tempdir().unwrap();
-        let store = Store::open(directory.path(), Durability::Fsync).unwrap();
+        let store = Arc::new(Store::open(directory.path(), Durability::Fsync).unwrap());
         let entry = Entry {
             uid: Uid::unique(),
             name: "arm".into(),
             space: "R1".parse().unwrap(),
         };
         let index = Index::new(0, entry, State::new(Origin::START, Sum::default()));
-        let append = |head| index.append(&store, head, effects(head), |_| ()).unwrap();
+        let append = |head| {
+            let tip = index.pin(&store).unwrap().tip();
+            let record = Arc::new(Record::after(tip, effects(head)));
+            index.submit(&store, Arc::clone(&record), |_| ()).unwrap();
+            record
+        };
         let records: Vec<_> = (0..3).map(append).collect();
         let handles = store.handles().unwrap();
         damage(&handles, &records);

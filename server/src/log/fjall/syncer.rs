@@ -6,9 +6,7 @@
 
 use std::{sync::Arc, thread::JoinHandle, time::Duration};
 
-use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Condvar, Mutex};
-use tokio::sync::watch;
 
 use super::{failure::Failure, index::Index, journal::Journal, marks::Mark, marks::Marks};
 use crate::log::LogError;
@@ -32,7 +30,6 @@ struct Shared {
     wake: Condvar,
     /// Something was synced, or nothing will be any more.
     done: Condvar,
-    synced: watch::Sender<Synced>,
     failure: Arc<Failure>,
 }
 
@@ -44,11 +41,9 @@ struct Announced {
     /// Where which indices are by these batches, unless a mark says so already.
     marks: Vec<(Arc<Index>, Mark)>,
     stop: bool,
-}
-
-#[derive(Clone, Default)]
-struct Synced {
-    batches: u64,
+    /// The number of batches that are synced.
+    synced: u64,
+    /// The failure after which nothing is synced.
     failed: Option<LogError>,
 }
 
@@ -63,7 +58,6 @@ impl Syncer {
             announced: Mutex::default(),
             wake: Condvar::new(),
             done: Condvar::new(),
-            synced: watch::Sender::default(),
             failure,
         });
         let work = Arc::clone(&shared);
@@ -103,33 +97,12 @@ impl Syncer {
         let mut announced = self.shared.announced.lock();
         let batches = announced.batches;
         loop {
-            let synced = self.shared.synced.borrow().clone();
-            match synced.failed {
-                _ if synced.batches >= batches => return Ok(()),
-                Some(why) => return Err(why),
+            match &announced.failed {
+                _ if announced.synced >= batches => return Ok(()),
+                Some(why) => return Err(why.clone()),
                 None => self.shared.done.wait(&mut announced),
             }
         }
-    }
-
-    /// Resolves once `revision` of the index is synced, to how far it is synced then.
-    pub(super) fn synced(
-        &self,
-        index: Arc<Index>,
-        revision: u64,
-    ) -> BoxFuture<'static, Result<u64, LogError>> {
-        let mut synced = self.shared.synced.subscribe();
-        async move {
-            let reached = synced
-                .wait_for(|synced| index.durable() >= revision || synced.failed.is_some())
-                .await;
-            match (index.durable(), reached) {
-                (durable, _) if durable >= revision => Ok(durable),
-                (_, Ok(synced)) => Err(synced.failed.clone().unwrap_or_else(ended)),
-                (_, Err(_)) => Err(ended()),
-            }
-        }
-        .boxed()
     }
 }
 
@@ -163,36 +136,25 @@ impl Shared {
                 let reached = reached.iter().map(|(index, mark)| (index.number, mark));
                 marks.write(reached).map_err(|error| error.to_string())
             });
-            match synced {
-                Ok(()) => {
-                    for (index, mark) in &reached {
-                        index.set_durable(mark.revision);
-                    }
-                    self.synced.send_modify(|synced| synced.batches = batches);
-                    self.tell_blocked();
-                }
-                Err(what) => {
-                    // Before anybody is told, who might write on.
-                    let failed = self.failure.note(LogError::Storage { what });
-                    self.synced
-                        .send_modify(|synced| synced.failed = Some(failed));
-                    self.tell_blocked();
-                    return;
+            let failed = match synced {
+                Ok(()) => None,
+                // Noted before the writers hear of it, so that none of them writes on.
+                Err(what) => Some(self.failure.note(LogError::Storage { what })),
+            };
+            if failed.is_none() {
+                for (index, mark) in &reached {
+                    index.set_durable(mark.revision);
                 }
             }
+            let mut announced = self.announced.lock();
+            if failed.is_none() {
+                announced.synced = batches;
+            }
+            announced.failed.clone_from(&failed);
+            self.done.notify_all();
+            if failed.is_some() {
+                return;
+            }
         }
-    }
-
-    /// Under the lock under which they looked, or one that is about to wait would miss it.
-    fn tell_blocked(&self) {
-        let _looked = self.announced.lock();
-        self.done.notify_all();
-    }
-}
-
-/// The thread has ended, with the log or by a bug.
-fn ended() -> LogError {
-    LogError::Storage {
-        what: "it was closed".into(),
     }
 }

@@ -9,7 +9,7 @@ use super::{
     point,
     store::{Store, unreadable},
 };
-use crate::log::{LogError, StoredPoint, Uid, View};
+use crate::log::{LogError, StoredPoint, Tip, Uid, View};
 
 /// See the module. The snapshot keeps what it sees, whatever is written meanwhile, until the store is closed.
 pub(super) struct Pinned {
@@ -17,7 +17,7 @@ pub(super) struct Pinned {
     pub(super) snapshot: Snapshot,
     pub(super) number: Number,
     pub(super) uid: Uid,
-    pub(super) revision: u64,
+    pub(super) tip: Tip,
     pub(super) next_id: u64,
 }
 
@@ -34,8 +34,8 @@ impl Pinned {
 }
 
 impl View for Pinned {
-    fn revision(&self) -> u64 {
-        self.revision
+    fn tip(&self) -> Tip {
+        self.tip
     }
 
     fn next_id(&self) -> u64 {

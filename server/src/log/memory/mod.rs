@@ -8,16 +8,16 @@ use std::{
     sync::Arc,
 };
 
-use futures_util::{FutureExt, future::BoxFuture};
+use futures_util::{StreamExt, stream};
 use parking_lot::RwLock;
 
 use super::{
-    Effects, Entry, Keep, Log, LogError, Operation, Origin, Record, Restoring, StoredPoint, Uid,
-    View,
+    Catalogue, Entry, Journal, LogError, Operation, Origin, PointStore, Receipt, Record,
+    RecordStream, Restoring, Retention, StoredPoint, Uid, View,
 };
 use store::Store;
 
-/// A [`Log`] in memory. It is synced as soon as it is appended to, as durable as this log makes anything.
+/// A log in memory. A record is as durable as this log makes it as soon as it is submitted.
 #[derive(Default)]
 pub struct MemoryLog {
     indexes: Arc<Indexes>,
@@ -44,7 +44,58 @@ impl MemoryLog {
     }
 }
 
-impl Log for MemoryLog {
+impl Journal for MemoryLog {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        self.store(uid)?.submit(record)?;
+        Ok(Receipt::Accepted)
+    }
+
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        match self.store(uid) {
+            Ok(store) => store.follow(after),
+            Err(error) => stream::once(async { Err(error) }).boxed(),
+        }
+    }
+
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.store(uid)?.read(after, max_bytes)
+    }
+
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        self.store(uid)?.trim(retention);
+        Ok(())
+    }
+}
+
+impl PointStore for MemoryLog {
+    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
+        self.store(uid)?.apply(records)
+    }
+
+    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        Ok(self.store(uid)?.pin())
+    }
+
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
+        Ok(self.store(uid)?.operations())
+    }
+
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        Ok(Box::new(Copy {
+            indexes: Arc::clone(&self.indexes),
+            entry,
+            origin,
+            points: Vec::new(),
+        }))
+    }
+}
+
+impl Catalogue for MemoryLog {
     fn indexes(&self) -> Result<Vec<Entry>, LogError> {
         let indexes = self.indexes.read();
         Ok(indexes
@@ -57,50 +108,14 @@ impl Log for MemoryLog {
         add(&self.indexes, entry, Origin::START, Vec::new())
     }
 
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        Ok(Box::new(Copy {
-            indexes: Arc::clone(&self.indexes),
-            entry,
-            origin,
-            points: Vec::new(),
-        }))
-    }
-
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
         match self.indexes.write().remove(&uid) {
-            Some(_) => Ok(()),
+            Some(hosted) => {
+                hosted.store.close(LogError::UnknownIndex { uid });
+                Ok(())
+            }
             None => Err(LogError::UnknownIndex { uid }),
         }
-    }
-
-    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
-        self.store(uid)?.append(expected, effects)
-    }
-
-    fn synced(&self, _uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
-        std::future::ready(Ok(revision)).boxed()
-    }
-
-    fn tail(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        most: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.store(uid)?.tail(after, most)
-    }
-
-    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
-        Ok(self.store(uid)?.pin())
-    }
-
-    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
-        Ok(self.store(uid)?.operations())
-    }
-
-    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
-        self.store(uid)?.trim(keep);
-        Ok(())
     }
 }
 

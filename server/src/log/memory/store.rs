@@ -1,14 +1,16 @@
 //! One index in memory: its window of records, and the points that all its records amount to.
 
-use std::{collections::VecDeque, sync::Arc, time::SystemTime};
+use std::{collections::VecDeque, sync::Arc};
 
+use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
+use tokio::sync::watch;
 
 use super::versions::Versions;
 use crate::log::{
-    Digest, Effects, Keep, LogError, Operation, Origin, Record, StoredPoint, Uid, View,
-    record::time_ms,
-    window::{Allowance, Window},
+    Digest, LogError, Operation, Origin, Record, RecordStream, Retention, StoredPoint, Tip, Uid,
+    View,
+    retention::{Allowance, Window},
 };
 
 /// How many rows are stored or dropped under one hold of the lock, so that a large record does not keep readers from
@@ -22,6 +24,8 @@ pub(super) struct Store {
     uid: Uid,
     journal: Mutex<Journal>,
     versions: RwLock<Versions>,
+    /// The newest revision, or the error after which no further record comes.
+    newest: watch::Sender<Result<u64, LogError>>,
 }
 
 struct Journal {
@@ -33,6 +37,18 @@ struct Journal {
     /// The newest operations.
     operations: VecDeque<Arc<Operation>>,
     window: Window,
+    /// The records that were submitted and not yet applied, oldest first, with the next id after each. Their versions are
+    /// pinned.
+    unapplied: VecDeque<(Arc<Record>, u64)>,
+}
+
+impl Journal {
+    fn tip(&self) -> Tip {
+        Tip {
+            revision: self.head,
+            digest: self.digest,
+        }
+    }
 }
 
 impl Store {
@@ -52,32 +68,126 @@ impl Store {
                 records: VecDeque::new(),
                 operations: VecDeque::new(),
                 window: Window::default(),
+                unapplied: VecDeque::new(),
             }),
             versions: RwLock::new(versions),
+            newest: watch::Sender::new(Ok(origin.revision)),
         }
     }
 
-    pub(super) fn append(&self, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
+    pub(super) fn submit(&self, record: Arc<Record>) -> Result<(), LogError> {
         let mut journal = self.journal.lock();
-        if journal.head != expected {
-            return Err(LogError::Fenced {
-                uid: self.uid,
-                expected,
-                head: journal.head,
-            });
+        if !record.follows(journal.tip()) {
+            return Err(self.fenced(record.revision() - 1, &journal));
         }
-        let now = time_ms(SystemTime::now());
-        let record = Arc::new(Record::new(expected + 1, journal.digest, now, effects));
-        self.store(&record, &mut journal.next_id);
+        self.write(&record, &mut journal);
+        self.versions.write().pin(record.revision());
+        let next_id = journal.next_id;
+        journal.unapplied.push_back((Arc::clone(&record), next_id));
+        drop(journal);
+        self.announce(record.revision());
+        Ok(())
+    }
+
+    /// Applies consecutive records, of which the store may have the first ones already. Returns the points as of the last.
+    pub(super) fn apply(
+        self: &Arc<Self>,
+        records: &[Arc<Record>],
+    ) -> Result<Arc<dyn View>, LogError> {
+        let mut journal = self.journal.lock();
+        let Some(last) = records.last() else {
+            drop(journal);
+            return Ok(Arc::clone(self).pin());
+        };
+        while let Some((record, next_id)) = journal.unapplied.pop_front() {
+            if record.revision() == last.revision() {
+                return Ok(Arc::new(self.pinned(&record, next_id)));
+            }
+            if record.revision() > last.revision() {
+                journal.unapplied.push_front((record, next_id));
+                break;
+            }
+            self.versions.write().unpin(record.revision());
+        }
+        for record in records {
+            if record.revision() <= journal.head {
+                continue;
+            }
+            if !record.follows(journal.tip()) {
+                return Err(LogError::Damaged {
+                    uid: self.uid,
+                    revision: record.revision(),
+                    what: "it does not follow the record before it",
+                });
+            }
+            self.write(record, &mut journal);
+        }
+        if journal.head != last.revision() {
+            return Err(self.fenced(last.revision(), &journal));
+        }
+        self.versions.write().pin(journal.head);
+        let view = self.pinned(last, journal.next_id);
+        drop(journal);
+        self.announce(last.revision());
+        Ok(Arc::new(view))
+    }
+
+    fn fenced(&self, expected: u64, journal: &Journal) -> LogError {
+        LogError::Fenced {
+            uid: self.uid,
+            expected,
+            head: journal.head,
+        }
+    }
+
+    /// Writes the record after the head.
+    fn write(&self, record: &Arc<Record>, journal: &mut Journal) {
+        self.store(record, &mut journal.next_id);
         journal.head = record.revision();
         journal.digest = *record.digest();
-        journal.window.hold(&record);
-        journal.records.push_back(Arc::clone(&record));
+        journal.window.hold(record);
+        journal.records.push_back(Arc::clone(record));
         if let Some(operation) = record.effects().operation() {
             journal.window.hold_operation(operation.bytes());
             journal.operations.push_back(Arc::clone(operation));
         }
-        Ok(record)
+    }
+
+    fn announce(&self, revision: u64) {
+        self.newest.send_if_modified(|newest| {
+            let is_newer = newest.as_ref().is_ok_and(|newest| *newest < revision);
+            if is_newer {
+                *newest = Ok(revision);
+            }
+            is_newer
+        });
+    }
+
+    /// Ends the streams of records.
+    pub(super) fn close(&self, why: LogError) {
+        let _ = self.newest.send_replace(Err(why));
+    }
+
+    /// The records after the revision `after`, as they come.
+    pub(super) fn follow(self: Arc<Self>, after: u64) -> RecordStream {
+        let newest = self.newest.subscribe();
+        let batches = stream::unfold(Some((self, newest, after)), async |follower| {
+            let (store, mut newest, after) = follower?;
+            let has_news = |newest: &Result<u64, LogError>| match newest {
+                Ok(newest) => *newest > after,
+                Err(_) => true,
+            };
+            let seen = newest.wait_for(has_news).await.map(|seen| seen.clone());
+            let records = match seen {
+                Ok(Ok(_)) => store.read(Some(after), usize::MAX),
+                Ok(Err(why)) => Err(why),
+                Err(_) => Err(LogError::Closed),
+            };
+            let last = records.as_ref().ok().and_then(|records| records.last());
+            let next = last.map(|last| last.revision());
+            Some((records, next.map(|after| (store, newest, after))))
+        });
+        batches.boxed()
     }
 
     /// Adds the versions that `record` makes. No view sees one before the head has moved.
@@ -123,10 +233,10 @@ impl Store {
         self.versions.write().collect(ROWS_PER_HOLD)
     }
 
-    pub(super) fn tail(
+    pub(super) fn read(
         &self,
         after: Option<u64>,
-        most: usize,
+        max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let journal = self.journal.lock();
         let oldest = journal.head - journal.records.len() as u64;
@@ -139,7 +249,7 @@ impl Store {
             });
         }
         let skipped = (after - oldest) as usize;
-        let mut left = Allowance::of(most);
+        let mut left = Allowance::of(max_bytes);
         let records = journal.records.iter().skip(skipped);
         Ok(records
             .take_while(|record| left.take(record))
@@ -151,7 +261,7 @@ impl Store {
         self.journal.lock().operations.iter().cloned().collect()
     }
 
-    pub(super) fn trim(&self, keep: &Keep) {
+    pub(super) fn trim(&self, keep: &Retention) {
         let mut journal = self.journal.lock();
         let trimmed = journal.window.trim(keep);
         journal.records.drain(..trimmed.records);
@@ -160,27 +270,36 @@ impl Store {
 
     pub(super) fn pin(self: Arc<Self>) -> Arc<dyn View> {
         let journal = self.journal.lock();
-        let (revision, next_id) = (journal.head, journal.next_id);
-        self.versions.write().pin(revision);
+        let (tip, next_id) = (journal.tip(), journal.next_id);
+        self.versions.write().pin(tip.revision);
         drop(journal);
         Arc::new(Pinned {
             store: self,
-            revision,
+            tip,
             next_id,
         })
+    }
+
+    /// A view of a revision that is pinned; it takes over the pin.
+    fn pinned(self: &Arc<Self>, record: &Record, next_id: u64) -> Pinned {
+        Pinned {
+            store: Arc::clone(self),
+            tip: record.tip(),
+            next_id,
+        }
     }
 }
 
 /// A view; while it is held, the versions it sees stay.
 struct Pinned {
     store: Arc<Store>,
-    revision: u64,
+    tip: Tip,
     next_id: u64,
 }
 
 impl View for Pinned {
-    fn revision(&self) -> u64 {
-        self.revision
+    fn tip(&self) -> Tip {
+        self.tip
     }
 
     fn next_id(&self) -> u64 {
@@ -188,18 +307,23 @@ impl View for Pinned {
     }
 
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
-        Ok(self.store.versions.read().get(id, self.revision).cloned())
+        Ok(self
+            .store
+            .versions
+            .read()
+            .get(id, self.tip.revision)
+            .cloned())
     }
 
     fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
         let versions = self.store.versions.read();
-        Ok(versions.page(after, limit, self.revision))
+        Ok(versions.page(after, limit, self.tip.revision))
     }
 }
 
 impl Drop for Pinned {
     fn drop(&mut self) {
-        self.store.versions.write().unpin(self.revision);
+        self.store.versions.write().unpin(self.tip.revision);
         self.store.collect();
     }
 }
@@ -210,7 +334,7 @@ mod tests {
     use wayfold_index::PointRef;
 
     use super::*;
-    use crate::log::Outcome;
+    use crate::log::{Effects, Outcome};
 
     fn storing(ids: std::ops::Range<u64>, revision: u64) -> Effects {
         let mut effects = Effects::new(1);
@@ -226,22 +350,27 @@ mod tests {
         effects
     }
 
+    fn append(store: &Arc<Store>, effects: Effects) {
+        let tip = store.journal.lock().tip();
+        let record = Arc::new(Record::after(tip, effects));
+        store.submit(Arc::clone(&record)).unwrap();
+        drop(store.apply(&[record]).unwrap());
+    }
+
     #[test]
     fn only_what_a_view_sees_is_kept_beside_the_points() {
         let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
         let versions = || store.versions.read().len();
         for revision in 1..=3 {
-            store
-                .append(revision - 1, storing(0..2000, revision))
-                .unwrap();
+            append(&store, storing(0..2000, revision));
             assert_eq!(versions(), 2000);
         }
         let view = Arc::clone(&store).pin();
-        store.append(3, storing(0..2000, 4)).unwrap();
+        append(&store, storing(0..2000, 4));
         assert_eq!(versions(), 4000);
         let mut effects = Effects::new(1);
         (0..1500).for_each(|id| effects.remove(id));
-        store.append(4, effects).unwrap();
+        append(&store, effects);
         // Each of the view's versions, and a version or a mark of each point in the place of it.
         assert_eq!(versions(), 4000);
         drop(view);
@@ -253,13 +382,11 @@ mod tests {
     fn an_old_view_keeps_no_version_that_it_does_not_see() {
         let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
         let versions = || store.versions.read().len();
-        store.append(0, storing(0..2000, 1)).unwrap();
+        append(&store, storing(0..2000, 1));
         let old = Arc::clone(&store).pin();
         let mut newest = Arc::clone(&store).pin();
         for revision in 2..30 {
-            store
-                .append(revision - 1, storing(0..2000, revision))
-                .unwrap();
+            append(&store, storing(0..2000, revision));
             newest = Arc::clone(&store).pin();
             // The points, what the old view sees, and what was superseded just now.
             assert!(versions() <= 3 * 2000, "{}", versions());
@@ -274,9 +401,9 @@ mod tests {
     fn letting_go_of_a_view_leaves_most_of_the_work_to_later_records() {
         let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
         let versions = || store.versions.read().len();
-        store.append(0, storing(0..20_000, 1)).unwrap();
+        append(&store, storing(0..20_000, 1));
         let old = Arc::clone(&store).pin();
-        store.append(1, storing(0..20_000, 2)).unwrap();
+        append(&store, storing(0..20_000, 2));
         drop(old);
         let waiting = versions() - 20_000;
         assert_eq!(waiting, 20_000 - ROWS_PER_HOLD);
@@ -285,9 +412,7 @@ mod tests {
                 break;
             }
             let before = versions();
-            store
-                .append(revision - 1, storing(0..10, revision))
-                .unwrap();
+            append(&store, storing(0..10, revision));
             assert!(versions() < before);
         }
     }

@@ -8,7 +8,9 @@ use std::{
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold_server::log::{Entry, Keep, LogError, Operation, Origin, Record, StoredPoint, Uid};
+use wayfold_server::log::{
+    Entry, LogError, Operation, Origin, Record, Retention, StoredPoint, Uid,
+};
 
 /// One write to the journal.
 pub(super) enum Item {
@@ -47,6 +49,8 @@ pub(super) struct Index {
     pub(super) points: Points,
     pub(super) records: VecDeque<Arc<Record>>,
     pub(super) operations: VecDeque<Arc<Operation>>,
+    /// The records that were submitted and not yet applied, oldest first, with the points and the next id after each.
+    pub(super) unapplied: VecDeque<(Arc<Record>, Points, u64)>,
 }
 
 impl Journal {
@@ -154,6 +158,7 @@ impl Journal {
                     points: Arc::clone(points),
                     records: VecDeque::new(),
                     operations: VecDeque::new(),
+                    unapplied: VecDeque::new(),
                 };
                 self.indexes.insert(entry.uid, index);
             }
@@ -193,6 +198,13 @@ impl Journal {
 }
 
 impl Index {
+    /// The records after `after` that the index holds.
+    pub(super) fn records_after(&self, after: u64) -> Vec<Arc<Record>> {
+        let records = self.records.iter();
+        let later = records.filter(|record| record.revision() > after);
+        later.cloned().collect()
+    }
+
     fn apply(&mut self, record: &Arc<Record>) {
         let effects = record.effects();
         let points = Arc::make_mut(&mut self.points);
@@ -218,7 +230,7 @@ impl Index {
     }
 
     /// How many of the oldest records and operations need not be kept.
-    pub(super) fn outdated(&self, keep: &Keep) -> (usize, usize) {
+    pub(super) fn outdated(&self, keep: &Retention) -> (usize, usize) {
         let time =
             |record: &Record| SystemTime::UNIX_EPOCH + Duration::from_millis(record.time_ms());
         let bytes = self.records.iter().map(|record| record.effects().bytes());

@@ -7,14 +7,15 @@
 mod gate;
 mod journal;
 
-use std::{collections::BTreeMap, sync::Arc, time::SystemTime};
+use std::{collections::BTreeMap, sync::Arc};
 
-use futures_util::{FutureExt, future::BoxFuture};
+use futures_util::{StreamExt, stream};
 use parking_lot::Mutex;
 use rand::RngExt;
+use tokio::sync::watch;
 use wayfold_server::log::{
-    Effects, Entry, Keep, Log, LogError, Operation, Origin, Record, Restoring, StoredPoint, Uid,
-    View,
+    self, Catalogue, Entry, LogError, Operation, Origin, PointStore, Receipt, Record, RecordStream,
+    Restoring, Retention, StoredPoint, Tip, Uid, View,
 };
 
 use gate::Gate;
@@ -22,12 +23,13 @@ use journal::{Item, Journal, Points};
 
 /// See the module.
 #[derive(Clone)]
-pub(crate) struct FaultLog(Arc<Mutex<Journal>>, Arc<Gate>);
+pub(crate) struct FaultLog(Arc<Mutex<Journal>>, Arc<Gate>, watch::Sender<()>);
 
 impl FaultLog {
     /// An empty log; `seed` draws what is left after a failure.
     pub(crate) fn new(seed: u64) -> Self {
-        Self(Arc::new(Mutex::new(Journal::new(seed))), Arc::default())
+        let journal = Arc::new(Mutex::new(Journal::new(seed)));
+        Self(journal, Arc::default(), watch::Sender::new(()))
     }
 
     /// The gate that every read of points and records passes.
@@ -46,6 +48,7 @@ impl FaultLog {
         let (synced, written) = (journal.synced, journal.items.len());
         let left = journal.random.random_range(synced..=written);
         journal.open(left);
+        self.2.send_replace(());
     }
 
     /// Closes and opens it in order: nothing is lost.
@@ -53,10 +56,227 @@ impl FaultLog {
         let mut journal = self.0.lock();
         let written = journal.items.len();
         journal.open(written);
+        self.2.send_replace(());
     }
 }
 
-impl Log for FaultLog {
+impl FaultLog {
+    fn view_of(&self, journal: &Journal, record: &Record, points: Points, next_id: u64) -> Pinned {
+        Pinned {
+            log: self.clone(),
+            opened: journal.opened,
+            tip: record.tip(),
+            next_id,
+            points,
+        }
+    }
+}
+
+impl log::Journal for FaultLog {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        let effects = record.effects();
+        // It does this like a store that sums up its points: it reads those that go.
+        let next_id = self.0.lock().index(uid)?.next_id;
+        let replaces = effects.stored().iter().any(|point| point.id < next_id);
+        if replaces || !effects.removed().is_empty() {
+            self.1.pass();
+        }
+        let mut journal = self.0.lock();
+        let index = journal.index(uid)?;
+        if (index.head + 1, &index.digest) != (record.revision(), record.previous()) {
+            return Err(LogError::Fenced {
+                uid,
+                expected: record.revision() - 1,
+                head: index.head,
+            });
+        }
+        journal.write(Item::Append(uid, Arc::clone(&record)))?;
+        let index = journal.indexes.get_mut(&uid).unwrap();
+        let unapplied = (record, Arc::clone(&index.points), index.next_id);
+        index.unapplied.push_back(unapplied);
+        drop(journal);
+        self.2.send_replace(());
+        Ok(Receipt::Accepted)
+    }
+
+    /// Each batch is synced when it is waited for.
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        let opened = self.0.lock().opened;
+        let follower = (self.clone(), self.2.subscribe(), after);
+        let batches = stream::unfold(Some(follower), move |follower| async move {
+            let (log, mut changed, after) = follower?;
+            loop {
+                changed.borrow_and_update();
+                let news = log.synced_after(uid, after, opened);
+                match news {
+                    Ok(records) if records.is_empty() => {}
+                    Ok(records) => {
+                        let after = records.last().unwrap().revision();
+                        return Some((Ok(records), Some((log, changed, after))));
+                    }
+                    Err(why) => return Some((Err(why), None)),
+                }
+                if changed.changed().await.is_err() {
+                    return None;
+                }
+            }
+        });
+        batches.boxed()
+    }
+
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.1.pass();
+        let journal = self.0.lock();
+        let index = journal.index(uid)?;
+        let oldest = index.head - index.records.len() as u64;
+        let after = after.unwrap_or(oldest);
+        if after < oldest {
+            return Err(LogError::Trimmed { uid, after, oldest });
+        }
+        let mut records = Vec::new();
+        let mut bytes = 0;
+        for record in index.records_after(after) {
+            bytes += record.effects().bytes();
+            if records.is_empty() || bytes <= max_bytes {
+                records.push(record);
+            }
+        }
+        Ok(records)
+    }
+
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        let mut journal = self.0.lock();
+        let (records, operations) = journal.index(uid)?.outdated(retention);
+        match records + operations {
+            0 => Ok(()),
+            _ => journal.write(Item::Trim(uid, records, operations)),
+        }
+    }
+}
+
+impl FaultLog {
+    /// The records after `after`, synced; an error if it was opened again.
+    fn synced_after(
+        &self,
+        uid: Uid,
+        after: u64,
+        opened: u64,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        let mut journal = self.0.lock();
+        if journal.opened != opened {
+            return Err(LogError::Closed);
+        }
+        let head = journal.index(uid)?.head;
+        journal.sync(uid, head)?;
+        let index = journal.index(uid)?;
+        let unapplied = index
+            .unapplied
+            .iter()
+            .map(|(record, ..)| Arc::clone(record));
+        let unapplied = unapplied.filter(|record| record.revision() > after);
+        let unapplied: Vec<_> = unapplied.collect();
+        // Records that were trimmed before they were applied are followed all the same.
+        let first = unapplied.first().map(|first| first.revision());
+        Ok(match first {
+            Some(first) if first == after + 1 => unapplied,
+            _ => index.records_after(after),
+        })
+    }
+}
+
+impl PointStore for FaultLog {
+    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
+        let mut journal = self.0.lock();
+        journal.index(uid)?;
+        let last = records.last().unwrap();
+        let index = journal.indexes.get_mut(&uid).unwrap();
+        while let Some((record, points, next_id)) = index.unapplied.pop_front() {
+            if record.revision() == last.revision() {
+                return Ok(Arc::new(self.view_of(&journal, &record, points, next_id)));
+            }
+            if record.revision() > last.revision() {
+                index.unapplied.push_front((record, points, next_id));
+                break;
+            }
+        }
+        for record in records {
+            let index = journal.index(uid)?;
+            if record.revision() <= index.head {
+                continue;
+            }
+            if record.revision() != index.head + 1 || *record.previous() != index.digest {
+                return Err(LogError::Damaged {
+                    uid,
+                    revision: record.revision(),
+                    what: "it does not follow the record before it",
+                });
+            }
+            journal.write(Item::Append(uid, Arc::clone(record)))?;
+        }
+        let index = journal.index(uid)?;
+        if index.head != last.revision() {
+            let (expected, head) = (last.revision(), index.head);
+            return Err(LogError::Fenced {
+                uid,
+                expected,
+                head,
+            });
+        }
+        let (points, next_id) = (Arc::clone(&index.points), index.next_id);
+        let view = self.view_of(&journal, last, points, next_id);
+        drop(journal);
+        self.2.send_replace(());
+        Ok(Arc::new(view))
+    }
+
+    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        let journal = self.0.lock();
+        let index = journal.index(uid)?;
+        Ok(Arc::new(Pinned {
+            log: self.clone(),
+            opened: journal.opened,
+            tip: Tip {
+                revision: index.head,
+                digest: index.digest,
+            },
+            next_id: index.next_id,
+            points: Arc::clone(&index.points),
+        }))
+    }
+
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
+        let journal = self.0.lock();
+        Ok(journal.index(uid)?.operations.iter().cloned().collect())
+    }
+
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        Ok(Box::new(Copy {
+            log: self.clone(),
+            entry,
+            origin,
+            points: BTreeMap::new(),
+        }))
+    }
+
+    fn failure(&self) -> Option<LogError> {
+        self.0.lock().failed.clone()
+    }
+
+    /// After a failure, the journal keeps its synced items and, perhaps, the first of the others.
+    fn reopen(&self) -> Result<(), LogError> {
+        if self.failure().is_some() {
+            self.cut();
+        }
+        Ok(())
+    }
+}
+
+impl Catalogue for FaultLog {
     fn indexes(&self) -> Result<Vec<Entry>, LogError> {
         let journal = self.0.lock();
         Ok(journal
@@ -72,116 +292,12 @@ impl Log for FaultLog {
             .create(entry, Origin::START, Points::default())
     }
 
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        Ok(Box::new(Copy {
-            log: self.clone(),
-            entry,
-            origin,
-            points: BTreeMap::new(),
-        }))
-    }
-
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
         let mut journal = self.0.lock();
         journal.index(uid)?;
-        journal.write_and_sync(Item::Delete(uid))
-    }
-
-    fn append(&self, uid: Uid, expected: u64, effects: Effects) -> Result<Arc<Record>, LogError> {
-        // It does this like a store that sums up its points: it reads those that go.
-        let next_id = self.0.lock().index(uid)?.next_id;
-        let replaces = effects.stored().iter().any(|point| point.id < next_id);
-        if replaces || !effects.removed().is_empty() {
-            self.1.pass();
-        }
-        let mut journal = self.0.lock();
-        let index = journal.index(uid)?;
-        if index.head != expected {
-            let head = index.head;
-            return Err(LogError::Fenced {
-                uid,
-                expected,
-                head,
-            });
-        }
-        let now = SystemTime::now()
-            .duration_since(SystemTime::UNIX_EPOCH)
-            .unwrap();
-        let now = u64::try_from(now.as_millis()).unwrap();
-        let record = Arc::new(Record::new(expected + 1, index.digest, now, effects));
-        journal.write(Item::Append(uid, Arc::clone(&record)))?;
-        Ok(record)
-    }
-
-    fn synced(&self, uid: Uid, revision: u64) -> BoxFuture<'static, Result<u64, LogError>> {
-        let synced = self.0.lock().sync(uid, revision);
-        std::future::ready(synced).boxed()
-    }
-
-    fn tail(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        most: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.1.pass();
-        let journal = self.0.lock();
-        let index = journal.index(uid)?;
-        let oldest = index.head - index.records.len() as u64;
-        let after = after.unwrap_or(oldest);
-        if after < oldest {
-            return Err(LogError::Trimmed { uid, after, oldest });
-        }
-        let mut records = Vec::new();
-        let mut bytes = 0;
-        for record in &index.records {
-            bytes += if record.revision() > after {
-                record.effects().bytes()
-            } else {
-                0
-            };
-            if record.revision() > after && (records.is_empty() || bytes <= most) {
-                records.push(Arc::clone(record));
-            }
-        }
-        Ok(records)
-    }
-
-    fn points(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
-        let journal = self.0.lock();
-        let index = journal.index(uid)?;
-        Ok(Arc::new(Pinned {
-            log: self.clone(),
-            opened: journal.opened,
-            revision: index.head,
-            next_id: index.next_id,
-            points: Arc::clone(&index.points),
-        }))
-    }
-
-    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
-        let journal = self.0.lock();
-        Ok(journal.index(uid)?.operations.iter().cloned().collect())
-    }
-
-    fn trim(&self, uid: Uid, keep: &Keep) -> Result<(), LogError> {
-        let mut journal = self.0.lock();
-        let (records, operations) = journal.index(uid)?.outdated(keep);
-        match records + operations {
-            0 => Ok(()),
-            _ => journal.write(Item::Trim(uid, records, operations)),
-        }
-    }
-
-    fn failure(&self) -> Option<LogError> {
-        self.0.lock().failed.clone()
-    }
-
-    /// After a failure, the journal keeps its synced items and, perhaps, the first of the others.
-    fn reopen(&self) -> Result<(), LogError> {
-        if self.failure().is_some() {
-            self.cut();
-        }
+        journal.write_and_sync(Item::Delete(uid))?;
+        drop(journal);
+        self.2.send_replace(());
         Ok(())
     }
 }
@@ -214,7 +330,7 @@ impl Restoring for Copy {
 struct Pinned {
     log: FaultLog,
     opened: u64,
-    revision: u64,
+    tip: Tip,
     next_id: u64,
     points: Points,
 }
@@ -230,8 +346,8 @@ impl Pinned {
 }
 
 impl View for Pinned {
-    fn revision(&self) -> u64 {
-        self.revision
+    fn tip(&self) -> Tip {
+        self.tip
     }
 
     fn next_id(&self) -> u64 {

@@ -26,13 +26,13 @@ impl Store {
         Self::Disk(tempfile::tempdir().unwrap())
     }
 
-    pub(super) fn open(&self) -> Arc<dyn Log> {
+    pub(super) fn open(&self) -> Log {
         match self {
-            Self::Memory(log) => Arc::clone(log) as _,
+            Self::Memory(log) => Arc::clone(log).into(),
             Self::Disk(directory) => {
-                Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap())
+                Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap()).into()
             }
-            Self::Faulty(log) => Arc::new(log.clone()),
+            Self::Faulty(log) => Arc::new(log.clone()).into(),
         }
     }
 

@@ -1,24 +1,25 @@
-//! How much of its past a log keeps: its newest records, for who follows it, and its newest operations, for retries.
+//! The part of its history that a journal keeps: the newest records, for its followers, and the newest operations, for
+//! retries.
 
 use std::{collections::VecDeque, time::SystemTime};
 
 use super::{Record, record::time_ms};
 
-/// What is kept of the past of an index beside its points.
+/// The bounds on the records and operations of an index that are kept.
 #[derive(Clone, Copy, Debug)]
-pub struct Keep {
-    /// Most bytes of records (see [`Effects::bytes`](super::Effects::bytes)).
+pub struct Retention {
+    /// The most bytes of records (see [`Effects::bytes`](super::Effects::bytes)).
     pub record_bytes: usize,
-    /// Records that were appended before are forgotten.
+    /// Older records are forgotten.
     pub since: SystemTime,
-    /// Most operations.
+    /// The most operations.
     pub operations: usize,
-    /// Most bytes of operations (see [`Operation::bytes`](super::Operation::bytes)).
+    /// The most bytes of operations (see [`Operation::bytes`](super::Operation::bytes)).
     pub operation_bytes: usize,
 }
 
-/// What is held, by size. The newest record and the newest operation always stay, however large or old they are: who
-/// follows record by record always gets the next.
+/// The sizes of the records and operations that are held. The newest of each always stays, at any size and age, so that a
+/// follower who reads record by record always gets the next.
 #[derive(Default)]
 pub(super) struct Window {
     records: VecDeque<Held>,
@@ -32,14 +33,14 @@ struct Held {
     time_ms: u64,
 }
 
-/// How many of the oldest are to be forgotten.
+/// The numbers of oldest records and operations to forget.
 #[derive(Default)]
 pub(super) struct Trimmed {
     pub(super) records: usize,
     pub(super) operations: usize,
 }
 
-/// How many bytes of records may still be read; the first record always may.
+/// The bytes of records that may still be read. The first record always may.
 pub(super) struct Allowance {
     left: usize,
     is_first: bool,
@@ -53,7 +54,7 @@ impl Allowance {
         }
     }
 
-    /// Whether this record may be read too.
+    /// True if this record may be read too.
     pub(super) fn take(&mut self, record: &Record) -> bool {
         let left = self.left.checked_sub(record.effects().bytes());
         self.left = left.unwrap_or(0);
@@ -62,7 +63,7 @@ impl Allowance {
 }
 
 impl Window {
-    /// Takes note of the next record.
+    /// Adds the next record.
     pub(super) fn hold(&mut self, record: &Record) {
         let bytes = record.effects().bytes();
         self.record_bytes += bytes;
@@ -70,14 +71,14 @@ impl Window {
         self.records.push_back(Held { bytes, time_ms });
     }
 
-    /// Takes note of the next operation.
+    /// Adds the next operation.
     pub(super) fn hold_operation(&mut self, bytes: usize) {
         self.operation_bytes += bytes;
         self.operations.push_back(bytes);
     }
 
-    /// Lets go of what need not be kept.
-    pub(super) fn trim(&mut self, keep: &Keep) -> Trimmed {
+    /// Drops all that need not be kept.
+    pub(super) fn trim(&mut self, keep: &Retention) -> Trimmed {
         let mut trimmed = Trimmed::default();
         let since = time_ms(keep.since);
         while self.records.len() > 1

@@ -1,0 +1,112 @@
+//! A snapshot under overlays answers as one set of points with all their changes.
+
+use std::collections::{BTreeMap, HashSet};
+
+use proptest::prelude::*;
+use wayfold_index::{
+    Filter, Forest, ForestOptions, Linear, Overlay, Point, PointRef, Points, Search, Space,
+    search_overlaid,
+};
+
+/// Ids stored with a coordinate, or removed.
+type Changes = BTreeMap<u64, Option<u8>>;
+
+fn changes() -> impl Strategy<Value = Changes> {
+    prop::collection::btree_map(0..30u64, prop::option::weighted(0.8, 0..8u8), 0..20)
+}
+
+/// The rows that some changes store, and the ids that they remove.
+fn rows(changes: &Changes, revision: u64) -> (Points, Vec<u64>) {
+    let (mut stored, mut removed) = (Points::new(1), Vec::new());
+    for (&id, at) in changes {
+        match at {
+            Some(at) => stored.push(id, u64::from(*at) & 1, revision, &[f64::from(*at)]),
+            None => removed.push(id),
+        }
+    }
+    (stored, removed)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 512,
+        rng_seed: proptest::test_runner::RngSeed::Fixed(7),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    /// On a grid most distances are ties.
+    #[test]
+    fn overlays_answer_as_one_set(
+        base in changes(),
+        layers in prop::collection::vec(changes(), 0..4),
+        asked in 0..8u8,
+        k in prop_oneof![0..6usize, Just(usize::MAX)],
+        radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
+        tagged in any::<bool>(),
+        since_revision in 0..4u64,
+        excluded in prop::collection::hash_set(0..30u64, 0..3),
+    ) {
+        let space: Space = "R1".parse().unwrap();
+        let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
+        let mut expected = BTreeMap::new();
+        let mut overlays = Vec::new();
+        for (at, changes) in std::iter::once(&base).chain(&layers).enumerate() {
+            let revision = at as u64 + 1;
+            let (stored, removed) = rows(changes, revision);
+            for id in &removed {
+                expected.remove(id);
+            }
+            for point in stored.iter() {
+                expected.insert(point.id, point.to_point());
+            }
+            if at == 0 {
+                forest.apply(revision, &stored, &removed).unwrap();
+                continue;
+            }
+            let mut overlay = Overlay::new(&space);
+            overlay.apply(&stored, &removed).unwrap();
+            overlays.push(overlay);
+        }
+        let overlays: Vec<&Overlay> = overlays.iter().collect();
+        for id in 0..30 {
+            let changed = overlays.iter().rev().find_map(|overlay| overlay.get(id));
+            let found = changed.unwrap_or_else(|| forest.get(id));
+            prop_assert_eq!(found.as_ref(), expected.get(&id));
+        }
+
+        let mut linear = Linear::new(space);
+        for Point { id, tag, revision, row } in expected.values() {
+            let point = PointRef { id: *id, tag: *tag, revision: *revision, row };
+            linear.insert(point).unwrap();
+        }
+        let sets: [&HashSet<u64>; 1] = [&excluded];
+        let search = Search {
+            radius,
+            filter: Filter {
+                tag_mask: u64::from(tagged),
+                tag_value: u64::from(tagged),
+                since_revision,
+            },
+            excluded: &sets,
+            ..Search::nearest_k(k)
+        };
+        let asked = [f64::from(asked)];
+        let snapshot = forest.snapshot();
+        let found = search_overlaid(&snapshot, &overlays, None, &asked, &search).unwrap();
+        let truth = linear.search(&asked, &search).unwrap().neighbors;
+        prop_assert_eq!(&found, &truth);
+
+        // With what is known of the snapshot, where no overlay changes it.
+        let only_new = overlays.iter().all(|overlay| {
+            (0..30).all(|id| forest.get(id).is_none() || overlay.get(id).is_none())
+        });
+        if only_new {
+            let wider = Search { k: k.saturating_add(1), ..search };
+            let known = snapshot.search(&asked, &wider).unwrap().neighbors;
+            let found =
+                search_overlaid(&snapshot, &overlays, Some(&known), &asked, &search).unwrap();
+            prop_assert_eq!(found, truth);
+        }
+    }
+}

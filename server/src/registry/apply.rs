@@ -1,0 +1,203 @@
+//! The apply loop of an index: it takes the next records from the journal, checks that they follow, applies them to the
+//! point store and the forest, and publishes the result. A point of the index changes nowhere else.
+
+use std::{
+    sync::{Arc, Weak, atomic::Ordering::Relaxed},
+    time::{Duration, SystemTime},
+};
+
+use futures_util::{StreamExt, future::BoxFuture, stream::FuturesUnordered};
+use tokio::{
+    sync::{OwnedMutexGuard, mpsc},
+    time::{Instant, timeout_at},
+};
+use tracing::{debug, warn};
+use wayfold_index::Forest;
+
+use super::{Hosted, Published, RegistryError, in_flight::notify};
+use crate::log::{Effects, LogError, Receipt, Record, RecordStream, Tip, View};
+
+/// A batch above these sizes is applied on a blocking thread. Inline it would delay the calls that share the thread.
+const MAX_INLINE_POINTS: usize = 1024;
+const MAX_INLINE_BYTES: usize = 128 * 1024;
+
+/// The time in which a lost receipt is settled before its callers are told.
+const SETTLE_TIME: Duration = Duration::from_secs(5);
+
+/// The forest of an index, as of the published revision.
+pub(super) struct Applied {
+    pub(super) forest: Forest,
+    /// The number of tasks that merge this forest's levels.
+    pub(super) mergers: usize,
+}
+
+/// A receipt that the loop waits for.
+pub(super) struct Awaited {
+    /// The record before the submitted one.
+    pub(super) previous: Tip,
+    pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
+}
+
+/// Runs until the index is dropped, or its journal fails.
+pub(super) async fn run(
+    hosted: Weak<Hosted>,
+    mut records: RecordStream,
+    mut receipts: mpsc::UnboundedReceiver<Awaited>,
+) {
+    let mut awaited = FuturesUnordered::new();
+    loop {
+        let outcome = tokio::select! {
+            batch = records.next() => {
+                let Some(hosted) = hosted.upgrade() else {
+                    return;
+                };
+                match batch {
+                    Some(Ok(records)) => hosted.apply(records).await,
+                    Some(Err(error)) => Err(error.into()),
+                    None => Err(RegistryError::Log(LogError::Closed)),
+                }
+            }
+            Some(receipt) = receipts.recv() => {
+                awaited.push(async move { (receipt.previous, receipt.outcome.await) });
+                Ok(())
+            }
+            Some((previous, outcome)) = awaited.next() => {
+                let Some(hosted) = hosted.upgrade() else {
+                    return;
+                };
+                match outcome {
+                    // The record that was accepted in its place comes from the journal, and decides.
+                    Ok(()) | Err(LogError::Fenced { .. }) => Ok(()),
+                    Err(error @ LogError::Unconfirmed { .. }) => {
+                        hosted.settle(previous, error).await
+                    }
+                    Err(error) => Err(error.into()),
+                }
+            }
+        };
+        if let Err(error) = outcome {
+            if let Some(hosted) = hosted.upgrade() {
+                // The log reports its failure once, so an index logs it at debug level only.
+                debug!(index = hosted.name(), %error, "cannot follow the log");
+                hosted.close(error);
+            }
+            return;
+        }
+    }
+}
+
+impl Hosted {
+    /// Applies consecutive records, and publishes the last revision.
+    async fn apply(self: &Arc<Self>, records: Vec<Arc<Record>>) -> Result<(), RegistryError> {
+        let applied = Arc::clone(&self.applied).lock_owned().await;
+        let sizes = records.iter().map(|record| record.effects());
+        let (points, bytes) = sizes.fold((0, 0), |(points, bytes), effects| {
+            (points + effects.len(), bytes + effects.bytes())
+        });
+        if points <= MAX_INLINE_POINTS && bytes <= MAX_INLINE_BYTES {
+            return self.apply_now(applied, &records, |records| {
+                self.host.log.points.apply(self.uid(), records)
+            });
+        }
+        let hosted = Arc::clone(self);
+        let applying = move || {
+            hosted.apply_now(applied, &records, |records| {
+                hosted.host.log.points.apply(hosted.uid(), records)
+            })
+        };
+        tokio::task::spawn_blocking(applying)
+            .await
+            .map_err(|_| RegistryError::Stopped)?
+    }
+
+    /// Applies consecutive records that lead to the points of `view`, which gets the last of them.
+    pub(super) fn apply_now(
+        self: &Arc<Self>,
+        mut applied: OwnedMutexGuard<Applied>,
+        records: &[Arc<Record>],
+        view: impl FnOnce(&[Arc<Record>]) -> Result<Arc<dyn View>, LogError>,
+    ) -> Result<(), RegistryError> {
+        let published = self.published().view.tip();
+        let known = records.partition_point(|record| record.revision() <= published.revision);
+        let records = &records[known..];
+        let mut tip = published;
+        for record in records {
+            if !record.follows(tip) {
+                return Err(RegistryError::Log(LogError::Damaged {
+                    uid: self.uid(),
+                    revision: record.revision(),
+                    what: "it does not follow the record before it",
+                }));
+            }
+            tip = record.tip();
+        }
+        if tip == published {
+            return Ok(());
+        }
+        // Refusals count before readers see the records that caused them.
+        let decided = self.in_flight.lock().meet(records);
+        let view = view(records)?;
+        self.swap_in(&mut applied);
+        for record in records {
+            self.apply_record(&mut applied.forest, record)?;
+        }
+        self.publish(&Arc::new(Published {
+            snapshot: applied.forest.snapshot(),
+            revision: tip.revision,
+            view,
+        }));
+        self.start_merging(&mut applied);
+        drop(applied);
+        notify(decided);
+        if let Err(error) = self.trim(SystemTime::now()) {
+            warn!(index = self.name(), %error, "cannot trim the log");
+        }
+        Ok(())
+    }
+
+    fn apply_record(&self, forest: &mut Forest, record: &Arc<Record>) -> Result<(), RegistryError> {
+        let effects = record.effects();
+        if !effects.only_adds() {
+            self.last_change.store(record.revision(), Relaxed);
+        }
+        let applied = forest.apply(record.revision(), effects.stored(), effects.removed());
+        // Our own records were checked before they were submitted; others may be damaged.
+        applied.map_err(|_| LogError::Damaged {
+            uid: self.uid(),
+            revision: record.revision(),
+            what: "its rows are not states of the space",
+        })?;
+        if let Some(operation) = effects.operation() {
+            self.operations.lock().remember(Arc::clone(operation));
+        }
+        self.recent.lock().push(Arc::clone(record));
+        Ok(())
+    }
+
+    /// Settles a record whose receipt was lost: an empty record is submitted in its place. If the journal takes that one, the
+    /// lost record can never be there; if it refuses, a record is there. Either comes from the journal and decides.
+    async fn settle(self: &Arc<Self>, previous: Tip, error: LogError) -> Result<(), RegistryError> {
+        // Nothing is submitted meanwhile.
+        let writer = self.write_closed().await;
+        let until = Instant::now() + SETTLE_TIME;
+        while self.published().revision <= previous.revision {
+            let fence = Record::after(previous, Effects::new(self.space().coordinates()));
+            let fence = Arc::new(fence);
+            let outcome = match self.host.log.journal.submit(self.uid(), fence) {
+                Ok(Receipt::Accepted) => Ok(()),
+                Ok(Receipt::Awaited(outcome)) => match timeout_at(until, outcome).await {
+                    Ok(outcome) => outcome,
+                    Err(_) => Err(error.clone()),
+                },
+                Err(error) => Err(error),
+            };
+            match outcome {
+                Ok(()) | Err(LogError::Fenced { .. }) => break,
+                Err(LogError::Unconfirmed { .. }) if Instant::now() < until => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        drop(writer);
+        Ok(())
+    }
+}

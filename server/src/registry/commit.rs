@@ -1,0 +1,124 @@
+//! The commit of a mutation: it is submitted to the journal, and acknowledged once the apply loop has published it.
+
+use std::sync::Arc;
+
+use tokio::sync::oneshot;
+
+use super::{Hosted, OperationWindow, RegistryError, WriteGuard, apply::Awaited, in_flight::Fate};
+use crate::log::{Effects, LogError, Operation, Receipt, Record};
+
+/// A mutation above these sizes, or one that changes existing points, is submitted on a blocking thread. Inline it would
+/// delay the calls that share the caller's thread.
+const MAX_INLINE_POINTS: usize = 1024;
+const MAX_INLINE_BYTES: usize = 128 * 1024;
+
+/// The end of a mutation.
+#[must_use]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Committed {
+    /// It took effect, is published, and as durable as configured.
+    Done,
+    /// Another writer was first, and nothing of it took effect. Evaluate the mutation again.
+    Refused,
+}
+
+impl Hosted {
+    /// Commits a mutation that was evaluated under `writer`: submits the non-empty `effects`, and returns once they are
+    /// published. From the first poll on the commit completes, even if the caller drops the future.
+    pub async fn commit(
+        self: &Arc<Self>,
+        writer: WriteGuard,
+        effects: Effects,
+        window: OperationWindow,
+    ) -> Result<Committed, RegistryError> {
+        self.operations.lock().set_window(window);
+        let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
+        // The log reads a point before it replaces or removes it.
+        let next_id = writer.next_id();
+        let is_new =
+            effects.removed().is_empty() && effects.stored().ids().iter().all(|&id| id >= next_id);
+        let submitted = if is_small && is_new && !self.host.log.journal.is_busy() {
+            self.submit(writer, effects)
+        } else {
+            let hosted = Arc::clone(self);
+            tokio::task::spawn_blocking(move || hosted.submit(writer, effects))
+                .await
+                .map_err(|_| RegistryError::Stopped)?
+        };
+        match submitted {
+            Ok(fate) => decided(fate).await,
+            Err(RegistryError::Log(LogError::Fenced { head, .. })) => {
+                // Evaluated again before the other writer's records are published, it would be refused again.
+                self.reached(head).await?;
+                Ok(Committed::Refused)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Waits until the newest record of `writer` is published. A response that was evaluated under `writer` and changes
+    /// nothing may be given then.
+    pub async fn settled(&self, writer: WriteGuard) -> Result<Committed, RegistryError> {
+        let fate = {
+            let mut in_flight = self.in_flight.lock();
+            in_flight.wait_for(writer.tip(), writer.refusals())
+        };
+        drop(writer);
+        decided(fate).await
+    }
+
+    /// The operation with this id that took effect, or is about to; None if it had no effect or is forgotten.
+    pub fn recall(&self, writer: &WriteGuard, id: &str) -> Option<Arc<Operation>> {
+        let pending = writer.pending_operation(id).cloned();
+        pending.or_else(|| self.operations.lock().recall(id).cloned())
+    }
+
+    /// Forgets an operation that was remembered and refused.
+    pub fn forget(&self, id: &str) {
+        self.operations.lock().forget(id);
+    }
+
+    /// Remembers an operation that changed nothing.
+    pub fn remember(&self, operation: Arc<Operation>, window: OperationWindow) {
+        let mut operations = self.operations.lock();
+        operations.set_window(window);
+        operations.remember(operation);
+    }
+
+    fn submit(
+        &self,
+        mut writer: WriteGuard,
+        effects: Effects,
+    ) -> Result<oneshot::Receiver<Fate>, RegistryError> {
+        let previous = writer.tip();
+        let record = Arc::new(Record::after(previous, effects));
+        // Before the journal has it, since the apply loop may meet it at once.
+        let fate = self.in_flight.lock().add(record.tip());
+        writer.push(Arc::clone(&record));
+        match self
+            .host
+            .log
+            .journal
+            .submit(self.uid(), Arc::clone(&record))
+        {
+            Ok(Receipt::Accepted) => {}
+            Ok(Receipt::Awaited(outcome)) => self.await_receipt(Awaited { previous, outcome }),
+            Err(error) => {
+                self.in_flight.lock().take_back(record.tip());
+                writer.take_back();
+                return Err(error.into());
+            }
+        }
+        Ok(fate)
+    }
+}
+
+async fn decided(fate: oneshot::Receiver<Fate>) -> Result<Committed, RegistryError> {
+    match fate.await {
+        Ok(Fate::Published) => Ok(Committed::Done),
+        Ok(Fate::Refused) => Ok(Committed::Refused),
+        Ok(Fate::Failed(why)) => Err(why),
+        // It is dropped unanswered with the index alone.
+        Err(_) => Err(RegistryError::Stopped),
+    }
+}

@@ -1,0 +1,123 @@
+//! The records of an index that were submitted and are not yet applied, and the calls that wait for them.
+
+use std::{collections::VecDeque, sync::Arc};
+
+use tokio::sync::oneshot;
+
+use super::RegistryError;
+use crate::log::{Record, Tip};
+
+/// The end of a submitted record.
+#[derive(Clone, Debug)]
+pub(super) enum Fate {
+    /// It is published.
+    Published,
+    /// Another writer's record took its revision. The mutation must be evaluated again.
+    Refused,
+    /// The index cannot tell, or serves no more writes.
+    Failed(RegistryError),
+}
+
+/// See the module.
+#[derive(Default)]
+pub(super) struct InFlight {
+    /// Oldest first, with consecutive revisions.
+    records: VecDeque<Submitted>,
+    refusals: u64,
+}
+
+struct Submitted {
+    tip: Tip,
+    waiting: Vec<oneshot::Sender<Fate>>,
+}
+
+/// Calls to notify once the index has published what decided their records.
+pub(super) type Decided = Vec<(oneshot::Sender<Fate>, Fate)>;
+
+impl InFlight {
+    /// The number of times that records were refused. The pending records of an earlier count are void.
+    pub(super) fn refusals(&self) -> u64 {
+        self.refusals
+    }
+
+    /// Adds the next record.
+    pub(super) fn add(&mut self, tip: Tip) -> oneshot::Receiver<Fate> {
+        self.records.push_back(Submitted {
+            tip,
+            waiting: Vec::new(),
+        });
+        self.wait_for_last()
+    }
+
+    /// Takes back the last record, which the journal did not take.
+    pub(super) fn take_back(&mut self, tip: Tip) {
+        if self.records.back().is_some_and(|last| last.tip == tip) {
+            self.records.pop_back();
+        }
+    }
+
+    /// Waits for the record `tip`, which was submitted when the refusals were at this number.
+    pub(super) fn wait_for(&mut self, tip: Tip, refusals: u64) -> oneshot::Receiver<Fate> {
+        match self.records.back() {
+            Some(last) if last.tip == tip => self.wait_for_last(),
+            _ => {
+                let (sender, receiver) = oneshot::channel();
+                let fate = match self.refusals == refusals {
+                    true => Fate::Published,
+                    false => Fate::Refused,
+                };
+                // The receiver is held right here.
+                let _ = sender.send(fate);
+                receiver
+            }
+        }
+    }
+
+    fn wait_for_last(&mut self) -> oneshot::Receiver<Fate> {
+        let (sender, receiver) = oneshot::channel();
+        if let Some(last) = self.records.back_mut() {
+            last.waiting.push(sender);
+        }
+        receiver
+    }
+
+    /// Decides the submitted records by the records that the journal has in their places.
+    pub(super) fn meet(&mut self, records: &[Arc<Record>]) -> Decided {
+        let mut decided = Decided::new();
+        for record in records {
+            let Some(first) = self.records.front() else {
+                break;
+            };
+            if first.tip != record.tip() {
+                self.refuse(&mut decided);
+                break;
+            }
+            let first = self.records.pop_front().into_iter();
+            let waiting = first.flat_map(|first| first.waiting);
+            decided.extend(waiting.map(|waiting| (waiting, Fate::Published)));
+        }
+        decided
+    }
+
+    fn refuse(&mut self, decided: &mut Decided) {
+        self.refusals += 1;
+        let waiting = self.records.drain(..).flat_map(|record| record.waiting);
+        decided.extend(waiting.map(|waiting| (waiting, Fate::Refused)));
+    }
+
+    /// Forgets all submitted records: it is unknown which of them are in the journal.
+    pub(super) fn fail(&mut self, why: &RegistryError) -> Decided {
+        self.refusals += 1;
+        let waiting = self.records.drain(..).flat_map(|record| record.waiting);
+        let failed = waiting.map(|waiting| (waiting, Fate::Failed(why.clone())));
+        failed.collect()
+    }
+}
+
+/// Notifies calls.
+pub(super) fn notify(decided: Decided) {
+    for (waiting, fate) in decided {
+        // The caller may have left.
+        let _ = waiting.send(fate);
+    }
+}
