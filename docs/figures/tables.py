@@ -29,6 +29,7 @@ def table(names, header, rows):
     for saved in map(read, names):
         origin = "Commit {commit}, {date}; {processor}".format(**saved)
         origin += "".join(f", {saved[key]} {key}" for key in ("cores", "rounds") if saved.get(key))
+        origin += f"; {saved['note']}" if "note" in saved else ""
         commands = origins.setdefault(origin, [])
         if "command" in saved:
             commands.append(f"`{saved['command']}`")
