@@ -5,7 +5,7 @@
 mod harness;
 mod raw;
 
-mod backup;
+mod backup_streams;
 mod deadlines;
 mod description;
 mod errors;

@@ -5,12 +5,10 @@
     reason = "a test says what went wrong by where it panics"
 )]
 
-mod backup;
 mod bad_input;
 mod cancellation;
 mod client_library;
 mod clients;
-mod command_line;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
@@ -25,5 +23,6 @@ mod preload;
 mod readme;
 mod reflection;
 mod replica;
+mod restore;
 mod scan;
 mod shutdown;

@@ -2,6 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+mod backup;
+mod brute_force;
 mod damaged;
 mod errors;
 #[expect(dead_code, reason = "the suite of the client takes more of it")]
@@ -11,6 +13,7 @@ mod files;
 mod generate;
 mod health;
 mod lasting;
+mod poses;
 mod process;
 mod selection;
 #[path = "../../../tests/client/server.rs"]
