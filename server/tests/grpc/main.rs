@@ -13,7 +13,6 @@ mod extreme_integers;
 #[path = "../extremes/mod.rs"]
 mod extremes;
 mod health;
-mod process;
 mod reflection;
 mod refusals;
 mod shutdown;

@@ -5,24 +5,21 @@
     reason = "a test says what went wrong by where it panics"
 )]
 
-mod bad_input;
 mod cancellation;
 mod client_library;
 mod clients;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
-mod filters;
 mod no_missed_edge;
-mod operation_ids;
 mod planners;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod power_loss;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod preload;
 mod readme;
-mod reflection;
 mod replica;
 mod restore;
 mod scan;
+mod server_program;
 mod shutdown;
