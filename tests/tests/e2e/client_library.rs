@@ -2,38 +2,19 @@
 
 use tokio::task::JoinSet;
 use wayfold::{Client, Knn, NeighborSpec, Outcome, READ_ROWS};
-use wayfold_index::{Linear, PointRef, Search, Space};
-use wayfold_tests::{States, server};
+use wayfold_index::{Linear, Search, Space};
+use wayfold_tests::{
+    States,
+    brute_force::{self, pairs},
+    server,
+};
 
 const WIDTH: usize = 7;
 
-fn brute_force(rows: &[f64]) -> Linear {
-    let space = Space::se3();
-    let mut points = Linear::new(space.clone());
-    for (row, id) in rows.chunks(WIDTH).zip(0..) {
-        let mut row = row.to_vec();
-        space.canonicalize(&mut row).unwrap();
-        let (tag, revision) = (0, 1);
-        points
-            .insert(PointRef {
-                id,
-                tag,
-                revision,
-                row: &row,
-            })
-            .unwrap();
-    }
+fn brute_force(ids: &[u64], rows: &[f64]) -> Linear {
+    let mut points = Linear::new(Space::se3());
+    brute_force::store(&mut points, ids, rows, 0, 1);
     points
-}
-
-fn nearest(points: &Linear, state: &[f64], k: usize) -> Vec<(u64, u64)> {
-    let mut state = state.to_vec();
-    points.space().canonicalize(&mut state).unwrap();
-    let found = points
-        .search(&state, &Search::nearest_k(k))
-        .unwrap()
-        .neighbors;
-    found.iter().map(|n| (n.id, n.distance.to_bits())).collect()
 }
 
 #[tokio::test]
@@ -55,13 +36,13 @@ async fn what_exceeds_one_call_is_divided_and_joined() {
     assert_eq!(inserted.outcomes.len(), ids.len());
     assert_eq!(roadmap.info().await.unwrap().point_count, ids.len() as u64);
 
-    let points = brute_force(&rows);
+    let points = brute_force(&ids, &rows);
     let asked = states.rows(READ_ROWS + 200);
     let answer = roadmap.knn(asked.chunks(WIDTH)).k(3).await.unwrap();
     assert_eq!(answer.len(), READ_ROWS + 200);
     for (row, state) in answer.rows().zip(asked.chunks(WIDTH)) {
-        let row: Vec<(u64, u64)> = row.iter().map(|n| (n.id, n.distance.to_bits())).collect();
-        assert_eq!(row, nearest(&points, state, 3));
+        let expected = brute_force::search(&points, state, &Search::nearest_k(3));
+        assert_eq!(pairs(row.iter()), expected);
     }
 }
 
@@ -73,9 +54,13 @@ async fn a_stream_answers_in_order() {
     let mut states = States::new(Space::se3(), 29);
     let rows = states.rows(1_000);
     let ids: Vec<u64> = (0..1_000).collect();
-    roadmap.insert(rows.chunks(WIDTH)).ids(ids).await.unwrap();
+    roadmap
+        .insert(rows.chunks(WIDTH))
+        .ids(ids.clone())
+        .await
+        .unwrap();
 
-    let points = brute_force(&rows);
+    let points = brute_force(&ids, &rows);
     let asked = states.rows(300);
     let requests: Vec<Knn> = asked
         .chunks(WIDTH)
@@ -89,12 +74,8 @@ async fn a_stream_answers_in_order() {
     });
     for state in asked.chunks(WIDTH) {
         let answer = answers.next().await.unwrap().unwrap();
-        let row: Vec<(u64, u64)> = answer
-            .row(0)
-            .iter()
-            .map(|n| (n.id, n.distance.to_bits()))
-            .collect();
-        assert_eq!(row, nearest(&points, state, 5));
+        let expected = brute_force::search(&points, state, &Search::nearest_k(5));
+        assert_eq!(pairs(answer.row(0).iter()), expected);
     }
     sending.await.unwrap();
     assert_eq!(answers.next().await.unwrap(), None);
