@@ -6,7 +6,6 @@
 )]
 
 mod cancellation;
-mod client_library;
 mod clients;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
