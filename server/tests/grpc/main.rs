@@ -5,7 +5,6 @@
 mod harness;
 mod raw;
 
-mod backup_streams;
 mod deadlines;
 mod description;
 mod errors;
@@ -18,3 +17,4 @@ mod refusals;
 mod shutdown;
 mod starting;
 mod stream_knn;
+mod streams;

@@ -19,6 +19,5 @@ mod preload;
 mod readme;
 mod replica;
 mod restore;
-mod scan;
 mod server_program;
 mod shutdown;

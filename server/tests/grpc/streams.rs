@@ -1,4 +1,4 @@
-//! The streams of snapshots, restores and verifications: what is not read, too large, or late.
+//! The streams of scans, snapshots, restores and verifications: what is not read, too large, or late.
 
 use futures_util::stream;
 use tonic::{Code, Status};
@@ -8,7 +8,7 @@ use wayfold_proto::{
     v1,
 };
 
-use crate::harness::{TestServer, insert, reason};
+use crate::harness::{TestServer, insert, reason, uid_of};
 
 fn snapshot_of(name: &str) -> v1::SnapshotIndexRequest {
     v1::SnapshotIndexRequest {
@@ -41,6 +41,52 @@ async fn restore(
     answer.map(|answer| answer.into_inner().index.unwrap())
 }
 
+/// Removes the points of a ruler of 200,000 and inserts another.
+async fn others_write(server: &TestServer) {
+    let mut points = server.points();
+    for round in 0..20 {
+        let request = v1::RemoveRequest {
+            index: "line".into(),
+            ids: (0..10_000).map(|id| round * 10_000 + id).collect(),
+            ..Default::default()
+        };
+        points.remove(request).await.unwrap();
+    }
+    points.insert(insert("line", &[0.5])).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_scan_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
+    let server = TestServer::start(|_| ()).await;
+    let index = server.create_ruler("line", 200_000).await;
+    let scan = async || {
+        let request = v1::ScanRequest {
+            index: "line".into(),
+            ..Default::default()
+        };
+        let answer = server.points().scan(request).await;
+        answer.unwrap().into_inner()
+    };
+    let mut answers = scan().await;
+    let mut next = answers.message().await.unwrap();
+    others_write(&server).await;
+    let (mut ids, mut coordinates) = (Vec::new(), Vec::new());
+    while let Some(part) = next {
+        let revision = part.revision.unwrap();
+        assert_eq!((revision.uid, revision.number), (uid_of(&index), 4));
+        assert_eq!(part.point_count, 200_000);
+        let points = part.points.unwrap();
+        ids.extend(points.ids);
+        coordinates.extend(points.states.unwrap().coordinates);
+        next = answers.message().await.unwrap();
+    }
+    assert!(ids.into_iter().eq(0..200_000));
+    assert!(coordinates.into_iter().eq((0..200_000).map(f64::from)));
+    let later = scan().await.message().await.unwrap().unwrap();
+    assert_eq!((later.revision.unwrap().number, later.point_count), (25, 1));
+    server.stop().await.unwrap().unwrap();
+}
+
 #[tokio::test]
 async fn a_snapshot_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
     let server = TestServer::start(|_| ()).await;
@@ -53,17 +99,8 @@ async fn a_snapshot_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
         panic!("no header");
     };
 
-    // More than the connection holds is still to come, and others read and write.
-    let mut points = server.points();
-    for round in 0..20 {
-        let request = v1::RemoveRequest {
-            index: "line".into(),
-            ids: (0..10_000).map(|id| round * 10_000 + id).collect(),
-            ..Default::default()
-        };
-        points.remove(request).await.unwrap();
-    }
-    points.insert(insert("line", &[0.5])).await.unwrap();
+    // More than the connection holds is still to come.
+    others_write(&server).await;
     let other = parts(&server, "line").await;
     assert_eq!(other.len(), 3);
 
