@@ -39,11 +39,6 @@ impl Model {
         self.revision
     }
 
-    /// Its points.
-    pub fn points(&self) -> &Linear {
-        &self.points
-    }
-
     /// Checks an answer, and applies the call if it is a mutation.
     ///
     /// # Panics
