@@ -10,9 +10,8 @@ use wayfold_server::{
 };
 
 use crate::{
-    backup::*,
     forward::{forward_catalogue, forward_points, forward_whole_journal},
-    support::*,
+    support::{snapshots::*, *},
 };
 
 /// The documented hash of the points that a scan returns.
