@@ -47,7 +47,7 @@ pub enum ApplyError {
     Points(#[from] PointsError),
 }
 
-/// Why a search was refused.
+/// Why a search has no answer.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SearchError {
     /// The state is not a canonical state of the space.
@@ -59,4 +59,7 @@ pub enum SearchError {
     /// Epsilon is NaN, infinite or negative.
     #[error("epsilon {0}: it is finite and at least 0")]
     Epsilon(f64),
+    /// The time of [`Search::until`](crate::Search::until) passed before the search ended.
+    #[error("the search did not end in time")]
+    TimedOut,
 }

@@ -1,6 +1,8 @@
 //! One frozen revision, and searching it.
 
-use wayfold_index::{Filter, Neighbor, Point, Snapshot};
+use std::time::Instant;
+
+use wayfold_index::{Filter, Neighbor, Point, SearchError, Snapshot};
 
 use super::load::protocol;
 use super::validate::{canonical, check};
@@ -22,8 +24,6 @@ pub struct ReplicaView {
 pub struct Found {
     /// The neighbours, nearest first; at equal distances by id.
     pub neighbors: Vec<Neighbor>,
-    /// True if they equal brute force; false only if [`Search::epsilon`] or [`Search::until`] may have cost an answer.
-    pub exact: bool,
     /// The revision that was searched.
     pub revision: Revision,
 }
@@ -119,10 +119,12 @@ impl ReplicaView {
         let answer = self
             .points
             .search(&state, &self.plain(search, since))
-            .map_err(|error| protocol(error.to_string()))?;
+            .map_err(|error| match (error, search.timeout) {
+                (SearchError::TimedOut, Some(timeout)) => Error::timeout("search", timeout),
+                (error, _) => protocol(error.to_string()),
+            })?;
         Ok(Found {
             neighbors: answer.neighbors,
-            exact: answer.exact,
             revision,
         })
     }
@@ -138,7 +140,10 @@ impl ReplicaView {
         if let Some(Radius::Fixed(radius)) = radius {
             plain.radius = radius;
         }
-        (plain.epsilon, plain.until) = (search.epsilon, search.until);
+        plain.epsilon = search.epsilon;
+        plain.until = search
+            .timeout
+            .and_then(|timeout| Instant::now().checked_add(timeout));
         plain.filter = Filter {
             tag_mask: search.filter.tag_mask,
             tag_value: search.filter.tag_value,
