@@ -17,9 +17,9 @@ pub enum SnapshotError {
     /// The file is of another program.
     #[error("not a snapshot: it does not begin with the line `wayfold snapshot {FORMAT_VERSION}`")]
     NotSnapshot,
-    /// A version that this program does not know.
+    /// The snapshot has another version of the format.
     #[error(
-        "a snapshot of format version {found}, and this program knows version {FORMAT_VERSION}: use a newer one"
+        "a snapshot of format version {found}, and this program reads version {FORMAT_VERSION} only: use the release that wrote it"
     )]
     Version {
         /// The version.
