@@ -42,7 +42,7 @@ impl Filter {
     }
 }
 
-/// How far neighbours are at most: a number, or a [`ScaledRadius`].
+/// The greatest distance of a neighbour: a number, or a [`ScaledRadius`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Radius {
     /// This distance or nearer, the closed ball.
@@ -88,7 +88,7 @@ impl ScaledRadius {
     }
 }
 
-/// How many neighbours at most.
+/// The greatest number of neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Count {
     K(u32),
@@ -96,7 +96,7 @@ pub(crate) enum Count {
     Factor(f64),
 }
 
-/// How many neighbours at most, and how far: unset is without a limit.
+/// The greatest number of neighbours and the greatest distance; unset is without a limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Bounds {
     pub(crate) count: Option<Count>,

@@ -27,7 +27,7 @@ impl SnapshotPart {
         SnapshotPart { message, points }
     }
 
-    /// How many points it holds; the first part and the last hold none.
+    /// The number of its points; the first part and the last hold none.
     pub fn points(&self) -> usize {
         self.points
     }

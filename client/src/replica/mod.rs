@@ -188,7 +188,7 @@ impl Replica {
         self.shared().status_where(wanted).await
     }
 
-    /// How old its points may be: they have everything that the server had published this long ago.
+    /// The age that its points may have: they include everything that the server had published this long ago.
     pub fn staleness(&self) -> Duration {
         self.shared().staleness()
     }

@@ -29,7 +29,7 @@ pub struct Found {
 }
 
 impl Found {
-    /// How many neighbours there are.
+    /// The number of neighbours.
     pub fn len(&self) -> usize {
         self.neighbors.len()
     }
@@ -64,7 +64,7 @@ impl ReplicaView {
         self.index.revision_at(self.points.revision())
     }
 
-    /// How many points there are.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.points.len()
     }

@@ -262,7 +262,7 @@ impl<'a> Query<'a> {
     }
 }
 
-/// How far `x` lies outside an interval.
+/// The distance of `x` from an interval.
 fn to_interval(x: f64, lo: f64, hi: f64) -> f64 {
     (lo - x).max(x - hi).max(0.0)
 }

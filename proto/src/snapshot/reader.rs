@@ -92,7 +92,7 @@ impl Reader {
         Ok(content)
     }
 
-    /// How many good parts there were.
+    /// The number of good parts so far.
     pub fn parts(&self) -> u64 {
         self.parts
     }

@@ -49,7 +49,7 @@ impl Writer {
         self.part(Kind::Points(points))
     }
 
-    /// How many points there were.
+    /// The number of points.
     pub fn points_written(&self) -> u64 {
         self.points
     }

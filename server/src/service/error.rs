@@ -194,7 +194,7 @@ pub enum Error {
         }
     )]
     Unavailable {
-        /// Why.
+        /// The reason.
         why: Unavailability,
     },
     /// The deadline passed.
