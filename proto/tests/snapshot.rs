@@ -337,7 +337,7 @@ fn points_that_no_index_holds_are_refused_with_their_place() {
         assert!(format!("{problem:?}").starts_with(kind), "{text}");
     }
     let largest = |p: &mut v1::SnapshotPoints| columns(p).payloads[1] = vec![0; 65_536].into();
-    let error = read_changed(|h| h.points = 4, largest);
+    let error = read_changed(|h| h.point_count = 4, largest);
     assert!(matches!(error, SnapshotError::Count { .. }), "{error}");
     let next_id = PointProblem::Id { next_id: 6 };
     assert!(next_id.to_string().contains("next_id, which is 6"));
@@ -356,8 +356,8 @@ fn columns_and_counts_that_do_not_fit_are_refused() {
         read_changed(same, |p| columns(p).payloads.truncate(2)),
         read_changed(same, |p| p.modified_revisions.clear()),
         read_changed(|h| h.space = "R3".parse().unwrap(), |_| {}),
-        read_changed(|h| h.points = 2, |_| {}),
-        read_changed(|h| h.points = 4, |_| {}),
+        read_changed(|h| h.point_count = 2, |_| {}),
+        read_changed(|h| h.point_count = 4, |_| {}),
         read_changed(|h| h.next_id = (1 << 63) + 1, |_| {}),
     ];
     for error in errors {
