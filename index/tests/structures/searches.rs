@@ -143,7 +143,8 @@ fn a_search_that_is_out_of_time_fails() {
         radius: 0.0,
         ..late
     };
-    let structures: [&dyn Fn(&Search<'_>) -> Result<Answer, SearchError>; 2] =
+    type Searched = Result<Answer, SearchError>;
+    let structures: [&dyn Fn(&Search<'_>) -> Searched; 2] =
         [&|search| tree.search(query, search), &|search| {
             binary.search(query, search)
         }];
