@@ -38,9 +38,10 @@ pub(super) struct Awaited {
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
 
-/// Runs until the index is dropped, or its journal fails.
+/// The loop of this number: runs until the index is dropped, or its journal fails.
 pub(super) async fn run(
     hosted: Weak<Hosted>,
+    number: u64,
     mut records: RecordStream,
     mut receipts: mpsc::UnboundedReceiver<Awaited>,
 ) {
@@ -79,7 +80,7 @@ pub(super) async fn run(
             if let Some(hosted) = hosted.upgrade() {
                 // The log reports its failure once, so an index logs it at debug level only.
                 debug!(index = hosted.name(), %error, "cannot follow the log");
-                hosted.close(error);
+                hosted.end_loop(number, error);
             }
             return;
         }

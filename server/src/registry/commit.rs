@@ -93,7 +93,12 @@ impl Hosted {
         let previous = writer.tip();
         let record = Arc::new(Record::after(previous, effects));
         // Before the journal has it, since the apply loop may meet it at once.
-        let fate = self.in_flight.lock().add(record.tip());
+        let added = self.in_flight.lock().add(record.tip());
+        let fate = added.ok_or(LogError::Fenced {
+            uid: self.uid(),
+            expected: previous.revision,
+            head: record.revision(),
+        })?;
         writer.push(Arc::clone(&record));
         match self
             .host

@@ -57,6 +57,8 @@ pub struct Hosted {
 
 /// The task that applies the records of the log, and the receipts that it is given.
 struct ApplyLoop {
+    /// The number of loops before it.
+    number: u64,
     receipts: mpsc::UnboundedSender<Awaited>,
     _task: AbortOnDropHandle<()>,
 }
@@ -102,10 +104,10 @@ impl Hosted {
             last_idle_revision: AtomicU64::new(u64::MAX),
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
             apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
+                0,
                 hosted.clone(),
                 host,
-                entry.uid,
-                published.revision,
+                (entry.uid, published.revision),
             )),
             state: watch::Sender::new(State {
                 published,
@@ -260,11 +262,21 @@ impl Hosted {
             let refusals = self.in_flight.lock().refusals();
             writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
             let hosted = Arc::downgrade(self);
-            let revision = stored.revision;
-            *self.apply_loop.lock() = ApplyLoop::start(hosted, &self.host, self.uid, revision);
+            let mut apply_loop = self.apply_loop.lock();
+            let next = apply_loop.number + 1;
+            let after = (self.uid, stored.revision);
+            *apply_loop = ApplyLoop::start(next, hosted, &self.host, after);
             self.state.send_modify(|state| state.closed = None);
         }
         is_resumed
+    }
+
+    /// Closes the index, because its apply loop of this number has ended.
+    pub(super) fn end_loop(&self, number: u64, why: RegistryError) {
+        let apply_loop = self.apply_loop.lock();
+        if apply_loop.number == number {
+            self.close(why);
+        }
     }
 
     /// Closes the index: later writes, and calls that wait for it, get `why`.
@@ -287,11 +299,12 @@ impl Hosted {
 }
 
 impl ApplyLoop {
-    fn start(hosted: Weak<Hosted>, host: &Host, uid: Uid, after: u64) -> Self {
+    fn start(number: u64, hosted: Weak<Hosted>, host: &Host, (uid, after): (Uid, u64)) -> Self {
         let (receipts, awaited) = mpsc::unbounded_channel();
         let records = host.log.journal.follow(uid, after);
-        let task = tokio::spawn(apply::run(hosted, records, awaited));
+        let task = tokio::spawn(apply::run(hosted, number, records, awaited));
         Self {
+            number,
             receipts,
             _task: AbortOnDropHandle::new(task),
         }

@@ -24,6 +24,8 @@ pub(super) struct InFlight {
     /// Oldest first, with consecutive revisions.
     records: VecDeque<Submitted>,
     refusals: u64,
+    /// The newest revision of which it is known what record has it.
+    decided: u64,
 }
 
 struct Submitted {
@@ -40,13 +42,16 @@ impl InFlight {
         self.refusals
     }
 
-    /// Adds the next record.
-    pub(super) fn add(&mut self, tip: Tip) -> oneshot::Receiver<Fate> {
+    /// Adds the next record; None if another record is known to have its revision.
+    pub(super) fn add(&mut self, tip: Tip) -> Option<oneshot::Receiver<Fate>> {
+        if tip.revision <= self.decided {
+            return None;
+        }
         self.records.push_back(Submitted {
             tip,
             waiting: Vec::new(),
         });
-        self.wait_for_last()
+        Some(self.wait_for_last())
     }
 
     /// Takes back the last record, which the journal did not take.
@@ -84,6 +89,8 @@ impl InFlight {
     /// Decides the submitted records by the records that the journal has in their places.
     pub(super) fn meet(&mut self, records: &[Arc<Record>]) -> Decided {
         let mut decided = Decided::new();
+        let last = records.last().map_or(0, |last| last.revision());
+        self.decided = self.decided.max(last);
         for record in records {
             let Some(first) = self.records.front() else {
                 break;

@@ -35,6 +35,15 @@ impl Kept {
         Self::Faulty(FaultLog::new(seed))
     }
 
+    /// An empty log of the same kind, which does not fail.
+    pub(crate) fn another(&self) -> Self {
+        match self {
+            Kept::Memory(_) => Self::in_memory(),
+            Kept::Disk { .. } => Self::on_disk(),
+            Kept::Faulty(_) => Self::faulty(0),
+        }
+    }
+
     pub(crate) fn log(&self) -> &dyn Engine {
         match self {
             Kept::Memory(log) => log,

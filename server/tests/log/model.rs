@@ -39,6 +39,16 @@ impl Model {
         }
     }
 
+    /// Where the index began, and with which points.
+    pub(crate) fn origin(&self) -> (Origin, &Points) {
+        (self.origin, &self.points[0].0)
+    }
+
+    /// The points after so many records.
+    pub(crate) fn points_after(&self, records: usize) -> &Points {
+        &self.points[records].0
+    }
+
     pub(crate) fn head(&self) -> u64 {
         self.origin.revision + self.records.len() as u64
     }

@@ -6,7 +6,7 @@ use std::{
 };
 
 use proptest::prelude::*;
-use wayfold_server::log::{Effects, Entry, LogError, Origin, Retention, StoredPoint, View};
+use wayfold_server::log::{Effects, Entry, LogError, Origin, Record, Retention, StoredPoint, View};
 
 use crate::{
     all_points, cases, effects, entry,
@@ -284,11 +284,45 @@ impl Run {
     }
 }
 
+/// A store that applies the records of another is that store, and follows with them.
+fn check_applied(kept: &Kept, model: &Model) {
+    let (log, entry) = (kept.log(), entry("applied"));
+    let (origin, points) = model.origin();
+    let mut copying = log.restore(entry.clone(), origin).unwrap();
+    for point in points.values() {
+        copying.add(std::slice::from_ref(&**point)).unwrap();
+    }
+    copying.finish().unwrap();
+    for (at, records) in model.records.chunks(3).enumerate() {
+        let view = log.apply(entry.uid, records).unwrap();
+        assert_eq!(view.tip(), records.last().unwrap().tip());
+        let applied = model.points_after(3 * at + records.len());
+        check_view(&*view, applied);
+        // What is there already is not applied again, and nothing is left out.
+        assert_eq!(log.apply(entry.uid, records).unwrap().tip(), view.tip());
+        check_view(&*log.view(entry.uid).unwrap(), applied);
+        let unlinked = Record::new(view.revision() + 1, [7; 32], 0, Effects::new(1));
+        let refused = log.apply(entry.uid, &[Arc::new(unlinked)]).err();
+        assert!(
+            matches!(refused, Some(LogError::Damaged { .. })),
+            "{refused:?}"
+        );
+    }
+    if let Some(last) = model.records.last() {
+        synced(log, entry.uid, last.revision()).unwrap();
+        assert_eq!(
+            log.read(entry.uid, None, usize::MAX).unwrap(),
+            model.records
+        );
+    }
+}
+
 fn check_log(kept: Kept, steps: Vec<Step>) {
     let mut run = Run::new(kept);
     for step in steps {
         run.step(step);
     }
+    check_applied(&run.kept.another(), &run.model);
     // The neighbour is as it was, and views outlive their index.
     let log = run.kept.log();
     if let Err(why) = log.delete(run.ours.uid) {

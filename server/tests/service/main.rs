@@ -28,6 +28,7 @@ mod operations;
 mod random;
 mod reads;
 mod refusals;
+mod remote;
 mod replay;
 mod restore;
 mod scaling;

@@ -33,7 +33,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         ..insertion(&far.collect::<Vec<_>>(), &[])
     };
     let mut long = Box::pin(service.insert(&CALL, long));
-    let (_, waiting) = poll_into_evaluation(&service, &mut long).await;
+    let waiting = poll_into_evaluation(&service, &mut long).await;
     let scalings = [
         (by(4.0), None),
         (None, scaled(1.4, Some(0.7))),

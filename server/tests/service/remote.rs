@@ -1,0 +1,335 @@
+//! Two servers that share a journal on another machine: it accepts one record of an index at a time, its positions are not
+//! revisions, it loses requests and answers, and each server keeps its own points.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use futures_util::{FutureExt, StreamExt, stream};
+use parking_lot::Mutex;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{
+        Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, Origin, PointStore, Receipt,
+        Record, RecordStream, Retention, Tip, Uid,
+    },
+    registry::{Registry, RegistryOptions},
+    service::{Limits, Service},
+};
+
+use crate::support::*;
+
+/// The messages of all indices in the order of their arrival, and the chance that a request or its answer is lost.
+struct Stream {
+    messages: Mutex<Vec<(Uid, Arc<Record>)>>,
+    length: watch::Sender<usize>,
+    random: Mutex<ChaCha8Rng>,
+    loses: f64,
+}
+
+impl Stream {
+    fn new(seed: u64, loses: f64) -> Arc<Self> {
+        Arc::new(Self {
+            messages: Mutex::default(),
+            length: watch::Sender::new(0),
+            random: Mutex::new(ChaCha8Rng::seed_from_u64(seed)),
+            loses,
+        })
+    }
+
+    fn records(&self, uid: Uid) -> Vec<Arc<Record>> {
+        let messages = self.messages.lock();
+        let records = messages.iter().filter(|(of, _)| *of == uid);
+        records.map(|(_, record)| Arc::clone(record)).collect()
+    }
+
+    fn is_lost(&self) -> bool {
+        self.random.lock().random_bool(self.loses)
+    }
+
+    fn publish(&self, uid: Uid, record: &Arc<Record>) -> Result<(), LogError> {
+        let unconfirmed = LogError::Unconfirmed {
+            uid,
+            revision: record.revision(),
+            what: "the connection was cut".into(),
+        };
+        if self.is_lost() {
+            return Err(unconfirmed);
+        }
+        let newest = self.records(uid).last().map_or(START, |last| last.tip());
+        if !record.follows(newest) {
+            return Err(LogError::Fenced {
+                uid,
+                expected: record.revision() - 1,
+                head: newest.revision,
+            });
+        }
+        let mut messages = self.messages.lock();
+        messages.push((uid, Arc::clone(record)));
+        self.length.send_replace(messages.len());
+        match self.is_lost() {
+            true => Err(unconfirmed),
+            false => Ok(()),
+        }
+    }
+}
+
+const START: Tip = Tip {
+    revision: Origin::START.revision,
+    digest: Origin::START.digest,
+};
+
+/// A record to publish, and where its outcome goes.
+type Submission = (Uid, Arc<Record>, oneshot::Sender<Result<(), LogError>>);
+
+/// A server's connection to the stream. It publishes one record after the other, a message of a foreign index before each.
+struct Remote {
+    stream: Arc<Stream>,
+    submissions: mpsc::UnboundedSender<Submission>,
+    /// A permit per record that may be published; the test holds the server back by taking it.
+    turns: Arc<Semaphore>,
+}
+
+impl Remote {
+    fn connect(stream: &Arc<Stream>) -> Arc<Self> {
+        let (submissions, mut waiting) = mpsc::unbounded_channel::<Submission>();
+        let turns = Arc::new(Semaphore::new(Semaphore::MAX_PERMITS));
+        let remote = Arc::new(Self {
+            stream: Arc::clone(stream),
+            submissions,
+            turns: Arc::clone(&turns),
+        });
+        let stream = Arc::clone(stream);
+        tokio::spawn(async move {
+            while let Some((uid, record, answer)) = waiting.recv().await {
+                turns.acquire().await.unwrap().forget();
+                let foreign = Record::after(START, Effects::new(1));
+                stream
+                    .messages
+                    .lock()
+                    .push((Uid::unique(), Arc::new(foreign)));
+                // The server may have ended.
+                let _ = answer.send(stream.publish(uid, &record));
+            }
+        });
+        remote
+    }
+}
+
+impl Journal for Remote {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        let (answer, outcome) = oneshot::channel();
+        let submitted = self.submissions.send((uid, record, answer));
+        submitted.map_err(|_| LogError::Closed)?;
+        let outcome = outcome.map(|outcome| outcome.unwrap_or(Err(LogError::Closed)));
+        Ok(Receipt::Awaited(outcome.boxed()))
+    }
+
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        let stream = Arc::clone(&self.stream);
+        let position = (stream.length.subscribe(), after);
+        let batches = stream::unfold(position, move |(mut length, after)| {
+            let stream = Arc::clone(&stream);
+            async move {
+                loop {
+                    length.borrow_and_update();
+                    let mut records = stream.records(uid);
+                    records.retain(|record| record.revision() > after);
+                    if let Some(last) = records.last().map(|last| last.revision()) {
+                        return Some((Ok(records), (length, last)));
+                    }
+                    length.changed().await.ok()?;
+                }
+            }
+        });
+        batches.boxed()
+    }
+
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        _max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        let mut records = self.stream.records(uid);
+        records.retain(|record| after.is_none_or(|after| record.revision() > after));
+        Ok(records)
+    }
+
+    fn trim(&self, _uid: Uid, _retention: &Retention) -> Result<(), LogError> {
+        Ok(())
+    }
+}
+
+/// A server over the stream, with points of its own, that serves the index of this entry.
+fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Remote>) {
+    let points = Arc::new(MemoryLog::new());
+    points.create(entry.clone()).unwrap();
+    let journal = Remote::connect(stream);
+    let log = Log {
+        journal: Arc::clone(&journal) as Arc<dyn Journal>,
+        points: Arc::clone(&points) as Arc<dyn PointStore>,
+        catalogue: points,
+    };
+    // Small windows: most catching up is from the journal.
+    let options = RegistryOptions {
+        window_bytes: 2000,
+        ..options()
+    };
+    let registry = Registry::new(log, options);
+    registry.replay().unwrap();
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    (service, journal)
+}
+
+fn arm() -> Entry {
+    Entry {
+        uid: Uid::unique(),
+        name: "arm".into(),
+        space: "R1".parse().unwrap(),
+    }
+}
+
+/// Waits until the service has this revision, and reads all points.
+async fn points_at(service: &Service, uid: Uid, number: u64) -> v1::Points {
+    let request = v1::GetRequest {
+        min_revision: revision(&uid.to_string(), number),
+        ..getting(&[])
+    };
+    service.get(&CALL, request).await.unwrap();
+    everything(service).await.points.unwrap()
+}
+
+/// What is stored is what the records say, which form one chain; the servers agree. Returns the points.
+async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Points {
+    let records = stream.records(entry.uid);
+    let (mut tip, mut expected) = (START, BTreeMap::new());
+    for record in &records {
+        assert!(record.follows(tip) && record.is_intact());
+        tip = record.tip();
+        for id in record.effects().removed() {
+            expected.remove(id).unwrap();
+        }
+        for point in record.effects().stored().iter() {
+            expected.insert(point.id, point.row[0]);
+        }
+    }
+    let found = points_at(servers[0], entry.uid, tip.revision).await;
+    let rows = found.states.clone().unwrap().coordinates;
+    let stored: BTreeMap<u64, f64> = found.ids.iter().copied().zip(rows).collect();
+    assert_eq!(stored, expected);
+    for server in servers {
+        assert_eq!(points_at(server, entry.uid, tip.revision).await, found);
+    }
+    found
+}
+
+/// Each acknowledged mutation took effect once, whatever was lost and whoever was first, and no caller saw of either.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn servers_that_share_a_journal_agree_and_acknowledge_what_took_effect_once() {
+    for (seed, loses) in [(1, 0.0), (2, 0.1), (3, 0.3), (4, 0.3)] {
+        let (stream, entry) = (Stream::new(seed, loses), arm());
+        let (one, _) = server(&stream, &entry);
+        let (other, _) = server(&stream, &entry);
+        let writers = (0..6u64).map(|writer| {
+            let service = [&one, &other][writer as usize % 2].clone();
+            tokio::spawn(async move {
+                let mut random = ChaCha8Rng::seed_from_u64(seed << 8 | writer);
+                let mut mine = BTreeMap::new();
+                for number in 0..40 {
+                    let state = 1000.0 * writer as f64 + f64::from(number);
+                    if let Some((&id, _)) = mine.first_key_value()
+                        && random.random_bool(0.3)
+                    {
+                        let removed = service.remove(&CALL, removal(&[id])).await.unwrap();
+                        assert_eq!(removed.removed_count, 1);
+                        mine.remove(&id);
+                        continue;
+                    }
+                    let request = v1::InsertRequest {
+                        operation_id: format!("{writer} {number}"),
+                        ..insertion(&[[state]], &[])
+                    };
+                    let first = service.insert(&CALL, request.clone()).await.unwrap();
+                    let again = service.insert(&CALL, request).await.unwrap();
+                    assert_eq!(first, again);
+                    assert_eq!(mine.insert(first.ids[0], state), None);
+                }
+                mine
+            })
+        });
+        let mut expected = BTreeMap::new();
+        for writer in writers.collect::<Vec<_>>() {
+            for (id, state) in writer.await.unwrap() {
+                assert_eq!(expected.insert(id, state), None, "id {id} was given twice");
+            }
+        }
+        let found = settled(&stream, &entry, &[&one, &other]).await;
+        let rows = found.states.unwrap().coordinates;
+        let found: BTreeMap<u64, f64> = found.ids.into_iter().zip(rows).collect();
+        assert_eq!(found, expected);
+    }
+}
+
+/// A row that was refused is evaluated again: it sees what took its place.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_two_points_are_too_close_whichever_server_took_them() {
+    let (stream, entry) = (Stream::new(5, 0.2), arm());
+    let (one, _) = server(&stream, &entry);
+    let (other, _) = server(&stream, &entry);
+    let writers = (0..8u64).map(|writer| {
+        let service = [&one, &other][writer as usize % 2].clone();
+        tokio::spawn(async move {
+            let mut random = ChaCha8Rng::seed_from_u64(writer);
+            for _ in 0..30 {
+                let request = v1::InsertRequest {
+                    min_separation: 0.5,
+                    ..insertion(&[[random.random_range(0.0..20.0)]], &[])
+                };
+                service.insert(&CALL, request).await.unwrap();
+            }
+        })
+    });
+    for writer in writers.collect::<Vec<_>>() {
+        writer.await.unwrap();
+    }
+    let found = settled(&stream, &entry, &[&one, &other]).await;
+    let mut rows = found.states.unwrap().coordinates;
+    rows.sort_by(f64::total_cmp);
+    assert!(rows.len() > 10);
+    assert!(rows.array_windows().all(|[a, b]| b - a >= 0.5), "{rows:?}");
+}
+
+/// A writer whose records are under way evaluates against them, and a server that comes later reads them all.
+#[tokio::test]
+async fn records_under_way_are_seen_by_the_next_mutation_and_by_no_reader() {
+    let (stream, entry) = (Stream::new(6, 0.0), arm());
+    let (one, held) = server(&stream, &entry);
+    let turns = held.turns.acquire_many(u32::MAX >> 3).await.unwrap();
+    let every = held.turns.available_permits();
+    held.turns.forget_permits(every);
+    let calls = (0..3u64).map(|at| {
+        let service = one.clone();
+        let request = v1::InsertRequest {
+            min_separation: 0.5,
+            ..insertion(&[[0.1 * at as f64]], &[])
+        };
+        tokio::spawn(async move { service.insert(&CALL, request).await.unwrap() })
+    });
+    let calls: Vec<_> = calls.collect();
+    for _ in 0..100 {
+        tokio::task::yield_now().await;
+    }
+    assert_eq!(everything(&one).await.point_count, 0);
+    drop(turns);
+    let mut outcomes = Vec::new();
+    for call in calls {
+        outcomes.push(call.await.unwrap().outcomes[0]);
+    }
+    let close = v1::Outcome::TooClose as i32;
+    assert_eq!(outcomes, [v1::Outcome::Inserted as i32, close, close]);
+    let (late, _) = server(&stream, &entry);
+    settled(&stream, &entry, &[&one, &late]).await;
+}
