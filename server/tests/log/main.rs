@@ -11,6 +11,7 @@ mod disk;
 mod fault;
 mod fjall;
 mod flips;
+mod idle_view;
 mod kept;
 mod lost;
 mod model;

@@ -3,7 +3,7 @@
 use std::{
     collections::VecDeque,
     sync::{
-        Arc,
+        Arc, OnceLock, Weak,
         atomic::{AtomicU64, Ordering},
     },
     time::SystemTime,
@@ -19,7 +19,7 @@ use super::{
     marks::Mark,
     point::PointForm,
     store::{Handles, Store, storage, unreadable},
-    view::Pinned,
+    view::PointsView,
 };
 use crate::log::{
     Effects, Entry, Keep, LogError, Operation, Origin, Record, View,
@@ -50,6 +50,8 @@ pub(super) struct State {
     pub(super) removed: u64,
     /// Why it is not to be read or written.
     closed: Option<LogError>,
+    /// The view of the head, while anybody holds it.
+    view: Weak<PointsView>,
 }
 
 impl State {
@@ -62,6 +64,7 @@ impl State {
             forgotten: Vec::new(),
             removed: origin.revision,
             closed: None,
+            view: Weak::new(),
         }
     }
 
@@ -131,6 +134,12 @@ impl Index {
     /// Ends it, and says where it is.
     pub(super) fn close(&self, why: LogError) -> Mark {
         let mut state = self.state.lock();
+        // A deleted index is removed from the store bit by bit.
+        if let Some(view) = std::mem::take(&mut state.view).upgrade()
+            && let Ok(handles) = view.store.handles()
+        {
+            view.freeze(&handles);
+        }
         state.closed = Some(why);
         self.mark_of(&state.head)
     }
@@ -184,6 +193,9 @@ impl Index {
             batch.remove(keyspace, operation_key(self.number, forgotten));
         }
         batch.insert(keyspace, head_key(self.number), head.encode(self.number));
+        if let Some(view) = std::mem::take(&mut state.view).upgrade() {
+            view.freeze(&handles);
+        }
         batch.commit().map_err(storage)?;
         state.removed = head.trimmed;
         state.forgotten.clear();
@@ -326,15 +338,20 @@ impl Index {
     }
 
     pub(super) fn pin(&self, store: &Arc<Store>) -> Result<Arc<dyn View>, LogError> {
-        let state = self.open()?;
-        Ok(Arc::new(Pinned {
+        let mut state = self.open()?;
+        if let Some(view) = state.view.upgrade() {
+            return Ok(view);
+        }
+        let view = Arc::new(PointsView {
             store: Arc::clone(store),
-            snapshot: store.handles()?.database.snapshot(),
+            frozen: OnceLock::new(),
             number: self.number,
             uid: self.entry.uid,
             revision: state.head.revision,
             next_id: state.head.next_id,
-        }))
+        });
+        state.view = Arc::downgrade(&view);
+        Ok(view)
     }
 
     /// Forgets the oldest records and operations. What is forgotten goes out of the store with the next record.
