@@ -15,6 +15,7 @@ mod idle_view;
 mod kept;
 mod lost;
 mod model;
+mod pin;
 mod remade;
 mod suite;
 
