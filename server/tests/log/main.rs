@@ -17,6 +17,7 @@ mod lost;
 mod model;
 mod pin;
 mod remade;
+mod shared_files;
 mod suite;
 
 use std::{collections::BTreeMap, sync::Arc, time::SystemTime};

@@ -7,6 +7,7 @@
 //! | `store.new/`, `store.remade/` | a store in the making, and one that is whole and has yet to take its place: see [`making`](super::making) |
 //! | `store.damaged-N/` | a store that was damaged, from before it was made anew; nothing reads it |
 //! | `marks` | how far each index was synced: see [`marks`](super::marks) |
+//! | `manifest-copy` | small files of the store that every index depends on: see [`manifest_copy`](super::manifest_copy) |
 //! | `unsynced` | there while a server runs that does not sync: see [`loose`](super::loose) |
 //! | `probe` | there for a moment while it is tried whether the disk can be written |
 

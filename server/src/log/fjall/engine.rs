@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Mutex, RwLock};
-use tracing::warn;
+use tracing::{debug, warn};
 
 use super::{
     Durability, MARKS, STORE,
@@ -13,7 +13,7 @@ use super::{
     index::{Index, State},
     journal::{self, Journal},
     layout::{Named, Number, Stage, Sum, entry_key},
-    loose, manifest,
+    loose, manifest, manifest_copy,
     marks::{Mark, Marks},
     recovery,
     restoring::Copy,
@@ -50,6 +50,7 @@ impl Engine {
         if !path.try_exists().map_err(shut)? {
             return Err(not_readable(format!("there is no {}", path.display())));
         }
+        manifest_copy::mend(directory)?;
         manifest::check(&path)?;
         journal::write_again(&path).map_err(shut)?;
         let store = Store::open(&path, durability).map_err(unopened)?;
@@ -73,6 +74,7 @@ impl Engine {
         let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
         journal.sync().map_err(|what| LogError::Shut { what })?;
         loose::begin(directory.path(), durability).map_err(shut)?;
+        save_manifest(directory);
 
         // What is there is on disk now, also what was never acknowledged: whoever is shown it may count on it.
         write_marks(&mut marks, &found.indexes).map_err(shut)?;
@@ -300,6 +302,7 @@ impl Engine {
         }
         self.sweeper.stop();
         self.store.close();
+        save_manifest(&self.directory);
     }
 
     /// About how many bytes the store has yet to move out of its journal.
@@ -312,6 +315,13 @@ impl Engine {
     pub(super) fn is_busy(&self) -> bool {
         let handles = self.store.handles();
         handles.is_ok_and(|handles| handles.is_busy())
+    }
+}
+
+/// Saves the copy of the manifest. A failure is not the log's: the copy only mends a later damage.
+fn save_manifest(directory: &Directory) {
+    if let Err(error) = manifest_copy::save(directory) {
+        debug!(%error, "cannot copy the store's manifest");
     }
 }
 

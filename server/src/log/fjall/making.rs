@@ -21,7 +21,7 @@ use super::{
         Head, Named, Number, Stage, entry_key, head_key, number_of_entry, operation_key,
         point_keys, record_key,
     },
-    manifest,
+    manifest, manifest_copy,
     marks::{Mark, Marks},
     recovery::entries,
     store::{Handles, Store, damage, shut, storage, unopened},
@@ -96,6 +96,7 @@ fn lacking(directory: &Directory, handles: &Handles) -> u64 {
 /// something of it is known to be `unreadable`: what leads to single keys is not read on the way from end to end.
 pub(super) fn remake(directory: &Directory, unreadable: bool) -> Result<Remade, LogError> {
     let path = directory.join(STORE);
+    manifest_copy::mend(directory)?;
     manifest::check(&path)?;
     remove_unfinished(directory)?;
     let old = Store::open(&path, Durability::Fsync).map_err(unopened)?;

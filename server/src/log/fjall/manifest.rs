@@ -22,7 +22,10 @@ use super::{
 use crate::log::{LogError, cursor::Cursor};
 
 /// The trees that there are.
-const TREES: [&str; 2] = ["0", "1"];
+pub(super) const TREES: [&str; 2] = ["0", "1"];
+
+/// The length of `current`.
+pub(super) const CURRENT_BYTES: usize = 25;
 
 /// Fails if a file of a store is missing, its lists are damaged, or the disk does not let them be read, before it is
 /// opened.
@@ -51,12 +54,51 @@ pub(super) fn check(store: &Path) -> Result<(), LogError> {
 fn check_tree(tree: &Path) -> Result<(), LogError> {
     let damaged = |path: PathBuf| not_readable(format!("{} is damaged", path.display()));
     let path = tree.join("current");
-    let (number, sum) = decode(&read(&path)?).ok_or_else(|| damaged(path))?;
-    let path = tree.join(format!("v{number}"));
-    if xxh3_128(&read(&path)?).to_le_bytes() != sum {
+    let current = read(&path)?;
+    let Some(number) = Cursor::new(&current).u64() else {
         return Err(damaged(path));
+    };
+    let list_path = tree.join(format!("v{number}"));
+    let list = read(&list_path)?;
+    if current != encode(number, &list) {
+        let is_list = current.len() == CURRENT_BYTES && current[CURRENT_BYTES - 1] == 0;
+        return Err(damaged(if is_list { list_path } else { path }));
     }
     Ok(())
+}
+
+/// What `current` holds when this list counts.
+pub(super) fn encode(number: u64, list: &[u8]) -> [u8; CURRENT_BYTES] {
+    let mut current = [0; CURRENT_BYTES];
+    current[..8].copy_from_slice(&number.to_le_bytes());
+    current[8..24].copy_from_slice(&xxh3_128(list).to_le_bytes());
+    current
+}
+
+/// The lists of a tree, by number.
+pub(super) fn lists(tree: &Path) -> Result<Vec<(u64, Vec<u8>)>, LogError> {
+    let mut lists = Vec::new();
+    if !tree.try_exists().map_err(|error| unreadable(tree, error))? {
+        return Ok(lists);
+    }
+    for name in names(tree)? {
+        if let Some(number) = name
+            .strip_prefix('v')
+            .and_then(|number| number.parse().ok())
+        {
+            lists.push((number, read(&tree.join(name))?));
+        }
+    }
+    Ok(lists)
+}
+
+/// The content of a file; None if there is none.
+pub(super) fn read_optional(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
+    match fs::read(path) {
+        Ok(content) => Ok(Some(content)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(unreadable(path, error)),
+    }
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, LogError> {
@@ -80,10 +122,4 @@ fn unreadable(path: &Path, error: io::Error) -> LogError {
         },
         _ => not_readable(format!("{} is missing", path.display())),
     }
-}
-
-fn decode(current: &[u8]) -> Option<(u64, [u8; 16])> {
-    let mut cursor = Cursor::new(current);
-    let (number, sum, kind) = (cursor.u64()?, cursor.array()?, cursor.array()?);
-    (kind == [0] && cursor.is_empty()).then_some((number, sum))
 }

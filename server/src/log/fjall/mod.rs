@@ -4,7 +4,7 @@
 //! and the head of its index. What is acknowledged depends on [`Durability`]; `fsync` shares one sync among all who
 //! write meanwhile (`syncer`).
 //!
-//! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` (before
+//! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` and `manifest_copy` (before
 //! it is opened), `layout` and `point` (what it holds, byte for byte), `index` (one index's writer), `view` (its points,
 //! pinned), `restoring` (an index made from a copy), `journal`, `syncer` and `marks` (what is on disk for certain),
 //! `failure` (why nothing more is written), `recovery`, `making` (a store that is damaged is made anew), `loose` (after a
@@ -24,6 +24,7 @@ mod layout;
 mod loose;
 mod making;
 mod manifest;
+mod manifest_copy;
 mod marks;
 mod point;
 mod recovery;
