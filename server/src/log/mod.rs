@@ -33,7 +33,7 @@ use wayfold_index::Space;
 
 #[cfg(fuzzing)]
 pub use self::fjall::fuzzing;
-pub use self::fjall::{Durability, FjallLog, OpenError};
+pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport, repair};
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Effects, Operation, Outcome, Record};
@@ -138,8 +138,9 @@ pub trait Log: Send + Sync {
         None
     }
 
-    /// Opens a store that has failed anew, if what made it fail is over. Afterwards each index is as it is stored:
-    /// mutations that were not synced are there or not. Views from before are [`LogError::Closed`].
+    /// Reopens a failed store once its disk can be used. Then each index is as it is stored: mutations that were not synced
+    /// are there or not. Views from before are [`LogError::Closed`]. A damaged store is reopened for reading, and
+    /// [`Log::failure`] still tells of it.
     fn reopen(&self) -> Result<(), LogError> {
         Ok(())
     }

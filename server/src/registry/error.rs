@@ -55,6 +55,7 @@ impl From<LogError> for RegistryError {
             | LogError::Unopened { .. }
             | LogError::Shut { .. }
             | LogError::Storage { .. }
+            | LogError::DamagedStore { .. }
             | LogError::Closed) => Self::Log(error),
         }
     }

@@ -46,9 +46,10 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::Unreadable { .. }
         | LogError::Unopened { .. }
         | LogError::Trimmed { .. } => Error::DataLoss { what },
-        LogError::Storage { .. } | LogError::Shut { .. } | LogError::Closed => {
-            Error::StorageFailed { what }
-        }
+        LogError::Storage { .. }
+        | LogError::DamagedStore { .. }
+        | LogError::Shut { .. }
+        | LogError::Closed => Error::StorageFailed { what },
         LogError::UnknownIndex { .. } | LogError::UidTaken { .. } | LogError::Fenced { .. } => {
             Error::Internal { what }
         }

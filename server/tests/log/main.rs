@@ -16,7 +16,7 @@ mod kept;
 mod lost;
 mod model;
 mod pin;
-mod remade;
+mod rebuilt;
 mod shared_files;
 mod suite;
 

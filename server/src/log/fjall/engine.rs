@@ -13,13 +13,13 @@ use super::{
     index::{Index, State},
     journal::{self, Journal},
     layout::{Named, Number, Stage, Sum, entry_key},
-    loose, manifest, manifest_copy,
-    marks::{Mark, Marks},
-    recovery,
+    manifest, manifest_copy, recovery,
     restoring::Copy,
-    store::{Store, not_readable, shut, storage, unopened},
+    store::{Store, UNTOLD, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
+    sync_marks::{Mark, Marks},
     syncer::Syncer,
+    unclean_marker,
 };
 use crate::log::{Effects, Entry, Gone, LogError, Origin, Record, Uid};
 
@@ -32,8 +32,6 @@ pub(super) struct Engine {
     /// The number of the next index; who holds it creates or deletes one.
     next: Mutex<Number>,
     failure: Arc<Failure>,
-    /// Something of its indices could not be read: the store may be damaged.
-    pub(super) unreadable: bool,
     pub(super) store: Arc<Store>,
     directory: Arc<Directory>,
 }
@@ -55,14 +53,14 @@ impl Engine {
         journal::write_again(&path).map_err(shut)?;
         let store = Store::open(&path, durability).map_err(unopened)?;
         let store = Arc::new(store);
-        let renamed = loose::may_have_lost(directory.path()).map_err(shut)?;
+        let renamed = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;
         let handles = store.handles()?;
         let found = recovery::recover(&handles, marked, renamed)?;
         drop(handles);
         // A server that did not sync may have ended before it wrote the first.
         if marked.is_empty()
             && !found.indexes.is_empty()
-            && !loose::was_begun(directory.path()).map_err(shut)?
+            && !unclean_marker::was_begun(directory.path()).map_err(shut)?
         {
             warn!(
                 file = %directory.join(MARKS).display(),
@@ -72,14 +70,21 @@ impl Engine {
             );
         }
         let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
-        journal.sync().map_err(|what| LogError::Shut { what })?;
-        loose::begin(directory.path(), durability).map_err(shut)?;
+        let failure = Arc::new(Failure::default());
+        match journal.sync() {
+            Err(what) if what != UNTOLD => return Err(LogError::Shut { what }),
+            // fjall has met a damaged block already. Everything found was synced above, so it can be read.
+            Err(what) => {
+                failure.note(LogError::Storage { what });
+            }
+            Ok(()) => {}
+        }
+        unclean_marker::begin(directory.path(), durability).map_err(shut)?;
         save_manifest(directory);
 
         // What is there is on disk now, also what was never acknowledged: whoever is shown it may count on it.
         write_marks(&mut marks, &found.indexes).map_err(shut)?;
         let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
-        let failure = Arc::new(Failure::default());
         let sweeper = Sweeper::start(Arc::clone(&store), sweeping, Arc::clone(&failure));
         let sweeper = sweeper.map_err(shut)?;
         let syncer = match durability {
@@ -92,7 +97,6 @@ impl Engine {
         for &number in &found.deleted {
             sweeper.sweep(number);
         }
-        let unreadable = found.unreadable;
         let indexes = found.indexes.into_iter();
         Ok(Self {
             syncer,
@@ -101,7 +105,6 @@ impl Engine {
             gone: Mutex::new(found.gone),
             next: Mutex::new(found.next),
             failure,
-            unreadable,
             store,
             directory: Arc::clone(directory),
         })
@@ -135,6 +138,12 @@ impl Engine {
 
     /// As [`Failure::explain`].
     pub(super) fn explain(&self, why: &LogError) {
+        self.failure.explain(why);
+    }
+
+    /// Ends all writing.
+    pub(super) fn fail(&self, why: &LogError) {
+        self.failure.note(why.clone());
         self.failure.explain(why);
     }
 
@@ -281,7 +290,7 @@ impl Engine {
         let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
         let settled = Marks::open(&self.directory.join(MARKS))
             .and_then(|(mut marks, _)| write_marks(&mut marks, &indexes))
-            .and_then(|()| loose::end(self.directory.path()));
+            .and_then(|()| unclean_marker::end(self.directory.path()));
         settled.map_err(|error| error.to_string())
     }
 }

@@ -16,9 +16,9 @@ use super::{
     layout::{
         Head, Number, Sum, head_key, last_of, operation_key, point_key, record_key, seal, unseal,
     },
-    marks::Mark,
     point::PointForm,
     store::{Handles, Store, storage, unreadable},
+    sync_marks::Mark,
     view::PointsView,
 };
 use crate::log::{

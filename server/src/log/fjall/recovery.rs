@@ -2,6 +2,7 @@
 
 use std::{collections::BTreeMap, ops::RangeInclusive, sync::Arc};
 
+use fjall::{Guard, Slice};
 use tracing::{error, warn};
 
 use super::{
@@ -11,8 +12,8 @@ use super::{
         Head, Named, Number, Stage, Sum, entry_key, head_key, number_of_entry, point_keys,
         record_key,
     },
-    marks::Mark,
-    store::{Handles, not_readable, unopened, unreadable},
+    store::{Handles, damage, damaged_index, not_readable, unopened, unreadable},
+    sync_marks::Mark,
 };
 use crate::log::{Entry, Gone, LogError, Origin, Uid};
 
@@ -20,7 +21,7 @@ use crate::log::{Entry, Gone, LogError, Origin, Uid};
 pub(super) struct Found {
     /// The indices; those that are damaged are closed.
     pub(super) indexes: Vec<Arc<Index>>,
-    /// Something of them is not what the store wrote.
+    /// A part of them could not be read.
     pub(super) unreadable: bool,
     /// Indices of which only the mark is left.
     pub(super) gone: BTreeMap<Number, Gone>,
@@ -45,11 +46,18 @@ pub(super) fn recover(
         next: marks.keys().next_back().map_or(0, |last| last + 1),
     };
     let mut left = marks.clone();
-    for entry in handles.keyspace.range(entries()) {
-        let (key, value) = entry.into_inner().map_err(unopened)?;
-        let number =
-            number_of_entry(&key).ok_or_else(|| not_readable("a key of no known form".into()))?;
+    for (number, entry) in stored_entries(handles, marks)? {
         found.next = found.next.max(number + 1);
+        let value = match entry {
+            Ok(value) => value,
+            Err(damage) => {
+                found.unreadable = true;
+                if let Some(mark) = left.remove(&number).filter(|mark| !mark.deleted) {
+                    found.lose(number, &mark, damaged_index(mark.uid, &damage));
+                }
+                continue;
+            }
+        };
         let Some(named) = Named::decode(number, &value) else {
             if !left.contains_key(&number) {
                 error!(
@@ -88,16 +96,76 @@ pub(super) fn recover(
             first: 1,
             last: mark.revision,
         };
+        found.lose(number, &mark, why);
+    }
+    Ok(found)
+}
+
+impl Found {
+    /// Adds an index of which only the mark is left.
+    fn lose(&mut self, number: Number, mark: &Mark, why: LogError) {
         error!(index = &*mark.name, error = %why, "an index is gone: every call for it will say so");
-        let name = mark.name.to_string();
-        let uid = mark.uid;
-        found.gone.insert(number, Gone { name, uid, why });
+        let (name, uid) = (mark.name.to_string(), mark.uid);
+        self.gone.insert(number, Gone { name, uid, why });
+    }
+}
+
+/// The entry of a number, or its damage.
+pub(super) type StoredEntry = (Number, Result<Slice, String>);
+
+/// The entry of each number that has one. A damaged entry of which no mark tells is an error.
+pub(super) fn stored_entries(
+    handles: &Handles,
+    marks: &BTreeMap<Number, Mark>,
+) -> Result<Vec<StoredEntry>, LogError> {
+    let mut found = Vec::new();
+    for entry in handles.keyspace.range(entries()) {
+        match entry.into_inner() {
+            Ok((key, value)) => {
+                let number = number_of_entry(&key)
+                    .ok_or_else(|| not_readable("a key of no known form".into()))?;
+                found.push((number, Ok(value)));
+            }
+            Err(error) => {
+                let Some(last) = marks.keys().next_back() else {
+                    return Err(unopened(error));
+                };
+                damage(error)?;
+                return entries_one_by_one(handles, marks, *last);
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// As [`stored_entries`], where a range of entries cannot be read. `last` is the greatest number with a mark.
+fn entries_one_by_one(
+    handles: &Handles,
+    marks: &BTreeMap<Number, Mark>,
+    last: Number,
+) -> Result<Vec<StoredEntry>, LogError> {
+    let newest = handles.keyspace.range(entries()).next_back();
+    let newest = newest.and_then(|newest| number_of_entry(&newest.key().ok()?));
+    let mut found = Vec::new();
+    for number in 0..=newest.map_or(last, |newest| newest.max(last)) {
+        let key = entry_key(number);
+        match handles
+            .keyspace
+            .range(key..=key)
+            .next()
+            .map(Guard::into_inner)
+        {
+            None => {}
+            Some(Ok((_, value))) => found.push((number, Ok(value))),
+            Some(Err(error)) if !marks.contains_key(&number) => return Err(unopened(error)),
+            Some(Err(error)) => found.push((number, Err(damage(error)?))),
+        }
     }
     Ok(found)
 }
 
 /// The keys of all entries.
-pub(super) fn entries() -> RangeInclusive<[u8; 5]> {
+fn entries() -> RangeInclusive<[u8; 5]> {
     entry_key(0)..=entry_key(Number::MAX)
 }
 
@@ -134,7 +202,7 @@ fn open(
     Ok(index)
 }
 
-/// An index of which a store that was made anew holds the entry alone.
+/// An index of which a rebuilt store holds only the entry.
 fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     let revisions = match mark.map_or(0, |mark| mark.revision) {
         0 => String::new(),
@@ -143,8 +211,8 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     let why = LogError::Unreadable {
         uid: entry.uid,
         what: format!(
-            "a block{revisions} could not be read, and the store was made anew without this index; as it was then it is \
-             kept in the data directory, as one of {DAMAGED_STORE}N"
+            "a block{revisions} could not be read when the store was repaired, and the index was left out; the damaged store \
+             is kept in the data directory as one of {DAMAGED_STORE}N"
         ),
     };
     error!(index = entry.name, error = %why, "an index is damaged: every call for it will say so");

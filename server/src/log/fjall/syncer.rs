@@ -10,7 +10,12 @@ use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::{Condvar, Mutex};
 use tokio::sync::watch;
 
-use super::{failure::Failure, index::Index, journal::Journal, marks::Mark, marks::Marks};
+use super::{
+    failure::Failure,
+    index::Index,
+    journal::Journal,
+    sync_marks::{Mark, Marks},
+};
 use crate::log::LogError;
 
 /// So many batches in one sync come from several writers, who will be back.
