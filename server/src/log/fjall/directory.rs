@@ -8,6 +8,7 @@
 //! | `store.damaged-N/` | a damaged store from before a repair; nothing reads it |
 //! | `marks` | how far each index was synced: see [`sync_marks`](super::sync_marks) |
 //! | `manifest-copy` | small files of the store that every index depends on: see [`manifest_copy`](super::manifest_copy) |
+//! | `journal-synced` | there after a clean end: see [`journal`](super::journal) |
 //! | `unsynced` | there while a server runs that does not sync: see [`unclean_marker`](super::unclean_marker) |
 //! | `probe` | there for a moment while it is tried whether the disk can be written |
 

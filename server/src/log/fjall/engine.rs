@@ -50,7 +50,7 @@ impl Engine {
         }
         manifest_copy::mend(directory)?;
         manifest::check(&path)?;
-        journal::write_again(&path).map_err(shut)?;
+        journal::make_certain(directory).map_err(shut)?;
         let store = Store::open(&path, durability).map_err(unopened)?;
         let store = Arc::new(store);
         let renamed = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;
@@ -298,20 +298,28 @@ impl Engine {
 impl Engine {
     /// Syncs what was appended, ends the threads and closes the store, whoever still knows it.
     pub(super) fn shut(&self) {
-        match &self.syncer {
-            Some(syncer) => syncer.stop(),
-            None => {
-                if let Err(error) = self.settle() {
-                    warn!(
-                        error,
-                        "could not sync the log; the next start takes mutations for lost"
-                    );
-                }
+        let settled = match &self.syncer {
+            Some(syncer) => {
+                syncer.stop();
+                Ok(())
             }
+            None => self.settle(),
+        };
+        if let Err(error) = &settled {
+            warn!(
+                error,
+                "could not sync the log; the next start takes mutations for lost"
+            );
         }
         self.sweeper.stop();
         self.store.close();
         save_manifest(&self.directory);
+        if settled.is_ok() && self.failure().is_none() {
+            // Without the marker the next start writes the journal again.
+            if let Err(error) = journal::mark_synced(&self.directory) {
+                debug!(%error, "cannot mark the journal as synced");
+            }
+        }
     }
 
     /// About how many bytes the store has yet to move out of its journal.

@@ -10,6 +10,7 @@
 //! nothing in it, and writes to the one before until all know of the failure.
 
 use std::{
+    collections::BTreeMap,
     fs,
     fs::File,
     io::{self, Read, Seek, SeekFrom, Write},
@@ -19,10 +20,16 @@ use std::{
 
 use fjall::PersistMode;
 
-use super::store::{Store, told};
+use super::{
+    STORE,
+    directory::{Directory, sync_directory},
+    store::{Store, told},
+};
 
 /// The ending of its files' names.
 const ENDING: &str = ".jnl";
+/// Is there after a clean end, until the next start: the journal is on disk. Names each file and its inode.
+const MARKER: &str = "journal-synced";
 /// Bytes to write again at a time.
 const PIECE: usize = 128 * 1024;
 
@@ -110,20 +117,63 @@ pub(super) fn number(name: &str) -> Option<u64> {
     name.strip_suffix(ENDING)?.parse().ok()
 }
 
-/// Writes what the journal in `directory` holds once more, to where it is, and syncs it. To be called before the store is
-/// opened.
+/// Makes certain that the journal is on disk, before the store is opened: unless the marker says that it is, all of it is
+/// written once more to where it is, and synced.
 ///
 /// When a sync has failed, of this server or of one before it, Linux takes for clean what it could not write: it is read
 /// from memory, as if it were on disk, and no later sync writes it.
-pub(super) fn write_again(directory: &Path) -> io::Result<()> {
-    for file in fs::read_dir(directory)? {
-        let file = file?;
-        if file.file_name().to_str().and_then(number).is_some() {
-            let mut file = File::options().read(true).write(true).open(file.path())?;
-            write_file_again(&mut file)?;
+pub(super) fn make_certain(directory: &Directory) -> io::Result<()> {
+    let marker = directory.join(MARKER);
+    let files = files(&directory.join(STORE))?;
+    let is_synced = fs::read_to_string(&marker).is_ok_and(|marked| marked == identity(&files));
+    if !is_synced {
+        for (_, file) in &files {
+            write_file_again(&mut File::options().read(true).write(true).open(file)?)?;
         }
     }
-    Ok(())
+    match fs::remove_file(&marker) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        Err(_) => Ok(()),
+        // Before the first write to the journal.
+        Ok(()) => sync_directory(directory.path()),
+    }
+}
+
+/// Writes the marker: the store is closed, no sync of it has failed, and here each file of its journal is synced once more.
+pub(super) fn mark_synced(directory: &Directory) -> io::Result<()> {
+    let files = files(&directory.join(STORE))?;
+    for (_, file) in &files {
+        File::options().write(true).open(file)?.sync_all()?;
+    }
+    let marker = directory.join(MARKER);
+    fs::write(&marker, identity(&files))?;
+    File::open(&marker)?.sync_all()?;
+    sync_directory(directory.path())
+}
+
+/// The files of the journal in a store, by number.
+fn files(store: &Path) -> io::Result<BTreeMap<u64, PathBuf>> {
+    let mut files = BTreeMap::new();
+    for file in fs::read_dir(store)? {
+        let file = file?;
+        if let Some(number) = file.file_name().to_str().and_then(number) {
+            files.insert(number, file.path());
+        }
+    }
+    Ok(files)
+}
+
+/// Tells these very files from copies of them, which nobody has synced.
+fn identity(files: &BTreeMap<u64, PathBuf>) -> String {
+    let lines = files.iter().map(|(number, path)| {
+        #[cfg(unix)]
+        let inode =
+            fs::metadata(path).map(|metadata| std::os::unix::fs::MetadataExt::ino(&metadata));
+        #[cfg(not(unix))]
+        let inode = fs::metadata(path).map(|metadata| metadata.len());
+        format!("{number} {}\n", inode.unwrap_or_default())
+    });
+    lines.collect()
 }
 
 fn write_file_again(file: &mut File) -> io::Result<()> {
@@ -187,6 +237,39 @@ mod tests {
             keyspace.rotate_memtable_and_wait().unwrap();
         }
         assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
+    }
+
+    /// True if the journal is written again by the start after `prepare`.
+    fn is_written_again(directory: &Directory, prepare: impl FnOnce(&Path)) -> bool {
+        let path = directory.join(STORE).join("0.jnl");
+        prepare(&path);
+        let long_ago = std::time::UNIX_EPOCH;
+        let file = File::options().write(true).open(&path).unwrap();
+        file.set_modified(long_ago).unwrap();
+        make_certain(directory).unwrap();
+        assert!(!directory.join(MARKER).exists());
+        assert_eq!(fs::read(&path).unwrap(), b"entries");
+        fs::metadata(&path).unwrap().modified().unwrap() != long_ago
+    }
+
+    #[test]
+    fn only_these_very_files_after_a_clean_end_are_not_written_again() {
+        let directory = tempfile::tempdir().unwrap();
+        let directory = Directory::take(directory.path()).unwrap();
+        fs::create_dir(directory.join(STORE)).unwrap();
+        let end = || mark_synced(&directory).unwrap();
+        assert!(is_written_again(&directory, |path| fs::write(
+            path, "entries"
+        )
+        .unwrap()));
+        assert!(!is_written_again(&directory, |_| end()));
+        assert!(is_written_again(&directory, |_| ()));
+        assert!(is_written_again(&directory, |path| {
+            end();
+            let copy = path.with_extension("copy");
+            fs::copy(path, &copy).unwrap();
+            fs::rename(copy, path).unwrap();
+        }));
     }
 
     /// What a rotation leaves that failed for want of room, while fjall writes on to the file before.

@@ -21,7 +21,7 @@ use tracing::{info, warn};
 use super::{
     DAMAGED_STORE, Durability, MARKS, NEW_STORE, OpenError, REBUILT_STORE, STORE,
     directory::{Directory, sync_directories, sync_directory},
-    journal::Journal,
+    journal::{self, Journal},
     layout::{
         Head, Named, Number, Stage, entry_key, head_key, operation_key, point_keys, record_key,
     },
@@ -126,6 +126,7 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     let directory = Directory::take(directory)?;
     finish(&directory).map_err(shut)?;
     manifest_copy::mend(&directory)?;
+    journal::make_certain(&directory).map_err(shut)?;
     let path = directory.join(STORE);
     manifest::check(&path)?;
     let (_, marks) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
