@@ -1,13 +1,13 @@
 //! The cost of concurrency: readers of one snapshot, parallel bulk inserts, a reader next to a writer, and the slowest calls
 //! while levels merge.
 //!
-//!     cargo bench -p wayfold-index --bench together [-- POINTS]
+//!     cargo bench -p wayfold-index --bench together [-- [POINTS] [--json FILE]]
 //!
 //! In SE(3), `R3*SO3:0.15`, uniform, ten neighbours. Two threads of one process are compared with two processes, in turns: no
 //! structure can give two threads more than the machine gives two processes. Each figure is the median of the rounds.
 
 use std::{
-    env,
+    env, fs,
     io::{self, BufRead, BufReader, Write},
     process::{Child, ChildStdin, ChildStdout, Command, Stdio},
     sync::{
@@ -52,8 +52,12 @@ fn main() {
 }
 
 fn measure() {
-    let points = env::args().find_map(|argument| argument.parse().ok());
+    let arguments: Vec<String> = env::args().collect();
+    let points = arguments.iter().find_map(|argument| argument.parse().ok());
+    let json = arguments.iter().position(|argument| argument == "--json");
+    let json = json.map(|at| arguments.get(at + 1).expect("a file after --json"));
     println!("R3*SO3:0.15, uniform, k = {K}; medians of {ROUNDS} rounds");
+    let mut parts = vec![format!("\"rounds\": {ROUNDS}")];
     for (what, role) in [
         ("readers of 50,000 points", "read"),
         ("bulk inserts of 50,000 points", "bulk"),
@@ -69,13 +73,23 @@ fn measure() {
         println!(
             "{what}: one does {one:.0}/s, two threads {threads:.2} times that, two processes {processes:.2}, ratio {ratio:.2}"
         );
+        parts.push(format!(
+            "\"{role}\": {{\"per_second\": {one}, \"threads\": {threads}, \"processes\": {processes}, \"ratio\": {ratio}}}"
+        ));
     }
     let rounds: Vec<_> = (0..ROUNDS).map(|_| next_to_a_writer()).collect();
     let [alone, beside, ratio, inserts] = medians(&rounds);
     println!(
         "a reader next to a writer: {beside:.0}/s of {alone:.0}/s alone, ratio {ratio:.2}; {inserts:.0} inserts/s"
     );
-    slowest(points.unwrap_or(MANY));
+    parts.push(format!(
+        "\"beside_a_writer\": {{\"per_second\": {beside}, \"alone\": {alone}, \"ratio\": {ratio}, \"inserts_per_second\": {inserts}}}"
+    ));
+    parts.push(slowest(points.unwrap_or(MANY)));
+    if let Some(file) = json {
+        let text = format!("{{\n  {}\n}}\n", parts.join(",\n  "));
+        fs::write(file, text).expect("a file that can be written");
+    }
 }
 
 fn medians<const N: usize>(rounds: &[[f64; N]]) -> [f64; N] {
@@ -304,8 +318,9 @@ fn next_to_a_writer() -> [f64; 4] {
     })
 }
 
-/// The slowest of `count` single inserts, and of queries made between them, while another thread merges.
-fn slowest(count: usize) {
+/// The slowest of `count` single inserts, and of queries made between them, while another thread merges. Returns them as a
+/// part of the JSON.
+fn slowest(count: usize) -> String {
     let (rows, query_rows) = (states(count, SEED), states(QUERIES, SEED + 1));
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     let (mut inserts, mut queries) = (Vec::with_capacity(count), Vec::with_capacity(count / 10));
@@ -346,6 +361,7 @@ fn slowest(count: usize) {
     println!(
         "{count} single inserts, a query after every tenth, merges on another thread; microseconds:"
     );
+    let mut json = format!("\"slowest\": {{\"points\": {count}");
     for (what, mut taken) in [("inserts", inserts), ("queries", queries)] {
         taken.sort();
         let quantile = |q: f64| {
@@ -360,5 +376,9 @@ fn slowest(count: usize) {
         println!(
             "  {what}: median {median:.1}, 99.9 % within {last:.0}, slowest {slowest:.0}, over 1 ms: {over}"
         );
+        json.push_str(&format!(
+            ", \"{what}\": {{\"p50_us\": {median}, \"p999_us\": {last}, \"max_us\": {slowest}, \"over_1_ms\": {over}}}"
+        ));
     }
+    json + "}"
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use tonic::Status;
-use wayfold_proto::v1::{Revision, ScanRequest, point_service_client::PointServiceClient};
+use wayfold_proto::v1::{Revision, ScanRequest};
 
 use crate::{INCLUDE_ALL, Stubs, bits};
 
@@ -45,24 +45,7 @@ impl Content {
             include: Some(INCLUDE_ALL),
             ..Default::default()
         };
-        let content = Self::scan(stubs.points.clone(), request).await?;
-        let (read, total) = content;
-        assert_eq!(read.points.len() as u64, total, "a scan without a filter");
-        Ok(read)
-    }
-
-    /// Reads what a scan with payloads answers, and the total it speaks of.
-    ///
-    /// # Errors
-    /// The scan's status.
-    ///
-    /// # Panics
-    /// If the parts of the scan disagree with each other or are out of order.
-    pub async fn scan(
-        mut stub: PointServiceClient<tonic::transport::Channel>,
-        request: ScanRequest,
-    ) -> Result<(Self, u64), Status> {
-        let mut parts = stub.scan(request).await?.into_inner();
+        let mut parts = stubs.points.clone().scan(request).await?.into_inner();
         let mut content: Option<(Self, u64)> = None;
         let mut last_id = None;
         while let Some(part) = parts.message().await? {
@@ -95,6 +78,8 @@ impl Content {
                 read.points.insert(id, point);
             }
         }
-        Ok(content.expect("a scan has at least one part"))
+        let (read, total) = content.expect("a scan has at least one part");
+        assert_eq!(read.points.len() as u64, total);
+        Ok(read)
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! Everything here speaks to a real server process over the generated stubs, and knows what to expect from brute force.
 
+pub mod brute_force;
 mod content;
 pub mod echo;
 pub mod figures;

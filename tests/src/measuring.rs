@@ -13,8 +13,13 @@ use zenoh::{Config, Session};
 
 use crate::{Process, ServerProcess, echo};
 
-/// Which of the processes this is; unset in the one that measures.
+/// The variable that holds the role of a started process; unset in the one that measures.
 const ROLE: &str = "MEASURING_ROLE";
+
+/// The role of this process, if the one that measures has started it.
+pub fn role() -> Option<String> {
+    env::var(ROLE).ok()
+}
 
 /// The whole of such a program: `measure` takes its arguments and returns the figures, and the file to write them to.
 ///
@@ -25,9 +30,9 @@ where
     A: Parser,
     F: Future<Output = (Value, Option<PathBuf>)>,
 {
-    match env::var(ROLE).as_deref() {
-        Ok("server") => return wayfold_server::main(),
-        Ok("echo") => return echo::main(),
+    match role().as_deref() {
+        Some("server") => return wayfold_server::main(),
+        Some("echo") => return echo::main(),
         _ => {}
     }
     let arguments = A::parse();
@@ -84,7 +89,11 @@ pub fn echo() -> ServerProcess {
     start("echo", &[])
 }
 
-fn start(role: &str, arguments: &[&str]) -> ServerProcess {
+/// Starts this program in a role.
+///
+/// # Panics
+/// If it does not come up.
+pub fn start(role: &str, arguments: &[&str]) -> ServerProcess {
     let program = env::current_exe().expect("this program");
     let mut command = Command::new(program);
     ServerProcess::ready(Process::spawn(command.env(ROLE, role).args(arguments)))

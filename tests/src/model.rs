@@ -10,7 +10,7 @@ use wayfold_proto::v1::{
     RemoveResponse, neighbor_spec,
 };
 
-use crate::{Content, StoredPoint, bits, ledger::Entry, neighbor_rows, number};
+use crate::{Content, StoredPoint, bits, brute_force::pairs, ledger::Entry, neighbor_rows, number};
 
 /// The content that an index must hold at one revision.
 ///
@@ -37,11 +37,6 @@ impl Model {
     /// The number of mutations that it received.
     pub fn revision(&self) -> u64 {
         self.revision
-    }
-
-    /// Its points.
-    pub fn points(&self) -> &Linear {
-        &self.points
     }
 
     /// Checks an answer, and applies the call if it is a mutation.
@@ -268,8 +263,7 @@ impl Model {
             .search(row, search)
             .expect("a canonical row")
             .neighbors;
-        let pairs = neighbors.iter().map(|n| (n.id, n.distance.to_bits()));
-        pairs.collect()
+        pairs(neighbors)
     }
 
     fn canonical(&self, states: Option<&v1::States>) -> Vec<Vec<f64>> {

@@ -263,15 +263,15 @@ async fn columns_have_a_value_for_each_row() {
 #[tokio::test]
 async fn what_was_divided_and_joined_equals_brute_force() {
     let server = Server::with(|config| {
-        config.limits.rows_per_call = 2_000;
+        config.limits.rows_per_call = 1_500;
         config.limits.ids_per_call = 300;
         config.limits.answer_bytes = 40_000;
     });
     let index = server.index("se2", "R2*SO2").await;
     let space: Space = "R2*SO2".parse().unwrap();
-    let stored = scattered(2000, 3);
+    let stored = scattered(2500, 3);
     let include = Include::none().states().tags();
-    let tags: Vec<u64> = (0..2000).map(|id| id * 3).collect();
+    let tags: Vec<u64> = (0..2500).map(|id| id * 3).collect();
     index.insert(&stored).tags(tags).await.unwrap();
 
     let mut oracle = Linear::new(space.clone());
@@ -304,7 +304,7 @@ async fn what_was_divided_and_joined_equals_brute_force() {
             }
         }
     }
-    let ids: Vec<u64> = (0..2000).rev().collect();
+    let ids: Vec<u64> = (0..2500).rev().collect();
     let read = index.get(ids.clone()).await.unwrap();
     assert_eq!(read.ids(), ids);
     assert!(

@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
-use wayfold::{Client, Code, Revision};
+use tokio::task::JoinSet;
+use wayfold::{Client, Code, NeighborSpec, Outcome, Revision};
 
 use crate::{
     fake::{Fake, UID},
+    scaling::{SPACE, rows},
     server::Server,
 };
 
@@ -93,4 +95,32 @@ async fn a_handle_is_of_one_uid() {
     );
     assert_eq!(read.code(), Code::FailedPrecondition);
     assert_eq!(new.info().await.unwrap().revision.number, 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn planners_read_what_they_wrote() {
+    let server = Server::start();
+    let mut planners = JoinSet::new();
+    for planner in 0..6 {
+        let client = server.client().await;
+        planners.spawn(async move {
+            let space = SPACE.parse().unwrap();
+            let roadmap = client.create_index("car", &space).await.unwrap();
+            for row in rows(50 * planner, 50) {
+                let around = NeighborSpec::k(4);
+                let inserted = roadmap.insert([row]).neighbors(around).await.unwrap();
+                let Outcome::Inserted { id } = inserted.outcomes[0] else {
+                    panic!("{inserted:?}");
+                };
+                // On whichever revision the read sees, the point is there, and nothing is nearer to itself.
+                let found = roadmap.knn([row]).k(1).await.unwrap();
+                let itself = found.row(0).nearest().unwrap();
+                assert_eq!((itself.id, itself.distance), (id, 0.0));
+                assert!(found.revision().number >= inserted.revision.number);
+                let around = inserted.neighbors.unwrap();
+                assert!(!around.row(0).ids.contains(&id), "its own neighbour");
+            }
+        });
+    }
+    planners.join_all().await;
 }

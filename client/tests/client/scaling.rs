@@ -5,9 +5,9 @@ use wayfold_index::{Linear, Neighbor, PointRef, Search};
 
 use crate::{fake::Fake, server::Server};
 
-const SPACE: &str = "R2*SO2";
+pub(crate) const SPACE: &str = "R2*SO2";
 
-fn rows(start: usize, count: usize) -> Vec<[f64; 3]> {
+pub(crate) fn rows(start: usize, count: usize) -> Vec<[f64; 3]> {
     let number = |at: usize| (at as f64 * 0.754_877_666_246_693).fract();
     let row = |row: usize| [3 * row, 3 * row + 1, 3 * row + 2].map(number);
     (start..start + count).map(row).collect()

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+mod collision_checks;
 mod figures;
 mod planning;
 mod rigid_checks;

@@ -92,11 +92,16 @@ async fn a_limit_is_named_with_its_value() {
 async fn a_call_that_this_server_does_not_know_is_unimplemented() {
     let server = TestServer::start(|_| ()).await;
     let mut client = tonic::client::Grpc::new(server.channel.clone());
-    client.ready().await.unwrap();
-    let path = http::uri::PathAndQuery::from_static("/wayfold.v1.PointService/Guess");
-    let codec = tonic_prost::ProstCodec::<v1::KnnRequest, v1::KnnResponse>::default();
-    let request = Request::new(v1::KnnRequest::default());
-    let status = client.unary(request, path, codec).await.unwrap_err();
-    assert_eq!(status.code(), Code::Unimplemented);
+    for path in [
+        "/wayfold.v1.PointService/Guess",
+        "/wayfold.v1.NoService/Knn",
+    ] {
+        client.ready().await.unwrap();
+        let path = http::uri::PathAndQuery::from_static(path);
+        let codec = tonic_prost::ProstCodec::<v1::KnnRequest, v1::KnnResponse>::default();
+        let request = Request::new(v1::KnnRequest::default());
+        let status = client.unary(request, path, codec).await.unwrap_err();
+        assert_eq!(status.code(), Code::Unimplemented);
+    }
     server.stop().await.unwrap().unwrap();
 }

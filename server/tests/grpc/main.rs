@@ -5,7 +5,6 @@
 mod harness;
 mod raw;
 
-mod backup;
 mod deadlines;
 mod description;
 mod errors;
@@ -13,9 +12,9 @@ mod extreme_integers;
 #[path = "../extremes/mod.rs"]
 mod extremes;
 mod health;
-mod process;
 mod reflection;
 mod refusals;
 mod shutdown;
 mod starting;
 mod stream_knn;
+mod streams;

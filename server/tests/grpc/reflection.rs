@@ -64,6 +64,7 @@ macro_rules! conversation {
                     "wayfold.v1.PointService.Knn",
                     "wayfold/v1/point_service.proto",
                 ),
+                ("wayfold.v1.KnnRequest", "wayfold/v1/point_service.proto"),
                 ("wayfold.v1.Space", "wayfold/v1/space.proto"),
                 ("google.rpc.BadRequest", "error_details.proto"),
             ] {

@@ -1,7 +1,7 @@
 //! Calls that do not reach the service: messages too large or malformed, and calls beyond the server's capacity.
 
 use crate::{
-    harness::{TestServer, insert, knn, reason, uid_of},
+    harness::{TestServer, column, insert, knn, reason, uid_of},
     raw::Raw,
 };
 use futures_util::{StreamExt, stream};
@@ -21,8 +21,15 @@ async fn send(server: &TestServer, rpc: &str, bytes: &[u8]) -> Result<Vec<u8>, S
     Ok(answer.into_inner())
 }
 
-/// Field 1 as a varint, where every request has a string; a length that runs out of the message; a tag of no type.
-const MALFORMED: [&[u8]; 3] = [&[0x08, 0x01], &[0x0a, 0x7f, b'x'], &[0x0f]];
+/// Field 1 as a varint, where every request has a string; a length that runs out of the message; a name that is not
+/// UTF-8; a tag of no type; an endless varint.
+const MALFORMED: [&[u8]; 5] = [
+    &[0x08, 0x01],
+    &[0x0a, 0x7f, b'x'],
+    &[0x0a, 0x02, 0xff, 0xfe],
+    &[0x0f],
+    &[0xff; 16],
+];
 
 #[tokio::test]
 async fn a_message_that_does_not_parse_is_an_invalid_argument() {
@@ -33,7 +40,11 @@ async fn a_message_that_does_not_parse_is_an_invalid_argument() {
         "IndexService/RestoreIndex",
         "IndexService/VerifyIndex",
         "PointService/Insert",
+        "PointService/Update",
+        "PointService/Remove",
+        "PointService/Get",
         "PointService/Knn",
+        "PointService/Query",
         "PointService/Scan",
     ] {
         for bytes in MALFORMED {
@@ -67,6 +78,26 @@ async fn a_message_that_is_too_large_is_told_the_limit() {
     let answer = answer.unwrap().into_inner();
     let revision = answer.revision.unwrap();
     assert_eq!((revision.number, revision.uid), (1, uid_of(&index)));
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn stock_limits_let_an_answer_through_that_a_stock_client_takes() {
+    let server = TestServer::start(|_| ()).await;
+    server.create_line("line").await;
+    let mut points = server.points();
+    points.insert(insert("line", &[0.5; 3])).await.unwrap();
+    let query = |count| v1::QueryRequest {
+        index: "line".into(),
+        states: Some(column(&vec![0.5; count])),
+        reach: Some(v1::query_request::Reach::Radius(1.0)),
+        ..Default::default()
+    };
+    // Three neighbours of 16 bytes and a count: 80,000 states are answered in 3.9 MB, 90,000 would take 4.4 MB.
+    let answer = points.query(query(80_000)).await.unwrap().into_inner();
+    assert_eq!(answer.neighbors.unwrap().ids.len(), 240_000);
+    let status = points.query(query(90_000)).await.unwrap_err();
+    assert_eq!(reason(&status, Code::ResourceExhausted), "LIMIT_EXCEEDED");
     server.stop().await.unwrap().unwrap();
 }
 

@@ -64,12 +64,15 @@ async fn answers_come_in_the_order_of_the_requests() {
 async fn a_bad_request_is_answered_with_its_error_and_does_not_end_the_stream() {
     let server = TestServer::start(|_| ()).await;
     server.create_ruler("line", COUNT).await;
+    let mut wide = knn("line", &[2.0], 1);
+    wide.states.as_mut().unwrap().coordinates.push(2.0);
     let requests = vec![
         request(knn("line", &[1.0], 1)),
         request(knn("line", &[f64::NAN], 1)),
         request(knn("none", &[1.0], 1)),
         v1::StreamKnnRequest { knn: None },
         request(knn("line", &[2.0], 0)),
+        request(wide),
         request(knn("line", &[3.0], 1)),
     ];
     let answers = server.points().stream_knn(stream::iter(requests)).await;
@@ -83,7 +86,9 @@ async fn a_bad_request_is_answered_with_its_error_and_does_not_end_the_stream() 
     let empty = error(next().await);
     assert_eq!(reason(&empty, Code::InvalidArgument), "REQUIRED");
     let no_k = error(next().await);
-    assert_eq!(no_k.code(), Code::InvalidArgument);
+    assert_eq!(reason(&no_k, Code::InvalidArgument), "ZERO");
+    let wide = error(next().await);
+    assert_eq!(reason(&wide, Code::InvalidArgument), "WIDTH");
     assert_eq!(nearest(next().await), 3);
     assert!(answers.message().await.unwrap().is_none());
     server.stop().await.unwrap().unwrap();

@@ -83,9 +83,13 @@ async fn names_spaces_and_tokens_are_checked() {
     for (request, reason, field) in [
         (creation("Arm", "R3"), "NAME", "name"),
         (creation("", "R3"), "NAME", "name"),
+        (creation("a/b", "R3"), "NAME", "name"),
+        (creation(&"a".repeat(64), "R3"), "NAME", "name"),
         (none, "REQUIRED", "space"),
         (creation("arm", ""), "SPACE", "space_text"),
         (creation("arm", "R3*"), "SPACE", "space_text"),
+        (creation("arm", "R3:-1"), "SPACE", "space_text"),
+        (creation("arm", "R257"), "SPACE", "space_text"),
     ] {
         let refused = refusal(service.create_index(&CALL, request).await);
         assert_eq!(refused, (Code::InvalidArgument, reason, field.into()));
@@ -213,6 +217,11 @@ async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
     let gone = refusal(service.knn(&CALL, knn(&[[1.0]], 1)).await);
     assert_eq!(gone, (Code::NotFound, "INDEX_NOT_FOUND", String::new()));
     let gone = refusal(service.delete_index(&CALL, delete("")).await);
+    assert_eq!(gone, (Code::NotFound, "INDEX_NOT_FOUND", String::new()));
+    let request = v1::GetIndexRequest {
+        index: "arm".into(),
+    };
+    let gone = refusal(service.get_index(&CALL, request).await);
     assert_eq!(gone, (Code::NotFound, "INDEX_NOT_FOUND", String::new()));
 
     let again = create(&service, "arm", "R1").await;

@@ -51,6 +51,14 @@ async fn what_exceeds_a_limit_is_refused_with_its_name_and_value() {
         exceeded(service.knn(&CALL, knn(&rows[..1], 41)).await),
         ("k", 40)
     );
+    let neighbors = v1::InsertRequest {
+        neighbors: Some(v1::NeighborSpec {
+            count: nearest(41),
+            ..Default::default()
+        }),
+        ..insertion(&rows[..1], &[])
+    };
+    assert_eq!(exceeded(service.insert(&CALL, neighbors).await), ("k", 40));
     let ids: Vec<u64> = (0..61).collect();
     assert_eq!(
         exceeded(service.get(&CALL, getting(&ids)).await),

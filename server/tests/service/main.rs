@@ -5,7 +5,6 @@
     reason = "a test that cannot go on has failed; clippy spares only what is marked as a test itself"
 )]
 
-mod backup;
 mod cancellation;
 mod concurrent;
 #[path = "../log/copied.rs"]

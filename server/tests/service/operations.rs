@@ -64,8 +64,13 @@ async fn other_content_or_another_verb_under_the_same_id_is_refused() {
         operation_id: "op".into(),
         ..removal(&[0])
     };
+    let tagged = v1::InsertRequest {
+        tags: vec![1],
+        ..once("op", 0.1)
+    };
     let errors = [
         service.insert(&CALL, once("op", 0.2)).await.unwrap_err(),
+        service.insert(&CALL, tagged).await.unwrap_err(),
         service.remove(&CALL, removal).await.unwrap_err(),
     ];
     for error in errors {
@@ -117,17 +122,16 @@ async fn twins_in_flight_take_effect_once() {
     let (service, _) = arm("R1").await;
     for round in 0..50u32 {
         let mut twins = tokio::task::JoinSet::new();
-        for _ in 0..8 {
+        for _ in 0..32 {
             let service = service.clone();
             let request = once(&format!("op {round}"), f64::from(round));
             twins.spawn(async move { service.insert(&CALL, request).await.unwrap() });
         }
         let responses = twins.join_all().await;
         assert!(responses.iter().all(|response| *response == responses[0]));
-        assert_eq!(
-            info(&service, "arm").await.point_count,
-            u64::from(round) + 1
-        );
+        let count = u64::from(round) + 1;
+        assert_eq!(responses[0].revision.number(), count);
+        assert_eq!(info(&service, "arm").await.point_count, count);
     }
 }
 
@@ -176,14 +180,8 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
         ..Default::default()
     };
     service.delete_index(&CALL, delete).await.unwrap();
-    create(&service, "arm", "R1").await;
-    assert_eq!(
-        service
-            .insert(&CALL, once("a", 0.0))
-            .await
-            .unwrap()
-            .revision
-            .number(),
-        1
-    );
+    let uid = create(&service, "arm", "R1").await;
+    let anew = service.insert(&CALL, once("a", 0.0)).await.unwrap();
+    assert_eq!(anew.revision, revision(&uid, 1));
+    assert_eq!(info(&service, "arm").await.point_count, 1);
 }

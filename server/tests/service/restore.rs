@@ -14,7 +14,10 @@ use wayfold_server::{
     service::{Code, Limits, Service},
 };
 
-use crate::{backup::*, copied::copied, support::*};
+use crate::{
+    copied::copied,
+    support::{snapshots::*, *},
+};
 
 const SPACES: [&str; 5] = ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"];
 
@@ -125,6 +128,7 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
         let directory = tempfile::tempdir().unwrap();
         let disk = || Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap());
         let logs: [Arc<dyn Log>; 2] = [Arc::new(MemoryLog::new()), disk()];
+        let mut crashed = None;
         for log in logs {
             let source = service();
             lived_in(&source, space, seed as u64).await;
@@ -157,10 +161,13 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
             let again = read(&snapshot(&target, "arm").await);
             let first = read(&parts);
             assert_eq!((again.ids, again.points), (first.ids, first.points));
-            assert_eq!(go_on(&target, &space).await, go_on(&source, &space).await);
+            let copy = copied(directory.path());
+            let gone_on = go_on(&source, &space).await;
+            assert_eq!(go_on(&target, &space).await, gone_on);
+            crashed = Some((copy, gone_on));
         }
-        // And it is there after a crash.
-        let crashed = copied(directory.path());
+        // The one on disk does so after a crash too.
+        let (crashed, gone_on) = crashed.unwrap();
         let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
         let service = restarted(Arc::new(log));
         let report = verify(&service, verification()).await.unwrap();
@@ -169,6 +176,8 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
         restore(&service, "copy", &snapshot(&service, "arm").await)
             .await
             .unwrap();
+        let space: Space = space.parse().unwrap();
+        assert_eq!(go_on(&service, &space).await, gone_on);
     }
 }
 
@@ -238,7 +247,8 @@ async fn the_limit_of_indices_is_kept() {
     lived_in(&service, "R1", 2).await;
     let parts = snapshot(&service, "arm").await;
     let refused = refusal(restore(&service, "leg", &parts).await);
-    assert_eq!(refused.0, Code::ResourceExhausted);
+    let expected = (Code::ResourceExhausted, "LIMIT_EXCEEDED");
+    assert_eq!((refused.0, refused.1), expected);
 }
 
 /// Asserts that a restore left nothing: neither an index nor, once its remains are swept, a trace in the log.
@@ -268,9 +278,9 @@ async fn what_is_not_whole_leaves_nothing() {
         let target = over(Arc::clone(&log));
         for end in 0..parts.len() {
             let cut = restore(&target, "arm", &parts[..end]).await;
-            let (code, reason, _) = refusal(cut);
-            let expected = (Code::InvalidArgument, "SNAPSHOT_CUT_SHORT");
-            assert_eq!((code, reason), expected, "after {end} parts");
+            let (code, reason, field) = refusal(cut);
+            let expected = (Code::InvalidArgument, "SNAPSHOT_CUT_SHORT", "part");
+            assert_eq!((code, reason, &*field), expected, "after {end} parts");
             is_untouched(&target, &*log).await;
 
             // One that is given up by its caller.
@@ -290,6 +300,7 @@ async fn what_is_not_whole_leaves_nothing() {
             content[middle] ^= 4;
             damaged[at].content = content.into();
             let error = restore(&target, "arm", &damaged).await.unwrap_err();
+            assert_eq!(error.code(), Code::InvalidArgument);
             assert_eq!(error.reason(), "SNAPSHOT_DAMAGED");
             let place = format!("part: part {} does not match", at + 1);
             assert!(error.to_string().starts_with(&place), "{error}");

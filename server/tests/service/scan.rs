@@ -24,13 +24,15 @@ async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
     service.insert(&CALL, request).await.unwrap();
 
     let mut scan = service.scan(&CALL, scanning()).await.unwrap();
-    let mut seen = v1::Points::default();
+    let (mut seen, mut coordinates) = (v1::Points::default(), Vec::new());
     let mut parts = 0;
     while let Some(part) = scan.next().await {
         let part = part.unwrap();
         assert_eq!((part.revision.number(), part.point_count), (1, 10_000));
         let points = part.points.unwrap();
-        assert_eq!(points.states.unwrap().rows as usize, points.ids.len());
+        let states = points.states.unwrap();
+        assert_eq!(states.rows as usize, points.ids.len());
+        coordinates.extend(states.coordinates);
         seen.ids.extend(points.ids);
         seen.payloads.extend(points.payloads);
         // Between the parts most of it goes, and the rest gets other payloads.
@@ -47,6 +49,7 @@ async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
     }
     assert_eq!(parts, 3);
     assert_eq!(seen.ids, ids);
+    assert_eq!(coordinates, rows.as_flattened());
     assert_eq!(
         seen.payloads,
         ids.iter().map(|&id| payload(id)).collect::<Vec<_>>()
@@ -85,6 +88,34 @@ async fn an_empty_index_has_one_part() {
         (0, 0, uid)
     );
     assert!(part.points.unwrap().ids.is_empty());
+}
+
+#[tokio::test]
+async fn a_scan_goes_on_after_an_id() {
+    let (service, _) = arm("R1").await;
+    let last = (1 << 63) - 1;
+    let ids: Vec<u64> = (0..100).chain([last]).collect();
+    let rows = vec![[0.5]; ids.len()];
+    service.insert(&CALL, insertion(&rows, &ids)).await.unwrap();
+    for (after, expected) in [
+        (0, &ids[1..]),
+        (41, &ids[42..]),
+        (98, &ids[99..]),
+        (99, &[last]),
+        (last, &[]),
+    ] {
+        let request = v1::ScanRequest {
+            after_id: Some(after),
+            ..scanning()
+        };
+        let mut scan = service.scan(&CALL, request).await.unwrap();
+        let part = scan.next().await.unwrap().unwrap();
+        assert_eq!(
+            (part.points.unwrap().ids, part.point_count),
+            (expected.to_vec(), 101)
+        );
+        assert!(scan.next().await.is_none());
+    }
 }
 
 /// On a clock that is moved by hand.

@@ -10,7 +10,7 @@ use wayfold_server::{
     service::{Code, Error, Limits},
 };
 
-use crate::{backup::*, support::*};
+use crate::support::{snapshots::*, *};
 
 fn request() -> v1::SnapshotIndexRequest {
     v1::SnapshotIndexRequest {

@@ -10,7 +10,10 @@ use wayfold_server::{
     service::{Code, Service},
 };
 
-use crate::{backup::*, forward::forward_to, support::*};
+use crate::{
+    forward::forward_to,
+    support::{snapshots::*, *},
+};
 
 /// The documented hash of the points that a scan returns.
 async fn content_hash(service: &Service, space: &str) -> Vec<u8> {

@@ -5,25 +5,19 @@
     reason = "a test says what went wrong by where it panics"
 )]
 
-mod backup;
-mod bad_input;
 mod cancellation;
-mod client_library;
 mod clients;
-mod command_line;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
-mod filters;
 mod no_missed_edge;
-mod operation_ids;
 mod planners;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod power_loss;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod preload;
 mod readme;
-mod reflection;
 mod replica;
-mod scan;
+mod restore;
+mod server_program;
 mod shutdown;

@@ -7,7 +7,7 @@ use tonic_health::pb::{
 };
 use wayfold_index::Space;
 use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest, knn_request::Count};
-use wayfold_tests::{Process, ServerProcess, Signal, States, Stubs, row_states, server};
+use wayfold_tests::{Signal, States, Stubs, row_states, server};
 
 const ROWS: usize = 1_000;
 const BATCHES: usize = 20;
@@ -115,24 +115,4 @@ async fn an_idle_connection_does_not_keep_the_server() {
     let stopped = tokio::task::spawn_blocking(|| server.stop(Signal::Terminate));
     let finished = stopped.await.unwrap();
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
-}
-
-#[test]
-fn a_busy_port_is_named() {
-    let server = server!();
-    let address = server.uri().strip_prefix("http://").unwrap();
-    let second = Process::start(
-        env!("CARGO_BIN_EXE_server-process"),
-        &["--grpc", address, "--data", "memory"],
-    );
-    let finished = second.finish();
-    assert!(!finished.status.success());
-    assert_eq!(finished.stdout, Vec::<String>::new());
-    assert!(finished.stderr.contains(address), "{}", finished.stderr);
-}
-
-#[test]
-fn two_servers_share_nothing() {
-    let servers: [ServerProcess; 2] = [server!(), server!()];
-    assert_ne!(servers[0].uri(), servers[1].uri());
 }

@@ -14,8 +14,8 @@ use std::sync::{
 
 use serde_json::json;
 use wayfold::{Client, Replica, ResetReason, WatchEvent};
-use wayfold_index::{Linear, PointRef, Space};
-use wayfold_tests::{Process, ServerProcess, Signal, States};
+use wayfold_index::{Linear, Space};
+use wayfold_tests::{Process, ServerProcess, Signal, States, brute_force};
 
 use crate::robot::{Robot, server_with};
 use past::{Answered, Past, client, compare};
@@ -117,23 +117,12 @@ async fn what_the_log_has_no_more_is_read_anew() {
     for round in 0..3 {
         router_process.stop(Signal::Kill);
         for _ in 0..20 {
-            let mut rows = states.rows(20);
+            let rows = states.rows(20);
             let first = points.len() as u64;
             let ids: Vec<u64> = (first..first + 20).collect();
             let insert = index.insert(rows.chunks(space.coordinates()));
             let revision = insert.ids(ids.clone()).await.unwrap().revision.number;
-            for (id, row) in ids.into_iter().zip(rows.chunks_mut(space.coordinates())) {
-                space.canonicalize(row).unwrap();
-                let tag = 0;
-                points
-                    .insert(PointRef {
-                        id,
-                        tag,
-                        revision,
-                        row,
-                    })
-                    .unwrap();
-            }
+            brute_force::store(&mut points, &ids, &rows, 0, revision);
         }
         let newest = index.info().await.unwrap().revision;
         let stopped_at = replica.revision();

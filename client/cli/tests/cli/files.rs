@@ -37,7 +37,7 @@ impl Files {
 
 /// The bytes of an npy file as NumPy's format description lays them out: magic, version 1.0, the header's length, the
 /// header padded to 64 bytes and ended by a newline, the numbers.
-fn npy(kind: &str, fortran: bool, shape: &str, numbers: &[u8]) -> Vec<u8> {
+pub(crate) fn npy(kind: &str, fortran: bool, shape: &str, numbers: &[u8]) -> Vec<u8> {
     let order = if fortran { "True" } else { "False" };
     let mut header = format!("{{'descr': '{kind}', 'fortran_order': {order}, 'shape': {shape}, }}");
     while !(10 + header.len() + 1).is_multiple_of(64) {
@@ -54,7 +54,7 @@ fn npy(kind: &str, fortran: bool, shape: &str, numbers: &[u8]) -> Vec<u8> {
     .concat()
 }
 
-fn f64s(numbers: &[f64]) -> Vec<u8> {
+pub(crate) fn f64s(numbers: &[f64]) -> Vec<u8> {
     numbers
         .iter()
         .flat_map(|number| number.to_le_bytes())

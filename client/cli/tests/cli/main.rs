@@ -2,16 +2,21 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+mod backup;
+mod brute_force;
 mod damaged;
 mod errors;
 #[expect(dead_code, reason = "the suite of the client takes more of it")]
-#[path = "../../../tests/client/fake.rs"]
+#[path = "../../../tests/client/fake/mod.rs"]
 mod fake;
 mod files;
 mod generate;
 mod health;
 mod lasting;
+mod pipes;
+mod poses;
 mod process;
+mod scan;
 mod selection;
 #[path = "../../../tests/client/server.rs"]
 mod server;

@@ -18,9 +18,11 @@ pub(crate) struct Run {
 }
 
 impl Run {
-    /// The values on standard output, one a line.
+    /// The values on standard output, one a line, of a run without a complaint. A pipe has no progress bar either.
     pub(crate) fn lines(&self) -> Vec<Value> {
-        self.lines_and(0)
+        let lines = self.lines_and(0);
+        assert_eq!(self.stderr, "");
+        lines
     }
 
     /// The values on standard output, one a line, of a run that ended with this status.
@@ -56,8 +58,14 @@ impl Run {
     }
 }
 
+const PROGRAM: &str = env!("CARGO_BIN_EXE_wayfold");
+
 pub(crate) fn command(server: &str, args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wayfold"));
+    program(PROGRAM, server, args)
+}
+
+fn program(program: &str, server: &str, args: &[&str]) -> Command {
+    let mut command = Command::new(program);
     command.args(args).env("WAYFOLD_SERVER", server);
     command
         .stdin(Stdio::piped())
@@ -117,6 +125,12 @@ impl Server {
     pub(crate) fn json_with(&self, args: &[&str], input: &str) -> Run {
         self.run_with(&[args, &["--output", "json"]].concat(), input)
     }
+}
+
+/// A script of a shell, whose `$0` is `wayfold`.
+pub(crate) fn shell(server: &str, script: &str) -> Run {
+    let mut shell = program("sh", server, &["-c", script, PROGRAM]);
+    ended(shell.spawn().unwrap(), "")
 }
 
 /// `wayfold ARGS` where no server is.

@@ -10,9 +10,9 @@ use super::{
     world::{Copied, Operation, World, assert_holds, described},
 };
 use crate::{
-    backup::{settled, verification, verify},
     model::Model,
     random::{assert_same, compare},
+    support::snapshots::{settled, verification, verify},
     support::*,
     verify::hash_of,
 };

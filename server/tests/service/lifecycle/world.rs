@@ -9,10 +9,10 @@ use wayfold_proto::{snapshot::Header, space, v1};
 
 use super::mutation::{Mutation, Told};
 use crate::{
-    backup::{Held, read},
     model::Model,
     random::Requests,
     support::revision,
+    support::snapshots::{Held, read},
 };
 
 pub(super) struct World {

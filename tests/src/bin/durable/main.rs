@@ -16,6 +16,7 @@ mod stored;
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, ValueEnum};
+use serde_json::json;
 use wayfold_tests::measuring;
 
 use place::{Appended, Place};
@@ -97,6 +98,8 @@ async fn measure(arguments: &Arguments) -> Report {
         shape.bytes() as f64,
         "bytes",
     );
+
+    report.data("rounds", json!(rounds));
 
     let is_asked = |part| arguments.only.is_empty() || arguments.only.contains(&part);
     if is_asked(Part::Rates) {

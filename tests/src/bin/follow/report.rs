@@ -99,6 +99,7 @@ impl Report {
         json!({
             "feed": self.feed,
             "points": self.points,
+            "rounds": self.rates.len(),
             "batch": self.batch,
             "inserts_per_second": median(self.rates.clone()),
             "queries_per_processor_second": rates(|asked| asked.by_processor),

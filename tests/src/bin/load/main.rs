@@ -77,6 +77,7 @@ async fn measure(arguments: &Arguments) -> Report {
     let described = server_stubs.describe(INDEX).await;
 
     let mut report = Report {
+        rounds,
         growth: (server_growth, echo_growth),
         asking: Vec::new(),
         written: Vec::new(),

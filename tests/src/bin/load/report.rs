@@ -49,6 +49,7 @@ fn middle(asked: impl Iterator<Item = Asked> + Clone) -> Asked {
 
 /// All that was measured; the server's first, the echo's second.
 pub(crate) struct Report {
+    pub(crate) rounds: usize,
     pub(crate) growth: (Growth, Growth),
     pub(crate) asking: Vec<Figures>,
     /// For each size of a batch, the medians.
@@ -130,6 +131,7 @@ impl Report {
         });
         json!({
             "points": self.points,
+            "rounds": self.rounds,
             "inserts_with_neighbors": written.collect::<Vec<_>>(),
             "growth": growth(&self.growth.0),
             "echo_growth": growth(&self.growth.1),

@@ -27,6 +27,16 @@ pub(crate) enum Form {
     Json,
 }
 
+impl Form {
+    /// Its name in JSON.
+    pub(crate) fn key(self) -> &'static str {
+        match self {
+            Form::Protobuf => "protobuf",
+            Form::Json => "json",
+        }
+    }
+}
+
 /// How long each answer took, in order.
 pub(crate) struct One(pub(crate) Vec<Duration>);
 

@@ -1,6 +1,6 @@
 //! Measures the server over Zenoh, a bare queryable that answers the same bytes, and the search by itself.
 //!
-//!     cargo run --release -p wayfold-tests --bin robots -- [--points 50000] [--rounds 5]
+//!     cargo run --release -p wayfold-tests --bin robots -- [--points 50000] [--rounds 5] [--json FILE]
 //!
 //! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`), and asks for ten neighbours of
 //! one state: with one query in flight, and with 64. The bare queryable answers what the server might, without looking
@@ -8,27 +8,24 @@
 
 mod asking;
 mod bare;
+mod report;
 
-use std::{env, fmt, process::Command, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::Parser;
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Search, Space};
 use wayfold_proto::v1::InsertRequest;
-use wayfold_tests::{
-    Process, ServerProcess, States, Stubs,
-    figures::{median, quantile_ms, thread_time},
-    measuring::connect,
-    row_states,
-};
+use wayfold_tests::{States, Stubs, figures::thread_time, measuring, row_states};
 
-use asking::{Asker, Form, Many, One};
+use asking::{Asker, Form};
+use report::{Report, Rounds};
 
 /// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Which of the processes this is; unset in the one that measures.
-const ROLE: &str = "ROBOTS_ROLE";
+/// The role of a process that is the bare queryable.
+const BARE: &str = "bare";
 const SPACE: &str = "R3*SO3:0.15";
 const INDEX: &str = "arm";
 const WIDTH: usize = 7;
@@ -47,37 +44,27 @@ struct Arguments {
     /// How often each is measured; the medians are reported.
     #[arg(long, default_value_t = 5)]
     rounds: usize,
+    /// Writes the figures to a file, as JSON.
+    #[arg(long)]
+    json: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
-    match env::var(ROLE).as_deref() {
-        Ok("server") => return wayfold_server::main(),
-        Ok("bare") => return bare::main(),
-        _ => {}
+    if measuring::role().as_deref() == Some(BARE) {
+        return bare::main();
     }
-    let arguments = Arguments::parse();
-    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-    runtime.block_on(measure(&arguments));
-    ExitCode::SUCCESS
+    measuring::main(async |arguments: Arguments| {
+        let report = measure(&arguments).await;
+        print!("{report}");
+        (report.to_json(), arguments.json)
+    })
 }
 
-/// Starts this program in another role; where it listens for Zenoh.
-fn start(role: &str) -> (ServerProcess, String) {
-    let program = env::current_exe().expect("this program");
-    let mut command = Command::new(program);
-    command
-        .env(ROLE, role)
-        .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
-        .args(["--zenoh", "tcp/127.0.0.1:0", "--log", "warn"]);
-    let mut server = ServerProcess::ready(Process::spawn(&mut command));
-    let locator = server.zenoh();
-    (server, locator)
-}
-
-async fn measure(arguments: &Arguments) {
+async fn measure(arguments: &Arguments) -> Report {
     let space: Space = SPACE.parse().expect("a space");
     let rows = States::new(space.clone(), 1).rows(arguments.points);
-    let ((server, at_server), (bare, at_bare)) = (start("server"), start("bare"));
+    let mut server = measuring::server_over_zenoh("memory");
+    let mut bare = measuring::start(BARE, &[]);
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create(INDEX, SPACE).await;
     for rows in rows.chunks(BATCH * WIDTH) {
@@ -88,32 +75,29 @@ async fn measure(arguments: &Arguments) {
         };
         stubs.insert(request).await;
     }
-    let search_us = search_us(&space, &rows);
-    println!(
-        "{SPACE}, {} points, k = {K}: a search in process takes {search_us:.1} us",
-        arguments.points
-    );
-
-    let (to_server, to_bare) = (connect(&at_server).await, connect(&at_bare).await);
+    let rounds = arguments.rounds.max(1);
+    let mut report = Report {
+        points: arguments.points,
+        rounds,
+        search_us: search_us(&space, &rows),
+        forms: Vec::new(),
+    };
+    let to_server = measuring::connect(&server.zenoh()).await;
+    let to_bare = measuring::connect(&bare.zenoh()).await;
     for form in [Form::Protobuf, Form::Json] {
-        let mut figures = Figures::default();
-        for round in 0..arguments.rounds.max(1) {
+        let mut measured = Rounds::default();
+        for round in 0..rounds {
             let asker = Asker::new(&space, form, round as u64);
             // The contestants take turns, so that other load on the machine affects both.
-            figures.one.0.push(asker.one(&to_server).await);
-            figures.one.1.push(asker.one(&to_bare).await);
-            figures
-                .many
-                .0
-                .push(asker.many(&to_server, server.process().id()).await);
-            figures
-                .many
-                .1
-                .push(asker.many(&to_bare, bare.process().id()).await);
+            measured.one.0.push(asker.one(&to_server).await);
+            measured.one.1.push(asker.one(&to_bare).await);
+            let (server, bare) = (server.process().id(), bare.process().id());
+            measured.many.0.push(asker.many(&to_server, server).await);
+            measured.many.1.push(asker.many(&to_bare, bare).await);
         }
-        figures.search_us = search_us;
-        println!("\n{form:?}\n{figures}");
+        report.forms.push((form, measured));
     }
+    report
 }
 
 /// Processor time of a search in this process, in microseconds.
@@ -148,43 +132,4 @@ fn search_us(space: &Space, rows: &[f64]) -> f64 {
         );
     }
     (thread_time() - before).as_secs_f64() * 1e6 / SEARCHES as f64
-}
-
-/// The measurements of the server and of the bare queryable.
-#[derive(Default)]
-struct Figures {
-    one: (Vec<One>, Vec<One>),
-    many: (Vec<Many>, Vec<Many>),
-    search_us: f64,
-}
-
-impl fmt::Display for Figures {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let quantile = |of: &[One], q: f64| {
-            let quantiles = of.iter().map(|one| quantile_ms(&one.0, q) * 1e3);
-            median(quantiles.collect())
-        };
-        let line = |f: &mut fmt::Formatter<'_>, what: &str, (server, bare): (f64, f64)| {
-            writeln!(
-                f,
-                "{what:<34}{server:>10.1}{bare:>10.1}{:>8.2}",
-                server / bare
-            )
-        };
-        writeln!(f, "{:<34}{:>10}{:>10}{:>8}", "", "server", "bare", "ratio")?;
-        let p50 = (quantile(&self.one.0, 0.5), quantile(&self.one.1, 0.5));
-        line(f, "one in flight, p50 us", p50)?;
-        let p99 = (quantile(&self.one.0, 0.99), quantile(&self.one.1, 0.99));
-        line(f, "one in flight, p99 us", p99)?;
-        let beyond = p50.0 - p50.1 - self.search_us;
-        writeln!(f, "  p50 beyond bare and search, us   {beyond:>11.1}")?;
-        let rate = |of: &[Many]| median(of.iter().map(|many| many.rate).collect());
-        let rates = (rate(&self.many.0), rate(&self.many.1));
-        line(f, "64 in flight, answers/s", rates)?;
-        let cpu = |of: &[Many]| median(of.iter().map(|many| many.processor_us).collect());
-        let cpu = (cpu(&self.many.0), cpu(&self.many.1));
-        line(f, "  processor time of it an answer, us", cpu)?;
-        let reached = (cpu.1 + self.search_us) / cpu.0;
-        writeln!(f, "  of 1 / (bare's and the search)   {reached:>11.2}")
-    }
 }

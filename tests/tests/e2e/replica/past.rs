@@ -10,7 +10,10 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold::{Client, Found, IndexHandle, Replica, RetryPolicy};
 use wayfold_index::{Filter, Linear, PointRef, Search, Space};
-use wayfold_tests::{States, bits};
+use wayfold_tests::{
+    States, bits,
+    brute_force::{self, pairs},
+};
 
 /// The effect of one mutation.
 pub(super) enum Change {
@@ -199,23 +202,10 @@ pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> L
     let mut points = Linear::new(space.clone());
     let mut compare = |revision: u64, points: &Linear| {
         while let Some(answered) = answers.next_if(|next| next.found.revision.number == revision) {
-            let mut state = answered.state;
-            space.canonicalize(&mut state).unwrap();
-            let expected = points
-                .search(&state, &answered.question.plain())
-                .unwrap()
-                .neighbors;
-            let pairs = |found: &[wayfold_index::Neighbor]| {
-                let pairs = found.iter().map(|n| (n.id, n.distance.to_bits()));
-                pairs.collect::<Vec<_>>()
-            };
-            let found = &answered.found.neighbors;
-            assert_eq!(
-                pairs(found),
-                pairs(&expected),
-                "{:?} at {revision}",
-                answered.question
-            );
+            let question = answered.question;
+            let expected = brute_force::search(points, &answered.state, &question.plain());
+            let found = pairs(answered.found.neighbors);
+            assert_eq!(found, expected, "{question:?} at {revision}");
             assert!(answered.found.exact);
         }
     };
@@ -233,21 +223,9 @@ pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> L
 }
 
 fn apply(points: &mut Linear, revision: u64, change: &Change) {
-    let space = points.space().clone();
     match change {
         Change::Stored { ids, rows, tag } => {
-            for (&id, row) in ids.iter().zip(rows.chunks(space.coordinates())) {
-                let mut row = row.to_vec();
-                space.canonicalize(&mut row).unwrap();
-                points
-                    .insert(PointRef {
-                        id,
-                        tag: *tag,
-                        revision,
-                        row: &row,
-                    })
-                    .unwrap();
-            }
+            brute_force::store(points, ids, rows, *tag, revision);
         }
         Change::Tagged { ids, tag } => {
             for &id in ids {

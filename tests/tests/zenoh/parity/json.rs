@@ -3,7 +3,7 @@
 use serde_json::{Map, Value, json};
 use wayfold_proto::v1::{self, create_index_request::SpaceForm, neighbor_spec};
 
-use super::{script::Op, target::Answer};
+use super::{op::Op, target::Answer};
 
 fn float(value: f64) -> Value {
     match value {

@@ -1,14 +1,17 @@
 //! One script of operations, good and bad, through the service, gRPC, Zenoh with Protocol Buffers and Zenoh with JSON:
 //! the answers are the same to the bit, and the refusals to the word.
 
+mod by_hand;
 mod json;
+mod op;
 mod outcome;
 mod scaling;
 mod script;
 mod target;
 
+use op::Op;
 use outcome::Outcome;
-use script::{Op, Script};
+use script::Script;
 use target::Target;
 
 const SEED: u64 = 20;

@@ -4,7 +4,7 @@ use rand::{RngExt, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold_proto::v1::{self, neighbor_spec};
 
-use super::script::Op;
+use super::op::Op;
 
 /// Scales the numbers and radii of some operations.
 pub(super) fn scale(op: &mut Op, random: &mut ChaCha8Rng) {

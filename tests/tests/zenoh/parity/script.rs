@@ -1,104 +1,18 @@
-//! The script. Most operations are drawn from a seed, with few values, so that ties and conflicts are common. The
-//! others are written by hand: every way in which an operation can be wrong.
+//! The script: operations drawn from a seed, with few values, so that ties and conflicts are common, and those of
+//! [`by_hand`].
 
 use std::collections::VecDeque;
 
-use prost::Message;
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use wayfold_proto::v1::{
-    self, create_index_request::SpaceForm, knn_request, neighbor_spec, query_request,
-};
+use wayfold_proto::v1::{self, knn_request, neighbor_spec, query_request};
 
 use super::{
+    by_hand::{AFTER, by_hand},
+    op::Op,
     outcome::{Outcome, UID},
     scaling,
 };
-
-/// One call.
-#[derive(Clone, Debug)]
-pub(crate) enum Op {
-    Create(v1::CreateIndexRequest),
-    Info(v1::GetIndexRequest),
-    List(v1::ListIndexesRequest),
-    Delete(v1::DeleteIndexRequest),
-    Insert(v1::InsertRequest),
-    Update(v1::UpdateRequest),
-    Remove(v1::RemoveRequest),
-    Get(v1::GetRequest),
-    Knn(v1::KnnRequest),
-    Query(v1::QueryRequest),
-    Log(v1::WatchRequest),
-}
-
-impl Op {
-    /// The key of the operation over Zenoh, under the prefix.
-    pub(crate) fn key(&self) -> String {
-        match self {
-            Op::Create(_) => "create".into(),
-            Op::Info(it) => format!("{}/info", it.index),
-            Op::List(_) => "list".into(),
-            Op::Delete(_) => "delete".into(),
-            Op::Insert(it) => format!("{}/insert", it.index),
-            Op::Update(it) => format!("{}/update", it.index),
-            Op::Remove(it) => format!("{}/remove", it.index),
-            Op::Get(it) => format!("{}/get", it.index),
-            Op::Knn(it) => format!("{}/knn", it.index),
-            Op::Query(it) => format!("{}/query", it.index),
-            Op::Log(it) => format!("{}/log", it.index),
-        }
-    }
-
-    pub(crate) fn encode(&self) -> Vec<u8> {
-        match self {
-            Op::Create(it) => it.encode_to_vec(),
-            Op::Info(it) => it.encode_to_vec(),
-            Op::List(it) => it.encode_to_vec(),
-            Op::Delete(it) => it.encode_to_vec(),
-            Op::Insert(it) => it.encode_to_vec(),
-            Op::Update(it) => it.encode_to_vec(),
-            Op::Remove(it) => it.encode_to_vec(),
-            Op::Get(it) => it.encode_to_vec(),
-            Op::Knn(it) => it.encode_to_vec(),
-            Op::Query(it) => it.encode_to_vec(),
-            Op::Log(it) => it.encode_to_vec(),
-        }
-    }
-
-    /// The fields that hold the uid.
-    pub(crate) fn uids(&mut self) -> Vec<&mut String> {
-        match self {
-            Op::Create(_) | Op::Info(_) | Op::List(_) => Vec::new(),
-            Op::Delete(it) => vec![&mut it.uid],
-            Op::Insert(it) => {
-                let spec = it.neighbors.as_mut();
-                let since = spec.and_then(|spec| since(&mut spec.filter));
-                since.into_iter().chain([&mut it.uid]).collect()
-            }
-            Op::Update(it) => {
-                let revision = it.if_revision.iter_mut().map(|it| &mut it.uid);
-                revision.chain([&mut it.uid]).collect()
-            }
-            Op::Remove(it) => vec![&mut it.uid],
-            Op::Get(it) => it.min_revision.iter_mut().map(|it| &mut it.uid).collect(),
-            Op::Knn(it) => {
-                let min = it.min_revision.iter_mut().map(|it| &mut it.uid);
-                min.chain(since(&mut it.filter)).collect()
-            }
-            Op::Query(it) => {
-                let min = it.min_revision.iter_mut().map(|it| &mut it.uid);
-                min.chain(since(&mut it.filter)).collect()
-            }
-            Op::Log(it) => it.after_revision.iter_mut().map(|it| &mut it.uid).collect(),
-        }
-    }
-}
-
-/// The uid of the revision that a filter names.
-fn since(filter: &mut Option<v1::Filter>) -> Option<&mut String> {
-    let revision = filter.as_mut()?.since_revision.as_mut()?;
-    Some(&mut revision.uid)
-}
 
 /// The operations, one by one: some depend on the revision that was reached.
 pub(crate) struct Script {
@@ -376,87 +290,4 @@ impl Script {
             _ => String::new(),
         }
     }
-}
-
-/// How many of those by hand come after the random ones.
-const AFTER: usize = 8;
-
-fn by_hand() -> Vec<Op> {
-    let create = |name: &str, space: &str| {
-        Op::Create(v1::CreateIndexRequest {
-            name: name.into(),
-            space_form: Some(SpaceForm::SpaceText(space.into())),
-        })
-    };
-    let so3 = |name: &str| {
-        let so3 = v1::space::Kind::So3(v1::So3 {});
-        let so3 = v1::Space { kind: Some(so3) };
-        Op::Create(v1::CreateIndexRequest {
-            name: name.into(),
-            space_form: Some(SpaceForm::Space(so3)),
-        })
-    };
-    let spaceless = Op::Create(v1::CreateIndexRequest {
-        name: "hand".into(),
-        space_form: None,
-    });
-    let list = |page_size, page_token: &str| {
-        Op::List(v1::ListIndexesRequest {
-            page_size,
-            page_token: page_token.into(),
-        })
-    };
-    let delete = |name: &str, uid: &str| {
-        Op::Delete(v1::DeleteIndexRequest {
-            index: name.into(),
-            uid: uid.into(),
-        })
-    };
-    let info = |name: &str| Op::Info(v1::GetIndexRequest { index: name.into() });
-    let insert = |ids: &[u64], operation_id: &str, payload: usize| {
-        Op::Insert(v1::InsertRequest {
-            index: "arm".into(),
-            states: Some(v1::States {
-                rows: 1,
-                coordinates: vec![0.1, 0.2, 0.3, 0.6, 0.8],
-            }),
-            ids: ids.into(),
-            payloads: vec![vec![7; payload].into()],
-            operation_id: operation_id.into(),
-            ..Default::default()
-        })
-    };
-    vec![
-        info("arm"),
-        list(0, ""),
-        create("arm", "R1*SO2*R3:0.5"),
-        create("arm", "R1*SO2*R3:0.5"),
-        create("arm", "R5"),
-        create("Arm", "R5"),
-        create("hand", "R0"),
-        create("hand", ""),
-        create("hand", "nonsense"),
-        spaceless,
-        so3("hand"),
-        create("foot", "sum(R2, SO2[1]:0.5)"),
-        list(1, ""),
-        list(2, "61726d"),
-        list(0, "no token"),
-        insert(&[50], "first", 3),
-        insert(&[50], "first", 3),
-        insert(&[51], "first", 3),
-        insert(&[50], "", 4),
-        insert(&[1 << 63], "", 0),
-        insert(&[], "", 65_537),
-        insert(&[], &"ä".repeat(33), 0),
-        // From here on after the random ones.
-        insert(&[(1 << 63) - 1], "", 0),
-        insert(&[], "", 0),
-        info("arm"),
-        list(0, ""),
-        delete("arm", "another"),
-        delete("hand", ""),
-        delete("arm", UID),
-        delete("arm", UID),
-    ]
 }

@@ -14,8 +14,8 @@ use zenoh::bytes::Encoding;
 
 use super::{
     json,
+    op::Op,
     outcome::{Outcome, UID, refused_json},
-    script::Op,
 };
 use crate::robot::{Robot, server};
 

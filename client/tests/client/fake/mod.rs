@@ -17,9 +17,11 @@ use wayfold_proto::{
     v1::{
         self,
         index_service_server::{IndexService, IndexServiceServer},
-        point_service_server::{PointService, PointServiceServer},
+        point_service_server::PointServiceServer,
     },
 };
+
+mod points;
 
 pub(crate) const UID: &str = "the-uid";
 
@@ -211,21 +213,19 @@ pub(crate) fn too_large(limit: &str) -> Status {
     Status::with_error_details(tonic::Code::ResourceExhausted, "too large", details)
 }
 
-fn rows(states: &Option<v1::States>) -> usize {
-    states.as_ref().map_or(0, |states| states.rows as usize)
-}
+type Answers<A> = Pin<Box<dyn Stream<Item = Result<A, Status>> + Send>>;
 
-/// Its own index as the one neighbour of each state.
-fn numbered(rows: usize) -> Option<v1::Neighbors> {
-    Some(v1::Neighbors {
-        counts: vec![1; rows],
-        ids: (0..rows as u64).collect(),
-        distances: vec![0.5; rows],
-        ..Default::default()
+/// A stream of these answers, which then ends or waits for ever.
+fn answers<A: Send + 'static>(
+    answers: impl Iterator<Item = Result<A, Status>> + Send + 'static,
+    end: bool,
+) -> Response<Answers<A>> {
+    let answers = stream::iter(answers);
+    Response::new(match end {
+        true => Box::pin(answers),
+        false => Box::pin(answers.chain(stream::pending())),
     })
 }
-
-type Answers<A> = Pin<Box<dyn Stream<Item = Result<A, Status>> + Send>>;
 
 #[async_trait]
 impl IndexService for Fake {
@@ -288,12 +288,8 @@ impl IndexService for Fake {
         self.enter(&request, 0).await?;
         let inner = self.inner.lock().unwrap();
         let parts = inner.snapshot.clone().into_iter();
-        let parts =
-            stream::iter(parts.map(|part| Ok(v1::SnapshotIndexResponse { part: Some(part) })));
-        Ok(Response::new(match inner.snapshot_ends {
-            true => Box::pin(parts),
-            false => Box::pin(parts.chain(stream::pending())),
-        }))
+        let parts = parts.map(|part| Ok(v1::SnapshotIndexResponse { part: Some(part) }));
+        Ok(answers(parts, inner.snapshot_ends))
     }
 
     /// Reads everything, and then fails.
@@ -314,148 +310,7 @@ impl IndexService for Fake {
         request: Request<v1::VerifyIndexRequest>,
     ) -> Result<Response<Self::VerifyIndexStream>, Status> {
         self.enter(&request, 0).await?;
-        let answers = self.inner.lock().unwrap().verification.clone();
-        Ok(Response::new(Box::pin(stream::iter(
-            answers.into_iter().map(Ok),
-        ))))
-    }
-}
-
-#[async_trait]
-impl PointService for Fake {
-    async fn insert(
-        &self,
-        request: Request<v1::InsertRequest>,
-    ) -> Result<Response<v1::InsertResponse>, Status> {
-        let rows = rows(&request.get_ref().states);
-        self.inner
-            .lock()
-            .unwrap()
-            .insert
-            .push(request.get_ref().clone());
-        let number = self.enter(&request, rows).await?;
-        Ok(Response::new(v1::InsertResponse {
-            outcomes: vec![v1::Outcome::Inserted.into(); rows],
-            ids: (0..rows as u64).collect(),
-            neighbors: request.into_inner().neighbors.and_then(|_| numbered(rows)),
-            revision: revision(number),
-        }))
-    }
-
-    async fn update(
-        &self,
-        request: Request<v1::UpdateRequest>,
-    ) -> Result<Response<v1::UpdateResponse>, Status> {
-        let number = self.enter(&request, request.get_ref().ids.len()).await?;
-        Ok(Response::new(v1::UpdateResponse {
-            updated_count: request.into_inner().ids.len() as u64,
-            revision: revision(number),
-            ..Default::default()
-        }))
-    }
-
-    async fn remove(
-        &self,
-        request: Request<v1::RemoveRequest>,
-    ) -> Result<Response<v1::RemoveResponse>, Status> {
-        self.inner
-            .lock()
-            .unwrap()
-            .remove
-            .push(request.get_ref().clone());
-        let number = self.enter(&request, request.get_ref().ids.len()).await?;
-        Ok(Response::new(v1::RemoveResponse {
-            removed_count: request.into_inner().ids.len() as u64,
-            revision: revision(number),
-            ..Default::default()
-        }))
-    }
-
-    async fn get(
-        &self,
-        request: Request<v1::GetRequest>,
-    ) -> Result<Response<v1::GetResponse>, Status> {
-        self.enter(&request, request.get_ref().ids.len()).await?;
-        Err(Status::unimplemented("get"))
-    }
-
-    async fn knn(
-        &self,
-        request: Request<v1::KnnRequest>,
-    ) -> Result<Response<v1::KnnResponse>, Status> {
-        let rows = rows(&request.get_ref().states);
-        self.inner
-            .lock()
-            .unwrap()
-            .knn
-            .push(request.get_ref().clone());
-        let number = self.enter(&request, rows).await?;
-        Ok(Response::new(v1::KnnResponse {
-            neighbors: numbered(rows),
-            revision: revision(number),
-        }))
-    }
-
-    async fn query(
-        &self,
-        request: Request<v1::QueryRequest>,
-    ) -> Result<Response<v1::QueryResponse>, Status> {
-        let rows = rows(&request.get_ref().states);
-        let number = self.enter(&request, rows).await?;
-        Ok(Response::new(v1::QueryResponse {
-            // Not as many counts as states: against the protocol.
-            neighbors: numbered(rows + 1),
-            revision: revision(number),
-        }))
-    }
-
-    type StreamKnnStream =
-        Pin<Box<dyn Stream<Item = Result<v1::StreamKnnResponse, Status>> + Send>>;
-
-    async fn stream_knn(
-        &self,
-        request: Request<Streaming<v1::StreamKnnRequest>>,
-    ) -> Result<Response<Self::StreamKnnStream>, Status> {
-        self.enter(&request, 0).await?;
-        Ok(Response::new(Box::pin(stream::empty())))
-    }
-
-    type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
-
-    async fn watch(
-        &self,
-        request: Request<v1::WatchRequest>,
-    ) -> Result<Response<Self::WatchStream>, Status> {
-        self.enter(&request, 0).await?;
-        let mut inner = self.inner.lock().unwrap();
-        inner.watched.push(request.into_inner());
-        let messages = inner.watches.pop_front().unwrap_or_else(|| {
-            vec![Ok(v1::WatchResponse {
-                revision: revision(0),
-                ..Default::default()
-            })]
-        });
-        let ends = messages.last().is_some_and(Result::is_err);
-        let messages = stream::iter(messages);
-        Ok(Response::new(match ends {
-            true => Box::pin(messages),
-            false => Box::pin(messages.chain(stream::pending())),
-        }))
-    }
-
-    type ScanStream = Pin<Box<dyn Stream<Item = Result<v1::ScanResponse, Status>> + Send>>;
-
-    async fn scan(
-        &self,
-        request: Request<v1::ScanRequest>,
-    ) -> Result<Response<Self::ScanStream>, Status> {
-        self.enter(&request, 0).await?;
-        let scan = self.inner.lock().unwrap().scans.pop_front();
-        let (parts, end) = scan.unwrap_or((Vec::new(), true));
-        let parts = stream::iter(parts.into_iter().map(Ok));
-        Ok(Response::new(match end {
-            true => Box::pin(parts),
-            false => Box::pin(parts.chain(stream::pending())),
-        }))
+        let verification = self.inner.lock().unwrap().verification.clone();
+        Ok(answers(verification.into_iter().map(Ok), true))
     }
 }

@@ -1,16 +1,10 @@
 //! Snapshots and their parts, for the tests that take and restore them.
 
-use std::sync::Arc;
-
 use bytes::Bytes;
-use wayfold_index::Space;
-use wayfold_proto::{
-    snapshot::{Content, Header, Reader},
-    v1,
-};
-use wayfold_server::service::{Error, Service};
+use wayfold_proto::snapshot::{Content, Header, Reader};
 
-use crate::{random::Requests, support::*};
+use super::*;
+use crate::random::Requests;
 
 /// The content of a snapshot, with the revision in which each point was last changed.
 #[derive(Clone, Debug, PartialEq)]

@@ -13,6 +13,8 @@ use wayfold_server::{
     service::{Call, Code, Error, Limits, Service},
 };
 
+pub(crate) mod snapshots;
+
 /// No deadline.
 pub(crate) const CALL: Call = Call { deadline: None };
 

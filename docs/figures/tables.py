@@ -1,0 +1,368 @@
+"""The tables of the pages, by the names of their marks: each is a function of the saved figures beside this file."""
+
+import json
+import textwrap
+from pathlib import Path
+from statistics import median
+
+FIGURES = Path(__file__).resolve().parent
+
+
+class Missing(Exception):
+    """These figures were not saved yet."""
+
+
+def read(name):
+    path = FIGURES / f"{name}.json"
+    if not path.exists():
+        raise Missing(name)
+    return json.loads(path.read_text())
+
+
+def of(name):
+    return read(name)["data"]
+
+
+def table(names, header, rows):
+    """A table with its origin at its top."""
+    origins = {}
+    for saved in map(read, names):
+        origin = "Commit {commit}, {date}; {processor}".format(**saved)
+        origin += "".join(f", {saved[key]} {key}" for key in ("cores", "rounds") if saved.get(key))
+        origin += f"; {saved['note']}" if "note" in saved else ""
+        commands = origins.setdefault(origin, [])
+        if "command" in saved:
+            commands.append(f"`{saved['command']}`")
+    told = (f"{origin}. Command: {', '.join(commands)}" if commands else origin for origin, commands in origins.items())
+    text = textwrap.fill(f"*{'. '.join(told)}.*", 128, break_long_words=False, break_on_hyphens=False)
+    shown = [f"| {' | '.join(row)} |" for row in (header, *rows)]
+    shown.insert(1, "|---" * len(header) + "|")
+    return f"\n{text}\n\n" + "\n".join(shown) + "\n"
+
+
+def digits(value):
+    """Two digits, or the whole number."""
+    return f"{value:,.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 1 else f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
+
+
+def ratio(value):
+    if value is None:
+        return "–"
+    return digits(value) if value >= 1 else f"**{value:.2f}**"
+
+
+METRICS = {
+    "SE3": "SE3, `R3*SO3:0.15`", "SE3-SUM": "SE3-SUM, `sum(R3, SO3)`", "SE2": "SE2, `R2*SO2`", "SO3": "`SO3`", "R3": "`R3`",
+    "R6": "`R6`", "R12": "`R12`", "R30": "`R30`", "SO2^3": "`SO2^3`", "SO2^6": "`SO2^6`", "SE3^2": "SE3^2, `(R3*SO3:0.15)^2`",
+    "SE3^4": "SE3^4, `(R3*SO3:0.15)^4`", "SE3^8": "SE3^8, `(R3*SO3:0.15)^8`",
+}
+GNAT, SCAN, STATIC = "OMPL's GNAT", "a SIMD scan of all points", "kiddo or nanoflann, static"
+KIDDO, GROWING = "kiddo, static", "kiddo, growing"
+PEERS = {
+    GNAT: ["ompl-gnat"], SCAN: ["simd-scan"], STATIC: ["kiddo", "nanoflann"], KIDDO: ["kiddo"], GROWING: ["kiddo-mutable"],
+}
+SEARCHES = ["knn1", "knn10", "radius"]
+
+
+def against(data, case, op, ours, peers):
+    """The time of the best of these peers divided by ours."""
+    space, n = case
+    if "ratios" in data:
+        return data["ratios"].get(f"{space} {op}") if n == "50000" else None
+    values = data.get(space, {}).get(n, {}).get("uniform", {}).get(op, {})
+    theirs = [values[peer] for peer in PEERS[peers] if peer in values]
+    return min(theirs) / values[ours] if theirs and ours in values else None
+
+
+def index(n):
+    pairs = [("SE3", [GNAT, SCAN]), ("SE3-SUM", [GNAT, SCAN]), ("SE2", [STATIC]), ("SO3", [KIDDO, GROWING])]
+    pairs += [("R6", [KIDDO, GROWING]), ("SO2^3", [KIDDO, GROWING]), ("R12", [STATIC]), ("SO2^6", [STATIC]), ("SE3^2", [SCAN])]
+    pairs += [("SE3^4", [SCAN, GNAT]), ("SE3^8", [SCAN, GNAT]), ("R30", [SCAN, GNAT]), ("R3", [KIDDO, GROWING])]
+    rows = []
+    for space, peers in ((space, one) for space, all_peers in pairs for one in all_peers):
+        cells = [[against(of("index"), (space, n), op, ours, peers) for op in SEARCHES] for ours in ("wayfold", "wayfold-rest")]
+        if cells[0][0] is not None:
+            rows.append([METRICS[space], peers, *(" / ".join(map(ratio, cell)) for cell in cells)])
+    return table(["index"], ["space and metric", "against", "growing", "at rest"], rows)
+
+
+
+def building():
+    what = {"rrt": "a random tree (ask for the nearest, insert)", "insert": "one insert after the other, merges included"}
+    what |= {"build": "building at once", "memory": "memory, states included"}
+    units = {"rrt": "ms", "insert": "ns a point", "build": "ns a point", "memory": "bytes a point"}
+    wanted = [("rrt", "SE3", GNAT)] + [("rrt", space, GROWING) for space in ("SE2", "R3", "R6", "SO2^6")]
+    wanted += [("insert", "SE3", GNAT), ("insert", "R6", GROWING), ("insert", "R3", GROWING), ("memory", "R3", GROWING)]
+    wanted += [(op, space, peer) for op in ("build", "memory") for space, peer in (("SE3", GNAT), ("R6", KIDDO), ("R3", KIDDO))]
+    rows = []
+    for op, space, peer in wanted:
+        ours = "wayfold" if peer == GROWING or op in ("rrt", "insert") else "wayfold-rest"
+        value = of("index").get(space, {}).get("50000", {}).get("uniform", {}).get(op, {}).get(ours)
+        faster = against(of("index"), (space, "50000"), op, ours, peer)
+        if value is not None and faster is not None:
+            state = "growing" if ours == "wayfold" else "at rest"
+            rows.append([what[op], state, METRICS[space], peer, f"{digits(value)} {units[op]}", ratio(faster)])
+    return table(["index"], ["what, 50,000 points", "ours", "space and metric", "against", "ours takes", "ratio"], rows)
+
+
+def uneven():
+    """Our times with data that is not uniform, as multiples of those with uniform data: the least and the most."""
+    rows = []
+    for data, what in (("sorted", "sorted by the first coordinate"), ("clusters", "fifty narrow clusters"),
+                       ("rrt-trees", "along random trees"), ("manifold", "a thin surface")):
+        cells = []
+        for ops, ours in ((SEARCHES, "wayfold"), (SEARCHES, "wayfold-rest"), (["insert"], "wayfold"), (["build"], "wayfold-rest")):
+            cases = [case for sizes in of("index").values() for case in sizes.values() if data in case]
+            found = [case[data][op][ours] / case["uniform"][op][ours] for case in cases for op in ops if ours in case[data].get(op, {})]
+            cells.append(f"{min(found):.2f} to {max(found):.2f}" if found else "–")
+        if cells[0] != "–":
+            rows.append([what, *cells])
+    return table(["index"], ["data", "a search, growing", "a search, at rest", "an insert", "building at once"], rows)
+
+
+def processor_names():
+    """The saved files of the index, the first processor's first."""
+    return ["index", *sorted(path.stem for path in FIGURES.glob("index-*.json"))]
+
+
+def processors():
+    """What a second processor makes of it: the ratios of each saved file of the index, side by side."""
+    names = processor_names()
+    cases = [("SE3^2", "knn10"), ("SE3^4", "knn1")]
+    words = {"knn1": "one neighbour", "knn10": "ten neighbours"}
+    cells = [[ratio(against(of(name), (space, "50000"), op, "wayfold", SCAN)) for name in names] for space, op in cases]
+    rows = [[METRICS[space], words[op], *row] for (space, op), row in zip(cases, cells)]
+    return table(names, ["against a SIMD scan", "asked for", *(read(name)["processor"] for name in names)], rows)
+
+
+def readme_speed():
+    """The worst ratio of all processors; with a dagger where it is not of the first."""
+    names = processor_names()
+    wanted = [("SE(3), `R3*SO3:0.15`", "SE3", GNAT, GNAT), ("SE(3), `sum(R3, SO3)`", "SE3-SUM", GNAT, GNAT)]
+    wanted += [("SE(2), `R2*SO2`", "SE2", STATIC, GROWING)]
+    wanted += [(f"`{space}`", space, KIDDO, GROWING) for space in ("SO3", "R6", "R3")]
+    wanted += [("SE(3)², `(R3*SO3:0.15)^2`", "SE3^2", SCAN, SCAN), ("SE(3)⁴, `(R3*SO3:0.15)^4`", "SE3^4", SCAN, SCAN)]
+    short = {GNAT: "OMPL's GNAT", STATIC: "kiddo or nanoflann, the faster", KIDDO: "kiddo", SCAN: "SIMD scan"}
+    rows = []
+    for shown, space, still, growing in wanted:
+        cells = []
+        for op, peer in (("knn1", still), ("knn10", still), ("rrt", growing), ("insert", growing)):
+            found = [against(of(name), (space, "50000"), op, "wayfold", peer) for name in names]
+            least = min((one for one in found if one is not None), default=None)
+            cells.append(ratio(least) + (" †" if least is not None and least != found[0] else ""))
+        rows.append([shown, short[still], *cells])
+    return table(["index"], ["space", "peer", "one neighbour", "ten neighbours", "random tree", "one insert"], rows)
+
+
+def threads():
+    got = of("threads")
+    rows = [["two readers of one snapshot, against two processes", ratio(got["read"]["ratio"])]]
+    rows += [["two bulk inserts, against two processes", ratio(got["bulk"]["ratio"])]]
+    writer = "a reader's rate while a writer inserts and merges as fast as it can, against its rate while the writer rests"
+    rows += [[writer, ratio(got["beside_a_writer"]["ratio"])]]
+    rows += [["the writer's rate meanwhile, points a second", digits(got["beside_a_writer"]["inserts_per_second"])]]
+    return table(["threads"], ["what", "figure"], rows)
+
+
+def slowest():
+    got = of("threads")["slowest"]
+    shown = lambda us: f"{digits(us)} µs" if us < 1000 else f"{digits(us / 1000)} ms"
+    rows = [[what, *(shown(got[what][at]) for at in ("p50_us", "p999_us", "max_us")), f"{got[what]['over_1_ms']:,}"]
+            for what in ("inserts", "queries")]
+    return table(["threads"], [f"{got['points']:,} points", "median", "99.9 % within", "slowest", "over 1 ms"], rows)
+
+
+def both(server, bare, unit=""):
+    """A cell of the server's figure and of the bare protocol's, and their ratio."""
+    return f"{digits(server)} / {digits(bare)}{unit}: {digits(server / bare)}"
+
+
+def grpc():
+    got, rows = of("load"), []
+    for key, what in (("one_in_flight", "one call of one state in flight"), ("many_in_flight", "64 calls of one state in flight"),
+                      ("streamed", "one stream, 64 states under way"), ("batches", "1,000 states a call, one call in flight")):
+        server, echo = got["asking"][key]["server"], got["asking"][key]["echo"]
+        timed = server["p50_ms"] is not None
+        calls = [both(server[at] * 1e3, echo[at] * 1e3, " µs") if timed else "–" for at in ("p50_ms", "p99_ms")]
+        rates = both(server["states_per_second"], echo["states_per_second"])
+        rows.append([what, rates, *calls, both(server["processor_us"], echo["processor_us"], " µs")])
+    header = [f"{got['points']:,} points, server / bare gRPC: ratio", "states a second", "a call, p50", "p99"]
+    return table(["load"], [*header, "processor time a state, both ends"], rows)
+
+
+def loading():
+    server, echo = of("load")["growth"], of("load")["echo_growth"]
+    rows = [["states inserted a second", both(server["inserts_per_second"], echo["inserts_per_second"])]]
+    for what, key in (("an insert of 1,000 states", "insert_ms"), ("a query of one state", "query_ms")):
+        for at, name in (("p50", "p50"), ("p99", "p99"), ("max", "slowest")):
+            rows.append([f"{what}, {name}", both(server[key][at], echo[key][at], " ms")])
+    return table(["load"], [f"while {of('load')['points']:,} points are loaded", "server / bare gRPC: ratio"], rows)
+
+
+def writers():
+    rows = [[str(row["batch"]), digits(row["states_per_second"]), f"{100 * row['writer_held']:.0f} %", digits(row["processors"])]
+            for row in of("load")["inserts_with_neighbors"]]
+    header = ["64 writers in the process: states a call", "states a second", "the index's writer is held", "processors busy"]
+    return table(["load"], header, rows)
+
+
+def zenoh():
+    rows = []
+    for form, what in (("protobuf", "Protobuf"), ("json", "JSON")):
+        got = of("robots")["forms"][form]
+        keys = [("one_in_flight_p50_us", " µs"), ("one_in_flight_p99_us", " µs")]
+        keys += [("many_in_flight_per_second", ""), ("processor_us", " µs")]
+        rows.append([what, *(both(got[key]["server"], got[key]["bare"], unit) for key, unit in keys)])
+    header = [f"{of('robots')['points']:,} points, server / bare Zenoh: ratio", "one query in flight, p50", "p99"]
+    return table(["robots"], [*header, "64 in flight: answers a second", "processor time an answer"], rows)
+
+
+def acknowledged():
+    got = of("durable")["acknowledged durable inserts/s, 64 clients, one state each"]
+    rows = []
+    for with_k, told in (("", "no neighbours"), (", k = 10", "the ten neighbours of each")):
+        for key, what, bare in (
+            ("service layer{}", "without the network", "bare fjall"), ("gRPC, 4 connections{}", "over gRPC, 4 connections", "bare fjall"),
+            ("to a bare echo of the same messages, 4 connections{}", "over gRPC, 4 connections", "bare gRPC"),
+        ):
+            one = got[key.format(with_k)]
+            rows.append([f"{what}, {told}", digits(one["figure"]), bare, digits(one["against"]), digits(one["ratio"])])
+    return table(["durable"], ["inserts a second", "server", "against", "its rate", "server / bare"], rows)
+
+
+def kept():
+    got = of("durable")
+    find = lambda part: next(section for title, section in got.items() if title.startswith(part))
+    latency, restart, disk, idle = map(find, ("one client", "restart", "disk", "idle"))
+    append = find("the disk")["append of 4 KiB and fdatasync, median"]["figure"]
+    rows = [["an append of 4 KiB with fdatasync, p50", "–", f"{digits(append)} ms"]]
+    rows += [["an insert of one state, one in flight, p50", digits(latency["Insert"]["figure"]) + " ms",
+             f"two appends with fdatasync and a bare call: {digits(latency['Insert']['against'])} ms"]]
+    one = restart["from opening to ready"]
+    rows += [["restart with a million points", f"{digits(one['figure'])} s", f"reading them and building: {digits(one['against'])} s"]]
+    one = disk["the points alone, compacted"]
+    rows += [["disk, a point, compacted", f"{digits(one['figure'])} bytes", f"its numbers: {digits(one['against'])} bytes"]]
+    rows += [["disk, a point, as the server leaves it", f"{digits(disk['the whole directory as it was left']['figure'])} bytes", "–"]]
+    for what, unit, scale in (("on disk", "KB", 1e3), ("resident after a start", "KB", 1e3), ("start until ready", "ms", 1)):
+        each = max(idle[f"each of 1000: {what}"]["figure"], 0) / scale
+        rows += [[f"an idle index of one point, of 1,000: {what}", f"{digits(each)} {unit}", "–"]]
+    return table(["durable"], ["what restarts, disk and idle indices cost", "server", "bare"], rows)
+
+
+def pauses():
+    rows = []
+    for title, got in of("durable").items():
+        if not title.startswith("while "):
+            continue
+        count = f"{int(title.split()[1]):,} points: "
+        for what in ("points loaded a second", "single inserts, p50", "single inserts, p99.9", "single inserts, max",
+                     "k = 10 queries, p50", "k = 10 queries, p99.9", "k = 10 queries, max"):
+            cells = [got[f"{where}: {what}"] for where in ("on disk", "in memory")]
+            shown = (f"{digits(one['figure'])} {one['unit'].removesuffix('/s')}".strip() for one in cells)
+            rows.append([count + what.replace("max", "slowest"), *shown])
+    return table(["durable"], ["while the index is loaded", "on disk", "in memory"], rows)
+
+
+def follow():
+    got = of("follow")
+    rows = [[what, digits(one["replica"]), f"the same forest: {digits(one['forest'])}", digits(one["ratio"])] for what, one in (
+        ("queries a second of processor time", got["queries_per_processor_second"]), ("queries a second", got["queries_per_second"]))]
+    for what, key in (("in the replica after the acknowledgement", "lag"), ("in the replica after sending", "lag_from_sending")):
+        for at in ("p50", "p99"):
+            mine, bare = got[key][f"{at}_ms"], got["round_trip"][f"{at}_ms"]
+            rows.append([f"an insert is {what}, {at}", f"{digits(mine)} ms", f"a bare call: {digits(bare)} ms", digits(mine / bare)])
+    return table(["follow"], ["what", "replica", "against", "ratio"], rows)
+
+
+def middle(rows, of_row):
+    return median(map(of_row, rows))
+
+
+SOURCES = {
+    "forest": "the index in process", "SIMD scan": "a SIMD scan", "replica": "a replica", "server": "the server",
+    "brute force": "brute force",
+}
+PLANNERS = ["maze", "bodies", "rigid"]
+
+
+def sources():
+    rows = {source: [shown] for source, shown in SOURCES.items()}
+    for planner in PLANNERS:
+        runs = {source: [row for row in of(planner) if row["source"] == source] for source in SOURCES}
+        near = {source: middle(own, lambda row: row["search_s"] + row["insert_s"]) for source, own in runs.items()}
+        total = {source: middle(own, lambda row: row["total_s"]) for source, own in runs.items()}
+        for source, own in runs.items():
+            share = f"{100 * middle(own, lambda row: row['check_s']) / total[source]:.0f} %"
+            faster = " / ".join(ratio(of_all["brute force"] / of_all[source]) for of_all in (near, total))
+            rows[source] += [f"1 ({digits(total[source])} s)" if source == "brute force" else faster, share]
+    header = ["source", *(cell for planner in PLANNERS for cell in (f"`{planner}`", "checks"))]
+    return table(PLANNERS, header, rows.values())
+
+
+def runs_of(name, source, count):
+    """The runs with so many workers, in the order of their seeds."""
+    runs = [row for row in of(name) if (row["source"], row["workers"]) == (source, count)]
+    return sorted(runs, key=lambda row: row["seed"])
+
+
+def workers(name, cell):
+    rows = []
+    for count in sorted({row["workers"] for row in of(name)}):
+        cells = (cell(runs_of(name, source, count), runs_of(name, source, 1)) for source in ("replica", "server"))
+        rows.append([str(count), *cells])
+    return table([name], ["workers", "through replicas", "through the server"], rows)
+
+
+def rate(row):
+    return row["nodes"] / row["total_s"]
+
+
+def roadmap_cell(runs, alone):
+    faster = median(rate(one) / rate(other) for one, other in zip(runs, alone))
+    return f"{digits(middle(runs, rate))} a second, {ratio(faster)}×"
+
+
+def roadmap_two():
+    two, one = (runs_of("rigid-workers", "replica", count) for count in (2, 1))
+    return digits(median(rate(many) / rate(alone) for many, alone in zip(two, one)))
+
+
+def roadmap_wait():
+    runs = runs_of("rigid-workers", "replica", 2)
+    return digits(100 * middle(runs, lambda row: row["insert_s"] / row["total_s"] / row["workers"])) + " %"
+
+
+def trees_cell(runs, alone):
+    times = [row["total_s"] for row in runs]
+    faster = median(other["total_s"] / one["total_s"] for one, other in zip(runs, alone))
+    span = f"{digits(median(times))} s ({digits(min(times))} to {digits(max(times))})"
+    return f"{span}, {digits(middle(runs, rate))} a second, {ratio(faster)}×"
+
+
+def ompl():
+    rows, fastest = [], min(middle(runs, lambda run: run["seconds"]) for runs in of("ompl").values())
+    for planner, runs in of("ompl").items():
+        ms = [1e3 * run["seconds"] for run in runs]
+        shown = f"**{digits(median(ms))}**" if median(ms) == 1e3 * fastest else digits(median(ms))
+        cells = [f"{shown} ({digits(min(ms))} to {digits(max(ms))})", digits(middle(runs, lambda run: run["checks"]))]
+        rows.append([planner.replace("*", "\\*"), *cells])
+    return table(["ompl"], ["until all three questions are answered", "time, ms (least to most)", "collision checks"], rows)
+
+
+def seconds(source):
+    return lambda: digits(middle([row for row in of("maze") if row["source"] == source], lambda row: row["total_s"])) + " s"
+
+
+TABLES = {
+    "index-50000": lambda: index("50000"), "index-million": lambda: index("1000000"), "index-building": building,
+    "index-uneven": uneven, "index-processors": processors, "threads": threads, "slowest": slowest, "grpc": grpc, "loading": loading,
+    "writers": writers, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses, "follow": follow,
+    "sources": sources, "roadmap-workers": lambda: workers("rigid-workers", roadmap_cell),
+    "tree-workers": lambda: workers("maze-workers", trees_cell), "ompl": ompl, "speed": readme_speed,
+    "maze-forest": seconds("forest"), "maze-replica": seconds("replica"), "maze-server": seconds("server"),
+    "maze-brute": seconds("brute force"),
+    "memory": lambda: digits(of("index")["SE3"]["50000"]["uniform"]["memory"]["wayfold-rest"]) + " bytes",
+    "roadmap-two": roadmap_two, "roadmap-wait": roadmap_wait,
+    "grpc-call": lambda: digits(of("load")["asking"]["one_in_flight"]["server"]["p50_ms"]) + " ms",
+    "zenoh-call": lambda: digits(of("robots")["forms"]["json"]["one_in_flight_p50_us"]["server"] / 1e3) + " ms",
+}

@@ -1,0 +1,121 @@
+//! The figures: as a table for people, as JSON for programs.
+
+use std::fmt;
+
+use serde_json::{Value, json};
+use wayfold_tests::figures::{median, quantile_ms};
+
+use crate::{
+    K, SPACE,
+    asking::{Form, Many, One},
+};
+
+/// The measurements of the server, and of the bare queryable, round by round.
+#[derive(Default)]
+pub(crate) struct Rounds {
+    pub(crate) one: (Vec<One>, Vec<One>),
+    pub(crate) many: (Vec<Many>, Vec<Many>),
+}
+
+/// A median of the server's, and of the bare queryable's.
+type Pair = (f64, f64);
+
+impl Rounds {
+    /// The time of a query with one in flight, in microseconds.
+    fn quantile_us(&self, q: f64) -> Pair {
+        let of = |ones: &[One]| {
+            let quantiles = ones.iter().map(|one| quantile_ms(&one.0, q) * 1e3);
+            median(quantiles.collect())
+        };
+        (of(&self.one.0), of(&self.one.1))
+    }
+
+    fn many(&self, part: fn(&Many) -> f64) -> Pair {
+        let of = |many: &[Many]| median(many.iter().map(part).collect());
+        (of(&self.many.0), of(&self.many.1))
+    }
+
+    /// Answers a second with 64 queries in flight.
+    fn rate(&self) -> Pair {
+        self.many(|many| many.rate)
+    }
+
+    /// Processor time of an answer, in microseconds.
+    fn processor_us(&self) -> Pair {
+        self.many(|many| many.processor_us)
+    }
+}
+
+/// All that was measured.
+pub(crate) struct Report {
+    pub(crate) points: usize,
+    pub(crate) rounds: usize,
+    /// Processor time of the search alone.
+    pub(crate) search_us: f64,
+    pub(crate) forms: Vec<(Form, Rounds)>,
+}
+
+impl Report {
+    /// The processor time of the bare queryable and of the search, as a fraction of the server's.
+    fn share(&self, measured: &Rounds) -> f64 {
+        let (server, bare) = measured.processor_us();
+        (bare + self.search_us) / server
+    }
+
+    pub(crate) fn to_json(&self) -> Value {
+        let pair =
+            |(server, bare): Pair| json!({"server": server, "bare": bare, "ratio": server / bare});
+        let forms = self.forms.iter().map(|(form, measured)| {
+            let found = json!({
+                "one_in_flight_p50_us": pair(measured.quantile_us(0.5)),
+                "one_in_flight_p99_us": pair(measured.quantile_us(0.99)),
+                "many_in_flight_per_second": pair(measured.rate()),
+                "processor_us": pair(measured.processor_us()),
+                "bare_and_search": self.share(measured),
+            });
+            (form.key().to_owned(), found)
+        });
+        json!({
+            "points": self.points,
+            "rounds": self.rounds,
+            "search_us": self.search_us,
+            "forms": Value::Object(forms.collect()),
+        })
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (points, search_us) = (self.points, self.search_us);
+        writeln!(
+            f,
+            "{SPACE}, {points} points, k = {K}: a search in process takes {search_us:.1} us"
+        )?;
+        let line = |f: &mut fmt::Formatter<'_>, what: &str, (server, bare): Pair| {
+            let ratio = server / bare;
+            writeln!(f, "{what:<38}{server:>10.1}{bare:>10.1}{ratio:>8.2}")
+        };
+        for (form, measured) in &self.forms {
+            writeln!(f, "\n{form:?}")?;
+            writeln!(f, "{:<38}{:>10}{:>10}{:>8}", "", "server", "bare", "ratio")?;
+            let p50 = measured.quantile_us(0.5);
+            line(f, "one in flight, p50 us", p50)?;
+            line(f, "one in flight, p99 us", measured.quantile_us(0.99))?;
+            let beyond = p50.0 - p50.1 - search_us;
+            writeln!(
+                f,
+                "{:<38}{beyond:>10.1}",
+                "  p50 beyond bare and search, us"
+            )?;
+            line(f, "64 in flight, answers/s", measured.rate())?;
+            line(f, "  processor an answer, us", measured.processor_us())?;
+            let share = self.share(measured);
+            writeln!(
+                f,
+                "{:<38}{share:>28.2}",
+                "  bare's processor and search / ours"
+            )?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,158 @@
+//! The server as a program: what it prints, what signals do to it, and how it exits.
+
+use std::{fs, net::TcpListener};
+
+use tokio_stream::pending;
+use tonic::transport::Channel;
+use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+use wayfold_proto::v1;
+use wayfold_tests::{Finished, Process, ServerProcess, Signal, Stubs, row_states, server};
+
+async fn reflection(server: &ServerProcess) -> ServerReflectionClient<Channel> {
+    let channel = Channel::from_shared(server.uri().to_owned()).unwrap();
+    ServerReflectionClient::new(channel.connect().await.unwrap())
+}
+
+#[test]
+fn it_says_what_to_type_next_and_stops_on_either_signal() {
+    for signal in [Signal::Terminate, Signal::Interrupt] {
+        let server = server!();
+        let hint = format!("--server {} create", server.uri());
+        let finished = server.stop(signal);
+        assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+        let stdout = finished.stdout.join("\n");
+        assert!(stdout.contains(&hint), "{stdout}");
+        assert!(finished.stderr.contains("stopped"), "{}", finished.stderr);
+    }
+}
+
+#[tokio::test]
+async fn a_second_signal_ends_it_at_once() {
+    for (signal, expected) in [(Signal::Interrupt, 130), (Signal::Terminate, 143)] {
+        let mut server = server!("--log", "info");
+        // A conversation that this side does not end keeps the server from stopping.
+        let mut client = reflection(&server).await;
+        let conversation = client.server_reflection_info(pending()).await.unwrap();
+        server.process().signal(signal);
+        server.log_until("stopping");
+        let finished = server.stop(signal);
+        assert_eq!(finished.status.code(), Some(expected));
+        drop(conversation);
+    }
+}
+
+/// A server that waits for nothing when it stops.
+fn impatient() -> ServerProcess {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    fs::write(file.path(), "[shutdown]\ngrace_ms = 1\n").unwrap();
+    server!("--config", file.path().to_str().unwrap())
+}
+
+#[tokio::test]
+async fn what_is_cut_shows_in_the_exit_status() {
+    let server = impatient();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("line", "R1").await;
+    // More than fits into the buffers on its way.
+    for _ in 0..8 {
+        let request = v1::InsertRequest {
+            index: "line".into(),
+            states: Some(row_states(&[0.0; 32], 1)),
+            payloads: vec![vec![0; 64 * 1024].into(); 32],
+            ..Default::default()
+        };
+        stubs.insert(request).await;
+    }
+    let request = v1::ScanRequest {
+        index: "line".into(),
+        include: Some(v1::Include {
+            payloads: true,
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    let mut parts = stubs.points.scan(request).await.unwrap().into_inner();
+    parts.message().await.unwrap().unwrap();
+
+    // The client reads no further, so the scan cannot end.
+    let Finished { status, stderr, .. } = server.stop(Signal::Terminate);
+    assert_eq!(status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("shutdown.grace_ms"), "{stderr}");
+    drop(parts);
+}
+
+#[tokio::test]
+async fn a_conversation_that_is_no_call_is_cut_without_a_failure() {
+    let server = impatient();
+    let mut client = reflection(&server).await;
+    let conversation = client.server_reflection_info(pending()).await.unwrap();
+    let finished = server.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+    drop(conversation);
+}
+
+/// Asserts that a server does not start, and says all of this.
+fn refused(arguments: &[&str], parts: &[&str]) {
+    let finished = Process::start(env!("CARGO_BIN_EXE_server-process"), arguments).finish();
+    assert_eq!(finished.status.code(), Some(1));
+    assert_eq!(finished.stdout, Vec::<String>::new());
+    for part in parts {
+        assert!(finished.stderr.contains(part), "{}", finished.stderr);
+    }
+}
+
+#[test]
+fn an_address_it_cannot_have_is_named_with_what_to_do() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let at = |address| ["--data", "memory", "--grpc", address];
+    refused(&at(&address), &[&address, "--grpc 127.0.0.1:0"]);
+    refused(&at("127.0.0.1"), &["HOST:PORT"]);
+}
+
+#[tokio::test]
+async fn a_file_of_marks_that_is_gone_is_told_of_once() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().to_str().unwrap();
+    let marks = directory.path().join("marks");
+    let start = || server!("--data", data);
+    let told = |server: ServerProcess| {
+        let finished = server.stop(Signal::Terminate);
+        assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+        finished.stderr.matches("no mark says").count()
+    };
+    // An empty store has no mark.
+    assert_eq!(told(start()), 0);
+    assert_eq!(told(start()), 0);
+    let server = start();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("line", "R1").await;
+    assert_eq!(told(server), 0);
+    for is_there in [true, false] {
+        if is_there {
+            fs::write(&marks, "").unwrap();
+        } else {
+            fs::remove_file(&marks).unwrap();
+        }
+        assert_eq!(told(start()), 1);
+        assert_eq!(told(start()), 0);
+    }
+}
+
+#[test]
+fn a_data_directory_that_it_cannot_have_is_named_with_what_to_do() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_str().unwrap();
+    let server = server!("--data", path);
+    let again = ["--data", path, "--grpc", "127.0.0.1:0"];
+    refused(&again, &[path, "in use by another wayfold-server"]);
+    let finished = server.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+    let stdout = finished.stdout.join("\n");
+    assert!(stdout.contains(&format!("kept in {path}")), "{stdout}");
+
+    fs::write(directory.path().join("wayfold-data"), "another form").unwrap();
+    refused(&again, &["missing or damaged"]);
+    fs::remove_dir_all(directory.path().join("store")).unwrap();
+    refused(&again, &["not a data directory"]);
+}
