@@ -13,7 +13,7 @@
 //! | a keyspace that is poisoned says so in `persist`, and memtables and runs above its limits hold up a writer | `fjall/store.rs` | `log::rebuilt`, e2e `disk_failure` |
 //! | fjall refuses a block whose checksum does not match, in reads and in compactions | `fjall/rebuild.rs` | `log::rebuilt`, `log::flips` |
 //! | a snapshot sees all that was committed before it, and pins what was overwritten since | `fjall/view.rs` | `log::idle_view`, `views_are_never_torn` |
-//! | a database that is dropped has ended its threads and writes nothing more | `fjall/journal.rs`, `fjall/manifest_copy.rs` | `only_these_very_files_after_a_clean_end_are_not_written_again`, e2e `power_loss` |
+//! | a database that is dropped has ended its threads and writes nothing more | `fjall/journal.rs`, `fjall/manifest_copy.rs` | `only_after_a_clean_end_the_journal_is_not_written_again`, e2e `power_loss` |
 //! | all keys in one keyspace reach the tables in the order of the journal | `fjall/layout.rs` | `log::model`, e2e `crash` and `power_loss` |
 
 /// The versions for which the table above was checked.

@@ -10,7 +10,6 @@
 //! nothing in it, and writes to the one before until all know of the failure.
 
 use std::{
-    collections::BTreeMap,
     fs,
     fs::File,
     io::{self, Read, Seek, SeekFrom, Write},
@@ -28,7 +27,7 @@ use super::{
 
 /// The ending of its files' names.
 const ENDING: &str = ".jnl";
-/// Is there after a clean end, until the next start: the journal is on disk. Names each file and its inode.
+/// Is there after a clean end, until the next start: the journal is on disk.
 const MARKER: &str = "journal-synced";
 /// Bytes to write again at a time.
 const PIECE: usize = 128 * 1024;
@@ -124,56 +123,36 @@ pub(super) fn number(name: &str) -> Option<u64> {
 /// from memory, as if it were on disk, and no later sync writes it.
 pub(super) fn make_certain(directory: &Directory) -> io::Result<()> {
     let marker = directory.join(MARKER);
-    let files = files(&directory.join(STORE))?;
-    let is_synced = fs::read_to_string(&marker).is_ok_and(|marked| marked == identity(&files));
-    if !is_synced {
-        for (_, file) in &files {
+    if !marker.try_exists()? {
+        for file in files(&directory.join(STORE))? {
             write_file_again(&mut File::options().read(true).write(true).open(file)?)?;
         }
+        return Ok(());
     }
-    match fs::remove_file(&marker) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        Err(_) => Ok(()),
-        // Before the first write to the journal.
-        Ok(()) => sync_directory(directory.path()),
-    }
+    fs::remove_file(&marker)?;
+    // Before the first write to the journal.
+    sync_directory(directory.path())
 }
 
 /// Writes the marker: the store is closed, no sync of it has failed, and here each file of its journal is synced once more.
 pub(super) fn mark_synced(directory: &Directory) -> io::Result<()> {
-    let files = files(&directory.join(STORE))?;
-    for (_, file) in &files {
+    for file in files(&directory.join(STORE))? {
         File::options().write(true).open(file)?.sync_all()?;
     }
-    let marker = directory.join(MARKER);
-    fs::write(&marker, identity(&files))?;
-    File::open(&marker)?.sync_all()?;
+    File::create(directory.join(MARKER))?.sync_all()?;
     sync_directory(directory.path())
 }
 
-/// The files of the journal in a store, by number.
-fn files(store: &Path) -> io::Result<BTreeMap<u64, PathBuf>> {
-    let mut files = BTreeMap::new();
+/// The files of the journal in a store.
+fn files(store: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
     for file in fs::read_dir(store)? {
         let file = file?;
-        if let Some(number) = file.file_name().to_str().and_then(number) {
-            files.insert(number, file.path());
+        if file.file_name().to_str().and_then(number).is_some() {
+            files.push(file.path());
         }
     }
     Ok(files)
-}
-
-/// Tells these very files from copies of them, which nobody has synced.
-fn identity(files: &BTreeMap<u64, PathBuf>) -> String {
-    let lines = files.iter().map(|(number, path)| {
-        #[cfg(unix)]
-        let inode =
-            fs::metadata(path).map(|metadata| std::os::unix::fs::MetadataExt::ino(&metadata));
-        #[cfg(not(unix))]
-        let inode = fs::metadata(path).map(|metadata| metadata.len());
-        format!("{number} {}\n", inode.unwrap_or_default())
-    });
-    lines.collect()
 }
 
 fn write_file_again(file: &mut File) -> io::Result<()> {
@@ -239,37 +218,25 @@ mod tests {
         assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
     }
 
-    /// True if the journal is written again by the start after `prepare`.
-    fn is_written_again(directory: &Directory, prepare: impl FnOnce(&Path)) -> bool {
-        let path = directory.join(STORE).join("0.jnl");
-        prepare(&path);
-        let long_ago = std::time::UNIX_EPOCH;
-        let file = File::options().write(true).open(&path).unwrap();
-        file.set_modified(long_ago).unwrap();
-        make_certain(directory).unwrap();
-        assert!(!directory.join(MARKER).exists());
-        assert_eq!(fs::read(&path).unwrap(), b"entries");
-        fs::metadata(&path).unwrap().modified().unwrap() != long_ago
-    }
-
     #[test]
-    fn only_these_very_files_after_a_clean_end_are_not_written_again() {
+    fn only_after_a_clean_end_the_journal_is_not_written_again() {
         let directory = tempfile::tempdir().unwrap();
         let directory = Directory::take(directory.path()).unwrap();
+        let path = directory.join(STORE).join("0.jnl");
         fs::create_dir(directory.join(STORE)).unwrap();
-        let end = || mark_synced(&directory).unwrap();
-        assert!(is_written_again(&directory, |path| fs::write(
-            path, "entries"
-        )
-        .unwrap()));
-        assert!(!is_written_again(&directory, |_| end()));
-        assert!(is_written_again(&directory, |_| ()));
-        assert!(is_written_again(&directory, |path| {
-            end();
-            let copy = path.with_extension("copy");
-            fs::copy(path, &copy).unwrap();
-            fs::rename(copy, path).unwrap();
-        }));
+        fs::write(&path, "entries").unwrap();
+        for is_clean in [false, true, false] {
+            if is_clean {
+                mark_synced(&directory).unwrap();
+            }
+            let long_ago = std::time::UNIX_EPOCH;
+            let file = File::options().write(true).open(&path).unwrap();
+            file.set_modified(long_ago).unwrap();
+            make_certain(&directory).unwrap();
+            let modified = file.metadata().unwrap().modified().unwrap();
+            assert_eq!(modified == long_ago, is_clean);
+            assert_eq!(fs::read(&path).unwrap(), b"entries");
+        }
     }
 
     /// What a rotation leaves that failed for want of room, while fjall writes on to the file before.

@@ -33,11 +33,8 @@ const VERSION: &[u8] = b"FJL\x03";
 /// Two XXH3 differ in more bits than this, except with a probability below 2^-80.
 const MAX_FLIPPED_BITS: u32 = 8;
 
-/// The files of one tree.
-struct TreeFiles {
-    current: Vec<u8>,
-    list: Vec<u8>,
-}
+/// The number of a list, and the list.
+type List = (u64, Vec<u8>);
 
 /// Writes the copy anew if the files have changed. A tree that fjall is just changing is an error.
 pub(super) fn save(directory: &Directory) -> io::Result<()> {
@@ -50,10 +47,9 @@ pub(super) fn save(directory: &Directory) -> io::Result<()> {
         if current != encode(number, &list) {
             return Err(io::Error::other("it is being changed"));
         }
-        for part in [current, list] {
-            copy.extend_from_slice(&(part.len() as u64).to_le_bytes());
-            copy.extend_from_slice(&part);
-        }
+        copy.extend_from_slice(&number.to_le_bytes());
+        copy.extend_from_slice(&(list.len() as u64).to_le_bytes());
+        copy.extend_from_slice(&list);
     }
     let copy = seal(FILE.as_bytes(), copy);
     let path = directory.join(FILE);
@@ -63,15 +59,21 @@ pub(super) fn save(directory: &Directory) -> io::Result<()> {
     }
 }
 
+fn decode(copy: &[u8]) -> Option<Vec<List>> {
+    let mut cursor = Cursor::new(unseal(FILE.as_bytes(), copy)?);
+    let lists = TREES.map(|_| {
+        let (number, length) = (cursor.u64()?, cursor.length()?);
+        Some((number, cursor.take(length)?.to_vec()))
+    });
+    lists.into_iter().collect()
+}
+
 /// Puts back each file that is damaged or missing, if its content is proven. [`manifest::check`](super::manifest::check)
 /// tells of the others.
 pub(super) fn mend(directory: &Directory) -> Result<(), LogError> {
     let store = directory.join(STORE);
-    let version = store.join("version");
     // The data directory's own version names the form of the store.
-    if read_optional(&version)?.as_deref() != Some(VERSION) {
-        put_back(directory, &version, VERSION)?;
-    }
+    put_back(directory, &store.join("version"), VERSION)?;
     let copies = read_optional(&directory.join(FILE))?.and_then(|copy| decode(&copy));
     let mut copies = copies.unwrap_or_default().into_iter();
     for tree in TREES {
@@ -81,60 +83,22 @@ pub(super) fn mend(directory: &Directory) -> Result<(), LogError> {
     Ok(())
 }
 
-fn decode(copy: &[u8]) -> Option<Vec<TreeFiles>> {
-    let mut cursor = Cursor::new(unseal(FILE.as_bytes(), copy)?);
-    let mut part = || {
-        let length = cursor.length()?;
-        Some(cursor.take(length)?.to_vec())
-    };
-    let trees = TREES.map(|_| {
-        Some(TreeFiles {
-            current: part()?,
-            list: part()?,
-        })
-    });
-    trees.into_iter().collect()
-}
-
-fn mend_tree(directory: &Directory, tree: &Path, copy: Option<TreeFiles>) -> Result<(), LogError> {
+fn mend_tree(directory: &Directory, tree: &Path, copy: Option<List>) -> Result<(), LogError> {
     let path = tree.join("current");
-    let current = read_optional(&path)?;
-    let lists = lists(tree)?;
-    let newest = lists.iter().map(|(number, _)| *number).max();
-    let mut candidates = lists;
-    if let Some(TreeFiles { current, list }) = &copy
-        && let Some(number) = Cursor::new(current).u64()
-    {
-        candidates.push((number, list.clone()));
-    }
-    let proven = candidates.into_iter().filter_map(|(number, list)| {
-        let expected = encode(number, &list);
-        let distance = match &current {
-            Some(current) => distance(current, &expected),
-            None => None,
-        };
-        let is_copy = copy.as_ref().is_some_and(|copy| {
-            copy.current == expected && copy.list == list && newest == Some(number)
-        });
-        let rank = distance.or(is_copy.then_some(u32::MAX))?;
-        Some((rank, number, list, expected))
+    let current = read_optional(&path)?.unwrap_or_default();
+    let mut lists = lists(tree)?;
+    let is_newest = lists.iter().max() == copy.as_ref();
+    lists.extend(copy.clone());
+    let distances = lists.into_iter().filter_map(|(number, list)| {
+        let distance = distance(&current, &encode(number, &list))?;
+        Some((distance, (number, list)))
     });
-    let Some((rank, number, list, expected)) = proven.min_by_key(|(rank, ..)| *rank) else {
+    let proven = distances.min().map(|(_, list)| list);
+    let Some((number, list)) = proven.or(copy.filter(|_| is_newest)) else {
         return Ok(());
     };
-    let list_path = tree.join(format!("v{number}"));
-    let found = read_optional(&list_path)?;
-    if found.as_ref() != Some(&list) {
-        // Without `current`, only the list on the disk proves that the copy is the newest.
-        if rank == u32::MAX {
-            return Ok(());
-        }
-        put_back(directory, &list_path, &list)?;
-    }
-    match current.as_deref() == Some(&expected) {
-        true => Ok(()),
-        false => put_back(directory, &path, &expected),
-    }
+    put_back(directory, &tree.join(format!("v{number}")), &list)?;
+    put_back(directory, &path, &encode(number, &list))
 }
 
 /// How many bits of a damaged `current` are wrong, if it once was `expected`.
@@ -146,7 +110,11 @@ fn distance(current: &[u8], expected: &[u8; CURRENT_BYTES]) -> Option<u32> {
     (has_sum || bits <= MAX_FLIPPED_BITS).then_some(bits)
 }
 
+/// Gives a file this content, if it has another.
 fn put_back(directory: &Directory, path: &Path, content: &[u8]) -> Result<(), LogError> {
+    if read_optional(path)?.as_deref() == Some(content) {
+        return Ok(());
+    }
     replace(directory, path, content).map_err(shut)?;
     warn!(file = %path.display(), "a shared file of the store was damaged or missing: it is put back");
     Ok(())

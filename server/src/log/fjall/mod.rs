@@ -175,7 +175,8 @@ impl FjallLog {
     fn open_after(&self, failure: &LogError) -> Result<Engine, LogError> {
         let engine = self.open_engine()?;
         if is_untold(failure) {
-            match rebuild::find_damage(&engine.store) {
+            let damage = engine.store.handles();
+            match damage.and_then(|handles| rebuild::find_damage(&handles)) {
                 Ok(None) => {}
                 Ok(Some(what)) => engine.fail(&LogError::DamagedStore { what }),
                 Err(why) => {

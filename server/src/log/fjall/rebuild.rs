@@ -26,7 +26,7 @@ use super::{
         Head, Named, Number, Stage, entry_key, head_key, operation_key, point_keys, record_key,
     },
     manifest, manifest_copy,
-    recovery::{self, stored_entries},
+    recovery::{self, read_one, stored_entries},
     store::{Handles, Store, damage, shut, storage, unopened},
     sync_marks::{Mark, Marks},
 };
@@ -134,20 +134,16 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     let handles = old.handles()?;
     let contents = survey(&handles, &marks)?;
     let mut report = RepairReport {
-        damage: damage_in(handles.keyspace.iter().map(Guard::into_inner))?,
-        whole: 0,
-        lost: Vec::new(),
+        damage: find_damage(&handles)?,
+        whole: contents.iter().filter(|content| content.whole).count(),
+        lost: contents
+            .iter()
+            .filter_map(|content| content.lost.clone())
+            .collect(),
         needed_bytes: handles.room_for_copy(),
         free_bytes: directory.room().map_err(shut)?,
         kept: None,
     };
-    for content in contents.values() {
-        match content {
-            Content::Whole(_) => report.whole += 1,
-            Content::EntryOnly(_) => {}
-            Content::Lost { name, damage, .. } => report.lost.push((name.clone(), damage.clone())),
-        }
-    }
     // A read of all keys in order passes by what leads to single keys.
     if report.damage.is_none() && recovery::recover(&handles, &marks, false)?.unreadable {
         report.damage = Some("what leads to its keys cannot be read".into());
@@ -198,8 +194,8 @@ pub(super) fn finish(directory: &Directory) -> io::Result<Option<PathBuf>> {
 }
 
 /// The first damage in an open store; None if all of it can be read. A disk that cannot be read is an error.
-pub(super) fn find_damage(store: &Store) -> Result<Option<String>, LogError> {
-    damage_in(store.handles()?.keyspace.iter().map(Guard::into_inner))
+pub(super) fn find_damage(handles: &Handles) -> Result<Option<String>, LogError> {
+    damage_in(handles.keyspace.iter().map(Guard::into_inner))
 }
 
 fn damage_in(
@@ -214,84 +210,66 @@ fn damage_in(
 }
 
 /// What a rebuilt store takes over of an index.
-enum Content {
-    /// This entry, and everything else.
-    Whole(Slice),
-    /// This entry alone; nothing else of the index matters.
-    EntryOnly(Slice),
-    /// An entry that says that the index is lost, or none where its mark says so.
-    Lost {
-        name: String,
-        damage: String,
-        entry: Option<Vec<u8>>,
-    },
+struct Content {
+    number: Number,
+    /// The new entry; None if only the mark of the index is left.
+    entry: Option<Slice>,
+    /// Everything else can be read, and matters.
+    whole: bool,
+    /// The name and the damage of an index that is lost.
+    lost: Option<(String, String)>,
 }
 
 /// What can be read of each index.
-fn survey(
-    store: &Handles,
-    marks: &BTreeMap<Number, Mark>,
-) -> Result<BTreeMap<Number, Content>, LogError> {
-    let mut contents = BTreeMap::new();
+fn survey(store: &Handles, marks: &BTreeMap<Number, Mark>) -> Result<Vec<Content>, LogError> {
+    let mut contents = Vec::new();
     for (number, entry) in stored_entries(store, marks)? {
-        let entry = match entry {
-            Ok(entry) => entry,
-            Err(damage) => {
-                let name = marks
-                    .get(&number)
-                    .map_or_else(String::new, |mark| mark.name.to_string());
-                let entry = None;
-                contents.insert(
-                    number,
-                    Content::Lost {
-                        name,
-                        damage,
-                        entry,
-                    },
-                );
-                continue;
-            }
+        let mut content = Content {
+            number,
+            entry: None,
+            whole: false,
+            lost: None,
         };
-        let named = Named::decode(number, &entry);
-        let stage = named.as_ref().map(|named| named.stage);
-        let content = match (stage, damage_in(all_of(store, number))?, named) {
-            (Some(Stage::Deleted | Stage::Copied | Stage::Unreadable), ..) | (_, Some(_), None) => {
-                Content::EntryOnly(entry)
+        match entry {
+            Err(damage) => {
+                let name = marks.get(&number).map(|mark| mark.name.to_string());
+                content.lost = name.map(|name| (name, damage));
             }
-            (_, None, _) => Content::Whole(entry),
-            (_, Some(damage), Some(named)) => {
-                let name = named.entry.name.clone();
-                let stage = Stage::Unreadable;
-                let entry = Some(Named { stage, ..named }.encode(number));
-                Content::Lost {
-                    name,
-                    damage,
-                    entry,
+            Ok(entry) => {
+                let named = Named::decode(number, &entry);
+                let is_left = named
+                    .as_ref()
+                    .is_none_or(|named| named.stage == Stage::Whole);
+                let damage = if is_left {
+                    damage_in(all_of(store, number))?
+                } else {
+                    None
+                };
+                content.whole = is_left && damage.is_none();
+                content.entry = Some(entry);
+                if let (Some(named), Some(damage)) = (named, damage) {
+                    content.lost = Some((named.entry.name.clone(), damage));
+                    let stage = Stage::Unreadable;
+                    content.entry = Some(Named { stage, ..named }.encode(number).into());
                 }
             }
-        };
-        contents.insert(number, content);
+        }
+        contents.push(content);
     }
     Ok(contents)
 }
 
-fn copy(old: &Handles, new: &Handles, contents: BTreeMap<Number, Content>) -> Result<(), LogError> {
+fn copy(old: &Handles, new: &Handles, contents: Vec<Content>) -> Result<(), LogError> {
     let mut batch = Batch::new(new);
-    for (number, content) in contents {
-        let key = entry_key(number).into();
-        match content {
-            Content::Whole(entry) => {
-                batch.insert(key, entry)?;
-                for pair in all_of(old, number) {
-                    let (key, value) = pair.map_err(unopened)?;
-                    batch.insert(key, value)?;
-                }
+    for content in contents {
+        if let Some(entry) = content.entry {
+            batch.insert(entry_key(content.number).into(), entry)?;
+        }
+        if content.whole {
+            for pair in all_of(old, content.number) {
+                let (key, value) = pair.map_err(unopened)?;
+                batch.insert(key, value)?;
             }
-            Content::EntryOnly(entry) => batch.insert(key, entry)?,
-            Content::Lost {
-                entry: Some(entry), ..
-            } => batch.insert(key, entry.into())?,
-            Content::Lost { entry: None, .. } => {}
         }
     }
     batch.commit()
@@ -313,18 +291,6 @@ fn all_of(handles: &Handles, number: Number) -> impl Iterator<Item = fjall::Resu
     let ranges = [point_keys(number), operations].into_iter();
     let ranges = ranges.flat_map(|range| handles.keyspace.range(range).map(Guard::into_inner));
     head.into_iter().chain(ranges).chain(records)
-}
-
-/// The pair of a key. A range reads a neighbouring block too, and only a get reads what leads to a single key.
-fn read_one(handles: &Handles, key: &[u8]) -> Option<fjall::Result<KvPair>> {
-    match handles.keyspace.get(key) {
-        Ok(value) => value.map(|value| Ok((key.into(), value))),
-        Err(_) => handles
-            .keyspace
-            .range(key..=key)
-            .next()
-            .map(Guard::into_inner),
-    }
 }
 
 /// A part of the copy.

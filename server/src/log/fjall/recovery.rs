@@ -1,8 +1,8 @@
 //! From the files to the state: what is in the store, whether it is whole, and whether it goes as far as the marks.
 
-use std::{collections::BTreeMap, ops::RangeInclusive, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc};
 
-use fjall::{Guard, Slice};
+use fjall::{Guard, KvPair, Slice};
 use tracing::{error, warn};
 
 use super::{
@@ -12,7 +12,7 @@ use super::{
         Head, Named, Number, Stage, Sum, entry_key, head_key, number_of_entry, point_keys,
         record_key,
     },
-    store::{Handles, damage, damaged_index, not_readable, unopened, unreadable},
+    store::{Handles, damage, damaged_index, unopened, unreadable},
     sync_marks::Mark,
 };
 use crate::log::{Entry, Gone, LogError, Origin, Uid};
@@ -118,45 +118,18 @@ pub(super) fn stored_entries(
     handles: &Handles,
     marks: &BTreeMap<Number, Mark>,
 ) -> Result<Vec<StoredEntry>, LogError> {
+    let all = entry_key(0)..=entry_key(Number::MAX);
+    let newest = match handles.keyspace.range(all).next_back().map(Guard::key) {
+        Some(Err(error)) if marks.is_empty() => return Err(unopened(error)),
+        Some(Ok(key)) => number_of_entry(&key),
+        Some(Err(_)) | None => None,
+    };
+    let last = newest.max(marks.keys().next_back().copied());
     let mut found = Vec::new();
-    for entry in handles.keyspace.range(entries()) {
-        match entry.into_inner() {
-            Ok((key, value)) => {
-                let number = number_of_entry(&key)
-                    .ok_or_else(|| not_readable("a key of no known form".into()))?;
-                found.push((number, Ok(value)));
-            }
-            Err(error) => {
-                let Some(last) = marks.keys().next_back() else {
-                    return Err(unopened(error));
-                };
-                damage(error)?;
-                return entries_one_by_one(handles, marks, *last);
-            }
-        }
-    }
-    Ok(found)
-}
-
-/// As [`stored_entries`], where a range of entries cannot be read. `last` is the greatest number with a mark.
-fn entries_one_by_one(
-    handles: &Handles,
-    marks: &BTreeMap<Number, Mark>,
-    last: Number,
-) -> Result<Vec<StoredEntry>, LogError> {
-    let newest = handles.keyspace.range(entries()).next_back();
-    let newest = newest.and_then(|newest| number_of_entry(&newest.key().ok()?));
-    let mut found = Vec::new();
-    for number in 0..=newest.map_or(last, |newest| newest.max(last)) {
-        let key = entry_key(number);
-        match handles
-            .keyspace
-            .range(key..=key)
-            .next()
-            .map(Guard::into_inner)
-        {
+    for number in last.into_iter().flat_map(|last| 0..=last) {
+        match read_one(handles, &entry_key(number)) {
             None => {}
-            Some(Ok((_, value))) => found.push((number, Ok(value))),
+            Some(Ok((_, entry))) => found.push((number, Ok(entry))),
             Some(Err(error)) if !marks.contains_key(&number) => return Err(unopened(error)),
             Some(Err(error)) => found.push((number, Err(damage(error)?))),
         }
@@ -164,9 +137,16 @@ fn entries_one_by_one(
     Ok(found)
 }
 
-/// The keys of all entries.
-fn entries() -> RangeInclusive<[u8; 5]> {
-    entry_key(0)..=entry_key(Number::MAX)
+/// The pair of a key. A range reads a neighbouring block too, and only a get reads what leads to a single key.
+pub(super) fn read_one(handles: &Handles, key: &[u8]) -> Option<fjall::Result<KvPair>> {
+    match handles.keyspace.get(key) {
+        Ok(value) => value.map(|value| Ok((key.into(), value))),
+        Err(_) => handles
+            .keyspace
+            .range(key..=key)
+            .next()
+            .map(Guard::into_inner),
+    }
 }
 
 /// One index; closed if it is damaged.
