@@ -23,7 +23,7 @@ use super::{
 };
 use crate::log::{Effects, Entry, Gone, LogError, Origin, Record, Uid};
 
-/// See the module.
+/// An open store.
 pub(super) struct Engine {
     syncer: Option<Syncer>,
     pub(super) sweeper: Sweeper,
@@ -82,7 +82,7 @@ impl Engine {
         unclean_marker::begin(directory.path(), durability).map_err(shut)?;
         save_manifest(directory);
 
-        // What is there is on disk now, also what was never acknowledged: whoever is shown it may count on it.
+        // Everything found is on disk now, acknowledged or not, so readers may rely on it.
         write_marks(&mut marks, &found.indexes).map_err(shut)?;
         let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
         let sweeper = Sweeper::start(Arc::clone(&store), sweeping, Arc::clone(&failure));
@@ -131,12 +131,12 @@ impl Engine {
         self.failure.get()
     }
 
-    /// As [`Failure::note`].
+    /// See [`Failure::note`].
     pub(super) fn note(&self, error: LogError) -> LogError {
         self.failure.note(error)
     }
 
-    /// As [`Failure::explain`].
+    /// See [`Failure::explain`].
     pub(super) fn explain(&self, why: &LogError) {
         self.failure.explain(why);
     }
@@ -284,7 +284,7 @@ impl Engine {
         })
     }
 
-    /// Notes that all there is was synced.
+    /// Syncs everything and marks it as synced.
     fn settle(&self) -> Result<(), String> {
         Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
         let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
@@ -296,7 +296,7 @@ impl Engine {
 }
 
 impl Engine {
-    /// Syncs what was appended, ends the threads and closes the store, whoever still knows it.
+    /// Syncs what was appended, ends the threads and closes the store, even while views of it are held.
     pub(super) fn shut(&self) {
         let settled = match &self.syncer {
             Some(syncer) => {
@@ -342,7 +342,7 @@ fn save_manifest(directory: &Directory) {
     }
 }
 
-/// Notes that all there is of these indices is on disk.
+/// Marks these indices as synced up to their heads.
 fn write_marks(marks: &mut Marks, indexes: &[Arc<Index>]) -> std::io::Result<()> {
     let here = indexes.iter();
     let here = here.filter_map(|index| Some((index.number, index.mark()?)));

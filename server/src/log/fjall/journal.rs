@@ -27,7 +27,7 @@ use super::{
 
 /// The ending of its files' names.
 const ENDING: &str = ".jnl";
-/// Is there after a clean end, until the next start: the journal is on disk.
+/// Marker file: the journal is on disk, after a clean end and until the next start.
 const MARKER: &str = "journal-synced";
 /// Bytes to write again at a time.
 const PIECE: usize = 128 * 1024;
@@ -116,11 +116,11 @@ pub(super) fn number(name: &str) -> Option<u64> {
     name.strip_suffix(ENDING)?.parse().ok()
 }
 
-/// Makes certain that the journal is on disk, before the store is opened: unless the marker says that it is, all of it is
-/// written once more to where it is, and synced.
+/// Makes certain that the journal is on disk, before the store is opened. Without the marker, all of it is written once more
+/// in place and synced.
 ///
-/// When a sync has failed, of this server or of one before it, Linux takes for clean what it could not write: it is read
-/// from memory, as if it were on disk, and no later sync writes it.
+/// After a failed sync, by this server or an earlier one, Linux takes pages that it could not write for clean: reads see them
+/// as if they were on disk, and no later sync writes them.
 pub(super) fn make_certain(directory: &Directory) -> io::Result<()> {
     let marker = directory.join(MARKER);
     if !marker.try_exists()? {
@@ -134,7 +134,7 @@ pub(super) fn make_certain(directory: &Directory) -> io::Result<()> {
     sync_directory(directory.path())
 }
 
-/// Writes the marker: the store is closed, no sync of it has failed, and here each file of its journal is synced once more.
+/// Syncs each file of the journal and writes the marker. The store is closed, and no sync of it has failed.
 pub(super) fn mark_synced(directory: &Directory) -> io::Result<()> {
     for file in files(&directory.join(STORE))? {
         File::options().write(true).open(file)?.sync_all()?;

@@ -1,12 +1,12 @@
-//! Whether the store's files are all there, and its lists of its tables what it wrote. fjall 3 does not look itself: a
-//! damaged list makes it panic, even to the end of the process, or take tables for leftovers that are to be removed; and
-//! what is missing it makes anew, over what is left.
+//! Checks that the store's files are all there, and that its lists of tables are the ones that it wrote. fjall 3 does not check:
+//! a damaged list makes it panic, even abort the process, or take tables for leftovers and remove them; missing files it makes
+//! anew over the rest.
 //!
-//! Beside the file `version` and the journal, files `N.jnl`, there is a directory `keyspaces` with two trees, `0` and `1`:
-//! what fjall knows of its keyspaces, and the only one. Each has its lists in files `v0`, `v1` and so on, and a file
-//! `current` of 25 bytes: the number of the list that counts (u64), the XXH3 of that file (128 bits), and 0 for the kind of
-//! this checksum. Numbers are little-endian. A store takes its name once it is whole, so none of these is missing because
-//! a start was cut short.
+//! Beside the file `version` and the journal, files `N.jnl`, there is a directory `keyspaces` with two trees: `0` holds what
+//! fjall knows of its keyspaces, `1` the only keyspace. Each has its lists in files `v0`, `v1` and so on, and a file `current`
+//! of 25 bytes: the number of the list that counts (u64), the XXH3 of that file (128 bits), and 0 for the kind of this checksum.
+//! Numbers are little-endian. A store takes its name once it is whole, so none of these is missing because a start was cut
+//! short.
 
 use std::{
     fs, io,
@@ -21,14 +21,13 @@ use super::{
 };
 use crate::log::{LogError, cursor::Cursor};
 
-/// The trees that there are.
+/// The names of the trees.
 pub(super) const TREES: [&str; 2] = ["0", "1"];
 
 /// The length of `current`.
 pub(super) const CURRENT_BYTES: usize = 25;
 
-/// Fails if a file of a store is missing, its lists are damaged, or the disk does not let them be read, before it is
-/// opened.
+/// Fails if a file of a closed store is missing, a list is damaged, or the disk cannot be read.
 pub(super) fn check(store: &Path) -> Result<(), LogError> {
     read(&store.join("version"))?;
     let trees = store.join("keyspaces");
@@ -50,7 +49,7 @@ pub(super) fn check(store: &Path) -> Result<(), LogError> {
     Ok(())
 }
 
-/// Fails if the list of a tree that counts is missing or damaged.
+/// Fails if the list that `current` names is missing or damaged.
 fn check_tree(tree: &Path) -> Result<(), LogError> {
     let damaged = |path: PathBuf| not_readable(format!("{} is damaged", path.display()));
     let path = tree.join("current");
@@ -67,7 +66,7 @@ fn check_tree(tree: &Path) -> Result<(), LogError> {
     Ok(())
 }
 
-/// What `current` holds when this list counts.
+/// The content of `current` that names this list.
 pub(super) fn encode(number: u64, list: &[u8]) -> [u8; CURRENT_BYTES] {
     let mut current = [0; CURRENT_BYTES];
     current[..8].copy_from_slice(&number.to_le_bytes());
@@ -105,7 +104,7 @@ fn read(path: &Path) -> Result<Vec<u8>, LogError> {
     fs::read(path).map_err(|error| unreadable(path, error))
 }
 
-/// The names in a directory; those that are no text as well as can be.
+/// The names in a directory. A name that is not Unicode is converted lossily.
 fn names(directory: &Path) -> Result<Vec<String>, LogError> {
     let names = fs::read_dir(directory).and_then(|entries| {
         let name =

@@ -1,4 +1,4 @@
-//! From the files to the state: what is in the store, whether it is whole, and whether it goes as far as the marks.
+//! From the files to the state: the content of the store, checked for damage and against the sync marks.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -31,7 +31,7 @@ pub(super) struct Found {
     pub(super) next: Number,
 }
 
-/// Reads the store, or says why it cannot be. With `renamed` every index gets a new uid, as its past may be another one.
+/// Reads the store. With `renamed` every index gets a new uid, since its past may be another one.
 pub(super) fn recover(
     handles: &Handles,
     marks: &BTreeMap<Number, Mark>,
@@ -201,7 +201,7 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     index
 }
 
-/// The state of an index, if all that a writer needs to know of it is whole.
+/// The state of an index, if everything that a writer needs of it is whole.
 fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, LogError> {
     let (number, uid) = (index.number, index.entry.uid);
     let damaged = |revision, what| LogError::Damaged {
