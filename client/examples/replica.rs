@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold::Client;
 
-/// How many points there are, and how many searches.
+/// The number of points, and the number of searches.
 const POINTS: usize = 20_000;
 const SEARCHES: usize = 1000;
 

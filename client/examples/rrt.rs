@@ -15,7 +15,7 @@ const START: [f64; 2] = [1.0, 1.0];
 const GOAL: [f64; 2] = [9.0, 9.0];
 /// The obstacles: discs by centre and radius, in a square of 10 by 10.
 const DISCS: [([f64; 2], f64); 3] = [([3.0, 3.0], 1.5), ([7.5, 4.5], 2.0), ([4.0, 7.5], 2.0)];
-/// How far the tree grows at once, and how far apart the states of a motion are that are checked.
+/// The length of a step of the tree, and the distance between the checked states of a motion.
 const STEP: f64 = 0.5;
 const RESOLUTION: f64 = 0.05;
 
@@ -68,7 +68,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Whether the motion from `a` to `b` touches no disc.
+/// True if the motion from `a` to `b` touches no disc.
 fn is_free_way(a: [f64; 2], b: [f64; 2]) -> bool {
     let is_free = |state| {
         DISCS

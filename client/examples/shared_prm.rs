@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use tokio::task::JoinSet;
 use wayfold::{Client, Include, NeighborSpec, Scaling};
 
-/// How many workers there are, and how many milestones each makes.
+/// The number of workers, and the number of milestones of each.
 const WORKERS: u64 = 4;
 const MILESTONES: usize = 100;
 
@@ -69,7 +69,7 @@ async fn work(uri: String, name: String, seed: u64) -> Result<Roadmap, wayfold::
     Ok(own)
 }
 
-/// Whether the way from `a` to `b` leads around the obstacle, a disc in the middle.
+/// True if the way from `a` to `b` leads around the obstacle, a disc in the middle.
 fn is_free_way(a: [f64; 2], b: &[f64]) -> bool {
     (0..=100)
         .map(|percent| f64::from(percent) / 100.0)

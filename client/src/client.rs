@@ -2,12 +2,13 @@
 
 mod health;
 
-use std::{fmt, sync::Arc, time::Duration};
-
-use tokio::{
-    sync::OnceCell,
-    time::{Instant, timeout_at},
+use std::{
+    fmt,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
 };
+
+use tokio::time::{Instant, timeout_at};
 use tonic::{
     Code,
     transport::{Channel, Endpoint},
@@ -21,7 +22,9 @@ use wayfold_proto::{
     },
 };
 
-use crate::{DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, RetryPolicy, ServerInfo};
+use crate::{
+    DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, Limits, RetryPolicy, ServerInfo,
+};
 
 /// A connection to a Wayfold server. Clones share it; any number of calls can be under way on it at once.
 ///
@@ -31,8 +34,8 @@ pub struct Client {
     channel: Channel,
     uri: Arc<str>,
     settings: ClientBuilder,
-    /// Asked for when it is first needed.
-    server: Arc<OnceCell<ServerInfo>>,
+    /// The limits that requests are divided by, once they are known.
+    limits: Arc<Mutex<Option<Limits>>>,
 }
 
 /// Settings of a [`Client`].
@@ -54,7 +57,7 @@ impl Default for ClientBuilder {
 }
 
 impl ClientBuilder {
-    /// How long a call may take, attempts and pauses included: 30 s unless set. The server gives up then too.
+    /// The longest time of a call, attempts and pauses included: 30 s unless set. The server gives up then too.
     pub fn timeout(mut self, timeout: Duration) -> ClientBuilder {
         self.timeout = timeout;
         self
@@ -111,7 +114,7 @@ impl ClientBuilder {
             channel,
             uri,
             settings: self,
-            server: Arc::default(),
+            limits: Arc::default(),
         })
     }
 }
@@ -157,31 +160,43 @@ impl Client {
         &self.uri
     }
 
-    /// The server's version, durability and limits. The client asks for them once, where it first needs them, and divides
-    /// requests by the limits.
+    /// The server's version, durability and limits.
     ///
     /// # Errors
     /// Those of every call.
-    pub async fn server(&self) -> Result<&ServerInfo, Error> {
+    pub async fn server(&self) -> Result<ServerInfo, Error> {
         self.server_for("get_server", self.settings.timeout).await
     }
 
     /// Returns the result of [`Client::server`] on behalf of `call`, which an error names.
-    pub(crate) async fn server_for(
+    async fn server_for(&self, call: &'static str, timeout: Duration) -> Result<ServerInfo, Error> {
+        let stub = self.indexes();
+        let attempt = |remaining| {
+            let (mut stub, request) = (stub.clone(), within(remaining, v1::GetServerRequest {}));
+            async move { stub.get_server(request).await }
+        };
+        ServerInfo::from_message(call, self.call(call, timeout, attempt).await?)
+    }
+
+    /// The server's limits. The client asks for them where it first needs them, and again after the server has named a lower
+    /// one, as a server may that was started again.
+    pub(crate) async fn limits(
         &self,
         call: &'static str,
         timeout: Duration,
-    ) -> Result<&ServerInfo, Error> {
-        let ask = || async {
-            let stub = self.indexes();
-            let attempt = |remaining| {
-                let (mut stub, request) =
-                    (stub.clone(), within(remaining, v1::GetServerRequest {}));
-                async move { stub.get_server(request).await }
-            };
-            ServerInfo::from_message(call, self.call(call, timeout, attempt).await?)
-        };
-        self.server.get_or_try_init(ask).await
+    ) -> Result<Limits, Error> {
+        let known = *self.known_limits();
+        match known {
+            Some(limits) => Ok(limits),
+            None => {
+                let limits = self.server_for(call, timeout).await?.limits;
+                Ok(*self.known_limits().insert(limits))
+            }
+        }
+    }
+
+    fn known_limits(&self) -> MutexGuard<'_, Option<Limits>> {
+        self.limits.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Creates an index, or opens the one that exists with an equal space.
@@ -341,7 +356,12 @@ impl Client {
                 }
             }
         };
-        self.settings.retry.run(deadline, attempt).await
+        let answer = self.settings.retry.run(deadline, attempt).await;
+        if let Err(error) = &answer {
+            let mut known = self.known_limits();
+            *known = known.filter(|limits| limits.lowered(error).is_none());
+        }
+        answer
     }
 
     /// The stub of the calls about whole indices.

@@ -8,7 +8,7 @@ use wayfold_proto::snapshot::SnapshotError;
 
 use crate::Refusal;
 
-/// Why a call has no answer.
+/// The error of a call.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -26,7 +26,7 @@ pub enum Error {
     /// unknown.
     #[error("{call}: no connection to {uri}: {}", root_cause(source.as_ref()))]
     Connection {
-        /// Which call.
+        /// The call.
         call: &'static str,
         /// The server's address.
         uri: String,
@@ -37,11 +37,11 @@ pub enum Error {
     /// id, takes effect once.
     #[error("{call}: no answer within {timeout:?}{}", earlier_attempt(earlier.as_deref()))]
     Timeout {
-        /// Which call.
+        /// The call.
         call: &'static str,
-        /// How long the client waited, attempts and pauses included.
+        /// The time that the client waited, attempts and pauses included.
         timeout: Duration,
-        /// How the attempt before the last one ended, if there was one.
+        /// The error of the attempt before the last one, if there was one.
         earlier: Option<Box<Error>>,
     },
     /// The server refused the call, and changed nothing; only after a mutation's `DEADLINE_EXCEEDED` or `DATA_LOSS` is the
@@ -73,7 +73,7 @@ pub enum Error {
     /// An argument that cannot be sent.
     #[error("{field}: {problem}")]
     Argument {
-        /// Which argument.
+        /// The argument.
         field: &'static str,
         /// The problem with it.
         problem: String,
@@ -81,11 +81,11 @@ pub enum Error {
     /// A mutation that was sent in several calls failed after some of them had taken effect.
     #[error("rows 0 to {} of {rows} took effect; then: {source}", done - 1)]
     Partial {
-        /// How many rows took effect, in order from the first. Row numbers in `source` count from row `done`.
+        /// The number of rows that took effect, in order from the first. Row numbers in `source` count from row `done`.
         done: usize,
-        /// How many were to be sent.
+        /// The number of rows to send.
         rows: usize,
-        /// Why the next call failed.
+        /// The error of the next call.
         source: Box<Error>,
     },
     /// A file is no snapshot, or not a good one, or cannot be read.
@@ -94,9 +94,9 @@ pub enum Error {
     /// A replica has not heard from its server for longer than its bound on staleness.
     #[error("the replica may miss what was published {age:?} ago, more than its bound {bound:?}")]
     Stale {
-        /// How old its points may be.
+        /// The age that its points may have.
         age: Duration,
-        /// How old they may be at most.
+        /// The greatest age allowed.
         bound: Duration,
     },
     /// A filter of a replica's search names a revision that the replica has not reached.
@@ -110,7 +110,7 @@ pub enum Error {
     /// A replica no longer follows its index.
     #[error("the replica ended: {why}")]
     Ended {
-        /// Why.
+        /// The reason.
         why: Arc<Error>,
     },
     /// The server answered with what the protocol does not allow.
@@ -118,7 +118,7 @@ pub enum Error {
         "{call}: the answer breaks the protocol: {problem}; client and server may be of different versions"
     )]
     Protocol {
-        /// Which call.
+        /// The call.
         call: &'static str,
         /// The problem with the answer.
         problem: String,

@@ -80,7 +80,7 @@ impl IndexHandle {
         &self.shared.space
     }
 
-    /// How many numbers a state has.
+    /// The number of coordinates of a state.
     pub fn coordinates(&self) -> usize {
         self.shared.space.coordinates()
     }
@@ -218,7 +218,7 @@ impl IndexHandle {
     pub(crate) async fn limits(&self, call: &'static str, rows: usize) -> Result<Limits, Error> {
         match rows {
             0 | 1 => Ok(Limits::NONE),
-            _ => Ok(self.client().server_for(call, self.timeout).await?.limits),
+            _ => self.client().limits(call, self.timeout).await,
         }
     }
 

@@ -23,7 +23,7 @@ pub struct DamagedIndex {
     pub name: String,
     /// Its uid.
     pub uid: String,
-    /// How every call for it is refused.
+    /// The refusal of every call for it.
     pub error: Refusal,
 }
 
@@ -47,9 +47,9 @@ pub struct IndexInfo {
     pub space: Space,
     /// The revision described here.
     pub revision: Revision,
-    /// How many points it holds.
+    /// The number of its points.
     pub point_count: u64,
-    /// How many numbers a state has (SE(3): 7).
+    /// The number of coordinates of a state (SE(3): 7).
     pub coordinate_count: usize,
     /// The dimension of the manifold (SE(3): 6).
     pub dimension: usize,

@@ -1,22 +1,75 @@
 //! Divides requests among calls that keep the server's limits.
 //!
-//! How large an answer gets is not always known before. Where one is too large, the server refuses the call with
+//! The size of an answer is not always known before. Where one is too large, the server refuses the call with
 //! `RESOURCE_EXHAUSTED` and names the limit, and a read is divided further, down to single rows.
 
 use std::ops::Range;
 
-use tonic::Code;
+use tonic::{Code, transport::Channel};
+use wayfold_proto::v1::point_service_client::PointServiceClient;
 
-use crate::{Client, Error, Limits};
+use crate::{Client, Error, IndexHandle, Limits};
 
 /// The most states or ids that the client puts into one read, so that a call keeps within its timeout.
 pub const READ_ROWS: usize = 1_000;
 
+/// A mutation, divided by rows.
+pub(crate) struct Division<'a> {
+    pub(crate) index: &'a IndexHandle,
+    pub(crate) call: &'static str,
+    pub(crate) rows: usize,
+    /// The ids of the rows, or none.
+    pub(crate) ids: &'a [u64],
+    pub(crate) operation_id: &'a str,
+}
+
+impl Division<'_> {
+    /// Sends the mutation in parts, in order. Where the server names a lower limit than the client knows, as after a start
+    /// with other settings, the client divides the rest anew.
+    pub(crate) async fn write<Q, A, F, Fut>(
+        &self,
+        max_rows: impl Fn(&Limits) -> usize,
+        row_bytes: impl Fn(usize) -> usize,
+        message: impl Fn(&Range<usize>, &str) -> Q,
+        send: F,
+        mut append: impl FnMut(A, usize) -> Result<(), Error>,
+    ) -> Result<(), Error>
+    where
+        F: Fn(PointServiceClient<Channel>, tonic::Request<Q>) -> Fut,
+        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
+    {
+        let mut limits = self.index.limits(self.call, self.rows).await?;
+        let mut rest = 0..self.rows;
+        'divided: loop {
+            let parts = divide(&limits, rest.clone(), max_rows(&limits), &row_bytes);
+            let failed = |error| partial(&rest, self.rows, error);
+            if parts.len() > 1 {
+                check_unique(self.ids).map_err(failed)?;
+            }
+            let operation_ids = operation_ids(self.operation_id, &parts).map_err(failed)?;
+            for (part, operation_id) in parts.iter().zip(&operation_ids) {
+                let message = || message(part, operation_id);
+                match self.index.call(self.call, message, &send).await {
+                    Ok(answer) => append(answer, part.len())?,
+                    Err(error) => match limits.lowered(&error) {
+                        Some(lowered) if part.len() > 1 => {
+                            (limits, rest.start) = (lowered, part.start);
+                            continue 'divided;
+                        }
+                        _ => return Err(partial(part, self.rows, error)),
+                    },
+                }
+            }
+            return Ok(());
+        }
+    }
+}
+
 /// Divides the rows of a mutation, in order, so that each part has at most `max_rows` and its rows, `bytes` each, fit
 /// into a request; a single row may exceed that. No rows make one empty part, which the server answers.
-pub(crate) fn divide(
+fn divide(
     limits: &Limits,
-    rows: usize,
+    rows: Range<usize>,
     max_rows: usize,
     bytes: impl Fn(usize) -> usize,
 ) -> Vec<Range<usize>> {
@@ -24,8 +77,8 @@ pub(crate) fn divide(
     const FRAME_BYTES: usize = 64 * 1024;
     let max_bytes = limits.request_bytes.saturating_sub(FRAME_BYTES);
     let mut parts = Vec::new();
-    let (mut start, mut held) = (0, 0);
-    for row in 0..rows {
+    let (end, mut start, mut held) = (rows.end, rows.start, 0);
+    for row in rows {
         let needs = bytes(row);
         if row > start && (row - start >= max_rows || held + needs > max_bytes) {
             parts.push(start..row);
@@ -33,8 +86,30 @@ pub(crate) fn divide(
         }
         held += needs;
     }
-    parts.push(start..rows);
+    parts.push(start..end);
     parts
+}
+
+impl Limits {
+    /// These limits with the one that `error` names, if that is lower.
+    pub(crate) fn lowered(mut self, error: &Error) -> Option<Limits> {
+        let Error::Refused(refusal) = error else {
+            return None;
+        };
+        let limit = match refusal.metadata.get("limit")?.as_str() {
+            "rows_per_call" => &mut self.rows_per_call,
+            "ids_per_call" => &mut self.ids_per_call,
+            "answer_bytes" => &mut self.answer_bytes,
+            "grpc.max_message_bytes" => &mut self.request_bytes,
+            _ => return None,
+        };
+        let named = refusal.metadata.get("value")?.parse().ok()?;
+        if named >= *limit {
+            return None;
+        }
+        *limit = named;
+        Some(self)
+    }
 }
 
 /// Reads rows in calls of at most `max_rows`, one after the other, and halves that where the server or the transport
@@ -94,7 +169,7 @@ fn is_too_large(error: &Error) -> bool {
     }
 }
 
-/// How many rows of `row_bytes` one answer holds, at least one.
+/// The number of rows of `row_bytes` that one answer holds, at least one.
 pub(crate) fn rows_of_answer(client: &Client, limits: &Limits, row_bytes: usize) -> usize {
     /// The bytes reserved for the fields of an answer other than its rows.
     const FRAME_BYTES: usize = 1024;
@@ -117,7 +192,7 @@ pub(crate) fn check_unique(ids: &[u64]) -> Result<(), Error> {
 
 /// The operation ids of the parts of a call: the call's own for the first, and for each other one with its first row. If a
 /// repeated call is divided in another way, an id comes with other rows, and the server refuses it.
-pub(crate) fn operation_ids(id: &str, parts: &[Range<usize>]) -> Result<Vec<String>, Error> {
+fn operation_ids(id: &str, parts: &[Range<usize>]) -> Result<Vec<String>, Error> {
     const MAX_BYTES: usize = 64;
     let of_part = |part: &Range<usize>| {
         let id = match part.start {
@@ -133,4 +208,16 @@ pub(crate) fn operation_ids(id: &str, parts: &[Range<usize>]) -> Result<Vec<Stri
         Ok(id)
     };
     parts.iter().map(of_part).collect()
+}
+
+/// The error of a part of a mutation of `rows` rows: a later part's says how many rows took effect before it.
+fn partial(part: &Range<usize>, rows: usize, error: Error) -> Error {
+    match part.start {
+        0 => error,
+        done => Error::Partial {
+            done,
+            rows,
+            source: Box::new(error),
+        },
+    }
 }

@@ -38,7 +38,7 @@ pub struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    /// How many neighbours there are.
+    /// The number of neighbours.
     pub fn len(&self) -> usize {
         self.ids.len()
     }
@@ -67,7 +67,7 @@ impl<'a> Row<'a> {
 }
 
 impl Neighbors {
-    /// How many states the request had.
+    /// The number of states in the request.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
@@ -189,9 +189,9 @@ impl Neighbors {
 /// The contents that an answer must have, and its revision.
 pub(crate) struct Expected {
     pub(crate) call: &'static str,
-    /// How many states the request had.
+    /// The number of states in the request.
     pub(crate) rows: usize,
-    /// How many numbers a state has.
+    /// The number of coordinates of a state.
     pub(crate) width: usize,
     pub(crate) include: Include,
     pub(crate) revision: Revision,

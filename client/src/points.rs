@@ -39,7 +39,7 @@ impl Point<'_> {
 }
 
 impl Points {
-    /// How many points there are.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.ids.len()
     }

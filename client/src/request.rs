@@ -26,8 +26,6 @@ pub use update::{Update, Updated};
 pub use verify::{Verified, Verify};
 pub use watch::{Mutation, Reset, ResetReason, Watch, WatchEvent, WatchRequest};
 
-use std::ops::Range;
-
 use tokio::time;
 use tonic::Streaming;
 
@@ -112,18 +110,6 @@ macro_rules! search_options {
     };
 }
 use search_options;
-
-/// The error of a part of a mutation of `rows` rows: a later part's says how many rows took effect before it.
-fn partial(part: &Range<usize>, rows: usize, error: Error) -> Error {
-    match part.start {
-        0 => error,
-        done => Error::Partial {
-            done,
-            rows,
-            source: Box::new(error),
-        },
-    }
-}
 
 /// The operation id of a mutation whose caller gave none, so that the client can retry it.
 fn fresh_operation_id() -> String {

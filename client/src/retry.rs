@@ -7,7 +7,7 @@ use uuid::Uuid;
 
 use crate::Error;
 
-/// How often, and after which pauses, the client retries a call that failed with `UNAVAILABLE` or lost its connection.
+/// The number of retries, and the pauses before them, of a call that failed with `UNAVAILABLE` or lost its connection.
 ///
 /// The client retries only calls that take effect once: reads, and mutations, which carry an operation id. The n-th pause
 /// is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. No attempt begins after the call's deadline.

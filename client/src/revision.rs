@@ -12,7 +12,7 @@ pub struct Revision {
     /// Identifies the history that the number counts. The server makes a new uid when the history may differ: the index
     /// was deleted and created again, was restored, or lost mutations that were not synced.
     pub uid: Arc<str>,
-    /// How many records the log had.
+    /// The number of records that the log had.
     pub number: u64,
 }
 

@@ -42,7 +42,7 @@ impl Filter {
     }
 }
 
-/// How far neighbours are at most: a number, or a [`ScaledRadius`].
+/// The greatest distance of a neighbour: a number, or a [`ScaledRadius`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Radius {
     /// This distance or nearer, the closed ball.
@@ -88,7 +88,7 @@ impl ScaledRadius {
     }
 }
 
-/// How many neighbours at most.
+/// The greatest number of neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Count {
     K(u32),
@@ -96,7 +96,7 @@ pub(crate) enum Count {
     Factor(f64),
 }
 
-/// How many neighbours at most, and how far: unset is without a limit.
+/// The greatest number of neighbours and the greatest distance; unset is without a limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Bounds {
     pub(crate) count: Option<Count>,
@@ -240,7 +240,7 @@ pub struct Search {
     pub(crate) bounds: Bounds,
     pub(crate) filter: Filter,
     pub(crate) epsilon: f64,
-    pub(crate) until: Option<std::time::Instant>,
+    pub(crate) timeout: Option<std::time::Duration>,
 }
 
 #[cfg(feature = "replica")]
@@ -253,7 +253,7 @@ impl Search {
             bounds: Bounds { count, radius },
             filter: Filter::default(),
             epsilon: 0.0,
-            until: None,
+            timeout: None,
         }
     }
 
@@ -264,10 +264,9 @@ impl Search {
         self
     }
 
-    /// Gives up at this time with what was found until then: [`Found::exact`](crate::Found::exact) says whether
-    /// something may be missing.
-    pub fn until(mut self, time: std::time::Instant) -> Search {
-        self.until = Some(time);
+    /// Fails with [`Error::Timeout`](crate::Error::Timeout) if the search takes longer; without a limit unless set.
+    pub fn timeout(mut self, timeout: std::time::Duration) -> Search {
+        self.timeout = Some(timeout);
         self
     }
 }

@@ -27,7 +27,7 @@ impl SnapshotPart {
         SnapshotPart { message, points }
     }
 
-    /// How many points it holds; the first part and the last hold none.
+    /// The number of its points; the first part and the last hold none.
     pub fn points(&self) -> usize {
         self.points
     }
@@ -93,7 +93,7 @@ impl<W: Write> SnapshotWriter<W> {
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;
 /// let file = SnapshotReader::new(File::open("arm.snapshot")?)?;
-/// println!("{} points in {}", file.header().points, file.header().space);
+/// println!("{} points in {}", file.header().point_count, file.header().space);
 /// let restored = client.restore("arm", file.into_stream()).await?;
 /// # Ok(())
 /// # }

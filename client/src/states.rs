@@ -76,7 +76,7 @@ impl States {
         })
     }
 
-    /// How many states there are.
+    /// The number of states.
     pub fn len(&self) -> usize {
         self.coordinates.len().checked_div(self.width).unwrap_or(0)
     }
@@ -86,7 +86,7 @@ impl States {
         self.coordinates.is_empty()
     }
 
-    /// How many numbers a state has.
+    /// The number of coordinates of a state.
     pub fn width(&self) -> usize {
         self.width
     }

@@ -23,7 +23,7 @@ fuzz_target!(|bytes: &[u8]| {
             space: "R2".parse().expect("a space"),
             revision: 9,
             next_id: 100,
-            points: u64::from(points) - 1,
+            point_count: u64::from(points) - 1,
         });
         parts.push(header.content);
     }

@@ -1,10 +1,10 @@
-//! Why a structure refused points or a search.
+//! The errors of structures: refused points, mutations and searches.
 
 use thiserror::Error;
 
 use crate::{KdTree, StateError};
 
-/// Why a table of points was refused.
+/// The error of a table of points.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PointsError {
     /// The rows are of another space.
@@ -31,7 +31,7 @@ pub enum PointsError {
     DuplicateId(u64),
 }
 
-/// Why a mutation was refused; it changed nothing.
+/// The error of a mutation, which changed nothing.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ApplyError {
     /// The revision is not above the forest's.
@@ -47,7 +47,7 @@ pub enum ApplyError {
     Points(#[from] PointsError),
 }
 
-/// Why a search was refused.
+/// The error of a search.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SearchError {
     /// The state is not a canonical state of the space.
@@ -59,4 +59,7 @@ pub enum SearchError {
     /// Epsilon is NaN, infinite or negative.
     #[error("epsilon {0}: it is finite and at least 0")]
     Epsilon(f64),
+    /// The time of [`Search::until`](crate::Search::until) passed before the search ended.
+    #[error("the search did not end in time")]
+    TimedOut,
 }

@@ -84,7 +84,7 @@ impl Linear {
         self.points.iter()
     }
 
-    /// Answers `search` for a canonical `state`; always exact, since it has no leaves to skip.
+    /// Answers `search` for a canonical `state` exactly, whatever its epsilon and its time.
     ///
     /// # Errors
     /// The state is not a canonical state of the space, or a number of the search is out of its range.
@@ -106,9 +106,6 @@ impl Linear {
             neighbors.truncate(search.k);
         }
         neighbors.sort_unstable();
-        Ok(Answer {
-            neighbors,
-            exact: true,
-        })
+        Ok(Answer { neighbors })
     }
 }

@@ -33,10 +33,7 @@ pub struct Search<'a> {
     /// An answer may be farther than the true one by a factor of `1 + epsilon`, and points between
     /// `radius / (1 + epsilon)` and the radius may be missing. With 0 the answer is exact.
     pub epsilon: f64,
-    /// The greatest number of leaves to visit; `usize::MAX` for as many as exactness needs. (The points of a large
-    /// mutation are one leaf until a merge.)
-    pub max_leaves: usize,
-    /// The search stops soon after this time, within 32 leaves, and returns the neighbours found until then.
+    /// The search fails with [`SearchError::TimedOut`] soon after this time, within 32 leaves.
     pub until: Option<Instant>,
     /// Limits the search to some of the points.
     pub filter: Filter,
@@ -51,7 +48,6 @@ impl Search<'_> {
             k,
             radius: f64::INFINITY,
             epsilon: 0.0,
-            max_leaves: usize::MAX,
             until: None,
             filter: Filter::default(),
             excluded: None,
@@ -85,7 +81,4 @@ impl Search<'_> {
 pub struct Answer {
     /// The neighbours, in the order (distance, id).
     pub neighbors: Vec<Neighbor>,
-    /// True if the neighbours equal those of brute force: false only if `epsilon`, `max_leaves` or `until` made the search
-    /// skip a cell that might have held one.
-    pub exact: bool,
 }

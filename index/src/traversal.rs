@@ -5,7 +5,7 @@ use std::time::Instant;
 use arrayvec::ArrayVec;
 
 use crate::{
-    Answer, Filter, Neighbor, Points, Search, Space,
+    Answer, Filter, Neighbor, Points, Search, SearchError, Space,
     candidates::{Candidate, Candidates},
     kdtree::ScanPolicy,
     kernel::{self, BLOCK_ROWS, Isa, KeyScale, MAX_CHILDREN},
@@ -85,9 +85,9 @@ pub(crate) struct Traversal<'a> {
     /// Greater keys are given up for `epsilon`: the limit times `epsilon_factor`.
     epsilon_limit: f64,
     epsilon_factor: f64,
-    leaves_left: usize,
     leaves_visited: usize,
-    exact: bool,
+    /// True once the time of the search has passed.
+    is_late: bool,
     /// The row being measured, if a key does not determine its distance.
     row: Vec<f64>,
 }
@@ -111,9 +111,8 @@ impl<'a> Traversal<'a> {
             epsilon_factor,
             candidates,
             scale,
-            leaves_left: search.max_leaves,
             leaves_visited: 0,
-            exact: true,
+            is_late: false,
             row: Vec::new(),
         }
     }
@@ -153,9 +152,7 @@ impl<'a> Traversal<'a> {
     /// True if the search is exact and over all points, so that the leaves it visits predict those of the next search.
     fn is_unrestricted(&self) -> bool {
         let search = self.search;
-        search.epsilon == 0.0
-            && search.max_leaves == usize::MAX
-            && search.filter == Filter::default()
+        search.epsilon == 0.0 && search.filter == Filter::default()
     }
 
     /// A bit for each point of a block of codes that may be an answer. `query` is prepared at the first call that needs
@@ -246,9 +243,7 @@ impl<'a> Traversal<'a> {
             let (node, child) = (open.node, open.nearest);
             let key = open.keys[child];
             // A cell *at* the worst distance is visited: one of its points may win by its id.
-            let is_near = key <= self.limit();
-            let is_given_up = self.leaves_left == 0 || key > self.epsilon_limit;
-            if is_near && !is_given_up {
+            if key <= self.limit() && key <= self.epsilon_limit && !self.is_late {
                 open.remaining &= !(1 << child);
                 if open.remaining == 0 {
                     frontier.0.pop();
@@ -258,7 +253,6 @@ impl<'a> Traversal<'a> {
                 return Some((node, child));
             }
             // The other children are no nearer.
-            self.exact &= !is_near;
             frontier.0.pop();
         }
         None
@@ -322,25 +316,31 @@ impl<'a> Traversal<'a> {
         is_nearer
     }
 
-    /// Counts a leaf about to be visited; false if the search may visit no more.
+    /// Counts a leaf about to be visited; false if the search is out of time.
     pub(crate) fn enter_leaf(&mut self) -> bool {
-        if self.leaves_left == 0 {
-            self.exact = false;
+        if self.is_late {
             return false;
         }
-        self.leaves_left -= 1;
         self.leaves_visited += 1;
         if let Some(until) = self.search.until
             && self.leaves_visited.is_multiple_of(LEAVES_PER_CLOCK_READ)
             && Instant::now() >= until
         {
-            self.leaves_left = 0;
+            self.is_late = true;
         }
         true
     }
 
+    /// The number of leaves visited.
+    pub(crate) fn leaves_visited(&self) -> usize {
+        self.leaves_visited
+    }
+
     /// The answer. (By reference: moving the traversal costs more than the rest of this.)
-    pub(crate) fn finish(&mut self) -> Answer {
+    pub(crate) fn finish(&mut self) -> Result<Answer, SearchError> {
+        if self.is_late {
+            return Err(SearchError::TimedOut);
+        }
         let mut neighbors = Vec::with_capacity(self.candidates.len());
         for mut candidate in self.candidates.drain() {
             let distance = self.measure(&mut candidate);
@@ -353,10 +353,7 @@ impl<'a> Traversal<'a> {
         }
         neighbors.sort_unstable();
         neighbors.truncate(self.search.k);
-        Answer {
-            neighbors,
-            exact: self.exact,
-        }
+        Ok(Answer { neighbors })
     }
 }
 

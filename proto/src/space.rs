@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use thiserror::Error;
 use wayfold_index::{Factor, Group, Space, SpaceError, Term};
 
-/// Why a message is not a space. Its text begins with the path of the field, as in `product.terms[2].space: not set`.
+/// The error of a message that is not a space. Its text begins with the path of the field, as in `product.terms[2].space: not set`.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("{path}: {problem}")]
 pub struct SpaceMessageError {

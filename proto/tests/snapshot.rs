@@ -26,7 +26,7 @@ fn header(points: u64) -> Header {
         space: "R1*SO2".parse().unwrap(),
         revision: 9,
         next_id: 1000,
-        points,
+        point_count: points,
     }
 }
 
@@ -133,7 +133,7 @@ fn file_of_none() -> Vec<u8> {
 #[test]
 fn a_file_is_a_line_and_delimited_messages() {
     let bytes = whole();
-    let mut rest = bytes.strip_prefix(b"wayfold snapshot 1\n").unwrap();
+    let mut rest = bytes.strip_prefix(b"wayfold snapshot 2\n").unwrap();
     for written in parts(&[vec![1, 5, 6], vec![70, 999]]) {
         let part = v1::SnapshotPart::decode_length_delimited(&mut rest).unwrap();
         assert_eq!(part, written);
@@ -146,7 +146,7 @@ fn every_cut_is_noticed() {
     let bytes = whole();
     for end in 0..bytes.len() {
         let error = check(&bytes[..end]).unwrap_err();
-        let line = "wayfold snapshot 1\n".len();
+        let line = "wayfold snapshot 2\n".len();
         if end < line {
             assert!(
                 matches!(error, SnapshotError::NotSnapshot),
@@ -244,22 +244,27 @@ fn other_files_and_other_versions_are_told_apart() {
         let error = check(other).unwrap_err();
         assert!(matches!(error, SnapshotError::NotSnapshot), "{error}");
     }
-    let mut newer = b"wayfold snapshot 2\n".to_vec();
-    newer.extend(b"whatever");
-    let error = check(&newer[..]).unwrap_err();
-    assert!(error.to_string().contains("format version 2"), "{error}");
+    for version in [1, 3] {
+        let file = format!("wayfold snapshot {version}\nwhatever");
+        let error = check(file.as_bytes()).unwrap_err();
+        let expected = format!("format version {version}");
+        assert!(error.to_string().contains(&expected), "{error}");
+    }
 
     // On a stream the header says it.
     let content = v1::SnapshotContent {
-        content: Some(v1::snapshot_content::Content::Header(v1::SnapshotHeader {
+        kind: Some(v1::snapshot_content::Kind::Header(v1::SnapshotHeader {
             format_version: 3,
             ..Default::default()
         })),
     };
-    let content = content.encode_to_vec();
-    let part = signed(1, content);
-    let error = Reader::new().read(&part).unwrap_err();
-    assert!(error.to_string().contains("format version 3"), "{error}");
+    // The header of version 1: `format_version`, `uid` and the number of its revision.
+    let first = b"\x0a\x0a\x08\x01\x1a\x04fe1a\x30\x09".to_vec();
+    for (version, content) in [(3, content.encode_to_vec()), (1, first)] {
+        let error = Reader::new().read(&signed(1, content)).unwrap_err();
+        let expected = format!("format version {version}");
+        assert!(error.to_string().contains(&expected), "{error}");
+    }
 }
 
 /// The first part of a snapshot with this content, its digest as documented.
@@ -332,7 +337,7 @@ fn points_that_no_index_holds_are_refused_with_their_place() {
         assert!(format!("{problem:?}").starts_with(kind), "{text}");
     }
     let largest = |p: &mut v1::SnapshotPoints| columns(p).payloads[1] = vec![0; 65_536].into();
-    let error = read_changed(|h| h.points = 4, largest);
+    let error = read_changed(|h| h.point_count = 4, largest);
     assert!(matches!(error, SnapshotError::Count { .. }), "{error}");
     let next_id = PointProblem::Id { next_id: 6 };
     assert!(next_id.to_string().contains("next_id, which is 6"));
@@ -351,8 +356,8 @@ fn columns_and_counts_that_do_not_fit_are_refused() {
         read_changed(same, |p| columns(p).payloads.truncate(2)),
         read_changed(same, |p| p.modified_revisions.clear()),
         read_changed(|h| h.space = "R3".parse().unwrap(), |_| {}),
-        read_changed(|h| h.points = 2, |_| {}),
-        read_changed(|h| h.points = 4, |_| {}),
+        read_changed(|h| h.point_count = 2, |_| {}),
+        read_changed(|h| h.point_count = 4, |_| {}),
         read_changed(|h| h.next_id = (1 << 63) + 1, |_| {}),
     ];
     for error in errors {
@@ -380,14 +385,14 @@ fn a_length_beyond_any_part_is_not_believed() {
         &b"\xff\xff\xff\xff\x0f"[..],
         b"\xff\xff\xff\xff\xff\xff\xff\xff\xff\x7f",
     ] {
-        let bytes = [b"wayfold snapshot 1\n", length].concat();
+        let bytes = [b"wayfold snapshot 2\n", length].concat();
         let error = check(&bytes[..]).unwrap_err();
         assert!(
             matches!(error, SnapshotError::TooLarge { part: 1, .. }),
             "{error}"
         );
     }
-    let endless = [b"wayfold snapshot 1\n", &[0xff; 11][..]].concat();
+    let endless = [b"wayfold snapshot 2\n", &[0xff; 11][..]].concat();
     let error = check(&endless[..]).unwrap_err();
     assert!(matches!(error, SnapshotError::Malformed { .. }), "{error}");
 }
@@ -400,7 +405,7 @@ proptest! {
         bytes in prop::collection::vec(any::<u8>(), 0..300),
         begins in any::<bool>(),
     ) {
-        let line: &[u8] = if begins { b"wayfold snapshot 1\n" } else { b"" };
+        let line: &[u8] = if begins { b"wayfold snapshot 2\n" } else { b"" };
         prop_assert!(check(&[line, &bytes].concat()[..]).is_err());
     }
 

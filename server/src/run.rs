@@ -28,7 +28,7 @@ const IDLE_WAIT: Duration = Duration::from_secs(5);
 /// Aborted connections may take this long to close.
 const CUT_WAIT: Duration = Duration::from_secs(1);
 
-/// Why a server failed.
+/// The error of a server.
 #[derive(Debug, Error)]
 pub enum ServerError {
     /// The listener cannot be used.

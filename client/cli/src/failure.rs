@@ -1,4 +1,4 @@
-//! Why a command failed: the message, the exit status, and the error as a line of JSON.
+//! The failure of a command: the message, the exit status, and the error as a line of JSON.
 
 mod json;
 

@@ -88,7 +88,7 @@ pub(crate) fn include(columns: &[Column]) -> Include {
 /// All columns but payloads: the default of `get`, `watch` and a scan in JSON.
 pub(crate) const POINT_COLUMNS: Include = Include::none().states().tags().revisions();
 
-/// How far neighbours are at most.
+/// The greatest distance of a neighbour.
 #[derive(Debug, clap::Args)]
 pub(crate) struct RadiusArgs {
     /// Only points at this distance or nearer

@@ -22,11 +22,11 @@ pub(super) struct Follower {
     lost: Option<Instant>,
     /// Since when no index has the name.
     missing: Option<Instant>,
-    /// How many attempts failed in a row.
+    /// The number of attempts that failed in a row.
     failures: u32,
 }
 
-/// Why following stopped.
+/// The reason for which following stopped.
 enum Stop {
     /// The server cannot send the next mutations.
     Reset(Reset),

@@ -137,7 +137,8 @@ impl Replica {
     /// Those of the server for the same request: [`Error::Width`], [`Error::Layout`], `INVALID_ARGUMENT` naming the
     /// field, `FAILED_PRECONDITION` for a filter of another uid. [`Error::Behind`]: the filter's revision is above the
     /// replica's. [`Error::Stale`]: the replica has not heard from the server for longer than
-    /// [`ReplicaRequest::max_staleness`]. [`Error::Ended`].
+    /// [`ReplicaRequest::max_staleness`]. [`Error::Timeout`]: the search took longer than [`Search::timeout`].
+    /// [`Error::Ended`].
     pub fn search<S: State>(&self, state: S, search: &Search) -> Result<Found, Error> {
         self.shared().check()?;
         self.shared().published().search(state, search)
@@ -187,7 +188,7 @@ impl Replica {
         self.shared().status_where(wanted).await
     }
 
-    /// How old its points may be: they have everything that the server had published this long ago.
+    /// The age that its points may have: they include everything that the server had published this long ago.
     pub fn staleness(&self) -> Duration {
         self.shared().staleness()
     }

@@ -21,7 +21,7 @@ use crate::{Code, Error, IndexHandle, Refusal, Revision, Watch};
 
 const CALL: &str = "replica";
 
-/// How many publications wait to be taken. One more drops the oldest, and the log fills the gap.
+/// The number of publications that may wait. One more drops the oldest, and the log fills the gap.
 const MAX_WAITING: usize = 256;
 
 /// A session, and the prefix of the keys.

@@ -51,8 +51,8 @@ impl ReplicaRequest {
         self
     }
 
-    /// How long no index may have the name before the replica ends: 5 s unless set. The replica goes on with an index that
-    /// is deleted and created again within this time, also after a restart of a server without a disk.
+    /// The time for which no index may have the name before the replica ends: 5 s unless set. The replica goes on with an
+    /// index that is deleted and created again within this time, also after a restart of a server without a disk.
     pub fn missing_for(mut self, time: Duration) -> ReplicaRequest {
         self.missing_for = time;
         self
@@ -77,7 +77,7 @@ impl ReplicaRequest {
     }
 }
 
-/// How often the replica asks a server that sends nothing for its revision.
+/// The period at which the replica asks a silent server for its revision.
 fn heartbeat(max_staleness: Option<Duration>) -> Duration {
     const MAX: Duration = Duration::from_secs(1);
     const MIN: Duration = Duration::from_millis(1);

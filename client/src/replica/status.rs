@@ -14,7 +14,7 @@ pub enum ReplicaStatus {
     Following {
         /// The revision that reads see.
         revision: Revision,
-        /// How many revisions the server was ahead when it last sent something.
+        /// The number of revisions by which the server was ahead when it last sent something.
         behind: u64,
     },
     /// It has read all points and does not follow yet; or it reads them again, since the server no longer keeps the

@@ -1,6 +1,8 @@
 //! One frozen revision, and searching it.
 
-use wayfold_index::{Filter, Neighbor, Point, Snapshot};
+use std::time::Instant;
+
+use wayfold_index::{Filter, Neighbor, Point, SearchError, Snapshot};
 
 use super::load::protocol;
 use super::validate::{canonical, check};
@@ -22,14 +24,12 @@ pub struct ReplicaView {
 pub struct Found {
     /// The neighbours, nearest first; at equal distances by id.
     pub neighbors: Vec<Neighbor>,
-    /// True if they equal brute force; false only if [`Search::epsilon`] or [`Search::until`] may have cost an answer.
-    pub exact: bool,
     /// The revision that was searched.
     pub revision: Revision,
 }
 
 impl Found {
-    /// How many neighbours there are.
+    /// The number of neighbours.
     pub fn len(&self) -> usize {
         self.neighbors.len()
     }
@@ -64,7 +64,7 @@ impl ReplicaView {
         self.index.revision_at(self.points.revision())
     }
 
-    /// How many points there are.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.points.len()
     }
@@ -119,10 +119,12 @@ impl ReplicaView {
         let answer = self
             .points
             .search(&state, &self.plain(search, since))
-            .map_err(|error| protocol(error.to_string()))?;
+            .map_err(|error| match (error, search.timeout) {
+                (SearchError::TimedOut, Some(timeout)) => Error::timeout("search", timeout),
+                (error, _) => protocol(error.to_string()),
+            })?;
         Ok(Found {
             neighbors: answer.neighbors,
-            exact: answer.exact,
             revision,
         })
     }
@@ -138,7 +140,10 @@ impl ReplicaView {
         if let Some(Radius::Fixed(radius)) = radius {
             plain.radius = radius;
         }
-        (plain.epsilon, plain.until) = (search.epsilon, search.until);
+        plain.epsilon = search.epsilon;
+        plain.until = search
+            .timeout
+            .and_then(|timeout| Instant::now().checked_add(timeout));
         plain.filter = Filter {
             tag_mask: search.filter.tag_mask,
             tag_value: search.filter.tag_value,

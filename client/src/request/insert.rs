@@ -3,9 +3,10 @@
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use super::{awaitable, fresh_operation_id, partial};
+use super::{awaitable, fresh_operation_id};
 use crate::{
-    Error, IndexHandle, Limits, NeighborSpec, Neighbors, Revision, States, limits,
+    Error, IndexHandle, Limits, NeighborSpec, Neighbors, Revision, States,
+    limits::{self, Division},
     neighbors::Expected,
 };
 
@@ -160,33 +161,30 @@ impl Insert {
         check_column("ids", self.ids.len(), rows)?;
         check_column("tags", self.tags.len(), rows)?;
         check_column("payloads", self.payloads.len(), rows)?;
-        let limits = self.index.limits(CALL, rows).await?;
-        let max_rows = self.rows_of_answer(&limits).min(limits.rows_per_call);
-        let parts = limits::divide(&limits, rows, max_rows, |row| self.row_bytes(&states, row));
-        if parts.len() > 1 {
-            limits::check_unique(&self.ids)?;
-        }
         let mut inserted = Inserted {
             outcomes: Vec::with_capacity(rows),
             neighbors: None,
             revision: self.index.revision(),
         };
-        let operation_ids = limits::operation_ids(&self.operation_id, &parts)?;
-        for (part, operation_id) in parts.iter().zip(&operation_ids) {
-            let message = || self.message(&states, part, operation_id);
-            let answer = self
-                .index
-                .call(CALL, message, |mut stub, request| async move {
-                    stub.insert(request).await
-                })
-                .await
-                .map_err(|error| partial(part, rows, error))?;
-            self.append(answer, part.len(), &mut inserted)?;
-        }
+        let division = Division {
+            index: &self.index,
+            call: CALL,
+            rows,
+            ids: &self.ids,
+            operation_id: &self.operation_id,
+        };
+        let written = division.write(
+            |limits| self.rows_of_answer(limits).min(limits.rows_per_call),
+            |row| self.row_bytes(&states, row),
+            |part, operation_id| self.message(&states, part, operation_id),
+            |mut stub, request| async move { stub.insert(request).await },
+            |answer, rows| self.append(answer, rows, &mut inserted),
+        );
+        written.await?;
         Ok(inserted)
     }
 
-    /// How many rows' outcomes and neighbours one answer holds.
+    /// The number of rows whose outcomes and neighbours fit into one answer.
     fn rows_of_answer(&self, limits: &Limits) -> usize {
         const OUTCOME_ID_AND_COUNT: usize = 16;
         let neighbors = self.neighbors.as_ref().and_then(|spec| {

@@ -2,8 +2,8 @@
 
 use wayfold_proto::v1;
 
-use super::{awaitable, fresh_operation_id, partial};
-use crate::{Error, IndexHandle, Revision, limits};
+use super::{awaitable, fresh_operation_id};
+use crate::{Error, IndexHandle, Revision, limits::Division};
 
 /// Removes points by id; await it to send it.
 ///
@@ -20,9 +20,9 @@ pub struct Remove {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Removed {
-    /// How many points were removed.
+    /// The number of points removed.
     pub removed_count: u64,
-    /// How many were not stored.
+    /// The number of ids that were not stored.
     pub missing_count: u64,
     /// The revision that the removal, or the last of its parts, made or found.
     pub revision: Revision,
@@ -56,35 +56,36 @@ impl Remove {
     async fn send(self) -> Result<Removed, Error> {
         const ID_BYTES: usize = 8;
         let rows = self.ids.len();
-        let limits = self.index.limits(CALL, rows).await?;
-        let parts = limits::divide(&limits, rows, limits.ids_per_call, |_| ID_BYTES);
-        if parts.len() > 1 {
-            limits::check_unique(&self.ids)?;
-        }
         let mut removed = Removed {
             removed_count: 0,
             missing_count: 0,
             revision: self.index.revision(),
         };
-        let operation_ids = limits::operation_ids(&self.operation_id, &parts)?;
-        for (part, operation_id) in parts.iter().zip(&operation_ids) {
-            let message = || v1::RemoveRequest {
+        let division = Division {
+            index: &self.index,
+            call: CALL,
+            rows,
+            ids: &self.ids,
+            operation_id: &self.operation_id,
+        };
+        let written = division.write(
+            |limits| limits.ids_per_call,
+            |_| ID_BYTES,
+            |part, operation_id| v1::RemoveRequest {
                 index: self.index.name().to_owned(),
                 ids: self.ids[part.clone()].to_vec(),
-                operation_id: operation_id.clone(),
+                operation_id: operation_id.to_owned(),
                 uid: self.index.uid().to_owned(),
-            };
-            let answer = self
-                .index
-                .call(CALL, message, |mut stub, request| async move {
-                    stub.remove(request).await
-                })
-                .await
-                .map_err(|error| partial(part, rows, error))?;
-            removed.removed_count += answer.removed_count;
-            removed.missing_count += answer.missing_count;
-            removed.revision = self.index.answered(CALL, answer.revision)?;
-        }
+            },
+            |mut stub, request| async move { stub.remove(request).await },
+            |answer, _| {
+                removed.removed_count += answer.removed_count;
+                removed.missing_count += answer.missing_count;
+                removed.revision = self.index.answered(CALL, answer.revision)?;
+                Ok(())
+            },
+        );
+        written.await?;
         Ok(removed)
     }
 }

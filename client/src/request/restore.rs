@@ -68,7 +68,7 @@ impl Client {
     }
 }
 
-/// How far the sending is.
+/// The progress of the sending.
 #[derive(Clone, Copy, Debug, Default)]
 struct Movement {
     /// True while the client waits for the server, and not for the next part.

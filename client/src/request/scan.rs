@@ -112,7 +112,7 @@ impl Scan {
         &self.revision
     }
 
-    /// How many points the index holds at this revision, before the filter.
+    /// The number of points of the index at this revision, before the filter.
     pub fn point_count(&self) -> u64 {
         self.point_count
     }

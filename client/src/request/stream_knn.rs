@@ -63,7 +63,7 @@ struct Pending {
 
 const CALL: &str = "stream_knn";
 
-/// How many requests wait in the client for the connection to take them.
+/// The number of requests that may wait in the client for the connection.
 const MAX_WAITING: usize = 64;
 
 pub(crate) async fn open_stream(index: &IndexHandle) -> Result<(KnnRequests, KnnAnswers), Error> {

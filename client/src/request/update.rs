@@ -5,8 +5,8 @@ use std::ops::Range;
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use super::{awaitable, fresh_operation_id, partial};
-use crate::{Error, IndexHandle, Revision, limits};
+use super::{awaitable, fresh_operation_id};
+use crate::{Error, IndexHandle, Revision, limits::Division};
 
 /// Sets tags or payloads of stored points, whose states stay; await it to send it.
 ///
@@ -27,9 +27,9 @@ pub struct Update {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Updated {
-    /// How many points changed.
+    /// The number of points that changed.
     pub updated_count: u64,
-    /// How many already were as the update sets them.
+    /// The number of points that already were as the update sets them.
     pub unchanged_count: u64,
     /// The revision that the update, or the last of its parts, made or found.
     pub revision: Revision,
@@ -93,32 +93,31 @@ impl Update {
         let rows = self.ids.len();
         check_column("tags", self.tags.len(), &[0, 1, rows])?;
         check_column("payloads", self.payloads.len(), &[0, rows])?;
-        let limits = self.index.limits(CALL, rows).await?;
-        let parts = limits::divide(&limits, rows, limits.ids_per_call, |row| {
-            self.row_bytes(row)
-        });
-        if parts.len() > 1 {
-            limits::check_unique(&self.ids)?;
-        }
         let mut updated = Updated {
             updated_count: 0,
             unchanged_count: 0,
             revision: self.index.revision(),
         };
-        let operation_ids = limits::operation_ids(&self.operation_id, &parts)?;
-        for (part, operation_id) in parts.iter().zip(&operation_ids) {
-            let message = || self.message(part, operation_id);
-            let answer = self
-                .index
-                .call(CALL, message, |mut stub, request| async move {
-                    stub.update(request).await
-                })
-                .await
-                .map_err(|error| partial(part, rows, error))?;
-            updated.updated_count += answer.updated_count;
-            updated.unchanged_count += answer.unchanged_count;
-            updated.revision = self.index.answered(CALL, answer.revision)?;
-        }
+        let division = Division {
+            index: &self.index,
+            call: CALL,
+            rows,
+            ids: &self.ids,
+            operation_id: &self.operation_id,
+        };
+        let written = division.write(
+            |limits| limits.ids_per_call,
+            |row| self.row_bytes(row),
+            |part, operation_id| self.message(part, operation_id),
+            |mut stub, request| async move { stub.update(request).await },
+            |answer, _| {
+                updated.updated_count += answer.updated_count;
+                updated.unchanged_count += answer.unchanged_count;
+                updated.revision = self.index.answered(CALL, answer.revision)?;
+                Ok(())
+            },
+        );
+        written.await?;
         Ok(updated)
     }
 

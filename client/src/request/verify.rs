@@ -32,14 +32,14 @@ pub struct Verify {
 pub struct Verified {
     /// The index, at the revision that was verified.
     pub index: IndexInfo,
-    /// How many points are stored; `index.point_count` are searched.
+    /// The number of stored points; `index.point_count` is the number of searched ones.
     pub stored_point_count: u64,
     /// SHA-256 of the space and the stored points, whatever their revisions: indices of equal content have equal
     /// hashes, on any server.
     pub content_hash: [u8; 32],
-    /// How many states were searched around.
+    /// The number of sampled states.
     pub query_count: u64,
-    /// How many disagreements there are.
+    /// The number of disagreements.
     pub disagreement_count: u64,
     /// The first few of them, in words.
     pub first_disagreements: Vec<String>,

@@ -89,7 +89,7 @@ pub struct Mutation {
     pub removed_ids: Vec<u64>,
 }
 
-/// Why a watch cannot go on, and the index's revision.
+/// The reason for which a watch ended, and the index's revision.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Reset {
@@ -99,7 +99,7 @@ pub struct Reset {
     pub revision: Revision,
 }
 
-/// Why a watch cannot go on.
+/// The reason for which a watch ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetReason {
     /// The index has another uid: it was deleted and created again, restored, or lost mutations that were not synced. Go on

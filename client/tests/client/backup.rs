@@ -21,7 +21,7 @@ fn parts(parts: &[&[f64]]) -> Vec<v1::SnapshotPart> {
         space: "R1".parse().unwrap(),
         revision: 4,
         next_id: points as u64,
-        points: points as u64,
+        point_count: points as u64,
     })];
     let mut id = 0..;
     for part in parts {
@@ -50,7 +50,7 @@ async fn line(server: &Server) -> Vec<SnapshotPart> {
     let index = server.index("line", "R1").await;
     index.insert([[0.5], [1.5]]).await.unwrap();
     let mut snapshot = index.snapshot().await.unwrap();
-    assert_eq!(snapshot.header().points, 2);
+    assert_eq!(snapshot.header().point_count, 2);
     let mut parts = Vec::new();
     while let Some(part) = snapshot.next().await.unwrap() {
         parts.push(part);

@@ -7,7 +7,7 @@ use wayfold::{
 use wayfold_index::{Linear, Points, Search};
 
 use crate::{
-    fake::{Fake, too_large},
+    fake::{Fake, exceeded, too_large},
     server::Server,
 };
 
@@ -227,8 +227,10 @@ async fn the_server_is_asked_once_for_its_limits_and_only_where_they_matter() {
     index.knn(&scattered(2, 1)).await.unwrap();
     index.insert(&scattered(2, 1)).await.unwrap();
     index.update([1, 2]).tags([3]).await.unwrap();
-    let server = client.clone().server().await.unwrap().clone();
+    client.clone().index("line").await.unwrap();
+    index.remove([1, 2]).await.unwrap();
     assert_eq!(fake.times_described(), 1);
+    let server = client.server().await.unwrap();
     assert_eq!(
         (
             server.version.as_str(),
@@ -237,6 +239,49 @@ async fn the_server_is_asked_once_for_its_limits_and_only_where_they_matter() {
         ),
         ("1.2.3", Durability::Memory, 10_000)
     );
+}
+
+/// A server that was started again may have lower limits than the client was told.
+#[tokio::test]
+async fn after_a_refusal_that_names_a_lower_limit_the_rest_is_divided_anew() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    let insert = |rows| index.insert(&scattered(rows, 1)).operation_id("big");
+    insert(2).await.unwrap();
+    fake.limit_rows(1000);
+    let inserted = insert(12_500).await.unwrap();
+    assert_eq!(inserted.outcomes.len(), 12_500);
+    insert(1500).await.unwrap();
+    let sent: Vec<(u32, String)> = fake
+        .insert_requests()
+        .into_iter()
+        .map(|sent| (sent.states.unwrap().rows, sent.operation_id))
+        .collect();
+    let part = |rows, start: usize| match start {
+        0 => (rows, "big".to_owned()),
+        row => (rows, format!("big/{row}")),
+    };
+    // The first that is too large, then its parts; the later insert is within the limits at once.
+    let mut expected = vec![part(2, 0), part(10_000, 0)];
+    expected.extend((0..12).map(|at| part(1000, at * 1000)));
+    expected.extend([part(500, 12_000), part(1000, 0), part(500, 1000)]);
+    assert_eq!(sent, expected);
+    assert_eq!(fake.times_described(), 2);
+}
+
+/// A limit that is named and not lowered cannot be kept by another division.
+#[tokio::test]
+async fn a_refusal_that_names_no_lower_limit_fails_a_mutation() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    fake.fail(|number, _| (number > 0).then(|| exceeded("rows_per_call", 10_000)));
+    let error = index.insert(&scattered(20_000, 1)).await.unwrap_err();
+    assert!(
+        matches!(error, Error::Partial { done: 10_000, .. }),
+        "{error}"
+    );
+    assert_eq!(error.code(), Code::ResourceExhausted);
+    assert_eq!((fake.calls(), fake.times_described()), (2, 1));
 }
 
 #[tokio::test]

@@ -177,6 +177,18 @@ async fn a_server_that_cannot_be_followed_ends_it() {
 }
 
 #[tokio::test]
+async fn a_search_that_takes_too_long_fails() {
+    let fake = Fake::start().await;
+    let points: Vec<(u64, f64)> = (0..4000).map(|id| (id, id as f64)).collect();
+    fake.scan_answers(scanned(3, &points), true);
+    let replica = request(&fake).await.await.unwrap();
+    let all = Search::within(f64::INFINITY);
+    assert_eq!(replica.search([0.0], &all).unwrap().len(), 4000);
+    let late = replica.search([0.0], &all.timeout(Duration::ZERO));
+    assert!(matches!(late, Err(Error::Timeout { .. })), "{late:?}");
+}
+
+#[tokio::test]
 async fn what_the_server_refuses_the_replica_refuses_in_the_same_words() {
     let server = Server::start();
     let index = server.index("arm", "R1*SO3").await;

@@ -73,6 +73,19 @@ impl Snapshot {
         })
     }
 
+    /// The number of leaves that a search visits. For tests of the trees' shape.
+    ///
+    /// # Errors
+    /// The errors of [`Snapshot::search`].
+    #[doc(hidden)]
+    pub fn leaves_visited(&self, state: &[f64], search: &Search<'_>) -> Result<usize, SearchError> {
+        Kernels::default().run(CountLeaves(SearchSnapshot {
+            snapshot: self,
+            state,
+            search,
+        }))
+    }
+
     /// A copy of the point with this id.
     pub fn get(&self, id: u64) -> Option<Point> {
         // Most calls ask for the newest points.
@@ -114,11 +127,13 @@ struct SearchSnapshot<'a> {
     search: &'a Search<'a>,
 }
 
-impl Task for SearchSnapshot<'_> {
-    type Output = Result<Answer, SearchError>;
-
+impl<'a> SearchSnapshot<'a> {
+    /// Searches all levels, then has `finish` read the result from the traversal.
     #[inline(always)]
-    fn run<I: Isa>(self) -> Self::Output {
+    fn traverse<I: Isa, T>(
+        self,
+        finish: impl FnOnce(&mut Traversal<'a>) -> Result<T, SearchError>,
+    ) -> Result<T, SearchError> {
         let snapshot = self.snapshot;
         let (space, scale) = (&snapshot.space, &snapshot.scale);
         self.search.check(space, self.state)?;
@@ -128,7 +143,29 @@ impl Task for SearchSnapshot<'_> {
         }
         let growing = &snapshot.growing;
         growing.search::<I>(&mut traversal, snapshot.revision);
-        Ok(traversal.finish())
+        finish(&mut traversal)
+    }
+}
+
+impl Task for SearchSnapshot<'_> {
+    type Output = Result<Answer, SearchError>;
+
+    #[inline(always)]
+    fn run<I: Isa>(self) -> Self::Output {
+        self.traverse::<I, _>(Traversal::finish)
+    }
+}
+
+/// Counts the leaves of a search.
+struct CountLeaves<'a>(SearchSnapshot<'a>);
+
+impl Task for CountLeaves<'_> {
+    type Output = Result<usize, SearchError>;
+
+    #[inline(always)]
+    fn run<I: Isa>(self) -> Self::Output {
+        self.0
+            .traverse::<I, _>(|traversal| Ok(traversal.leaves_visited()))
     }
 }
 

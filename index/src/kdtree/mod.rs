@@ -185,6 +185,6 @@ impl Task for SearchTree<'_> {
         self.search.check(&tree.space, self.state)?;
         let mut traversal = Traversal::new(&tree.space, &tree.scale, self.state, self.search);
         traversal.search::<I, _>(&mut TreeSearch::new(tree, |_| true));
-        Ok(traversal.finish())
+        traversal.finish()
     }
 }

@@ -155,7 +155,7 @@ impl Mpnn {
     /// The state is not a canonical state of the space, or a number of the search is out of its range.
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         search.check(&self.space, state)?;
-        Ok(query::search(self, state, search))
+        query::search(self, state, search)
     }
 
     /// The number of points.

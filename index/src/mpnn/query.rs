@@ -8,21 +8,24 @@
 use std::{collections::BinaryHeap, ops::Range, time::Instant};
 
 use super::{Axis, Mpnn, Node};
-use crate::{Answer, Factor, Neighbor, Search, space::so3::SERIES};
+use crate::{Answer, Factor, Neighbor, Search, SearchError, space::so3::SERIES};
 
 /// The number of leaves between two looks at the clock.
 const LEAVES_PER_CLOCK_READ: usize = 32;
 
 /// Answers a search for a canonical state.
-pub(super) fn search(tree: &Mpnn, state: &[f64], search: &Search<'_>) -> Answer {
+pub(super) fn search(
+    tree: &Mpnn,
+    state: &[f64],
+    search: &Search<'_>,
+) -> Result<Answer, SearchError> {
     let mut query = Query::new(tree, state, search);
     if !tree.is_empty() {
-        query.run();
+        query.run()?;
     }
-    Answer {
+    Ok(Answer {
         neighbors: query.nearest.into_sorted_vec(),
-        exact: query.exact,
-    }
+    })
 }
 
 /// A side of a cell, and the bounds that follow from it. A step down or up the tree changes these.
@@ -60,8 +63,7 @@ struct Query<'a> {
     /// A greater key is given up for `epsilon`.
     relaxed_limit: f64,
     relaxed: f64,
-    leaves_left: usize,
-    exact: bool,
+    leaves_visited: usize,
 }
 
 impl<'a> Query<'a> {
@@ -80,8 +82,7 @@ impl<'a> Query<'a> {
             limit: 0.0,
             relaxed_limit: 0.0,
             relaxed: tree.scale.epsilon_factor(search.epsilon),
-            leaves_left: search.max_leaves,
-            exact: true,
+            leaves_visited: 0,
         };
         query.tighten();
         for (axis, factor) in tree.axes.iter().enumerate() {
@@ -92,7 +93,7 @@ impl<'a> Query<'a> {
         query
     }
 
-    fn run(&mut self) {
+    fn run(&mut self) -> Result<(), SearchError> {
         let root = self.side(Some(0), 0, self.lo[0], self.hi[0]);
         let mut open = vec![root];
         while let Some(side) = open.pop() {
@@ -100,12 +101,12 @@ impl<'a> Query<'a> {
                 self.enter(side);
                 continue;
             };
-            if !self.admits(side.key) {
+            if side.key > self.limit || side.key > self.relaxed_limit {
                 continue;
             }
             self.enter(side);
             match self.tree.nodes[node as usize] {
-                Node::Leaf { start, end } => self.scan(start as usize..end as usize),
+                Node::Leaf { start, end } => self.scan(start as usize..end as usize)?,
                 Node::Split { axis, high, cut } => {
                     let at = axis as usize;
                     let (lo, hi) = (self.lo[at], self.hi[at]);
@@ -125,6 +126,7 @@ impl<'a> Query<'a> {
                 }
             }
         }
+        Ok(())
     }
 
     /// The side of the current cell, to come back to.
@@ -208,18 +210,8 @@ impl<'a> Query<'a> {
         }
     }
 
-    /// True if a cell of this bound is to be visited.
-    fn admits(&mut self, key: f64) -> bool {
-        if key > self.limit {
-            return false;
-        }
-        let is_given_up = self.leaves_left == 0 || key > self.relaxed_limit;
-        self.exact &= !is_given_up;
-        !is_given_up
-    }
-
     /// Measures the points of a leaf.
-    fn scan(&mut self, slots: Range<usize>) {
+    fn scan(&mut self, slots: Range<usize>) -> Result<(), SearchError> {
         let search = self.search;
         for point in slots.map(|slot| self.tree.points.get(slot)) {
             if !search.filter.admits(point.tag, point.revision)
@@ -247,14 +239,14 @@ impl<'a> Query<'a> {
                 self.tighten();
             }
         }
-        self.leaves_left -= 1;
-        let leaves = search.max_leaves - self.leaves_left;
+        self.leaves_visited += 1;
         if let Some(until) = search.until
-            && leaves.is_multiple_of(LEAVES_PER_CLOCK_READ)
+            && self.leaves_visited.is_multiple_of(LEAVES_PER_CLOCK_READ)
             && Instant::now() >= until
         {
-            self.leaves_left = 0;
+            return Err(SearchError::TimedOut);
         }
+        Ok(())
     }
 
     /// Lowers the limits to the worst neighbour once there are k.
@@ -270,7 +262,7 @@ impl<'a> Query<'a> {
     }
 }
 
-/// How far `x` lies outside an interval.
+/// The distance of `x` from an interval.
 fn to_interval(x: f64, lo: f64, hi: f64) -> f64 {
     (lo - x).max(x - hi).max(0.0)
 }

@@ -1,9 +1,9 @@
-//! Why a space or a state was refused.
+//! The errors of spaces and states.
 
 use super::Space;
 use thiserror::Error;
 
-/// Why a space was refused.
+/// The error of a space.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SpaceError {
     /// There is no group.
@@ -54,7 +54,7 @@ pub enum SpaceError {
     },
 }
 
-/// Why a row of numbers is not a state of a space.
+/// The error of a row of numbers that is not a state of a space.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("coords{}: {reason}", self.place())]
 pub struct StateError {

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use crate::common::{Shape, assert_same, brute_force, rng, states};
-use wayfold_index::{Filter, Forest, ForestOptions, PointRef, Points, Search, Space};
+use wayfold_index::{Filter, Forest, ForestOptions, PointRef, Points, Search, SearchError, Space};
 
 /// Inserts rows one by one, each a mutation of its own, from id and revision 1 on; validates now and then.
 fn grow(space: &Space, rows: &[Vec<f64>]) -> Forest {
@@ -17,6 +17,10 @@ fn grow(space: &Space, rows: &[Vec<f64>]) -> Forest {
     }
     forest.validate().unwrap();
     forest
+}
+
+fn leaves_visited(forest: &Forest, state: &[f64], search: &Search<'_>) -> usize {
+    forest.snapshot().leaves_visited(state, search).unwrap()
 }
 
 fn insert(forest: &mut Forest, id: u64, row: &[f64]) {
@@ -51,16 +55,10 @@ fn no_order_of_points_makes_searches_long() {
             let expected = brute_force(&space, points.iter(), &query, &search);
             let answer = forest.search(&query, &search).unwrap();
             assert_same(&answer.neighbors, &expected, "grown");
-            let few = Search {
-                max_leaves: 60,
-                ..search
-            };
             // Boxes cannot separate many points that are about equally near.
             let ties = !matches!(shape, Shape::Uniform | Shape::Collinear);
-            assert!(
-                ties || forest.search(&query, &few).unwrap().exact,
-                "{shape:?}"
-            );
+            let leaves = leaves_visited(&forest, &query, &search);
+            assert!(ties || leaves <= 60, "{shape:?} {leaves}");
         }
     }
 }
@@ -76,12 +74,11 @@ fn a_search_of_the_newest_visits_their_leaves_only() {
             since_revision: 4997,
             ..Filter::default()
         },
-        // The forest has about 500 leaves. (When a leaf is split, either part counts as new.)
-        max_leaves: 6,
         ..Search::nearest_k(10)
     };
     let answer = forest.search(&rows[0], &newest).unwrap();
-    assert!(answer.exact);
+    // The forest has about 500 leaves. (When a leaf is split, either part counts as new.)
+    assert!(leaves_visited(&forest, &rows[0], &newest) <= 6);
     let mut ids: Vec<u64> = answer.neighbors.iter().map(|found| found.id).collect();
     ids.sort_unstable();
     assert_eq!(ids, [4998, 4999, 5000]);
@@ -98,13 +95,10 @@ fn points_that_are_written_over_and_over_stay_few() {
     }
     forest.validate().unwrap();
     assert_eq!(forest.len(), 20);
-    // The leaves of these points and of at most 128 dead ones.
-    let search = Search {
-        max_leaves: 50,
-        ..Search::nearest_k(20)
-    };
+    let search = Search::nearest_k(20);
     let answer = forest.search(&rows[0], &search).unwrap();
-    assert!(answer.exact);
+    // The leaves of these points and of at most 128 dead ones.
+    assert!(leaves_visited(&forest, &rows[0], &search) <= 50);
     assert_eq!(answer.neighbors.len(), 20);
     assert!(forest.memory_bytes() < 1 << 20, "{}", forest.memory_bytes());
 }
@@ -123,18 +117,15 @@ fn what_moves_among_what_rests_stays_quick_to_search() {
         insert(&mut forest, 10_000 + at % 20, row);
     }
     forest.validate().unwrap();
-    let search = Search {
-        max_leaves: 8,
-        ..Search::nearest_k(10)
-    };
+    let search = Search::nearest_k(10);
     let answer = forest.search(&moving[0], &search).unwrap();
-    assert!(answer.exact);
+    assert!(leaves_visited(&forest, &moving[0], &search) <= 8);
     assert!(answer.neighbors.iter().all(|found| found.id >= 10_000));
 }
 
 /// A deadline that has passed ends a search also where points are read in the order in which they came.
 #[test]
-fn a_search_without_boxes_gives_up_in_time() {
+fn a_search_without_boxes_ends_in_time() {
     let space: Space = "R30".parse().unwrap();
     let rows = states(&space, Shape::Uniform, 3000, &mut rng(31));
     let forest = grow(&space, &rows);
@@ -144,10 +135,10 @@ fn a_search_without_boxes_gives_up_in_time() {
     };
     // Those that reach most leaves make the next ones do without boxes.
     for query in states(&space, Shape::Uniform, 20, &mut rng(37)) {
-        assert!(forest.search(&query, &Search::nearest_k(1)).unwrap().exact);
+        forest.search(&query, &Search::nearest_k(1)).unwrap();
     }
     let query = &states(&space, Shape::Uniform, 1, &mut rng(41))[0];
-    assert!(!forest.search(query, &late).unwrap().exact);
+    assert_eq!(forest.search(query, &late), Err(SearchError::TimedOut));
 }
 
 /// Writes that pause leave one packed tree, whether or not a merge was due before.

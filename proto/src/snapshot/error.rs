@@ -8,7 +8,7 @@ use wayfold_index::StateError;
 use super::{END_OF_IDS, FORMAT_VERSION, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES};
 use crate::space::SpaceMessageError;
 
-/// Why something is not a snapshot, or not a good one.
+/// The error of a snapshot, or of a file that is none.
 #[derive(Debug, Error)]
 pub enum SnapshotError {
     /// The file cannot be read or written.
@@ -17,9 +17,9 @@ pub enum SnapshotError {
     /// The file is of another program.
     #[error("not a snapshot: it does not begin with the line `wayfold snapshot {FORMAT_VERSION}`")]
     NotSnapshot,
-    /// A version that this program does not know.
+    /// The snapshot has another version of the format.
     #[error(
-        "a snapshot of format version {found}, and this program knows version {FORMAT_VERSION}: use a newer one"
+        "a snapshot of format version {found}, and this program reads version {FORMAT_VERSION} only: use the release that wrote it"
     )]
     Version {
         /// The version.
@@ -30,7 +30,7 @@ pub enum SnapshotError {
         "the snapshot is cut short: it ends after {parts} whole parts, without its trailer; copy it or take it again"
     )]
     CutShort {
-        /// How many whole parts there are.
+        /// The number of whole parts.
         parts: u64,
     },
     /// Something follows its trailer.
@@ -44,9 +44,9 @@ pub enum SnapshotError {
         "part {part}: {bytes} bytes, where a part has at most {MAX_CONTENT_BYTES}: damaged, or not a snapshot"
     )]
     TooLarge {
-        /// Which part.
+        /// The part.
         part: u64,
-        /// How many bytes it has, or says that it has.
+        /// Its size in bytes, or the size that it states.
         bytes: u64,
     },
     /// Another part is where this one belongs.
@@ -62,13 +62,13 @@ pub enum SnapshotError {
         "part {part} does not match its checksum: the snapshot is damaged there; copy it or take it again"
     )]
     Damaged {
-        /// Which part.
+        /// The part.
         part: u64,
     },
     /// A part is not the encoding of what belongs there.
     #[error("part {part} cannot be understood: {problem}")]
     Malformed {
-        /// Which part.
+        /// The part.
         part: u64,
         /// The problem with it.
         problem: String,
@@ -76,7 +76,7 @@ pub enum SnapshotError {
     /// The space of the header is invalid.
     #[error("part {part}: space.{problem}")]
     Space {
-        /// Which part.
+        /// The part.
         part: u64,
         /// The problem with it.
         problem: Box<SpaceMessageError>,
@@ -84,13 +84,13 @@ pub enum SnapshotError {
     /// A column of points is too short or too long.
     #[error("part {part}: {found} {column}, where {expected} belong to its points")]
     Column {
-        /// Which part.
+        /// The part.
         part: u64,
         /// The column.
         column: &'static str,
-        /// How many entries it has.
+        /// The number of its entries.
         found: usize,
-        /// How many it should have.
+        /// The number expected.
         expected: usize,
     },
     /// A point that no index holds.
@@ -104,11 +104,11 @@ pub enum SnapshotError {
     /// There are more or fewer points than were announced.
     #[error("part {part}: {found} points so far, where the {said_by} says {expected}")]
     Count {
-        /// Which part.
+        /// The part.
         part: u64,
-        /// How many points there were.
+        /// The number of points.
         found: u64,
-        /// How many there should be.
+        /// The number expected.
         expected: u64,
         /// Where that is said.
         said_by: &'static str,
@@ -170,7 +170,7 @@ pub enum PointProblem {
     /// A payload above the limit.
     #[error("its payload has {bytes} bytes, and a payload has at most {MAX_PAYLOAD_BYTES}")]
     Payload {
-        /// How many bytes it has.
+        /// Its size in bytes.
         bytes: usize,
     },
 }

@@ -20,7 +20,7 @@ pub use reader::{Content, Reader};
 pub use writer::Writer;
 
 /// The version of the format.
-pub const FORMAT_VERSION: u32 = 1;
+pub const FORMAT_VERSION: u32 = 2;
 
 /// The most bytes of a part's content.
 pub const MAX_CONTENT_BYTES: usize = 4 * 1024 * 1024;
@@ -47,8 +47,8 @@ pub struct Header {
     pub revision: u64,
     /// The least id above every id that the index ever used.
     pub next_id: u64,
-    /// How many points follow.
-    pub points: u64,
+    /// The number of points that follow.
+    pub point_count: u64,
 }
 
 /// Reads a file from its first byte to its last, checks all of it, and returns its header.

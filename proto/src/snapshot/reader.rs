@@ -60,18 +60,18 @@ impl Reader {
         self.authenticate(number, part)?;
         let content = v1::SnapshotContent::decode(part.content.clone())
             .map_err(|error| SnapshotError::malformed(number, error))?;
-        let content = match (content.content, &self.header) {
-            (Some(snapshot_content::Content::Header(header)), None) => {
+        let content = match (content.kind, &self.header) {
+            (Some(snapshot_content::Kind::Header(header)), None) => {
                 let header = read_header(number, header)?;
                 self.header = Some(header.clone());
                 Content::Header(header)
             }
-            (Some(snapshot_content::Content::Points(points)), Some(_)) => {
+            (Some(snapshot_content::Kind::Points(points)), Some(_)) => {
                 self.read_points(number, points)?
             }
-            (Some(snapshot_content::Content::Trailer(trailer)), Some(header)) => {
-                self.check_count(number, header.points, "header")?;
-                self.check_count(number, trailer.points, "trailer")?;
+            (Some(snapshot_content::Kind::Trailer(trailer)), Some(header)) => {
+                self.check_count(number, header.point_count, "header")?;
+                self.check_count(number, trailer.point_count, "trailer")?;
                 self.done = true;
                 Content::Trailer
             }
@@ -79,7 +79,7 @@ impl Reader {
                 let problem = "a snapshot begins with its header";
                 return Err(SnapshotError::malformed(number, problem));
             }
-            (Some(snapshot_content::Content::Header(_)), Some(_)) => {
+            (Some(snapshot_content::Kind::Header(_)), Some(_)) => {
                 let problem = "a second header";
                 return Err(SnapshotError::malformed(number, problem));
             }
@@ -92,7 +92,7 @@ impl Reader {
         Ok(content)
     }
 
-    /// How many good parts there were.
+    /// The number of good parts so far.
     pub fn parts(&self) -> u64 {
         self.parts
     }
@@ -151,8 +151,8 @@ impl Reader {
         let modified = message.modified_revisions;
         check_columns(number, &header.space, &points, &modified)?;
         self.points += points.ids.len() as u64;
-        if self.points > header.points {
-            self.check_count(number, header.points, "header")?;
+        if self.points > header.point_count {
+            self.check_count(number, header.point_count, "header")?;
         }
         for row in 0..points.ids.len() {
             self.check_point(&header, &points, &modified, row)
@@ -249,13 +249,14 @@ fn read_header(number: u64, header: v1::SnapshotHeader) -> Result<Header, Snapsh
     if header.next_id > END_OF_IDS {
         return Err(SnapshotError::next_id(number, header.next_id));
     }
+    let revision = header.revision.unwrap_or_default();
     Ok(Header {
         name: header.name,
-        uid: header.uid,
+        uid: revision.uid,
         space,
-        revision: header.revision,
+        revision: revision.number,
         next_id: header.next_id,
-        points: header.points,
+        point_count: header.point_count,
     })
 }
 

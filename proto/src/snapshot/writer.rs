@@ -5,7 +5,7 @@ use prost::Message;
 use super::{Digest, FORMAT_VERSION, Header, digest};
 use crate::{
     space,
-    v1::{self, snapshot_content::Content},
+    v1::{self, snapshot_content::Kind},
 };
 
 /// Makes the parts of one snapshot, in order.
@@ -26,15 +26,17 @@ impl Writer {
 
     /// The first part.
     pub fn header(&mut self, header: &Header) -> v1::SnapshotPart {
-        self.part(Content::Header(v1::SnapshotHeader {
+        self.part(Kind::Header(v1::SnapshotHeader {
             format_version: FORMAT_VERSION,
             name: header.name.clone(),
-            uid: header.uid.clone(),
             space: Some(space::to_message(&header.space)),
             space_text: header.space.to_string(),
-            revision: header.revision,
             next_id: header.next_id,
-            points: header.points,
+            point_count: header.point_count,
+            revision: Some(v1::Revision {
+                uid: header.uid.clone(),
+                number: header.revision,
+            }),
         }))
     }
 
@@ -44,23 +46,23 @@ impl Writer {
             .points
             .as_ref()
             .map_or(0, |points| points.ids.len() as u64);
-        self.part(Content::Points(points))
+        self.part(Kind::Points(points))
     }
 
-    /// How many points there were.
+    /// The number of points.
     pub fn points_written(&self) -> u64 {
         self.points
     }
 
     /// The last part.
     pub fn trailer(&mut self) -> v1::SnapshotPart {
-        let points = self.points;
-        self.part(Content::Trailer(v1::SnapshotTrailer { points }))
+        let point_count = self.points;
+        self.part(Kind::Trailer(v1::SnapshotTrailer { point_count }))
     }
 
-    fn part(&mut self, content: Content) -> v1::SnapshotPart {
-        let content = Some(content);
-        let content = v1::SnapshotContent { content }.encode_to_vec();
+    fn part(&mut self, kind: Kind) -> v1::SnapshotPart {
+        let kind = Some(kind);
+        let content = v1::SnapshotContent { kind }.encode_to_vec();
         self.parts += 1;
         self.digest = digest(&self.digest, self.parts, &content);
         v1::SnapshotPart {

@@ -4,7 +4,7 @@ use std::{io, path::PathBuf};
 
 use thiserror::Error;
 
-/// Why the settings could not be loaded. Every message names the key and its origin.
+/// The error of the settings. Every message names the key and its origin.
 #[derive(Debug, Error)]
 pub enum ConfigError {
     /// The file cannot be read.

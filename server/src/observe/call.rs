@@ -7,7 +7,7 @@ use wayfold_proto::v1;
 
 use crate::service::Code;
 
-/// How a call ended.
+/// The end of a call.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Ending {
     /// It succeeded.
@@ -100,7 +100,7 @@ pub(crate) trait Request {
         ""
     }
 
-    /// How many rows or ids it carries, if it is a call for some.
+    /// The number of rows or ids that it carries, if the call has any.
     fn rows(&self) -> Option<usize> {
         None
     }

@@ -33,7 +33,7 @@ impl TryFrom<String> for LogFormat {
     }
 }
 
-/// Why logging could not be started.
+/// The error of the start of logging.
 #[derive(Debug, Error)]
 pub enum LoggingError {
     /// The filter does not parse.

@@ -5,7 +5,7 @@ use wayfold_index::Space;
 
 use crate::log::{LogError, Uid};
 
-/// Why a call of the registry failed.
+/// The error of a call of the registry.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum RegistryError {
     /// The index does not exist, or no longer.

@@ -39,7 +39,7 @@ pub struct RegistryOptions {
     pub growing_rows: Option<usize>,
     /// The number of points in a leaf; None to choose it by the space.
     pub leaf_rows: Option<usize>,
-    /// How many merges run at once, over all indices.
+    /// The greatest number of merges at once, over all indices.
     pub merge_threads: usize,
     /// Each index keeps about this many bytes of its newest records in addition to its points.
     pub window_bytes: usize,

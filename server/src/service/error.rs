@@ -194,7 +194,7 @@ pub enum Error {
         }
     )]
     Unavailable {
-        /// Why.
+        /// The reason.
         why: Unavailability,
     },
     /// The deadline passed.
@@ -235,8 +235,13 @@ pub enum Error {
 /// The service searches for canonical states only: a refusal is a bug.
 impl From<SearchError> for Error {
     fn from(error: SearchError) -> Self {
-        Error::Internal {
-            what: format!("a search that was checked is refused: {error}"),
+        match error {
+            SearchError::TimedOut => Error::DeadlineExceeded {
+                doing: "while searching",
+            },
+            refused => Error::Internal {
+                what: format!("a search that was checked is refused: {refused}"),
+            },
         }
     }
 }

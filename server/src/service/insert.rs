@@ -107,9 +107,12 @@ impl Service {
                 held = Some(writer);
             }
             reads += 1;
-            let read = payloads.read(call, &hosted, &head, unread, most);
-            // The answer has all of these payloads, and maybe more.
-            Room::new(self.limits()).take(read.await?)?;
+            let is_compared = unread.compared.is_empty();
+            let read = payloads.read(call, &hosted, &head, unread, most).await?;
+            // The answer has all of these payloads, and maybe more; but a row may still replace what it is compared with.
+            if is_compared {
+                Room::new(self.limits()).take(read)?;
+            }
         };
         let found = head.revision;
         let response = v1::InsertResponse {

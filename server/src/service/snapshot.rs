@@ -96,7 +96,7 @@ impl Snapshot {
             space: self.hosted.space().clone(),
             revision: published.revision,
             next_id: published.view.next_id(),
-            points: published.snapshot.len() as u64,
+            point_count: published.snapshot.len() as u64,
         }))
     }
 

@@ -11,7 +11,7 @@ use crate::{
     registry::{Hosted, Published, Writer},
 };
 
-/// How often a mutation reads without the writer. Writers that commit a lot meanwhile could otherwise starve it, so the
+/// The number of times that a mutation reads without the writer. Busy writers could otherwise starve it, so the
 /// last time it reads with the writer held.
 pub(super) const MAX_READS_AHEAD: usize = 3;
 

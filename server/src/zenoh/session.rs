@@ -17,7 +17,7 @@ const WAIT_FOR_ROOM_US: u64 = 10_000;
 /// Zenoh drops messages larger than this many times the largest payload silently; smaller ones get a refusal.
 const MESSAGE_LIMIT_FACTOR: usize = 4;
 
-/// Why the Zenoh face could not be served.
+/// The error of the Zenoh face.
 #[derive(Debug, Error)]
 pub enum ZenohError {
     /// `zenoh.config` is not a configuration.

@@ -113,7 +113,7 @@ async fn a_snapshot_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
         }
     }
     reader.finish().unwrap();
-    assert_eq!((header.points, read.start), (200_000, 200_000));
+    assert_eq!((header.point_count, read.start), (200_000, 200_000));
     server.stop().await.unwrap().unwrap();
 }
 

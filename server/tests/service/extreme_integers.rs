@@ -196,7 +196,7 @@ async fn an_index_is_restored_only_if_its_revisions_leave_room_for_others() {
             space: "R1".parse().unwrap(),
             revision,
             next_id: 0,
-            points: 0,
+            point_count: 0,
         });
         let mut restoring = service.restore_index(&CALL).unwrap();
         let begun = restoring

@@ -321,7 +321,7 @@ async fn what_no_server_writes_is_refused() {
         space: "R1".parse().unwrap(),
         revision: 5,
         next_id: 9,
-        points: 1,
+        point_count: 1,
     };
     let point = |id, revision, modified, x| v1::SnapshotPoints {
         points: Some(v1::Points {

@@ -367,3 +367,47 @@ async fn an_update_that_others_overtake_again_and_again_ends() {
     }
     assert_eq!(update.await.unwrap().unwrap().updated_count, 1);
 }
+
+/// A payload that an insert replaces is not in its answer, though the rows found it before they were compared.
+#[tokio::test]
+async fn an_overtaken_insert_is_not_charged_for_the_payloads_that_it_replaces() {
+    let log = FaultLog::new(0);
+    let options = RegistryOptions {
+        window_bytes: 1,
+        ..options()
+    };
+    let limits = Limits {
+        answer_bytes: 2000,
+        ..Limits::default()
+    };
+    let service = restarted_with(Arc::new(log.clone()), options, limits);
+    create(&service, "arm", "R1").await;
+    let pair = |payload: &'static [u8]| v1::InsertRequest {
+        payloads: vec![payload.into(); 2],
+        ..insertion(&[[3.0], [4.0]], &[3, 4])
+    };
+    let large = &[7; 1500];
+    service.insert(&CALL, pair(large)).await.unwrap();
+
+    log.gate().close();
+    let request = v1::InsertRequest {
+        on_conflict: v1::OnConflict::Replace.into(),
+        neighbors: Some(v1::NeighborSpec {
+            count: nearest(1),
+            include: include(),
+            ..Default::default()
+        }),
+        ..pair(b"small")
+    };
+    let mut inserting = Box::pin(service.insert(&CALL, request));
+    assert!(poll!(&mut inserting).is_pending());
+    log.gate().holds_a_read().await;
+    log.gate().open();
+    // More than the cache of records holds: the insert reads again.
+    for x in [100.0, 101.0] {
+        service.insert(&CALL, insertion(&[[x]], &[])).await.unwrap();
+    }
+    let neighbors = inserting.await.unwrap().neighbors.unwrap();
+    assert_eq!(neighbors.ids, [4, 3]);
+    assert_eq!(neighbors.payloads, [&large[..], b"small"]);
+}

@@ -56,7 +56,7 @@ async fn it_is_one_revision_whatever_is_written_meanwhile() {
     }
     assert!(parts.len() > 4, "{} parts", parts.len());
     let held = read(&parts);
-    assert_eq!((held.header.revision, held.header.points), (1, 20_000));
+    assert_eq!((held.header.revision, held.header.point_count), (1, 20_000));
     assert_eq!((held.header.name.as_str(), held.header.uid), ("arm", uid));
     assert_eq!(held.header.next_id, 3 * 19_999 + 1);
     assert_eq!(held.ids, ids);

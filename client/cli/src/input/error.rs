@@ -5,7 +5,7 @@ use std::io;
 use thiserror::Error;
 use wayfold::StateProblem;
 
-/// Why input is refused. A place is `FILE:LINE:COLUMN (NAME)` in CSV, with the columns counted from 1, and
+/// The error of an input. A place is `FILE:LINE:COLUMN (NAME)` in CSV, with the columns counted from 1, and
 /// `FILE[ROW, COLUMN] (NAME)` in npy, as numpy counts.
 #[derive(Debug, Error)]
 pub(crate) enum InputError {

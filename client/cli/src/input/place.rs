@@ -38,7 +38,7 @@ impl File {
         })
     }
 
-    /// How many columns are not coordinates.
+    /// The number of columns that are not coordinates.
     pub(super) fn other_columns(&self) -> usize {
         usize::from(self.id_column.is_some()) + usize::from(self.tag_column.is_some())
     }

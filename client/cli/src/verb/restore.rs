@@ -49,7 +49,7 @@ pub(crate) async fn restore(args: RestoreArgs, session: &mut Session) -> Result<
         source,
     };
     let snapshot = SnapshotReader::new(file).map_err(bad)?;
-    let bar = progress::bar(Some(snapshot.header().points), "restoring", false);
+    let bar = progress::bar(Some(snapshot.header().point_count), "restoring", false);
     let sent = bar.clone();
     let parts = snapshot.into_stream().inspect(move |part| {
         sent.inc(part.as_ref().map_or(0, |part| part.points() as u64));

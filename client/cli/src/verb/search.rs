@@ -99,7 +99,7 @@ impl SearchArgs {
 pub(crate) struct KnnArgs {
     #[command(flatten)]
     search: SearchArgs,
-    /// How many neighbours each state has at most
+    /// The greatest number of neighbours of a state
     #[arg(short, value_parser = clap::value_parser!(u32).range(1..))]
     k: Option<u32>,
     /// In the place of -k: F * ln n, rounded up, for n points

@@ -44,7 +44,7 @@ pub(crate) async fn server(session: &mut Session) -> Result<(), Failure> {
     if output.format == Format::Json {
         return Ok(output.json(&ServerLine {
             server,
-            version,
+            version: &version,
             durability,
             limits: LimitsLine {
                 rows_per_call: limits.rows_per_call,

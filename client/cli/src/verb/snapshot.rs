@@ -88,7 +88,7 @@ async fn write(
     to: impl Write,
     failed: &impl Fn(io::Error) -> Failure,
 ) -> Result<(), Failure> {
-    let bar = progress::bar(Some(snapshot.header().points), "reading", false);
+    let bar = progress::bar(Some(snapshot.header().point_count), "reading", false);
     let mut file = SnapshotWriter::new(io::BufWriter::new(to)).map_err(failed)?;
     while let Some(part) = snapshot.next().await? {
         file.write(&part).map_err(failed)?;
@@ -109,13 +109,13 @@ fn report(
         Format::Json => session.output.json(&Written {
             name: &header.name,
             space: header.space.to_string(),
-            point_count: header.points,
+            point_count: header.point_count,
             revision: JsonRevision::new(&header.uid, header.revision),
             bytes,
         })?,
         Format::Text => session.output.text(format_args!(
             "{} points of {} at revision {} written to {}, {}",
-            header.points,
+            header.point_count,
             header.space,
             header.revision,
             path.display(),

@@ -27,7 +27,7 @@ async fn an_interrupted_snapshot_leaves_no_file() {
         space: "R1".parse().unwrap(),
         revision: 4,
         next_id: 1,
-        points: 1,
+        point_count: 1,
     };
     // The rest never comes.
     fake.snapshots(&[Writer::new().header(&header)], false);

@@ -57,6 +57,8 @@ struct Inner {
     timeouts: Vec<Option<String>>,
     /// How often it was asked for its limits; these calls are counted nowhere else.
     described: usize,
+    /// Its limits, if they are not [`LIMITS`].
+    limits: Option<v1::Limits>,
     /// The revisions of the next answers; later answers repeat the last.
     revisions: VecDeque<u64>,
     /// True if calls wait for ever.
@@ -150,6 +152,15 @@ impl Fake {
         self.inner.lock().unwrap().watched.clone()
     }
 
+    /// Lets calls, counted from now, have at most `rows` rows or ids, as a server that was started again may.
+    pub(crate) fn limit_rows(&self, rows: u64) {
+        self.fail(move |_, found| (found as u64 > rows).then(|| exceeded("rows_per_call", rows)));
+        self.inner.lock().unwrap().limits = Some(v1::Limits {
+            rows_per_call: rows,
+            ..LIMITS
+        });
+    }
+
     pub(crate) fn times_described(&self) -> usize {
         self.inner.lock().unwrap().described
     }
@@ -206,9 +217,17 @@ impl Fake {
     }
 }
 
-/// The refusal of an answer that is too large, with the details of a real one.
+/// The refusal of a request or an answer that is too large, with the details of a real one.
 pub(crate) fn too_large(limit: &str) -> Status {
-    let metadata = [("limit".to_owned(), limit.to_owned())];
+    exceeded(limit, 1 << 40)
+}
+
+/// The refusal of a call that exceeds a limit.
+pub(crate) fn exceeded(limit: &str, value: u64) -> Status {
+    let metadata = [
+        ("limit".to_owned(), limit.to_owned()),
+        ("value".to_owned(), value.to_string()),
+    ];
     let details = ErrorDetails::with_error_info("LIMIT_EXCEEDED", "wayfold", metadata);
     Status::with_error_details(tonic::Code::ResourceExhausted, "too large", details)
 }
@@ -237,7 +256,7 @@ impl IndexService for Fake {
         Ok(Response::new(v1::GetServerResponse {
             version: "1.2.3".to_owned(),
             durability: v1::Durability::Memory.into(),
-            limits: Some(LIMITS),
+            limits: Some(self.inner.lock().unwrap().limits.unwrap_or(LIMITS)),
         }))
     }
 

@@ -135,7 +135,7 @@ pub(super) fn assert_holds(name: &str, parts: &[v1::SnapshotPart], model: &Model
         space: model.space.clone(),
         revision: model.revision,
         next_id: model.next_id,
-        points: model.points.len() as u64,
+        point_count: model.points.len() as u64,
     };
     let expected = Held {
         header,
