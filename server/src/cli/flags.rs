@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, env, path::PathBuf};
 
-use clap::Parser;
+use clap::{Parser, Subcommand};
 
 use crate::{
     config::{Config, ConfigError},
@@ -36,6 +36,7 @@ Examples:
   wayfold-server --grpc 0.0.0.0:50051        every network, without authentication
   wayfold-server --print-config > my.toml    a file to edit, for --config my.toml
   wayfold-server --log wayfold_server=debug  a log line for every call
+  wayfold-server repair --dry-run            reports the damage of a store
 
   Then, in another terminal:
   wayfold create arm --space 'R3*SO3:0.15'
@@ -68,11 +69,28 @@ Next:
   describes its calls by reflection:
   grpcurl -plaintext 127.0.0.1:50051 describe wayfold.v1.PointService";
 
+const AFTER_REPAIR: &str = "\
+Stop the server first. The command reads the store in the data directory from end
+to end. If a part of it cannot be read, it writes a new store with every index that
+can be read whole, and keeps the damaged one beside it as store.damaged-N. Of the
+other indices only the names are left: delete them and restore their snapshots.
+
+The new store needs about as many free bytes as the old one takes; --dry-run names
+the number, the damage and the indices that a repair loses.
+
+Exit status:
+  0          the store is whole, or was rebuilt
+  1          --dry-run found damage
+  2          the command line or the settings are wrong
+  3          the store cannot be repaired, for example because a server uses it, the
+             disk is full, or its list of files is damaged; nothing was changed";
+
 /// The parsed flags.
 #[derive(Debug, Parser)]
 #[command(
     name = "wayfold-server",
     version,
+    disable_help_subcommand = true,
     about = ABOUT,
     after_help = AFTER,
     max_term_width = 100
@@ -83,7 +101,8 @@ pub(super) struct Flags {
         long,
         value_name = "FILE",
         env = "WAYFOLD_CONFIG",
-        hide_env_values = true
+        hide_env_values = true,
+        global = true
     )]
     config: Option<PathBuf>,
     /// Address to listen on [default: 127.0.0.1:50051]
@@ -93,17 +112,36 @@ pub(super) struct Flags {
     #[arg(long, value_name = "LOCATOR")]
     zenoh: Option<String>,
     /// Directory of the indices, or memory [default: ./wayfold-data]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", global = true)]
     data: Option<String>,
     /// Log level: error, warn, info, debug, trace [default: info]
-    #[arg(long, value_name = "FILTER")]
+    #[arg(long, value_name = "FILTER", global = true)]
     log: Option<String>,
     /// Form of the log lines: text, json [default: text]
-    #[arg(long, value_name = "FORMAT", hide_possible_values = true)]
+    #[arg(
+        long,
+        value_name = "FORMAT",
+        hide_possible_values = true,
+        global = true
+    )]
     log_format: Option<LogFormat>,
     /// Print all settings with defaults and explanations, and exit
     #[arg(long)]
     pub(super) print_config: bool,
+    #[command(subcommand)]
+    pub(super) command: Option<Command>,
+}
+
+/// What the program does instead of serving.
+#[derive(Debug, Subcommand)]
+pub(super) enum Command {
+    /// Rebuild a damaged store from everything that can be read of it
+    #[command(after_help = AFTER_REPAIR)]
+    Repair {
+        /// Report the damage and the cost of a repair, and change nothing
+        #[arg(long)]
+        dry_run: bool,
+    },
 }
 
 impl Flags {
@@ -143,6 +181,19 @@ mod tests {
     #[test]
     fn the_definition_is_sound() {
         Flags::command().debug_assert();
+    }
+
+    #[test]
+    fn repair_takes_the_data_directory_before_and_after_its_name() {
+        for line in [
+            ["wayfold-server", "--data", "d", "repair", "--dry-run"],
+            ["wayfold-server", "repair", "--dry-run", "--data", "d"],
+        ] {
+            let flags = Flags::try_parse_from(line).unwrap();
+            assert_eq!(flags.data.as_deref(), Some("d"));
+            let is_dry = matches!(flags.command, Some(Command::Repair { dry_run: true }));
+            assert!(is_dry, "{line:?}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The command line of `wayfold-server`: settings, logging, runtime, serving, draining, exit status.
 
 mod flags;
+mod repair;
 mod signals;
 mod welcome;
 
@@ -20,14 +21,14 @@ use crate::{
     run::{self, Addresses, ServerError},
     zenoh,
 };
-use flags::Flags;
+use flags::{Command, Flags};
 
 /// Exit status: the command line or the settings are wrong.
 const USAGE_STATUS: u8 = 2;
 /// Exit status: the server could not start, or cut calls when it stopped.
 const FAILURE_STATUS: u8 = 1;
 
-/// Runs the server that the command line describes, until it has stopped.
+/// Runs the server that the command line describes until it has stopped, or repairs its store.
 pub fn main() -> ExitCode {
     let flags = Flags::parse();
     if flags.print_config {
@@ -43,6 +44,9 @@ pub fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => return fail(&*error, USAGE_STATUS),
     };
+    if let Some(Command::Repair { dry_run }) = flags.command {
+        return repair::run(&config, dry_run);
+    }
     match serve(config) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => fail(&*error, FAILURE_STATUS),

@@ -101,9 +101,9 @@ pub enum LogError {
     },
     /// The store as a whole cannot be read.
     #[error(
-        "the store cannot be opened ({what}): what it holds cannot be read{}; put back the file as it was last, or name \
-         another directory with --data and restore the indices from snapshots (an older copy of the directory would pass \
-         for the present one)",
+        "the store cannot be opened ({what}): what it holds cannot be read{}; put back the file as it was last, or stop the server \
+         and run `wayfold-server repair`, or name another directory with --data and restore the indices from snapshots (an \
+         older copy of the directory would pass for the present one)",
         match revision {
             0 => String::new(),
             revision => format!(", among it the revisions 1 to {revision} of this index"),
@@ -142,13 +142,22 @@ pub enum LogError {
         /// The last revision that is known to have been synced; before the first where that was the creation.
         last: u64,
     },
-    /// The store failed: nothing more is written until it is opened anew.
+    /// The store failed: nothing more is written until it is reopened.
     #[error(
         "the store failed ({what}): whether the mutations under way are stored is unknown, and none is taken until the \
          disk can be written again, which is tried again and again; meanwhile reads go on"
     )]
     Storage {
         /// What it said.
+        what: String,
+    },
+    /// The store met a damaged block and writes nothing more.
+    #[error(
+        "the store is damaged ({what}): nothing is written any more, and reads go on; stop the server and run \
+         `wayfold-server repair`"
+    )]
+    DamagedStore {
+        /// What the store said.
         what: String,
     },
     /// The store was closed.

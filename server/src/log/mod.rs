@@ -35,7 +35,7 @@ use wayfold_index::Space;
 
 #[cfg(fuzzing)]
 pub use self::fjall::fuzzing;
-pub use self::fjall::{Durability, FjallLog, OpenError};
+pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport, repair};
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Effects, Operation, Outcome, Record};
@@ -157,8 +157,9 @@ pub trait PointStore: Send + Sync {
         None
     }
 
-    /// Reopens a store that has failed, if the cause is gone. Afterwards each index is as it is stored: records that were
-    /// not durable are there or not. Earlier views return [`LogError::Closed`].
+    /// Reopens a failed store once its disk can be used. Then each index is as it is stored: records that were not durable
+    /// are there or not. Views from before are [`LogError::Closed`]. A damaged store is reopened for reading, and
+    /// [`PointStore::failure`] still tells of it.
     fn reopen(&self) -> Result<(), LogError> {
         Ok(())
     }

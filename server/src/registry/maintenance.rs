@@ -66,7 +66,7 @@ impl Registry {
         self.host.log.points.failure().map(RegistryError::Log)
     }
 
-    /// Reopens a failed log and brings every index to its stored state. An index whose stored revision is its writer's head
+    /// Reopens a failed log and brings every index to its stored state. An error if it cannot be written then. An index whose stored revision is its writer's head
     /// resumes. Any other index is replayed, and the calls that waited for it fail and can be retried. Blocks.
     pub fn recover(&self) -> Result<(), RegistryError> {
         let _change = self.change_lock.lock();
@@ -92,6 +92,10 @@ impl Registry {
             self.change(|indexes| indexes.insert(entry.name.clone(), state));
         }
         self.add_lost();
+        // A damaged store is open for reading only.
+        if let Some(why) = self.failure() {
+            return Err(why);
+        }
         info!(indexes = entries.len(), "the log is writable again");
         Ok(())
     }

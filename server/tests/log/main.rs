@@ -11,10 +11,13 @@ mod disk;
 mod fault;
 mod fjall;
 mod flips;
+mod idle_view;
 mod kept;
 mod lost;
 mod model;
-mod remade;
+mod pin;
+mod rebuilt;
+mod shared_files;
 mod suite;
 
 use std::{collections::BTreeMap, sync::Arc, time::SystemTime};

@@ -17,6 +17,7 @@ mod extremes;
 mod fault;
 mod faults;
 mod forward;
+mod idle_index;
 mod indexes;
 mod insert;
 mod lifecycle;

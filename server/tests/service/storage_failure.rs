@@ -1,10 +1,18 @@
 //! The disk fails under a running service, and comes back: writes are refused, reads go on, and nothing is half there.
 
-use std::{path::PathBuf, sync::Arc};
+use std::{
+    io::Write,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
+use bytes::Bytes;
+use wayfold_index::PointRef;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Durability, FjallLog},
+    log::{
+        Catalogue, Durability, Effects, Entry, FjallLog, Journal, Outcome, PointStore, Record, Uid,
+    },
     registry::{Registry, RegistryError},
     service::{Code, Limits, Service},
 };
@@ -158,7 +166,7 @@ async fn what_is_read_across_the_end_of_it_is_asked_for_again() {
 }
 
 /// The newest journal of a store, with a bit in the middle of it flipped.
-fn damage(store: &std::path::Path) {
+fn damage(store: &Path) {
     let files = std::fs::read_dir(store).unwrap();
     let journals = files.map(|file| file.unwrap().path());
     let journal = journals.filter(|path| path.extension().is_some_and(|kind| kind == "jnl"));
@@ -167,6 +175,33 @@ fn damage(store: &std::path::Path) {
     let used = bytes.iter().rposition(|&byte| byte != 0).unwrap();
     bytes[used / 2] ^= 1;
     std::fs::write(&journal, bytes).unwrap();
+}
+
+/// Moves everything of a closed store to tables.
+fn move_to_tables(store: &Path) {
+    let database = fjall::Database::builder(store).open().unwrap();
+    let keyspace = database.keyspace("wayfold", fjall::KeyspaceCreateOptions::default);
+    keyspace.unwrap().rotate_memtable_and_wait().unwrap();
+}
+
+/// Flips a bit of this payload in the one table that holds it.
+fn flip_payload(store: &Path, payload: &[u8]) {
+    let tables = std::fs::read_dir(store.join("keyspaces/1/tables")).unwrap();
+    let flipped = tables.map(|table| {
+        let path = table.unwrap().path();
+        let mut bytes = std::fs::read(&path).unwrap();
+        let found = bytes
+            .windows(payload.len())
+            .position(|bytes| bytes == payload);
+        found.is_some_and(|at| {
+            bytes[at] ^= 1;
+            // Not truncated first: the store has the file open.
+            let file = std::fs::File::options().write(true).open(path);
+            file.unwrap().write_all(&bytes).unwrap();
+            true
+        })
+    });
+    assert_eq!(flipped.filter(|flipped| *flipped).count(), 1);
 }
 
 /// A failed store turns out to be damaged when the service reopens it. The service reports it as a start would, without
@@ -212,12 +247,8 @@ async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
         service.insert(&CALL, insert).await.unwrap();
     }
     drop(service);
-    let tables = directory.path().join("store/keyspaces/1/tables");
-    let database = fjall::Database::builder(directory.path().join("store"));
-    let database = database.open().unwrap();
-    let keyspace = database.keyspace("wayfold", fjall::KeyspaceCreateOptions::default);
-    keyspace.unwrap().rotate_memtable_and_wait().unwrap();
-    drop(database);
+    let store = directory.path().join("store");
+    move_to_tables(&store);
 
     let failing = Failing::at(directory);
     let service = &failing.service;
@@ -229,17 +260,7 @@ async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
     failing.fail();
     unavailable(service.insert(&CALL, base(2)).await);
     failing.mend();
-    let flipped = std::fs::read_dir(tables).unwrap().map(|table| {
-        let path = table.unwrap().path();
-        let mut bytes = std::fs::read(&path).unwrap();
-        let found = bytes.windows(20_000).position(|bytes| bytes == [3; 20_000]);
-        found.is_some_and(|at| {
-            bytes[at] ^= 1;
-            std::fs::write(path, bytes).unwrap();
-            true
-        })
-    });
-    assert_eq!(flipped.filter(|flipped| *flipped).count(), 1);
+    flip_payload(&store, &[3; 20_000]);
     failing.recover().await.unwrap();
     assert_eq!(
         refusal(service.knn(&CALL, knn(&[[3.1]], 2)).await).0,
@@ -281,5 +302,79 @@ async fn a_store_that_cannot_be_opened_is_not_served_as_an_empty_one() {
         );
         let create = service.create_index(&CALL, creation("arm", "R1")).await;
         assert_eq!(refusal(create).0, Code::DataLoss);
+    }
+}
+
+/// fjall stops writing for good when it has to rewrite a damaged block. The service goes on reading, and each write says what
+/// to do.
+#[tokio::test]
+async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_repair() {
+    const POINT_BYTES: usize = 32 * 1024;
+    const MAX_INSERTS: u64 = 500;
+    let payload = |&id: &u64| Bytes::from(vec![id as u8; POINT_BYTES]);
+    let insert = |ids: &[u64]| v1::InsertRequest {
+        index: "base".into(),
+        payloads: ids.iter().map(payload).collect(),
+        ..insertion(&vec![[0.5]; ids.len()], ids)
+    };
+    let directory = tempfile::tempdir().unwrap();
+    let store = directory.path().join("store");
+    let entries = ["arm", "base"].map(|name| Entry {
+        uid: Uid::unique(),
+        name: name.into(),
+        space: "R1".parse().unwrap(),
+    });
+    // Several tables, which fjall rewrites with the next one or two.
+    for ids in [1..11, 11..16, 16..21] {
+        let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+        for id in ids {
+            if id == 1 {
+                entries
+                    .iter()
+                    .for_each(|entry| log.create(entry.clone()).unwrap());
+            }
+            let mut effects = Effects::new(1);
+            let point = PointRef {
+                id,
+                tag: 0,
+                revision: id,
+                row: &[0.5],
+            };
+            effects.store(point, Outcome::Inserted, payload(&id));
+            let uid = entries[0].uid;
+            let tip = log.view(uid).unwrap().tip();
+            let record = Arc::new(Record::after(tip, effects));
+            log.submit(uid, Arc::clone(&record)).unwrap();
+            drop(log.apply(uid, &[record]).unwrap());
+        }
+        drop(log);
+        move_to_tables(&store);
+    }
+    let failing = Failing::at(directory);
+    let service = &failing.service;
+    flip_payload(&store, &[10; POINT_BYTES]);
+    let mut inserted = 0;
+    let refused = loop {
+        assert!(inserted < MAX_INSERTS, "the block was never rewritten");
+        let ids: Vec<u64> = (inserted * 32..(inserted + 1) * 32).collect();
+        match service.insert(&CALL, insert(&ids)).await {
+            Ok(_) => inserted += 1,
+            Err(refused) => break Err::<(), _>(refused),
+        }
+    };
+    unavailable(refused);
+    for _ in 0..2 {
+        let why = failing.recover().await.unwrap_err().to_string();
+        assert!(why.contains("`wayfold-server repair`"), "{why}");
+        let refused = service.insert(&CALL, insert(&[MAX_INSERTS * 32])).await;
+        let refused = refused.unwrap_err();
+        assert_eq!(refused.code(), Code::Unavailable);
+        assert!(refused.to_string().contains("`wayfold-server repair`"));
+        let get = v1::GetRequest {
+            index: "base".into(),
+            ..getting(&[7])
+        };
+        let points = service.get(&CALL, get).await.unwrap().points.unwrap();
+        assert_eq!(points.payloads, [vec![7; POINT_BYTES]]);
     }
 }

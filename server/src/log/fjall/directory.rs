@@ -4,10 +4,12 @@
 //! |---|---|
 //! | `wayfold-data` | one line that names the program and the version of the form; locked while a server runs |
 //! | `store/` | what fjall keeps: see [`layout`](super::layout) |
-//! | `store.new/`, `store.remade/` | a store in the making, and one that is whole and has yet to take its place: see [`making`](super::making) |
-//! | `store.damaged-N/` | a store that was damaged, from before it was made anew; nothing reads it |
-//! | `marks` | how far each index was synced: see [`marks`](super::marks) |
-//! | `unsynced` | there while a server runs that does not sync: see [`loose`](super::loose) |
+//! | `store.new/`, `store.remade/` | a store that is being made, and one that was rebuilt and has yet to take its place: see [`rebuild`](super::rebuild) |
+//! | `store.damaged-N/` | a damaged store from before a repair; nothing reads it |
+//! | `marks` | how far each index was synced: see [`sync_marks`](super::sync_marks) |
+//! | `manifest-copy` | small files of the store that every index depends on: see [`manifest_copy`](super::manifest_copy) |
+//! | `journal-synced` | there after a clean end: see [`journal`](super::journal) |
+//! | `unsynced` | there while a server runs that does not sync: see [`unclean_marker`](super::unclean_marker) |
 //! | `probe` | there for a moment while it is tried whether the disk can be written |
 
 use std::{
@@ -139,17 +141,6 @@ impl Directory {
         written.and(removed)
     }
 
-    /// Fails if fewer bytes than these are free, which a copy of the store needs that leaves out what is damaged.
-    pub(super) fn has_room(&self, needed: u64) -> io::Result<()> {
-        if needed > 0 && self.room()? < needed {
-            let what = format!(
-                "a part of it is damaged, and {needed} bytes must be free to make it anew without that part"
-            );
-            return Err(io::Error::new(io::ErrorKind::StorageFull, what));
-        }
-        Ok(())
-    }
-
     /// How many bytes are free on its disk.
     pub(super) fn room(&self) -> io::Result<u64> {
         #[cfg(unix)]
@@ -157,7 +148,7 @@ impl Directory {
             let disk = rustix::fs::statvfs(&self.path)?;
             Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
         }
-        // Where it is not known it is tried.
+        // Elsewhere a repair without enough room fails halfway and changes nothing.
         #[cfg(not(unix))]
         Ok(u64::MAX)
     }
@@ -271,19 +262,6 @@ mod tests {
         let refused = Directory::take(path).err().unwrap();
         assert!(refused.to_string().contains(&*path.to_string_lossy()));
         refused.to_string()
-    }
-
-    #[test]
-    fn room_is_asked_for_only_where_it_is_needed() {
-        let directory = tempfile::tempdir().unwrap();
-        let taken = Directory::take(directory.path()).unwrap();
-        taken.has_room(0).unwrap();
-        taken.has_room(1).unwrap();
-        let refused = taken.has_room(u64::MAX).unwrap_err().to_string();
-        assert!(
-            refused.contains("18446744073709551615 bytes must be free"),
-            "{refused}"
-        );
     }
 
     #[test]

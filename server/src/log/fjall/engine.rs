@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use parking_lot::{Mutex, RwLock};
-use tracing::warn;
+use tracing::{debug, warn};
 
 use super::{
     Durability, MARKS, STORE,
@@ -13,17 +13,17 @@ use super::{
     index::{Index, State},
     journal::{self, Journal},
     layout::{Named, Number, Stage, Sum, entry_key},
-    loose, manifest,
-    marks::{Mark, Marks},
-    recovery,
+    manifest, manifest_copy, recovery,
     restoring::Copy,
-    store::{Store, not_readable, shut, storage, unopened},
+    store::{Store, UNTOLD, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
+    sync_marks::{Mark, Marks},
     syncer::Syncer,
+    unclean_marker,
 };
 use crate::log::{Entry, LogError, Lost, Origin, Receipt, Record, RecordStream, Uid, View};
 
-/// See the module.
+/// An open store.
 pub(super) struct Engine {
     syncer: Option<Syncer>,
     pub(super) sweeper: Sweeper,
@@ -32,8 +32,6 @@ pub(super) struct Engine {
     /// The number of the next index; who holds it creates or deletes one.
     next: Mutex<Number>,
     failure: Arc<Failure>,
-    /// Something of its indices could not be read: the store may be damaged.
-    pub(super) unreadable: bool,
     pub(super) store: Arc<Store>,
     directory: Arc<Directory>,
 }
@@ -50,18 +48,19 @@ impl Engine {
         if !path.try_exists().map_err(shut)? {
             return Err(not_readable(format!("there is no {}", path.display())));
         }
+        manifest_copy::mend(directory)?;
         manifest::check(&path)?;
-        journal::write_again(&path).map_err(shut)?;
+        journal::make_certain(directory).map_err(shut)?;
         let store = Store::open(&path, durability).map_err(unopened)?;
         let store = Arc::new(store);
-        let renamed = loose::may_have_lost(directory.path()).map_err(shut)?;
+        let renamed = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;
         let handles = store.handles()?;
         let found = recovery::recover(&handles, marked, renamed)?;
         drop(handles);
         // A server that did not sync may have ended before it wrote the first.
         if marked.is_empty()
             && !found.indexes.is_empty()
-            && !loose::was_begun(directory.path()).map_err(shut)?
+            && !unclean_marker::was_begun(directory.path()).map_err(shut)?
         {
             warn!(
                 file = %directory.join(MARKS).display(),
@@ -71,13 +70,21 @@ impl Engine {
             );
         }
         let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
-        journal.sync().map_err(|what| LogError::Shut { what })?;
-        loose::begin(directory.path(), durability).map_err(shut)?;
+        let failure = Arc::new(Failure::default());
+        match journal.sync() {
+            Err(what) if what != UNTOLD => return Err(LogError::Shut { what }),
+            // fjall has met a damaged block already. Everything found was synced above, so it can be read.
+            Err(what) => {
+                failure.note(LogError::Storage { what });
+            }
+            Ok(()) => {}
+        }
+        unclean_marker::begin(directory.path(), durability).map_err(shut)?;
+        save_manifest(directory);
 
-        // What is there is on disk now, also what was never acknowledged: whoever is shown it may count on it.
+        // Everything found is on disk now, acknowledged or not, so readers may rely on it.
         write_marks(&mut marks, &found.indexes).map_err(shut)?;
         let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
-        let failure = Arc::new(Failure::default());
         let sweeper = Sweeper::start(Arc::clone(&store), sweeping, Arc::clone(&failure));
         let sweeper = sweeper.map_err(shut)?;
         let syncer = match durability {
@@ -90,7 +97,6 @@ impl Engine {
         for &number in &found.deleted {
             sweeper.sweep(number);
         }
-        let unreadable = found.unreadable;
         let indexes = found.indexes.into_iter();
         Ok(Self {
             syncer,
@@ -99,7 +105,6 @@ impl Engine {
             gone: Mutex::new(found.gone),
             next: Mutex::new(found.next),
             failure,
-            unreadable,
             store,
             directory: Arc::clone(directory),
         })
@@ -126,13 +131,19 @@ impl Engine {
         self.failure.get()
     }
 
-    /// As [`Failure::note`].
+    /// See [`Failure::note`].
     pub(super) fn note(&self, error: LogError) -> LogError {
         self.failure.note(error)
     }
 
-    /// As [`Failure::explain`].
+    /// See [`Failure::explain`].
     pub(super) fn explain(&self, why: &LogError) {
+        self.failure.explain(why);
+    }
+
+    /// Ends all writing.
+    pub(super) fn fail(&self, why: &LogError) {
+        self.failure.note(why.clone());
         self.failure.explain(why);
     }
 
@@ -277,35 +288,44 @@ impl Engine {
         ))
     }
 
-    /// Notes that all there is was synced.
+    /// Syncs everything and marks it as synced.
     fn settle(&self) -> Result<(), String> {
         Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
         let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
         let settled = Marks::open(&self.directory.join(MARKS))
             .and_then(|(mut marks, _)| write_marks(&mut marks, &indexes))
-            .and_then(|()| loose::end(self.directory.path()));
+            .and_then(|()| unclean_marker::end(self.directory.path()));
         settled.map_err(|error| error.to_string())
     }
 }
 
 impl Engine {
-    /// Syncs what was appended, ends the threads and closes the store, whoever still knows it.
+    /// Syncs what was appended, ends the threads and closes the store, even while views of it are held.
     pub(super) fn shut(&self) {
-        match &self.syncer {
-            Some(syncer) => syncer.stop(),
-            None => {
-                if let Err(error) = self.settle() {
-                    warn!(
-                        error,
-                        "could not sync the log; the next start takes mutations for lost"
-                    );
-                }
+        let settled = match &self.syncer {
+            Some(syncer) => {
+                syncer.stop();
+                Ok(())
             }
+            None => self.settle(),
+        };
+        if let Err(error) = &settled {
+            warn!(
+                error,
+                "could not sync the log; the next start takes mutations for lost"
+            );
         }
         self.sweeper.stop();
         self.store.close();
         for index in self.indexes.read().values() {
             index.end_followers(LogError::Closed);
+        }
+        save_manifest(&self.directory);
+        if settled.is_ok() && self.failure().is_none() {
+            // Without the marker the next start writes the journal again.
+            if let Err(error) = journal::mark_synced(&self.directory) {
+                debug!(%error, "cannot mark the journal as synced");
+            }
         }
     }
 
@@ -322,7 +342,14 @@ impl Engine {
     }
 }
 
-/// Notes that all there is of these indices is on disk.
+/// Saves the copy of the manifest. A failure is not the log's: the copy only mends a later damage.
+fn save_manifest(directory: &Directory) {
+    if let Err(error) = manifest_copy::save(directory) {
+        debug!(%error, "cannot copy the store's manifest");
+    }
+}
+
+/// Marks these indices as synced up to their heads.
 fn write_marks(marks: &mut Marks, indexes: &[Arc<Index>]) -> std::io::Result<()> {
     let here = indexes.iter();
     let here = here.filter_map(|index| Some((index.number, index.mark()?)));

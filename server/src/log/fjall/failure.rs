@@ -1,7 +1,7 @@
-//! Why a store is written no longer: the first failure of any of its threads, of which the log tells once.
+//! The first failure of a store, after which nothing is written. It is logged once.
 //!
-//! After one of its own threads has failed, fjall says no more than that it has. What the disk itself says when it is
-//! tried then is the better reason.
+//! After one of its own threads has failed, fjall says only that it has. The disk's own error, or a damaged block that a full
+//! read finds, is the better reason.
 
 use tokio::sync::watch;
 use tracing::error;
@@ -32,7 +32,10 @@ impl Failure {
     /// Notes an error; after the first one of the store, nothing is written. Returns the error to report: for errors of the
     /// store the first, since the others follow from it.
     pub(super) fn note(&self, error: LogError) -> LogError {
-        if !matches!(error, LogError::Storage { .. }) {
+        if !matches!(
+            error,
+            LogError::Storage { .. } | LogError::DamagedStore { .. }
+        ) {
             return error;
         }
         let mut noted = error.clone();
@@ -59,9 +62,9 @@ impl Failure {
     }
 }
 
-/// Whether nobody has told what failed.
+/// True if fjall only said that it has failed.
 pub(super) fn is_untold(error: &LogError) -> bool {
-    matches!(error, LogError::Storage { what } | LogError::Shut { what } if what == UNTOLD)
+    matches!(error, LogError::Storage { what } if what == UNTOLD)
 }
 
 #[cfg(test)]

@@ -5,8 +5,8 @@ use sha2::{Digest as _, Sha256};
 
 use super::{
     layout::{Head, Named, entry_key, head_key, point_key, seal},
-    marks,
     point::{self, PointForm},
+    sync_marks,
 };
 use crate::log::{Digest, Effects, Operation, Record};
 
@@ -70,11 +70,11 @@ pub fn value(bytes: &[u8]) {
         }
         _ => {
             let mut stored = bytes.to_vec();
-            stored.resize(marks::SIZE - 8, 0);
+            stored.resize(sync_marks::SIZE - 8, 0);
             let stored = seal(&number.to_be_bytes(), stored);
-            if let Some(mark) = marks::decode(number, &stored) {
+            if let Some(mark) = sync_marks::decode(number, &stored) {
                 assert_eq!(
-                    marks::decode(number, &marks::encode(number, &mark)),
+                    sync_marks::decode(number, &sync_marks::encode(number, &mark)),
                     Some(mark)
                 );
             }

@@ -1,8 +1,11 @@
 //! One index of the store: where its log is, and how a record gets there.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::{
+    collections::VecDeque,
+    sync::{Arc, OnceLock, Weak},
+};
 
-use fjall::{OwnedWriteBatch, Readable, Snapshot};
+use fjall::{OwnedWriteBatch, Readable};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
 
@@ -10,13 +13,13 @@ use super::{
     layout::{
         Head, Number, Sum, head_key, last_of, operation_key, point_key, record_key, seal, unseal,
     },
-    marks::Mark,
     point::PointForm,
     store::{Handles, Store, storage, unreadable},
-    view::Pinned,
+    sync_marks::Mark,
+    view::PointsView,
 };
 use crate::log::{
-    Entry, LogError, Operation, Origin, Record, Retention, Tip, View,
+    Entry, LogError, Operation, Origin, Record, Retention, View,
     retention::{Allowance, Window},
 };
 
@@ -45,6 +48,8 @@ pub(super) struct State {
 
     /// Why it is not to be read or written.
     closed: Option<LogError>,
+    /// The view of the head, while anybody holds it.
+    view: Weak<PointsView>,
 }
 
 /// What followers wait for.
@@ -56,11 +61,10 @@ pub(super) struct Progress {
     pub(super) closed: Option<LogError>,
 }
 
-/// A submitted record, and the store as it left it.
+/// A submitted record, and the points as it left them.
 struct Unapplied {
     record: Arc<Record>,
-    snapshot: Snapshot,
-    next_id: u64,
+    view: Arc<PointsView>,
 }
 
 impl State {
@@ -73,6 +77,7 @@ impl State {
             forgotten: Vec::new(),
             removed: origin.revision,
             closed: None,
+            view: Weak::new(),
         }
     }
 
@@ -156,6 +161,12 @@ impl Index {
     /// Ends it, and says where it is.
     pub(super) fn close(&self, why: LogError) -> Mark {
         let mut state = self.state.lock();
+        // A deleted index is removed from the store bit by bit.
+        if let Some(view) = std::mem::take(&mut state.view).upgrade()
+            && let Ok(handles) = view.store.handles()
+        {
+            view.freeze(&handles);
+        }
         state.closed = Some(why.clone());
         self.end_followers(why);
         self.mark_of(&state.head)
@@ -174,7 +185,7 @@ impl Index {
     /// Writes a record if it follows the head. Calls `written` with the new mark before another record can be written.
     pub(super) fn submit(
         &self,
-        store: &Store,
+        store: &Arc<Store>,
         record: Arc<Record>,
         written: impl FnOnce(Mark),
     ) -> Result<(), LogError> {
@@ -184,11 +195,9 @@ impl Index {
         }
         let handles = store.handles()?;
         self.write(&handles, &mut state, &record)?;
-        self.unapplied.lock().push_back(Unapplied {
-            record,
-            snapshot: handles.database.snapshot(),
-            next_id: state.head.next_id,
-        });
+        let view = self.view_of_head(store, &mut state);
+        let unapplied = Unapplied { record, view };
+        self.unapplied.lock().push_back(unapplied);
         written(self.mark_of(&state.head));
         Ok(())
     }
@@ -201,7 +210,7 @@ impl Index {
         records: &[Arc<Record>],
         written: impl FnOnce(Mark),
     ) -> Result<Arc<dyn View>, LogError> {
-        if let Some(view) = self.applied(store, records) {
+        if let Some(view) = self.applied(records) {
             return Ok(view);
         }
         let mut state = self.open()?;
@@ -225,30 +234,20 @@ impl Index {
         }
         match records.last().map(|record| record.revision()) {
             Some(last) if last != state.head.revision => Err(self.fenced(last, &state.head)),
-            _ => Ok(self.pin_head(store, &handles, &state.head)),
+            _ => Ok(self.view_of_head(store, &mut state)),
         }
     }
 
     /// The points as of the last of `records` if it was submitted here; then none of them is unapplied any more.
-    fn applied(&self, store: &Arc<Store>, records: &[Arc<Record>]) -> Option<Arc<dyn View>> {
+    fn applied(&self, records: &[Arc<Record>]) -> Option<Arc<dyn View>> {
         let last = records.last()?.revision();
         let mut unapplied = self.unapplied.lock();
-        while let Some(oldest) = unapplied.pop_front() {
-            let Unapplied {
-                record,
-                snapshot,
-                next_id,
-            } = oldest;
-            if record.revision() == last {
-                return Some(self.pinned(store, snapshot, record.tip(), next_id));
-            }
-            if record.revision() > last {
-                unapplied.push_front(Unapplied {
-                    record,
-                    snapshot,
-                    next_id,
-                });
-                return None;
+        while let Some(oldest) = unapplied.front()
+            && oldest.record.revision() <= last
+        {
+            let oldest = unapplied.pop_front()?;
+            if oldest.record.revision() == last {
+                return Some(oldest.view);
             }
         }
         None
@@ -283,6 +282,9 @@ impl Index {
             batch.remove(keyspace, operation_key(self.number, forgotten));
         }
         batch.insert(keyspace, head_key(self.number), head.encode(self.number));
+        if let Some(view) = std::mem::take(&mut state.view).upgrade() {
+            view.freeze(handles);
+        }
         batch.commit().map_err(storage)?;
         state.removed = head.trimmed;
         state.forgotten.clear();
@@ -435,30 +437,25 @@ impl Index {
     }
 
     pub(super) fn pin(&self, store: &Arc<Store>) -> Result<Arc<dyn View>, LogError> {
-        let state = self.open()?;
-        Ok(self.pin_head(store, &*store.handles()?, &state.head))
+        let mut state = self.open()?;
+        Ok(self.view_of_head(store, &mut state))
     }
 
-    fn pin_head(&self, store: &Arc<Store>, handles: &Handles, head: &Head) -> Arc<dyn View> {
-        let snapshot = handles.database.snapshot();
-        self.pinned(store, snapshot, head.tip(), head.next_id)
-    }
-
-    fn pinned(
-        &self,
-        store: &Arc<Store>,
-        snapshot: Snapshot,
-        tip: Tip,
-        next_id: u64,
-    ) -> Arc<dyn View> {
-        Arc::new(Pinned {
+    /// The view of the head. It reads the store as it is, until the next write freezes it.
+    fn view_of_head(&self, store: &Arc<Store>, state: &mut State) -> Arc<PointsView> {
+        if let Some(view) = state.view.upgrade() {
+            return view;
+        }
+        let view = Arc::new(PointsView {
             store: Arc::clone(store),
-            snapshot,
+            frozen: OnceLock::new(),
             number: self.number,
             uid: self.entry.uid,
-            tip,
-            next_id,
-        })
+            tip: state.head.tip(),
+            next_id: state.head.next_id,
+        });
+        state.view = Arc::downgrade(&view);
+        view
     }
 
     /// Forgets the oldest records and operations. What is forgotten goes out of the store with the next record.

@@ -19,10 +19,16 @@ use std::{
 
 use fjall::PersistMode;
 
-use super::store::{Store, told};
+use super::{
+    STORE,
+    directory::{Directory, sync_directory},
+    store::{Store, told},
+};
 
 /// The ending of its files' names.
 const ENDING: &str = ".jnl";
+/// Marker file: the journal is on disk, after a clean end and until the next start.
+const MARKER: &str = "journal-synced";
 /// Bytes to write again at a time.
 const PIECE: usize = 128 * 1024;
 
@@ -110,20 +116,43 @@ pub(super) fn number(name: &str) -> Option<u64> {
     name.strip_suffix(ENDING)?.parse().ok()
 }
 
-/// Writes what the journal in `directory` holds once more, to where it is, and syncs it. To be called before the store is
-/// opened.
+/// Makes certain that the journal is on disk, before the store is opened. Without the marker, all of it is written once more
+/// in place and synced.
 ///
-/// When a sync has failed, of this server or of one before it, Linux takes for clean what it could not write: it is read
-/// from memory, as if it were on disk, and no later sync writes it.
-pub(super) fn write_again(directory: &Path) -> io::Result<()> {
-    for file in fs::read_dir(directory)? {
+/// After a failed sync, by this server or an earlier one, Linux takes pages that it could not write for clean: reads see them
+/// as if they were on disk, and no later sync writes them.
+pub(super) fn make_certain(directory: &Directory) -> io::Result<()> {
+    let marker = directory.join(MARKER);
+    if !marker.try_exists()? {
+        for file in files(&directory.join(STORE))? {
+            write_file_again(&mut File::options().read(true).write(true).open(file)?)?;
+        }
+        return Ok(());
+    }
+    fs::remove_file(&marker)?;
+    // Before the first write to the journal.
+    sync_directory(directory.path())
+}
+
+/// Syncs each file of the journal and writes the marker. The store is closed, and no sync of it has failed.
+pub(super) fn mark_synced(directory: &Directory) -> io::Result<()> {
+    for file in files(&directory.join(STORE))? {
+        File::options().write(true).open(file)?.sync_all()?;
+    }
+    File::create(directory.join(MARKER))?.sync_all()?;
+    sync_directory(directory.path())
+}
+
+/// The files of the journal in a store.
+fn files(store: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for file in fs::read_dir(store)? {
         let file = file?;
         if file.file_name().to_str().and_then(number).is_some() {
-            let mut file = File::options().read(true).write(true).open(file.path())?;
-            write_file_again(&mut file)?;
+            files.push(file.path());
         }
     }
-    Ok(())
+    Ok(files)
 }
 
 fn write_file_again(file: &mut File) -> io::Result<()> {
@@ -187,6 +216,27 @@ mod tests {
             keyspace.rotate_memtable_and_wait().unwrap();
         }
         assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
+    }
+
+    #[test]
+    fn only_after_a_clean_end_the_journal_is_not_written_again() {
+        let directory = tempfile::tempdir().unwrap();
+        let directory = Directory::take(directory.path()).unwrap();
+        let path = directory.join(STORE).join("0.jnl");
+        fs::create_dir(directory.join(STORE)).unwrap();
+        fs::write(&path, "entries").unwrap();
+        for is_clean in [false, true, false] {
+            if is_clean {
+                mark_synced(&directory).unwrap();
+            }
+            let long_ago = std::time::UNIX_EPOCH;
+            let file = File::options().write(true).open(&path).unwrap();
+            file.set_modified(long_ago).unwrap();
+            make_certain(&directory).unwrap();
+            let modified = file.metadata().unwrap().modified().unwrap();
+            assert_eq!(modified == long_ago, is_clean);
+            assert_eq!(fs::read(&path).unwrap(), b"entries");
+        }
     }
 
     /// What a rotation leaves that failed for want of room, while fjall writes on to the file before.

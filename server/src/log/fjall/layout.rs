@@ -113,7 +113,7 @@ pub(super) enum Stage {
     Deleted,
     /// A copy that is not finished. As nobody was told that it is there, it is as good as deleted.
     Copied,
-    /// There, and nothing else of it: the rest could not be read when the store was made anew.
+    /// There, and nothing else of it: the rest could not be read when the store was repaired.
     Unreadable,
 }
 

@@ -1,12 +1,12 @@
-//! Whether the store's files are all there, and its lists of its tables what it wrote. fjall 3 does not look itself: a
-//! damaged list makes it panic, even to the end of the process, or take tables for leftovers that are to be removed; and
-//! what is missing it makes anew, over what is left.
+//! Checks that the store's files are all there, and that its lists of tables are the ones that it wrote. fjall 3 does not check:
+//! a damaged list makes it panic, even abort the process, or take tables for leftovers and remove them; missing files it makes
+//! anew over the rest.
 //!
-//! Beside the file `version` and the journal, files `N.jnl`, there is a directory `keyspaces` with two trees, `0` and `1`:
-//! what fjall knows of its keyspaces, and the only one. Each has its lists in files `v0`, `v1` and so on, and a file
-//! `current` of 25 bytes: the number of the list that counts (u64), the XXH3 of that file (128 bits), and 0 for the kind of
-//! this checksum. Numbers are little-endian. A store takes its name once it is whole, so none of these is missing because
-//! a start was cut short.
+//! Beside the file `version` and the journal, files `N.jnl`, there is a directory `keyspaces` with two trees: `0` holds what
+//! fjall knows of its keyspaces, `1` the only keyspace. Each has its lists in files `v0`, `v1` and so on, and a file `current`
+//! of 25 bytes: the number of the list that counts (u64), the XXH3 of that file (128 bits), and 0 for the kind of this checksum.
+//! Numbers are little-endian. A store takes its name once it is whole, so none of these is missing because a start was cut
+//! short.
 
 use std::{
     fs, io,
@@ -21,11 +21,13 @@ use super::{
 };
 use crate::log::{LogError, cursor::Cursor};
 
-/// The trees that there are.
-const TREES: [&str; 2] = ["0", "1"];
+/// The names of the trees.
+pub(super) const TREES: [&str; 2] = ["0", "1"];
 
-/// Fails if a file of a store is missing, its lists are damaged, or the disk does not let them be read, before it is
-/// opened.
+/// The length of `current`.
+pub(super) const CURRENT_BYTES: usize = 25;
+
+/// Fails if a file of a closed store is missing, a list is damaged, or the disk cannot be read.
 pub(super) fn check(store: &Path) -> Result<(), LogError> {
     read(&store.join("version"))?;
     let trees = store.join("keyspaces");
@@ -47,23 +49,62 @@ pub(super) fn check(store: &Path) -> Result<(), LogError> {
     Ok(())
 }
 
-/// Fails if the list of a tree that counts is missing or damaged.
+/// Fails if the list that `current` names is missing or damaged.
 fn check_tree(tree: &Path) -> Result<(), LogError> {
     let damaged = |path: PathBuf| not_readable(format!("{} is damaged", path.display()));
     let path = tree.join("current");
-    let (number, sum) = decode(&read(&path)?).ok_or_else(|| damaged(path))?;
-    let path = tree.join(format!("v{number}"));
-    if xxh3_128(&read(&path)?).to_le_bytes() != sum {
+    let current = read(&path)?;
+    let Some(number) = Cursor::new(&current).u64() else {
         return Err(damaged(path));
+    };
+    let list_path = tree.join(format!("v{number}"));
+    let list = read(&list_path)?;
+    if current != encode(number, &list) {
+        let is_list = current.len() == CURRENT_BYTES && current[CURRENT_BYTES - 1] == 0;
+        return Err(damaged(if is_list { list_path } else { path }));
     }
     Ok(())
+}
+
+/// The content of `current` that names this list.
+pub(super) fn encode(number: u64, list: &[u8]) -> [u8; CURRENT_BYTES] {
+    let mut current = [0; CURRENT_BYTES];
+    current[..8].copy_from_slice(&number.to_le_bytes());
+    current[8..24].copy_from_slice(&xxh3_128(list).to_le_bytes());
+    current
+}
+
+/// The lists of a tree, by number.
+pub(super) fn lists(tree: &Path) -> Result<Vec<(u64, Vec<u8>)>, LogError> {
+    let mut lists = Vec::new();
+    if !tree.try_exists().map_err(|error| unreadable(tree, error))? {
+        return Ok(lists);
+    }
+    for name in names(tree)? {
+        if let Some(number) = name
+            .strip_prefix('v')
+            .and_then(|number| number.parse().ok())
+        {
+            lists.push((number, read(&tree.join(name))?));
+        }
+    }
+    Ok(lists)
+}
+
+/// The content of a file; None if there is none.
+pub(super) fn read_optional(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
+    match fs::read(path) {
+        Ok(content) => Ok(Some(content)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(unreadable(path, error)),
+    }
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, LogError> {
     fs::read(path).map_err(|error| unreadable(path, error))
 }
 
-/// The names in a directory; those that are no text as well as can be.
+/// The names in a directory. A name that is not Unicode is converted lossily.
 fn names(directory: &Path) -> Result<Vec<String>, LogError> {
     let names = fs::read_dir(directory).and_then(|entries| {
         let name =
@@ -80,10 +121,4 @@ fn unreadable(path: &Path, error: io::Error) -> LogError {
         },
         _ => not_readable(format!("{} is missing", path.display())),
     }
-}
-
-fn decode(current: &[u8]) -> Option<(u64, [u8; 16])> {
-    let mut cursor = Cursor::new(current);
-    let (number, sum, kind) = (cursor.u64()?, cursor.array()?, cursor.array()?);
-    (kind == [0] && cursor.is_empty()).then_some((number, sum))
 }

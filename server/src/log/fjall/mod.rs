@@ -4,14 +4,15 @@
 //! and the head of its index. What is acknowledged depends on [`Durability`]; `fsync` shares one sync among all who
 //! write meanwhile (`syncer`).
 //!
-//! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` (before
-//! it is opened), `layout` and `point` (what it holds, byte for byte), `index` (one index's writer), `follow` (its records as a stream), `view` (its points,
-//! pinned), `restoring` (an index made from a copy), `journal`, `syncer` and `marks` (what is on disk for certain),
-//! `failure` (why nothing more is written), `recovery`, `making` (a store that is damaged is made anew), `loose` (after a
-//! server that does not sync), `sweeper` (what deleted indices leave).
+//! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` and
+//! `manifest_copy` (before it is opened), `layout` and `point` (its keys and values, byte for byte), `index` (one index's
+//! writer), `follow` (its records as a stream), `view` (its points at one revision), `restoring` (an index made from a copy), `journal`, `syncer` and `sync_marks`
+//! (what is on disk for certain), `failure` (why nothing more is written), `recovery` (from the files to the state), `rebuild`
+//! (a new store, or one from a damaged one), `unclean_marker` (after a server that does not sync), `sweeper` (the remains of
+//! deleted indices).
 //!
-//! A store that has failed takes nothing any more and is read still. It is closed and opened anew as a whole
-//! ([`PointStore::reopen`]), by the same way as at the start: there is no other that leads from the files to the state.
+//! A failed store takes no writes and still serves reads. [`PointStore::reopen`] closes it and opens it as at the start: there is no
+//! other way from the files to the state. A damaged store serves what can be read; only [`repair`] rebuilds it.
 
 mod directory;
 mod engine;
@@ -22,16 +23,17 @@ pub mod fuzzing;
 mod index;
 mod journal;
 mod layout;
-mod loose;
-mod making;
 mod manifest;
-mod marks;
+mod manifest_copy;
 mod point;
+mod rebuild;
 mod recovery;
 mod restoring;
 mod store;
 mod sweeper;
+mod sync_marks;
 mod syncer;
+mod unclean_marker;
 mod view;
 
 use std::{collections::BTreeMap, io, path::Path, sync::Arc};
@@ -42,6 +44,7 @@ use serde::Deserialize;
 use tracing::{error, info};
 
 pub use directory::OpenError;
+pub use rebuild::{RepairError, RepairReport, repair};
 
 use super::{
     Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, Receipt, Record,
@@ -51,16 +54,15 @@ use directory::Directory;
 use engine::Engine;
 use failure::is_untold;
 use layout::Number;
-use making::Remade;
-use marks::{Mark, Marks};
 use store::shut;
+use sync_marks::{Mark, Marks};
 
 const STORE: &str = "store";
-/// A store in the making: it takes its name once it is whole.
+/// A store that is being made; it is renamed once it is whole.
 const NEW_STORE: &str = "store.new";
-/// A store that was made anew, and is about to replace the damaged one.
-const REMADE_STORE: &str = "store.remade";
-/// With a number after it: stores that were damaged, as they were before they were made anew.
+/// A rebuilt store that has yet to replace the damaged one.
+const REBUILT_STORE: &str = "store.remade";
+/// With a number after it: damaged stores, as they were before a repair.
 const DAMAGED_STORE: &str = "store.damaged-";
 const MARKS: &str = "marks";
 
@@ -95,19 +97,10 @@ impl TryFrom<String> for Durability {
 pub struct FjallLog {
     // Dropped before the directory is given up.
     opened: RwLock<Opened>,
-    /// Held by who opens the store anew.
-    reopening: Mutex<Suspicion>,
+    /// Held while the store is reopened.
+    reopening: Mutex<()>,
     durability: Durability,
     directory: Arc<Directory>,
-}
-
-/// What a store that failed may have failed of.
-#[derive(Default)]
-struct Suspicion {
-    /// Nobody told of the disk: it may be that a part of it cannot be read, also one that nobody asks for.
-    is_there: bool,
-    /// How many bytes must be free for it to be made anew; 0 if it need not be, or has not been tried.
-    room: u64,
 }
 
 enum Opened {
@@ -119,16 +112,16 @@ enum Opened {
 impl FjallLog {
     /// Opens the log in `directory`, which is made if there is none.
     ///
-    /// A store that cannot be read is no error, or a server would be started again and again to no end: the log tells
-    /// with every call, and of each index in [`Catalogue::lost`].
+    /// A store that cannot be read is not an error here: a supervisor would restart the server forever. Every call fails
+    /// with the reason instead, and [`Catalogue::lost`] names the indices.
     pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
         let failed = |path: &Path, source| OpenError::Io {
             path: path.into(),
             source,
         };
-        making::finish(&directory)
-            .and_then(|()| making::make_first(&directory))
+        rebuild::finish(&directory)
+            .and_then(|_| rebuild::make_first(&directory))
             .map_err(|source| failed(directory.path(), source))?;
         let path = directory.join(MARKS);
         let (_, marked) = Marks::open(&path).map_err(|source| failed(&path, source))?;
@@ -139,7 +132,7 @@ impl FjallLog {
             directory,
         };
         let directory = log.directory.path().display();
-        let opened = match log.open_whole(&mut log.reopening.lock()) {
+        let opened = match log.open_engine() {
             Ok(engine) => {
                 info!(%directory, "opened the log");
                 Opened::Open(Arc::new(engine))
@@ -160,69 +153,41 @@ impl FjallLog {
         }
     }
 
-    fn open_as_it_is(&self) -> Result<Engine, LogError> {
+    fn open_engine(&self) -> Result<Engine, LogError> {
+        rebuild::finish(&self.directory).map_err(shut)?;
         let (marks, marked) = Marks::open(&self.directory.join(MARKS)).map_err(shut)?;
         Engine::open(&self.directory, self.durability, (marks, &marked))
     }
 
-    /// Whether the disk would let the store be opened anew; `failed` is the store, if it is open still.
-    fn probe(&self, failed: Option<&Engine>, suspicion: &mut Suspicion) -> Result<(), LogError> {
-        let told = |error: io::Error| match failed {
+    /// Fails unless the disk would let the store be reopened; `failed` is the store, if it is still open.
+    fn probe(&self, failed: Option<&Engine>) -> Result<(), LogError> {
+        let disk_error = |error: io::Error| match failed {
             Some(_) => LogError::Storage {
                 what: error.to_string(),
             },
             None => shut(error),
         };
-        // It begins by moving these, and fails at once if it cannot.
+        // Opening begins by moving these bytes to the tables, and fails at once if it cannot.
         let unmoved = failed.map_or(0, Engine::unmoved);
-        self.directory.probe(STORE, unmoved).map_err(told)?;
-        self.directory.has_room(suspicion.room).map_err(told)?;
-        if let (true, Some(failed)) = (suspicion.is_there, failed) {
-            // A disk that cannot be read would make it fail again.
-            suspicion.room = making::missing_room(&self.directory, &failed.store)?;
-            self.directory.has_room(suspicion.room).map_err(told)?;
-        }
-        Ok(())
+        self.directory.probe(STORE, unmoved).map_err(disk_error)
     }
 
-    /// Opens the store, after making it anew if a part of it cannot be read.
-    fn open_whole(&self, suspicion: &mut Suspicion) -> Result<Engine, LogError> {
-        making::finish(&self.directory).map_err(shut)?;
-        let opened = self.open_as_it_is();
-        let unreadable = match &opened {
-            Ok(engine) => {
-                if !engine.unreadable && !suspicion.is_there {
-                    return opened;
+    /// Opens the store after `failure`. fjall does not say whether it met a damaged block, so all of the store is read then;
+    /// a damaged one is open for reading only.
+    fn open_after(&self, failure: &LogError) -> Result<Engine, LogError> {
+        let engine = self.open_engine()?;
+        if is_untold(failure) {
+            let damage = engine.store.handles();
+            match damage.and_then(|handles| rebuild::find_damage(&handles)) {
+                Ok(None) => {}
+                Ok(Some(what)) => engine.fail(&LogError::DamagedStore { what }),
+                Err(why) => {
+                    engine.shut();
+                    return Err(why);
                 }
-                engine.shut();
-                engine.unreadable
             }
-            // The entries of indices may be what cannot be read.
-            Err(LogError::Unopened { .. }) => false,
-            Err(why) if is_untold(why) => false,
-            Err(_) => return opened,
-        };
-        drop(opened);
-        let remade = making::remake(&self.directory, unreadable);
-        // With one that was made anew beside it, this one is not to be written to any more.
-        making::finish(&self.directory).map_err(shut)?;
-        suspicion.room = match remade {
-            Ok(Remade::NoRoom(needed)) => needed,
-            Ok(Remade::Whole | Remade::Anew) => 0,
-            Err(why) => {
-                error!(error = %why, "the store cannot be made anew");
-                0
-            }
-        };
-        // fjall may have come upon the damage already.
-        self.open_as_it_is().map_err(|why| match is_untold(&why) {
-            true => self
-                .directory
-                .has_room(suspicion.room)
-                .err()
-                .map_or(why, shut),
-            false => why,
-        })
+        }
+        Ok(engine)
     }
 }
 
@@ -290,14 +255,16 @@ impl PointStore for FjallLog {
     }
 
     fn reopen(&self) -> Result<(), LogError> {
-        let mut suspicion = self.reopening.lock();
+        let _alone = self.reopening.lock();
         let Some(failure) = self.failure() else {
             return Ok(());
         };
-        suspicion.is_there |= is_untold(&failure);
-        // While it cannot be written the failed store is better than none: it can be read.
+        if matches!(failure, LogError::DamagedStore { .. }) {
+            return Err(failure);
+        }
+        // The failed store still serves reads, so it stays open until the disk can be written.
         let failed = self.engine().ok();
-        if let Err(why) = self.probe(failed.as_deref(), &mut suspicion) {
+        if let Err(why) = self.probe(failed.as_deref()) {
             if let Some(failed) = failed {
                 failed.explain(&why);
             }
@@ -307,10 +274,9 @@ impl PointStore for FjallLog {
             *self.opened.write() = Opened::Not(LogError::Closed, BTreeMap::new());
             failed.shut();
         }
-        let (opened, outcome) = match self.open_whole(&mut suspicion) {
+        let (opened, outcome) = match self.open_after(&failure) {
             Ok(engine) => {
-                *suspicion = Suspicion::default();
-                info!("opened the log anew");
+                info!("reopened the log");
                 (Opened::Open(Arc::new(engine)), Ok(()))
             }
             Err(why) => {

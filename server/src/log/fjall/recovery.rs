@@ -1,7 +1,8 @@
-//! From the files to the state: what is in the store, whether it is whole, and whether it goes as far as the marks.
+//! From the files to the state: the content of the store, checked for damage and against the sync marks.
 
-use std::{collections::BTreeMap, ops::RangeInclusive, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc};
 
+use fjall::{Guard, KvPair, Slice};
 use tracing::{error, warn};
 
 use super::{
@@ -11,8 +12,8 @@ use super::{
         Head, Named, Number, Stage, Sum, entry_key, head_key, number_of_entry, point_keys,
         record_key,
     },
-    marks::Mark,
-    store::{Handles, not_readable, unopened, unreadable},
+    store::{Handles, damage, damaged_index, unopened, unreadable},
+    sync_marks::Mark,
 };
 use crate::log::{Entry, LogError, Lost, Origin, Uid};
 
@@ -20,7 +21,7 @@ use crate::log::{Entry, LogError, Lost, Origin, Uid};
 pub(super) struct Found {
     /// The indices; those that are damaged are closed.
     pub(super) indexes: Vec<Arc<Index>>,
-    /// Something of them is not what the store wrote.
+    /// A part of them could not be read.
     pub(super) unreadable: bool,
     /// Indices of which only the mark is left.
     pub(super) gone: BTreeMap<Number, Lost>,
@@ -30,7 +31,7 @@ pub(super) struct Found {
     pub(super) next: Number,
 }
 
-/// Reads the store, or says why it cannot be. With `renamed` every index gets a new uid, as its past may be another one.
+/// Reads the store. With `renamed` every index gets a new uid, since its past may be another one.
 pub(super) fn recover(
     handles: &Handles,
     marks: &BTreeMap<Number, Mark>,
@@ -45,11 +46,18 @@ pub(super) fn recover(
         next: marks.keys().next_back().map_or(0, |last| last + 1),
     };
     let mut left = marks.clone();
-    for entry in handles.keyspace.range(entries()) {
-        let (key, value) = entry.into_inner().map_err(unopened)?;
-        let number =
-            number_of_entry(&key).ok_or_else(|| not_readable("a key of no known form".into()))?;
+    for (number, entry) in stored_entries(handles, marks)? {
         found.next = found.next.max(number + 1);
+        let value = match entry {
+            Ok(value) => value,
+            Err(damage) => {
+                found.unreadable = true;
+                if let Some(mark) = left.remove(&number).filter(|mark| !mark.deleted) {
+                    found.lose(number, &mark, damaged_index(mark.uid, &damage));
+                }
+                continue;
+            }
+        };
         let Some(named) = Named::decode(number, &value) else {
             if !left.contains_key(&number) {
                 error!(
@@ -88,17 +96,57 @@ pub(super) fn recover(
             first: 1,
             last: mark.revision,
         };
-        error!(index = &*mark.name, error = %why, "an index is gone: every call for it will say so");
-        let name = mark.name.to_string();
-        let uid = mark.uid;
-        found.gone.insert(number, Lost { name, uid, why });
+        found.lose(number, &mark, why);
     }
     Ok(found)
 }
 
-/// The keys of all entries.
-pub(super) fn entries() -> RangeInclusive<[u8; 5]> {
-    entry_key(0)..=entry_key(Number::MAX)
+impl Found {
+    /// Adds an index of which only the mark is left.
+    fn lose(&mut self, number: Number, mark: &Mark, why: LogError) {
+        error!(index = &*mark.name, error = %why, "an index is gone: every call for it will say so");
+        let (name, uid) = (mark.name.to_string(), mark.uid);
+        self.gone.insert(number, Lost { name, uid, why });
+    }
+}
+
+/// The entry of a number, or its damage.
+pub(super) type StoredEntry = (Number, Result<Slice, String>);
+
+/// The entry of each number that has one. A damaged entry of which no mark tells is an error.
+pub(super) fn stored_entries(
+    handles: &Handles,
+    marks: &BTreeMap<Number, Mark>,
+) -> Result<Vec<StoredEntry>, LogError> {
+    let all = entry_key(0)..=entry_key(Number::MAX);
+    let newest = match handles.keyspace.range(all).next_back().map(Guard::key) {
+        Some(Err(error)) if marks.is_empty() => return Err(unopened(error)),
+        Some(Ok(key)) => number_of_entry(&key),
+        Some(Err(_)) | None => None,
+    };
+    let last = newest.max(marks.keys().next_back().copied());
+    let mut found = Vec::new();
+    for number in last.into_iter().flat_map(|last| 0..=last) {
+        match read_one(handles, &entry_key(number)) {
+            None => {}
+            Some(Ok((_, entry))) => found.push((number, Ok(entry))),
+            Some(Err(error)) if !marks.contains_key(&number) => return Err(unopened(error)),
+            Some(Err(error)) => found.push((number, Err(damage(error)?))),
+        }
+    }
+    Ok(found)
+}
+
+/// The pair of a key. A range reads a neighbouring block too, and only a get reads what leads to a single key.
+pub(super) fn read_one(handles: &Handles, key: &[u8]) -> Option<fjall::Result<KvPair>> {
+    match handles.keyspace.get(key) {
+        Ok(value) => value.map(|value| Ok((key.into(), value))),
+        Err(_) => handles
+            .keyspace
+            .range(key..=key)
+            .next()
+            .map(Guard::into_inner),
+    }
 }
 
 /// One index; closed if it is damaged.
@@ -134,7 +182,7 @@ fn open(
     Ok(index)
 }
 
-/// An index of which a store that was made anew holds the entry alone.
+/// An index of which a rebuilt store holds only the entry.
 fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     let revisions = match mark.map_or(0, |mark| mark.revision) {
         0 => String::new(),
@@ -143,8 +191,8 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     let why = LogError::Unreadable {
         uid: entry.uid,
         what: format!(
-            "a block{revisions} could not be read, and the store was made anew without this index; as it was then it is \
-             kept in the data directory, as one of {DAMAGED_STORE}N"
+            "a block{revisions} could not be read when the store was repaired, and the index was left out; the damaged store \
+             is kept in the data directory as one of {DAMAGED_STORE}N"
         ),
     };
     error!(index = entry.name, error = %why, "an index is damaged: every call for it will say so");
@@ -153,7 +201,7 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     index
 }
 
-/// The state of an index, if all that a writer needs to know of it is whole.
+/// The state of an index, if everything that a writer needs of it is whole.
 fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, LogError> {
     let (number, uid) = (index.number, index.entry.uid);
     let damaged = |revision, what| LogError::Damaged {

@@ -112,9 +112,15 @@ pub(super) fn storage(error: fjall::Error) -> LogError {
 /// A failure to read what belongs to an index: a disk that does not answer, or what it answers is not what was stored.
 pub(super) fn unreadable(uid: Uid, error: fjall::Error) -> LogError {
     match damage(error) {
-        Ok(what) => LogError::Unreadable { uid, what },
+        Ok(what) => damaged_index(uid, &what),
         Err(error) => error,
     }
+}
+
+/// An index of which a block is damaged.
+pub(super) fn damaged_index(uid: Uid, damage: &str) -> LogError {
+    let what = format!("{damage}: first stop the server and run `wayfold-server repair`");
+    LogError::Unreadable { uid, what }
 }
 
 /// What is damaged, where something could not be read; a disk that does not answer is an error.

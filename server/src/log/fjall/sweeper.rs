@@ -18,8 +18,8 @@ use tracing::warn;
 use super::{
     failure::Failure,
     layout::{Number, entry_key, head_key, operation_key, point_key, record_key},
-    marks::Marks,
     store::{Store, storage},
+    sync_marks::Marks,
 };
 use crate::log::LogError;
 

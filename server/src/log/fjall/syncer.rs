@@ -8,7 +8,12 @@ use std::{sync::Arc, thread::JoinHandle, time::Duration};
 
 use parking_lot::{Condvar, Mutex};
 
-use super::{failure::Failure, index::Index, journal::Journal, marks::Mark, marks::Marks};
+use super::{
+    failure::Failure,
+    index::Index,
+    journal::Journal,
+    sync_marks::{Mark, Marks},
+};
 use crate::log::LogError;
 
 /// So many batches in one sync come from several writers, who will be back.

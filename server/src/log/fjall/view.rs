@@ -1,27 +1,41 @@
-//! The points of an index, pinned by a snapshot of the store.
+//! The points of an index as of one revision.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use fjall::{Readable, Snapshot};
 
 use super::{
     layout::{Number, last_of, point_key},
     point,
-    store::{Store, unreadable},
+    store::{Handles, Store, unreadable},
 };
 use crate::log::{LogError, StoredPoint, Tip, Uid, View};
 
-/// See the module. The snapshot keeps what it sees, whatever is written meanwhile, until the store is closed.
-pub(super) struct Pinned {
+/// The points of one revision. While that is the newest revision, the view reads the store as it is and holds no snapshot:
+/// a snapshot makes fjall keep everything that is overwritten in any index while the snapshot is held.
+pub(super) struct PointsView {
     pub(super) store: Arc<Store>,
-    pub(super) snapshot: Snapshot,
+    /// Taken just before the index is written to again, and held until the view is dropped or the store is closed.
+    pub(super) frozen: OnceLock<Snapshot>,
     pub(super) number: Number,
     pub(super) uid: Uid,
     pub(super) tip: Tip,
     pub(super) next_id: u64,
 }
 
-impl Pinned {
+impl PointsView {
+    /// Keeps what the store holds now. The caller is about to write to the index, and nobody else is.
+    pub(super) fn freeze(&self, handles: &Handles) {
+        self.frozen.get_or_init(|| handles.database.snapshot());
+    }
+
+    /// A snapshot of this revision.
+    fn snapshot(&self, handles: &Handles) -> Snapshot {
+        // Taken before the look at `frozen`: an unfrozen view was not yet overwritten then.
+        let newest = handles.database.snapshot();
+        self.frozen.get().cloned().unwrap_or(newest)
+    }
+
     fn decode(&self, id: u64, value: &[u8]) -> Result<Arc<StoredPoint>, LogError> {
         point::decode(self.number, id, value)
             .map(Arc::new)
@@ -33,7 +47,7 @@ impl Pinned {
     }
 }
 
-impl View for Pinned {
+impl View for PointsView {
     fn tip(&self) -> Tip {
         self.tip
     }
@@ -45,7 +59,7 @@ impl View for Pinned {
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
         let handles = self.store.handles()?;
         let key = point_key(self.number, id);
-        let value = self.snapshot.get(&handles.keyspace, key);
+        let value = self.snapshot(&handles).get(&handles.keyspace, key);
         let value = value.map_err(|error| unreadable(self.uid, error))?;
         value.map(|value| self.decode(id, &value)).transpose()
     }
@@ -58,7 +72,7 @@ impl View for Pinned {
         };
         let range = point_key(self.number, first)..=point_key(self.number, u64::MAX);
         let handles = self.store.handles()?;
-        let points = self.snapshot.range(&handles.keyspace, range);
+        let points = self.snapshot(&handles).range(&handles.keyspace, range);
         let page = points.take(limit).map(|point| {
             let (key, value) = point
                 .into_inner()

@@ -1,12 +1,11 @@
-//! How far each index was synced, beside the store: fjall cuts its journal at an entry that it cannot read, without a
-//! word, and this is how that is noticed.
+//! Sync marks: how far each index was synced, in a file beside the store. fjall cuts its journal in silence at an entry that it
+//! cannot read; a mark that is ahead of its index tells.
 //!
-//! The file has 128 bytes for each index that there ever was, at 128 times its number: uid, revision, the digest of that
-//! revision's record, the name after its length (of which the highest bit says that the index was deleted) and before
-//! zeros, and a checksum over the number and these. So an index
-//! of which nothing else is left can be named. A mark is written after what it speaks of was synced, so it may be behind
-//! and is never ahead. The file itself is not synced with every mark: after a loss of power it may
-//! be a moment older, and a mark that was torn then says nothing.
+//! The file has 128 bytes for each index that ever existed, at 128 times its number: uid, revision, the digest of that
+//! revision's record, the length of the name (its highest bit says that the index was deleted), the name, zeros, and a
+//! checksum over the number and all of these. So an index of which nothing else is left has a name. A mark is written after
+//! its revision was synced: it may be behind and is never ahead. The file is not synced with every mark: after a power loss it
+//! may be a moment older, and a torn mark says nothing.
 
 use std::{
     collections::BTreeMap,
@@ -33,12 +32,12 @@ pub(super) struct Mark {
     pub(super) revision: u64,
     /// Of the record of `revision`.
     pub(super) digest: Digest,
-    /// That it was deleted was synced: whatever else is found of it is to go.
+    /// Its deletion was synced: everything else that is found of it is removed.
     pub(super) deleted: bool,
 }
 
 impl Mark {
-    /// Of an index of which nothing is left to be known.
+    /// The mark of a deleted index.
     pub(super) fn of_deleted() -> Self {
         Self {
             uid: Uid::from_bytes([0; 16]),
@@ -54,7 +53,7 @@ impl Mark {
 pub(super) struct Marks(File);
 
 impl Marks {
-    /// The file, made if there is none, and what it holds.
+    /// Opens the file, or makes it, and returns its marks.
     pub(super) fn open(path: &Path) -> io::Result<(Self, BTreeMap<Number, Mark>)> {
         let mut file = File::options()
             .read(true)
@@ -69,7 +68,7 @@ impl Marks {
         Ok((Self(file), marks.collect()))
     }
 
-    /// Writes marks; of several for one index the last.
+    /// Writes marks; the last one counts if an index has several.
     pub(super) fn write<'a>(
         &mut self,
         marks: impl IntoIterator<Item = (Number, &'a Mark)>,
@@ -81,8 +80,8 @@ impl Marks {
         Ok(())
     }
 
-    /// Notes for certain that an index is deleted. A mark is never removed: a journal that is cut short would bring the
-    /// index back, and nobody could tell.
+    /// Marks an index as deleted, durably. A mark is never removed: without it, a journal that is cut short would bring the
+    /// index back unnoticed.
     pub(super) fn delete(&mut self, number: Number) -> io::Result<()> {
         self.put(number, &encode(number, &Mark::of_deleted()))?;
         self.0.sync_data()

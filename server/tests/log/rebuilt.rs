@@ -1,5 +1,5 @@
-//! A store with a damaged block. The indices that had something in that block lose it, and the other indices stay
-//! writable.
+//! A store with a damaged block. A start serves what can be read and rebuilds nothing; a repair keeps every index that can be
+//! read whole, and these stay writable.
 
 use std::{
     fs::{self, File},
@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
     Catalogue, Durability, Effects, Entry, FjallLog, Journal, LogError, Operation, Outcome,
-    PointStore, Uid,
+    PointStore, RepairError, Uid, repair,
 };
 
 use super::{
@@ -138,6 +138,29 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
     let directory = tempfile::tempdir().unwrap();
     let [arm, base] = fill(directory.path());
     damage(directory.path());
+    let kept = directory.path().join("store.damaged-1");
+    for _ in 0..2 {
+        let log = open(directory.path());
+        damaged(&log, &arm);
+        let why = log.view(arm.uid).err().unwrap().to_string();
+        assert!(why.contains("`wayfold-server repair`"), "{why}");
+        assert_eq!(all_points(&*log.view(base.uid).unwrap()).len(), 1);
+        let in_use = repair(directory.path(), false).unwrap_err();
+        assert!(matches!(in_use, RepairError::Directory(_)), "{in_use}");
+        drop(log);
+        let report = repair(directory.path(), true).unwrap();
+        assert!(report.damage.is_some() && report.needed_bytes > 0);
+        let lost: Vec<_> = report.lost.iter().map(|(name, _)| &**name).collect();
+        assert_eq!(
+            (&lost[..], report.whole, report.kept),
+            (&["arm"][..], 1, None)
+        );
+        assert!(!kept.exists());
+    }
+    let report = repair(directory.path(), false).unwrap();
+    assert_eq!((report.lost.len(), report.whole), (1, 1));
+    assert_eq!(report.kept.as_ref(), Some(&kept));
+    assert_eq!(repair(directory.path(), false).unwrap().damage, None);
     for revision in 2..4 {
         let log = open(directory.path());
         damaged(&log, &arm);
@@ -148,7 +171,7 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
         );
         drop(log);
         can_be_rewritten(directory.path());
-        assert!(directory.path().join("store.damaged-1").exists());
+        assert!(kept.exists());
         assert!(!directory.path().join("store.damaged-2").exists());
     }
     let log = open(directory.path());
@@ -172,9 +195,10 @@ enum Held {
     Deleted,
 }
 
-/// fjall finds the damage while the log is written, even if no read asks for the block.
+/// fjall finds the damage while the log is written, even if no read asks for the block. Then nothing is written until a
+/// repair, and reads go on.
 #[test]
-fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_log_is_opened_anew() {
+fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_store_is_repaired() {
     for held in [Held::Point, Held::Past, Held::Deleted] {
         let directory = tempfile::tempdir().unwrap();
         let [arm, base] = fill(directory.path());
@@ -205,7 +229,24 @@ fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_lo
         let points = |entry: &Entry| all_points(&*log.view(entry.uid).unwrap()).len() as u64;
         assert!(points(&base) >= revision);
 
+        // It is read again, and not written.
         log.reopen().unwrap();
+        for _ in 0..2 {
+            let refused = log.failure().unwrap();
+            let is_damaged = matches!(refused, LogError::DamagedStore { .. });
+            assert!(is_damaged, "{refused}");
+            assert!(refused.to_string().contains("`wayfold-server repair`"));
+            let head = log.view(base.uid).unwrap().revision();
+            let append = grow(&log, base.uid, head + 1, much.clone());
+            assert_eq!(append, Err(refused.clone()));
+            assert_eq!(log.reopen(), Err(refused));
+            assert!(points(&base) >= revision);
+        }
+        drop(log);
+        let report = repair(directory.path(), false).unwrap();
+        assert!(report.damage.is_some());
+        let log = open(directory.path());
+        let points = |entry: &Entry| all_points(&*log.view(entry.uid).unwrap()).len() as u64;
         match held {
             Held::Point => damaged(&log, &arm),
             Held::Past => assert_eq!(points(&arm), 21),
@@ -256,10 +297,16 @@ fn no_block_of_a_table_costs_all_indices() {
             let copy = copied(directory.path());
             flip(&copy.path().join(name), at);
             let log = open_at(copy.path(), durability);
-            let lost: Vec<_> = entries
-                .iter()
-                .filter(|entry| log.view(entry.uid).is_err())
-                .collect();
+            let unreadable = |log: &FjallLog| -> Vec<_> {
+                let lost = entries.iter();
+                lost.filter(|entry| log.view(entry.uid).is_err()).collect()
+            };
+            let at_start = unreadable(&log);
+            drop(log);
+            let repaired = repair(copy.path(), false).is_ok();
+            let log = open_at(copy.path(), durability);
+            let lost = unreadable(&log);
+            println!("{} lost at the start, repaired: {repaired}", at_start.len());
             println!(
                 "{durability:?}, byte {at} of {}: {} lost",
                 bytes.len(),
@@ -277,6 +324,8 @@ fn no_block_of_a_table_costs_all_indices() {
                 all_lost.push(at);
                 continue;
             }
+            let were_lost = lost.iter().all(|lost| at_start.contains(lost));
+            assert!(were_lost, "a repair loses nothing that can be read");
             let new = entry("new");
             log.create(new.clone()).unwrap();
             drop(log);
@@ -295,22 +344,22 @@ fn no_block_of_a_table_costs_all_indices() {
 
 /// Power is lost when the new store is whole: before the damaged one was moved away, or after that.
 #[test]
-fn a_store_that_was_made_anew_takes_its_place_at_the_next_start() {
+fn a_rebuilt_store_takes_its_place_at_the_next_start() {
     let directory = tempfile::tempdir().unwrap();
     let [arm, base] = fill(directory.path());
     damage(directory.path());
-    drop(open(directory.path()));
-    let [store, remade, kept] =
+    repair(directory.path(), false).unwrap();
+    let [store, rebuilt, kept] =
         ["store", "store.remade", "store.damaged-1"].map(|name| directory.path().join(name));
     let is_whole = || {
         let log = open(directory.path());
         damaged(&log, &arm);
         assert_eq!(log.view(base.uid).unwrap().revision(), 1);
-        assert!(kept.exists() && !remade.exists());
+        assert!(kept.exists() && !rebuilt.exists());
     };
-    fs::rename(&store, &remade).unwrap();
+    fs::rename(&store, &rebuilt).unwrap();
     is_whole();
-    fs::rename(&store, &remade).unwrap();
+    fs::rename(&store, &rebuilt).unwrap();
     fs::rename(&kept, &store).unwrap();
     is_whole();
 }

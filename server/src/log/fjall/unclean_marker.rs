@@ -1,8 +1,8 @@
-//! What a server that does not sync leaves behind if it does not end well: the file `unsynced`. Mutations that were
-//! acknowledged may be gone then, so every index gets a new uid: a revision may come to mean something else.
+//! Marker file `unsynced`: this server ran without fsync and has not shut down cleanly. Acknowledged mutations may be lost
+//! then, so every index gets a new uid: a revision may come to mean something else.
 //!
-//! A setting `os` survives the end of the process, so the file holds the name of the system's boot: found again under
-//! the same one, nothing is lost.
+//! Under `os`, mutations survive the end of the process, so the file holds the id of the system's boot. If it is found under the
+//! same boot, nothing is lost.
 
 use std::{fs, io, path::Path};
 
@@ -13,7 +13,7 @@ const BOOT: &str = "/proc/sys/kernel/random/boot_id";
 /// The name of the file.
 pub(super) const FILE: &str = "unsynced";
 
-/// Whether the server that was here before may have lost what it acknowledged.
+/// True if the previous server may have lost acknowledged mutations.
 pub(super) fn may_have_lost(directory: &Path) -> io::Result<bool> {
     match fs::read_to_string(directory.join(FILE)) {
         Ok(left) => Ok(left.is_empty() || Some(left) != survives(Durability::Os)),
@@ -22,12 +22,12 @@ pub(super) fn may_have_lost(directory: &Path) -> io::Result<bool> {
     }
 }
 
-/// Whether the server that was here before did not sync, and did not end well.
+/// True if the previous server ran without fsync and has not shut down cleanly.
 pub(super) fn was_begun(directory: &Path) -> io::Result<bool> {
     directory.join(FILE).try_exists()
 }
 
-/// Says that a server with this setting is at work here.
+/// Writes the marker of a server with this setting, or removes it under fsync.
 pub(super) fn begin(directory: &Path, durability: Durability) -> io::Result<()> {
     if durability == Durability::Fsync {
         return end(directory);
@@ -38,7 +38,7 @@ pub(super) fn begin(directory: &Path, durability: Durability) -> io::Result<()> 
     sync_directory(directory)
 }
 
-/// Says that all is synced.
+/// Removes the marker: everything is synced.
 pub(super) fn end(directory: &Path) -> io::Result<()> {
     match fs::remove_file(directory.join(FILE)) {
         Ok(()) => sync_directory(directory),
@@ -47,7 +47,7 @@ pub(super) fn end(directory: &Path) -> io::Result<()> {
     }
 }
 
-/// What the file holds if nothing is lost until the system goes down; None if that cannot be told.
+/// The content that means that only a reboot loses mutations; None if there is no such content.
 fn survives(durability: Durability) -> Option<String> {
     let boot = fs::read_to_string(BOOT).ok()?;
     (durability == Durability::Os).then(|| format!("os {boot}"))

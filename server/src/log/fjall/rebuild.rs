@@ -1,0 +1,325 @@
+//! How a store comes to be: empty, or rebuilt from a damaged one with every index that can be read.
+//!
+//! fjall rewrites its files bit by bit while others are written. If it then meets a block that is not what it wrote, it
+//! stops writing for good, for all indices, and would again after every start. [`repair`] copies the indices that can be read
+//! whole into a new store, key by key; of the others it keeps the entry, which says that the rest is lost. The damaged store
+//! stays beside the new one under a name of its own.
+//!
+//! A new store takes its name once it is whole and synced. If that is cut short, [`finish`] completes it at the next start.
+
+use std::{
+    collections::BTreeMap,
+    fs, io,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use fjall::{Guard, KvPair, OwnedWriteBatch, Slice};
+use thiserror::Error;
+use tracing::{info, warn};
+
+use super::{
+    DAMAGED_STORE, Durability, MARKS, NEW_STORE, OpenError, REBUILT_STORE, STORE,
+    directory::{Directory, sync_directories, sync_directory},
+    journal::{self, Journal},
+    layout::{
+        Head, Named, Number, Stage, entry_key, head_key, operation_key, point_keys, record_key,
+    },
+    manifest, manifest_copy,
+    recovery::{self, read_one, stored_entries},
+    store::{Handles, Store, damage, shut, storage, unopened},
+    sync_marks::{Mark, Marks},
+};
+use crate::log::LogError;
+
+/// About how many bytes are copied in one batch.
+const BATCH_BYTES: usize = 1024 * 1024;
+
+/// The outcome of [`repair`].
+#[derive(Debug)]
+pub struct RepairReport {
+    /// The first damage that was found; None if the store is whole, and then nothing else was done.
+    pub damage: Option<String>,
+    /// The number of indices that can be read whole.
+    pub whole: usize,
+    /// The names of the indices that the new store does not hold, each with its damage.
+    pub lost: Vec<(String, String)>,
+    /// Bytes that must be free to rebuild the store.
+    pub needed_bytes: u64,
+    /// Bytes that are free.
+    pub free_bytes: u64,
+    /// Where the damaged store is kept; None if nothing was rebuilt.
+    pub kept: Option<PathBuf>,
+}
+
+/// Why a store could not be repaired.
+#[derive(Debug, Error)]
+pub enum RepairError {
+    /// There is no store to repair.
+    #[error("there is no store in {}: name the data directory with --data", directory.display())]
+    Missing {
+        /// The directory.
+        directory: PathBuf,
+    },
+    /// The data directory cannot be used.
+    #[error(transparent)]
+    Directory(#[from] OpenError),
+    /// The store cannot be read or written at all.
+    #[error("the store cannot be repaired: {0}")]
+    Log(#[from] LogError),
+    /// The disk is too full.
+    #[error(
+        "{needed} bytes must be free to rebuild the store, and {free} are: free some, nothing was changed"
+    )]
+    NoRoom {
+        /// Bytes that must be free.
+        needed: u64,
+        /// Bytes that are free.
+        free: u64,
+    },
+}
+
+/// Makes the store, unless there is one or was one: a missing store beside the file of marks is not an empty one. A start
+/// that is cut short leaves none, or a whole one.
+pub(super) fn make_first(directory: &Directory) -> io::Result<()> {
+    let store = directory.join(STORE);
+    if store.try_exists()? || directory.join(MARKS).try_exists()? {
+        return Ok(());
+    }
+    make(directory, |_| Ok(())).map_err(io::Error::other)?;
+    fs::rename(directory.join(NEW_STORE), &store)?;
+    fs::File::options()
+        .append(true)
+        .create(true)
+        .open(directory.join(MARKS))?;
+    sync_directory(directory.path())
+}
+
+/// Makes a store beside the present one, durable with everything that `fill` writes to it.
+fn make(
+    directory: &Directory,
+    fill: impl FnOnce(&Handles) -> Result<(), LogError>,
+) -> Result<(), LogError> {
+    let new = directory.join(NEW_STORE);
+    match fs::remove_dir_all(&new) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(shut(error)),
+        _ => {}
+    }
+    let made = Arc::new(Store::open(&new, Durability::Fsync).map_err(unopened)?);
+    fill(&*made.handles()?)?;
+    let synced = Journal::new(Arc::clone(&made), new.clone()).sync();
+    synced.map_err(|what| LogError::Storage { what })?;
+    made.close();
+    // fjall leaves it to the file system whether the names of its directories are durable.
+    sync_directories(&new).map_err(shut)
+}
+
+/// Reads the store in a data directory from end to end, and rebuilds it if a part of it cannot be read. With `dry_run` it
+/// only reports. No server may use the directory.
+pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairError> {
+    let exists = [STORE, REBUILT_STORE].map(|name| directory.join(name).exists());
+    if exists == [false, false] {
+        return Err(RepairError::Missing {
+            directory: directory.into(),
+        });
+    }
+    let directory = Directory::take(directory)?;
+    finish(&directory).map_err(shut)?;
+    manifest_copy::mend(&directory)?;
+    journal::make_certain(&directory).map_err(shut)?;
+    let path = directory.join(STORE);
+    manifest::check(&path)?;
+    let (_, marks) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
+    let old = Store::open(&path, Durability::Fsync).map_err(unopened)?;
+    let handles = old.handles()?;
+    let contents = survey(&handles, &marks)?;
+    let mut report = RepairReport {
+        damage: find_damage(&handles)?,
+        whole: contents.iter().filter(|content| content.whole).count(),
+        lost: contents
+            .iter()
+            .filter_map(|content| content.lost.clone())
+            .collect(),
+        needed_bytes: handles.room_for_copy(),
+        free_bytes: directory.room().map_err(shut)?,
+        kept: None,
+    };
+    // A read of all keys in order passes by what leads to single keys.
+    if report.damage.is_none() && recovery::recover(&handles, &marks, false)?.unreadable {
+        report.damage = Some("what leads to its keys cannot be read".into());
+    }
+    if report.damage.is_none() || dry_run {
+        return Ok(report);
+    }
+    if report.free_bytes < report.needed_bytes {
+        return Err(RepairError::NoRoom {
+            needed: report.needed_bytes,
+            free: report.free_bytes,
+        });
+    }
+    make(&directory, |new| copy(&handles, new, contents))?;
+    drop(handles);
+    old.close();
+    let rebuilt = fs::rename(directory.join(NEW_STORE), directory.join(REBUILT_STORE));
+    rebuilt
+        .and_then(|()| sync_directory(directory.path()))
+        .map_err(shut)?;
+    report.kept = finish(&directory).map_err(shut)?;
+    Ok(report)
+}
+
+/// Puts a rebuilt store in the place of the damaged one, if there is one, and returns where the damaged one is then. The
+/// damaged one is not to be written to before.
+pub(super) fn finish(directory: &Directory) -> io::Result<Option<PathBuf>> {
+    let [store, rebuilt] = [STORE, REBUILT_STORE].map(|name| directory.join(name));
+    if !rebuilt.try_exists()? {
+        return Ok(None);
+    }
+    let mut moved = None;
+    if store.try_exists()? {
+        for number in 1.. {
+            let kept = directory.join(&format!("{DAMAGED_STORE}{number}"));
+            if !kept.try_exists()? {
+                fs::rename(&store, &kept)?;
+                warn!(kept = %kept.display(), "the damaged store is kept");
+                moved = Some(kept);
+                break;
+            }
+        }
+    }
+    fs::rename(&rebuilt, &store)?;
+    sync_directory(directory.path())?;
+    info!("the rebuilt store is in place");
+    Ok(moved)
+}
+
+/// The first damage in an open store; None if all of it can be read. A disk that cannot be read is an error.
+pub(super) fn find_damage(handles: &Handles) -> Result<Option<String>, LogError> {
+    damage_in(handles.keyspace.iter().map(Guard::into_inner))
+}
+
+fn damage_in(
+    pairs: impl Iterator<Item = fjall::Result<KvPair>>,
+) -> Result<Option<String>, LogError> {
+    for pair in pairs {
+        if let Err(error) = pair {
+            return damage(error).map(Some);
+        }
+    }
+    Ok(None)
+}
+
+/// What a rebuilt store takes over of an index.
+struct Content {
+    number: Number,
+    /// The new entry; None if only the mark of the index is left.
+    entry: Option<Slice>,
+    /// Everything else can be read, and matters.
+    whole: bool,
+    /// The name and the damage of an index that is lost.
+    lost: Option<(String, String)>,
+}
+
+/// What can be read of each index.
+fn survey(store: &Handles, marks: &BTreeMap<Number, Mark>) -> Result<Vec<Content>, LogError> {
+    let mut contents = Vec::new();
+    for (number, entry) in stored_entries(store, marks)? {
+        let mut content = Content {
+            number,
+            entry: None,
+            whole: false,
+            lost: None,
+        };
+        match entry {
+            Err(damage) => {
+                let name = marks.get(&number).map(|mark| mark.name.to_string());
+                content.lost = name.map(|name| (name, damage));
+            }
+            Ok(entry) => {
+                let named = Named::decode(number, &entry);
+                let is_left = named
+                    .as_ref()
+                    .is_none_or(|named| named.stage == Stage::Whole);
+                let damage = if is_left {
+                    damage_in(all_of(store, number))?
+                } else {
+                    None
+                };
+                content.whole = is_left && damage.is_none();
+                content.entry = Some(entry);
+                if let (Some(named), Some(damage)) = (named, damage) {
+                    content.lost = Some((named.entry.name.clone(), damage));
+                    let stage = Stage::Unreadable;
+                    content.entry = Some(Named { stage, ..named }.encode(number).into());
+                }
+            }
+        }
+        contents.push(content);
+    }
+    Ok(contents)
+}
+
+fn copy(old: &Handles, new: &Handles, contents: Vec<Content>) -> Result<(), LogError> {
+    let mut batch = Batch::new(new);
+    for content in contents {
+        if let Some(entry) = content.entry {
+            batch.insert(entry_key(content.number).into(), entry)?;
+        }
+        if content.whole {
+            for pair in all_of(old, content.number) {
+                let (key, value) = pair.map_err(unopened)?;
+                batch.insert(key, value)?;
+            }
+        }
+    }
+    batch.commit()
+}
+
+/// Everything that recovery reads of an index, without its entry. Trimmed records do not matter.
+fn all_of(handles: &Handles, number: Number) -> impl Iterator<Item = fjall::Result<KvPair>> {
+    let head = read_one(handles, &head_key(number));
+    let decoded = match &head {
+        Some(Ok((_, head))) => Head::decode(number, head),
+        _ => None,
+    };
+    let records = decoded
+        .into_iter()
+        .flat_map(|head| head.trimmed + 1..=head.revision);
+    let records =
+        records.filter_map(move |revision| read_one(handles, &record_key(number, revision)));
+    let operations = operation_key(number, 0)..=operation_key(number, u64::MAX);
+    let ranges = [point_keys(number), operations].into_iter();
+    let ranges = ranges.flat_map(|range| handles.keyspace.range(range).map(Guard::into_inner));
+    head.into_iter().chain(ranges).chain(records)
+}
+
+/// A part of the copy.
+struct Batch<'a> {
+    store: &'a Handles,
+    batch: OwnedWriteBatch,
+    bytes: usize,
+}
+
+impl<'a> Batch<'a> {
+    fn new(store: &'a Handles) -> Self {
+        Self {
+            store,
+            batch: store.database.batch(),
+            bytes: 0,
+        }
+    }
+
+    fn insert(&mut self, key: Slice, value: Slice) -> Result<(), LogError> {
+        self.bytes += key.len() + value.len();
+        self.batch.insert(&self.store.keyspace, key, value);
+        if self.bytes < BATCH_BYTES {
+            return Ok(());
+        }
+        std::mem::replace(self, Self::new(self.store)).commit()
+    }
+
+    fn commit(self) -> Result<(), LogError> {
+        self.store.wait_for_room()?;
+        self.batch.commit().map_err(storage)
+    }
+}

@@ -1,0 +1,115 @@
+//! `wayfold-server repair` as an operator runs it: its report and its exit statuses.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+    sync::Arc,
+};
+
+use bytes::Bytes;
+use fjall::{Database, KeyspaceCreateOptions};
+use wayfold_index::PointRef;
+use wayfold_server::log::{
+    Catalogue, Durability, Effects, Entry, FjallLog, Journal, Outcome, PointStore, Record, Uid,
+};
+
+fn repair(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
+    let Output {
+        status,
+        stdout,
+        stderr,
+    } = Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
+        .args(["repair", "--log", "off", "--data"])
+        .arg(directory)
+        .args(arguments)
+        .output()
+        .unwrap();
+    let text = [stdout, stderr].concat();
+    (status.code(), String::from_utf8(text).unwrap())
+}
+
+/// A closed store with two indices in tables, of which `arm` has three large payloads: each fills a block.
+fn fill(directory: &Path) {
+    let log = FjallLog::open(directory, Durability::Fsync).unwrap();
+    for (name, revisions, bytes) in [("arm", 3, 256 * 1024), ("base", 1, 16)] {
+        let uid = Uid::unique();
+        let name = name.into();
+        let space = "R1".parse().unwrap();
+        log.create(Entry { uid, name, space }).unwrap();
+        for revision in 1..=revisions {
+            let mut effects = Effects::new(1);
+            let point = PointRef {
+                id: revision,
+                tag: 0,
+                revision,
+                row: &[0.5],
+            };
+            effects.store(point, Outcome::Inserted, Bytes::from(vec![7; bytes]));
+            let tip = log.view(uid).unwrap().tip();
+            log.submit(uid, Arc::new(Record::after(tip, effects)))
+                .unwrap();
+        }
+    }
+    drop(log);
+    let database = Database::builder(directory.join("store")).open().unwrap();
+    let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default);
+    keyspace.unwrap().rotate_memtable_and_wait().unwrap();
+}
+
+/// Flips a bit in the second payload of `arm`. The points come first in the largest table, and the records after them.
+fn damage(directory: &Path) {
+    let tables = fs::read_dir(directory.join("store/keyspaces/1/tables")).unwrap();
+    let tables = tables.map(|table| table.unwrap().path());
+    let table = tables.max_by_key(|table| fs::metadata(table).unwrap().len());
+    let table = table.unwrap();
+    let mut bytes = fs::read(&table).unwrap();
+    let second = bytes.len() / 4;
+    bytes[second] ^= 1;
+    fs::write(&table, bytes).unwrap();
+}
+
+#[test]
+fn a_damaged_store_is_reported_repaired_and_kept() {
+    let directory = tempfile::tempdir().unwrap();
+    fill(directory.path());
+    for arguments in [&["--dry-run"][..], &[]] {
+        let (status, text) = repair(directory.path(), arguments);
+        assert_eq!(status, Some(0), "{text}");
+        assert!(text.contains("is whole: nothing to repair"), "{text}");
+    }
+    damage(directory.path());
+    let (status, text) = repair(directory.path(), &["--dry-run"]);
+    assert_eq!(status, Some(1), "{text}");
+    for part in ["is damaged: ", "keeps: 1 ind", "loses: arm (", "free bytes"] {
+        assert!(text.contains(part), "{part} is missing in\n{text}");
+    }
+    let kept = directory.path().join("store.damaged-1");
+    assert!(!kept.exists());
+    let (status, text) = repair(directory.path(), &[]);
+    assert_eq!(status, Some(0), "{text}");
+    let kept_text = kept.display().to_string();
+    for part in ["kept: 1 ind", "lost: arm (", &kept_text, "next: "] {
+        assert!(text.contains(part), "{part} is missing in\n{text}");
+    }
+    assert!(kept.exists());
+    let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+    for entry in log.indexes().unwrap() {
+        assert_eq!(log.view(entry.uid).is_ok(), entry.name == "base");
+    }
+    let (status, text) = repair(directory.path(), &[]);
+    assert_eq!(status, Some(3), "{text}");
+    assert!(text.contains("in use"), "{text}");
+}
+
+#[test]
+fn a_store_that_cannot_be_repaired_is_left_as_it_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let (status, text) = repair(directory.path(), &[]);
+    assert_eq!(status, Some(3), "{text}");
+    assert!(text.contains("there is no store in"), "{text}");
+    assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0);
+    let (status, text) = repair(Path::new("memory"), &[]);
+    assert_eq!(status, Some(2), "{text}");
+    assert!(text.contains("name a data directory"), "{text}");
+}
