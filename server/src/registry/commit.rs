@@ -93,11 +93,14 @@ impl Hosted {
         let previous = writer.tip();
         let record = Arc::new(Record::after(previous, effects));
         // Before the journal has it, since the apply loop may meet it at once.
-        let added = self.in_flight.lock().add(record.tip());
-        let fate = added.ok_or(LogError::Fenced {
+        let added = {
+            let mut in_flight = self.in_flight.lock();
+            in_flight.add(record.tip(), writer.refusals())
+        };
+        let fate = added.map_err(|head| LogError::Fenced {
             uid: self.uid(),
             expected: previous.revision,
-            head: record.revision(),
+            head,
         })?;
         writer.push(Arc::clone(&record));
         match self

@@ -42,16 +42,17 @@ impl InFlight {
         self.refusals
     }
 
-    /// Adds the next record; None if another record is known to have its revision.
-    pub(super) fn add(&mut self, tip: Tip) -> Option<oneshot::Receiver<Fate>> {
-        if tip.revision <= self.decided {
-            return None;
+    /// Adds the next record, evaluated when the refusals were at this number. It is refused at once if another record has its
+    /// revision, or one that it follows was refused: then the error is the revision to wait for before the next attempt.
+    pub(super) fn add(&mut self, tip: Tip, refusals: u64) -> Result<oneshot::Receiver<Fate>, u64> {
+        if tip.revision <= self.decided || self.refusals != refusals {
+            return Err(self.decided);
         }
         self.records.push_back(Submitted {
             tip,
             waiting: Vec::new(),
         });
-        Some(self.wait_for_last())
+        Ok(self.wait_for_last())
     }
 
     /// Takes back the last record, which the journal did not take.

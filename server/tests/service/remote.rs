@@ -57,7 +57,9 @@ impl Stream {
         if self.is_lost() {
             return Err(unconfirmed);
         }
-        let newest = self.records(uid).last().map_or(START, |last| last.tip());
+        let mut messages = self.messages.lock();
+        let newest = messages.iter().rfind(|(of, _)| *of == uid);
+        let newest = newest.map_or(START, |(_, newest)| newest.tip());
         if !record.follows(newest) {
             return Err(LogError::Fenced {
                 uid,
@@ -65,7 +67,6 @@ impl Stream {
                 head: newest.revision,
             });
         }
-        let mut messages = self.messages.lock();
         messages.push((uid, Arc::clone(record)));
         self.length.send_replace(messages.len());
         match self.is_lost() {
