@@ -11,8 +11,10 @@ use crate::{
 /// and ids that it removes.
 #[derive(Debug)]
 pub struct Overlay {
-    /// The points that it stores. Its revisions count changes; the points carry their own.
-    forest: Forest,
+    space: Space,
+    /// The points that it stores; None before the first change, since most overlays never get one. Its revisions count
+    /// changes; the points carry their own.
+    forest: Option<Forest>,
     /// The ids that it stores or removes. It hides the points below that have them.
     changed: HashSet<u64>,
 }
@@ -21,14 +23,10 @@ impl Overlay {
     /// An overlay without changes.
     pub fn new(space: &Space) -> Self {
         Self {
-            forest: Forest::new(space.clone(), ForestOptions::for_space(space)),
+            space: space.clone(),
+            forest: None,
             changed: HashSet::new(),
         }
-    }
-
-    /// True if it changes nothing.
-    pub fn is_empty(&self) -> bool {
-        self.changed.is_empty()
     }
 
     /// Removes the points with the ids `removed`, then stores `stored`, replacing points with the same ids.
@@ -36,8 +34,11 @@ impl Overlay {
     /// # Errors
     /// The errors of [`Forest::apply`]; nothing is changed then.
     pub fn apply(&mut self, stored: &Points, removed: &[u64]) -> Result<(), ApplyError> {
-        let next = self.forest.revision() + 1;
-        self.forest.apply(next, stored, removed)?;
+        let forest = self.forest.get_or_insert_with(|| {
+            let options = ForestOptions::for_space(&self.space);
+            Forest::new(self.space.clone(), options)
+        });
+        forest.apply(forest.revision() + 1, stored, removed)?;
         self.changed.extend(stored.ids());
         self.changed.extend(removed);
         Ok(())
@@ -45,7 +46,8 @@ impl Overlay {
 
     /// The point that it stores under an id, or None inside if it removes the id; None outside if it does not change the id.
     pub fn get(&self, id: u64) -> Option<Option<Point>> {
-        self.changed.contains(&id).then(|| self.forest.get(id))
+        let is_changed = self.changed.contains(&id);
+        is_changed.then(|| self.forest.as_ref()?.get(id))
     }
 }
 
@@ -67,9 +69,12 @@ pub fn search_overlaid(
         let within = known.partition_point(|neighbor| neighbor.distance <= search.radius);
         merge(&mut neighbors, &known[..within], search.k);
     }
-    for overlay in overlays.iter().rev().filter(|overlay| !overlay.is_empty()) {
+    for overlay in overlays.iter().rev() {
+        let Some(forest) = &overlay.forest else {
+            continue;
+        };
         let narrowed = narrowed(search, &neighbors, &hidden);
-        let found = overlay.forest.search(state, &narrowed)?.neighbors;
+        let found = forest.search(state, &narrowed)?.neighbors;
         merge(&mut neighbors, &found, search.k);
         hidden.push(&overlay.changed);
     }
