@@ -9,7 +9,7 @@ use std::{
 use futures_util::{StreamExt, future::BoxFuture, stream::FuturesUnordered};
 use tokio::{
     sync::{OwnedMutexGuard, mpsc},
-    time::{Instant, timeout_at},
+    time::{Instant, interval, timeout_at},
 };
 use tracing::{debug, warn};
 use wayfold_index::Forest;
@@ -23,6 +23,9 @@ const MAX_INLINE_BYTES: usize = 128 * 1024;
 
 /// The time in which a lost receipt is settled before its callers are told.
 const SETTLE_TIME: Duration = Duration::from_secs(5);
+
+/// The time between two attempts to settle a lost receipt.
+const SETTLE_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The forest of an index, as of the published revision.
 pub(super) struct Applied {
@@ -181,7 +184,9 @@ impl Hosted {
         // Nothing is submitted meanwhile.
         let writer = self.write_closed().await;
         let until = Instant::now() + SETTLE_TIME;
+        let mut attempts = interval(SETTLE_INTERVAL);
         while self.published().revision <= previous.revision {
+            attempts.tick().await;
             let fence = Record::after(previous, Effects::new(self.space().coordinates()));
             let fence = Arc::new(fence);
             let outcome = match self.host.log.journal.submit(self.uid(), fence) {

@@ -271,6 +271,15 @@ impl Hosted {
         is_resumed
     }
 
+    /// True if it is closed because a lost receipt could not be settled.
+    pub(super) fn is_unsettled(&self) -> bool {
+        let state = self.state.borrow();
+        matches!(
+            state.closed,
+            Some(RegistryError::Log(LogError::Unconfirmed { .. }))
+        )
+    }
+
     /// Closes the index, because its apply loop of this number has ended.
     pub(super) fn end_loop(&self, number: u64, why: RegistryError) {
         let apply_loop = self.apply_loop.lock();

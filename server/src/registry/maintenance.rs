@@ -52,6 +52,9 @@ impl Registry {
                 next_try = Instant::now() + wait;
             }
             for hosted in self.hosted() {
+                if hosted.is_unsettled() {
+                    self.resume_unsettled(&hosted).await;
+                }
                 hosted.merge_if_idle();
             }
             if now >= trimmed_at + TRIM_INTERVAL && self.failure().is_none() {
@@ -141,6 +144,14 @@ impl Registry {
         let states = self.indexes.read();
         let hosted = states.values().filter_map(|state| state.hosted().ok());
         hosted.cloned().collect()
+    }
+
+    /// Resumes an index whose calls were told that their outcome is unknown. That is safe: its next record is refused if one
+    /// of theirs is in the journal.
+    async fn resume_unsettled(self: &Arc<Self>, hosted: &Arc<Hosted>) {
+        let (registry, hosted) = (Arc::clone(self), Arc::clone(hosted));
+        // The join fails only if the task panicked; the panic hook has printed it.
+        let _ = tokio::task::spawn_blocking(move || registry.resumes(&hosted)).await;
     }
 
     /// Trims records that are too old, in idle indices too.

@@ -1,13 +1,24 @@
 //! Two servers that share a journal on another machine: it accepts one record of an index at a time, its positions are not
 //! revisions, it loses requests and answers, and each server keeps its own points.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    future::pending,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+    time::Duration,
+};
 
 use futures_util::{FutureExt, StreamExt, stream};
 use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio::{
+    sync::{Semaphore, mpsc, oneshot, watch},
+    time::timeout,
+};
 use wayfold_proto::v1;
 use wayfold_server::{
     log::{
@@ -15,7 +26,7 @@ use wayfold_server::{
         Record, RecordStream, Retention, Tip, Uid,
     },
     registry::{Registry, RegistryOptions},
-    service::{Limits, Service},
+    service::{Code, Limits, Service},
 };
 
 use crate::support::*;
@@ -26,6 +37,8 @@ struct Stream {
     length: watch::Sender<usize>,
     random: Mutex<ChaCha8Rng>,
     loses: f64,
+    /// Nothing reaches it.
+    is_cut: AtomicBool,
 }
 
 impl Stream {
@@ -35,6 +48,7 @@ impl Stream {
             length: watch::Sender::new(0),
             random: Mutex::new(ChaCha8Rng::seed_from_u64(seed)),
             loses,
+            is_cut: AtomicBool::new(false),
         })
     }
 
@@ -45,7 +59,7 @@ impl Stream {
     }
 
     fn is_lost(&self) -> bool {
-        self.random.lock().random_bool(self.loses)
+        self.is_cut.load(Relaxed) || self.random.lock().random_bool(self.loses)
     }
 
     fn publish(&self, uid: Uid, record: &Arc<Record>) -> Result<(), LogError> {
@@ -165,6 +179,11 @@ impl Journal for Remote {
 
 /// A server over the stream, with points of its own, that serves the index of this entry.
 fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Remote>) {
+    let (service, _, journal) = maintained(stream, entry);
+    (service, journal)
+}
+
+fn maintained(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, Arc<Remote>) {
     let points = Arc::new(MemoryLog::new());
     points.create(entry.clone()).unwrap();
     let journal = Remote::connect(stream);
@@ -180,9 +199,11 @@ fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Remote>) {
     };
     let registry = Registry::new(log, options);
     registry.replay().unwrap();
-    let service = Service::new(registry, Limits::default());
+    let registry = Arc::new(registry);
+    let service = Service::starting(Limits::default());
+    service.set_registry(Arc::clone(&registry));
     service.set_ready();
-    (service, journal)
+    (service, registry, journal)
 }
 
 fn arm() -> Entry {
@@ -218,6 +239,20 @@ async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Po
         }
     }
     let found = points_at(servers[0], entry.uid, tip.revision).await;
+    // Feeds have every record, also one that only fenced another off.
+    let mut fed = 0;
+    while fed < tip.revision {
+        let request = v1::WatchRequest {
+            index: entry.name.clone(),
+            after_revision: revision(&entry.uid.to_string(), fed),
+            include: ALL,
+        };
+        let answer = servers[0].log(&CALL, request).await.unwrap();
+        for mutation in answer.mutations {
+            fed += 1;
+            assert_eq!(mutation.revision.number(), fed);
+        }
+    }
     let rows = found.states.clone().unwrap().coordinates;
     let stored: BTreeMap<u64, f64> = found.ids.iter().copied().zip(rows).collect();
     assert_eq!(stored, expected);
@@ -333,4 +368,40 @@ async fn records_under_way_are_seen_by_the_next_mutation_and_by_no_reader() {
     assert_eq!(outcomes, [v1::Outcome::Inserted as i32, close, close]);
     let (late, _) = server(&stream, &entry);
     settled(&stream, &entry, &[&one, &late]).await;
+}
+
+/// On a clock that jumps ahead whenever nothing else is left to do.
+#[tokio::test(start_paused = true)]
+async fn what_cannot_be_settled_in_time_is_unavailable_until_the_journal_answers_again() {
+    let (stream, entry) = (Stream::new(7, 0.0), arm());
+    let (service, registry, _) = maintained(&stream, &entry);
+    let maintaining = tokio::spawn(registry.maintain(|| ()));
+    let insert = |state: f64| {
+        let (service, request) = (service.clone(), insertion(&[[state]], &[]));
+        async move { service.insert(&CALL, request).await }
+    };
+    assert_eq!(insert(1.0).await.unwrap().revision.number(), 1);
+    stream.is_cut.store(true, Relaxed);
+    let error = insert(2.0).await.unwrap_err();
+    assert_eq!(
+        (error.code(), error.reason()),
+        (Code::Unavailable, "STORAGE_FAILED")
+    );
+    assert!(error.to_string().contains("operation_id"), "{error}");
+    assert_eq!(everything(&service).await.point_count, 1);
+    stream.is_cut.store(false, Relaxed);
+    let mut inserted = insert(3.0).await;
+    for _ in 0..100 {
+        if inserted.is_ok() {
+            break;
+        }
+        // The clock stands still while maintenance resumes the index on a thread of its own.
+        let second = Duration::from_secs(1);
+        assert!(timeout(second, pending::<()>()).await.is_err());
+        inserted = insert(3.0).await;
+    }
+    assert_eq!(inserted.unwrap().revision.number(), 2);
+    let found = settled(&stream, &entry, &[&service]).await;
+    assert_eq!(found.states.unwrap().coordinates, [1.0, 3.0]);
+    maintaining.abort();
 }
