@@ -97,7 +97,7 @@ pub(crate) async fn serve(
     let durability = config.data.directory().map(|_| config.data.durability);
     let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
-    let capacity = Admission::new(config.grpc.max_calls);
+    let admission = Admission::new(config.grpc.max_calls);
     let cut = CancellationToken::new();
     let mut zenoh = ZenohFace::open(&config.zenoh, service.clone()).await?;
     let addresses = Addresses {
@@ -112,7 +112,7 @@ pub(crate) async fn serve(
         service.clone(),
         lifecycle.watch(),
         listener,
-        capacity.clone(),
+        admission.clone(),
         cut.clone(),
     ));
 
@@ -146,9 +146,9 @@ pub(crate) async fn serve(
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
     let grace_ms = config.shutdown.grace_ms;
-    let faces: Vec<Admission> = [capacity]
+    let faces: Vec<Admission> = [admission]
         .into_iter()
-        .chain(zenoh.as_ref().map(ZenohFace::capacity))
+        .chain(zenoh.as_ref().map(ZenohFace::admission))
         .collect();
     info!(
         calls = in_use(&faces),

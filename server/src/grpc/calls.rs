@@ -50,7 +50,7 @@ pub(crate) fn open<R: observe::Request>(request: tonic::Request<R>) -> (Call, R)
 /// Wraps services in [`Calls`].
 #[derive(Clone, Debug)]
 pub(crate) struct CallsLayer {
-    pub(crate) capacity: Admission,
+    pub(crate) admission: Admission,
     pub(crate) max_message_bytes: usize,
 }
 
@@ -98,9 +98,9 @@ where
         let admitted = deadline::read(request.headers(), started)
             .map_err(|problem| Box::new(refusals::malformed_timeout(&problem)))
             .and_then(|deadline| {
-                let capacity = &self.settings.capacity;
-                let busy = || Box::new(refusals::busy(capacity.limit()));
-                Ok((deadline, capacity.take().ok_or_else(busy)?))
+                let admission = &self.settings.admission;
+                let busy = || Box::new(refusals::busy(admission.limit()));
+                Ok((deadline, admission.take().ok_or_else(busy)?))
             });
         let (deadline, place) = match admitted {
             Ok(admitted) => admitted,
@@ -172,9 +172,9 @@ mod tests {
         }
     }
 
-    async fn call(capacity: &Admission, answer: fn() -> Response<Body>) -> Response<Body> {
+    async fn call(admission: &Admission, answer: fn() -> Response<Body>) -> Response<Body> {
         let layer = CallsLayer {
-            capacity: capacity.clone(),
+            admission: admission.clone(),
             max_message_bytes: 1000,
         };
         let request = Request::post("/wayfold.v1.PointService/Knn").body(Body::empty());
@@ -184,20 +184,20 @@ mod tests {
 
     #[tokio::test]
     async fn a_call_that_panics_is_a_bug_and_frees_its_place() {
-        let capacity = Admission::new(1);
+        let admission = Admission::new(1);
         for _ in 0..2 {
-            let answer = call(&capacity, || panic!("a bug")).await;
+            let answer = call(&admission, || panic!("a bug")).await;
             let status = Status::from_header_map(answer.headers()).unwrap();
             assert_eq!(status.code(), Code::Internal);
             assert_eq!(status.get_details_error_info().unwrap().reason, "INTERNAL");
-            assert_eq!(capacity.in_use(), 0);
+            assert_eq!(admission.in_use(), 0);
         }
     }
 
     #[tokio::test]
     async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place() {
-        let capacity = Admission::new(1);
-        let answer = call(&capacity, || {
+        let admission = Admission::new(1);
+        let answer = call(&admission, || {
             let parts = stream::once(async { panic!("a bug") });
             let encoder = tonic_prost::ProstEncoder::<()>::default();
             let body = tonic::codec::EncodeBody::new_server(
@@ -210,12 +210,12 @@ mod tests {
             Response::new(Body::new(body))
         })
         .await;
-        assert_eq!(capacity.in_use(), 1);
+        assert_eq!(admission.in_use(), 1);
         let mut body = answer.into_body();
         let frame = std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await;
         let trailers = frame.unwrap().unwrap().into_trailers().unwrap();
         let status = Status::from_header_map(&trailers).unwrap();
         assert_eq!(status.code(), Code::Internal);
-        assert_eq!(capacity.in_use(), 0);
+        assert_eq!(admission.in_use(), 0);
     }
 }

@@ -44,13 +44,13 @@ pub enum GrpcError {
 
 /// Serves `service` on `listener` until the server begins to stop and every call that was accepted is done.
 ///
-/// `capacity` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
+/// `admission` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
 pub(crate) async fn serve(
     config: &GrpcConfig,
     service: Service,
     phases: PhaseWatch,
     listener: TcpListener,
-    capacity: Admission,
+    admission: Admission,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
     let points = TolerantPointServer::new(PointFace {
@@ -79,7 +79,7 @@ pub(crate) async fn serve(
         .http2_keepalive_interval(keepalive)
         .http2_keepalive_timeout(Some(Duration::from_millis(config.keepalive_timeout_ms)))
         .layer(CallsLayer {
-            capacity,
+            admission,
             max_message_bytes: config.max_message_bytes,
         })
         .add_service(indices)

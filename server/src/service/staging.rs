@@ -180,3 +180,108 @@ impl Source for Staging<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use futures_util::poll;
+    use proptest::prelude::*;
+    use wayfold_index::{Filter, Linear, Space};
+
+    use super::*;
+    use crate::{
+        log::MemoryLog,
+        registry::{Committed, OperationWindow, Registry, RegistryOptions},
+    };
+
+    const WINDOW: OperationWindow = OperationWindow { count: 1, bytes: 0 };
+
+    fn point(id: u64, revision: u64, row: &[f64]) -> PointRef<'_> {
+        PointRef {
+            id,
+            tag: 0,
+            revision,
+            row,
+        }
+    }
+
+    proptest! {
+        #![proptest_config(crate::testing::cases(256))]
+
+        /// On a grid most distances are ties. A search answers as over one set of published, pending and accepted rows, with
+        /// or without a known answer of an earlier published revision, which may be wider than the search.
+        #[test]
+        fn a_row_finds_the_nearest_of_the_newest_state_and_the_rows_before_it(
+            stored in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),
+            rows in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),
+            published in 0..30usize,
+            seen in 0..30usize,
+            since in 0..20u64,
+            asked in 0..8u8,
+            k in prop_oneof![1..6usize, Just(usize::MAX)],
+            radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
+            more in 0..4usize,
+            farther in 0..3u8,
+        ) {
+            let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+            let space: Space = "R1".parse().unwrap();
+            let mut union = Linear::new(space.clone());
+            let filter = Filter { since_revision: since, ..Filter::default() };
+            let search = Search { radius, filter, ..Search::nearest_k(k) };
+            let asked = [f64::from(asked)];
+            runtime.block_on(async {
+                let registry =
+                    Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+                let (hosted, _) = registry.create("line", space.clone(), 1).unwrap();
+                let (mut known, mut under_way) = ((0, Vec::new()), Vec::new());
+                for (slot, (&id, &at)) in stored.iter().enumerate() {
+                    let writer = hosted.write().await.unwrap();
+                    let row = [f64::from(at)];
+                    let point = point(id, writer.revision() + 1, &row);
+                    union.insert(point).unwrap();
+                    let mut effects = Effects::new(1);
+                    effects.store(point, Outcome::Inserted, Bytes::new());
+                    let mut commit = Box::pin(hosted.commit(writer, effects, WINDOW));
+                    if slot >= published {
+                        // Submitted at the first poll, and published once the apply loop runs.
+                        assert!(poll!(&mut commit).is_pending());
+                        under_way.push(commit);
+                        continue;
+                    }
+                    assert_eq!(commit.await.unwrap(), Committed::Done);
+                    if slot == seen {
+                        let search = Search {
+                            k: k.saturating_add(more),
+                            radius: radius + f64::from(farther),
+                            ..search
+                        };
+                        let published = hosted.published();
+                        let found = published.snapshot.search(&asked, &search).unwrap();
+                        known = (published.revision, found.neighbors);
+                    }
+                }
+                let mut writer = hosted.write().await.unwrap();
+                assert_eq!(writer.revision(), stored.len() as u64);
+                assert_eq!(writer.points(), stored.len());
+                writer.index_pending();
+                let mut staging = Staging::new(&writer, true);
+                for (&id, &at) in &rows {
+                    let held = staging.held(id);
+                    assert_eq!(held.map(|point| point.row[0]), stored.get(&id).copied().map(f64::from));
+                    let outcome = match stored.contains_key(&id) {
+                        true => Outcome::Replaced,
+                        false => Outcome::Inserted,
+                    };
+                    let row = [f64::from(at)];
+                    staging.accept(id, 0, &row, Bytes::new(), outcome).unwrap();
+                    union.insert(point(id, staging.revision(), &row)).unwrap();
+                }
+                let expected = union.search(&asked, &search).unwrap().neighbors;
+                for known in [None, Some((known.0, &*known.1))] {
+                    assert_eq!(staging.search(&asked, &search, known).unwrap(), expected);
+                }
+            });
+        }
+    }
+}

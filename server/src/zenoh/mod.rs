@@ -74,7 +74,7 @@ impl ZenohFace {
         let queries = Arc::new(Queries {
             service,
             prefix: config.prefix.clone(),
-            capacity: Admission::new(config.max_calls),
+            admission: Admission::new(config.max_calls),
             refusals: Admission::new(MAX_REFUSALS),
             max_message_bytes: config.max_message_bytes,
             stopping: CancellationToken::new(),
@@ -111,8 +111,8 @@ impl ZenohFace {
     }
 
     /// The limit of concurrent queries, and their number.
-    pub(crate) fn capacity(&self) -> Admission {
-        self.queries.capacity.clone()
+    pub(crate) fn admission(&self) -> Admission {
+        self.queries.admission.clone()
     }
 
     /// Begins to announce the indices; the service must have them.

@@ -34,7 +34,7 @@ const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 pub(super) struct Queries {
     pub(super) service: Service,
     pub(super) prefix: String,
-    pub(super) capacity: Admission,
+    pub(super) admission: Admission,
     /// Bounds the refusals that wait for their links.
     pub(super) refusals: Admission,
     pub(super) max_message_bytes: usize,
@@ -66,7 +66,7 @@ impl Queries {
             let status = status::from_error(&Error::Unavailable { why });
             return self.refuse(query, form, under_way, status);
         }
-        let Some(place) = self.capacity.take() else {
+        let Some(place) = self.admission.take() else {
             return self.refuse(query, form, under_way, self.busy());
         };
         let is_short = self.is_short(&query);
@@ -209,7 +209,7 @@ impl Queries {
     }
 
     fn busy(&self) -> Status {
-        let limit = self.capacity.limit();
+        let limit = self.admission.limit();
         status::limit(
             "TOO_MANY_CALLS",
             format!("as many calls are under way as {MAX_CALLS} = {limit} allows: try again later"),

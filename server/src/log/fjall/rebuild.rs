@@ -52,6 +52,17 @@ pub struct RepairReport {
     pub kept: Option<PathBuf>,
 }
 
+impl RepairReport {
+    /// Fails if the disk has no room for the new store.
+    fn check_room(&self) -> Result<(), RepairError> {
+        let (needed, free) = (self.needed_bytes, self.free_bytes);
+        match free < needed {
+            true => Err(RepairError::NoRoom { needed, free }),
+            false => Ok(()),
+        }
+    }
+}
+
 /// Why a store could not be repaired.
 #[derive(Debug, Error)]
 pub enum RepairError {
@@ -151,12 +162,7 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     if report.damage.is_none() || dry_run {
         return Ok(report);
     }
-    if report.free_bytes < report.needed_bytes {
-        return Err(RepairError::NoRoom {
-            needed: report.needed_bytes,
-            free: report.free_bytes,
-        });
-    }
+    report.check_room()?;
     make(&directory, |new| copy(&handles, new, contents))?;
     drop(handles);
     old.close();
@@ -321,5 +327,26 @@ impl<'a> Batch<'a> {
     fn commit(self) -> Result<(), LogError> {
         self.store.wait_for_room()?;
         self.batch.commit().map_err(storage)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_repair_needs_as_many_free_bytes_as_it_names() {
+        let report = |free_bytes| RepairReport {
+            damage: Some("a block".into()),
+            whole: 1,
+            lost: Vec::new(),
+            needed_bytes: 4096,
+            free_bytes,
+            kept: None,
+        };
+        report(4096).check_room().unwrap();
+        let refused = report(4095).check_room().unwrap_err().to_string();
+        assert!(refused.contains("4096 bytes must be free"), "{refused}");
+        assert!(refused.contains("4095 are"), "{refused}");
     }
 }
