@@ -62,7 +62,7 @@ pub enum LogError {
         uid: Uid,
         /// The revision that the record should have.
         revision: u64,
-        /// What is wrong with it.
+        /// The damage.
         what: &'static str,
     },
     /// A point differs from the one that was written.
@@ -74,7 +74,7 @@ pub enum LogError {
         uid: Uid,
         /// The point's id.
         id: u64,
-        /// What is wrong with it.
+        /// The damage.
         what: &'static str,
     },
     /// Points are missing, or they are not the last written ones.
@@ -96,7 +96,7 @@ pub enum LogError {
     Unreadable {
         /// The index.
         uid: Uid,
-        /// What the store said.
+        /// The error of the store.
         what: String,
     },
     /// The store as a whole cannot be read.
@@ -112,7 +112,7 @@ pub enum LogError {
     Unopened {
         /// The newest revision that is known to have been synced; 0 if the error concerns no single index.
         revision: u64,
-        /// What the store said.
+        /// The error of the store.
         what: String,
     },
     /// The disk prevents the store from being opened.
@@ -121,7 +121,7 @@ pub enum LogError {
          tried again and again"
     )]
     Shut {
-        /// What the disk said.
+        /// The error of the disk.
         what: String,
     },
     /// Synced, hence acknowledged, revisions are missing.
@@ -149,7 +149,7 @@ pub enum LogError {
          disk can be written again, which is tried again and again; meanwhile reads go on"
     )]
     Storage {
-        /// What it said.
+        /// The error of the store.
         what: String,
     },
     /// The store met a damaged block and writes nothing more.
@@ -158,7 +158,7 @@ pub enum LogError {
          `wayfold-server repair`"
     )]
     DamagedStore {
-        /// What the store said.
+        /// The error of the store.
         what: String,
     },
     /// The store was closed.
