@@ -1,4 +1,4 @@
-//! What a process is told that is one of the workers.
+//! The job of a worker process.
 
 use clap::Args;
 use wayfold::{Client, RetryPolicy};
