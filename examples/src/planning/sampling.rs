@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use rand::{Rng, RngExt};
 use wayfold::{Factor, Space};
 
-/// A state drawn uniformly: the real coordinates within their bounds, all angles and rotations. It is canonical.
+/// A canonical state, drawn uniformly: the real coordinates within their bounds, and all angles and rotations.
 ///
 /// The result depends only on the generator, on every machine: transcendental functions come from `libm`.
 ///
