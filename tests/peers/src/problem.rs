@@ -61,7 +61,7 @@ pub enum Problem {
     Run {
         /// The program.
         program: PathBuf,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
     /// A file that cannot be read, or that holds no figures.
@@ -69,7 +69,7 @@ pub enum Problem {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
     /// A file that cannot be written.
@@ -77,7 +77,7 @@ pub enum Problem {
     Write {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
 }

@@ -14,8 +14,8 @@ use super::{
 pub enum Layout {
     /// Each has an index of its own
     Indices,
-    /// By a tag, in one index: what both trees become is one insert, but who seeks the nearest vertex of one has to pass
-    /// those of the other that are nearer
+    /// A tag in one index: one insert extends both trees, but a search in one tree must skip nearer vertices of the
+    /// other
     Tags,
 }
 

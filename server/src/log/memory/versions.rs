@@ -20,7 +20,7 @@ use crate::log::StoredPoint;
 ///   `released`.
 /// - The mark of a removed point directly follows a version that it hides.
 pub(super) struct Versions {
-    /// By id and the revision that made the version; None marks that the point was removed.
+    /// The versions by id and the revision that made them. None is the mark of a removed point.
     versions: BTreeMap<(u64, u64), Option<Arc<StoredPoint>>>,
     /// The number of pins of each revision.
     pinned: BTreeMap<u64, usize>,
