@@ -140,7 +140,7 @@ impl FjallLog {
                 Opened::Open(Arc::new(engine))
             }
             Err(why) => {
-                error!(%directory, error = %why, "every call will say so");
+                error!(%directory, error = %why, "the log cannot be opened: every call fails");
                 Opened::Not(why, marked)
             }
         };

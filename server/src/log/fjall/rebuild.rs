@@ -147,7 +147,7 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     };
     // A read of all keys in order does not read the filters and indices that lead to single keys.
     if report.damage.is_none() && recovery::recover(&handles, &marks, false)?.unreadable {
-        report.damage = Some("what leads to its keys cannot be read".into());
+        report.damage = Some("its filters or indices cannot be read".into());
     }
     if report.damage.is_none() || dry_run {
         return Ok(report);

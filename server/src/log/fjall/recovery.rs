@@ -75,7 +75,7 @@ pub(super) fn recover(
             Stage::Whole | Stage::Unreadable if was_deleted => {
                 warn!(
                     index = named.entry.name,
-                    "the journal was cut short: an index is back that was deleted, and is deleted again"
+                    "the journal was cut short: a deleted index reappeared and is deleted again"
                 );
                 found.deleted.push(number);
             }
@@ -104,7 +104,7 @@ pub(super) fn recover(
 impl Found {
     /// Adds a lost index, of which only the mark is left.
     fn lose(&mut self, number: Number, mark: &Mark, why: LogError) {
-        error!(index = &*mark.name, error = %why, "an index is gone: every call for it will say so");
+        error!(index = &*mark.name, error = %why, "an index is lost: every call for it fails");
         let (name, uid) = (mark.name.to_string(), mark.uid);
         self.gone.insert(number, Lost { name, uid, why });
     }
@@ -176,7 +176,7 @@ fn open(
         // This is an error of the disk, not of this index.
         Err(LogError::Storage { what }) => return Err(LogError::Shut { what }),
         Err(why) => {
-            error!(index = index.entry.name, error = %why, "an index is damaged: every call for it will say so");
+            error!(index = index.entry.name, error = %why, "an index is damaged: every call for it fails");
             index.close(why);
         }
     }
@@ -196,7 +196,7 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
              is kept in the data directory as one of {DAMAGED_STORE}N"
         ),
     };
-    error!(index = entry.name, error = %why, "an index is damaged: every call for it will say so");
+    error!(index = entry.name, error = %why, "an index is damaged: every call for it fails");
     let index = Index::new(number, entry, State::new(Origin::START, Sum::default()));
     index.close(why);
     index
@@ -218,7 +218,7 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
     let marked = mark.as_ref().map_or(0, |mark| mark.revision);
     if let Some(stored) = get(&head_key(number))? {
         state.head = Head::decode(number, &stored)
-            .ok_or_else(|| damaged(marked, "what is known of the newest revision is damaged"))?;
+            .ok_or_else(|| damaged(marked, "the head of the index is damaged"))?;
     }
     let head = state.head;
     if marked > head.revision {
