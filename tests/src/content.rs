@@ -1,4 +1,4 @@
-//! All that an index holds, as a scan tells it.
+//! The content of an index, as read by a scan.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ pub struct Content {
     pub points: BTreeMap<u64, StoredPoint>,
 }
 
-/// One point of it.
+/// One point of an index.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StoredPoint {
     /// The bits of its canonical coordinates.

@@ -1,4 +1,4 @@
-//! A bare tonic server that takes the same messages and answers ones of the same size, made in advance.
+//! A bare tonic server that takes the same messages and returns prepared answers of the same size.
 
 use std::{
     collections::HashMap,
@@ -19,14 +19,14 @@ use wayfold_proto::v1::{
 };
 
 const UID: &str = "00000000-0000-4000-8000-000000000000";
-/// Answers that a stream may be ahead of its reader.
+/// The number of answers by which a stream may be ahead of its reader.
 const AHEAD: usize = 32;
 const MAX_MESSAGE_BYTES: usize = 16 << 20;
 
-/// Serves until it is killed; says where as the server does.
+/// Serves until it is killed. It prints its address as the server does.
 ///
 /// # Panics
-/// If it cannot.
+/// If it cannot serve.
 pub fn main() -> ExitCode {
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     runtime.block_on(async {

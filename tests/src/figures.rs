@@ -5,13 +5,13 @@ use std::{fs, time::Duration};
 /// The median.
 ///
 /// # Panics
-/// If there is nothing.
+/// If there are no values.
 pub fn median(mut rates: Vec<f64>) -> f64 {
     rates.sort_by(f64::total_cmp);
     rates[rates.len() / 2]
 }
 
-/// A quantile, in milliseconds, of durations that are in order.
+/// A quantile, in milliseconds, of ascending durations.
 pub fn quantile_ms(taken: &[Duration], q: f64) -> f64 {
     let last = taken.len().saturating_sub(1) as f64;
     let at = (last * q).round() as usize;
@@ -20,7 +20,7 @@ pub fn quantile_ms(taken: &[Duration], q: f64) -> f64 {
         .map_or(f64::NAN, |taken| taken.as_secs_f64() * 1e3)
 }
 
-/// The memory that a process has in use, where the system tells it.
+/// The resident memory of a process, if the system reports it.
 pub fn resident_bytes(process: u32) -> Option<u64> {
     let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status
@@ -30,7 +30,7 @@ pub fn resident_bytes(process: u32) -> Option<u64> {
     Some(kib * 1024)
 }
 
-/// The processor time that this thread has taken.
+/// The processor time of this thread.
 ///
 /// # Panics
 /// If the system does not report it; Linux does.
@@ -40,12 +40,12 @@ pub fn thread_time() -> Duration {
     Duration::from_nanos(nanos.expect("a number of nanoseconds"))
 }
 
-/// The processor time that a process has taken, in seconds, where the system tells it.
+/// The processor time of a process in seconds, if the system reports it.
 pub fn processor_seconds(process: u32) -> Option<f64> {
-    /// The ticks of `clock_t` in /proc on Linux, whatever the kernel's own ticks are.
+    /// The ticks of `clock_t` in /proc on Linux. They do not depend on the kernel's own ticks.
     const TICKS_PER_SECOND: f64 = 100.0;
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    // The name before may hold spaces; user and system time are the 14th and 15th field.
+    // The preceding name may hold spaces. User and system time are the 14th and 15th field.
     let (_, fields) = stat.rsplit_once(") ")?;
     let ticks = fields.split(' ').skip(11).take(2);
     let ticks: u64 = ticks.filter_map(|field| field.parse::<u64>().ok()).sum();

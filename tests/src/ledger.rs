@@ -1,7 +1,7 @@
 //! The answers that a client process received, written down for a test to check afterwards.
 //!
 //! A ledger is a file of entries; an entry is a byte for its kind, the request and the response, both as protobuf with
-//! their length before them. So not a bit of a distance is lost.
+//! their length before them. So every bit of a distance is kept.
 
 use std::{fs, io::Write, path::Path};
 
@@ -13,21 +13,21 @@ use wayfold_proto::v1::{
 
 use crate::number;
 
-/// A call that was answered.
+/// An answered call.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Entry {
     /// An insert.
     Insert(InsertRequest, InsertResponse),
     /// A removal.
     Remove(RemoveRequest, RemoveResponse),
-    /// A question for the nearest.
+    /// A search for the nearest.
     Knn(KnnRequest, KnnResponse),
-    /// A question for all within a radius.
+    /// A search for all within a radius.
     Query(QueryRequest, QueryResponse),
 }
 
 impl Entry {
-    /// The revision that the answer names.
+    /// The revision in the answer.
     pub fn revision(&self) -> u64 {
         match self {
             Entry::Insert(_, response) => number(&response.revision),

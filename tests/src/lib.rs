@@ -1,6 +1,6 @@
 //! The harness of the end-to-end suites (`tests/e2e`, one behaviour a file).
 //!
-//! Everything here speaks to a real server process over the generated stubs, and knows what to expect from brute force.
+//! All code here calls a real server process over the generated stubs, and compares its answers with brute force.
 
 pub mod brute_force;
 mod content;

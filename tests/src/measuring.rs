@@ -1,5 +1,5 @@
-//! Support for the programs that measure. Each such program is, in processes of its own, also the server and the echo
-//! that it measures, so all contestants are built alike.
+//! Support for the programs that measure. Each such program also runs, in separate processes, as the server and the
+//! echo that it measures, so all contestants are built alike.
 
 use std::{
     env, fs,
@@ -13,15 +13,15 @@ use zenoh::{Config, Session};
 
 use crate::{Process, ServerProcess, echo};
 
-/// The variable that holds the role of a started process; unset in the one that measures.
+/// The environment variable with the role of a started process; unset in the measuring process.
 const ROLE: &str = "MEASURING_ROLE";
 
-/// The role of this process, if the one that measures has started it.
+/// The role of this process, if the measuring process has started it.
 pub fn role() -> Option<String> {
     env::var(ROLE).ok()
 }
 
-/// The whole of such a program: `measure` takes its arguments and returns the figures, and the file to write them to.
+/// Runs such a program. `measure` takes its arguments and returns the figures and their file.
 ///
 /// # Panics
 /// If the process cannot start its threads.
@@ -58,7 +58,7 @@ pub fn server(data: &str) -> ServerProcess {
     start("server", &["--grpc", "127.0.0.1:0", "--data", data])
 }
 
-/// The same, which speaks Zenoh, too: [`ServerProcess::zenoh`] tells where.
+/// Starts this program as a server that also speaks Zenoh, at [`ServerProcess::zenoh`].
 ///
 /// # Panics
 /// If it does not come up.
@@ -67,7 +67,7 @@ pub fn server_over_zenoh(data: &str) -> ServerProcess {
     start("server", &[&listen[..], &["--data", data]].concat())
 }
 
-/// A Zenoh session with the peer at the locator alone.
+/// A Zenoh session whose only peer is at the locator.
 ///
 /// # Panics
 /// If the locator has no peer.

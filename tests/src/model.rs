@@ -1,4 +1,4 @@
-//! An index kept by brute force, which checks every answer that a server gave.
+//! A brute-force model of an index, which checks every answer of a server.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
@@ -14,7 +14,7 @@ use crate::{Content, StoredPoint, bits, brute_force::pairs, ledger::Entry, neigh
 
 /// The content that an index must hold at one revision.
 ///
-/// It receives mutations in the order of their revisions, and computes by itself the answer that each must have had.
+/// It receives mutations in the order of their revisions, and computes the expected answer of each.
 #[derive(Clone, Debug)]
 pub struct Model {
     points: Linear,
@@ -24,7 +24,7 @@ pub struct Model {
 }
 
 impl Model {
-    /// An index that was just created.
+    /// The model of a newly created index.
     pub fn new(space: Space) -> Self {
         Self {
             points: Linear::new(space),
@@ -34,7 +34,7 @@ impl Model {
         }
     }
 
-    /// The number of mutations that it received.
+    /// The number of received mutations.
     pub fn revision(&self) -> u64 {
         self.revision
     }
@@ -174,7 +174,7 @@ impl Model {
         }
     }
 
-    /// Checks that an index holds exactly this.
+    /// Checks that an index holds exactly the model's content.
     ///
     /// # Panics
     /// If it does not.
@@ -217,7 +217,7 @@ impl Model {
         self.search(row, &search)
     }
 
-    /// The required outcome of a row, and its id: none where the server assigns one.
+    /// The required outcome of a row, and its id; None if the server assigns the id.
     fn outcome(
         &self,
         request: &InsertRequest,
@@ -282,7 +282,7 @@ impl Model {
     }
 }
 
-/// The (id, bits of the distance) pairs of each row; no rows where neighbours were not asked for.
+/// The (id, bits of the distance) pairs of each row; no rows if neighbours were not requested.
 fn expected_rows(
     asked: bool,
     neighbors: Option<&Neighbors>,
@@ -296,7 +296,7 @@ fn expected_rows(
     rows.collect::<Vec<_>>().into_iter()
 }
 
-/// The search that a request asks for, which scales nothing.
+/// The search of a request without scaling.
 fn search(
     count: Option<neighbor_spec::Count>,
     reach: Option<neighbor_spec::Reach>,

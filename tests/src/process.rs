@@ -9,39 +9,39 @@ use std::{
     time::Duration,
 };
 
-/// How long a process may take to say its next line or to end before a test gives up on it.
+/// The maximum time that a test waits for the next line or the end of a process.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// The signal to send to a process.
 #[derive(Clone, Copy, Debug)]
 pub enum Signal {
-    /// SIGTERM: what a supervisor sends.
+    /// SIGTERM, which a supervisor sends.
     Terminate,
-    /// SIGINT: what Ctrl-C sends.
+    /// SIGINT, which Ctrl-C sends.
     Interrupt,
     /// SIGKILL: the process ends at once.
     Kill,
 }
 
-/// How a process ended.
+/// The end of a process.
 #[derive(Debug)]
 pub struct Finished {
     /// Its exit status.
     pub status: ExitStatus,
-    /// The lines it wrote to standard output that were not read before.
+    /// The lines of its standard output that were not read before.
     pub stdout: Vec<String>,
-    /// All that it wrote to standard error.
+    /// Its whole standard error.
     pub stderr: String,
 }
 
-/// A child process whose lines are read as they come. It is killed when dropped, and what it wrote to standard error is
-/// shown if the test failed.
+/// A child process whose lines are read as they come. It is killed when it is dropped, and its standard error is shown
+/// if the test failed.
 #[derive(Debug)]
 pub struct Process {
     child: Child,
     lines: Receiver<String>,
     log: Receiver<String>,
-    /// The part of the log that was received already.
+    /// The part of the log that was already received.
     logged: String,
 }
 
@@ -106,14 +106,14 @@ impl Process {
     /// Panics where [`Process::signal`] and [`Process::finish`] do.
     pub fn stop(mut self, signal: Signal) -> Finished {
         match signal {
-            // At this very moment: no other program need be started for it.
+            // The kill is immediate: it starts no other program.
             Signal::Kill => self.child.kill().expect("a child of this process"),
             Signal::Terminate | Signal::Interrupt => self.signal(signal),
         }
         self.finish()
     }
 
-    /// All that it said to standard error up to the next line that has `part` in it, and that line.
+    /// Its standard error up to and including the next line that contains `part`.
     ///
     /// # Panics
     /// Panics where [`Process::log_line`] does, and if the process ends before.
@@ -187,15 +187,15 @@ impl Process {
         }
     }
 
-    /// All that it wrote to standard error, once it has ended.
+    /// Its whole standard error, once it has ended.
     fn log(&mut self) -> String {
         while self.log_line().is_some() {}
         std::mem::take(&mut self.logged)
     }
 }
 
-/// The lines of a stream, read as they come. The sender is dropped at the end of the stream: that is how a process's
-/// end is noticed.
+/// The lines of a stream, read as they come. The sender is dropped at the end of the stream, which signals the end of
+/// the process.
 fn read_lines(stream: impl Read + Send + 'static) -> Receiver<String> {
     let (sender, lines) = mpsc::channel();
     thread::spawn(move || {
@@ -218,7 +218,7 @@ fn next(lines: &Receiver<String>) -> Option<String> {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Either may fail only because the process has ended already.
+        // Both calls fail only if the process has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
         if thread::panicking() {
@@ -227,7 +227,7 @@ impl Drop for Process {
     }
 }
 
-/// A server under test, on a port of its own of the loopback interface.
+/// A server under test, on its own port of the loopback interface.
 #[derive(Debug)]
 pub struct ServerProcess {
     process: Process,
@@ -235,8 +235,8 @@ pub struct ServerProcess {
 }
 
 impl ServerProcess {
-    /// Starts the server, in memory unless the arguments say otherwise, and waits until it says that it listens.
-    /// [`server!`](crate::server) knows the program.
+    /// Starts the server, in memory unless the arguments set a data directory, and waits until it prints its address.
+    /// [`server!`](crate::server) passes the program.
     ///
     /// # Panics
     /// If it does not come up.
@@ -249,7 +249,7 @@ impl ServerProcess {
         Self::ready(Process::spawn(&mut command))
     }
 
-    /// Waits until a server that was started says that it listens.
+    /// Waits until a started server prints its address.
     ///
     /// # Panics
     /// If it does not come up.
@@ -260,7 +260,7 @@ impl ServerProcess {
         }
     }
 
-    /// A server whose first line was `line`.
+    /// The server whose first line was `line`.
     ///
     /// # Panics
     /// If the line does not say that it listens.

@@ -3,7 +3,7 @@
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
 
-/// A status with its details taken apart.
+/// A status with its decoded details.
 #[derive(Clone, Debug)]
 pub struct Refusal {
     /// The code.
@@ -15,10 +15,10 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// Takes a status apart.
+    /// Decodes a status.
     ///
     /// # Panics
-    /// If its details cannot be decoded, or it speaks for another domain than `wayfold`.
+    /// If its details cannot be decoded, or its domain is not `wayfold`.
     pub fn of(status: &Status) -> Self {
         let details = status.check_error_details().expect("decodable details");
         let info = details.error_info();

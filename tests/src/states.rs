@@ -26,7 +26,7 @@ impl States {
         &self.space
     }
 
-    /// The source of the states, for what else a test draws.
+    /// The generator of the states, for other random values of a test.
     pub fn rng(&mut self) -> &mut ChaCha8Rng {
         &mut self.rng
     }
@@ -55,7 +55,7 @@ fn draw(rng: &mut ChaCha8Rng, factor: Factor, row: &mut Vec<f64>) {
         Factor::RealVector(n) => row.extend((0..n).map(|_| rng.random_range(0.0..10.0))),
         Factor::SO2 { period } => row.push(rng.random_range(-1.5 * period..1.5 * period)),
         Factor::SO3 => loop {
-            // A point of the unit ball, pushed out to the sphere.
+            // A point of the unit ball, normalised to the sphere.
             let q: [f64; 4] = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
             let norm_2: f64 = q.iter().map(|x| x * x).sum();
             if (0.01..1.0).contains(&norm_2) {

@@ -1,4 +1,4 @@
-//! The generated stubs, connected, and the columns they carry.
+//! The connected stubs, and the columns of their messages.
 
 use tonic::transport::Channel;
 use wayfold_proto::v1::{
@@ -82,7 +82,7 @@ impl Stubs {
     }
 }
 
-/// A revision, as requests name it.
+/// A revision in the form of requests.
 pub fn revision(uid: &str, number: u64) -> Option<v1::Revision> {
     let uid = uid.to_owned();
     Some(v1::Revision { uid, number })
@@ -136,7 +136,7 @@ pub fn neighbor_rows(neighbors: &Neighbors) -> Vec<Vec<(u64, f64)>> {
     rows
 }
 
-/// The bits of floats, for comparisons that know -0 from 0.
+/// The bits of floats, for comparisons that distinguish -0 from 0.
 pub fn bits(numbers: &[f64]) -> Vec<u64> {
     numbers.iter().map(|number| number.to_bits()).collect()
 }

@@ -17,7 +17,7 @@ use wayfold_examples::{
     planning::example::Example,
 };
 
-/// By what the paper's planner became faster.
+/// The factor by which the paper's planner became faster.
 const PAPER: f64 = 75.0;
 
 fn main() -> ExitCode {

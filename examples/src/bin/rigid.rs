@@ -32,14 +32,14 @@ fn main() -> ExitCode {
         return ended;
     }
     let options = Options::parse();
-    // Calls are made on the main thread, which computes between them; the replica follows on the other.
+    // The main thread makes the calls and computes between them. The replica follows on the other thread.
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
         .enable_all()
         .build();
     let ended = match (runtime, &options.role) {
         (Err(error), _) => Err(PlanningError::Server(error)),
-        // Its sources wait on threads of their own.
+        // Its sources wait on their own threads.
         (Ok(_), None) if options.compare => sources::compare(&Rooms::new(), &options),
         (Ok(runtime), Some(Role::Work(job))) => runtime.block_on(processes::work(job)),
         (Ok(runtime), Some(Role::Audit(of))) => {

@@ -20,7 +20,7 @@ use crate::planning::{
     panels, path,
 };
 
-/// At how many states along the path the bodies are drawn.
+/// The number of states along the path at which the bodies are drawn.
 const STATES: usize = 22;
 
 /// A colour for each body.
@@ -78,7 +78,7 @@ fn along_the_path(
         low = (low.0.min(x), low.1.min(y));
         high = (high.0.max(x), high.1.max(y));
     }
-    // As many pixels for a unit across as upwards.
+    // A unit has the same number of pixels in both directions.
     let (width, height) = (2180.0, 1330.0);
     let unit = f64::min(width / (high.0 - low.0), height / (high.1 - low.1));
     let spare = (
@@ -102,7 +102,7 @@ fn along_the_path(
         .map(|y| vec![at(0.0, y, 0.0), at(ROOM[0], y, 0.0)]);
     let lines = grid.chain(across);
     chart.draw_series(lines.map(|line| PathElement::new(line, WHITE.stroke_width(3))))?;
-    // The edges of the room that are behind everything.
+    // The rear edges of the room, behind everything else.
     let back = [(0.0, ROOM[1]), (ROOM[0], ROOM[1]), (ROOM[0], 0.0)];
     let posts = back.map(|(x, y)| vec![at(x, y, 0.0), at(x, y, ROOM[2])]);
     let ceiling = vec![
@@ -129,11 +129,11 @@ fn along_the_path(
     write(area, title, (80, 60), letters(LETTERS[0], DARK))
 }
 
-/// All that stands in the room, the nearest last.
+/// Everything in the room, the nearest last.
 fn solids(room: &Room, shown: &[Vec<f64>], view: &View) -> Vec<Face<(RGBColor, f64)>> {
     let mut faces = Vec::new();
     for (low, high) in OBSTACLES {
-        // Cut into slices, each of which is either before or behind a body.
+        // A pillar is cut into slices, each of which is entirely in front of or behind a body.
         const SLICES: u32 = 24;
         let height = (high[2] - low[2]) / f64::from(SLICES);
         let half = Vector::new(
@@ -144,7 +144,7 @@ fn solids(room: &Room, shown: &[Vec<f64>], view: &View) -> Vec<Face<(RGBColor, f
         for slice in 0..SLICES {
             let bottom = Vector::new(low[0], low[1], low[2] + height * f64::from(slice));
             let pose = Pose::from_translation(bottom + half);
-            // A little over the next one, so that no light comes through between them.
+            // Each slice overlaps the next one a little, so that no gap shows.
             let half = half * Vector::new(1.0, 1.0, 1.1);
             projection::faces(view, &pose, half, (DARK, 1.0), &mut faces);
         }
@@ -166,7 +166,7 @@ fn solids(room: &Room, shown: &[Vec<f64>], view: &View) -> Vec<Face<(RGBColor, f
     faces
 }
 
-/// The share of a colour, the rest white.
+/// A mix of a colour and white; `share` is the part of the colour.
 fn faded(RGBColor(r, g, b): RGBColor, share: f64) -> RGBColor {
     let mix = |channel: u8| (255.0 - share * (255.0 - f64::from(channel))) as u8;
     RGBColor(mix(r), mix(g), mix(b))
@@ -177,7 +177,7 @@ fn shaded(RGBColor(r, g, b): RGBColor, light: f64) -> RGBColor {
     RGBColor(mix(r), mix(g), mix(b))
 }
 
-/// The trees, by the length of the room and its width (axis 1) or height (axis 2).
+/// Draws the trees, over the length of the room and its width (axis 1) or height (axis 2).
 fn flat(
     comparison: &Comparison,
     area: &Area<'_>,

@@ -2,7 +2,7 @@
 
 use parry3d_f64::math::{Pose, Vector};
 
-/// Where one looks from.
+/// The position of the viewer.
 pub struct View {
     right: Vector,
     up: Vector,
@@ -11,7 +11,7 @@ pub struct View {
 }
 
 impl View {
-    /// From so far round (0 is from the front, against y) and so far above the horizon, in radians.
+    /// The viewer at this azimuth (0 is the front, looking along y) and this height above the horizon, in radians.
     pub fn new(round: f64, above: f64) -> View {
         let level = Vector::new(round.sin(), -round.cos(), 0.0);
         let near = level * above.cos() + Vector::Z * above.sin();
@@ -23,7 +23,7 @@ impl View {
         }
     }
 
-    /// Where a point is in the picture.
+    /// The position of a point in the picture.
     pub fn project(&self, point: Vector) -> (f64, f64) {
         (point.dot(self.right), point.dot(self.up))
     }
@@ -31,16 +31,16 @@ impl View {
 
 /// One side of a box.
 pub struct Face<C> {
-    /// Its corners in the picture, all the way round.
+    /// Its corners in the picture, in cyclic order.
     pub corners: [(f64, f64); 4],
-    /// How bright it is, up to 1.
+    /// Its brightness, up to 1.
     pub light: f64,
-    /// What was given for its box.
+    /// The value that was given for its box.
     pub color: C,
     depth: f64,
 }
 
-/// The sides of a box that one sees.
+/// The visible sides of a box.
 pub fn faces<C: Copy>(view: &View, pose: &Pose, half: Vector, color: C, faces: &mut Vec<Face<C>>) {
     let sun = Vector::new(0.35, -0.5, 0.8).normalize();
     let axes = [Vector::X, Vector::Y, Vector::Z];
@@ -66,7 +66,7 @@ pub fn faces<C: Copy>(view: &View, pose: &Pose, half: Vector, color: C, faces: &
     }
 }
 
-/// Puts what is far before what is near.
+/// Sorts far sides before near ones.
 pub fn sort<C>(faces: &mut [Face<C>]) {
     faces.sort_by(|a, b| a.depth.total_cmp(&b.depth));
 }

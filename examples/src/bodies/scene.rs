@@ -1,4 +1,4 @@
-//! The room, the eight bodies, and when they collide.
+//! The room, the eight bodies, and their collision check.
 
 use parry3d_f64::{
     math::{Pose, Rotation, Vector},
@@ -13,10 +13,10 @@ use crate::planning::{
     problem::Problem,
 };
 
-/// How many bodies there are.
+/// The number of bodies.
 pub const BODIES: usize = 8;
 
-/// How many numbers the pose of one body has.
+/// The number of coordinates of one body's pose.
 const POSE: usize = 7;
 
 /// The paper's weight of rotations, which are measured by half their angle.
@@ -25,19 +25,19 @@ const ROTATION_WEIGHT: f64 = 0.15;
 /// The room's length, width and height.
 pub const ROOM: [f64; 3] = [13.0, 8.0, 6.0];
 
-/// The two bars of a body, crossed into a T: middle and half of the sides.
+/// The two bars of a body, which form a T: the centre and half of the sides of each.
 const PARTS: [([f64; 3], [f64; 3]); 2] = [
     ([0.0, 0.0, 0.31], [0.4, 0.1, 0.1]),
     ([0.0, 0.0, -0.1], [0.1, 0.1, 0.31]),
 ];
 
-/// How far a body's farthest corner is from its middle.
+/// The distance of a body's farthest corner from its centre.
 const RADIUS: f64 = 0.59;
 
-/// Motions are checked at states so far apart.
+/// The distance between the states at which a motion is checked.
 const RESOLUTION: f64 = 0.08;
 
-/// A box that stands square in the room: its lower and upper corner.
+/// An axis-aligned box: its lower and upper corner.
 pub type Obstacle = ([f64; 3], [f64; 3]);
 
 /// Pillars.
@@ -47,9 +47,9 @@ pub const OBSTACLES: [Obstacle; 3] = [
     ([8.4, 7.1, 0.0], [9.0, 8.0, 6.0]),
 ];
 
-/// Between two states at which a motion is checked, how far a point of a body is at most from where it is in the nearer
-/// one: of half a resolution, what is not spent on going is spent on turning, and a point at the radius r moves by 2r for
-/// each unit of a rotation's distance. The planner checks bodies that are so much thicker on all sides.
+/// The farthest that a point of a body moves between a state of a motion and the nearest checked state. Half a
+/// resolution is divided between translation and rotation, and a point at the radius r moves by 2r for each unit of a
+/// rotation's distance. The planner checks bodies that are thicker by this margin on all sides.
 fn margin() -> f64 {
     let turning = 2.0 * RADIUS / ROTATION_WEIGHT.sqrt();
     RESOLUTION / 2.0 * 1.0_f64.hypot(turning)
@@ -65,7 +65,7 @@ pub struct Room {
 }
 
 impl Room {
-    /// With all eight bodies.
+    /// The scene with all eight bodies.
     pub fn new() -> Room {
         let text = format!("(R3*SO3:{ROTATION_WEIGHT})^{BODIES}");
         let space: Space = text.parse().expect("the text of a space");
@@ -84,7 +84,7 @@ impl Room {
         let row = |other: usize| {
             let poses = (0..BODIES).flat_map(|body| {
                 let [x, y, z] = place((body + other) % BODIES);
-                // A quarter turn about x on the way.
+                // The body makes a quarter turn about x.
                 let turned = if other == 0 {
                     0.0
                 } else {
@@ -107,7 +107,7 @@ impl Room {
     }
 }
 
-/// The pillars: their middles and shapes.
+/// The pillars: their centres and shapes.
 fn pillars() -> [(Vector, Cuboid); OBSTACLES.len()] {
     OBSTACLES.map(|(low, high)| {
         let (low, high) = (Vector::from(low), Vector::from(high));
@@ -115,7 +115,7 @@ fn pillars() -> [(Vector, Cuboid); OBSTACLES.len()] {
     })
 }
 
-/// The bars of a body: where they are in it, and their shapes, so much thicker on all sides.
+/// The bars of a body: their poses in it and their shapes, thicker by the margin on all sides.
 pub fn parts(margin: f64) -> [(Pose, Cuboid); 2] {
     PARTS.map(|(center, half)| {
         let shape = Cuboid::new(Vector::from(half) + Vector::splat(margin));
@@ -151,8 +151,8 @@ impl Problem for Room {
         &self.goal
     }
 
-    /// By the axes that separate two boxes, where bodies can reach anything at all; of walls, floor and ceiling the bounds
-    /// keep them away.
+    /// Tests pairs of boxes for a separating axis, where bodies can reach anything. The bounds of the space keep bodies
+    /// away from walls, floor and ceiling.
     fn is_free(&self, state: &[f64]) -> bool {
         let (poses, parts, pillars) = (poses(state), parts(self.margin), pillars());
         let reach = RADIUS + self.margin * 3.0_f64.sqrt();
@@ -187,9 +187,9 @@ impl Problem for Room {
 }
 
 impl Verify for Room {
-    /// Interpolated by nalgebra, and free if the corners of each bar are inside the room and it is away from each pillar
-    /// and each bar of another body by GJK, where the planner takes separating axes and passes over what its spheres do
-    /// not reach.
+    /// nalgebra interpolates the state. The state is free if the corners of each bar are inside the room, and if GJK
+    /// finds the bar away from each pillar and from each bar of another body. The planner instead uses separating axes,
+    /// and skips everything that its bounding spheres do not reach.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
         let (bars, pillars) = (parts(0.0), pillars());
         let apart = |a: &Pose, shape: &Cuboid, b: &Pose, other: &Cuboid| {
@@ -215,7 +215,7 @@ impl Verify for Room {
     }
 }
 
-/// Whether all corners of a box are inside the room.
+/// True if all corners of a box are inside the room.
 fn is_inside(at: &Pose, shape: &Cuboid) -> bool {
     let half = shape.half_extents;
     (0..8).all(|corner| {

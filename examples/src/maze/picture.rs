@@ -20,10 +20,10 @@ use crate::planning::{
     problem::Problem,
 };
 
-/// How many bodies are drawn along the path.
+/// The number of bodies drawn along the path.
 const BODIES: usize = 80;
 
-/// Draws the maze with both trees and the path, the same from the side, and the panels of figures.
+/// Draws the maze with both trees and the path, their side view, and the panels of figures.
 pub fn draw(
     maze: &Maze,
     comparison: &Comparison,
@@ -62,7 +62,7 @@ fn above(
     drawing::legend(area, &entries, (1420, 60), 420)
 }
 
-/// Where something is drawn by its coordinates.
+/// An area in which things are drawn by their coordinates.
 pub type Plane<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// The maze's plane, below a title.
@@ -84,7 +84,7 @@ pub fn walls(maze: &Maze, chart: &mut Plane<'_>) -> Result<(), DrawingError> {
     Ok(())
 }
 
-/// Draws so many bodies along a path.
+/// Draws `count` bodies along a path.
 pub fn bodies(
     maze: &Maze,
     shown: &[Vec<f64>],
@@ -104,7 +104,7 @@ pub fn bodies(
     Ok(())
 }
 
-/// The same from the side: the angle over the same horizontal place.
+/// The side view: the angle over the same horizontal position.
 fn side(
     maze: &Maze,
     comparison: &Comparison,
@@ -144,7 +144,7 @@ pub fn elevation<'a>(maze: &Maze, area: &Area<'a>) -> Result<Plane<'a>, DrawingE
     Ok(chart)
 }
 
-/// Draws a path over the width, light before dark.
+/// Draws a path over the width: first the light border, then the dark line.
 pub fn along_path(
     maze: &Maze,
     shown: &[Vec<f64>],
@@ -152,7 +152,7 @@ pub fn along_path(
 ) -> Result<(), DrawingError> {
     let states = path::spread(maze, shown, 1000);
     let last = states.len().saturating_sub(1).max(1) as f64;
-    // All of the light seam before the line in it.
+    // The whole light border is drawn before the line inside it.
     for width in [18, 11] {
         for (at, part) in states.windows(3).enumerate() {
             let line: Vec<(f64, f64)> = part.iter().map(|state| (state[0], state[2])).collect();

@@ -1,4 +1,4 @@
-//! The maze, the body, and when they collide.
+//! The maze, the body, and their collision check.
 
 use nalgebra::{UnitComplex, Vector2};
 use parry2d_f64::{
@@ -13,7 +13,7 @@ use crate::planning::{
     problem::Problem,
 };
 
-/// Cells of size 1; what is drawn is a wall.
+/// Cells of size 1. The drawn lines are walls.
 const MAZE: &str = "\
 +--+--+--+--+--+--+--+--+--+--+--+--+
 |  |              |  |              |
@@ -33,27 +33,29 @@ const MAZE: &str = "\
 |                       |           |
 +--+--+--+--+--+--+--+--+--+--+--+--+";
 
-/// Half of how thick a wall is.
+/// Half of a wall's thickness.
 const HALF_WALL: f64 = 0.05;
 
-/// The body, a C that opens to the right: its outer width and height, and how thick it is.
+/// The body, a C that opens to the right: its outer width, its height and its thickness.
 const BODY: (f64, f64, f64) = (0.66, 0.66, 0.16);
 
-/// Positions are in cells, angles in radians. A body that turns by dθ moves each of its points by at most r·dθ, where
-/// r ≈ 0.42 is how far its corners are from its middle. With the weight r² a distance is about the farthest that a point
-/// of the body moves, in turning as in moving on, so that one resolution suits both.
+/// Positions are in cells, angles in radians. A body that turns by dθ moves each of its points by at most r·dθ, where r
+/// ≈ 0.42 is the distance of its corners from its centre. With the weight r², a distance is about the farthest that a
+/// point of the body moves, for rotation and for translation. So one resolution suits both.
 const SPACE: &str = "R2*SO2:0.18";
 
-/// Motions are checked at states so far apart. Between two of them a point of the body is at most √2 · [`RESOLUTION`] / 2
-/// from where it is in the nearer one (√2, as the parts of a distance in place and angle are added by their squares).
+/// The distance between the states at which a motion is checked. Between two of them, a point of the body is at most √2
+/// · [`RESOLUTION`] / 2 away from its position in the nearer one. The factor √2 arises because the squares of the
+/// distances in position and angle are added.
 const RESOLUTION: f64 = 0.015;
 
-/// So the planner checks a body that is so much thicker on all sides, and what it finds free is free also in between.
+/// The margin by which the checked body is thicker on all sides. A motion that is free for the thicker body is free
+/// between the checked states too.
 const MARGIN: f64 = RESOLUTION * std::f64::consts::FRAC_1_SQRT_2;
 
 /// A box in the plane.
 pub struct Block {
-    /// Its middle.
+    /// Its centre.
     pub center: Vector,
     /// Half of its sides.
     pub half: Vector,
@@ -88,17 +90,17 @@ pub struct Maze {
     goal: Vec<f64>,
     walls: Vec<Block>,
     body: Vec<Block>,
-    /// How far the body reaches from its middle, with its margin.
+    /// The distance that the body reaches from its centre, with its margin.
     radius: f64,
 }
 
 impl Maze {
-    /// The whole of it, from the upper left to the lower right corner, with a turn.
+    /// The whole maze, from the upper left to the lower right corner, with a rotation.
     pub fn new() -> Maze {
         Maze::between((0, 0), (11, 7))
     }
 
-    /// The way between two cells, each a column and a row.
+    /// The problem of moving between two cells, each given as column and row.
     pub fn between(start: (u8, u8), goal: (u8, u8)) -> Maze {
         let (width, height) = (
             MAZE.find('\n').unwrap_or_default() / 3,
@@ -113,7 +115,7 @@ impl Maze {
             space: space(),
             bounds: [(0.0, width as f64), (0.0, height as f64)],
             start: middle(start, 0.0),
-            // A canonical angle: the half turn is −π.
+            // The canonical angle of a half turn is −π.
             goal: middle(goal, -std::f64::consts::PI),
             walls: walls(height),
             body: vec![
@@ -130,7 +132,7 @@ impl Maze {
         &self.walls
     }
 
-    /// The corners of the body, all the way round, where it stands in a state.
+    /// The corners of the body in a state, in cyclic order.
     pub fn outline(&self, state: &[f64]) -> Vec<(f64, f64)> {
         let pose = pose(state);
         let (w, h, thick) = (BODY.0 / 2.0, BODY.1 / 2.0, BODY.2);
@@ -148,7 +150,7 @@ impl Maze {
         corners.map(place).map(|point| (point.x, point.y)).to_vec()
     }
 
-    /// Whether the circle about the body, in this place, reaches a wall at all.
+    /// True if the bounding circle of the body at this position reaches a wall.
     fn is_near(&self, place: Vector, wall: &Block) -> bool {
         let outside = (place - wall.center).abs() - wall.half;
         outside.x.max(outside.y) < self.radius
@@ -194,8 +196,8 @@ impl Problem for Maze {
 }
 
 impl Verify for Maze {
-    /// Interpolated by nalgebra, and free if each part is away from each wall by GJK, where the planner takes separating
-    /// axes and passes over walls that its circle does not reach.
+    /// nalgebra interpolates the state. The state is free if GJK finds each part away from each wall. The planner
+    /// instead uses separating axes, and skips walls that its bounding circle does not reach.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
         let (from, to) = (Vector2::new(a[0], a[1]), Vector2::new(b[0], b[1]));
         let place = from.lerp(&to, t);
@@ -218,7 +220,7 @@ fn pose(state: &[f64]) -> Pose {
     Pose::new(Vector::new(state[0], state[1]), state[2])
 }
 
-/// The walls of the maze, each as long as it goes.
+/// The walls of the maze, each of maximal length.
 fn walls(height: usize) -> Vec<Block> {
     let lines: Vec<&[u8]> = MAZE.lines().map(str::as_bytes).collect();
     let is_wall = |line: usize, column: usize| {
@@ -248,7 +250,7 @@ fn walls(height: usize) -> Vec<Block> {
     walls
 }
 
-/// Where runs of true begin and end.
+/// The beginnings and ends of the runs of true.
 fn runs(of: impl Iterator<Item = bool>) -> Vec<(usize, usize)> {
     let (mut runs, mut begun) = (Vec::new(), None);
     for (at, is) in of.chain([false]).enumerate() {

@@ -1,4 +1,4 @@
-//! The picture of the trees that several workers grew together.
+//! The picture of the trees that several workers built together.
 
 use std::path::Path;
 
@@ -18,10 +18,10 @@ use crate::planning::{
     shared_trees::solve::Solved,
 };
 
-/// How many bodies are drawn along the path: so many that the trees are seen between them.
+/// The number of bodies drawn along the path, small enough that the trees stay visible between them.
 const BODIES: usize = 50;
 
-/// How much of a worker's colour is in the lines of the tree from the start, and of that from the goal.
+/// The part of a worker's colour in the lines of the tree from the start, and in those of the tree from the goal.
 const SHADES: [f64; 2] = [1.0, 0.55];
 
 /// Draws the maze with both trees and the path, and the panels of figures.
@@ -49,7 +49,7 @@ fn trees(
     let (head, area) = area.split_vertically(100);
     let mut chart = picture::plan(maze, &area)?;
     let shared = &solved.shared;
-    // The goal's first, as they are the lighter ones.
+    // The goal's lines are drawn first, because they are lighter.
     for (at, shade) in SHADES.into_iter().enumerate().rev() {
         let (tree, makers) = (&shared.trees[at], &shared.makers[at]);
         for (worker, nodes) in lines(0..tree.len(), &tree.parents, |node| makers[node]) {

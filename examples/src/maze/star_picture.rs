@@ -18,13 +18,13 @@ use crate::planning::{
     rrt_star::Star,
 };
 
-/// How many bodies are drawn along the path: so many that the tree is seen between them.
+/// The number of bodies drawn along the path, small enough that the tree stays visible between them.
 const BODIES: usize = 50;
 
-/// How many colours tell how far a node is from the root.
+/// The number of colours that encode the distance of a node from the root.
 const BANDS: usize = 64;
 
-/// Draws the maze with the tree and its path, the length of the path as it became shorter, and the tree from the side.
+/// Draws the maze with the tree and its path, the length of the path over the samples, and the side view of the tree.
 pub fn draw(maze: &Maze, star: &Star, path: &[Vec<f64>], file: &Path) -> Result<(), PlanningError> {
     drawing::picture(file, (2700, 2620), |area| {
         let (above, below) = area.split_vertically(1900);
@@ -39,7 +39,7 @@ pub fn draw(maze: &Maze, star: &Star, path: &[Vec<f64>], file: &Path) -> Result<
 /// A tree in lines of one colour each.
 struct Banded<'a> {
     star: &'a Star,
-    /// How far the farthest node is.
+    /// The distance of the farthest node.
     farthest: f64,
     lines: Vec<(usize, Vec<usize>)>,
 }
@@ -48,7 +48,7 @@ impl Banded<'_> {
     fn of(star: &Star) -> Banded<'_> {
         let costs = &star.tree.costs;
         let farthest = costs.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-        // No child is nearer than its parent.
+        // A child is never nearer than its parent.
         let mut order: Vec<usize> = (0..star.tree.len()).collect();
         order.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]));
         let band = |node: usize| {
@@ -56,7 +56,7 @@ impl Banded<'_> {
             ((share * BANDS as f64) as usize).min(BANDS - 1)
         };
         let mut lines = lines(order.into_iter(), &star.tree.parents, band);
-        // What is near lies upon what is far.
+        // Near lines are drawn over far ones.
         lines.sort_by_key(|(band, _)| std::cmp::Reverse(*band));
         Banded {
             star,
@@ -77,7 +77,7 @@ impl Banded<'_> {
     }
 }
 
-/// From dark to light, short of what cannot be seen on white.
+/// Colours from dark to light, but dark enough to be visible on white.
 fn ink(band: usize) -> RGBColor {
     ViridisRGB.get_color(0.93 * band as f64 / BANDS as f64)
 }
@@ -114,7 +114,7 @@ fn from_above(
     let (left, width) = (640, 14);
     for band in 0..BANDS {
         let from = left + width * band as i32;
-        // A little too wide, so that there is no seam.
+        // Slightly too wide, so that no seam shows.
         let corners = [(from, 28), (from + width + 2, 64)];
         area.draw(&Rectangle::new(corners, ink(band).filled()))?;
     }
@@ -123,7 +123,7 @@ fn from_above(
     write(&area, farthest, (right + 20, 46), style())
 }
 
-/// How long the path was after so many samples.
+/// Draws the length of the path over the number of samples.
 fn length(star: &Star, area: &Area<'_>) -> Result<(), DrawingError> {
     let samples = star.progress.last().map_or(0, |last| last.samples) as f64;
     let (Some(first), Some(last)) = (star.shortened.first(), star.shortened.last()) else {
@@ -146,7 +146,7 @@ fn length(star: &Star, area: &Area<'_>) -> Result<(), DrawingError> {
         &|length| format!("{length:.1}"),
     )?;
     let color = along(1.0);
-    // As long as before until it is shorter.
+    // The length stays constant until the path becomes shorter.
     let mut steps: Vec<(f64, f64)> = Vec::new();
     for &(drawn, length) in &star.shortened {
         let drawn = drawn as f64;

@@ -1,43 +1,43 @@
-//! Where a planner's time went, and how it came to that.
+//! The account of a planner's time, and its history.
 
 use std::time::Duration;
 
 use super::source::Usage;
 
-/// Where a run's time went.
+/// The account of a run's time.
 #[derive(Clone, Copy, Debug)]
 pub struct Account {
-    /// All of it.
+    /// The total time.
     pub total: Duration,
-    /// What went into the sources.
+    /// The time in the sources.
     pub neighbors: Usage,
-    /// What went into motions: their states and whether these are free.
+    /// The time of motions: computing their states and checking these for collisions.
     pub checking: Duration,
-    /// How many states were checked.
+    /// The number of checked states.
     pub checks: usize,
 }
 
 impl Account {
-    /// What is left: the planner's own.
+    /// The remaining time, which is the planner's own.
     pub fn rest(&self) -> Duration {
         self.total
             .saturating_sub(self.neighbors.time() + self.checking)
     }
 }
 
-/// How far a run was at some moment.
+/// The progress of a run at one moment.
 #[derive(Clone, Copy, Debug)]
 pub struct Growth {
     /// The nodes of all trees, or the milestones.
     pub nodes: usize,
-    /// The account until then.
+    /// The account up to that moment.
     pub account: Account,
 }
 
-/// How many moments of a long run are kept, at least; of twice as many every other one is dropped.
+/// The minimum number of kept moments of a long run. At twice this number, every other one is dropped.
 const RECORDS: usize = 256;
 
-/// The moments of a run that are remembered.
+/// The remembered moments of a run.
 #[derive(Debug)]
 pub struct Record {
     growth: Vec<Growth>,
@@ -45,7 +45,7 @@ pub struct Record {
 }
 
 impl Record {
-    /// None yet.
+    /// An empty history.
     pub fn new() -> Record {
         Record {
             growth: Vec::new(),
@@ -53,13 +53,13 @@ impl Record {
         }
     }
 
-    /// Whether the last one is long ago.
+    /// True if the next moment is due.
     pub fn is_due(&self, nodes: usize) -> bool {
         let last = self.growth.last().map_or(0, |growth| growth.nodes);
         nodes >= last + self.every
     }
 
-    /// Remembers this moment.
+    /// Adds this moment.
     pub fn note(&mut self, nodes: usize, account: Account) {
         self.growth.push(Growth { nodes, account });
         if self.growth.len() >= 2 * RECORDS {
@@ -72,7 +72,7 @@ impl Record {
         }
     }
 
-    /// All of them, and the last one.
+    /// All moments, ending with the last one.
     pub fn finish(mut self, nodes: usize, account: Account) -> Vec<Growth> {
         self.growth.push(Growth { nodes, account });
         self.growth

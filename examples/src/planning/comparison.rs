@@ -17,13 +17,13 @@ use super::{
     source::NeighborSource,
 };
 
-/// What is compared.
+/// The trials of a comparison.
 pub struct Trials<'a> {
     /// The sources.
     pub sources: Vec<Wanted>,
-    /// The seeds; each is a run with each source.
+    /// The seeds. There is one run for each seed and source.
     pub seeds: Vec<u64>,
-    /// A server that runs already; one is started if it is needed, unless given.
+    /// The address of a running server. If it is None, a server is started when one is needed.
     pub server: Option<&'a str>,
 }
 
@@ -37,27 +37,27 @@ impl<'a> From<&'a Options> for Trials<'a> {
     }
 }
 
-/// What a planner has made, with where its time went.
+/// The outcome of a planner, with the account of its time.
 pub trait Planned {
-    /// What the planner is called.
+    /// The name of the planner.
     const PLANNER: &'static str;
 
-    /// What one insert stores.
+    /// The name of the thing that one insert stores.
     const INSERT: &'static str;
 
     /// The nodes of all trees, or the milestones.
     fn nodes(&self) -> usize;
 
-    /// Where the time went.
+    /// The account of the time.
     fn account(&self) -> Account;
 
-    /// How it came to that.
+    /// The history of the account.
     fn growth(&self) -> &[Growth];
 
-    /// The paths that were found.
+    /// The found paths.
     fn paths(&self) -> impl Iterator<Item = &[Vec<f64>]>;
 
-    /// Whether that is the same, whatever time it took.
+    /// True if both outcomes are equal apart from their times.
     fn is_like(&self, other: &Self) -> bool;
 }
 
@@ -69,11 +69,11 @@ pub struct Run {
     pub seed: u64,
     /// The nodes of all trees, or the milestones.
     pub nodes: usize,
-    /// Where the time went.
+    /// The account of the time.
     pub account: Account,
-    /// How it came to that.
+    /// The history of the account.
     pub growth: Vec<Growth>,
-    /// The lengths of the paths that were found.
+    /// The lengths of the found paths.
     pub path_lengths: Vec<f64>,
 }
 
@@ -83,7 +83,7 @@ pub struct Comparison<R = Solution> {
     pub sources: Vec<Wanted>,
     /// The runs, seed by seed.
     pub runs: Vec<Run>,
-    /// The solution from the first seed, which is the same with all sources.
+    /// The solution for the first seed. It is the same with all sources.
     pub solution: R,
 }
 
@@ -110,11 +110,11 @@ impl<R: Planned> Comparison<R> {
     }
 }
 
-/// What opens a source, empty, as often as a planner needs one.
+/// A function that opens an empty source whenever a planner needs one.
 pub type Open<'a> = dyn Fn() -> Result<Box<dyn NeighborSource>, PlanningError> + 'a;
 
-/// Solves `problem` by a planner that is given its sources and a seed. Whatever the source, the same seed has to come to the
-/// same.
+/// Solves `problem` by a planner that receives its sources and a seed. The same seed must give the same outcome with
+/// every source.
 pub fn compare<R: Planned>(
     problem: &impl Problem,
     trials: &Trials<'_>,
@@ -147,7 +147,7 @@ pub fn compare<R: Planned>(
     })
 }
 
-/// Grows the tree of RRT* with each source, from the same seed. It has to be the same tree.
+/// Builds the tree of RRT* with each source from the same seed. The trees must be equal.
 pub fn grow(
     problem: &impl Problem,
     options: &Options,
@@ -167,7 +167,7 @@ pub fn grow(
     )
 }
 
-/// What comes of one seed with each source; it has to be the same.
+/// The outcome of one seed with each source. The outcomes must be equal.
 fn each<R>(
     problem: &impl Problem,
     trials: &Trials<'_>,
@@ -194,7 +194,7 @@ fn each<R>(
     Ok(all)
 }
 
-/// What the sources need of a server: one that is started for them, unless one runs already, and its threads.
+/// The server for the sources, with its threads. It is started unless one runs already.
 fn remote(
     trials: &Trials<'_>,
 ) -> Result<(Option<ServerProcess>, Option<Rc<Remote>>), PlanningError> {
@@ -210,7 +210,7 @@ fn remote(
     Ok((Some(started), Some(remote)))
 }
 
-/// An empty source; `remote` is needed for those behind a server.
+/// Opens an empty source. Sources behind a server need `remote`.
 pub fn open(
     source: Wanted,
     problem: &impl Problem,

@@ -1,4 +1,4 @@
-//! The panels of figures about several workers: how fast they made what they share, and where their time went.
+//! The panels of figures about several workers: their progress, and the account of their time.
 
 use plotters::{
     chart::ChartBuilder,
@@ -11,7 +11,7 @@ use super::{
     processes::{Account, Crew},
 };
 
-/// What the time went into.
+/// The parts of the time.
 const PARTS: [(&str, RGBColor); 4] = [
     ("collision checks", RGBColor(120, 130, 148)),
     ("waiting for inserts and updates", RGBColor(190, 62, 72)),
@@ -19,7 +19,7 @@ const PARTS: [(&str, RGBColor); 4] = [
     ("rest", RGBColor(214, 218, 226)),
 ];
 
-/// How much each worker had made, and all of them, over time; `what` they make is the title's beginning.
+/// The number of things that each worker and all workers had made over time. `what` names them and begins the title.
 pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result<(), DrawingError> {
     let mut own = vec![vec![(0.0, 0.0)]; crew.accounts.len()];
     let mut all = vec![(0.0, 0.0)];
@@ -51,7 +51,7 @@ pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result
     write(area, title, (80, 56), letters(LETTERS[0], DARK))
 }
 
-/// A bar a worker: the shares of its time, and that of searches in figures.
+/// One bar for each worker: the shares of its time, and the share of searches as a number.
 pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), DrawingError> {
     let (width, height) = area.dim_in_pixel();
     let title = "Where the workers' time went; in figures: searches";

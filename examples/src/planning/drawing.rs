@@ -1,4 +1,4 @@
-//! What all pictures have in common: colours, lines of a tree, bodies along a path, and the panels of figures.
+//! The common parts of all pictures: colours, the lines of a tree, bodies along a path, and the panels of figures.
 
 use std::{fs, io, path::Path};
 
@@ -20,20 +20,20 @@ use plotters::{
 
 use super::{error::PlanningError, options::Wanted, rrt::Tree};
 
-/// A part of a picture. Pictures are drawn large, as positions on them are whole numbers.
+/// A part of a picture. Pictures have a large scale because positions on them are integers.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// What the drawing library may say.
+/// An error of the drawing library.
 pub type DrawingError = DrawingAreaErrorKind<io::Error>;
 
 /// Text, walls and axes.
 pub const DARK: RGBColor = RGBColor(38, 43, 56);
-/// What is there for orientation only.
+/// The colour of things that only serve orientation.
 pub const PALE: RGBColor = RGBColor(222, 226, 232);
 /// The trees from the start and from the goal.
 pub const TREES: [RGBColor; 2] = [RGBColor(47, 111, 179), RGBColor(226, 128, 45)];
 
-/// The colours of workers, over and over.
+/// The colours of workers, used cyclically.
 pub const WORKERS: [RGBColor; 8] = [
     RGBColor(47, 111, 179),
     RGBColor(226, 128, 45),
@@ -56,7 +56,8 @@ pub fn ink(source: Wanted) -> RGBColor {
     }
 }
 
-/// Draws axes and grid of a panel of figures: about so many labels each way, written as `x` and `y` say.
+/// Draws the axes and the grid of a panel of figures, with about the given number of labels on each axis. `x` and `y`
+/// format the labels.
 pub fn axes<X, Y>(
     chart: &mut ChartContext<'_, SVGBackend<'_>, Cartesian2d<X, Y>>,
     labels: (usize, usize),
@@ -84,7 +85,7 @@ where
         .draw()
 }
 
-/// From light to dark along a path, for `share` from 0 to 1.
+/// The colour along a path, from light to dark, for `share` from 0 to 1.
 pub fn along(share: f64) -> RGBColor {
     const LIGHT: [f64; 3] = [250.0, 205.0, 226.0];
     const DEEP: [f64; 3] = [112.0, 16.0, 92.0];
@@ -115,16 +116,16 @@ pub fn picture(
     Ok(())
 }
 
-/// How large letters are: in titles, and elsewhere.
+/// The font sizes: of titles, and of other text.
 pub const LETTERS: [i32; 2] = [46, 34];
 
-/// A style for letters.
+/// A text style.
 pub fn letters(size: i32, color: RGBColor) -> TextStyle<'static> {
     let place = Pos::new(HPos::Left, VPos::Center);
     ("sans-serif", size).into_font().color(&color).pos(place)
 }
 
-/// Writes at a place of the area.
+/// Writes text at a position in the area.
 pub fn write(
     area: &Area<'_>,
     text: impl Into<String>,
@@ -134,7 +135,7 @@ pub fn write(
     area.draw(&Text::new(text.into(), place, style))
 }
 
-/// A legend in one line: each text behind a stroke of its colour. `spacing` is how far apart they begin.
+/// A legend in one line: each text follows a stroke of its colour. `spacing` is the distance between their beginnings.
 pub fn legend(
     area: &Area<'_>,
     entries: &[(&str, RGBColor)],
@@ -150,8 +151,8 @@ pub fn legend(
     Ok(())
 }
 
-/// A tree as one line that walks along its edges, there and back: as small in a file as a tree can be, and nowhere
-/// darker for being walked twice. Nodes in the middle of a straight part are left out.
+/// A tree as one line that follows each edge forth and back. This gives the smallest file, and an edge that is followed
+/// twice is not darker. Nodes in the middle of a straight part are left out.
 pub fn walk(tree: &Tree, project: impl Fn(&[f64]) -> (f64, f64)) -> Vec<(f64, f64)> {
     let mut children = vec![Vec::new(); tree.len()];
     for (node, parent) in tree.parents.iter().enumerate() {
@@ -172,15 +173,15 @@ pub fn walk(tree: &Tree, project: impl Fn(&[f64]) -> (f64, f64)) -> Vec<(f64, f6
     line
 }
 
-/// A tree as lines from node to node, each in one colour: that of its nodes but the first, which it branches off from. `order`
-/// has parents before their children.
+/// A tree as lines through nodes, each in one colour: the colour of all its nodes except the first, from which the line
+/// branches off. In `order`, parents come before their children.
 pub fn lines<C: Copy + PartialEq>(
     order: impl Iterator<Item = usize>,
     parents: &[Option<usize>],
     color: impl Fn(usize) -> C,
 ) -> Vec<(C, Vec<usize>)> {
     let mut lines: Vec<(C, Vec<usize>)> = Vec::new();
-    // The line that ends at a node.
+    // The line that ends at each node.
     let mut ends: Vec<Option<usize>> = vec![None; parents.len()];
     for node in order {
         let Some(parent) = parents[node] else {
@@ -212,13 +213,13 @@ pub fn straightened(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)>
     line
 }
 
-/// A colour, so much of it, and white.
+/// A mix of a colour and white.
 pub fn lighter(color: RGBColor, share: f64) -> RGBColor {
     let mix = |part: u8| (255.0 - share * (255.0 - f64::from(part))).round() as u8;
     RGBColor(mix(color.0), mix(color.1), mix(color.2))
 }
 
-/// Whether a line goes straight on to `end`, for the eye.
+/// True if a line visibly goes straight on to `end`.
 fn is_straight(line: &[(f64, f64)], end: (f64, f64)) -> bool {
     let [.., a, b] = line else { return false };
     let (before, after) = ((b.0 - a.0, b.1 - a.1), (end.0 - b.0, end.1 - b.1));
@@ -227,8 +228,8 @@ fn is_straight(line: &[(f64, f64)], end: (f64, f64)) -> bool {
     dot > 0.0 && cross.abs() < 1e-6 * dot
 }
 
-/// A line whose second coordinate goes round a circle from `-half` to `half`: cut where it crosses the seam, so that
-/// it leaves on one side and comes back on the other.
+/// A line whose second coordinate is on a circle from `-half` to `half`. It is cut where it crosses the seam, so that
+/// it leaves on one side and returns on the other.
 pub fn around(line: &[(f64, f64)], half: f64) -> Vec<Vec<(f64, f64)>> {
     let mut parts = vec![Vec::from_iter(line.first().copied())];
     for pair in line.windows(2) {

@@ -1,10 +1,10 @@
-//! What can go wrong with a planner.
+//! The errors of the planners.
 
 use std::{io, path::PathBuf};
 
 use thiserror::Error;
 
-/// Why there is no result.
+/// The error of a run without a result.
 #[derive(Debug, Error)]
 pub enum PlanningError {
     /// A source that is reached over the network did not answer.
@@ -16,12 +16,12 @@ pub enum PlanningError {
     /// A server could not be started.
     #[error("cannot start a server ({0}); --server URI takes one that runs already")]
     Server(io::Error),
-    /// The trees grew as large as they may without meeting.
+    /// The trees reached their maximum size without meeting.
     #[error(
         "no path with {nodes} nodes; try another --seed, or more of them (--max-nodes, --rrt-star)"
     )]
     Unsolved {
-        /// How many nodes there are.
+        /// The number of nodes.
         nodes: usize,
     },
     /// The finer check found a collision.
@@ -36,7 +36,7 @@ pub enum PlanningError {
     /// Two exact sources found different neighbours.
     #[error("{first} and {other} grew different graphs from seed {seed}: one of them is not exact")]
     Differing {
-        /// The source that was asked first.
+        /// The first source.
         first: String,
         /// The source that differs from it.
         other: String,
@@ -46,58 +46,58 @@ pub enum PlanningError {
     /// A worker's process failed.
     #[error("worker {number}: {problem}")]
     Worker {
-        /// Which.
+        /// The number.
         number: usize,
-        /// What happened to it.
+        /// The cause.
         problem: String,
     },
-    /// A point of the roadmap has edges that cannot be read, or that lead nowhere.
+    /// A point of the roadmap has unreadable or dangling edges.
     #[error("milestone {id} has a payload that tells no edges; is the index another program's?")]
     Payload {
-        /// Which.
+        /// Its id.
         id: u64,
     },
-    /// A vertex of a shared tree is not what it must be.
+    /// A vertex of a shared tree is wrong.
     #[error("vertex {id}: {problem}; is the index another program's?")]
     Vertex {
-        /// Which.
+        /// Its id.
         id: u64,
-        /// How it differs.
+        /// The difference.
         problem: &'static str,
     },
-    /// A source that each process has for itself was asked of several.
+    /// Several processes were to share a source that is local to one process.
     #[error("{source_name} is within one process; workers take --source server or replica")]
     Unshared {
-        /// Which.
+        /// The source name.
         source_name: &'static str,
     },
-    /// Who follows a roadmap is not told of it any more.
+    /// The watch of a roadmap ended.
     #[error(
         "the server has forgotten how the roadmap grew before that was asked for; is it too busy?"
     )]
     Unfollowed,
-    /// A milestone is not what it is in a serial replay of the same states.
+    /// A milestone differs from its counterpart in a serial replay of the same states.
     #[error("milestone {id}: {problem}")]
     Replay {
-        /// Which.
+        /// Its id.
         id: u64,
-        /// How it differs.
+        /// The difference.
         problem: String,
     },
     /// The roadmap does not connect two states.
     #[error("no way {task} with {milestones} milestones; try more with --milestones")]
     Unconnected {
-        /// From where to where.
+        /// The two states.
         task: String,
-        /// How many milestones there are.
+        /// The number of milestones.
         milestones: usize,
     },
-    /// A picture could not be drawn or a file not be written.
+    /// A picture could not be drawn, or a file could not be written.
     #[error("{}: {problem}", path.display())]
     File {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// What the system or the drawing library said.
+        /// The error of the system or the drawing library.
         problem: String,
     },
 }

@@ -1,4 +1,4 @@
-//! The whole of an example that solves one problem with every source, and by several workers.
+//! A complete example, which solves one problem with every source, and with several workers.
 
 use std::{
     path::{Path, PathBuf},
@@ -23,29 +23,29 @@ use super::{
     },
 };
 
-/// How often a path is tried to be shortened before it is drawn.
+/// The number of attempts to shorten a path before it is drawn.
 const SHORTENINGS: usize = 2000;
 
-/// What draws a result, with a path to be shown, into a file.
+/// A function that draws a result, with a path to show, into a file.
 pub type Draw<P, R> = fn(&P, &R, &[Vec<f64>], &Path) -> Result<(), PlanningError>;
 
-/// What is particular to an example.
+/// The parts that differ between examples.
 pub struct Example<P> {
-    /// What its pictures are called.
+    /// The name of its pictures.
     pub name: &'static str,
-    /// By what the paper's planner became faster.
+    /// The factor by which the paper's planner became faster.
     pub paper: Option<f64>,
-    /// Draws the trees of one planner, and how the sources differ.
+    /// Draws the trees of one planner, and the differences of the sources.
     pub draw: Draw<P, Comparison>,
-    /// Draws the trees that several workers share.
+    /// Draws the trees of several workers.
     pub draw_shared: Option<Draw<P, Solved>>,
     /// Draws the tree of RRT*.
     pub draw_star: Option<Draw<P, Star>>,
 }
 
 impl<P: Verify> Example<P> {
-    /// Solves `problem` as the command line says, checks the path by other code, tells where the time went and draws the
-    /// picture.
+    /// Solves `problem` with the options of the command line, checks the path by independent code, prints the account
+    /// of the time, and draws the picture.
     pub fn run(&self, problem: impl FnOnce() -> P) -> ExitCode {
         if let Some(ended) = server::serve_if_told() {
             return ended;
@@ -78,7 +78,7 @@ impl<P: Verify> Example<P> {
         }
     }
 
-    /// Where the picture is going to be, if one is to be drawn.
+    /// The path of the picture, if one is to be drawn.
     fn picture(&self, options: &Options) -> Option<PathBuf> {
         let of = match (options.rrt_star, options.workers) {
             (Some(_), _) => self.draw_star.map(|_| "-rrt-star"),
@@ -107,7 +107,7 @@ impl<P: Verify> Example<P> {
         }
     }
 
-    /// Grows the tree of RRT* with each source, checks its path by other code, and tells how it became shorter.
+    /// Builds the tree of RRT* with each source, checks its path by independent code, and prints how it became shorter.
     fn optimize(
         &self,
         problem: &P,
@@ -134,7 +134,7 @@ impl<P: Verify> Example<P> {
         draw(problem, star, &path, &file)
     }
 
-    /// Has several workers solve it together.
+    /// Solves it with several workers.
     fn share(&self, problem: &P, options: &Options, workers: usize) -> Result<(), PlanningError> {
         let source = options.source.shared().first().copied();
         let source = source.ok_or(PlanningError::Unshared {
@@ -168,14 +168,14 @@ impl<P: Verify> Example<P> {
     }
 }
 
-/// Calls are made on the main thread, which computes between them; a replica follows on the other.
+/// The main thread makes the calls and computes between them. A replica follows on the other thread.
 fn runtime() -> Result<Runtime, PlanningError> {
     let mut runtime = Builder::new_multi_thread();
     let runtime = runtime.worker_threads(1).enable_all().build();
     runtime.map_err(PlanningError::Threads)
 }
 
-/// The server of the options, or one that is started.
+/// The server of the options, or a newly started one.
 fn server_of(options: &Options) -> Result<(Option<ServerProcess>, String), PlanningError> {
     if let Some(uri) = &options.server {
         return Ok((None, uri.clone()));

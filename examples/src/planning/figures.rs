@@ -1,4 +1,4 @@
-//! The figures of runs as JSON: an array with a row a run, the same for every planner.
+//! The figures of runs as JSON: an array with one row for each run, in the same form for every planner.
 
 use std::{fs, path::Path};
 
@@ -11,24 +11,24 @@ use super::{account::Account, error::PlanningError, processes::Times, report::un
 pub struct Row {
     /// The method.
     pub planner: &'static str,
-    /// Where the neighbours came from.
+    /// The source of neighbours.
     pub source: &'static str,
-    /// How many processes worked on it.
+    /// The number of processes.
     pub workers: usize,
-    /// What the states were drawn from.
+    /// The seed of the random states.
     pub seed: u64,
     /// The nodes of all trees, or the milestones.
     pub nodes: u64,
     /// The time of the run.
     #[serde(flatten)]
     pub spent: Spent,
-    /// How many states were checked for collisions.
+    /// The number of states that were checked for collisions.
     pub checks: u64,
-    /// The lengths of the paths that were found, in the metric.
+    /// The lengths of the found paths, in the metric.
     pub path_lengths: Vec<f64>,
 }
 
-/// Where the time of a run went, in seconds. The parts are sums over all workers.
+/// The account of a run's time, in seconds. The parts are sums over all workers.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Spent {
     /// From the start of the run to its end.
@@ -53,7 +53,7 @@ impl From<&Account> for Spent {
 }
 
 impl Spent {
-    /// What workers spent together in a run of `total_s`.
+    /// The summed times of all workers in a run of `total_s`.
     pub fn by_workers(total_s: f64, times: Times) -> Spent {
         Spent {
             total_s,
@@ -64,7 +64,7 @@ impl Spent {
     }
 }
 
-/// Writes rows to the file that is wanted, if one is.
+/// Writes rows to the given file, if there is one.
 pub fn write(
     rows: impl IntoIterator<Item = Row>,
     file: Option<&Path>,

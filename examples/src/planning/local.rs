@@ -1,18 +1,18 @@
-//! Sources in this process: what a planner has without a service.
+//! Sources in this process, for a planner without a service.
 
 use wayfold::{Neighbor, Space, States};
 use wayfold_index::{Forest, ForestOptions, Points, Search};
 
 use super::{error::PlanningError, source::NeighborSource};
 
-/// The paper's baseline: every search measures every state, one after the other.
+/// The paper's baseline: every search computes the distance of every state, one after the other.
 pub struct BruteForce {
     space: Space,
     states: States,
 }
 
 impl BruteForce {
-    /// Nothing yet.
+    /// An empty source.
     pub fn new(space: &Space) -> BruteForce {
         BruteForce {
             space: space.clone(),
@@ -45,7 +45,7 @@ impl NeighborSource for BruteForce {
         }
         let mut found: Vec<Neighbor> = within.collect();
         if search.k < found.len() {
-            // The others are not sorted: that would be slower than to measure them.
+            // The others are not sorted: sorting would take longer than computing their distances.
             found.select_nth_unstable(search.k);
             found.truncate(search.k);
         }
@@ -54,14 +54,14 @@ impl NeighborSource for BruteForce {
     }
 }
 
-/// The index that the server holds, in this process and on this thread alone.
+/// The server's index, in this process and on this thread only.
 pub struct LocalForest {
     forest: Forest,
     merges: bool,
 }
 
 impl LocalForest {
-    /// The kd-trees. Merges run on this thread, within the inserts that make them due, and are paid for there.
+    /// The kd-trees. Merges run on this thread, within the inserts that make them due, so their time counts there.
     pub fn trees(space: &Space) -> LocalForest {
         LocalForest {
             forest: Forest::new(space.clone(), ForestOptions::for_space(space)),
@@ -69,7 +69,7 @@ impl LocalForest {
         }
     }
 
-    /// No trees: leaves that hold thousands of points, searched from end to end, many states at once by SIMD.
+    /// A forest without trees: leaves with thousands of points are scanned completely, many points at once by SIMD.
     pub fn scan(space: &Space) -> LocalForest {
         let options = ForestOptions {
             growing_rows: 4096,

@@ -1,10 +1,10 @@
-//! What the planners share: sampling-based planning against one small trait for where the neighbours come from.
+//! The common code of the planners: sampling-based planning against one small trait for the source of neighbours.
 //!
-//! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (what a scene tells a
-//! planner), `rrt`, `rrt_star` and `prm_star` (the planners), `account` (where their time went), `path` (their result,
-//! checked anew), `comparison` (one problem with every source), `example` (all of a program that does so), `report` (the
-//! table and the JSON), `drawing` and `panels` (what all pictures have in common); of several workers, `processes` (how they
-//! are started and heard) and `shared_trees` (RRTConCon by all of them together).
+//! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (the interface of a
+//! scene), `rrt`, `rrt_star` and `prm_star` (the planners), `account` (their time), `path` (their result, checked
+//! independently), `comparison` (one problem with every source), `example` (the program around it), `report` (the table
+//! and the JSON), `drawing` and `panels` (the common parts of all pictures). For several workers: `processes` (starting
+//! workers and reading their messages) and `shared_trees` (RRTConCon by several workers together).
 
 pub mod account;
 pub mod comparison;

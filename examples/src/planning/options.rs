@@ -1,4 +1,4 @@
-//! What a planner can be told on its command line.
+//! The command line of a planner.
 
 use std::path::PathBuf;
 
@@ -6,40 +6,40 @@ use clap::{Parser, Subcommand, ValueEnum};
 
 use super::shared_trees::{job::Job, store::Layout};
 
-/// Solves a motion planning problem, tells where the time went, and draws a picture of it.
+/// Solves a motion planning problem, prints the account of the time, and draws a picture.
 #[derive(Clone, Debug, Parser)]
 pub struct Options {
     /// The role of this process, if it is not the one that starts the others
     #[command(subcommand)]
     pub role: Option<Role>,
-    /// Where the neighbours come from
+    /// The source of neighbours
     #[arg(long, value_enum, default_value_t = Wanted::All)]
     pub source: Wanted,
-    /// What the random states are drawn from; the next run takes the next one
+    /// The seed of the random states; the next run takes the next seed
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// How often to solve the problem with each source; medians are told
+    /// The number of runs with each source; the table shows medians
     #[arg(long, default_value_t = 1, conflicts_with_all = ["workers", "rrt_star"])]
     pub runs: u64,
-    /// A server that runs already; one is started for the time of the planner unless given
+    /// The address of a running server; by default the planner starts one
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
-    /// Grows the same two trees by so many processes instead, on one server
+    /// Builds the same two trees with this many processes instead, on one server
     #[arg(long, value_parser = at_least_one, group = "several")]
     pub workers: Option<usize>,
-    /// How many random states such a worker connects the trees to between two inserts
+    /// The number of random states to which such a worker connects the trees between two inserts
     #[arg(long, default_value_t = 32, value_parser = at_least_one, requires = "several")]
     pub batch: usize,
-    /// How they tell the trees apart
+    /// The distinction between the trees
     #[arg(long, value_enum, default_value_t = Layout::Indices, requires = "several")]
     pub trees: Layout,
     /// Compares 1, 2, 4 and 8 such workers with both sources instead; no picture
     #[arg(long, group = "several")]
     pub scaling: bool,
-    /// Grows one tree by so many samples instead, by RRT*, and tells how its path becomes shorter
+    /// Builds one tree by RRT* from this many samples instead, and prints how its path becomes shorter
     #[arg(long, value_name = "SAMPLES", conflicts_with_all = ["several", "max_nodes", "json"])]
     pub rrt_star: Option<usize>,
-    /// Gives up with so many nodes
+    /// The number of nodes at which it gives up
     #[arg(long, default_value_t = 1_000_000)]
     pub max_nodes: usize,
     /// Writes the figures of all runs to a file
@@ -47,7 +47,7 @@ pub struct Options {
     pub json: Option<PathBuf>,
 }
 
-/// What a process may be told to be.
+/// The roles of a process.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Role {
     /// One of the workers that share two trees
@@ -82,8 +82,8 @@ impl Wanted {
         }
     }
 
-    /// Those of its sources that several workers can share. The first is the one that more workers burden less: to replicas
-    /// every insert is told as often as there are workers.
+    /// Those of its sources that several workers can share. The first one scales better with more workers: each insert
+    /// must be sent to the replica of every worker.
     pub fn shared(self) -> Vec<Kind> {
         match self {
             Wanted::All => vec![Kind::Server, Kind::Replica],
@@ -93,7 +93,7 @@ impl Wanted {
         }
     }
 
-    /// What it is called in tables and pictures.
+    /// Its name in tables and pictures.
     pub fn name(self) -> &'static str {
         match self {
             Wanted::Brute => "brute force",
@@ -106,7 +106,7 @@ impl Wanted {
     }
 }
 
-/// Where a worker's first neighbours come from.
+/// The source of a worker's first neighbours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Kind {
     /// The server, over gRPC
@@ -116,7 +116,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// What it is called.
+    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Kind::Server => "server",
@@ -125,7 +125,7 @@ impl Kind {
     }
 }
 
-/// The seeds of so many runs: each takes the next one, and after the largest comes 0.
+/// The seeds of this many runs: consecutive numbers, and 0 after the largest.
 pub fn seeds(first: u64, runs: u64) -> impl Iterator<Item = u64> {
     (0..runs.max(1)).map(move |run| first.wrapping_add(run))
 }

@@ -1,5 +1,4 @@
-//! The panels of figures that each picture has: how fast the trees grew, and what share of the time was spent in
-//! search.
+//! The panels of figures that each picture has: the growth of the trees, and the share of the time spent in search.
 
 use plotters::{
     chart::ChartBuilder,
@@ -47,7 +46,7 @@ fn nodes_over_time(area: &Area<'_>, comparison: &Comparison) -> Result<(), Drawi
     let most = nodes.max().unwrap_or(1) as f64;
     let ends = || first_runs(comparison).map(|(_, run)| run.account.total.as_secs_f64());
     let longest = ends().fold(f64::MIN_POSITIVE, f64::max);
-    // Two decades before the end of the shortest run show how they part.
+    // The last two decades before the end of the shortest run show how the curves diverge.
     let shortest = ends().fold(longest, f64::min);
     let mut chart = ChartBuilder::on(area)
         .margin(30)
@@ -89,7 +88,7 @@ fn share_over_nodes(area: &Area<'_>, comparison: &Comparison) -> Result<(), Draw
         &|share| format!("{share:.0} %"),
     )?;
     for (source, run) in first_runs(comparison) {
-        // What comes first are too few searches to have a share.
+        // The first moments have too few searches for a meaningful share.
         let settled = run.growth.iter().filter(|moment| moment.nodes > 100);
         let points = settled.map(|moment| {
             let (neighbors, total) = (moment.account.neighbors.time(), moment.account.total);

@@ -1,4 +1,4 @@
-//! A path: found on a roadmap, checked anew and made shorter.
+//! Paths: finding one on a roadmap, checking it independently, and shortening it.
 
 use petgraph::{
     algo::astar,
@@ -10,22 +10,22 @@ use wayfold::{Space, States};
 
 use super::{error::PlanningError, problem::Problem};
 
-/// How much finer than the planner the check is.
+/// The factor by which the check is finer than the planner's.
 const FINER: f64 = 10.0;
 
-/// Boxes that are nearer to each other touch: where they do, GJK may find a distance of some last bits instead of 0.
+/// Boxes nearer than this touch: for touching boxes, GJK may return a distance of some last bits instead of 0.
 pub const TOUCHING: f64 = 1e-9;
 
-/// A problem that can judge a motion by other means than those that found it.
+/// A problem that can check a motion by code that is independent of the planner's.
 pub trait Verify: Problem {
-    /// Whether the state the share `t` of the way from `a` to `b` is free. It is interpolated by another library than the
-    /// planner's, and every part is held against every obstacle by another algorithm (GJK, not separating axes), with
-    /// nothing passed over for being far away.
+    /// True if the state at the fraction `t` of the motion from `a` to `b` is free. Another library than the planner's
+    /// interpolates the state. Another algorithm (GJK, not separating axes) tests every part against every obstacle,
+    /// and skips no distant obstacle.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool;
 }
 
-/// The shortest path between two milestones of a roadmap, by the states of all and the edges of each; none if there is no
-/// way.
+/// The shortest path between two milestones of a roadmap, given the states and the edges of all milestones; None if
+/// they are not connected.
 pub fn shortest(
     space: &Space,
     states: &States,
@@ -56,7 +56,7 @@ pub fn shortest(
     Some(path.collect())
 }
 
-/// Checks a path, ten times as finely as the planner did; tells how many states were checked.
+/// Checks a path ten times as finely as the planner did; returns the number of checked states.
 pub fn verify(problem: &impl Verify, path: &[Vec<f64>]) -> Result<usize, PlanningError> {
     if let [only] = path {
         let is_free = problem.is_free_between(only, only, 0.0);
@@ -79,8 +79,8 @@ pub fn verify(problem: &impl Verify, path: &[Vec<f64>]) -> Result<usize, Plannin
     Ok(checked)
 }
 
-/// Replaces what lies between two random states of a path by the straight motion wherever that is free, `tries` times:
-/// for the eye, and no part of what is measured. What comes of it is checked as all paths are.
+/// Shortens a path for the picture: `tries` times, it replaces the part between two random states by the straight
+/// motion if that is free. This is no part of the measurement. The result is checked like every path.
 pub fn shorten(
     problem: &impl Verify,
     mut path: Vec<Vec<f64>>,
@@ -122,7 +122,7 @@ pub fn length(problem: &impl Problem, path: &[Vec<f64>]) -> f64 {
     lengths.sum()
 }
 
-/// States along a path at equal distances, `count` of them and the ends.
+/// `count` states along a path at equal distances, and its ends.
 pub fn spread(problem: &impl Problem, path: &[Vec<f64>], count: usize) -> Vec<Vec<f64>> {
     let space = problem.space();
     let every = length(problem, path) / (count.max(1) as f64);

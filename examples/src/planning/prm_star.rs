@@ -1,9 +1,9 @@
 //! PRM*: one roadmap for several questions, whose paths become shorter with every milestone.
 //!
-//! S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011: PRM* in its k-nearest
-//! form. Theirs draws all n milestones first; here they come one after the other, and each tries the ways to its k(n)
-//! nearest among the n that were there before it, as the workers of `rigid` do, who build such a roadmap together. This is
-//! one planner alone, so that sources of neighbours can be compared and nothing else differs.
+//! S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011: PRM* in its
+//! k-nearest form. The published algorithm draws all n milestones first. Here they are added one by one, and each tries
+//! the motions to its k(n) nearest among the n earlier ones, as the workers of `rigid` do together. This is a single
+//! planner, so that a comparison of sources differs in nothing else.
 
 use std::{
     collections::HashMap,
@@ -32,39 +32,39 @@ pub const SCALING: Scaling = Scaling {
     radius_max: None,
 };
 
-/// How many states are drawn for each milestone, at most: where nothing is free, there is an end to it.
+/// The maximum number of states drawn for each milestone, so that sampling ends if no state is free.
 const TRIES: usize = 100;
 
-/// The milestones, by numbers from 0 up, and their edges.
+/// The milestones, numbered from 0, and their edges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Roadmap {
     /// The milestones' states.
     pub states: States,
-    /// The edges of each, to milestones before it; ascending.
+    /// The edges of each milestone to earlier ones, ascending.
     pub edges: Vec<Vec<usize>>,
 }
 
 impl Roadmap {
-    /// How many milestones there are.
+    /// The number of milestones.
     pub fn len(&self) -> usize {
         self.edges.len()
     }
 
-    /// How many edges there are.
+    /// The number of edges.
     pub fn edge_count(&self) -> usize {
         self.edges.iter().map(Vec::len).sum()
     }
 }
 
-/// A roadmap, and what it was asked.
+/// A roadmap, and the answers to its questions.
 pub struct Answered {
-    /// All milestones, those of the questions last.
+    /// All milestones; those of the questions are last.
     pub roadmap: Roadmap,
-    /// The shortest path on it for each question; none where it leads from the start to no goal.
+    /// The shortest path on it for each question; None if it does not connect start and goal.
     pub paths: Vec<Option<Vec<Vec<f64>>>>,
-    /// Where the time went, up to the last path.
+    /// The account of the time up to the last path.
     pub account: Account,
-    /// How it came to that, in steps of about the same number of milestones.
+    /// The history of the account, in steps of about the same number of milestones.
     pub growth: Vec<Growth>,
 }
 
@@ -93,8 +93,8 @@ impl Planned for Answered {
     }
 }
 
-/// Builds a roadmap of so many milestones, adds the starts and goals of all questions to it, and answers these. The same
-/// seed builds the same roadmap with any exact source.
+/// Builds a roadmap of the given number of milestones, adds the starts and goals of all questions, and answers the
+/// questions. The same seed builds the same roadmap with any exact source.
 pub fn solve(
     problem: &impl Problem,
     source: Box<dyn NeighborSource>,
@@ -125,7 +125,7 @@ struct Planner<'a, P> {
     problem: &'a P,
     source: Timed,
     roadmap: Roadmap,
-    /// The milestones by what the source calls them.
+    /// The milestones by their ids in the source.
     milestones: HashMap<u64, usize>,
     started: Instant,
     checking: Duration,
@@ -162,7 +162,7 @@ impl<'a, P: Problem> Planner<'a, P> {
     fn add(&mut self, state: &[f64]) -> Result<usize, PlanningError> {
         let milestone = self.roadmap.len();
         let mut search = Search::nearest_k(1);
-        // Evaluated here, as nobody else inserts, so that all sources answer the same plain search.
+        // k(n) is evaluated here, because no other client inserts. So all sources answer the same plain search.
         SCALING.apply(&mut search, milestone, self.problem.space().dimension());
         let found = self.source.search(state, &search)?;
         let start = Instant::now();

@@ -1,36 +1,36 @@
-//! What a scene tells a planner.
+//! The interface between a scene and a planner.
 
 use wayfold::Space;
 
-/// A motion planning problem: a way from `start` to `goal` through the free states of a space.
+/// A motion planning problem: to find a path from `start` to `goal` through the free states of a space.
 pub trait Problem {
-    /// The space, whose metric decides what is near.
+    /// The space, whose metric defines the neighbours.
     fn space(&self) -> &Space;
 
     /// The bounds of all real coordinates, in row order; angles and rotations have none.
     fn bounds(&self) -> &[(f64, f64)];
 
-    /// Where to begin, a canonical row.
+    /// The start, a canonical row.
     fn start(&self) -> &[f64];
 
-    /// Where to arrive, a canonical row.
+    /// The goal, a canonical row.
     fn goal(&self) -> &[f64];
 
-    /// Whether a canonical state is free of collisions.
+    /// True if a canonical state is free of collisions.
     fn is_free(&self, state: &[f64]) -> bool;
 
-    /// How far the states may lie apart, in the metric, at which a motion is checked.
+    /// The maximum distance, in the metric, between the states at which a motion is checked.
     fn resolution(&self) -> f64;
 
-    /// At how many such states a motion gets a node.
+    /// The number of such states between two nodes of a motion.
     fn checks_per_node(&self) -> usize;
 
-    /// Whether a motion between free states is free: a function of the two, in this order, and of nothing else. Adds how
-    /// many states were checked.
+    /// True if a motion between free states is free. The result depends only on the two states and their order. Adds
+    /// the number of checked states.
     fn is_free_way(&self, a: &[f64], b: &[f64], checks: &mut u64) -> bool {
         let steps = (self.space().distance(a, b) / self.resolution()).ceil() as usize;
         let mut state = vec![0.0; self.space().coordinates()];
-        // The middle first, then the middles of the halves: what is in the way is met early.
+        // The middle is checked first, then the middles of the halves, so that obstacles are found early.
         let mut stride = steps.next_power_of_two() / 2;
         while stride > 0 {
             for step in (stride..steps).step_by(2 * stride) {

@@ -1,5 +1,5 @@
-//! Workers as processes: this program again, told its role by its arguments, and telling its progress on its output, a
-//! line of JSON each time.
+//! Workers as processes: instances of this program. Arguments select the role, and a worker reports its progress as
+//! lines of JSON on its output.
 
 use std::{
     env,
@@ -15,40 +15,40 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{error::PlanningError, server::ServerProcess};
 
-/// What a process is told to do.
+/// The job of a process.
 pub trait Job {
-    /// What it tells of its doings.
+    /// The type of its reports.
     type Account: Account;
 
-    /// The subcommand that makes a process do it.
+    /// The subcommand that selects it.
     const ROLE: &'static str;
 
-    /// Which worker it is.
+    /// The number of the worker.
     fn number(&self) -> usize;
 
-    /// The arguments behind the subcommand.
+    /// The arguments after the subcommand.
     fn arguments(&self) -> Vec<String>;
 }
 
-/// What a worker has done.
+/// The account of a worker.
 pub trait Account: Copy + Default + Serialize + DeserializeOwned + Send + 'static {
-    /// How many milestones or vertices it has made.
+    /// The number of milestones or vertices it has made.
     fn made(&self) -> u64;
 
-    /// Where its time went.
+    /// The account of its time.
     fn times(&self) -> Times;
 }
 
-/// Where a worker's time went.
+/// The account of a worker's time.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Times {
-    /// All of it.
+    /// The total time.
     pub total: Duration,
-    /// What went into searches for neighbours.
+    /// The time of searches for neighbours.
     pub searching: Duration,
-    /// What went into states and whether they are free.
+    /// The time of computing states and checking them for collisions.
     pub checking: Duration,
-    /// What went into waiting for mutations.
+    /// The time of waiting for mutations.
     pub waiting: Duration,
 }
 
@@ -72,24 +72,24 @@ impl Add for Times {
     }
 }
 
-/// How often a worker tells its progress, for a picture of it.
+/// The interval of a worker's progress reports, for a picture.
 pub const PROGRESS_MS: u64 = 20;
 
-/// What a worker tells.
+/// A message of a worker.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Line<A> {
-    /// It waits for the line that lets all begin at once.
+    /// The worker is ready and waits for the line that starts all workers at once.
     Ready,
-    /// What it has done so far.
+    /// Its account so far.
     Progress(A),
-    /// What it has done when it was to halt; it waits for a line.
+    /// Its account at its halt. It waits for a line.
     Halted(A),
-    /// What it has done at the end.
+    /// Its final account.
     Done(A),
 }
 
-/// The worker's side: what it tells who started it.
+/// The worker's end of the channel to its parent process.
 pub struct Reporter {
     number: usize,
     every: Duration,
@@ -98,8 +98,9 @@ pub struct Reporter {
 }
 
 impl Reporter {
-    /// Says that the worker is ready, and waits to be told to begin. It tells its progress at most once in so many
-    /// milliseconds; once it has made `halt_at` of its own it says so, and waits to be told to go on.
+    /// Reports that the worker is ready, and waits for the start line. The worker reports its progress at most once per
+    /// interval, given in milliseconds. Once it has made `halt_at` milestones or vertices, it reports so and waits for
+    /// a line.
     pub fn ready<J: Job>(
         job: &J,
         every_ms: u64,
@@ -116,7 +117,7 @@ impl Reporter {
         Ok(reporter)
     }
 
-    /// Tells what the worker has done so far, if it is time to.
+    /// Reports the worker's account so far, if a report is due.
     pub fn progress(&mut self, account: &impl Account) -> Result<(), PlanningError> {
         if self.halt.is_some_and(|own| account.made() >= own) {
             self.halt = None;
@@ -130,12 +131,12 @@ impl Reporter {
         tell(self.number, &Line::Progress(*account))
     }
 
-    /// Tells what the worker has done in all.
+    /// Reports the worker's final account.
     pub fn done(self, account: &impl Account) -> Result<(), PlanningError> {
         tell(self.number, &Line::Done(*account))
     }
 
-    /// Waits for a line; fails where nobody can write one any more.
+    /// Waits for a line; fails if the input is closed.
     fn wait(&self) -> Result<(), PlanningError> {
         let mut line = String::new();
         let read = io::stdin().lock().read_line(&mut line);
@@ -146,7 +147,7 @@ impl Reporter {
     }
 }
 
-/// Fails where nobody listens any more, and so ends a worker whose parent is gone.
+/// Writes a message. It fails if the reader is gone, which ends a worker whose parent has ended.
 fn tell<A: Account>(number: usize, line: &Line<A>) -> Result<(), PlanningError> {
     let mut output = io::stdout().lock();
     let written = serde_json::to_writer(&mut output, line).map_err(io::Error::from);
@@ -155,7 +156,7 @@ fn tell<A: Account>(number: usize, line: &Line<A>) -> Result<(), PlanningError> 
     written.map_err(|problem| lost(number, problem))
 }
 
-/// What happened to a worker.
+/// The error of a worker.
 pub fn lost(number: usize, problem: impl ToString) -> PlanningError {
     PlanningError::Worker {
         number,
@@ -163,22 +164,22 @@ pub fn lost(number: usize, problem: impl ToString) -> PlanningError {
     }
 }
 
-/// What the workers have done, and how it grew.
+/// The accounts of the workers, and their progress.
 pub struct Crew<A> {
-    /// The account of each at its end; of one that was killed, the last it told.
+    /// The final account of each worker; for a killed worker, its last report.
     pub accounts: Vec<A>,
-    /// From the start of all to the end of the last.
+    /// The time from the common start to the end of the last worker.
     pub wall: Duration,
-    /// When each told how much it had made.
+    /// The progress reports with their times.
     pub growth: Vec<Told>,
-    /// Which was killed, and when.
+    /// The killed worker, and the time.
     pub killed: Option<(usize, Duration)>,
-    /// When the server was killed, and when it listened again.
+    /// The times at which the server was killed and at which it listened again.
     pub restarted: Option<(Duration, Duration)>,
 }
 
 impl<A> Crew<A> {
-    /// The longest time in which no worker told that it had made more.
+    /// The longest time without a report of progress from any worker.
     pub fn longest_pause(&self) -> Duration {
         let mut told: Vec<Duration> = self.growth.iter().map(|told| told.at).collect();
         told.sort_unstable();
@@ -187,28 +188,28 @@ impl<A> Crew<A> {
     }
 }
 
-/// What happens when a worker halts.
+/// The incident at a worker's halt.
 pub enum Incident<'a> {
-    /// Nothing: it goes on.
+    /// No incident: it continues.
     None,
     /// It is killed.
     WorkerKilled,
-    /// This server is killed, and is started again while the worker goes on.
+    /// This server is killed and restarted while the worker continues.
     ServerRestarted(&'a mut ServerProcess),
 }
 
 /// A worker's progress.
 #[derive(Clone, Copy, Debug)]
 pub struct Told {
-    /// Since the start of all.
+    /// The time since the common start.
     pub at: Duration,
-    /// Which worker.
+    /// The number of the worker.
     pub worker: usize,
-    /// How many milestones or vertices it had made.
+    /// The number of milestones or vertices it had made.
     pub made: u64,
 }
 
-/// Runs these jobs side by side, to their end, with an incident wherever a worker halts.
+/// Runs these jobs concurrently to their end, with an incident whenever a worker halts.
 pub fn run<J: Job>(
     jobs: &[J],
     mut incident: Incident<'_>,
@@ -283,7 +284,7 @@ pub fn run<J: Job>(
     Ok(crew)
 }
 
-/// A line of a worker, or its end, and when it was heard.
+/// A line of a worker, or its end, and the time of its arrival.
 pub type Heard<A> = (usize, Option<Line<A>>, Instant);
 
 fn next<A>(lines: &Receiver<Heard<A>>) -> Result<Heard<A>, PlanningError> {
@@ -299,7 +300,7 @@ pub struct Process {
 }
 
 impl Process {
-    /// Starts one that passes on what it hears for as long as `told` takes it.
+    /// Starts a worker, and forwards its messages as long as `told` accepts them.
     pub fn start<J: Job>(
         job: &J,
         told: impl Fn(Heard<J::Account>) -> bool + Send + 'static,
@@ -324,7 +325,7 @@ impl Process {
                     return;
                 }
             }
-            // Nobody listens when all is over.
+            // The receiver is gone once the run is over.
             let _ = told((number, None, Instant::now()));
         });
         Ok(Process {
@@ -334,7 +335,7 @@ impl Process {
         })
     }
 
-    /// Lets it begin.
+    /// Starts its work.
     pub fn begin(&mut self) -> Result<(), PlanningError> {
         let Some(input) = &mut self.input else {
             return Ok(());
@@ -351,7 +352,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Either fails only if it has ended already.
+        // Both calls fail only if it has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

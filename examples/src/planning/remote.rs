@@ -8,10 +8,10 @@ use wayfold_index::Search;
 
 use super::{error::PlanningError, source::NeighborSource};
 
-/// The threads that planners wait on; a planner is a loop that knows nothing of tasks.
+/// The runtime threads for planners. A planner is a plain loop without async tasks.
 ///
-/// Calls are made on the thread that waits for them, which saves a change of threads in each round trip. Replicas
-/// follow on another thread, as they must while the planner computes.
+/// The waiting thread makes the call itself, which saves a thread switch in each round trip. Replicas follow on another
+/// thread, because they must proceed while the planner computes.
 pub struct Remote {
     calls: Runtime,
     following: Runtime,
@@ -19,7 +19,8 @@ pub struct Remote {
 }
 
 impl Remote {
-    /// Of the server at `uri`, which has to answer: what else is to run before its turn comes would run in vain.
+    /// Connects to the server at `uri`. The server must answer now, so that no earlier work is wasted if it is not
+    /// there.
     pub fn new(uri: &str) -> Result<Rc<Remote>, PlanningError> {
         let calls = Builder::new_current_thread().enable_all().build();
         let calls = calls.map_err(PlanningError::Threads)?;
@@ -36,7 +37,7 @@ impl Remote {
     }
 }
 
-/// An index of its own, deleted when it is dropped.
+/// A private index, deleted when it is dropped.
 struct Temporary {
     client: Client,
     index: IndexHandle,
@@ -51,12 +52,12 @@ impl Temporary {
     }
 
     async fn delete(&self) {
-        // What is left behind on a server that is gone, goes with it.
+        // If the server is gone, its indices are gone too.
         let _ = self.client.delete_index(self.index.name()).await;
     }
 }
 
-/// The ids of the rows that are stored.
+/// The ids of the stored rows.
 fn ids(inserted: &Inserted) -> Vec<u64> {
     let rows = inserted.outcomes.iter();
     rows.filter_map(|row| row.id()).collect()
@@ -113,7 +114,7 @@ impl Drop for ServerSource {
     }
 }
 
-/// A replica: an insert is a call, and returns once the replica has it; a search stays in this process.
+/// A replica. An insert is a call, and returns once the replica has it. A search stays in this process.
 pub struct ReplicaSource {
     remote: Rc<Remote>,
     own: Temporary,

@@ -1,4 +1,4 @@
-//! Where the time went: one table.
+//! The account of the time, as one table.
 
 use std::{
     fmt::Write,
@@ -24,7 +24,7 @@ struct Line {
     inserting: f64,
     checking: f64,
     rest: f64,
-    /// For one search, and one call that inserts, in microseconds.
+    /// The time of one search and of one insert call, in microseconds.
     search_us: f64,
     insert_us: f64,
 }
@@ -66,7 +66,7 @@ impl Line {
         100.0 * part / self.total
     }
 
-    /// By what it is faster than another: with neighbours, and in all.
+    /// Its speedups over another source: of the neighbour searches, and of the whole run.
     fn faster_than(&self, other: &Line) -> [f64; 2] {
         [
             other.neighbors() / self.neighbors(),
@@ -79,7 +79,7 @@ fn each_us(time: Duration, calls: usize) -> f64 {
     time.as_secs_f64() * 1e6 / calls.max(1) as f64
 }
 
-/// The middle one, or the mean of the two in the middle; not a number if there is none.
+/// The median; NaN if there are no values.
 pub fn median(numbers: impl IntoIterator<Item = f64>) -> f64 {
     let mut numbers: Vec<f64> = numbers.into_iter().collect();
     numbers.sort_by(f64::total_cmp);
@@ -91,7 +91,7 @@ pub fn median(numbers: impl IntoIterator<Item = f64>) -> f64 {
     }
 }
 
-/// The table. `paper` is by what the paper's planner became faster with the trees of the paper's library, if it says so.
+/// The table. `paper` is the speedup of the paper's planner by the trees of the paper's library, if the paper gives it.
 pub fn table<R: Planned>(comparison: &Comparison<R>, paper: Option<f64>) -> String {
     let lines = Line::all(comparison);
     let runs = comparison.runs.len() / lines.len().max(1);
@@ -168,7 +168,7 @@ pub fn table<R: Planned>(comparison: &Comparison<R>, paper: Option<f64>) -> Stri
     text
 }
 
-/// What the others are compared with.
+/// The source with which the others are compared.
 const BASELINES: [Wanted; 2] = [Wanted::Brute, Wanted::Scan];
 
 fn of(lines: &[Line], source: Wanted) -> Option<&Line> {
@@ -183,7 +183,7 @@ fn ratio(ratio: f64) -> String {
     }
 }
 
-/// Says what the network costs, where the same index was used with it and without.
+/// Prints the cost of the network, if the same index was used with and without it.
 fn network(lines: &[Line], text: &mut String) {
     let Some(forest) = of(lines, Wanted::Forest) else {
         return;
@@ -202,7 +202,7 @@ fn network(lines: &[Line], text: &mut String) {
     }
 }
 
-/// How the path of RRT* became shorter, and what that took with each source.
+/// The improvement of RRT*'s path, and its time with each source.
 pub fn progress(grown: &[(Wanted, Star)]) -> String {
     let mut text = format!("{:>9} {:>9} {:>9}", "samples", "nodes", "length");
     for (source, _) in grown {
@@ -230,8 +230,8 @@ pub fn progress(grown: &[(Wanted, Star)]) -> String {
     text + "In brackets: the share of searches and inserts. Lengths are of the same tree, whatever the source.\n"
 }
 
-/// Opens the files that a run is going to write, so that one that cannot be written is told of before all the work; what
-/// is in them stays until then, and one that was not there is not left behind.
+/// Opens the files that a run will write, so that an unwritable file is reported before the work. Their content stays
+/// until then, and a file that did not exist is removed again.
 pub fn can_write<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(), PlanningError> {
     for path in paths {
         let created = OpenOptions::new().append(true).create_new(true).open(path);
@@ -247,7 +247,7 @@ pub fn can_write<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(), Pl
     Ok(())
 }
 
-/// That a file cannot be written.
+/// The error of a file that cannot be written.
 pub fn unwritten(path: &Path, problem: &impl ToString) -> PlanningError {
     PlanningError::File {
         path: path.to_owned(),

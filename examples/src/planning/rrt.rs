@@ -3,7 +3,7 @@
 //!
 //! J. Kuffner, S. M. LaValle, "RRT-Connect: An Efficient Approach to Single-Query Path Planning", ICRA 2000; this
 //! variant is named in S. M. LaValle, J. Kuffner, "Rapidly-Exploring Random Trees: Progress and Prospects", 2001. A
-//! connection asks for one neighbour however far it leads, and what it leaves behind is inserted at once.
+//! connection makes one search, however far it leads, and inserts all its nodes at once.
 
 use std::{
     collections::HashMap,
@@ -23,12 +23,12 @@ use super::{
     source::{NeighborSource, Timed},
 };
 
-/// One tree. A node is a number from 0 up; ids are what its source calls the nodes.
+/// One tree. Nodes are numbered from 0; ids are the source's names of the nodes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tree {
     /// The nodes' states.
     pub states: States,
-    /// The nodes' parents; none of the root.
+    /// The nodes' parents; None for the root.
     pub parents: Vec<Option<usize>>,
     /// The nodes' ids.
     pub ids: Vec<u64>,
@@ -36,7 +36,7 @@ pub struct Tree {
 }
 
 impl Tree {
-    /// No nodes yet, of states of so many numbers.
+    /// An empty tree, for states of the given number of coordinates.
     pub fn new(coordinates: usize) -> Tree {
         Tree {
             states: States::new(coordinates),
@@ -46,12 +46,12 @@ impl Tree {
         }
     }
 
-    /// How many nodes there are.
+    /// The number of nodes.
     pub fn len(&self) -> usize {
         self.ids.len()
     }
 
-    /// Appends states, each the child of the one before it, and the first of them of `parent`.
+    /// Appends states as a chain: the first is a child of `parent`, each other one a child of its predecessor.
     fn append(
         &mut self,
         mut parent: Option<usize>,
@@ -95,13 +95,13 @@ impl Tree {
 
 /// A solved problem.
 pub struct Solution {
-    /// The tree from the start, and that from the goal.
+    /// The tree from the start, and the tree from the goal.
     pub trees: [Tree; 2],
-    /// From start to goal.
+    /// The path from start to goal.
     pub path: Vec<Vec<f64>>,
-    /// Where the time went.
+    /// The account of the time.
     pub account: Account,
-    /// How it came to that, in steps of about the same number of nodes.
+    /// The history of the account, in steps of about the same number of nodes.
     pub growth: Vec<Growth>,
 }
 
@@ -137,7 +137,7 @@ impl Planned for Solution {
     }
 }
 
-/// Grows the two trees until they meet. The same seed grows the same trees with any exact source.
+/// Extends the two trees until they meet. The same seed gives the same trees with any exact source.
 pub fn solve(
     problem: &impl Problem,
     sources: [Box<dyn NeighborSource>; 2],
@@ -185,10 +185,10 @@ struct Planner<'a, P> {
     record: Record,
 }
 
-/// Where a connection ended.
+/// The end of a connection.
 struct End {
     node: usize,
-    /// Whether that is the state it was meant for.
+    /// True if the connection reached its target.
     reached: bool,
 }
 
@@ -222,8 +222,8 @@ impl<'a, P: Problem> Planner<'a, P> {
         self.trees[tree].append(parent, states, ids)
     }
 
-    /// Grows a tree from its node nearest to `target` towards it, until it is there or something is in the way; none if
-    /// there is no node to be had.
+    /// Extends a tree from its nearest node towards `target`, until it reaches the target or an obstacle; None if no
+    /// node could be added.
     fn connect(&mut self, tree: usize, target: &[f64]) -> Result<Option<End>, PlanningError> {
         let Some(nearest) = self.sources[tree].nearest(target)? else {
             return Ok(None);
@@ -259,7 +259,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         }
     }
 
-    /// The solution by the nodes at which the trees meet.
+    /// The solution, given the nodes at which the trees meet.
     fn finish(self, [start, goal]: [usize; 2]) -> Solution {
         let account = self.account();
         let nodes = self.nodes();
@@ -274,8 +274,8 @@ impl<'a, P: Problem> Planner<'a, P> {
     }
 }
 
-/// The states of the nodes on the way from a free state to `target`, so far from it, up to what is in the way; and whether
-/// nothing is. Adds how many states were checked.
+/// The states of the nodes on the motion from a free state to `target`, which is at the given distance, up to the first
+/// obstacle; true if there is none. Adds the number of checked states.
 pub fn advance(
     problem: &impl Problem,
     from: &[f64],
@@ -300,7 +300,7 @@ pub fn advance(
     Ok((states, true))
 }
 
-/// The way from the root of the first tree to that of the second by nodes of theirs that have the same state.
+/// The path from the root of the first tree to the root of the second, through one node of each with the same state.
 pub fn path(trees: &[Tree; 2], [start, goal]: [usize; 2]) -> Vec<Vec<f64>> {
     let mut path = trees[0].branch(start);
     path.extend(trees[1].branch(goal).into_iter().rev().skip(1));

@@ -1,8 +1,8 @@
-//! RRT*: a rapidly exploring random tree that goes on after it has found a way, and makes it shorter.
+//! RRT*: a rapidly exploring random tree that continues after it has found a path, and shortens it.
 //!
-//! S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011, Algorithm 6 in its
-//! k-nearest form: a new node gets, among the k(n) nearest of the n that there are, the parent by which it is nearest to
-//! the root, and becomes the parent of those that are nearer to the root by it.
+//! S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011, Algorithm 6 in
+//! its k-nearest form: among the k(n) nearest of the n nodes, a new node takes the parent that gives it the shortest
+//! path to the root. It then becomes the parent of those whose path to the root it shortens.
 
 use std::{
     collections::HashMap,
@@ -28,30 +28,30 @@ const SCALING: Scaling = Scaling {
     radius_max: None,
 };
 
-/// How many resolutions a tree grows at once, at most: η.
+/// The maximum length of an extension in resolutions: η.
 const REACH: f64 = 30.0;
 
-/// Until the goal is reached, every so many samples are the goal.
+/// Until the goal is reached, one in this many samples is the goal.
 const GOAL_EVERY: usize = 50;
 
-/// A tree whose nodes know how far they are from its root, along the tree.
+/// A tree whose nodes store their distance to the root along the tree.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StarTree {
     /// The nodes' states.
     pub states: States,
-    /// The nodes' parents; none of the root.
+    /// The nodes' parents; None for the root.
     pub parents: Vec<Option<usize>>,
-    /// How far each is from its parent.
+    /// The distance of each node to its parent.
     pub lengths: Vec<f64>,
-    /// How far each is from the root, along the tree.
+    /// The distance of each node to the root along the tree.
     pub costs: Vec<f64>,
     children: Vec<Vec<usize>>,
-    /// The nodes by what the source calls them.
+    /// The nodes by their ids in the source.
     nodes: HashMap<u64, usize>,
 }
 
 impl StarTree {
-    /// How many nodes there are.
+    /// The number of nodes.
     pub fn len(&self) -> usize {
         self.parents.len()
     }
@@ -67,7 +67,7 @@ impl StarTree {
         Ok(node)
     }
 
-    /// Makes `node` a child of `parent`, and tells all below it.
+    /// Makes `node` a child of `parent`, and updates all its descendants.
     fn hang(&mut self, node: usize, parent: usize, length: f64) {
         if let Some(before) = self.parents[node] {
             self.children[before].retain(|&child| child != node);
@@ -92,34 +92,34 @@ impl StarTree {
     }
 }
 
-/// How far a run was after some samples.
+/// The progress of a run after some samples.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
-    /// How many states were drawn.
+    /// The number of drawn states.
     pub samples: usize,
-    /// How many nodes there were.
+    /// The number of nodes.
     pub nodes: usize,
-    /// The length of the way to the goal; infinite where there was none.
+    /// The length of the path to the goal; infinite if there was none.
     pub cost: f64,
-    /// The time until then.
+    /// The time up to that moment.
     pub total: Duration,
-    /// What of it went into the source.
+    /// The part of it in the source.
     pub neighbors: Usage,
 }
 
-/// What has grown.
+/// The result of RRT*.
 pub struct Star {
     /// The tree from the start.
     pub tree: StarTree,
     /// The goal's node, if it was reached.
     pub goal: Option<usize>,
-    /// How it came to that: at every doubling of the samples, and at the end.
+    /// The progress at every doubling of the samples, and at the end.
     pub progress: Vec<Progress>,
-    /// After how many samples the way to the goal was found or became shorter, and its length then.
+    /// The numbers of samples after which the path to the goal was found or became shorter, each with its length.
     pub shortened: Vec<(usize, f64)>,
 }
 
-/// Grows a tree by so many samples. The same seed grows the same tree with any exact source.
+/// Builds a tree from the given number of samples. The same seed gives the same tree with any exact source.
 pub fn grow(
     problem: &impl Problem,
     source: Box<dyn NeighborSource>,
@@ -159,7 +159,7 @@ pub fn grow(
     })
 }
 
-/// After how many samples progress is told first.
+/// The number of samples before the first progress entry.
 const FIRST: usize = 125;
 
 struct Planner<'a, P> {
@@ -169,7 +169,7 @@ struct Planner<'a, P> {
     goal: Option<usize>,
 }
 
-/// A node that is near, and what is known of the way to it.
+/// A near node, and the known facts about the motion to it.
 struct Near {
     node: usize,
     distance: f64,
@@ -203,7 +203,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         self.tree.push(state, ids[0])
     }
 
-    /// Grows the tree by one node towards `target`, if the way is free, and rewires it.
+    /// Extends the tree by one node towards `target` if the motion is free, and rewires it.
     fn extend(&mut self, target: &[f64]) -> Result<(), PlanningError> {
         let Some((nearest, state)) = self.steer(target)? else {
             return Ok(());
@@ -228,8 +228,8 @@ impl<'a, P: Problem> Planner<'a, P> {
         Ok(())
     }
 
-    /// The node nearest to `target`, and the state on the way there that is as far as a tree may grow at once; none if
-    /// that is no new one, or collides.
+    /// The node nearest to `target`, and the state at the maximum extension towards it; None if that state is not new,
+    /// or collides.
     fn steer(&mut self, target: &[f64]) -> Result<Option<(usize, Vec<f64>)>, PlanningError> {
         let Some(nearest) = self.source.nearest(target)? else {
             return Ok(None);
@@ -249,7 +249,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         Ok(free.then_some((node, state)))
     }
 
-    /// The k(n) nearest nodes of `state`; none if the way to it from `nearest` is not free.
+    /// The k(n) nearest nodes of `state`; None if the motion to it from `nearest` is not free.
     fn around(
         &mut self,
         nearest: usize,
@@ -259,7 +259,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         if !problem.is_free_way(from, state, &mut 0) {
             return Ok(None);
         }
-        // Evaluated here, as nobody else inserts, so that all sources answer the same plain search.
+        // k(n) is evaluated here, because no other client inserts. So all sources answer the same plain search.
         let mut search = Search::nearest_k(1);
         SCALING.apply(&mut search, self.tree.len(), problem.space().dimension());
         let found = self.source.search(state, &search)?;
@@ -274,8 +274,8 @@ impl<'a, P: Problem> Planner<'a, P> {
         Ok(Some(near.collect()))
     }
 
-    /// By which of these nodes the way from the root to `state` is shortest, and how far it is from there. Ways are checked
-    /// in the order of what they promise, so that few are.
+    /// The node that gives the shortest path from the root to `state`, and its distance to `state`. Candidates are
+    /// checked in ascending order of the path's length, so that few motions are checked.
     fn best_parent(&self, near: &mut [Near], state: &[f64]) -> Option<(usize, f64)> {
         let cost = |near: &Near| self.tree.costs[near.node] + near.distance;
         near.sort_by(|a, b| cost(a).total_cmp(&cost(b)).then(a.node.cmp(&b.node)));

@@ -1,13 +1,13 @@
-//! States drawn uniformly.
+//! Uniformly drawn states.
 
 use std::f64::consts::TAU;
 
 use rand::{Rng, RngExt};
 use wayfold::{Factor, Space};
 
-/// A state drawn uniformly: within the bounds of the real coordinates, and of all angles and rotations. Canonical.
+/// A canonical state, drawn uniformly: the real coordinates within their bounds, and all angles and rotations.
 ///
-/// The numbers drawn are a function of the generator alone, on every machine: transcendentals come from `libm`.
+/// The result depends only on the generator, on every machine: transcendental functions come from `libm`.
 ///
 /// # Panics
 /// If there are fewer bounds than real coordinates.

@@ -1,4 +1,4 @@
-//! A server for the run of one planner: this program again, in another role.
+//! A server for the run of one planner: another instance of this program.
 
 use std::{
     env,
@@ -15,37 +15,39 @@ use super::error::PlanningError;
 /// Set in the process that is the server.
 const ROLE: &str = "WAYFOLD_PLANNER_ROLE";
 
-/// Serves until the end, or until who started it is gone, if this process was started to do so: the first call of a
+/// If this process was started as a server, serves until its end or until its parent is gone. It is the first call of a
 /// planner's `main`.
 pub fn serve_if_told() -> Option<ExitCode> {
     if env::var(ROLE).as_deref() != Ok("server") {
         return None;
     }
     thread::spawn(|| {
-        // Nobody writes to it: it ends when the process is gone that holds the other end, however that ended.
+        // Nothing is written to this stream: it ends when the parent process, which holds the other end, is gone for
+        // any reason.
         let _ = io::copy(&mut io::stdin().lock(), &mut io::sink());
         process::exit(0);
     });
     Some(wayfold_server::main())
 }
 
-/// A server on a free port of this machine, killed when it is dropped; it ends by itself where this process is killed.
+/// A server on a free port of this machine. It is killed when it is dropped, and ends by itself if this process is
+/// killed.
 pub struct ServerProcess {
     child: Child,
     uri: String,
-    /// Held, or what the server prints later would meet a closed pipe.
+    /// Kept open, because later output of the server would meet a closed pipe.
     _output: Option<BufReader<ChildStdout>>,
-    /// Where it keeps its indices, unless that is its memory; removed when it is dropped.
+    /// Its data directory, removed when it is dropped; None if it keeps its indices in memory.
     data: Option<TempDir>,
 }
 
 impl ServerProcess {
-    /// Starts one that keeps its indices in memory, and returns once it answers.
+    /// Starts a server with its indices in memory, and returns once it answers.
     pub fn start() -> Result<ServerProcess, PlanningError> {
         ServerProcess::listening("127.0.0.1:0", None)
     }
 
-    /// Starts one that keeps its indices on disk while this exists, and returns once it answers.
+    /// Starts a server with its indices on disk for the life of this value, and returns once it answers.
     pub fn durable() -> Result<ServerProcess, PlanningError> {
         let data = TempDir::new().map_err(PlanningError::Server)?;
         ServerProcess::listening("127.0.0.1:0", Some(data))
@@ -62,7 +64,7 @@ impl ServerProcess {
         Ok(started)
     }
 
-    /// Waits until it says where it listens.
+    /// Waits until it prints its address.
     fn listened(&mut self) -> Result<(), PlanningError> {
         let mut line = String::new();
         let output = self.child.stdout.take().map(BufReader::new);
@@ -75,7 +77,7 @@ impl ServerProcess {
         Ok(())
     }
 
-    /// Where it listens.
+    /// Its address.
     pub fn uri(&self) -> &str {
         &self.uri
     }
@@ -86,7 +88,7 @@ impl ServerProcess {
         killed.map(drop).map_err(PlanningError::Server)
     }
 
-    /// Starts it again after its end, with the same data and where it listened before; returns once it answers.
+    /// Restarts it after its end, with the same data and the same address; returns once it answers.
     pub fn start_again(&mut self) -> Result<(), PlanningError> {
         let address = self.uri.trim_start_matches("http://");
         self.child = spawn(address, self.data.as_ref())?;
@@ -102,7 +104,7 @@ fn spawn(address: &str, data: Option<&TempDir>) -> Result<Child, PlanningError> 
         .args(["--grpc", address, "--zenoh", "off", "--log", "warn"])
         .arg("--data")
         .arg(data)
-        // Held by the child's handle, and closed by the system where this process is killed.
+        // The child's handle holds it, and the system closes it if this process is killed.
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn();
@@ -115,7 +117,7 @@ fn silent(problem: &str) -> PlanningError {
 
 impl Drop for ServerProcess {
     fn drop(&mut self) {
-        // Either fails only if it has ended already.
+        // Both calls fail only if it has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

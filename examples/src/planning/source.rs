@@ -1,4 +1,4 @@
-//! Where the neighbours come from.
+//! The source of neighbours.
 
 use std::time::{Duration, Instant};
 
@@ -7,35 +7,35 @@ use wayfold_index::Search;
 
 use super::error::PlanningError;
 
-/// A growing set of states that tells which of them are near: all that a planner needs to know of its storage.
+/// A growing set of states with nearest-neighbour search: the only interface of a planner to its storage.
 ///
-/// States are canonical rows of one space. What one call has inserted, the next one finds.
+/// States are canonical rows of one space. A call finds all states that earlier calls inserted.
 pub trait NeighborSource {
     /// Stores states and returns their ids, ascending.
     fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError>;
 
-    /// The neighbours that `search` asks for, in the order (distance, id).
+    /// The neighbours that match `search`, in the order (distance, id).
     fn search(
         &mut self,
         state: &[f64],
         search: &Search<'_>,
     ) -> Result<Vec<Neighbor>, PlanningError>;
 
-    /// The nearest one, unless there is none.
+    /// The nearest state; None if the source is empty.
     fn nearest(&mut self, state: &[f64]) -> Result<Option<Neighbor>, PlanningError> {
         let found = self.search(state, &Search::nearest_k(1))?;
         Ok(found.first().copied())
     }
 }
 
-/// What a source has been asked, and how long its answers took.
+/// The usage of a source: its calls and their times.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Usage {
-    /// How many calls inserted states.
+    /// The number of calls that inserted states.
     pub inserts: usize,
     /// The time they took.
     pub inserting: Duration,
-    /// How many searches there were.
+    /// The number of searches.
     pub searches: usize,
     /// The time they took.
     pub searching: Duration,
@@ -61,7 +61,7 @@ impl std::ops::Add for Usage {
     }
 }
 
-/// A source, and what it has been used for: so that none of them measures itself.
+/// A source with a record of its usage, so that sources need not measure themselves.
 pub struct Timed {
     source: Box<dyn NeighborSource>,
     usage: Usage,
@@ -76,7 +76,7 @@ impl Timed {
         }
     }
 
-    /// What it has been used for.
+    /// Its usage so far.
     pub fn usage(&self) -> Usage {
         self.usage
     }

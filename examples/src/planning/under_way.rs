@@ -1,4 +1,4 @@
-//! A call that a worker does not wait for at once.
+//! A call that runs in the background of a worker.
 
 use tokio::task::JoinHandle;
 
@@ -24,7 +24,7 @@ impl<T: Send + 'static> UnderWay<T> {
         let Some(call) = self.0.take() else {
             return Ok(None);
         };
-        // It fails only if the call panicked, or where the runtime ends and nobody waits.
+        // The join fails only if the call panicked, or if the runtime ends, and then nothing waits.
         call.await.expect("a call does not panic").map(Some)
     }
 }

@@ -1,7 +1,8 @@
-//! The functions of the library `rigid-checks`: what they answer is what `scene` answers.
+//! The functions of the library `rigid-checks`. Their answers equal those of `scene`.
 //!
-//! A state is a row of numbers and how many these are. A function that is given no row, one of another length or one with
-//! a number that is not finite answers [`NO_STATE`], and reads and writes nothing. All may be called from several threads.
+//! A state is passed as a row of numbers and its length. A function returns [`NO_STATE`], and reads and writes nothing
+//! more, if the row is null, has another length, or has a number that is not finite. All functions may be called from
+//! several threads.
 
 #![expect(
     unsafe_code,
@@ -25,11 +26,12 @@ static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
 pub const FREE: i32 = 1;
 /// No.
 pub const NOT_FREE: i32 = 0;
-/// The arguments are no states of this scene.
+/// The arguments are not states of this scene.
 pub const NO_STATE: i32 = -1;
 
-/// What is to be known of the scene, as JSON: the space's text, how many numbers a state has, the bounds of the real
-/// ones, the resolution at which motions are checked, and the questions. It stays where it is until the program ends.
+/// The description of the scene as JSON: the text of the space, the length of a state, the bounds of the real
+/// coordinates, the resolution at which motions are checked, and the questions. The string stays valid until the
+/// program ends.
 #[unsafe(no_mangle)]
 pub extern "C" fn rigid_problem() -> *const c_char {
     static TEXT: LazyLock<CString> = LazyLock::new(|| {
@@ -48,7 +50,7 @@ pub extern "C" fn rigid_problem() -> *const c_char {
     TEXT.as_ptr()
 }
 
-/// Makes a row canonical, as the server does: [`FREE`] once it is, [`NO_STATE`] where it cannot be.
+/// Makes a row canonical, as the server does. Returns [`FREE`], or [`NO_STATE`] if the row has no canonical form.
 ///
 /// # Safety
 /// `row` is null or the address of `length` numbers that nobody else uses during the call.
@@ -66,7 +68,7 @@ pub unsafe extern "C" fn rigid_canonicalize(row: *mut f64, length: usize) -> i32
     }
 }
 
-/// Whether a canonical state is free.
+/// Returns whether a canonical state is free.
 ///
 /// # Safety
 /// `row` is null or the address of `length` numbers.
@@ -79,8 +81,8 @@ pub unsafe extern "C" fn rigid_is_free(row: *const f64, length: usize) -> i32 {
     }
 }
 
-/// Whether the motion between two free states is free; the ends are not checked. Adds how many states were checked to
-/// `checks`, unless that is null.
+/// Returns whether the motion between two free states is free; the ends are not checked. Adds the number of checked
+/// states to `checks`, unless `checks` is null.
 ///
 /// # Safety
 /// `a` and `b` are null or the addresses of `length` numbers, and `checks` is null or the address of a number that nobody
@@ -118,8 +120,8 @@ pub unsafe extern "C" fn rigid_distance(a: *const f64, b: *const f64, length: us
     }
 }
 
-/// Whether a path through `count` states, one row after the other, is free: by the finer check and the other code by which
-/// `rigid` verifies its own paths.
+/// Returns whether a path through `count` consecutive rows is free, by the finer, independent check with which `rigid`
+/// verifies its own paths.
 ///
 /// # Safety
 /// `rows` is null or the address of `count` times `length` numbers.
@@ -147,7 +149,7 @@ fn told(free: bool) -> i32 {
     }
 }
 
-/// The row at an address, if it can be a state.
+/// The row at an address; None if it cannot be a state.
 ///
 /// # Safety
 /// `row` is null or the address of `length` numbers, which stay as they are as long as the answer is used.

@@ -1,4 +1,4 @@
-//! What a worker has done, and where its time went.
+//! The account of a worker.
 
 use std::iter::Sum;
 
@@ -6,20 +6,20 @@ use serde::{Deserialize, Serialize};
 
 use crate::planning::processes::{self, Times};
 
-/// What one worker, or several together, have done.
+/// The account of one worker, or of several together.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Account {
-    /// The states that were drawn.
+    /// The number of drawn states.
     pub samples: u64,
-    /// The milestones that are complete.
+    /// The number of complete milestones.
     pub milestones: u64,
-    /// Their edges.
+    /// The number of their edges.
     pub edges: u64,
-    /// The neighbours that arrived between a search and its insert.
+    /// The number of neighbours that arrived between a search and its insert.
     pub meanwhile: u64,
-    /// The states that were checked for collisions.
+    /// The number of states that were checked for collisions.
     pub checks: u64,
-    /// Where its time went, from the first sample to the end.
+    /// The account of its time from the first sample to the end.
     pub times: Times,
 }
 

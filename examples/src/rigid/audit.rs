@@ -1,4 +1,4 @@
-//! A roadmap on a server, compared with what it must be.
+//! Compares a roadmap on a server with the expected one.
 
 use std::collections::BTreeMap;
 
@@ -8,8 +8,8 @@ use wayfold::Client;
 use super::{replay, roadmap::Roadmap, scene::Rooms};
 use crate::planning::error::PlanningError;
 
-/// The role of an auditor: fails unless nothing is pending and all edges are those of the replay; tells what there is, as
-/// JSON.
+/// The role of an auditor: it fails unless no milestone is pending and all edges equal those of the replay. It prints
+/// the roadmap's figures as JSON.
 pub async fn audit(server: &str, index: &str) -> Result<(), PlanningError> {
     let index = Client::connect(server).await?.index(index).await?;
     let roadmap = Roadmap::read(&index).await?;

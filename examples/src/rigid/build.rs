@@ -21,44 +21,44 @@ use crate::planning::{
     server::ServerProcess,
 };
 
-/// A roadmap, what its workers did for it, and what it was asked.
+/// A roadmap, the accounts of its workers, and the answers to its questions.
 pub struct Built {
-    /// How many processes built it.
+    /// The number of processes that built it.
     pub workers: usize,
-    /// Where their first neighbours came from.
+    /// The source of their first neighbours.
     pub source: Kind,
-    /// What the states were drawn from.
+    /// The seed of the random states.
     pub seed: u64,
-    /// What each did.
+    /// The account of each worker.
     pub crew: Crew<Account>,
-    /// How many milestones a dead worker had left pending.
+    /// The number of milestones that a dead worker left pending.
     pub adopted: usize,
-    /// How long it took to complete these.
+    /// The time to complete these.
     pub adopting: Duration,
-    /// All of it, with the states that were asked about.
+    /// The whole roadmap, with the states of the questions.
     pub roadmap: Roadmap,
-    /// How near the workers' milestones are to each other at least, and how near they were to be, if that was limited.
+    /// The smallest distance between the workers' milestones, and the configured minimum, if there was one.
     pub separation: Option<(f64, f64)>,
     /// A path for each question.
     pub paths: Vec<Answer>,
-    /// How long these took, to connect their ends with the roadmap and to search it.
+    /// The time of these paths: connecting their ends with the roadmap, and searching it.
     pub asking: Duration,
 }
 
-/// A path that was asked for.
+/// The answer to a question.
 pub struct Answer {
-    /// From where to where.
+    /// The name of the question.
     pub name: &'static str,
     /// The path.
     pub states: Vec<Vec<f64>>,
     /// Its length in the metric.
     pub length: f64,
-    /// At how many states it was checked anew.
+    /// The number of states at which it was checked independently.
     pub checked: usize,
 }
 
-/// Builds one roadmap as the options say, and asks it all questions. If it is to be restarted meanwhile, `server` is the one
-/// at `uri`.
+/// Builds one roadmap with the given options, and answers all questions. `server` is the server at `uri` if it is to be
+/// restarted meanwhile.
 pub async fn build(
     scene: &Rooms,
     uri: &str,
@@ -70,7 +70,7 @@ pub async fn build(
     let name = format!("rigid-{}", uuid::Uuid::new_v4());
     let index = client.create_index(&name, scene.space()).await?;
     let built = build_in(scene, uri, server, &index, options, seed).await;
-    // What is left behind on a server that is gone, goes with it.
+    // If the server is gone, its indices are gone too.
     let _ = client.delete_index(&name).await;
     built
 }
@@ -105,10 +105,11 @@ async fn build_in(
     let jobs: Vec<Job> = (0..options.workers).map(job).collect();
     let crew = processes::run(&jobs, incident)?;
 
-    // Who asks is one more worker: its questions are milestones like all others, and stay for later ones.
+    // The questions are asked by one more worker. Their states become milestones like all others, and stay for later
+    // questions.
     let mut last = Worker::new(scene, index.clone(), Source::Server, options.workers, seed);
     let start = Instant::now();
-    // Up to the workers' last revision: what they told is behind what they did.
+    // Reads the workers' last revision: their reports are behind it.
     index.info().await?;
     let adopted = roadmap::adopt(index, &mut last).await?;
     let adopting = start.elapsed();
@@ -149,7 +150,7 @@ async fn build_in(
     })
 }
 
-/// A path that was found for a question on a roadmap of so many milestones, checked anew.
+/// The path found for a question on a roadmap with the given number of milestones, checked independently.
 pub fn answer(
     scene: &Rooms,
     task: &Task,
@@ -168,10 +169,11 @@ pub fn answer(
     })
 }
 
-/// How many workers are compared.
+/// The compared numbers of workers.
 pub const WORKERS: [usize; 4] = [1, 2, 4, 8];
 
-/// Builds roadmaps with all numbers of workers and both sources, in turns, so that what else the machine does meets all.
+/// Builds roadmaps with all numbers of workers and both sources. The contestants take turns, so that other load on the
+/// machine affects all of them.
 pub async fn compare(
     scene: &Rooms,
     uri: &str,

@@ -1,12 +1,12 @@
-//! What the roadmap keeps of a milestone beside its state: its edges in the payload, its worker and whether it is
-//! complete in the tag.
+//! The stored form of a milestone in addition to its state: its edges in the payload, its worker and the pending bit in
+//! the tag.
 //!
-//! A milestone's edges lead to those stored before it: to the k(n) nearest of the n that there were, where the way is
-//! free. They are part of the insert that makes it, but for those to milestones that were stored while its worker checked:
-//! of these the insert tells, and until the worker has checked them too the milestone is **pending**. Who reads a pending
-//! milestone may use every edge it has, as all of them are checked; only edges to its youngest neighbours may be missing.
-//! If its worker dies, whoever finds it can complete it: which candidates it has is a matter of states, ids and revisions,
-//! which the index keeps.
+//! A milestone's edges lead to earlier milestones: to the k(n) nearest of the n earlier ones, if the motion is free.
+//! The insert that makes the milestone contains its edges, except those to milestones that were stored while its worker
+//! checked. The response to the insert returns these, and until the worker has checked them too, the milestone is
+//! **pending**. A reader may use every edge of a pending milestone, because all of them are checked; only edges to its
+//! youngest neighbours may be missing. If its worker dies, any other worker can complete it: its candidates follow from
+//! the states, ids and revisions in the index.
 
 use bytes::Bytes;
 
@@ -18,7 +18,7 @@ pub fn tag(worker: usize) -> u64 {
     (worker as u64) << 1
 }
 
-/// The worker by a milestone's tag.
+/// The worker of a milestone with this tag.
 pub fn worker(tag: u64) -> usize {
     (tag >> 1) as usize
 }
@@ -28,7 +28,7 @@ pub fn payload(edges: &[u64]) -> Bytes {
     edges.iter().flat_map(|id| id.to_le_bytes()).collect()
 }
 
-/// The edges that a payload keeps; none if it was not written so.
+/// The edges that a payload keeps; None if it has another form.
 pub fn edges(payload: &[u8]) -> Option<Vec<u64>> {
     let (ids, rest) = payload.as_chunks::<8>();
     let ids = ids.iter().map(|&id| u64::from_le_bytes(id)).collect();

@@ -1,9 +1,10 @@
 //! A chair in three rooms, and the roadmap that several processes build for it together.
 //!
-//! Reading order: `milestone` (what the index keeps), `nearby` (its candidates), `worker` (the planner), `roadmap` (what all
-//! of them made), `processes` (what one that is started does), `build` (one roadmap from the start to its paths), `until_solved`
-//! (no further than its paths), `sources` (by one planner, with every source of neighbours), `replay` and `audit` (what a
-//! roadmap must be), `report`, `picture`, `abi` (the scene for other languages).
+//! Reading order: `milestone` (the stored form of a milestone), `nearby` (its candidates), `worker` (the planner),
+//! `roadmap` (the result of all workers), `processes` (the role of a worker process), `build` (one roadmap from the
+//! start to its paths), `until_solved` (a roadmap that stops at its paths), `sources` (one planner with every source of
+//! neighbours), `replay` and `audit` (the expected roadmap), `report`, `picture`, `abi` (the scene for other
+//! languages).
 
 pub mod abi;
 pub mod account;

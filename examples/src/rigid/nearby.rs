@@ -1,4 +1,4 @@
-//! Where a worker's candidates come from: the milestones that are near enough for an edge.
+//! A worker's source of candidates: the milestones that are near enough for an edge.
 
 use wayfold::{
     Include, IndexHandle, Neighbor, Replica, ReplicaView, Revision, Row, Scaling, Search,
@@ -7,11 +7,12 @@ use wayfold::{
 use crate::planning::error::PlanningError;
 pub use crate::planning::prm_star::SCALING;
 
-/// By how much more than k(n) are asked for: while a batch is checked the roadmap grows, and with it k(n). By so much it
-/// grows until n has become n^1.1, from 1,000 to 2,000; who has candidates enough need not search again.
+/// The factor by which more than k(n) neighbours are requested. The roadmap, and so k(n), grows while a batch is
+/// checked. k(n) grows by this factor when n becomes n^1.1, for example from 1,000 to 2,000. A worker with enough
+/// candidates need not search again.
 const SPARE: f64 = 1.1;
 
-/// What a candidate needs.
+/// The required columns of a candidate.
 pub const STATES: Include = Include::none().states();
 
 /// A milestone that is near enough for an edge.
@@ -19,24 +20,24 @@ pub const STATES: Include = Include::none().states();
 pub struct Candidate {
     /// Its id.
     pub id: u64,
-    /// How far it is.
+    /// Its distance.
     pub distance: f64,
     /// Its state.
     pub state: Vec<f64>,
-    /// Whether the way is free, once it is known.
+    /// True if the motion is free; None until it is checked.
     pub free: Option<bool>,
 }
 
-/// Where a worker's first candidates come from.
+/// The source of a worker's first candidates.
 pub enum Source {
     /// The server, in a call.
     Server,
-    /// A replica in the worker's own process, as new as it happens to be.
+    /// A replica in the worker's own process. It may be behind the server.
     Replica(Replica),
 }
 
 impl Source {
-    /// Somewhat more than the k(n) nearest of each state that the source knows, and a revision from which on some may be
+    /// Somewhat more than the k(n) nearest of each state in the source, and the revision after which some may be
     /// missing.
     pub async fn nearest(
         &self,
@@ -64,12 +65,12 @@ impl Source {
     }
 }
 
-/// How many of so many that were found the k(n) nearest are, or nearly so: those to be checked at once.
+/// The number of found candidates that belong, at least approximately, to the k(n) nearest. These are checked at once.
 pub fn without_spare(found: usize) -> usize {
     (found as f64 / SPARE).ceil() as usize
 }
 
-/// A candidate that a replica has found.
+/// A candidate found by a replica.
 fn held(view: &ReplicaView, near: &Neighbor) -> Option<Candidate> {
     Some(Candidate {
         id: near.id,
@@ -92,7 +93,8 @@ pub fn candidates(row: Row<'_>) -> Vec<Candidate> {
     near.collect()
 }
 
-/// The k nearest of those that were stored before a milestone: all below its id, as ids are assigned upwards.
+/// The k nearest of the milestones stored before the given one. These have smaller ids, because ids are assigned in
+/// ascending order.
 pub async fn nearest_before(
     index: &IndexHandle,
     state: &[f64],

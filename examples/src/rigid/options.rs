@@ -1,4 +1,4 @@
-//! What `rigid` can be told on its command line.
+//! The command line of `rigid`.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use crate::planning::{
     processes::{self, PROGRESS_MS},
 };
 
-/// What only several processes can be told.
+/// The names of the options that apply only to several processes.
 const COOPERATION: [&str; 8] = [
     "workers",
     "source",
@@ -30,25 +30,25 @@ pub struct Options {
     /// The role of this process, if it is not the one that starts the others
     #[command(subcommand)]
     pub role: Option<Role>,
-    /// How many processes build the roadmap
+    /// The number of processes that build the roadmap
     #[arg(long, default_value_t = 4, value_parser = at_least_one)]
     pub workers: usize,
-    /// How many milestones the roadmap is to have
+    /// The number of milestones of the roadmap
     #[arg(long, default_value_t = 4000)]
     pub milestones: u64,
-    /// Where the first neighbours of a state come from
+    /// The source of a state's first neighbours
     #[arg(long, value_enum, default_value_t = Kind::Replica)]
     pub source: Kind,
-    /// How many milestones a worker inserts in one call
+    /// The number of milestones that a worker inserts in one call
     #[arg(long, default_value_t = 8, value_parser = at_least_one)]
     pub batch: usize,
     /// Leaves out states that are nearer to a milestone than this
     #[arg(long, default_value_t = 0.0)]
     pub min_separation: f64,
-    /// What the random states are drawn from; the next run takes the next one
+    /// The seed of the random states; the next run takes the next seed
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// A server that runs already; one is started for the time of the planner unless given
+    /// The address of a running server; by default the planner starts one
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
     /// Kills one worker when it has half its share
@@ -60,15 +60,15 @@ pub struct Options {
     /// Compares 1, 2, 4 and 8 workers with both sources instead; no picture
     #[arg(long, conflicts_with = "workers", group = "repeated")]
     pub scaling: bool,
-    /// Ends as soon as all questions are answered, and tells how long that took, --runs times; no picture. With --scaling,
-    /// by 1, 2, 4 and 8 workers
+    /// Ends as soon as all questions are answered, and prints the time, --runs times; no picture. With --scaling, by 1,
+    /// 2, 4 and 8 workers
     #[arg(long, conflicts_with_all = ["kill", "restart", "batch"], group = "repeated")]
     pub until_solved: bool,
-    /// Builds it by one planner instead, with every source of neighbours from the same seeds, and tells what its planning
-    /// costs with each; no picture
+    /// Builds it by one planner instead, with every source of neighbours from the same seeds, and prints the cost of
+    /// planning with each; no picture
     #[arg(long, conflicts_with_all = COOPERATION, group = "repeated")]
     pub compare: bool,
-    /// How often to build each of the roadmaps that are compared; medians are told
+    /// The number of builds of each compared roadmap; the table shows medians
     #[arg(long, default_value_t = 3, requires = "repeated")]
     pub runs: u64,
     /// Writes the figures to a file
@@ -76,7 +76,7 @@ pub struct Options {
     pub json: Option<PathBuf>,
 }
 
-/// What a process may be told to be.
+/// The roles of a process.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Role {
     /// One worker
@@ -87,10 +87,10 @@ pub enum Role {
     Audit(Audit),
 }
 
-/// What an auditor has to know.
+/// The parameters of an auditor.
 #[derive(Clone, Debug, Args)]
 pub struct Audit {
-    /// Where the server is
+    /// The address of the server
     #[arg(long)]
     pub server: String,
     /// The index that holds the roadmap
@@ -98,37 +98,38 @@ pub struct Audit {
     pub index: String,
 }
 
-/// What a worker has to know.
+/// The parameters of a worker.
 #[derive(Clone, Debug, Args)]
 pub struct Job {
-    /// Where the server is
+    /// The address of the server
     #[arg(long)]
     pub server: String,
     /// The index that holds the roadmap
     #[arg(long)]
     pub index: String,
-    /// Which worker it is
+    /// The number of the worker
     #[arg(long)]
     pub number: usize,
-    /// What all workers draw from
+    /// The seed of all workers
     #[arg(long)]
     pub seed: u64,
-    /// How many milestones the roadmap is to have
+    /// The number of milestones of the roadmap
     #[arg(long)]
     pub milestones: u64,
-    /// Where the first neighbours come from
+    /// The source of the first neighbours
     #[arg(long, value_enum)]
     pub source: Kind,
-    /// How many milestones it inserts in one call
+    /// The number of milestones it inserts in one call
     #[arg(long)]
     pub batch: usize,
     /// Leaves out states that are nearer to a milestone than this
     #[arg(long)]
     pub min_separation: f64,
-    /// How often it tells its progress, at most
+    /// The minimum interval of its progress reports
     #[arg(long, default_value_t = PROGRESS_MS)]
     pub progress_ms: u64,
-    /// With so many milestones of its own it says so, its last calls still under way, and waits to be told to go on
+    /// The number of own milestones at which it reports a halt, with its last calls still under way, and waits for a
+    /// line
     #[arg(long)]
     pub halt_at: Option<u64>,
 }

@@ -29,10 +29,10 @@ const CHAIRS: [[RGBColor; 2]; 3] = [
     [RGBColor(255, 232, 186), RGBColor(190, 104, 0)],
 ];
 
-/// How far apart the chairs along a path are, in the metric.
+/// The distance between the chairs along a path, in the metric.
 const STRIDE: f64 = 1.05;
 
-/// How many of a milestone's edges are drawn: the shortest.
+/// The number of drawn edges of each milestone: the shortest ones.
 const EDGES: usize = 2;
 
 const SIZE: (u32, u32) = (3300, 2640);

@@ -1,4 +1,4 @@
-//! What a process does that is told to be a worker.
+//! The role of a worker process.
 
 use wayfold::{Client, RetryPolicy};
 
@@ -12,7 +12,7 @@ use crate::planning::{error::PlanningError, processes::Reporter};
 
 /// The role of a worker.
 pub async fn work(job: &Job) -> Result<(), PlanningError> {
-    // A server that is started again is worth a pause.
+    // The worker waits for a server that is being restarted.
     let client = Client::builder().retry(RetryPolicy::until_deadline());
     let client = client.connect(&job.server).await?;
     let index = client.index(&job.index).await?;

@@ -1,5 +1,5 @@
-//! What a roadmap must be: the one that a single worker would have built, had it drawn the same states in the same order.
-//! By brute force, so that nothing of the index is trusted but the states.
+//! The expected roadmap: the one that a single worker would have built from the same states in the same order. It is
+//! computed by brute force, and takes nothing but the states from the index.
 
 use std::collections::BTreeSet;
 
@@ -8,8 +8,8 @@ use wayfold_index::{Linear, PointRef, Search};
 use super::{roadmap::Roadmap, scene::Rooms};
 use crate::planning::{error::PlanningError, problem::Problem};
 
-/// The edges of each milestone, had one worker made all of them in the order of their ids, which is that of their
-/// revisions.
+/// The edges of each milestone if one worker had made all milestones in the order of their ids, which is the order of
+/// their revisions.
 pub fn edges(scene: &Rooms, roadmap: &Roadmap) -> Result<Vec<BTreeSet<u64>>, PlanningError> {
     let mut before = Linear::new(scene.space().clone());
     let mut all = Vec::new();

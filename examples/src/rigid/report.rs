@@ -16,17 +16,17 @@ use crate::planning::{
 };
 
 impl Built {
-    /// What all workers did together.
+    /// The account of all workers together.
     fn sum(&self) -> Account {
         self.crew.accounts.iter().copied().sum()
     }
 
-    /// The milestones that the workers made in a second.
+    /// The milestones that the workers made per second.
     pub fn rate(&self) -> f64 {
         self.sum().milestones as f64 / self.crew.wall.as_secs_f64()
     }
 
-    /// Its figures: of the workers, not of the questions.
+    /// Its figures, for the workers without the questions.
     pub fn row(&self) -> Row {
         let sum = self.sum();
         Row {
@@ -118,7 +118,7 @@ pub fn table(built: &Built) -> String {
     text
 }
 
-/// What the paths are like.
+/// The properties of the paths.
 pub fn answers(paths: &[Answer]) -> String {
     let mut text = String::new();
     for answer in paths {
@@ -159,7 +159,8 @@ pub fn comparison(all: &[Built]) -> String {
                 let times = of(source, workers).map(|one| one.sum().times);
                 median(times.map(|times| times.percent(part(times))))
             };
-            // Seed by seed, as both are of the same states where there is one worker, and of one moment.
+            // The ratios are taken seed by seed: runs of one seed are close in time, and with one worker they draw the
+            // same states.
             let ratio = |other_source, other_workers| {
                 let pairs = of(source, workers).zip(of(other_source, other_workers));
                 median(pairs.map(|(one, other)| one.rate() / other.rate()))

@@ -1,4 +1,4 @@
-//! The roadmap as a whole: read from the index, and asked for paths.
+//! The complete roadmap, read from the index, and the search for paths on it.
 
 use std::collections::HashMap;
 
@@ -16,18 +16,18 @@ pub struct Roadmap {
     pub states: States,
     /// The ids.
     pub ids: Vec<u64>,
-    /// The worker that made each.
+    /// The worker that made each milestone.
     pub workers: Vec<usize>,
-    /// The revision that stored each.
+    /// The revision that stored each milestone.
     pub revisions: Vec<u64>,
-    /// The edges of each, to positions of milestones before it.
+    /// The edges of each milestone, as positions of earlier milestones.
     pub edges: Vec<Vec<usize>>,
-    /// Whether each is pending.
+    /// True for each pending milestone.
     pub pending: Vec<bool>,
 }
 
 impl Roadmap {
-    /// Reads all of it.
+    /// Reads the whole roadmap.
     pub async fn read(index: &IndexHandle) -> Result<Roadmap, PlanningError> {
         let mut roadmap = Roadmap {
             states: States::new(index.coordinates()),
@@ -60,18 +60,18 @@ impl Roadmap {
         Ok(roadmap)
     }
 
-    /// How many milestones there are.
+    /// The number of milestones.
     pub fn len(&self) -> usize {
         self.ids.len()
     }
 
-    /// How many edges there are.
+    /// The number of edges.
     pub fn edge_count(&self) -> usize {
         self.edges.iter().map(Vec::len).sum()
     }
 
-    /// How near to each other the two nearest milestones are that workers below this number made; none if there are no two.
-    /// Measures all pairs.
+    /// The smallest distance between two milestones made by workers below this number; None if there are fewer than
+    /// two. It computes the distances of all pairs.
     pub fn separation(&self, space: &Space, workers: usize) -> Option<f64> {
         let made = self.states.iter().zip(&self.workers);
         let made = made.filter(|(_, worker)| **worker < workers);
@@ -90,9 +90,10 @@ impl Roadmap {
     }
 }
 
-/// Completes what dead workers left pending: afterwards the roadmap is as if they had lived. Returns how many there were.
+/// Completes the milestones that dead workers left pending, with the same result as if the workers had lived. Returns
+/// their number.
 ///
-/// Workers that still live lose nothing by it: what they write to complete the same milestones is the same.
+/// Live workers are not disturbed: they would write the same completion.
 pub async fn adopt(index: &IndexHandle, by: &mut Worker<'_>) -> Result<usize, PlanningError> {
     let pending = Filter::default().tag(PENDING, PENDING);
     let scan = index.scan().filter(pending);

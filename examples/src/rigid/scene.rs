@@ -1,4 +1,4 @@
-//! Three rooms, a chair that is carried through them, and when it collides.
+//! Three rooms, a chair that is carried through them, and its collision check.
 
 use parry3d_f64::{
     math::{Pose, Rotation, Vector},
@@ -50,7 +50,7 @@ pub const FURNITURE: [Block; 9] = [
     ([9.2, 0.0, 0.0], [10.0, 1.4, 1.2]),
 ];
 
-/// Seat, back and legs of the chair: middle and half of the sides.
+/// Seat, back and legs of the chair: the centre and half of the sides of each.
 const PARTS: [([f64; 3], [f64; 3]); 6] = [
     ([0.0, 0.0, -0.10], [0.40, 0.40, 0.05]),
     ([0.0, 0.35, 0.40], [0.40, 0.05, 0.45]),
@@ -60,19 +60,19 @@ const PARTS: [([f64; 3], [f64; 3]); 6] = [
     ([0.35, 0.35, -0.50], [0.05, 0.05, 0.35]),
 ];
 
-/// How far the chair's farthest corner is from its middle.
+/// The distance of the chair's farthest corner from its centre.
 const RADIUS: f64 = 1.03;
 
-/// Motions are checked at states so far apart.
+/// The distance between the states at which a motion is checked.
 const RESOLUTION: f64 = 0.015;
 
 /// A question to the roadmap: from one state to another.
 pub struct Task {
-    /// What it is called.
+    /// Its name.
     pub name: &'static str,
-    /// Where it begins, a canonical row.
+    /// The start, a canonical row.
     pub start: Vec<f64>,
-    /// Where it ends, a canonical row.
+    /// The goal, a canonical row.
     pub goal: Vec<f64>,
 }
 
@@ -85,16 +85,16 @@ pub struct Rooms {
     margin: f64,
 }
 
-/// Between two states at which a motion is checked, how far a point of the chair is at most from where it is in the
-/// nearer one: of half a resolution, what is not spent on going is spent on turning, and a point at the radius r moves by
-/// 2r for each unit of a rotation's distance. The planner checks a chair that is so much thicker on all sides.
+/// The farthest that a point of the chair moves between a state of a motion and the nearest checked state. Half a
+/// resolution is divided between translation and rotation, and a point at the radius r moves by 2r for each unit of a
+/// rotation's distance. The planner checks a chair that is thicker by this margin on all sides.
 fn margin() -> f64 {
     let turning = 2.0 * RADIUS / ROTATION_WEIGHT.sqrt();
     RESOLUTION / 2.0 * 1.0_f64.hypot(turning)
 }
 
 impl Rooms {
-    /// The rooms with all that is in them.
+    /// The rooms with all obstacles.
     pub fn new() -> Rooms {
         let text = format!("R3*SO3:{ROTATION_WEIGHT}");
         let space: Space = text.parse().expect("the text of a space");
@@ -147,7 +147,7 @@ impl Rooms {
     }
 }
 
-/// The parts of the chair: where they are in it, and their shapes, so much thicker on all sides.
+/// The parts of the chair: their poses in it and their shapes, thicker by the margin on all sides.
 pub fn parts(margin: f64) -> [(Pose, Cuboid); 6] {
     PARTS.map(|(center, half)| {
         let shape = Cuboid::new(Vector::from(half) + Vector::splat(margin));
@@ -155,7 +155,7 @@ pub fn parts(margin: f64) -> [(Pose, Cuboid); 6] {
     })
 }
 
-/// Where the chair is in a state.
+/// The pose of the chair in a state.
 pub fn pose(row: &[f64]) -> Pose {
     let rotation = Rotation::from_xyzw(row[3], row[4], row[5], row[6]);
     Pose::from_parts(Vector::new(row[0], row[1], row[2]), rotation)
@@ -175,7 +175,7 @@ impl Problem for Rooms {
         &self.space
     }
 
-    /// Nearer to the outer walls the chair touches them however it is turned, or nearly so.
+    /// Nearer to the outer walls, the chair touches them in almost every orientation.
     fn bounds(&self) -> &[(f64, f64)] {
         &self.bounds
     }
@@ -188,7 +188,7 @@ impl Problem for Rooms {
         &self.tasks[0].goal
     }
 
-    /// By the axes that separate two boxes, where the chair can reach an obstacle at all.
+    /// Tests pairs of boxes for a separating axis, if the chair can reach the obstacle.
     fn is_free(&self, state: &[f64]) -> bool {
         let pose = pose(state);
         let parts = parts(self.margin).map(|(at, part)| (pose * at, part));
@@ -218,15 +218,16 @@ impl Problem for Rooms {
         RESOLUTION
     }
 
-    /// A roadmap has milestones at the ends of a motion alone.
+    /// A roadmap has milestones only at the ends of a motion.
     fn checks_per_node(&self) -> usize {
         usize::MAX
     }
 }
 
 impl Verify for Rooms {
-    /// Interpolated by nalgebra, and free if the corners of each part are inside and it is away from each obstacle by GJK,
-    /// where the planner takes separating axes and passes over what its sphere does not reach.
+    /// nalgebra interpolates the state. The state is free if the corners of each part are inside the room, and if GJK
+    /// finds the part away from each obstacle. The planner instead uses separating axes, and skips obstacles that its
+    /// bounding sphere does not reach.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
         let pose = between(a, b, t);
         parts(0.0).iter().all(|(at, part)| {

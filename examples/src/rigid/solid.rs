@@ -15,13 +15,13 @@ use crate::planning::drawing::{Area, DrawingError};
 /// An oblique projection: x to the right, z upwards, y into the depth.
 #[derive(Clone, Copy)]
 pub struct Projection {
-    /// Where the origin is, in pixels.
+    /// The position of the origin, in pixels.
     pub origin: (f64, f64),
     /// Pixels for each unit of x and z.
     pub scale: f64,
 }
 
-/// By how much what is a unit deeper is further to the right, and further up.
+/// The shift of a point one unit deeper: to the right, and up.
 pub const DEPTH: [f64; 2] = [0.46, 0.40];
 
 /// Towards the eye.
@@ -31,7 +31,7 @@ const EYE: Vector = Vector::new(DEPTH[0], -1.0, DEPTH[1]);
 const LIGHT: Vector = Vector::new(0.35, -0.55, 0.76);
 
 impl Projection {
-    /// Where a point is in the picture.
+    /// The position of a point in the picture.
     pub fn at(&self, point: Vector) -> (i32, i32) {
         let right = point.x + DEPTH[0] * point.y;
         let up = point.z + DEPTH[1] * point.y;
@@ -42,17 +42,17 @@ impl Projection {
 
 /// Boxes that are drawn together, in one colour.
 pub struct Solid {
-    /// Where each box is, and its shape.
+    /// The pose and the shape of each box.
     pub boxes: Vec<(Pose, Cuboid)>,
     /// The colour in full light.
     pub color: RGBColor,
-    /// How much of what is behind it can be seen: 1 for nothing.
+    /// Its opacity: at 1 it hides everything behind it.
     pub opacity: f64,
     /// The colour of its edges.
     pub outline: RGBColor,
 }
 
-/// A box that stands square.
+/// An axis-aligned box.
 pub fn block((low, high): Block) -> (Pose, Cuboid) {
     let (low, high) = (Vector::from(low), Vector::from(high));
     let at = Pose::from_translation((low + high) / 2.0);
@@ -60,7 +60,7 @@ pub fn block((low, high): Block) -> (Pose, Cuboid) {
 }
 
 impl Solid {
-    /// The lower and upper corner of all of it.
+    /// The lower and upper corner of its bounding box.
     fn extent(&self) -> (Vector, Vector) {
         let all = self.boxes.iter().flat_map(|(at, shape)| corners(at, shape));
         let none = (Vector::splat(f64::INFINITY), Vector::splat(-f64::INFINITY));
@@ -69,7 +69,7 @@ impl Solid {
         })
     }
 
-    /// Draws the faces that look towards the eye, lit by how they look towards the light.
+    /// Draws the faces that point towards the eye, lit by their angle to the light.
     fn draw(&self, area: &Area<'_>, projection: &Projection) -> Result<(), DrawingError> {
         let mut boxes: Vec<&(Pose, Cuboid)> = self.boxes.iter().collect();
         boxes.sort_by(|(a, _), (b, _)| nearness(a).total_cmp(&nearness(b)));
@@ -114,7 +114,7 @@ fn shaded(color: RGBColor, light: f64) -> RGBColor {
     RGBColor(part(color.0), part(color.1), part(color.2))
 }
 
-/// Draws solids so that each covers those behind it. Where two interlock, the order in which they are given holds.
+/// Draws solids so that each covers those behind it. If two interlock, they keep the given order.
 pub fn draw(
     area: &Area<'_>,
     projection: &Projection,
@@ -134,7 +134,7 @@ pub fn draw(
     Ok(())
 }
 
-/// Whether a plane parts two boxes so that the first is on the side that is away from the eye.
+/// True if a plane separates two boxes and the first is on the side away from the eye.
 fn is_behind((low, high): (Vector, Vector), (other_low, other_high): (Vector, Vector)) -> bool {
     let behind = high.x <= other_low.x || low.y >= other_high.y || high.z <= other_low.z;
     let before = low.x >= other_high.x || high.y <= other_low.y || low.z >= other_high.z;

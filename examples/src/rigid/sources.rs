@@ -1,4 +1,4 @@
-//! The same roadmap with every source of neighbours, by one planner that does nothing else: what planning costs with each.
+//! The cost of planning with every source of neighbours: a single planner builds the same roadmap with each.
 
 use super::{
     build::{self, Answer},
@@ -15,7 +15,7 @@ use crate::planning::{
     report::{self, can_write},
 };
 
-/// Compares the sources as the options say.
+/// Compares the sources with the given options.
 pub fn compare(scene: &Rooms, options: &Options) -> Result<(), PlanningError> {
     can_write(options.json.as_deref())?;
     let trials = Trials {
@@ -46,7 +46,7 @@ pub fn compare(scene: &Rooms, options: &Options) -> Result<(), PlanningError> {
     figures::write(comparison.rows(), options.json.as_deref())
 }
 
-/// A path for each question, checked anew.
+/// A path for each question, checked independently.
 fn check(scene: &Rooms, solved: &Answered) -> Result<Vec<Answer>, PlanningError> {
     let found = scene.tasks().iter().zip(&solved.paths);
     let milestones = solved.roadmap.len();

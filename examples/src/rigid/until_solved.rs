@@ -1,8 +1,8 @@
-//! Time to solution: workers extend the roadmap until it answers all questions, and not a milestone further.
+//! Time to solution: workers extend the roadmap until it answers all questions, and then stop.
 //!
-//! The ends of the questions are its first milestones. Who asks follows the roadmap as it grows, and joins what its edges
-//! connect; once both ends of every question are in one part, the workers are ended, and the paths are searched. Workers
-//! need no goodbye: what one leaves pending lacks edges, but has none that is not free.
+//! The ends of the questions are its first milestones. The main process follows the growing roadmap and merges the
+//! components that its edges connect. Once both ends of every question are in one component, it ends the workers and
+//! searches the paths. Workers can be ended at any time: a pending milestone lacks edges, but all its edges are free.
 
 use std::{
     fmt::Write,
@@ -40,27 +40,27 @@ struct Solved {
     source: Kind,
     workers: usize,
     seed: u64,
-    /// From the first milestone to the last path.
+    /// The time from the first milestone to the last path.
     wall: Duration,
-    /// How many milestones there were.
+    /// The number of milestones.
     milestones: usize,
-    /// What workers and questions have cost together; of a worker, what it told last.
+    /// The summed account of workers and questions; for a worker, its last report.
     account: Account,
     /// The lengths of the paths.
     lengths: Vec<f64>,
 }
 
-/// Solves all questions by as many workers as the options say (with `--scaling` by 1, 2, 4 and 8), several times, and
-/// tells how long it took.
+/// Solves all questions several times with the given number of workers (with `--scaling`: 1, 2, 4 and 8), and prints
+/// the times.
 pub async fn run(scene: &Rooms, uri: &str, options: &Options) -> Result<(), PlanningError> {
     let workers = match options.scaling {
         true => &WORKERS[..],
         false => &[options.workers],
     };
-    // Not counted: the first calls of a server that has just started take longer.
+    // This run does not count: the first calls of a new server take longer.
     solve_anew(scene, uri, options, options.seed).await?;
     let mut all = Vec::new();
-    // In turns, so that what else the machine does meets all.
+    // The contestants take turns, so that other load on the machine affects all of them.
     for seed in seeds(options.seed, options.runs) {
         for &workers in workers {
             let options = Options {
@@ -74,7 +74,7 @@ pub async fn run(scene: &Rooms, uri: &str, options: &Options) -> Result<(), Plan
     figures::write(all.iter().map(Solved::row), options.json.as_deref())
 }
 
-/// Solves them in an index of its own.
+/// Solves them in a separate index.
 async fn solve_anew(
     scene: &Rooms,
     uri: &str,
@@ -85,7 +85,7 @@ async fn solve_anew(
     let name = format!("rigid-{}", uuid::Uuid::new_v4());
     let index = client.create_index(&name, scene.space()).await?;
     let solved = solve(scene, uri, &index, options, seed).await;
-    // What is left behind on a server that is gone, goes with it.
+    // If the server is gone, its indices are gone too.
     let _ = client.delete_index(&name).await;
     solved
 }
@@ -109,10 +109,10 @@ async fn solve(
             seed,
             milestones: options.milestones,
             source: options.source,
-            // A milestone that answers the last question is to be heard of at once.
+            // The milestone that answers the last question must arrive at once.
             batch: 1,
             min_separation: options.min_separation,
-            // What a solution costs is to be known to a milestone of each.
+            // Each worker reports every milestone, so that the cost of a solution is exact.
             progress_ms: 0,
             halt_at: None,
         };
@@ -145,7 +145,7 @@ async fn solve(
     }
     let mut accounts = vec![Account::default(); options.workers];
     let joined = follow(&mut watch, &mut lines, &mut accounts, &ends).await;
-    // They end here, also where there was an error.
+    // The workers end here, even after an error.
     drop(crew);
     joined?;
     let roadmap = Roadmap::read(index).await?;
@@ -156,7 +156,7 @@ async fn solve(
     }
     let wall = start.elapsed();
 
-    // What they told before they ended.
+    // The reports that they sent before they ended.
     while let Some((number, line, _)) = lines.recv().await {
         note(&mut accounts, number, line);
     }
@@ -188,7 +188,7 @@ async fn follow(
             event = watch.next() => {
                 let stored = match event? {
                     Some(WatchEvent::Mutation(mutation)) => mutation.stored,
-                    // The server forgot what comes next before it was taken, or the index is gone.
+                    // The server trimmed the next records before they were read, or the index is gone.
                     Some(WatchEvent::Reset(_)) | None => return Err(PlanningError::Unfollowed),
                 };
                 for point in stored.iter() {
@@ -199,7 +199,7 @@ async fn follow(
                     }
                     let edges = point.payload.and_then(|payload| milestone::edges(payload));
                     let edges = edges.ok_or(PlanningError::Payload { id: point.id })?;
-                    // Before it is complete, it may keep an edge that it is going to lose to a nearer neighbour.
+                    // A pending milestone may have an edge that it will lose to a nearer neighbour.
                     let complete = point.tag & PENDING == 0;
                     for other in edges.into_iter().filter(|_| complete) {
                         parts.try_union(id, other as usize).map_err(|_| PlanningError::Payload { id: point.id })?;
@@ -215,7 +215,7 @@ async fn follow(
                     return Err(lost(number, "it ended early; what it said is above"));
                 }
                 done[number] |= note(accounts, number, line);
-                // All that there may be is there; whether it is enough, the search for paths will tell.
+                // No more edges will come. The search for paths decides whether they suffice.
                 if done.iter().all(|done| *done) {
                     return Ok(());
                 }
@@ -224,7 +224,7 @@ async fn follow(
     }
 }
 
-/// Notes what a worker told; returns whether it is done.
+/// Notes a message of a worker; returns true if the worker is done.
 fn note(accounts: &mut [Account], number: usize, line: Option<Line<Account>>) -> bool {
     match line {
         Some(Line::Progress(account)) => accounts[number] = account,
@@ -237,7 +237,7 @@ fn note(accounts: &mut [Account], number: usize, line: Option<Line<Account>>) ->
     false
 }
 
-/// The figures of all, a line for each number of workers.
+/// The figures of all runs, one line for each number of workers.
 fn table(all: &[Solved], workers: &[usize]) -> String {
     let mut text =
         "workers   time to solution (least .. most), s   milestones   collision checks\n"

@@ -1,13 +1,13 @@
-//! A worker: PRM*, a batch of milestones after the other, on a roadmap that others extend too.
+//! A worker: PRM*, batch after batch of milestones, on a roadmap that others extend too.
 //!
-//! The PRM* of S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011, in its
-//! incremental form: a milestone tries the ways to its k(n) nearest among the n that were there before it. Which these
-//! are depends on the order of the milestones alone, so that any number of workers build what one would have built, had it
-//! drawn the same states in that order.
+//! The PRM* of S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011, in
+//! its incremental form: a milestone tries the motions to its k(n) nearest among the n earlier milestones. These depend
+//! only on the order of the milestones. So any number of workers build the same roadmap as one worker that draws the
+//! same states in that order.
 //!
-//! The milestones of a batch share the calls: one search, one insert, one update. What a call costs both sides is most of
-//! what the service costs; a batch pays it once. Of two milestones of one batch the later is told of the earlier, as of
-//! everybody else's.
+//! The milestones of a batch share the calls: one search, one insert, one update. The cost of the calls is most of the
+//! cost of the service, and a batch pays it once. The insert reports an earlier milestone of the batch to a later one,
+//! like milestones of other workers.
 
 use std::{collections::HashSet, time::Instant};
 
@@ -23,7 +23,7 @@ use super::{
 };
 use crate::planning::{error::PlanningError, problem::Problem, sampling, under_way::UnderWay};
 
-/// One that samples, checks and inserts.
+/// A worker that samples, checks and inserts.
 pub struct Worker<'a> {
     scene: &'a Rooms,
     index: IndexHandle,
@@ -35,7 +35,7 @@ pub struct Worker<'a> {
     account: Account,
 }
 
-/// Free states whose ways to what was there are checked; not stored yet.
+/// Free states that are not stored yet. Their motions to the existing milestones are checked.
 #[derive(Debug)]
 pub struct Checked {
     states: Vec<CheckedState>,
@@ -46,27 +46,27 @@ pub struct Checked {
 #[derive(Debug)]
 struct CheckedState {
     state: Vec<f64>,
-    /// The nearest of those that were there.
+    /// The nearest of the existing milestones.
     earlier: Vec<Candidate>,
-    /// Where the free ways lead.
+    /// The ids at the ends of the free motions.
     edges: Vec<u64>,
 }
 
-/// A stored milestone that may lack edges, and what is known of its candidates.
+/// A stored milestone that may lack edges, and its known candidates.
 #[derive(Debug)]
 pub struct Pending {
     id: u64,
     state: Vec<f64>,
-    /// The nearest of those that were there at the first search.
+    /// The nearest milestones at the first search.
     earlier: Vec<Candidate>,
-    /// The nearest of those that came after it, and before the milestone itself.
+    /// The nearest milestones that were stored after that search and before this one.
     meanwhile: Vec<Candidate>,
     /// The edges that are stored with it.
     stored: Vec<u64>,
 }
 
 impl Pending {
-    /// One that a worker left behind: nothing is known of its candidates. None if that is no milestone.
+    /// A milestone that another worker left pending, without known candidates. None if the point is not a milestone.
     pub fn found(point: Point<'_>) -> Option<Pending> {
         Some(Pending {
             id: point.id,
@@ -79,7 +79,7 @@ impl Pending {
 }
 
 impl<'a> Worker<'a> {
-    /// Worker `number` of those that extend an index; each draws states of its own from the same seed.
+    /// Creates worker `number` of those that extend an index. Each draws its own states from the same seed.
     pub fn new(
         scene: &'a Rooms,
         index: IndexHandle,
@@ -101,19 +101,19 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// Inserts so many milestones in one call, where it extends the roadmap.
+    /// Sets the number of milestones in one insert while the worker extends the roadmap.
     pub fn batch(mut self, milestones: usize) -> Worker<'a> {
         self.batch = milestones;
         self
     }
 
-    /// Leaves out what is nearer to a milestone than this.
+    /// Sets the distance to a milestone below which a state is left out.
     pub fn min_separation(mut self, distance: f64) -> Worker<'a> {
         self.min_separation = distance;
         self
     }
 
-    /// What it has done so far.
+    /// Its account so far.
     pub fn account(&self) -> Account {
         self.account
     }
@@ -133,7 +133,7 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// Makes a free state a milestone, with all its edges; returns its id, or none if it is too near to another.
+    /// Makes a free state a milestone with all its edges; returns its id, or None if it is too near to another one.
     pub async fn add(&mut self, state: Vec<f64>) -> Result<Option<u64>, PlanningError> {
         let checked = self.look(vec![state]).await?;
         let pending = self.insert(checked).await?;
@@ -142,7 +142,8 @@ impl<'a> Worker<'a> {
         Ok(id)
     }
 
-    /// The first step: checks the ways of free states to what is there, and drops those to which that is too near.
+    /// The first step: checks the motions of free states to existing milestones, and drops states that are too near to
+    /// one.
     pub async fn look(&mut self, states: Vec<Vec<f64>>) -> Result<Checked, PlanningError> {
         let start = Instant::now();
         let (near, seen) = self.source.nearest(&self.index, &states).await?;
@@ -167,7 +168,8 @@ impl<'a> Worker<'a> {
         })
     }
 
-    /// The second step: stores the states with these edges, and is told of what arrived meanwhile.
+    /// The second step: stores the states with these edges. The response contains the milestones that arrived
+    /// meanwhile.
     pub async fn insert(&mut self, checked: Checked) -> Result<Vec<Pending>, PlanningError> {
         if checked.states.is_empty() {
             return Ok(Vec::new());
@@ -178,7 +180,7 @@ impl<'a> Worker<'a> {
         Ok(pending)
     }
 
-    /// The call of the second step, which can be under way while the worker does something else.
+    /// The call of the second step, which can run while the worker does something else.
     fn insertion(
         &self,
         checked: Checked,
@@ -201,7 +203,7 @@ impl<'a> Worker<'a> {
             let rows = states.into_iter().zip(inserted.outcomes).zip(around);
             let pending = rows.filter_map(|((checked, outcome), meanwhile)| {
                 let mut meanwhile = nearby::candidates(meanwhile);
-                // The search may have been of a later revision than the one that all of a batch have seen.
+                // The search may have seen a later revision than the one that all states of the batch have seen.
                 let earlier: HashSet<u64> = checked.earlier.iter().map(|one| one.id).collect();
                 meanwhile.retain(|one| !earlier.contains(&one.id));
                 Some(Pending {
@@ -216,8 +218,8 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// The last step: checks the ways to what arrived meanwhile, and says that nothing is missing now. Done twice, also by
-    /// two workers at once, it does the same.
+    /// The last step: checks the motions to the milestones that arrived meanwhile, and marks the milestones as
+    /// complete. It is idempotent, even if two workers do it at once.
     pub async fn complete(&mut self, pending: Vec<Pending>) -> Result<(), PlanningError> {
         if pending.is_empty() {
             return Ok(());
@@ -251,14 +253,14 @@ impl<'a> Worker<'a> {
 
     /// All edges of a stored milestone.
     async fn edges(&mut self, pending: Pending) -> Result<Vec<u64>, PlanningError> {
-        // Ids are assigned from 0 on and nothing is ever removed: so many milestones were there before.
+        // Ids are assigned from 0 on and nothing is ever removed, so the id is the number of earlier milestones.
         let before = pending.id as usize;
         let k = SCALING.k(before).unwrap_or(usize::MAX);
         let mut candidates = pending.earlier;
         let enough = candidates.len() >= k;
         candidates.extend(pending.meanwhile);
         if !enough && candidates.len() < before {
-            // k(n) has grown by those that arrived, or nothing was known.
+            // k(n) has grown with the arrivals, or no candidates were known.
             let start = Instant::now();
             let all = nearby::nearest_before(&self.index, &pending.state, pending.id, k).await?;
             let known = std::mem::replace(&mut candidates, all);
@@ -273,7 +275,7 @@ impl<'a> Worker<'a> {
         Ok(self.check(&pending.state, &mut candidates))
     }
 
-    /// Checks the ways that are not checked yet; returns where the free ones lead, ascending.
+    /// Checks the unchecked motions; returns the ids at the ends of the free ones, ascending.
     fn check(&mut self, state: &[f64], candidates: &mut [Candidate]) -> Vec<u64> {
         let start = Instant::now();
         for candidate in candidates.iter_mut() {
@@ -289,10 +291,10 @@ impl<'a> Worker<'a> {
         ids
     }
 
-    /// Extends the roadmap until it has so many milestones, telling `progress` of each batch.
+    /// Extends the roadmap to the given number of milestones, and reports each batch to `progress`.
     ///
-    /// While an insert and an update are under way, the next states are drawn and checked. They do not see the milestones
-    /// that are being inserted, but their own insert will tell of these, as of everybody else's.
+    /// While an insert and an update are under way, the next states are drawn and checked. Their checks do not see the
+    /// milestones that are being inserted, but their own insert reports these, like those of other workers.
     pub async fn extend(
         &mut self,
         milestones: u64,
@@ -301,7 +303,7 @@ impl<'a> Worker<'a> {
         let started = Instant::now();
         let before = self.account.times.total;
         let (mut inserting, mut updating) = (UnderWay::default(), UnderWay::default());
-        // As far as is known here; others may have made more.
+        // This is the known number; other workers may have made more.
         let mut there_are = 0;
         while there_are < milestones && !self.is_in_vain(milestones) {
             let missing = usize::try_from(milestones - there_are).unwrap_or(usize::MAX);
@@ -312,7 +314,7 @@ impl<'a> Worker<'a> {
             let pending: Vec<Pending> = inserting.finish().await?.unwrap_or_default();
             self.account.times.waiting += start.elapsed();
             there_are = pending.last().map_or(there_are, |last| last.id + 1);
-            // What was checked for milestones too many is left.
+            // States checked for surplus milestones are dropped.
             if there_are < milestones && !next.states.is_empty() {
                 inserting.begin(self.insertion(next));
             }
@@ -335,7 +337,7 @@ impl<'a> Worker<'a> {
         Ok(())
     }
 
-    /// Whether the space is as good as full at the separation that is wanted.
+    /// True if the space is practically full at the required separation.
     fn is_in_vain(&self, milestones: u64) -> bool {
         const TRIES: u64 = 100;
         self.account.samples > TRIES * milestones

@@ -1,6 +1,6 @@
-//! Reading stored bytes from front to back; numbers are little-endian.
+//! Reads stored bytes from front to back. Numbers are little-endian.
 
-/// What is left of some bytes. Every read gives None where they end too early.
+/// The unread rest of some bytes. A read returns None if the bytes end too early.
 pub(super) struct Cursor<'a>(&'a [u8]);
 
 impl<'a> Cursor<'a> {
@@ -36,7 +36,7 @@ impl<'a> Cursor<'a> {
         Some(f64::from_bits(self.u64()?))
     }
 
-    /// A number of things.
+    /// A length or a count.
     pub(super) fn length(&mut self) -> Option<usize> {
         self.u64()?.try_into().ok()
     }

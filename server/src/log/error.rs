@@ -1,19 +1,19 @@
-//! What can go wrong with a log.
+//! The errors of the log.
 
 use thiserror::Error;
 
 use super::Uid;
 
-/// Why the log refused, or failed.
+/// The error of a call of the log.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum LogError {
-    /// No index has this uid, or not any more.
+    /// No index has this uid, or the index was deleted.
     #[error("the log holds no index with the uid {uid}")]
     UnknownIndex {
         /// The uid.
         uid: Uid,
     },
-    /// An index of this uid exists: uids are never used twice.
+    /// An index with this uid exists. Uids are never used twice.
     #[error("the log holds an index with the uid {uid} already")]
     UidTaken {
         /// The uid.
@@ -24,7 +24,7 @@ pub enum LogError {
     Fenced {
         /// The index.
         uid: Uid,
-        /// The revision that the writer took for the newest.
+        /// The revision that the writer expected to be the newest.
         expected: u64,
         /// The newest revision.
         head: u64,
@@ -42,17 +42,17 @@ pub enum LogError {
         /// The cause.
         what: String,
     },
-    /// Records that were asked for have been trimmed.
+    /// Requested records have been trimmed.
     #[error("index {uid}: the records after revision {after} are held only from {oldest} on")]
     Trimmed {
         /// The index.
         uid: Uid,
-        /// The revision whose successors were asked for.
+        /// The revision whose successors were requested.
         after: u64,
         /// The oldest revision whose successors are held.
         oldest: u64,
     },
-    /// A record is not the one that was written.
+    /// A record differs from the one that was written.
     #[error(
         "the record of revision {revision} is damaged: {what}; restore the index from a snapshot, or delete it and start \
          anew ({uid})"
@@ -60,12 +60,12 @@ pub enum LogError {
     Damaged {
         /// The index.
         uid: Uid,
-        /// The revision it should hold.
+        /// The revision that the record should have.
         revision: u64,
-        /// What is wrong with it.
+        /// The damage.
         what: &'static str,
     },
-    /// A point is not the one that was written.
+    /// A point differs from the one that was written.
     #[error(
         "the point with id {id} is damaged: {what}; restore the index from a snapshot, or delete it and start anew ({uid})"
     )]
@@ -74,10 +74,10 @@ pub enum LogError {
         uid: Uid,
         /// The point's id.
         id: u64,
-        /// What is wrong with it.
+        /// The damage.
         what: &'static str,
     },
-    /// Points are not there, or not those that were written last.
+    /// Points are missing, or they are not the last written ones.
     #[error(
         "points are missing, or are not those of revision {revision}; restore the index from a snapshot, or delete it and \
          start anew ({uid})"
@@ -85,10 +85,10 @@ pub enum LogError {
     Incomplete {
         /// The index.
         uid: Uid,
-        /// The revision that they should be of.
+        /// The revision that the points should have.
         revision: u64,
     },
-    /// What the store read is not what was written.
+    /// The store read bytes that differ from the written ones.
     #[error(
         "a part of its stored records and points is damaged ({what}); restore the index from a snapshot, or delete it and \
          start anew ({uid})"
@@ -96,7 +96,7 @@ pub enum LogError {
     Unreadable {
         /// The index.
         uid: Uid,
-        /// What the store said.
+        /// The error of the store.
         what: String,
     },
     /// The store as a whole cannot be read.
@@ -110,21 +110,21 @@ pub enum LogError {
         }
     )]
     Unopened {
-        /// The newest revision that is known to have been synced; 0 where no index is meant.
+        /// The newest revision that is known to have been synced; 0 if the error concerns no single index.
         revision: u64,
-        /// What the store said.
+        /// The error of the store.
         what: String,
     },
-    /// The disk does not let the store be opened.
+    /// The disk prevents the store from being opened.
     #[error(
         "the store cannot be opened ({what}): nothing is read or written until the disk can be used again, which is \
          tried again and again"
     )]
     Shut {
-        /// What the disk said.
+        /// The error of the disk.
         what: String,
     },
-    /// Revisions that were synced, and so acknowledged, are not there any more.
+    /// Synced, hence acknowledged, revisions are missing.
     #[error(
         "{} stored and gone: the files of the log were cut short, damaged or replaced; put them back as they were last, restore \
          the index from a snapshot, or delete it and start anew ({uid})",
@@ -139,7 +139,8 @@ pub enum LogError {
         uid: Uid,
         /// The first revision that is missing.
         first: u64,
-        /// The last revision that is known to have been synced; before the first where that was the creation.
+        /// The last revision that is known to have been synced. It is less than `first` if only the creation was
+        /// synced.
         last: u64,
     },
     /// The store failed: nothing more is written until it is reopened.
@@ -148,7 +149,7 @@ pub enum LogError {
          disk can be written again, which is tried again and again; meanwhile reads go on"
     )]
     Storage {
-        /// What it said.
+        /// The error of the store.
         what: String,
     },
     /// The store met a damaged block and writes nothing more.
@@ -157,7 +158,7 @@ pub enum LogError {
          `wayfold-server repair`"
     )]
     DamagedStore {
-        /// What the store said.
+        /// The error of the store.
         what: String,
     },
     /// The store was closed.

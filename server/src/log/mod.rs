@@ -53,7 +53,7 @@ pub struct Entry {
     pub space: Space,
 }
 
-/// An index of which only the name is left.
+/// An index whose data is lost. Only its name and uid are left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lost {
     /// Its name.
@@ -71,7 +71,7 @@ pub struct Origin {
     pub revision: u64,
     /// The least id above every id that was ever stored.
     pub next_id: u64,
-    /// The digest that its first record carries as that of the record before.
+    /// The previous digest that its first record carries.
     pub digest: Digest,
 }
 
@@ -93,10 +93,10 @@ pub struct Tip {
     pub digest: Digest,
 }
 
-/// A stream of batches of records, each the successor of the one before. It waits at the end, and ends after an error.
+/// A stream of batches of consecutive records. It waits for new records at the end of the log, and ends after an error.
 pub type RecordStream = BoxStream<'static, Result<Vec<Arc<Record>>, LogError>>;
 
-/// The answer of a [`Journal`] to a record that it was handed.
+/// The answer of a [`Journal`] to a submitted record.
 pub enum Receipt {
     /// The journal cannot refuse the record any more. [`Journal::follow`] yields it once it is durable, or an error.
     Accepted,
@@ -105,21 +105,21 @@ pub enum Receipt {
     Awaited(BoxFuture<'static, Result<(), LogError>>),
 }
 
-/// The records of all indices, in the order of their revisions: the only truth.
+/// The records of all indices, in the order of their revisions. The journal is the only source of truth.
 ///
 /// A [`LogError::Storage`] ends all writing, until [`PointStore::reopen`] succeeds; reading goes on.
 pub trait Journal: Send + Sync {
-    /// Hands over a record, which names the record that it follows. An error means that the record is not in the journal:
-    /// [`LogError::Fenced`] if it does not follow the newest. Records may be submitted while earlier ones are under way. May
-    /// block if [`Journal::is_busy`], or if points are replaced or removed.
+    /// Submits a record, which names the record that it follows. An error means that the record is not in the journal:
+    /// [`LogError::Fenced`] if it does not follow the newest. Records may be submitted while earlier ones are under
+    /// way. May block if [`Journal::is_busy`], or if points are replaced or removed.
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError>;
 
     /// The records after the revision `after`, once they are as durable as this journal makes them.
     fn follow(&self, uid: Uid, after: u64) -> RecordStream;
 
-    /// The records after the revision `after` that the journal holds, durable or not; None for all. Only the first of them
-    /// that fit into `max_bytes` (see [`Effects::bytes`]), but at least one. [`LogError::Trimmed`] if some of them are no
-    /// longer held. Blocks.
+    /// The records after the revision `after` that the journal holds, durable or not; all records if `after` is None.
+    /// Returns the first records that fit into `max_bytes` (see [`Effects::bytes`]), but at least one.
+    /// [`LogError::Trimmed`] if some of them are no longer held. Blocks.
     fn read(
         &self,
         uid: Uid,
@@ -138,18 +138,18 @@ pub trait Journal: Send + Sync {
 
 /// The points of all indices as of the newest record that was applied: the local checkpoint, where payloads live.
 pub trait PointStore: Send + Sync {
-    /// Applies consecutive records of an index, and returns its points as of the last of them. A record that the store has
-    /// already, because it was submitted here, is not applied again. Applies at least one record.
+    /// Applies consecutive records of an index, and returns its points as of the last of them. A record that was
+    /// submitted to this engine is in the store already and is not applied again. `records` is not empty.
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError>;
 
     /// The points as they are stored now, pinned.
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;
 
-    /// The newest operations among those of all records, the oldest first; also of records that were trimmed.
+    /// The newest operations, oldest first. Operations of trimmed records are included.
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError>;
 
-    /// Starts a new index that begins as a copy of another: at a revision, with points and without records. It appears once
-    /// the copy is finished, whole or not at all.
+    /// Starts a new index as a copy of another: at a revision, with points and without records. It appears once the
+    /// copy is finished, whole or not at all.
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
 
     /// The failure after which nothing is written.
@@ -157,9 +157,9 @@ pub trait PointStore: Send + Sync {
         None
     }
 
-    /// Reopens a failed store once its disk can be used. Then each index is as it is stored: records that were not durable
-    /// are there or not. Views from before are [`LogError::Closed`]. A damaged store is reopened for reading, and
-    /// [`PointStore::failure`] still tells of it.
+    /// Reopens a failed store once its disk can be used. Each index then has its stored state. Records that were not
+    /// durable may be missing. Earlier views fail with [`LogError::Closed`]. A damaged store is reopened for reading
+    /// only, and [`PointStore::failure`] still returns the damage.
     fn reopen(&self) -> Result<(), LogError> {
         Ok(())
     }
@@ -167,10 +167,10 @@ pub trait PointStore: Send + Sync {
 
 /// The indices, by name and uid.
 pub trait Catalogue: Send + Sync {
-    /// All indices, in no particular order; also those that cannot be read, of which [`PointStore::view`] gives the cause.
+    /// All indices, in no particular order. Unreadable indices are included; [`PointStore::view`] returns the cause.
     fn indexes(&self) -> Result<Vec<Entry>, LogError>;
 
-    /// The indices of which only the names are left. They can be deleted.
+    /// The indices whose data is lost. They can be deleted.
     fn lost(&self) -> Vec<Lost> {
         Vec::new()
     }
@@ -178,11 +178,11 @@ pub trait Catalogue: Send + Sync {
     /// Adds a new index, at revision 0.
     fn create(&self, entry: Entry) -> Result<(), LogError>;
 
-    /// Deletes an index with its records and points. Views that are held stay as they are.
+    /// Deletes an index with its records and points. Existing views stay valid.
     fn delete(&self, uid: Uid) -> Result<(), LogError>;
 }
 
-/// The three parts of a log. They may be one engine, or a journal on another machine beside a local point store.
+/// The three parts of a log: one engine, or a journal on another machine and a local point store.
 #[derive(Clone)]
 pub struct Log {
     /// Its records.
@@ -203,7 +203,7 @@ impl<Engine: Journal + PointStore + Catalogue + 'static> From<Arc<Engine>> for L
     }
 }
 
-/// An index that is being restored. Dropped before it is finished, it leaves nothing.
+/// An index that is being restored. If it is dropped before [`Restoring::finish`], nothing is left behind.
 pub trait Restoring: Send {
     /// Adds the next points, by ascending id.
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError>;
@@ -212,7 +212,8 @@ pub trait Restoring: Send {
     fn finish(self: Box<Self>) -> Result<(), LogError>;
 }
 
-/// The points of one index as of one revision, for as long as it is held: the sum of the records up to that revision.
+/// The points of one index as of one revision: the sum of the records up to that revision. They do not change while the
+/// view is held.
 pub trait View: Send + Sync {
     /// The revision.
     fn revision(&self) -> u64 {

@@ -13,18 +13,18 @@ mod encoding;
 /// A SHA-256.
 pub type Digest = [u8; 32];
 
-/// What became of a row that a mutation stored. Rows that changed nothing leave no effect.
+/// The outcome of a row that a mutation stored. Rows that changed nothing leave no effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// A new point.
     Inserted,
     /// A new state, tag or payload under an id that held another point.
     Replaced,
-    /// A new tag or payload; the state is the one it was.
+    /// A new tag or payload; the state is unchanged.
     Updated,
 }
 
-/// A call that takes effect once: what recognises its retry, and what to answer it.
+/// A call that takes effect once: the id and digest that recognise its retry, and the response to a retry.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Operation {
     /// The id that the caller gave it.
@@ -36,19 +36,19 @@ pub struct Operation {
 }
 
 impl Operation {
-    /// About how many bytes remembering it takes.
+    /// The approximate number of bytes that remembering it takes.
     pub fn bytes(&self) -> usize {
         self.id.len() + self.response.len() + 128
     }
 
-    /// Its stored form, without a checksum: the bytes that it has in a record.
+    /// Its stored form without a checksum, the same bytes as in a record.
     pub(super) fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         encoding::push_operation(&mut bytes, self);
         bytes
     }
 
-    /// The operation of a stored form; None if it has another.
+    /// Decodes a stored form; None if the bytes have another form.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         let mut cursor = Cursor::new(bytes);
         let operation = encoding::read_operation(&mut cursor)?;
@@ -56,19 +56,19 @@ impl Operation {
     }
 }
 
-/// What one mutation did, whole: applying it needs no decision.
+/// The complete effects of one mutation. Applying them needs no decision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effects {
     stored: Points,
     outcomes: Vec<Outcome>,
-    /// One for each of `stored`, or none at all if all are empty.
+    /// One payload for each point of `stored`, or no payload if all are empty.
     payloads: Vec<Bytes>,
     removed: Vec<u64>,
     operation: Option<Arc<Operation>>,
 }
 
 impl Effects {
-    /// Nothing yet, for rows of `coordinates` numbers.
+    /// Empty effects, for rows of `coordinates` numbers.
     pub fn new(coordinates: usize) -> Self {
         Self {
             stored: Points::new(coordinates),
@@ -79,8 +79,8 @@ impl Effects {
         }
     }
 
-    /// Stores a point, in the place of one with the same id. `payload` is kept as it is: it must not be a slice of
-    /// a larger buffer, or that buffer stays too.
+    /// Stores a point and replaces one with the same id. `payload` is kept without a copy, so it must not be a slice of
+    /// a larger buffer: that buffer would stay in memory.
     pub fn store(&mut self, point: PointRef<'_>, outcome: Outcome, payload: Bytes) {
         if self.payloads.is_empty() && !payload.is_empty() {
             self.payloads.resize(self.stored.len(), Bytes::new());
@@ -97,17 +97,17 @@ impl Effects {
         self.removed.push(id);
     }
 
-    /// Names the operation that the mutation stems from.
+    /// Sets the operation that caused the mutation.
     pub fn set_operation(&mut self, operation: Option<Arc<Operation>>) {
         self.operation = operation;
     }
 
-    /// Whether nothing changed; the operation does not count.
+    /// True if nothing changed; the operation does not count.
     pub fn is_empty(&self) -> bool {
         self.stored.is_empty() && self.removed.is_empty()
     }
 
-    /// Whether it stores new points and does nothing else.
+    /// True if it only stores new points.
     pub fn only_adds(&self) -> bool {
         let mut outcomes = self.outcomes.iter();
         self.removed.is_empty() && outcomes.all(|&outcome| outcome == Outcome::Inserted)
@@ -126,12 +126,12 @@ impl Effects {
         self.stored.len() + self.removed.len()
     }
 
-    /// The points it stores, whole, also those of which only the tag or the payload is new; each id once.
+    /// The points it stores, each id once. A point is complete even if only its tag or payload is new.
     pub fn stored(&self) -> &Points {
         &self.stored
     }
 
-    /// What became of the points it stores, in their order.
+    /// The outcomes of the points it stores, in the same order.
     pub fn outcomes(&self) -> &[Outcome] {
         &self.outcomes
     }
@@ -141,17 +141,17 @@ impl Effects {
         self.payloads.get(slot).cloned().unwrap_or_default()
     }
 
-    /// The ids of the points it removes, all of them stored before, none of them in `stored`.
+    /// The ids of the points it removes. All of them were stored before, and none of them is in `stored`.
     pub fn removed(&self) -> &[u64] {
         &self.removed
     }
 
-    /// The operation it stems from.
+    /// The operation that caused it.
     pub fn operation(&self) -> Option<&Arc<Operation>> {
         self.operation.as_ref()
     }
 
-    /// About how many bytes it takes.
+    /// Its approximate size in bytes.
     pub fn bytes(&self) -> usize {
         let row = 8 * self.stored.coordinates() + 3 * 8 + 1;
         let payloads: usize = self.payloads.iter().map(|payload| payload.len() + 32).sum();
@@ -163,14 +163,14 @@ impl Effects {
     }
 }
 
-/// One mutation in its place in the log: its revision, when it was appended, its effects, and a digest over these and
-/// the record before.
+/// One mutation at its place in the log: its revision, the time of its append, its effects, and a digest over these and
+/// the previous record.
 ///
-/// The digest is the record's checksum and its link in the chain: it covers, each number little-endian and each
-/// sequence after its length as u64, the text `wayfold record 2`, the digest of the record before, the revision, the
-/// time, the rows' width; the stored points, each as id, tag, revision, outcome (a byte: 0 inserted, 1 replaced, 2 updated), the
-/// bits of the state, the payload; the removed ids; and how many operations there are, with id, fingerprint and
-/// response.
+/// The digest is the record's checksum and its link in the chain. Numbers are little-endian, and the length of a
+/// sequence precedes it as u64. The digest covers, in this order: the text `wayfold record 2`; the digest of the
+/// previous record, the revision, the time, and the width of the rows; the stored points, each as id, tag, revision,
+/// outcome (a byte: 0 inserted, 1 replaced, 2 updated), the bits of the state, and the payload; the removed ids; the
+/// number of operations, and the id, fingerprint and response of each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     revision: u64,
@@ -181,10 +181,10 @@ pub struct Record {
 }
 
 impl Record {
-    /// What the first record of an index carries for the digest of the record before.
+    /// The previous digest that the first record of an index carries.
     pub const NO_PREVIOUS: Digest = [0; 32];
 
-    /// The next record after `tip`, made now.
+    /// The next record after `tip`, with the current time.
     pub fn after(tip: Tip, effects: Effects) -> Self {
         Self::new(
             tip.revision + 1,
@@ -199,7 +199,7 @@ impl Record {
         self.revision == tip.revision + 1 && self.previous == tip.digest
     }
 
-    /// The record of `revision`, after one whose digest is `previous`, made at `time_ms`.
+    /// The record of `revision`, made at `time_ms`, after the record with the digest `previous`.
     pub fn new(revision: u64, previous: Digest, time_ms: u64, effects: Effects) -> Self {
         let mut record = Self {
             revision,
@@ -225,18 +225,18 @@ impl Record {
         self.revision
     }
 
-    /// The digest of the record before.
+    /// The digest of the previous record.
     pub fn previous(&self) -> &Digest {
         &self.previous
     }
 
-    /// When it was appended, by the clock of the machine, in milliseconds since 1970. Clocks are set: it may run
-    /// backwards from record to record.
+    /// The time of its append by the machine's clock, in milliseconds since 1970. The clock may be set, so the time may
+    /// decrease from record to record.
     pub fn time_ms(&self) -> u64 {
         self.time_ms
     }
 
-    /// What it did.
+    /// Its effects.
     pub fn effects(&self) -> &Effects {
         &self.effects
     }
@@ -254,19 +254,19 @@ impl Record {
         bytes
     }
 
-    /// The record of a stored form, or what is wrong with it.
+    /// Decodes a stored form, or returns its damage.
     pub(super) fn decode(bytes: &[u8]) -> Result<Self, &'static str> {
         let Some((covered, digest)) = bytes.split_last_chunk() else {
             return Err("it is cut short");
         };
-        // Before its meaning: what does not match is not worth reading.
+        // The checksum is compared before the bytes are decoded.
         if Digest::from(Sha256::digest(covered)) != *digest {
             return Err("it does not match its checksum");
         }
         encoding::read(covered, *digest).ok_or("it is of no form that this version knows")
     }
 
-    /// Whether it is what was written.
+    /// True if the record matches its digest.
     pub fn is_intact(&self) -> bool {
         self.digest == self.computed_digest()
     }

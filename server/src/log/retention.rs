@@ -8,18 +8,18 @@ use super::{Record, record::time_ms};
 /// The bounds on the records and operations of an index that are kept.
 #[derive(Clone, Copy, Debug)]
 pub struct Retention {
-    /// The most bytes of records (see [`Effects::bytes`](super::Effects::bytes)).
+    /// The maximum bytes of records (see [`Effects::bytes`](super::Effects::bytes)).
     pub record_bytes: usize,
-    /// Older records are forgotten.
+    /// Records older than this are forgotten.
     pub since: SystemTime,
-    /// The most operations.
+    /// The maximum number of operations.
     pub operations: usize,
-    /// The most bytes of operations (see [`Operation::bytes`](super::Operation::bytes)).
+    /// The maximum bytes of operations (see [`Operation::bytes`](super::Operation::bytes)).
     pub operation_bytes: usize,
 }
 
-/// The sizes of the records and operations that are held. The newest of each always stays, at any size and age, so that a
-/// follower who reads record by record always gets the next.
+/// The sizes of the records and operations that are held. The newest record and the newest operation always stay, at
+/// any size and age, so a follower that reads record by record always gets the next one.
 #[derive(Default)]
 pub(super) struct Window {
     records: VecDeque<Held>,
@@ -40,7 +40,7 @@ pub(super) struct Trimmed {
     pub(super) operations: usize,
 }
 
-/// The bytes of records that may still be read. The first record always may.
+/// The bytes of records that may still be read. The first record may always be read.
 pub(super) struct Allowance {
     left: usize,
     is_first: bool,
@@ -54,7 +54,7 @@ impl Allowance {
         }
     }
 
-    /// True if this record may be read too.
+    /// True if this record fits into the allowance too.
     pub(super) fn take(&mut self, record: &Record) -> bool {
         let left = self.left.checked_sub(record.effects().bytes());
         self.left = left.unwrap_or(0);
@@ -77,7 +77,7 @@ impl Window {
         self.operations.push_back(bytes);
     }
 
-    /// Drops all that need not be kept.
+    /// Drops the records and operations outside the bounds.
     pub(super) fn trim(&mut self, keep: &Retention) -> Trimmed {
         let mut trimmed = Trimmed::default();
         let since = time_ms(keep.since);

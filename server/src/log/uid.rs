@@ -1,20 +1,20 @@
-//! Names of pasts.
+//! Uids of index histories.
 
 use std::fmt;
 
 use uuid::Uuid;
 
-/// Names an index's past: made anew whenever a revision may come to mean something else.
+/// Identifies the history of an index. An index gets a new uid whenever one of its revisions may get another content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Uid(Uuid);
 
 impl Uid {
-    /// One that was never used before.
+    /// A uid that was never used before.
     pub fn unique() -> Self {
         Self(Uuid::new_v4())
     }
 
-    /// The one of these bytes.
+    /// The uid with these bytes.
     pub(super) fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(Uuid::from_bytes(bytes))
     }

@@ -34,14 +34,14 @@ pub(super) struct Applied {
     pub(super) mergers: usize,
 }
 
-/// A receipt that the loop waits for.
+/// A receipt for which the loop waits.
 pub(super) struct Awaited {
     /// The record before the submitted one.
     pub(super) previous: Tip,
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
 
-/// The loop of this number: runs until the index is dropped, or its journal fails.
+/// Runs the apply loop of this number until the index is dropped or its journal fails.
 pub(super) async fn run(
     hosted: Weak<Hosted>,
     number: u64,
@@ -70,7 +70,7 @@ pub(super) async fn run(
                     return;
                 };
                 match outcome {
-                    // The record that was accepted in its place comes from the journal, and decides.
+                    // The record that was accepted instead comes from the journal and decides.
                     Ok(()) | Err(LogError::Fenced { .. }) => Ok(()),
                     Err(error @ LogError::Unconfirmed { .. }) => {
                         hosted.settle(previous, error).await
@@ -165,7 +165,7 @@ impl Hosted {
             self.last_change.store(record.revision(), Relaxed);
         }
         let applied = forest.apply(record.revision(), effects.stored(), effects.removed());
-        // Our own records were checked before they were submitted; others may be damaged.
+        // This server checked its own records before it submitted them; other records may be damaged.
         applied.map_err(|_| LogError::Damaged {
             uid: self.uid(),
             revision: record.revision(),
@@ -178,8 +178,9 @@ impl Hosted {
         Ok(())
     }
 
-    /// Settles a record whose receipt was lost: an empty record is submitted in its place. If the journal takes that one, the
-    /// lost record can never be there; if it refuses, a record is there. Either comes from the journal and decides.
+    /// Settles a record whose receipt was lost: an empty record is submitted in its place. If the journal takes that
+    /// one, the lost record can never be there; if it refuses, a record is there. In both cases the record that comes
+    /// from the journal decides.
     async fn settle(self: &Arc<Self>, previous: Tip, error: LogError) -> Result<(), RegistryError> {
         // Nothing is submitted meanwhile.
         let writer = self.write_closed().await;

@@ -12,13 +12,13 @@ use crate::log::{Effects, LogError, Operation, Receipt, Record};
 const MAX_INLINE_POINTS: usize = 1024;
 const MAX_INLINE_BYTES: usize = 128 * 1024;
 
-/// The end of a mutation.
+/// The outcome of a commit.
 #[must_use]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Committed {
-    /// It took effect, is published, and as durable as configured.
+    /// It took effect, is published, and is as durable as configured.
     Done,
-    /// Another writer was first, and nothing of it took effect. Evaluate the mutation again.
+    /// Another writer was first, and the mutation had no effect. Evaluate it again.
     Refused,
 }
 
@@ -48,7 +48,8 @@ impl Hosted {
         match submitted {
             Ok(fate) => decided(fate).await,
             Err(RegistryError::Log(LogError::Fenced { head, .. })) => {
-                // Evaluated again before the other writer's records are published, it would be refused again.
+                // A mutation that is evaluated again before the other writer's records are published would be refused
+                // again.
                 self.reached(head).await?;
                 Ok(Committed::Refused)
             }
@@ -57,7 +58,7 @@ impl Hosted {
     }
 
     /// Waits until the newest record of `writer` is published. A response that was evaluated under `writer` and changes
-    /// nothing may be given then.
+    /// nothing may be returned then.
     pub async fn settled(&self, writer: WriteGuard) -> Result<Committed, RegistryError> {
         let fate = {
             let mut in_flight = self.in_flight.lock();
@@ -67,7 +68,7 @@ impl Hosted {
         decided(fate).await
     }
 
-    /// The operation with this id that took effect, or is about to; None if it had no effect or is forgotten.
+    /// The operation with this id that took effect or is pending; None if it had no effect or is forgotten.
     pub fn recall(&self, writer: &WriteGuard, id: &str) -> Option<Arc<Operation>> {
         let pending = writer.pending_operation(id).cloned();
         pending.or_else(|| self.operations.lock().recall(id).cloned())
@@ -92,7 +93,7 @@ impl Hosted {
     ) -> Result<oneshot::Receiver<Fate>, RegistryError> {
         let previous = writer.tip();
         let record = Arc::new(Record::after(previous, effects));
-        // Before the journal has it, since the apply loop may meet it at once.
+        // The record is added before the journal has it: the apply loop may receive it at once.
         let added = {
             let mut in_flight = self.in_flight.lock();
             in_flight.add(record.tip(), writer.refusals())
@@ -126,7 +127,7 @@ async fn decided(fate: oneshot::Receiver<Fate>) -> Result<Committed, RegistryErr
         Ok(Fate::Published) => Ok(Committed::Done),
         Ok(Fate::Refused) => Ok(Committed::Refused),
         Ok(Fate::Failed(why)) => Err(why),
-        // It is dropped unanswered with the index alone.
+        // The sender is dropped unanswered only together with the index.
         Err(_) => Err(RegistryError::Stopped),
     }
 }

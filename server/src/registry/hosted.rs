@@ -44,7 +44,7 @@ pub struct Hosted {
     pub(super) applied: Arc<Mutex<Applied>>,
     pub(super) in_flight: parking_lot::Mutex<InFlight>,
     pub(super) operations: parking_lot::Mutex<Operations>,
-    /// The newest revision that may have done more than add points.
+    /// The newest revision that may have removed or changed points.
     pub(super) last_change: AtomicU64,
     /// Merges that wait to be swapped in.
     pub(super) finished_merges: parking_lot::Mutex<Vec<FinishedMerge>>,
@@ -55,7 +55,7 @@ pub struct Hosted {
     apply_loop: parking_lot::Mutex<ApplyLoop>,
 }
 
-/// The task that applies the records of the log, and the receipts that it is given.
+/// The task that applies the records of the log, and the channel of the receipts it waits for.
 struct ApplyLoop {
     /// The number of loops before it.
     number: u64,
@@ -71,7 +71,7 @@ struct State {
 }
 
 impl Hosted {
-    /// Serves an index from the points of `view`, of which `forest` is made, and follows the log from there on. Needs a
+    /// Serves an index from the points of `view`, which `forest` also holds, and follows the log from there on. Needs a
     /// runtime.
     pub(super) fn new(
         host: &Arc<Host>,

@@ -18,13 +18,13 @@ pub(super) enum Fate {
     Failed(RegistryError),
 }
 
-/// See the module.
+/// The submitted records of an index that are not yet applied.
 #[derive(Default)]
 pub(super) struct InFlight {
-    /// Oldest first, with consecutive revisions.
+    /// The records, oldest first, with consecutive revisions.
     records: VecDeque<Submitted>,
     refusals: u64,
-    /// The newest revision of which it is known what record has it.
+    /// The newest revision whose record is known.
     decided: u64,
 }
 
@@ -42,8 +42,9 @@ impl InFlight {
         self.refusals
     }
 
-    /// Adds the next record, evaluated when the refusals were at this number. It is refused at once if another record has its
-    /// revision, or one that it follows was refused: then the error is the revision to wait for before the next attempt.
+    /// Adds the next record, evaluated when the refusals were at this number. It is refused at once if another record
+    /// has its revision, or if a record that it follows was refused. The error is then the revision to wait for before
+    /// the next attempt.
     pub(super) fn add(&mut self, tip: Tip, refusals: u64) -> Result<oneshot::Receiver<Fate>, u64> {
         if tip.revision <= self.decided || self.refusals != refusals {
             return Err(self.decided);
@@ -72,7 +73,7 @@ impl InFlight {
                     true => Fate::Published,
                     false => Fate::Refused,
                 };
-                // The receiver is held right here.
+                // The receiver is held in this scope.
                 let _ = sender.send(fate);
                 receiver
             }
@@ -87,7 +88,7 @@ impl InFlight {
         receiver
     }
 
-    /// Decides the submitted records by the records that the journal has in their places.
+    /// Decides each submitted record by the record that the journal has at its revision.
     pub(super) fn meet(&mut self, records: &[Arc<Record>]) -> Decided {
         let mut decided = Decided::new();
         let last = records.last().map_or(0, |last| last.revision());

@@ -64,13 +64,14 @@ impl Registry {
         }
     }
 
-    /// The error of a log that can no longer be written.
+    /// The error of a log that has stopped accepting writes.
     pub fn failure(&self) -> Option<RegistryError> {
         self.host.log.points.failure().map(RegistryError::Log)
     }
 
-    /// Reopens a failed log and brings every index to its stored state. An error if it cannot be written then. An index whose stored revision is its writer's head
-    /// resumes. Any other index is replayed, and the calls that waited for it fail and can be retried. Blocks.
+    /// Reopens a failed log and brings every index to its stored state. Fails if the log still cannot be written. An
+    /// index whose stored revision is its writer's head resumes. Any other index is replayed, and the calls that waited
+    /// for it fail and can be retried. Blocks.
     pub fn recover(&self) -> Result<(), RegistryError> {
         let _change = self.change_lock.lock();
         if let Err(why) = self.host.log.points.reopen() {
@@ -103,7 +104,7 @@ impl Registry {
         Ok(())
     }
 
-    /// Marks every index as damaged, as a restart would: nothing of the log can be read.
+    /// Marks every index as damaged, as a restart would: the log is unreadable.
     fn mark_damaged(&self, why: &LogError) {
         let lost = self.host.log.catalogue.lost();
         self.change(|indexes| {
@@ -146,15 +147,15 @@ impl Registry {
         hosted.cloned().collect()
     }
 
-    /// Resumes an index whose calls were told that their outcome is unknown. That is safe: its next record is refused if one
-    /// of theirs is in the journal.
+    /// Resumes an index whose calls failed with an unknown outcome. That is safe: its next record is refused if a
+    /// record of those calls is in the journal.
     async fn resume_unsettled(self: &Arc<Self>, hosted: &Arc<Hosted>) {
         let (registry, hosted) = (Arc::clone(self), Arc::clone(hosted));
         // The join fails only if the task panicked; the panic hook has printed it.
         let _ = tokio::task::spawn_blocking(move || registry.resumes(&hosted)).await;
     }
 
-    /// Trims records that are too old, in idle indices too.
+    /// Trims old records, in idle indices too.
     fn trim(&self) {
         for hosted in self.hosted() {
             if let Err(error) = hosted.trim(SystemTime::now()) {

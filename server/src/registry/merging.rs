@@ -1,4 +1,4 @@
-//! Merging in the background, so that no call pays for it.
+//! Merges in the background, so that no call waits for a merge.
 
 use std::sync::{Arc, atomic::Ordering::Relaxed};
 

@@ -1,12 +1,13 @@
 //! The indices of the server by name, each with one writer and many readers.
 //!
 //! Architecture:
-//! - The journal alone feeds a [`Hosted`] index: its apply loop takes the next record, applies it to the point store and the
-//!   forest, and publishes the result (`apply`). Only merging changes a forest besides, and merging changes no answer.
+//! - The journal alone feeds a [`Hosted`] index: its apply loop takes the next record, applies it to the point store
+//!   and the forest, and publishes the result (`apply`). Merging is the only other change to a forest, and it changes
+//!   no answer.
 //! - Readers take the [`Published`] state, one frozen revision, and never wait for the writer.
-//! - The holder of the [`Writer`] evaluates a mutation against the published state and the records that are not yet part of
-//!   it, and submits the effects (`commit`). Nothing waits for the caller after that, so a dropped call takes effect whole or
-//!   not at all. If another writer was first, the mutation is evaluated again.
+//! - The holder of the [`Writer`] evaluates a mutation against the published state and the records that are not yet
+//!   part of it, and submits the effects (`commit`). From then on nothing depends on the caller, so a dropped call
+//!   takes effect whole or not at all. If another writer was first, the mutation is evaluated again.
 //! - The registry knows no requests, no limits and no transport.
 
 mod apply;
@@ -47,9 +48,9 @@ pub struct RegistryOptions {
     pub leaf_rows: Option<usize>,
     /// The greatest number of merges at once, over all indices.
     pub merge_threads: usize,
-    /// Each index keeps about this many bytes of its newest records in addition to its points.
+    /// The approximate bytes of newest records that each index keeps in addition to its points.
     pub window_bytes: usize,
-    /// Each index forgets records older than this.
+    /// The age above which each index forgets records.
     pub window: Duration,
 }
 

@@ -10,9 +10,9 @@ use crate::log::Operation;
 /// The bounds on the operations that an index remembers. The newest operation is always remembered.
 #[derive(Clone, Copy, Debug)]
 pub struct OperationWindow {
-    /// The most operations.
+    /// The maximum number of operations.
     pub count: usize,
-    /// The most bytes of operations (see [`Operation::bytes`]).
+    /// The maximum bytes of operations (see [`Operation::bytes`]).
     pub bytes: usize,
 }
 

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, sync::Arc};
 
 use crate::log::Record;
 
-/// The most bytes of cached records. The newest record is always cached. A subscriber further behind reads the log.
+/// The maximum bytes of cached records. The newest record is always cached. A subscriber further behind reads the log.
 const MAX_BYTES: usize = 4 * 1024 * 1024;
 
 /// A cache of the newest records.

@@ -8,13 +8,13 @@ use wayfold_index::{ApplyError, PointRef, Points, PointsError};
 use super::{Host, Hosted, IndexState, RegistryError, operations::Operations};
 use crate::log::{Entry, LogError, View};
 
-/// The points that one read of the log returns.
+/// The number of points that one read of the log returns.
 const PAGE_POINTS: usize = 4096;
 
 /// Replay logs its progress once per this many points.
 const PROGRESS_POINTS: usize = 250 * PAGE_POINTS;
 
-/// Replays the index of an entry. It is damaged if that fails.
+/// Replays the index of an entry. A failed replay marks it as damaged.
 pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     match replay(host, entry) {
         Ok(hosted) => IndexState::Hosted(hosted),
@@ -25,8 +25,8 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     }
 }
 
-/// Builds an index from its points and from the operations that the log remembers. The log remembers no call that changed
-/// nothing: the server evaluates its retry again, with the same outcome as a first try.
+/// Builds an index from its points and from the operations that the log remembers. The log does not remember a call
+/// that changed nothing: the server evaluates its retry as a new call, with the same outcome.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
     let view = host.log.points.view(entry.uid)?;
     let mut forest = host.options.forest(&entry.space);
@@ -51,7 +51,7 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
     Ok(Hosted::new(host, entry, forest, view, operations))
 }
 
-/// Points of the log that the forest refuses are not those that were written.
+/// The error of stored points that the forest refuses: they differ from the written ones.
 fn damaged(entry: &Entry, revision: u64, points: &Points, error: &ApplyError) -> LogError {
     let uid = entry.uid;
     match *error {

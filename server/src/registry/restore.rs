@@ -8,7 +8,7 @@ use wayfold_index::{PointRef, Points, Space};
 use super::{Host, Hosted, IndexState, Registry, RegistryError, operations::Operations};
 use crate::log::{Entry, Origin, Restoring, StoredPoint, Uid};
 
-/// An index that is being restored. Dropping it before [`Registry::host`] leaves nothing behind.
+/// An index that is being restored. If it is dropped before [`Registry::host`], nothing is left behind.
 pub struct Restore {
     host: Arc<Host>,
     entry: Entry,

@@ -1,4 +1,4 @@
-//! The single writer of an index: what mutations are evaluated against.
+//! The single writer of an index. Mutations are evaluated against its state.
 
 use std::{
     collections::VecDeque,
@@ -67,11 +67,11 @@ struct Pending {
     record: Arc<Record>,
     /// The least id above every id that was ever stored, by this record or an earlier one.
     next_id: u64,
-    /// The number of points after it.
+    /// The number of points after this record.
     points: usize,
 }
 
-/// The changes of some pending records, up to the revision `last`; 0 if of none.
+/// The changes of some pending records, up to the revision `last`, which is 0 if there are none.
 struct Part {
     overlay: Overlay,
     last: u64,
@@ -156,7 +156,7 @@ impl Writer {
         operations.rev().find(|operation| operation.id == id)
     }
 
-    /// True if every point of that revision is unchanged and every other point is newer.
+    /// True if every point of that revision is unchanged, and every other point is newer.
     pub fn only_added_since(&self, revision: u64) -> bool {
         let is_add =
             |record: &Arc<Record>| record.revision() <= revision || record.effects().only_adds();

@@ -1,10 +1,10 @@
 //! Lets a structure that knows only Euclidean space answer exactly in a space with circles, or in the rotations.
 //!
-//! A state is placed at its coordinates, each times √μ, and an answer is the point nearest to any *image* of the query.
-//! An angle θ has the image θ ± P, on the other side of the interval of the stored angles. A quaternion q has the image
-//! −q, while all stored ones have w ≥ 0. So an image is outside the region of the stored points, and the *gap* between
-//! the two is a lower bound on all distances found from there. An image whose gap exceeds the needed distance is not
-//! searched.
+//! A state is placed at its coordinates, each scaled by √μ, and an answer is the point nearest to any *image* of the
+//! query. An angle θ has the image θ ± P, on the other side of the interval of the stored angles. A quaternion q has
+//! the image −q, while all stored ones have w ≥ 0. So an image is outside the region of the stored points, and the
+//! *gap* between the two is a lower bound on all distances found from there. An image whose gap exceeds the needed
+//! distance is not searched.
 //!
 //! Products of a rotation with anything else have no such chart. The chord orders rotations as the angle does, but sums
 //! of squares of chords have another order than sums of squares of angles.
@@ -52,7 +52,7 @@ impl Chart {
         Some(chart)
     }
 
-    /// How many coordinates a place has.
+    /// The number of coordinates of a place.
     pub fn width(&self) -> usize {
         self.scales.len()
     }
@@ -74,10 +74,11 @@ impl Chart {
         chord * chord
     }
 
-    /// Asks from each image of `place` that may see something within `reach_2`; `ask` returns the rest of that reach.
+    /// Searches from each image of `place` whose gap is within the squared bound `reach_2`; `ask` returns the new
+    /// bound.
     ///
-    /// No point can be found twice as long as the reach stays below half of each period, and below the chord of a right
-    /// angle. The check of answers against brute force would show a point that comes twice.
+    /// No point is found twice if the bound stays below half of each period, and below the chord of a right angle. The
+    /// check against brute force would detect a point that is found twice.
     pub fn images(&self, place: &mut [f64], reach_2: f64, mut ask: impl FnMut(&[f64], f64) -> f64) {
         if self.is_rotation {
             let w = place[3];
@@ -93,8 +94,8 @@ impl Chart {
     }
 }
 
-/// Asks from all images that differ from `place` in some of these circles, or, if it is one itself, in none.
-/// Leaves `place` as it was, and returns the rest of the reach.
+/// Searches from all images that differ from `place` in some of these circles, or in none if `place` is itself an
+/// image. Leaves `place` unchanged, and returns the new bound.
 fn turn(
     circles: &[(usize, f64)],
     place: &mut [f64],

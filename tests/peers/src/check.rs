@@ -1,4 +1,4 @@
-//! Brute force, which every structure must equal before it is timed.
+//! Brute force. Every structure must return its answers before it is timed.
 
 use wayfold_index::{Linear, Neighbor, PointRef, Search, Space};
 
@@ -8,10 +8,10 @@ use crate::{
     structures::{Kind, Structure},
 };
 
-/// How many neighbours `knn10` asks for; a radius is chosen to hold about as many.
+/// The number of neighbours that `knn10` requests. A radius is chosen to hold about as many.
 pub const MANY: usize = 10;
 
-/// How far distances may differ, relatively, where a structure computes them in another way than we do.
+/// The relative tolerance of distances for structures that compute them differently.
 const TOLERANCE: f64 = 1e-9;
 
 /// The points and queries of one row of the table, with the correct answers to the first queries.
@@ -26,14 +26,14 @@ pub struct Case<'a> {
     pub points: &'a Rows,
     /// The query states.
     pub queries: &'a Rows,
-    /// The radius that `radius` asks for.
+    /// The radius of `radius` queries.
     pub radius: f64,
     /// The answers of brute force to the first queries: the nearest ones, and those within the radius.
     truth: Vec<(Vec<Neighbor>, Vec<Neighbor>)>,
 }
 
 impl<'a> Case<'a> {
-    /// Asks brute force about the first `checked` of the queries.
+    /// Computes the answers to the first `checked` queries by brute force.
     pub fn new(
         name: &'a str,
         space: &'a Space,
@@ -52,7 +52,7 @@ impl<'a> Case<'a> {
                 })
                 .expect("canonical states");
         }
-        // Enough that few radii hold more.
+        // This is enough: few radii hold more.
         let search = Search::nearest_k(8 * MANY);
         let nearest: Vec<Vec<Neighbor>> = queries
             .iter()
@@ -66,7 +66,7 @@ impl<'a> Case<'a> {
             .collect();
         let mut tenth: Vec<f64> = nearest.iter().map(|near| near[MANY - 1].distance).collect();
         tenth.sort_by(f64::total_cmp);
-        // A little more, so that no point lies on the sphere itself, where roundings decide.
+        // The radius is slightly larger, so that no point lies exactly on the sphere, where rounding would decide.
         let radius = tenth[tenth.len() / 2] * (1.0 + 1e-6);
         let truth = nearest
             .into_iter()
@@ -97,10 +97,10 @@ impl<'a> Case<'a> {
         }
     }
 
-    /// Compares all answers that brute force has given too.
+    /// Compares the answers to all queries that brute force has answered.
     ///
     /// # Errors
-    /// One that differs.
+    /// An answer differs.
     pub fn check(&self, kind: Kind, structure: &mut dyn Structure) -> Result<(), Problem> {
         let mut found = Vec::new();
         for (at, (nearest, within)) in self.truth.iter().enumerate() {

@@ -1,6 +1,6 @@
-//! States to store and to ask about, the same ones in every run.
+//! States to store and query states, the same in every run.
 //!
-//! Queries are other states of the same distribution as those that are stored.
+//! Query states have the same distribution as the stored states, but differ from them.
 
 mod uneven;
 
@@ -10,7 +10,7 @@ use wayfold_index::{Factor, Space, Term};
 
 use crate::problem::Problem;
 
-/// How states are distributed, and in which order they arrive.
+/// The distribution of states, and the order of their arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Data {
     /// Coordinates uniform in [0, 1), angles and rotations uniform.
@@ -26,7 +26,7 @@ pub enum Data {
 }
 
 impl Data {
-    /// All but the uniform.
+    /// All distributions except the uniform one.
     pub const UNEVEN: [Data; 4] = [Data::Sorted, Data::Clusters, Data::Rrt, Data::Manifold];
 
     /// The name in the tables.
@@ -49,7 +49,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// How many rows there are.
+    /// The number of rows.
     pub fn len(&self) -> usize {
         self.numbers.len() / self.width
     }
@@ -70,7 +70,7 @@ impl Rows {
     }
 }
 
-/// `points` states to store and `queries` states to ask about, canonical.
+/// `points` states to store and `queries` query states, all canonical.
 ///
 /// # Errors
 /// The space refuses a state: a bug of the generator.
@@ -98,7 +98,8 @@ pub fn generate(
     let width = space.coordinates();
     let (mut stored, mut asked) = (Vec::new(), Vec::new());
     for (at, row) in rows.into_iter().enumerate() {
-        // The queries are spread evenly from beginning to end: a tree's late states lie elsewhere than its first ones.
+        // The queries are spread evenly over the sequence, because a tree's late states lie elsewhere than its first
+        // ones.
         let is_query = (at + 1) * queries / all > at * queries / all;
         if is_query { &mut asked } else { &mut stored }.push(row);
     }

@@ -1,4 +1,4 @@
-//! The goals of the index against its peers, and the figures that a run reached: a line for each goal.
+//! The goals of the index against its peers, and the figures that a run reached: one line for each goal.
 
 use crate::{
     MANY_POINTS, POINTS,
@@ -7,18 +7,18 @@ use crate::{
     structures::Kind,
 };
 
-/// The value that ours is compared with.
+/// The value with which ours is compared.
 #[derive(Clone, Copy, Debug)]
 enum Against {
     /// The best of these.
     Best(&'static [Kind]),
-    /// A value, and what it is.
+    /// A value, and its description.
     Value(f64, &'static str),
 }
 
 use Against::{Best, Value};
 
-/// Theirs over ours, of uniform data.
+/// The ratio of a peer's figure to ours, for uniform data.
 #[derive(Clone, Copy, Debug)]
 struct Goal {
     space: &'static str,
@@ -36,7 +36,7 @@ const GNAT: Against = Best(&[Kind::OmplGnat]);
 const SCAN: Against = Best(&[Kind::SimdScan]);
 const AT_REST: Against = Best(&[Kind::WayfoldRest]);
 
-/// How much longer than at rest a search may take while it grows.
+/// The maximum ratio of a search's time in a growing index to its time at rest.
 const GROWING: f64 = 1.5;
 
 /// The size of a point of SE3: seven coordinates, id, tag and revision.
@@ -74,7 +74,7 @@ fn goals() -> Vec<Goal> {
     }
     nearest("SE3^2", POINTS, Grows, SCAN, [2.0, 1.2]);
     for space in ["SE3^4", "SE3^8", "R30"] {
-        // The first is to be reached in any case, the second where pruning or less memory traffic can give it.
+        // The first ratio is required everywhere, the second where pruning or less memory traffic makes it possible.
         nearest(space, POINTS, Grows, SCAN, [1.0; 2]);
         nearest(space, POINTS, Grows, SCAN, [1.5; 2]);
         nearest(space, POINTS, Grows, GNAT, [10.0; 2]);

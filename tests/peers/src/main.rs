@@ -50,17 +50,18 @@ struct Options {
     /// Only these structures, by the names of the table
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     structures: Vec<String>,
-    /// How often each timing is repeated; the table shows medians
+    /// The number of repetitions of each timing; the table shows medians
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..))]
     rounds: u8,
 }
 
-/// Points of a case ...
+/// The number of points of a case.
 const POINTS: usize = 50_000;
-/// ... and of a large one.
+/// The number of points of a large case.
 const MANY_POINTS: usize = 1_000_000;
 
-/// So many that a tree's part which they touch does not stay in the caches more than a planner's would.
+/// The number of queries. It is so large that the part of a tree that they touch stays in the caches no more than a
+/// planner's does.
 const QUERIES: usize = 10_000;
 
 /// Spaces that `--quick` measures with some data that is not uniform.
@@ -102,7 +103,7 @@ fn run(options: &Options) -> Result<(), Problem> {
     }
 }
 
-/// The named ones, or all if none is named.
+/// The named items, or all if none is named.
 fn named<T: Clone>(
     what: &'static str,
     all: &[T],
@@ -131,7 +132,7 @@ fn compare(settings: &[Setting], options: &Options, report: &mut Report) -> Resu
         &options.structures,
     )?;
     if options.structures.is_empty() {
-        // The paper's; the last two are thousands of times as slow in most spaces.
+        // The paper's structures. The last two take thousands of times as long in most spaces.
         kinds.retain(|kind| !matches!(kind, Kind::Mpnn | Kind::CoverTree | Kind::Brute));
     }
     let rounds = usize::from(options.rounds);
@@ -185,7 +186,7 @@ fn measure(
     let begin = Instant::now();
     let space = spaces::parse(setting.text)?;
     let (points, queries) = data::generate(&space, data, points, QUERIES)?;
-    // Brute force takes milliseconds for each.
+    // Brute force takes milliseconds per query.
     let is_slow = space.coordinates() > 14 || points.len() > POINTS;
     let checked = if is_slow { 100 } else { 500 };
     let case = Case::new(setting.name, &space, data, (&points, &queries), checked);

@@ -15,19 +15,19 @@ use crate::{
     structures::{Kind, Structure, heap_bytes},
 };
 
-/// How long one timing of queries takes at least, ...
+/// The minimum duration of one timing of queries.
 const WINDOW: Duration = Duration::from_millis(50);
-/// ... unless fewer queries than this take longer.
+/// The minimum number of queries in one timing.
 const LEAST_QUERIES: usize = 20;
 
-/// How much is measured of a case.
+/// The extent of the measurements of a case.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
-    /// How often each timing is repeated.
+    /// The number of repetitions of each timing.
     pub rounds: usize,
-    /// The searches that are measured.
+    /// The measured searches.
     pub searches: &'static [Op],
-    /// How often they are built and grown at most.
+    /// The maximum number of builds and growths.
     pub growth_rounds: usize,
     /// A random tree that would take longer than this is left out.
     pub longest_rrt: Duration,
@@ -36,16 +36,16 @@ pub struct Effort {
 /// A structure that takes longer than this to make is made once.
 const LONG_TO_MAKE: Duration = Duration::from_secs(5);
 
-/// A structure that is measured.
+/// A measured structure.
 struct Measured {
     kind: Kind,
-    /// The time to make it, in its own way.
+    /// The time to build or grow it.
     made: Duration,
     /// The time of a search for the nearest.
     nearest: Duration,
 }
 
-/// Measures these structures, as far as they do not refuse the space.
+/// Measures those of these structures that accept the space.
 ///
 /// # Errors
 /// A structure does not equal brute force.
@@ -174,7 +174,7 @@ fn time_growth(case: &Case<'_>, measured: &[Measured], effort: Effort, report: &
             } else if kind.grows() && one.made < LONG_TO_MAKE {
                 insert.push(grow(kind, case.space, case.points, false));
             }
-            // Half of all points are there when the average one is asked.
+            // The average search finds half of all points stored.
             if kind.grows() && one.nearest.saturating_mul(n as u32 / 2) <= effort.longest_rrt {
                 rrt.push(grow(kind, case.space, case.points, true));
             }
@@ -194,7 +194,7 @@ fn time_growth(case: &Case<'_>, measured: &[Measured], effort: Effort, report: &
     }
 }
 
-/// Inserts all rows one by one; asks for the nearest of each before, if it is to be as a random tree does.
+/// Inserts all rows one by one. To simulate a random tree, it first searches the nearest neighbour of each row.
 fn grow(kind: Kind, space: &Space, rows: &Rows, is_asked: bool) -> Duration {
     let mut found = Vec::with_capacity(MANY);
     let begin = processor_time();

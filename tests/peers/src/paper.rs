@@ -1,6 +1,7 @@
 //! Figures 5, 6 and 7 of the paper again: 100 queries for the nearest of 50,000 uniform points.
 //!
-//! Machines have changed since: only ratios to brute force can be compared, the paper's to its own.
+//! Machines have changed since, so only ratios to brute force are comparable: ours to our brute force, the paper's to
+//! its own.
 
 use std::time::Duration;
 
@@ -113,7 +114,7 @@ pub fn run(rounds: usize, report: &mut Report) -> Result<String, Problem> {
     ))
 }
 
-/// Ours, the paper's tree, and those of packages, but brute force.
+/// Our index, the paper's tree, and the structures of packages, without brute force.
 const MEASURED: [Kind; 5] = [
     Kind::Wayfold,
     Kind::WayfoldRest,
@@ -142,12 +143,12 @@ fn queries_header() -> Vec<Vec<String>> {
 
 fn construction_header() -> Vec<Vec<String>> {
     let mut header = queries_header();
-    // Every point is stored as it is: nothing is constructed.
+    // Brute force stores the points unchanged and constructs nothing.
     header[0].retain(|name| name != Kind::SimdScan.name() && name != REST_TO_MPNN);
     header
 }
 
-/// A line of each table.
+/// One line of each table.
 fn lines(line: &Line, report: &Report) -> [Vec<String>; 2] {
     let query = |kind| report.uniform(&line.space, POINTS, kind, Op::Knn1);
     let brute = query(Kind::Brute).unwrap_or(f64::NAN);
@@ -160,7 +161,7 @@ fn lines(line: &Line, report: &Report) -> [Vec<String>; 2] {
     for kind in MEASURED {
         searched.push(query(kind).map_or_else(none, |own| format!("{:.1}", brute / own)));
         let op = if kind.builds() { Op::Build } else { Op::Insert };
-        // Nanoseconds a point against microseconds a query.
+        // Nanoseconds per point are compared with microseconds per query.
         let times = |ns: f64| ns * POINTS as f64 / (brute * 1e3 * QUERIES as f64);
         if kind != Kind::SimdScan {
             let built = report.uniform(&line.space, POINTS, kind, op);

@@ -1,4 +1,4 @@
-//! The loss of a build for any CPU of this kind. This program and one built that way run in turns.
+//! The loss of a portable build for any CPU of this architecture. This program and a portable build run in turns.
 
 use std::{
     env, fs,
@@ -42,7 +42,7 @@ pub fn run(program: &Path, settings: &[Setting], report: &mut Report) -> Result<
     let mut lines = vec![header.map(str::to_owned).to_vec()];
     let (mut native, mut portable) = (natives[0].clone(), portables[0].clone());
     for at in 0..native.len() {
-        // The ratio is taken within a turn: both of its runs had the same load on the machine.
+        // The ratio is taken within a turn, because both of its runs had the same load on the machine.
         let turns = natives.iter().zip(portables);
         let ratio = median(turns.map(|(native, portable)| portable[at].value / native[at].value));
         native[at].value = median(natives.iter().map(|run| run[at].value));
@@ -65,7 +65,7 @@ pub fn run(program: &Path, settings: &[Setting], report: &mut Report) -> Result<
     Ok(aligned(&lines))
 }
 
-/// The figures of ours that a program measures.
+/// Our figures as measured by a program.
 fn figures_of(program: &Path, settings: &[Setting]) -> Result<Vec<Figure>, Problem> {
     let failed = |source| Problem::Run {
         program: program.to_owned(),

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use wayfold_index::{SpaceError, StateError};
 
-/// Why a run ends without its table.
+/// The error of a run that ends without its table.
 #[derive(Debug, thiserror::Error)]
 pub enum Problem {
-    /// A text that is none of a space.
+    /// A text that describes no space.
     #[error("space {text:?}: {source}")]
     Space {
         /// The given text.
@@ -25,7 +25,7 @@ pub enum Problem {
         /// The fault of the state.
         source: StateError,
     },
-    /// A structure that does not equal brute force.
+    /// A structure whose answer differs from brute force.
     #[error(
         "{structure} in {space} ({n} points, {data}), {op}, query {query}: {difference}; it is timed only when it equals \
          brute force"
@@ -35,7 +35,7 @@ pub enum Problem {
         structure: &'static str,
         /// The space, by name.
         space: String,
-        /// How many points there were.
+        /// The number of points.
         n: usize,
         /// The name of the data.
         data: &'static str,
@@ -46,30 +46,30 @@ pub enum Problem {
         /// The answer found against the correct one.
         difference: String,
     },
-    /// A name that no structure or space has.
+    /// The name of no structure or space.
     #[error("no {what} is called {name:?}; there are {known}")]
     Unknown {
-        /// The kind of thing that was to be named.
+        /// The kind of the named thing.
         what: &'static str,
         /// The given name.
         name: String,
-        /// The names there are.
+        /// The valid names.
         known: String,
     },
-    /// A program that cannot be run, or failed.
+    /// A program that cannot be run, or that failed.
     #[error("cannot measure with {program}: {source}", program = program.display())]
     Run {
         /// The program.
         program: PathBuf,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
-    /// A file that cannot be read, or is none of figures.
+    /// A file that cannot be read, or that holds no figures.
     #[error("cannot read figures from {path}: {source}", path = path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
     /// A file that cannot be written.
@@ -77,7 +77,7 @@ pub enum Problem {
     Write {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
 }

@@ -13,13 +13,13 @@ pub enum Op {
     Knn10,
     /// All within a radius that holds about ten.
     Radius,
-    /// One by one, until all are there.
+    /// Single inserts of all points, one by one.
     Insert,
-    /// From all points at once.
+    /// A build from all points at once.
     Build,
-    /// The nearest of a state is asked for, and the state inserted, until all are there.
+    /// For each state in turn: a search of its nearest neighbour, then its insert.
     Rrt,
-    /// The memory held, with the points themselves.
+    /// The used memory, including the points.
     Memory,
 }
 
@@ -62,7 +62,7 @@ impl Op {
 pub struct Figure {
     /// The space, by name.
     pub space: String,
-    /// How many points there were.
+    /// The number of points.
     pub n: usize,
     /// The data, by name.
     pub data: String,
@@ -110,7 +110,7 @@ impl Report {
         });
     }
 
-    /// Remembers that a structure is not measured in a space.
+    /// Notes that a structure is not measured in a space.
     pub fn refused(&mut self, kind: Kind, space: &str, reason: &'static str) {
         let known = self
             .refused
@@ -165,8 +165,8 @@ impl Report {
         })
     }
 
-    /// The table: a line for each space, data and op, a column for each structure, and how often the best peer's time
-    /// holds ours, as we grow and at rest.
+    /// The table: a line for each space, data and operation, a column for each structure, and the ratios of the best
+    /// peer's time to ours, growing and at rest.
     pub fn table(&self) -> String {
         let columns: Vec<Kind> = Kind::ALL
             .into_iter()
@@ -199,7 +199,7 @@ impl Report {
         text + &self.uneven()
     }
 
-    /// The figures of ours with data that is not uniform, as multiples of those with uniform data.
+    /// Our figures with non-uniform data, as multiples of those with uniform data.
     fn uneven(&self) -> String {
         let ops = [Op::Knn1, Op::Knn10, Op::Radius, Op::Insert, Op::Build];
         let mut header = ["data / uniform", "n", "data"].map(str::to_owned).to_vec();

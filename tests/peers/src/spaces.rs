@@ -1,10 +1,10 @@
-//! The spaces that are measured, by the names that the tables print.
+//! The measured spaces, by the names in the tables.
 
 use wayfold_index::Space;
 
 use crate::problem::Problem;
 
-/// A space and where it is measured.
+/// A space and the extent of its measurements.
 #[derive(Clone, Debug)]
 pub struct Setting {
     /// The name in the tables.
@@ -67,10 +67,10 @@ pub const SETTINGS: [Setting; 13] = [
     setting("SE3^8", "(R3*SO3:0.15)^8"),
 ];
 
-/// The space of a text.
+/// Parses the text form of a space.
 ///
 /// # Errors
-/// The text is not one of a space.
+/// The text describes no space.
 pub fn parse(text: &str) -> Result<Space, Problem> {
     text.parse().map_err(|source| Problem::Space {
         text: text.to_owned(),

@@ -1,4 +1,4 @@
-//! The command line `wayfold`, for the suites to start.
+//! The program `wayfold`, which the suites start.
 
 use std::process::ExitCode;
 

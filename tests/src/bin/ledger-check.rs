@@ -1,7 +1,7 @@
 //! Compares the answers that planners received with brute force: `ledger-check URI INDEX LEDGER...`.
 //!
-//! The ledgers have every mutation of the index, and no other client has changed it. The process fails where an answer
-//! is wrong.
+//! The ledgers hold every mutation of the index, and no other client has changed it. The process fails if an answer is
+//! wrong.
 
 use std::{env, path::Path};
 
@@ -18,7 +18,7 @@ async fn main() {
     let mut model = Model::new(space.parse().expect("a space"));
     let read = ledgers.iter().map(|path| ledger::read(Path::new(path)));
     let mut entries: Vec<_> = read.flatten().collect();
-    // Mutations first at each revision: they made what the others saw.
+    // At each revision the mutation comes first, because the other answers saw its result.
     entries.sort_by_key(|entry| (entry.revision(), !entry.changed()));
     for entry in &entries {
         model.check(entry);

@@ -1,7 +1,7 @@
 //! One of the planners that share an index: `planner-process URI INDEX SEED ROUNDS LEDGER`.
 //!
-//! It says `ready`, waits for a line, and then inserts, removes and asks in an order drawn from its seed. It writes the
-//! answers to the ledger.
+//! It prints `ready`, waits for a line, and then inserts, removes and searches in an order drawn from its seed. It
+//! writes the answers to the ledger.
 
 use std::{
     env,
@@ -55,7 +55,7 @@ struct Planner {
     states: States,
     index: String,
     uid: String,
-    /// The newest revision that an answer named.
+    /// The newest revision in an answer.
     revision: u64,
     first_id: u64,
     given_ids: u64,
@@ -74,7 +74,7 @@ impl Planner {
         }
     }
 
-    /// Under assigned ids or its own, with the neighbours that an edge is tried to.
+    /// Inserts under assigned ids or its own ones, and requests the neighbours to which an edge is tried.
     async fn insert(&mut self) -> Entry {
         let rows = self.up_to(16);
         let rng = self.states.rng();
@@ -138,7 +138,7 @@ impl Planner {
         entry
     }
 
-    /// Some of its own points, and one that never was.
+    /// Removes some of its own points, and one that never existed.
     async fn remove(&mut self) -> Entry {
         let count = self.up_to(4).min(self.own.len());
         let mut ids = self.own.split_off(self.own.len() - count);

@@ -1,6 +1,6 @@
-//! A Zenoh router to stand between a server and those who ask it: `router-process LOCATOR`.
+//! A Zenoh router between a server and its clients: `router-process LOCATOR`.
 //!
-//! It says where it listens, and ends with its standard input.
+//! It prints its address, and ends when its standard input ends.
 
 use std::{
     env,

@@ -1,4 +1,4 @@
-//! What a worker has done, and where its time went.
+//! The account of a worker.
 
 use std::iter::Sum;
 
@@ -6,18 +6,18 @@ use serde::{Deserialize, Serialize};
 
 use super::super::processes::{self, Times};
 
-/// What one worker, or several together, have done.
+/// The account of one worker, or of several together.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Account {
-    /// The states that were drawn.
+    /// The number of drawn states.
     pub samples: u64,
-    /// The vertices that were inserted.
+    /// The number of inserted vertices.
     pub vertices: u64,
-    /// The calls that inserted them.
+    /// The number of calls that inserted them.
     pub inserts: u64,
-    /// The states that were checked for collisions.
+    /// The number of states that were checked for collisions.
     pub checks: usize,
-    /// Where its time went, from the first sample to the end.
+    /// The account of its time from the first sample to the end.
     pub times: Times,
 }
 

@@ -1,4 +1,4 @@
-//! What a process is told that is one of the workers.
+//! The job of a worker process.
 
 use clap::Args;
 use wayfold::{Client, RetryPolicy};
@@ -16,37 +16,38 @@ use super::{
     worker::Worker,
 };
 
-/// What a worker has to know, beside the problem.
+/// The parameters of a worker, apart from the problem.
 #[derive(Clone, Debug, Args)]
 pub struct Job {
-    /// Where the server is
+    /// The address of the server
     #[arg(long)]
     pub server: String,
     /// The name of what holds the trees
     #[arg(long)]
     pub store: String,
-    /// How the trees are told apart
+    /// The distinction between the trees
     #[arg(long, value_enum)]
     pub layout: Layout,
-    /// Which worker it is
+    /// The number of the worker
     #[arg(long)]
     pub number: usize,
-    /// What all workers draw from
+    /// The seed of all workers
     #[arg(long)]
     pub seed: u64,
-    /// With so many vertices of its own it gives up
+    /// The number of own vertices at which it gives up
     #[arg(long)]
     pub max_vertices: u64,
-    /// Where its neighbours come from
+    /// The source of its neighbours
     #[arg(long, value_enum)]
     pub source: Kind,
-    /// How many random states it connects the trees to between two inserts
+    /// The number of random states to which it connects the trees between two inserts
     #[arg(long)]
     pub batch: usize,
-    /// How often it tells its progress, at most
+    /// The minimum interval of its progress reports
     #[arg(long, default_value_t = PROGRESS_MS)]
     pub progress_ms: u64,
-    /// With so many vertices of its own it says so, its last insert still under way, and waits to be told to go on
+    /// The number of own vertices at which it reports a halt, with its last insert still under way, and waits for a
+    /// line
     #[arg(long)]
     pub halt_at: Option<u64>,
 }

@@ -1,8 +1,8 @@
-//! How workers learn that the trees have met: by an index of its own, which holds one point in the end.
+//! Tells workers that the trees have met, by a separate index that finally holds one point.
 //!
-//! Who connects the trees inserts the state where they meet, under an id that all agree on: the first one does so, and to
-//! the others the server says that it is there already. Everybody watches this index, and is told of its only mutation
-//! at once; until then it costs nobody anything, which following all vertices for the sake of one of them would.
+//! A worker that connects the trees inserts the state where they meet, under a fixed id. The first insert succeeds; the
+//! server answers later ones that the point exists. All workers watch this index and receive its only mutation at once.
+//! Until then the watch costs nothing, unlike a watch of all vertices.
 
 use bytes::Bytes;
 use wayfold::{Client, Code, Error, Include, IndexHandle, Space, WatchEvent};
@@ -12,12 +12,12 @@ use super::{super::error::PlanningError, vertex};
 /// The id of the only point.
 const ID: u64 = 0;
 
-/// Where the trees of an index may have met.
+/// The possible meeting of two trees.
 #[derive(Clone, Debug)]
 pub struct Meeting(IndexHandle);
 
 impl Meeting {
-    /// Makes what belongs to the trees of this name.
+    /// Creates the meeting of the trees of this name.
     pub async fn create(
         client: &Client,
         trees: &str,
@@ -26,7 +26,7 @@ impl Meeting {
         Ok(Meeting(client.create_index(&name(trees), space).await?))
     }
 
-    /// What belongs to the trees of this name.
+    /// The meeting of the trees of this name.
     pub async fn open(client: &Client, trees: &str) -> Result<Meeting, PlanningError> {
         Ok(Meeting(client.index(&name(trees)).await?))
     }
@@ -36,7 +36,7 @@ impl Meeting {
         self.0.name()
     }
 
-    /// Says that the trees meet in this state, at these stored vertices, unless somebody has said so before.
+    /// Records that the trees meet in this state, at these stored vertices, unless a meeting is already recorded.
     pub async fn announce(&self, state: &[f64], vertices: [u64; 2]) -> Result<(), PlanningError> {
         let ids = vertices.iter().flat_map(|id| id.to_le_bytes());
         let first = self.0.insert([state]).ids([ID]);
@@ -47,10 +47,10 @@ impl Meeting {
         }
     }
 
-    /// Waits until somebody has said so.
+    /// Waits until a meeting is recorded.
     pub async fn heard(self) -> Result<(), PlanningError> {
         loop {
-            // After a lost connection the next watch waits for the server, as long as the client's calls do.
+            // After a lost connection the next watch waits for the server as long as the client's calls wait.
             let watch = self.0.watch().after(self.0.revision_at(0));
             match watch.await?.next().await {
                 Ok(Some(WatchEvent::Mutation(_))) => return Ok(()),
@@ -61,8 +61,8 @@ impl Meeting {
         }
     }
 
-    /// The vertices at which the trees have met: of the tree from the start, and of that from the goal; none if they have
-    /// not.
+    /// The vertices at which the trees have met, of the tree from the start and of the tree from the goal; None if they
+    /// have not met.
     pub async fn vertices(&self) -> Result<Option<[u64; 2]>, PlanningError> {
         let points = match self.0.get([ID]).include(Include::all()).await {
             Err(error) if error.code() == Code::NotFound => return Ok(None),

@@ -1,12 +1,12 @@
 //! RRTConCon by several workers on the same two trees: two indices of one server, or one with two tags.
 //!
-//! Every worker draws states of its own, connects both trees to them as the planner of one process does (`rrt`), and inserts
-//! what that has made. The indices are all that they share: a vertex is stored with its parent, so that any worker, and who
-//! only reads, has the whole of both trees, whoever made them, and a worker that dies leaves no vertex without one.
+//! Every worker draws its own states, connects both trees to them as the planner of one process does (`rrt`), and
+//! inserts the new vertices. The workers share nothing but the indices. A vertex is stored with its parent, so every
+//! worker and every reader can read both trees completely, and a worker that dies leaves no vertex without a parent.
 //!
-//! Reading order: `vertex` (what an index keeps), `store` (which indices), `meeting` (how all learn that it is over), `nearest`
-//! (the neighbours), `worker` (the planner), `trees` (what all of them made), `job` (what a process is told), `solve` (one
-//! problem from empty indices to the path), `report`.
+//! Reading order: `vertex` (the stored form of a vertex), `store` (the indices), `meeting` (the end of the search),
+//! `nearest` (the neighbours), `worker` (the planner), `trees` (the result of all workers), `job` (the job of a
+//! process), `solve` (one problem from empty indices to the path), `report`.
 
 pub mod account;
 pub mod job;

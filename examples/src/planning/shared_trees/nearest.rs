@@ -1,4 +1,4 @@
-//! Where a worker's neighbours come from: one tree of the two.
+//! A worker's source of neighbours in one of the two trees.
 
 use wayfold::{Client, Include, Neighbor, Replica, Search};
 
@@ -7,26 +7,26 @@ use super::{
     store::Store,
 };
 
-/// The vertex that is nearest to a state.
+/// The vertex nearest to a state.
 pub struct Nearest {
     /// Its id and distance.
     pub neighbor: Neighbor,
     /// Its state.
     pub state: Vec<f64>,
-    /// The revision that was searched.
+    /// The searched revision.
     pub revision: u64,
 }
 
-/// Where they come from.
+/// The source of neighbours.
 pub enum Source {
     /// The server, in a call.
     Server,
-    /// Replicas in the worker's own process, one for each tree, as new as they happen to be.
+    /// Replicas in the worker's own process, one for each tree. They may be behind the server.
     Replicas([Replica; 2]),
 }
 
 impl Source {
-    /// Opens one of this kind.
+    /// Opens a source of this kind.
     pub async fn open(client: &Client, store: &Store, kind: Kind) -> Result<Source, PlanningError> {
         if kind == Kind::Server {
             return Ok(Source::Server);
@@ -39,7 +39,7 @@ impl Source {
         Ok(Source::Replicas([start, goal]))
     }
 
-    /// The vertex of a tree that is nearest to each state; none where the tree has none.
+    /// The vertex of a tree that is nearest to each state; None if the tree is empty.
     pub async fn nearest(
         &self,
         store: &Store,

@@ -46,7 +46,7 @@ pub fn table(solved: &Solved) -> String {
     text
 }
 
-/// Medians by source and number of workers, and how much faster these are than one worker with the same seed.
+/// Medians by source and number of workers, and their speedup over one worker with the same seed.
 pub fn comparison(all: &[Solved]) -> String {
     let mut text = format!(
         "{:<8} {:>8} {:>9} {:>26} {:>11} {:>9} {:>8} {:>8} {:>13} {:>10}\n",
@@ -83,7 +83,7 @@ pub fn comparison(all: &[Solved]) -> String {
                 let times = of(source, workers).map(|one| one.sum().times);
                 median(times.map(|times| times.percent(part(times))))
             };
-            // Seed by seed, as these are of one moment.
+            // The ratios are taken seed by seed, because the runs of one seed are close in time.
             let pairs = || of(source, workers).zip(of(source, 1));
             let _ = writeln!(
                 text,

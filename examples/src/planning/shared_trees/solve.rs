@@ -19,24 +19,24 @@ use super::{
     trees::SharedTrees,
 };
 
-/// A problem that several workers have solved.
+/// The solution of a problem by several workers.
 pub struct Solved {
-    /// Where their neighbours came from.
+    /// The source of their neighbours.
     pub source: Kind,
-    /// What the states were drawn from.
+    /// The seed of the random states.
     pub seed: u64,
-    /// What each did, until it knew that the trees had met.
+    /// The account of each worker until it learned that the trees had met.
     pub crew: Crew<Account>,
     /// The trees.
     pub shared: SharedTrees,
-    /// From start to goal.
+    /// The path from start to goal.
     pub path: Vec<Vec<f64>>,
-    /// At how many states the path was checked anew.
+    /// The number of states at which the path was checked independently.
     pub checked: usize,
 }
 
 impl Solved {
-    /// What all workers did together.
+    /// The account of all workers together.
     pub fn sum(&self) -> Account {
         self.crew.accounts.iter().copied().sum()
     }
@@ -57,7 +57,7 @@ impl Solved {
     }
 }
 
-/// Solves `problem` on the server at `uri`, by so many workers.
+/// Solves `problem` on the server at `uri`, with the given number of workers.
 pub async fn solve(
     problem: &impl Verify,
     uri: &str,
@@ -97,7 +97,7 @@ pub async fn solve(
     })
 }
 
-/// The trees as they are, and the path by the vertices at which they have met.
+/// The current trees, and the path through the vertices at which they have met.
 pub async fn read(store: &Store) -> Result<(SharedTrees, Vec<Vec<f64>>), PlanningError> {
     let vertices = store.meeting().vertices().await?;
     let shared = SharedTrees::read(store).await?;
@@ -118,11 +118,11 @@ pub async fn read(store: &Store) -> Result<(SharedTrees, Vec<Vec<f64>>), Plannin
     Ok((shared, path))
 }
 
-/// How many workers are compared.
+/// The compared numbers of workers.
 pub const WORKERS: [usize; 4] = [1, 2, 4, 8];
 
-/// Solves the problem by all numbers of workers, with each source that they can share, in turns, so that what else the machine
-/// does meets all.
+/// Solves the problem with all numbers of workers and each source that they can share. The contestants take turns, so
+/// that other load on the machine affects all of them.
 pub async fn compare(
     problem: &impl Verify,
     uri: &str,

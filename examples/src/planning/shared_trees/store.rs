@@ -1,4 +1,4 @@
-//! What workers share: the indices that hold the trees, and what tells that these have met.
+//! The shared store of the workers: the indices that hold the trees, and the meeting.
 
 use clap::ValueEnum;
 use wayfold::{Client, Filter, IndexHandle, Space};
@@ -9,18 +9,18 @@ use super::{
     vertex::{self, ROOTS},
 };
 
-/// How two trees are told apart.
+/// The distinction between the two trees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Layout {
     /// Each has an index of its own
     Indices,
-    /// By a tag, in one index: what both trees become is one insert, but who seeks the nearest vertex of one has to pass
-    /// those of the other that are nearer
+    /// A tag in one index: one insert extends both trees, but a search in one tree must skip nearer vertices of the
+    /// other
     Tags,
 }
 
 impl Layout {
-    /// What it is called.
+    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Layout::Indices => "indices",
@@ -33,13 +33,13 @@ impl Layout {
 #[derive(Clone, Debug)]
 pub struct Store {
     layout: Layout,
-    /// Of the tree from the start, and of that from the goal; the same one for both with tags.
+    /// The index of the tree from the start, and of the tree from the goal; with tags, both are the same index.
     trees: [IndexHandle; 2],
     meeting: Meeting,
 }
 
 impl Store {
-    /// Makes what is needed under a name that nobody else uses, with the roots of both trees.
+    /// Creates the store under a unique name, with the roots of both trees.
     pub async fn create(
         client: &Client,
         name: &str,
@@ -60,7 +60,7 @@ impl Store {
         Ok(store)
     }
 
-    /// What was made under this name.
+    /// Opens the store of this name.
     pub async fn open(client: &Client, name: &str, layout: Layout) -> Result<Store, PlanningError> {
         let [start, goal] = names(name, layout);
         Ok(Store {
@@ -70,16 +70,17 @@ impl Store {
         })
     }
 
-    /// Deletes all of it.
+    /// Deletes the store.
     pub async fn delete(&self, client: &Client) {
         let trees = self.trees.iter().map(IndexHandle::name);
         for name in trees.chain([self.meeting.name()]) {
-            // What is left behind on a server that is gone, goes with it; of one index for both, the second time.
+            // A deletion fails if the server is gone, and its indices with it, or the second time if both trees share
+            // one index.
             let _ = client.delete_index(name).await;
         }
     }
 
-    /// How the trees are told apart.
+    /// The distinction between the trees.
     pub fn layout(&self) -> Layout {
         self.layout
     }
@@ -89,12 +90,12 @@ impl Store {
         &self.trees[tree]
     }
 
-    /// What tells that the trees have met.
+    /// The meeting of the trees.
     pub fn meeting(&self) -> &Meeting {
         &self.meeting
     }
 
-    /// Which points of a tree's index are of that tree.
+    /// The filter for the points of a tree in its index.
     pub fn filter(&self, tree: usize) -> Filter {
         match self.layout {
             Layout::Indices => Filter::default(),
@@ -102,7 +103,7 @@ impl Store {
         }
     }
 
-    /// The trees that share an index, index by index.
+    /// The trees of each index.
     pub fn together(&self) -> &'static [&'static [usize]] {
         match self.layout {
             Layout::Indices => &[&[0], &[1]],

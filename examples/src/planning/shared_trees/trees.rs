@@ -1,4 +1,4 @@
-//! Both trees as a whole, read from the server.
+//! Both complete trees, read from the server.
 
 use wayfold::{Include, IndexHandle, States};
 
@@ -10,7 +10,7 @@ use super::{
 
 /// Both trees. Nodes are in the order of their revisions, and parents before their children.
 pub struct SharedTrees {
-    /// The tree from the start, and that from the goal.
+    /// The tree from the start, and the tree from the goal.
     pub trees: [Tree; 2],
     /// The worker that made each node.
     pub makers: [Vec<usize>; 2],
@@ -19,8 +19,8 @@ pub struct SharedTrees {
 }
 
 impl SharedTrees {
-    /// Reads both, and fails unless they are trees: of each vertex but the roots, the parent is one of the same tree, which
-    /// was there before, or in the same insert in front of it.
+    /// Reads both, and fails unless they are trees: the parent of each vertex except the roots belongs to the same
+    /// tree, and was inserted earlier or precedes the vertex in the same insert.
     pub async fn read(store: &Store) -> Result<SharedTrees, PlanningError> {
         let coordinates = store.index(0).coordinates();
         let mut read = SharedTrees {
@@ -30,7 +30,7 @@ impl SharedTrees {
         };
         for trees in store.together() {
             let index = store.index(trees[0]);
-            // Up to the workers' last revision: what they told is behind what they did.
+            // Reads the workers' last revision: their reports are behind it.
             index.info().await?;
             read.add(Vertices::scan(index).await?)?;
         }
@@ -40,7 +40,7 @@ impl SharedTrees {
     /// Adds all vertices of one index.
     fn add(&mut self, vertices: Vertices) -> Result<(), PlanningError> {
         let rows = &vertices.rows;
-        // The rows of one insert have ascending ids, and it is one worker's.
+        // The rows of one insert have ascending ids and belong to one worker.
         let mut order: Vec<usize> = (0..rows.len()).collect();
         order.sort_by_key(|&row| (rows[row].revision, rows[row].id));
         for row in order {
@@ -58,7 +58,7 @@ impl SharedTrees {
         Ok(())
     }
 
-    /// How many vertices both have.
+    /// The number of vertices of both trees.
     pub fn len(&self) -> usize {
         self.trees.iter().map(Tree::len).sum()
     }

@@ -1,16 +1,16 @@
-//! What the index keeps of a vertex beside its state: its parent in the payload, its tree and its worker in the tag.
+//! The stored form of a vertex in addition to its state: its parent in the payload, its tree and its worker in the tag.
 //!
-//! Workers choose the ids, each in a range of its own: so a chain of vertices, each the parent of the next, is one insert, whose
-//! payloads are known before it is sent. An insert is applied whole or not at all, its first parent was found in the
-//! index, and nothing is ever removed: at every revision the parent of every vertex is there.
+//! Workers choose the ids, each from its own range. So a chain of vertices, each the parent of the next, is one insert,
+//! whose payloads are known before it is sent. An insert is applied whole or not at all, its first parent was found in
+//! the index, and nothing is ever removed. So at every revision the parent of every vertex exists.
 
 use bytes::Bytes;
 use wayfold::Filter;
 
-/// The bit of a tag that tells the tree, in whichever index: 0 from the start, 1 from the goal.
+/// The bit of a tag that gives the tree: 0 from the start, 1 from the goal.
 const TREE: u64 = 1;
 
-/// The ids of the roots: of the tree from the start, and of that from the goal.
+/// The ids of the roots of the tree from the start and of the tree from the goal.
 pub const ROOTS: [u64; 2] = [0, 1];
 
 /// The tag of a vertex of this tree, made by this worker.
@@ -18,12 +18,12 @@ pub fn tag(tree: usize, worker: usize) -> u64 {
     (worker as u64) << 1 | tree as u64
 }
 
-/// The tree by a vertex's tag.
+/// The tree of a vertex with this tag.
 pub fn tree(tag: u64) -> usize {
     (tag & TREE) as usize
 }
 
-/// The worker by a vertex's tag.
+/// The worker of a vertex with this tag.
 pub fn worker(tag: u64) -> usize {
     (tag >> 1) as usize
 }
@@ -33,7 +33,7 @@ pub fn of_tree(tree: usize) -> Filter {
     Filter::default().tag(TREE, tree as u64)
 }
 
-/// The first id that this worker gives; the next ones follow, four thousand millions of them.
+/// The first id of this worker. It has 2^32 consecutive ids.
 pub fn first_id(worker: usize) -> u64 {
     (worker as u64 + 1) << 32
 }
@@ -43,7 +43,7 @@ pub fn payload(parent: u64) -> Bytes {
     Bytes::copy_from_slice(&parent.to_le_bytes())
 }
 
-/// The id that a payload keeps; none if it was not written so.
+/// The id that a payload keeps; None if it has another form.
 pub fn parent(payload: &[u8]) -> Option<u64> {
     Some(u64::from_le_bytes(payload.try_into().ok()?))
 }

@@ -1,10 +1,10 @@
-//! A worker: RRTConCon, on two trees that others grow too.
+//! A worker: RRTConCon on two trees that others extend too.
 //!
-//! It connects one tree to a random state as far as that goes, and then the other to where the first has arrived, both by
-//! what it finds in the index. Only then it inserts what both have become: its ids are its own, so nobody has to be
-//! asked. A batch does so for several random states with the same calls (through replicas, with those of the insert
-//! alone), and while that insert is under way the next batch is searched and checked: what a worker misses by it is a few of its
-//! own vertices, and of others' no more than it would anyway.
+//! It connects one tree towards a random state as far as possible, and then the other tree towards the end of that
+//! connection. Both start from vertices found in the index. Only then it inserts the new vertices of both trees, under
+//! ids from its own range. A batch does this for several random states with the same calls; with replicas, only the
+//! insert is a call. While that insert is under way, the next batch is searched and checked. These searches miss a few
+//! of the worker's own vertices, but no more of others' than they would otherwise.
 
 use std::time::Instant;
 
@@ -22,7 +22,7 @@ use super::{
     vertex,
 };
 
-/// One that samples, checks and inserts.
+/// A worker that samples, checks and inserts.
 pub struct Worker<'a, P> {
     problem: &'a P,
     store: Store,
@@ -35,16 +35,16 @@ pub struct Worker<'a, P> {
     asked: Option<Vec<Asked>>,
 }
 
-/// A search that was made, and what it found.
+/// A search and its result.
 #[derive(Clone, Debug)]
 pub struct Asked {
-    /// Of which tree.
+    /// The searched tree.
     pub tree: usize,
-    /// The nearest vertex to this state.
+    /// The state whose nearest vertex was searched.
     pub state: Vec<f64>,
-    /// The revision that was searched.
+    /// The searched revision.
     pub revision: u64,
-    /// What was found.
+    /// The result.
     pub found: Neighbor,
 }
 
@@ -64,14 +64,15 @@ impl Chain {
     }
 }
 
-/// Where the trees meet.
+/// The meeting of the trees.
 struct Met {
     state: Vec<f64>,
     vertices: [u64; 2],
 }
 
 impl<'a, P: Problem> Worker<'a, P> {
-    /// Worker `number` of those that grow the trees of an index; each draws states of its own from the same seed.
+    /// Creates worker `number` of those that extend the trees of an index. Each draws its own states from the same
+    /// seed.
     pub fn new(
         problem: &'a P,
         store: Store,
@@ -94,7 +95,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         }
     }
 
-    /// Connects the trees to so many random states between two inserts.
+    /// Sets the number of random states to which the trees are connected between two inserts.
     pub fn batch(mut self, states: usize) -> Worker<'a, P> {
         self.batch = states;
         self
@@ -106,18 +107,18 @@ impl<'a, P: Problem> Worker<'a, P> {
         self
     }
 
-    /// What it has done so far.
+    /// Its account so far.
     pub fn account(&self) -> Account {
         self.account
     }
 
-    /// The searches that it remembers.
+    /// The remembered searches.
     pub fn into_asked(self) -> Vec<Asked> {
         self.asked.unwrap_or_default()
     }
 
-    /// Grows the trees until they meet, by whomever, or has inserted so many vertices itself; tells `progress` of each
-    /// insert. Returns whether they have met.
+    /// Extends the trees until any worker makes them meet, or until this worker has inserted the given number of
+    /// vertices. Reports each insert to `progress`. Returns true if they have met.
     pub async fn grow(
         &mut self,
         max_vertices: u64,
@@ -153,7 +154,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         self.finish(&mut inserting).await?;
         self.account.times.total = started.elapsed();
         if heard.is_finished() {
-            // It fails only if it panicked.
+            // The join fails only if the task panicked.
             heard.await.expect("who listens does not panic")?;
             return Ok(true);
         }
@@ -169,7 +170,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         Ok(())
     }
 
-    /// Connects this tree to random states, and the other to where it has arrived. Nothing of it is stored yet.
+    /// Connects this tree to random states, and the other one to the ends of these connections. Nothing is stored yet.
     async fn connect(&mut self, tree: usize) -> Result<(Vec<Chain>, Option<Met>), PlanningError> {
         let start = Instant::now();
         let (space, bounds) = (self.problem.space(), self.problem.bounds());
@@ -232,7 +233,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         Ok(near)
     }
 
-    /// The vertices on the way from one that is there to `target`, and whether they reach it.
+    /// The new vertices on the motion from an existing one to `target`; true if they reach it.
     fn advance(
         &mut self,
         tree: usize,
@@ -244,7 +245,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         let distance = near.neighbor.distance;
         let (mut states, reached) = rrt::advance(problem, &near.state, target, distance, checks)?;
         if distance == 0.0 {
-            // The same state again, as a vertex that is this worker's to name.
+            // The same state as a new vertex, with an id of this worker.
             states.push(target)?;
         }
         self.account.times.checking += start.elapsed();
@@ -259,7 +260,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         Ok((chain, reached))
     }
 
-    /// The calls that store these, one for each index that becomes more by them.
+    /// The calls that store these vertices, one for each index that gets any.
     fn insertions(&mut self, chains: &[Chain]) -> Vec<Insert> {
         let together = self.store.together().iter();
         let inserts = together.filter_map(|trees| {
@@ -273,7 +274,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         inserts
     }
 
-    /// The call that stores these in the index of their tree or trees; none if they have no vertices.
+    /// The call that stores these vertices in the index of their tree or trees; None if there are none.
     fn insertion(&self, chains: Vec<&Chain>) -> Option<Insert> {
         let (mut ids, mut tags, mut parents): (Vec<u64>, Vec<u64>, Vec<Bytes>) = Default::default();
         for chain in &chains {

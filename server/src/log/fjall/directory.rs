@@ -1,16 +1,16 @@
-//! The data directory: whose it is, and that nobody else has it.
+//! The data directory: its ownership check and its lock.
 //!
-//! | name | what |
+//! | name | content |
 //! |---|---|
 //! | `wayfold-data` | one line that names the program and the version of the form; locked while a server runs |
-//! | `store/` | what fjall keeps: see [`layout`](super::layout) |
-//! | `store.new/`, `store.remade/` | a store that is being made, and one that was rebuilt and has yet to take its place: see [`rebuild`](super::rebuild) |
+//! | `store/` | the files of fjall: see [`layout`](super::layout) |
+//! | `store.new/`, `store.remade/` | a store that is being made, and a rebuilt store that has yet to replace the damaged one: see [`rebuild`](super::rebuild) |
 //! | `store.damaged-N/` | a damaged store from before a repair; nothing reads it |
-//! | `marks` | how far each index was synced: see [`sync_marks`](super::sync_marks) |
-//! | `manifest-copy` | small files of the store that every index depends on: see [`manifest_copy`](super::manifest_copy) |
-//! | `journal-synced` | there after a clean end: see [`journal`](super::journal) |
-//! | `unsynced` | there while a server runs that does not sync: see [`unclean_marker`](super::unclean_marker) |
-//! | `probe` | there for a moment while it is tried whether the disk can be written |
+//! | `marks` | the last synced revision of each index: see [`sync_marks`](super::sync_marks) |
+//! | `manifest-copy` | a copy of the store's small files that every index depends on: see [`manifest_copy`](super::manifest_copy) |
+//! | `journal-synced` | exists after a clean shutdown: see [`journal`](super::journal) |
+//! | `unsynced` | exists while a server without fsync runs: see [`unclean_marker`](super::unclean_marker) |
+//! | `probe` | exists briefly, during a test that the disk can be written |
 
 use std::{
     fs::{self, File, TryLockError},
@@ -27,13 +27,13 @@ const FORM: &str = "wayfold-server data, version ";
 const VERSION: &str = "3";
 
 const PROBE: &str = "probe";
-/// Enough for the store to begin anew with, beside what it has yet to move out of its journal.
+/// Enough room for a reopened store to begin with, in addition to the bytes that it has yet to move out of its journal.
 const PROBE_BYTES: u64 = 4 * 1024 * 1024;
 
-/// Why a data directory could not be opened.
+/// The error of opening a data directory.
 #[derive(Debug, Error)]
 pub enum OpenError {
-    /// It is somebody else's.
+    /// It belongs to another program.
     #[error(
         "{} is not a data directory of wayfold-server: it holds other files; name another one, or an empty one, with \
          --data",
@@ -43,7 +43,7 @@ pub enum OpenError {
         /// The directory.
         directory: PathBuf,
     },
-    /// It looks like ours, and does not say so.
+    /// Its marker is missing or damaged, and the rest looks like data of a wayfold-server.
     #[error(
         "the file {MARKER} in {} is missing or damaged, and the rest looks like the data of a wayfold-server: if it is, \
          write the line \"{FORM}{VERSION}\" into that file; else name another directory with --data",
@@ -65,7 +65,7 @@ pub enum OpenError {
         /// The version.
         found: String,
     },
-    /// A running server has it.
+    /// A running server uses it.
     #[error(
         "{} is in use by another wayfold-server: stop that one, or name another directory with --data",
         directory.display()
@@ -83,19 +83,19 @@ pub enum OpenError {
     Io {
         /// The file or directory.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: io::Error,
     },
 }
 
-/// A data directory that is ours for as long as this lives.
+/// A data directory, locked while this value lives.
 pub(super) struct Directory {
     path: PathBuf,
     locked: File,
 }
 
 impl Directory {
-    /// Takes a data directory, which is made if there is none.
+    /// Locks a data directory, and creates it if it is missing.
     pub(super) fn take(path: &Path) -> Result<Self, OpenError> {
         let failed = |source| OpenError::Io {
             path: path.into(),
@@ -129,7 +129,7 @@ impl Directory {
         })
     }
 
-    /// Fails if the disk cannot be written, or has no room for so many bytes and some more, or if `name` is not there.
+    /// Fails if the disk cannot be written, if it has no room for `bytes` and some more, or if `name` is missing.
     pub(super) fn probe(&self, name: &str, bytes: u64) -> io::Result<()> {
         fs::metadata(self.join(name))?;
         let path = self.join(PROBE);
@@ -141,14 +141,14 @@ impl Directory {
         written.and(removed)
     }
 
-    /// How many bytes are free on its disk.
+    /// The free bytes of its disk.
     pub(super) fn room(&self) -> io::Result<u64> {
         #[cfg(unix)]
         {
             let disk = rustix::fs::statvfs(&self.path)?;
             Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
         }
-        // Elsewhere a repair without enough room fails halfway and changes nothing.
+        // On other systems a repair without enough room fails halfway and changes nothing.
         #[cfg(not(unix))]
         Ok(u64::MAX)
     }
@@ -165,13 +165,13 @@ impl Directory {
 
 impl Drop for Directory {
     fn drop(&mut self) {
-        // Closing the file is not enough while a child process is being started, which shares it until then. It fails
-        // only where there is no lock to give up.
+        // Closing the file is not enough while a child process is being started: the child shares the file until then.
+        // Unlocking fails only if there is no lock.
         let _ = self.locked.unlock();
     }
 }
 
-/// Checks what the marker says; one that was just made, or was not finished, says nothing and is written.
+/// Checks the marker. An empty marker was just made or was not finished, and is written.
 fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
     let failed = |source| OpenError::Io {
         path: path.join(MARKER),
@@ -200,7 +200,7 @@ fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
     }
 }
 
-/// The refusal of a directory without our marker.
+/// The error of a directory without our marker.
 fn foreign(path: &Path) -> OpenError {
     let directory = path.into();
     match [STORE, MARKS].iter().all(|name| path.join(name).exists()) {
@@ -222,7 +222,7 @@ fn only_the_marker(path: &Path) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Makes a directory, and those around it, if they are missing.
+/// Creates a directory and its missing parents.
 fn make(path: &Path) -> io::Result<()> {
     let missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
     let made: Vec<&Path> = path.ancestors().take_while(missing).collect();
@@ -234,7 +234,7 @@ fn make(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Makes the names in a directory durable, and in every directory under it.
+/// Makes the names in a directory and in every directory under it durable.
 pub(super) fn sync_directories(path: &Path) -> io::Result<()> {
     for file in fs::read_dir(path)? {
         let file = file?;
@@ -247,7 +247,7 @@ pub(super) fn sync_directories(path: &Path) -> io::Result<()> {
 
 /// Makes names in a directory durable.
 pub(super) fn sync_directory(path: &Path) -> io::Result<()> {
-    // Elsewhere a directory cannot be opened as a file, and its names are durable with the files.
+    // On other systems a directory cannot be opened as a file, and its names are durable with the files.
     if cfg!(unix) {
         File::open(path)?.sync_all()?;
     }

@@ -1,4 +1,4 @@
-//! The store while it is open, with its threads and the state of its indices.
+//! The open store, with its threads and the state of its indices.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -29,7 +29,7 @@ pub(super) struct Engine {
     pub(super) sweeper: Sweeper,
     indexes: RwLock<BTreeMap<Uid, Arc<Index>>>,
     gone: Mutex<BTreeMap<Number, Lost>>,
-    /// The number of the next index; who holds it creates or deletes one.
+    /// The number of the next index. Its lock serialises creating and deleting indices.
     next: Mutex<Number>,
     failure: Arc<Failure>,
     pub(super) store: Arc<Store>,
@@ -37,7 +37,7 @@ pub(super) struct Engine {
 }
 
 impl Engine {
-    /// Opens the store of a directory, which is there, or says why it cannot be opened.
+    /// Opens the existing store of a directory, or returns the error that prevents it.
     pub(super) fn open(
         directory: &Arc<Directory>,
         durability: Durability,
@@ -57,7 +57,7 @@ impl Engine {
         let handles = store.handles()?;
         let found = recovery::recover(&handles, marked, renamed)?;
         drop(handles);
-        // A server that did not sync may have ended before it wrote the first.
+        // A server without fsync may have ended before it wrote the first mark.
         if marked.is_empty()
             && !found.indexes.is_empty()
             && !unclean_marker::was_begun(directory.path()).map_err(shut)?
@@ -73,7 +73,7 @@ impl Engine {
         let failure = Arc::new(Failure::default());
         match journal.sync() {
             Err(what) if what != UNTOLD => return Err(LogError::Shut { what }),
-            // fjall has met a damaged block already. Everything found was synced above, so it can be read.
+            // fjall has already met a damaged block. Everything found was synced above, so it can be read.
             Err(what) => {
                 failure.note(LogError::Storage { what });
             }
@@ -82,7 +82,7 @@ impl Engine {
         unclean_marker::begin(directory.path(), durability).map_err(shut)?;
         save_manifest(directory);
 
-        // Everything found is on disk now, acknowledged or not, so readers may rely on it.
+        // Everything found is now on disk, acknowledged or not, so readers may rely on it.
         write_marks(&mut marks, &found.indexes).map_err(shut)?;
         let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
         let sweeper = Sweeper::start(Arc::clone(&store), sweeping, Arc::clone(&failure));
@@ -126,7 +126,7 @@ impl Engine {
         self.gone.lock().values().cloned().collect()
     }
 
-    /// Why nothing is written any more.
+    /// The failure that stopped all writing.
     pub(super) fn failure(&self) -> Option<LogError> {
         self.failure.get()
     }
@@ -141,7 +141,7 @@ impl Engine {
         self.failure.explain(why);
     }
 
-    /// Ends all writing.
+    /// Stops all writing.
     pub(super) fn fail(&self, why: &LogError) {
         self.failure.note(why.clone());
         self.failure.explain(why);
@@ -170,7 +170,7 @@ impl Engine {
         }
     }
 
-    /// Stores the entry of an index, for certain.
+    /// Stores the entry of an index durably.
     fn put(&self, index: &Arc<Index>, stage: Stage, mark: Mark) -> Result<(), LogError> {
         self.writable()?;
         let handles = self.store.handles()?;
@@ -207,7 +207,7 @@ impl Engine {
         Copy::begin(self, number, entry, origin)
     }
 
-    /// Adds an index that is in the store, once that is certain.
+    /// Adds an index that is in the store, once it is durable there.
     pub(super) fn add(&self, index: Arc<Index>) -> Result<(), LogError> {
         self.written(&index, index.here());
         self.wait()?;
@@ -242,7 +242,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Marks an index as deleted of which nothing but the mark is left; false if it is none of these.
+    /// Marks a lost index as deleted, of which only the mark is left; false if the index is not lost.
     fn forget(&self, uid: Uid) -> Result<bool, LogError> {
         let mut gone = self.gone.lock();
         let found = gone.iter().find(|(_, gone)| gone.uid == uid);
@@ -255,7 +255,7 @@ impl Engine {
             what: error.to_string(),
         })?;
         gone.remove(&number);
-        // Of an entry that could not be read, the rest may still be there.
+        // If the entry could not be read, the other keys of the index may still exist.
         self.sweeper.sweep(number);
         Ok(true)
     }
@@ -288,7 +288,7 @@ impl Engine {
         ))
     }
 
-    /// Syncs everything and marks it as synced.
+    /// Syncs everything and writes the sync marks.
     fn settle(&self) -> Result<(), String> {
         Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
         let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
@@ -300,7 +300,7 @@ impl Engine {
 }
 
 impl Engine {
-    /// Syncs what was appended, ends the threads and closes the store, even while views of it are held.
+    /// Syncs all appended records, ends the threads, and closes the store even while views of it are held.
     pub(super) fn shut(&self) {
         let settled = match &self.syncer {
             Some(syncer) => {
@@ -322,27 +322,27 @@ impl Engine {
         }
         save_manifest(&self.directory);
         if settled.is_ok() && self.failure().is_none() {
-            // Without the marker the next start writes the journal again.
+            // Without the marker the next start rewrites the journal.
             if let Err(error) = journal::mark_synced(&self.directory) {
                 debug!(%error, "cannot mark the journal as synced");
             }
         }
     }
 
-    /// About how many bytes the store has yet to move out of its journal.
+    /// The approximate number of bytes that the store has yet to move out of its journal.
     pub(super) fn unmoved(&self) -> u64 {
         let handles = self.store.handles();
         handles.map_or(0, |handles| handles.unmoved())
     }
 
-    /// Whether the next append may have to wait.
+    /// True if the next append may have to wait.
     pub(super) fn is_busy(&self) -> bool {
         let handles = self.store.handles();
         handles.is_ok_and(|handles| handles.is_busy())
     }
 }
 
-/// Saves the copy of the manifest. A failure is not the log's: the copy only mends a later damage.
+/// Saves the copy of the manifest. An error here does not fail the log: the copy only serves to repair later damage.
 fn save_manifest(directory: &Directory) {
     if let Err(error) = manifest_copy::save(directory) {
         debug!(%error, "cannot copy the store's manifest");

@@ -1,7 +1,7 @@
 //! The first failure of a store, after which nothing is written. It is logged once.
 //!
-//! After one of its own threads has failed, fjall says only that it has. The disk's own error, or a damaged block that a full
-//! read finds, is the better reason.
+//! After a failure of one of its own threads, fjall reports no cause. The error of the disk, or a damaged block that a
+//! full read finds, is then reported instead.
 
 use tokio::sync::watch;
 use tracing::error;
@@ -9,7 +9,7 @@ use tracing::error;
 use super::store::UNTOLD;
 use crate::log::LogError;
 
-/// See the module.
+/// The first failure of a store, observable by its watchers.
 pub(super) struct Failure(watch::Sender<Option<LogError>>);
 
 impl Default for Failure {
@@ -50,7 +50,7 @@ impl Failure {
         noted
     }
 
-    /// Replaces the failure by what the disk says, if the store gave no reason.
+    /// Replaces the failure by the disk's error, if the store gave no cause.
     pub(super) fn explain(&self, why: &LogError) {
         self.0.send_if_modified(|first| {
             let explained = first.as_ref().is_some_and(is_untold);
@@ -62,7 +62,7 @@ impl Failure {
     }
 }
 
-/// True if fjall only said that it has failed.
+/// True if fjall reported a failure without its cause.
 pub(super) fn is_untold(error: &LogError) -> bool {
     matches!(error, LogError::Storage { what } if what == UNTOLD)
 }

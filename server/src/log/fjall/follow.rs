@@ -1,4 +1,4 @@
-//! The records of one index as a stream: first those that are stored, then each as it becomes durable.
+//! The records of one index as a stream: first the stored ones, then each new one once it is durable.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use super::{
 };
 use crate::log::{LogError, Record, RecordStream};
 
-/// The most bytes of stored records in one batch.
+/// The maximum bytes of stored records in one batch.
 const BATCH_BYTES: usize = 1024 * 1024;
 
 struct Follower {
@@ -47,7 +47,7 @@ pub(super) fn follow(
 }
 
 impl Follower {
-    /// The next records, once there are any.
+    /// Waits for the next records.
     async fn next(&mut self) -> Result<Vec<Arc<Record>>, LogError> {
         let after = self.after;
         let has_news = |progress: &Progress| progress.durable > after || progress.closed.is_some();

@@ -1,5 +1,5 @@
-//! What the fuzz targets call: the decoders of all that is stored, past the checksums that keep odd bytes from them.
-//! What decodes must be read again from what it encodes to.
+//! The entry points of the fuzz targets. They call the decoders of all stored values and bypass the checksums, so that
+//! arbitrary bytes reach the decoders. Every decoded value must survive encoding and decoding again.
 
 use sha2::{Digest as _, Sha256};
 
@@ -13,7 +13,8 @@ use crate::log::{Digest, Effects, Operation, Record};
 /// The length of the text that names the form of a record.
 const FORM: usize = 16;
 
-/// Reads bytes as a record: as they are, and as what follows the name of the form in a record whose digest matches.
+/// Decodes bytes as a record: first as given, then as the part after the form's name in a record with a matching
+/// digest.
 pub fn record(bytes: &[u8]) {
     let _ = Record::decode(bytes);
     let mut stored = Record::new(1, Record::NO_PREVIOUS, 0, Effects::new(0)).encode();
@@ -25,13 +26,13 @@ pub fn record(bytes: &[u8]) {
         assert_eq!(record.encode(), stored);
         assert!(record.is_intact());
         let effects = record.effects();
-        // What recovery asks of every record.
+        // Recovery makes these calls on every record.
         assert!(effects.bytes() > 0);
         assert_eq!(effects.stored().len(), effects.outcomes().len());
     }
 }
 
-/// Reads bytes as each of the other things that are stored; the first byte says as which.
+/// Decodes bytes as another stored value; the first byte selects its kind.
 pub fn value(bytes: &[u8]) {
     let Some((kind, bytes)) = bytes.split_first() else {
         return;

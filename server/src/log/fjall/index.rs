@@ -1,4 +1,4 @@
-//! One index of the store: where its log is, and how a record gets there.
+//! One index of the store: the state of its log, and the writes to it.
 
 use std::{
     collections::VecDeque,
@@ -23,15 +23,15 @@ use crate::log::{
     retention::{Allowance, Window},
 };
 
-/// See the module.
+/// One index of the store.
 pub(super) struct Index {
     pub(super) entry: Entry,
     pub(super) number: Number,
     name: Arc<str>,
     progress: watch::Sender<Progress>,
-    /// The records that were submitted and not yet applied, oldest first. Locked after `state`, and never for long.
+    /// The submitted records that are not yet applied, oldest first. Lock it after `state`, and only briefly.
     unapplied: Mutex<VecDeque<Unapplied>>,
-    /// Its holder may write, and sees the store at this head.
+    /// The holder of this lock may write, and sees the store at this head.
     state: Mutex<State>,
 }
 
@@ -39,20 +39,20 @@ pub(super) struct State {
     pub(super) head: Head,
     /// The records after `head.trimmed`, and the operations of `operations`.
     window: Window,
-    /// The revisions of the operations that are held, the oldest first.
+    /// The revisions of the kept operations, oldest first.
     operations: VecDeque<u64>,
-    /// Operations that are held no longer, and still in the store.
+    /// The revisions of forgotten operations that are still in the store.
     forgotten: Vec<u64>,
-    /// The records up to this revision are not even in the store.
+    /// The records up to this revision are removed from the store.
     pub(super) removed: u64,
 
-    /// Why it is not to be read or written.
+    /// The error that forbids reading and writing.
     closed: Option<LogError>,
-    /// The view of the head, while anybody holds it.
+    /// The view of the head, while it is held.
     view: Weak<PointsView>,
 }
 
-/// What followers wait for.
+/// The progress of an index, for which its followers wait.
 #[derive(Clone, Debug)]
 pub(super) struct Progress {
     /// The newest revision that is known to be on disk.
@@ -68,7 +68,7 @@ struct Unapplied {
 }
 
 impl State {
-    /// Of an index that begins here, with such points.
+    /// The state of an index that begins at `origin`, with points of this sum.
     pub(super) fn new(origin: Origin, sum: Sum) -> Self {
         Self {
             head: Head::at(&origin, sum),
@@ -81,12 +81,12 @@ impl State {
         }
     }
 
-    /// Takes note of a record that is in the store.
+    /// Counts a stored record.
     pub(super) fn held(&mut self, record: &Record) {
         self.window.hold(record);
     }
 
-    /// Takes note of an operation that is in the store.
+    /// Counts a stored operation.
     pub(super) fn held_operation(&mut self, revision: u64, operation: &Operation) {
         self.window.hold_operation(operation.bytes());
         self.operations.push_back(revision);
@@ -108,7 +108,7 @@ impl Index {
         })
     }
 
-    /// The state, of an index that may be used.
+    /// The locked state; an error if the index is closed.
     fn open(&self) -> Result<MutexGuard<'_, State>, LogError> {
         let state = self.state.lock();
         match &state.closed {
@@ -117,7 +117,7 @@ impl Index {
         }
     }
 
-    /// Why it may not be used.
+    /// The error that closed the index.
     pub(super) fn closed(&self) -> Option<LogError> {
         self.state.lock().closed.clone()
     }
@@ -142,23 +142,23 @@ impl Index {
         self.progress.send_modify(closed);
     }
 
-    /// Takes the state that was found in the store, where it is made certain before anybody reads it.
+    /// Sets the state that recovery found. Recovery makes the found state durable before anyone reads it.
     pub(super) fn restore(&self, state: State) {
         self.set_durable(state.head.revision);
         *self.state.lock() = state;
     }
 
-    /// Where it is.
+    /// The mark of its head.
     pub(super) fn here(&self) -> Mark {
         self.mark_of(&self.state.lock().head)
     }
 
-    /// Where it is, if it may be used.
+    /// The mark of its head; None if the index is closed.
     pub(super) fn mark(&self) -> Option<Mark> {
         Some(self.mark_of(&self.open().ok()?.head))
     }
 
-    /// Ends it, and says where it is.
+    /// Closes the index and returns the mark of its head.
     pub(super) fn close(&self, why: LogError) -> Mark {
         let mut state = self.state.lock();
         // A deleted index is removed from the store bit by bit.
@@ -202,8 +202,8 @@ impl Index {
         Ok(())
     }
 
-    /// Applies consecutive records, of which the store may have the first ones already. Returns the points as of the last
-    /// one. Calls `written` with the new mark if anything was written.
+    /// Applies consecutive records. The store may already have the first ones. Returns the points as of the last
+    /// record. Calls `written` with the new mark if anything was written.
     pub(super) fn apply(
         &self,
         store: &Arc<Store>,
@@ -238,7 +238,8 @@ impl Index {
         }
     }
 
-    /// The points as of the last of `records` if it was submitted here; then none of them is unapplied any more.
+    /// The points as of the last of `records` if that record was submitted here; all of `records` then count as
+    /// applied.
     fn applied(&self, records: &[Arc<Record>]) -> Option<Arc<dyn View>> {
         let last = records.last()?.revision();
         let mut unapplied = self.unapplied.lock();
@@ -296,7 +297,7 @@ impl Index {
         Ok(())
     }
 
-    /// The submitted records after `after` up to `last`; None if the first of them is applied already.
+    /// The submitted records after `after` up to `last`; None if the first of them is already applied.
     pub(super) fn unapplied(&self, after: u64, last: u64) -> Option<Vec<Arc<Record>>> {
         let unapplied = self.unapplied.lock();
         let first = unapplied.front()?.record.revision();
@@ -307,7 +308,7 @@ impl Index {
         Some(records.cloned().collect())
     }
 
-    /// Puts a record and what it does into a batch; returns the sum of the points as they are then.
+    /// Adds a record and its effects to a batch; returns the new sum of the points.
     fn put(
         &self,
         handles: &Handles,
@@ -319,7 +320,7 @@ impl Index {
         let keyspace = &handles.keyspace;
         let mut sum = before.sum;
         let mut forget = |id| {
-            // Most are new, and then there is nothing to look for.
+            // Most ids are new, and a new id has no stored point to look up.
             if id < before.next_id {
                 let old = keyspace.get(point_key(self.number, id));
                 let old = old.map_err(|error| unreadable(self.entry.uid, error))?;
@@ -388,7 +389,7 @@ impl Index {
         Ok(records)
     }
 
-    /// The record of a stored value.
+    /// Decodes the record of a stored value.
     pub(super) fn record(&self, revision: u64, value: Option<&[u8]>) -> Result<Record, LogError> {
         let damaged = |what| LogError::Damaged {
             uid: self.entry.uid,
@@ -403,7 +404,7 @@ impl Index {
         Ok(record)
     }
 
-    /// The operations that the store holds, by revision.
+    /// The stored operations, by revision.
     pub(super) fn stored_operations(
         &self,
         handles: &Handles,
@@ -427,7 +428,7 @@ impl Index {
     }
 
     pub(super) fn operations(&self, store: &Store) -> Result<Vec<Arc<Operation>>, LogError> {
-        // Nobody appends or trims meanwhile.
+        // The lock prevents appends and trims meanwhile.
         let state = self.open()?;
         let stored = self.stored_operations(&*store.handles()?)?;
         let held = stored
@@ -441,7 +442,7 @@ impl Index {
         Ok(self.view_of_head(store, &mut state))
     }
 
-    /// The view of the head. It reads the store as it is, until the next write freezes it.
+    /// The view of the head. It reads the current store until the next write freezes it.
     fn view_of_head(&self, store: &Arc<Store>, state: &mut State) -> Arc<PointsView> {
         if let Some(view) = state.view.upgrade() {
             return view;
@@ -458,7 +459,7 @@ impl Index {
         view
     }
 
-    /// Forgets the oldest records and operations. What is forgotten goes out of the store with the next record.
+    /// Forgets the oldest records and operations. The next write of a record removes them from the store.
     pub(super) fn trim(&self, keep: &Retention) -> Result<(), LogError> {
         let mut state = self.open()?;
         let trimmed = state.window.trim(keep);

@@ -1,13 +1,13 @@
-//! Syncing the journal of the store without holding up who writes to it.
+//! Syncs the journal of the store without blocking its writers.
 //!
-//! `Database::persist` holds the journal's lock while the disk works, so writers would queue behind each sync instead
-//! of sharing the next. So only what fjall still buffers is handed to the operating system under that lock, and the
-//! file is synced here, through a handle of our own.
+//! `Database::persist` holds the journal's lock during the sync, so writers would queue behind each sync instead of
+//! sharing the next one. Under that lock, only fjall's buffer is therefore handed to the operating system. The file is
+//! then synced here, through a handle of our own.
 //!
-//! This relies on how fjall 3 keeps its journal: files `N.jnl`, of which the one with the largest N is written to, and
-//! the one before was synced before the next was made. Whatever was committed before [`Journal::sync`] is therefore in
-//! the largest file that it finds, or synced already. Unless fjall has failed to make that file: it leaves it there with
-//! nothing in it, and writes to the one before until all know of the failure.
+//! This relies on the journal of fjall 3. Its files are named `N.jnl`, and fjall writes to the one with the largest N.
+//! It syncs a file before it makes the next one. So every batch committed before [`Journal::sync`] is in the file with
+//! the largest N, or is already synced. There is one exception: if fjall fails to make that file, it leaves the file
+//! empty, and writes to the previous one until every thread has seen the failure.
 
 use std::{
     fs,
@@ -25,11 +25,11 @@ use super::{
     store::{Store, told},
 };
 
-/// The ending of its files' names.
+/// The suffix of its files' names.
 const ENDING: &str = ".jnl";
-/// Marker file: the journal is on disk, after a clean end and until the next start.
+/// Marker file: the journal is on disk. It exists from a clean shutdown until the next start.
 const MARKER: &str = "journal-synced";
-/// Bytes to write again at a time.
+/// The number of bytes that are rewritten at a time.
 const PIECE: usize = 128 * 1024;
 
 /// The journal of a store.
@@ -38,12 +38,12 @@ pub(super) struct Journal {
     directory: PathBuf,
     /// The newest file, by its number.
     newest: Option<(u64, File)>,
-    /// The one before, as long as nothing was found in the newest.
+    /// The previous file, while the newest one is empty.
     before: Option<File>,
 }
 
 impl Journal {
-    /// The journal of `store`, which lives in `directory`.
+    /// The journal of `store`, whose files are in `directory`.
     pub(super) fn new(store: Arc<Store>, directory: PathBuf) -> Self {
         Self {
             store,
@@ -53,7 +53,7 @@ impl Journal {
         }
     }
 
-    /// Returns when all that was committed before is on disk, or says why not.
+    /// Returns once every earlier commit is on disk, or returns the error.
     pub(super) fn sync(&mut self) -> Result<(), String> {
         let handles = self.store.handles().map_err(|error| error.to_string())?;
         let handed_on = handles.database.persist(PersistMode::Buffer);
@@ -91,8 +91,8 @@ impl Journal {
     }
 
     fn newest_number(&self) -> io::Result<u64> {
-        // Files are numbered one by one, and the oldest are removed first: if this one is there and the next is not,
-        // there is no other. Looking for two is less work than listing all, as a sync does that every time.
+        // File numbers are consecutive, and the oldest files are removed first. So if this file exists and the next
+        // does not, this one is the newest. Every sync checks this, and two lookups cost less than a listing.
         if let Some((known, _)) = self.newest
             && self.file(known).try_exists()?
             && !self.file(known + 1).try_exists()?
@@ -111,16 +111,16 @@ impl Journal {
     }
 }
 
-/// The number of a file of the journal, by its name; None for any other.
+/// The number in the name of a journal file; None for any other file.
 pub(super) fn number(name: &str) -> Option<u64> {
     name.strip_suffix(ENDING)?.parse().ok()
 }
 
-/// Makes certain that the journal is on disk, before the store is opened. Without the marker, all of it is written once more
+/// Ensures that the journal is on disk before the store is opened. Without the marker, the whole journal is rewritten
 /// in place and synced.
 ///
-/// After a failed sync, by this server or an earlier one, Linux takes pages that it could not write for clean: reads see them
-/// as if they were on disk, and no later sync writes them.
+/// After a failed sync, by this server or an earlier one, Linux treats the pages that it could not write as clean.
+/// Reads return them as if they were on disk, and no later sync writes them.
 pub(super) fn make_certain(directory: &Directory) -> io::Result<()> {
     let marker = directory.join(MARKER);
     if !marker.try_exists()? {
@@ -130,11 +130,12 @@ pub(super) fn make_certain(directory: &Directory) -> io::Result<()> {
         return Ok(());
     }
     fs::remove_file(&marker)?;
-    // Before the first write to the journal.
+    // The removal of the marker must be durable before the first write to the journal.
     sync_directory(directory.path())
 }
 
-/// Syncs each file of the journal and writes the marker. The store is closed, and no sync of it has failed.
+/// Syncs each file of the journal and writes the marker. The store must be closed, and none of its syncs may have
+/// failed.
 pub(super) fn mark_synced(directory: &Directory) -> io::Result<()> {
     for file in files(&directory.join(STORE))? {
         File::options().write(true).open(file)?.sync_all()?;
@@ -164,7 +165,7 @@ fn write_file_again(file: &mut File) -> io::Result<()> {
         if read == 0 {
             return file.sync_all();
         }
-        // The room that was taken in advance is a hole, and stays one.
+        // The preallocated room is a hole, and stays one.
         if piece[..read].iter().any(|&byte| byte != 0) {
             file.seek(SeekFrom::Start(at))?;
             file.write_all(&piece[..read])?;
@@ -173,7 +174,7 @@ fn write_file_again(file: &mut File) -> io::Result<()> {
     }
 }
 
-/// Whether anything was written to a file of the journal, which is made full of zeros: no entry begins with one.
+/// True if anything was written to a journal file. A new file is full of zeros, and no entry begins with a zero.
 fn is_begun(file: &mut File) -> io::Result<bool> {
     let mut first = [0];
     file.seek(SeekFrom::Start(0))?;
@@ -188,7 +189,7 @@ mod tests {
         *,
     };
 
-    /// What the module says of fjall's files: a new version of fjall that does otherwise must not go unnoticed.
+    /// Checks the module's assumption about fjall's files, to detect a version of fjall that behaves otherwise.
     #[test]
     fn what_was_committed_is_in_the_newest_file_once_it_is_synced() {
         let directory = tempfile::tempdir().unwrap();
@@ -211,7 +212,7 @@ mod tests {
                     .any(|found| found == value)
             );
             numbers.push(*number);
-            // Zeros: enough for fjall to begin another file when it moves them out.
+            // Enough zeros that fjall begins another file when it moves them out.
             keyspace.insert("much", vec![0; 65_000_000]).unwrap();
             keyspace.rotate_memtable_and_wait().unwrap();
         }
@@ -239,7 +240,7 @@ mod tests {
         }
     }
 
-    /// What a rotation leaves that failed for want of room, while fjall writes on to the file before.
+    /// The state after a rotation that failed for want of room: fjall still writes to the previous file.
     #[test]
     fn a_file_that_was_made_and_is_not_written_to_does_not_hide_the_one_before() {
         let directory = tempfile::tempdir().unwrap();

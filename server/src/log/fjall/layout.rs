@@ -1,19 +1,19 @@
-//! What the store holds, by key. Numbers in keys are big-endian, so that keys sort as the numbers do; numbers in values
-//! are little-endian. Every value ends with a checksum ([`seal`]), or is a record, which has its own.
+//! The keys and values of the store. Numbers in keys are big-endian, so that keys sort like the numbers; numbers in
+//! values are little-endian. Every value ends with a checksum ([`seal`]), except a record, which has a digest.
 //!
 //! | key | value |
 //! |---|---|
 //! | `e`, index | [`Named`]: its [`Stage`], its uid, its name, its space as text |
-//! | `h`, index | [`Head`]: revision, next id, how many records were trimmed, the newest record's digest, the [`Sum`] of the points |
+//! | `h`, index | [`Head`]: revision, next id, the newest trimmed revision, the newest record's digest, the [`Sum`] of the points |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
-//! | `o`, index, revision | the record's operation once more: it is kept for longer than the record, or less long |
+//! | `o`, index, revision | a second copy of the record's operation, kept for a longer or shorter time than the record |
 //!
-//! *index* is a u32 that stands for an index in this directory, and is never used again.
+//! *index* is a u32, the number of an index in this directory. A number is never used again.
 //!
-//! All of it is in one keyspace of fjall, on purpose. A keyspace moves from memory to its files by itself, whether or
-//! not the journal was synced that far; with several, a crash could leave one of them ahead of the others, and a
-//! mutation there by half.
+//! All keys are in one keyspace of fjall, for atomicity. fjall moves each keyspace from memory to its files
+//! independently, even past the synced part of the journal. With several keyspaces, a crash could leave one ahead of
+//! the others, with half a mutation stored.
 
 use std::ops::RangeInclusive;
 
@@ -21,7 +21,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use crate::log::{Digest, Entry, Origin, Tip, Uid, cursor::Cursor};
 
-/// Stands for an index in keys.
+/// The number of an index in keys.
 pub(super) type Number = u32;
 
 /// The key of an index's entry.
@@ -39,7 +39,7 @@ fn index_key(kind: u8, number: Number) -> [u8; 5] {
     [kind, a, b, c, d]
 }
 
-/// The index of an entry's key; None for any other key.
+/// The number of the index in the key of an entry; None for any other key.
 pub(super) fn number_of_entry(key: &[u8]) -> Option<Number> {
     match key {
         &[b'e', a, b, c, d] => Some(Number::from_be_bytes([a, b, c, d])),
@@ -74,20 +74,20 @@ fn key(kind: u8, number: Number, of: u64) -> [u8; 13] {
     key
 }
 
-/// The id of a point's key, the revision of a record's or an operation's.
+/// The id in the key of a point, or the revision in the key of a record or an operation.
 pub(super) fn last_of(key: &[u8]) -> Option<u64> {
     let (_, id) = key.split_last_chunk()?;
     Some(u64::from_be_bytes(*id))
 }
 
-/// Ends a value with a checksum over its key and itself, so that it is not taken for the value of another key.
+/// Appends to a value a checksum over its key and itself, so that it cannot pass as the value of another key.
 pub(super) fn seal(key: &[u8], mut value: Vec<u8>) -> Vec<u8> {
     let sum = checksum(key, &value);
     value.extend_from_slice(&sum);
     value
 }
 
-/// The value without its checksum; None if that does not match.
+/// The value without its checksum; None if the checksum does not match.
 pub(super) fn unseal<'a>(key: &[u8], sealed: &'a [u8]) -> Option<&'a [u8]> {
     let (value, sum) = sealed.split_last_chunk()?;
     (checksum(key, value) == *sum).then_some(value)
@@ -104,16 +104,16 @@ pub(super) struct Named {
     pub(super) stage: Stage,
 }
 
-/// How an index is.
+/// The stage of an index.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Stage {
-    /// There.
+    /// It exists.
     Whole,
-    /// Deleted: what is left of it is being removed.
+    /// It is deleted, and its remaining keys are being removed.
     Deleted,
-    /// A copy that is not finished. As nobody was told that it is there, it is as good as deleted.
+    /// An unfinished copy. No caller was told that it exists, so it is treated as deleted.
     Copied,
-    /// There, and nothing else of it: the rest could not be read when the store was repaired.
+    /// Only its entry exists: the rest was unreadable when the store was repaired.
     Unreadable,
 }
 
@@ -151,7 +151,8 @@ impl Named {
     }
 }
 
-/// How many points an index has, and the sum of their checksums: some that are missing, or back, do not go unnoticed.
+/// The number of points of an index, and the sum of their checksums. It detects points that are missing and deleted
+/// points that have reappeared.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Sum {
     count: u64,
@@ -159,40 +160,40 @@ pub(super) struct Sum {
 }
 
 impl Sum {
-    /// Adds a point as it is stored.
+    /// Adds a point in its stored form.
     pub(super) fn add(&mut self, sealed: &[u8]) {
         self.count = self.count.wrapping_add(1);
         self.checksums = self.checksums.wrapping_add(checksum_of(sealed));
     }
 
-    /// Takes away a point that was added.
+    /// Subtracts a point that was added.
     pub(super) fn subtract(&mut self, sealed: &[u8]) {
         self.count = self.count.wrapping_sub(1);
         self.checksums = self.checksums.wrapping_sub(checksum_of(sealed));
     }
 }
 
-/// What a value ends with; 0 if it is too short for that, which none is that was sealed.
+/// The checksum at the end of a value; 0 if the value is too short, which no sealed value is.
 fn checksum_of(sealed: &[u8]) -> u64 {
     let last = sealed.last_chunk();
     last.map_or(0, |checksum| u64::from_le_bytes(*checksum))
 }
 
-/// How far the log of an index has come.
+/// The head of an index's log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Head {
     pub(super) revision: u64,
     pub(super) next_id: u64,
     /// The records up to this revision were trimmed.
     pub(super) trimmed: u64,
-    /// Of the record of `revision`.
+    /// The digest of the record of `revision`.
     pub(super) digest: Digest,
-    /// Of the points.
+    /// The sum of the points.
     pub(super) sum: Sum,
 }
 
 impl Head {
-    /// The head of an index that begins here, with such points.
+    /// The head of an index that begins at `origin`, with points of this sum.
     pub(super) fn at(origin: &Origin, sum: Sum) -> Self {
         Self {
             revision: origin.revision,
@@ -278,7 +279,7 @@ mod tests {
         fn no_bytes_are_too_odd_to_read(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
             prop_assert_eq!(Named::decode(1, &bytes), None);
             prop_assert_eq!(Head::decode(1, &bytes), None);
-            // Past the checksum.
+            // Bypasses the checksum.
             let _ = Named::decode(1, &seal(&entry_key(1), bytes.clone()));
             let _ = Head::decode(1, &seal(&head_key(1), bytes));
         }

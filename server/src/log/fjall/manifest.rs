@@ -1,12 +1,12 @@
-//! Checks that the store's files are all there, and that its lists of tables are the ones that it wrote. fjall 3 does not check:
-//! a damaged list makes it panic, even abort the process, or take tables for leftovers and remove them; missing files it makes
-//! anew over the rest.
+//! Checks that all files of the store exist, and that its lists of tables are the ones that it wrote. fjall 3 does not
+//! check this. A damaged list makes it panic, abort the process, or remove tables as leftovers. It recreates missing
+//! files over the existing rest.
 //!
-//! Beside the file `version` and the journal, files `N.jnl`, there is a directory `keyspaces` with two trees: `0` holds what
-//! fjall knows of its keyspaces, `1` the only keyspace. Each has its lists in files `v0`, `v1` and so on, and a file `current`
-//! of 25 bytes: the number of the list that counts (u64), the XXH3 of that file (128 bits), and 0 for the kind of this checksum.
-//! Numbers are little-endian. A store takes its name once it is whole, so none of these is missing because a start was cut
-//! short.
+//! The store has the file `version`, the journal in files `N.jnl`, and a directory `keyspaces` with two trees: `0`
+//! holds fjall's own data about its keyspaces, `1` the only keyspace. Each tree has its lists in files `v0`, `v1` and
+//! so on, and a file `current` of 25 bytes: the number of the valid list (u64), the XXH3 of that list (128 bits), and 0
+//! for the kind of this checksum. Numbers are little-endian. A new store is renamed once it is whole, so an interrupted
+//! start leaves none of these files missing.
 
 use std::{
     fs, io,
@@ -27,7 +27,7 @@ pub(super) const TREES: [&str; 2] = ["0", "1"];
 /// The length of `current`.
 pub(super) const CURRENT_BYTES: usize = 25;
 
-/// Fails if a file of a closed store is missing, a list is damaged, or the disk cannot be read.
+/// Fails if a file of a closed store is missing, if a list is damaged, or if the disk cannot be read.
 pub(super) fn check(store: &Path) -> Result<(), LogError> {
     read(&store.join("version"))?;
     let trees = store.join("keyspaces");
@@ -91,7 +91,7 @@ pub(super) fn lists(tree: &Path) -> Result<Vec<(u64, Vec<u8>)>, LogError> {
     Ok(lists)
 }
 
-/// The content of a file; None if there is none.
+/// The content of a file; None if the file is missing.
 pub(super) fn read_optional(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
     match fs::read(path) {
         Ok(content) => Ok(Some(content)),

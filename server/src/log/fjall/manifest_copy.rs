@@ -1,9 +1,10 @@
-//! A copy of the small files that every index depends on, beside the store: per tree `current` and the list that it names.
+//! A copy of the small files that every index depends on: for each tree, `current` and the list that it names.
 //!
-//! One flipped bit in the 25 bytes of `current` would lose every index while all tables are whole. [`mend`] puts such a file
-//! back, but only one that is proven to be the last that the store wrote: an older list names fewer tables, and fjall
-//! removes the tables that its list does not name. The XXH3 in `current` proves a list, also if a few bits of `current` are
-//! wrong. Without a legible `current` the copy proves the list only if the disk has the same one and none that is newer.
+//! One flipped bit in the 25 bytes of `current` would lose every index while all tables are whole. [`mend`] restores
+//! such a file, but only if the copy is proven to be the last version that the store wrote. An older list may name
+//! fewer tables, and fjall removes the tables that its list does not name. The XXH3 in `current` proves a list even if
+//! a few bits of `current` are wrong. Without a legible `current`, the copy proves the list only if the disk holds the
+//! same list and no newer one.
 
 use std::{
     fs::{self, File},
@@ -24,19 +25,19 @@ use crate::log::{LogError, cursor::Cursor};
 
 /// The name of the copy in the data directory.
 pub(super) const FILE: &str = "manifest-copy";
-/// Takes its name once it is written and synced.
+/// The copy while it is written; it is renamed once it is synced.
 const NEW_FILE: &str = "manifest-copy.new";
 
-/// What fjall 3 writes to the file `version`.
+/// The content of fjall 3's file `version`.
 const VERSION: &[u8] = b"FJL\x03";
 
-/// Two XXH3 differ in more bits than this, except with a probability below 2^-80.
+/// Two unrelated XXH3 values differ in more bits than this, except with a probability below 2^-80.
 const MAX_FLIPPED_BITS: u32 = 8;
 
 /// The number of a list, and the list.
 type List = (u64, Vec<u8>);
 
-/// Writes the copy anew if the files have changed. A tree that fjall is just changing is an error.
+/// Rewrites the copy if the files have changed. Fails if fjall is changing a tree at this moment.
 pub(super) fn save(directory: &Directory) -> io::Result<()> {
     let mut copy = Vec::new();
     for tree in TREES {
@@ -68,8 +69,8 @@ fn decode(copy: &[u8]) -> Option<Vec<List>> {
     lists.into_iter().collect()
 }
 
-/// Puts back each file that is damaged or missing, if its content is proven. [`manifest::check`](super::manifest::check)
-/// tells of the others.
+/// Restores each damaged or missing file whose content is proven. [`manifest::check`](super::manifest::check) reports
+/// the others.
 pub(super) fn mend(directory: &Directory) -> Result<(), LogError> {
     let store = directory.join(STORE);
     // The data directory's own version names the form of the store.
@@ -101,7 +102,7 @@ fn mend_tree(directory: &Directory, tree: &Path, copy: Option<List>) -> Result<(
     put_back(directory, &path, &encode(number, &list))
 }
 
-/// How many bits of a damaged `current` are wrong, if it once was `expected`.
+/// The number of bits in which a damaged `current` differs from `expected`; None if its length differs.
 fn distance(current: &[u8], expected: &[u8; CURRENT_BYTES]) -> Option<u32> {
     let current: &[u8; CURRENT_BYTES] = current.try_into().ok()?;
     let bits = current.iter().zip(expected);
@@ -110,7 +111,7 @@ fn distance(current: &[u8], expected: &[u8; CURRENT_BYTES]) -> Option<u32> {
     (has_sum || bits <= MAX_FLIPPED_BITS).then_some(bits)
 }
 
-/// Gives a file this content, if it has another.
+/// Replaces the content of a file, if it differs from `content`.
 fn put_back(directory: &Directory, path: &Path, content: &[u8]) -> Result<(), LogError> {
     if read_optional(path)?.as_deref() == Some(content) {
         return Ok(());

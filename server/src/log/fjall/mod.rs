@@ -1,18 +1,20 @@
 //! A log on disk, in the embedded store fjall.
 //!
-//! A mutation is one batch of the store, which is there whole or not at all: its record, the points as it leaves them,
-//! and the head of its index. What is acknowledged depends on [`Durability`]; `fsync` shares one sync among all who
-//! write meanwhile (`syncer`).
+//! A mutation is one atomic batch of the store: its record, the points that it changes, and the head of its index.
+//! [`Durability`] decides what an acknowledged mutation survives. Under `fsync`, all concurrent writers share one sync
+//! (`syncer`).
 //!
-//! Modules: `directory` (whose the directory is), `engine` and `store` (the store while it is open), `manifest` and
-//! `manifest_copy` (before it is opened), `layout` and `point` (its keys and values, byte for byte), `index` (one index's
-//! writer), `follow` (its records as a stream), `view` (its points at one revision), `restoring` (an index made from a copy), `journal`, `syncer` and `sync_marks`
-//! (what is on disk for certain), `failure` (why nothing more is written), `recovery` (from the files to the state), `rebuild`
-//! (a new store, or one from a damaged one), `unclean_marker` (after a server that does not sync), `sweeper` (the remains of
-//! deleted indices).
+//! Modules: `directory` (ownership and lock of the data directory), `engine` and `store` (the open store), `manifest`
+//! and `manifest_copy` (checks before it is opened), `layout` and `point` (keys and values, byte for byte), `index`
+//! (the writer of one index), `follow` (its records as a stream), `view` (its points at one revision), `restoring` (an
+//! index made from a copy), `journal`, `syncer` and `sync_marks` (syncing, and the synced revisions), `failure` (the
+//! first failure, which stops all writing), `recovery` (from the files to the state), `rebuild` (a new store, or one
+//! rebuilt from a damaged one), `unclean_marker` (an unclean shutdown without fsync), `sweeper` (removal of deleted
+//! indices).
 //!
-//! A failed store takes no writes and still serves reads. [`PointStore::reopen`] closes it and opens it as at the start: there is no
-//! other way from the files to the state. A damaged store serves what can be read; only [`repair`] rebuilds it.
+//! A failed store takes no writes and still serves reads. [`PointStore::reopen`] closes it and opens it as a start
+//! does: there is no other path from the files to the state. A damaged store serves what is readable; only [`repair`]
+//! rebuilds it.
 
 mod directory;
 mod engine;
@@ -62,17 +64,17 @@ const STORE: &str = "store";
 const NEW_STORE: &str = "store.new";
 /// A rebuilt store that has yet to replace the damaged one.
 const REBUILT_STORE: &str = "store.remade";
-/// With a number after it: damaged stores, as they were before a repair.
+/// The prefix of damaged stores as they were before a repair; a number follows.
 const DAMAGED_STORE: &str = "store.damaged-";
 const MARKS: &str = "marks";
 
-/// What an acknowledged mutation survives.
+/// The strongest failure that an acknowledged mutation survives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum Durability {
     /// A loss of power.
     Fsync,
-    /// The end of the server's process, whatever ends it.
+    /// The end of the server's process, for any cause.
     Os,
     /// An orderly stop of the server.
     None,
@@ -93,9 +95,9 @@ impl TryFrom<String> for Durability {
 
 /// A log in a directory: journal, points and catalogue.
 ///
-/// Dropping it syncs what was appended, and closes the views that are held.
+/// Dropping it syncs all appended records and closes its views.
 pub struct FjallLog {
-    // Dropped before the directory is given up.
+    // Dropped before the directory is unlocked.
     opened: RwLock<Opened>,
     /// Held while the store is reopened.
     reopening: Mutex<()>,
@@ -105,15 +107,15 @@ pub struct FjallLog {
 
 enum Opened {
     Open(Arc<Engine>),
-    /// Not open, and why; with what the marks tell of what it holds.
+    /// The store is not open. Holds the cause, and the marks of the indices.
     Not(LogError, BTreeMap<Number, Mark>),
 }
 
 impl FjallLog {
-    /// Opens the log in `directory`, which is made if there is none.
+    /// Opens the log in `directory`, and creates the directory if it is missing.
     ///
-    /// A store that cannot be read is not an error here: a supervisor would restart the server forever. Every call fails
-    /// with the reason instead, and [`Catalogue::lost`] names the indices.
+    /// A store that cannot be read is not an error here: a supervisor would restart the server forever. Instead, every
+    /// call fails with the cause, and [`Catalogue::lost`] names the indices.
     pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
         let failed = |path: &Path, source| OpenError::Io {
@@ -138,7 +140,7 @@ impl FjallLog {
                 Opened::Open(Arc::new(engine))
             }
             Err(why) => {
-                error!(%directory, error = %why, "every call will say so");
+                error!(%directory, error = %why, "the log cannot be opened: every call fails");
                 Opened::Not(why, marked)
             }
         };
@@ -159,7 +161,7 @@ impl FjallLog {
         Engine::open(&self.directory, self.durability, (marks, &marked))
     }
 
-    /// Fails unless the disk would let the store be reopened; `failed` is the store, if it is still open.
+    /// Fails if the disk would prevent the store from being reopened. `failed` is the store, if it is still open.
     fn probe(&self, failed: Option<&Engine>) -> Result<(), LogError> {
         let disk_error = |error: io::Error| match failed {
             Some(_) => LogError::Storage {
@@ -172,8 +174,8 @@ impl FjallLog {
         self.directory.probe(STORE, unmoved).map_err(disk_error)
     }
 
-    /// Opens the store after `failure`. fjall does not say whether it met a damaged block, so all of the store is read then;
-    /// a damaged one is open for reading only.
+    /// Opens the store after `failure`. fjall does not report whether it met a damaged block, so the whole store is
+    /// read. A damaged store is open for reading only.
     fn open_after(&self, failure: &LogError) -> Result<Engine, LogError> {
         let engine = self.open_engine()?;
         if is_untold(failure) {
@@ -294,7 +296,7 @@ impl Catalogue for FjallLog {
     fn indexes(&self) -> Result<Vec<Entry>, LogError> {
         match self.engine() {
             Ok(engine) => Ok(engine.entries()),
-            // None of which more is known than that it is lost.
+            // The indices of an unopened store are listed as lost instead.
             Err(LogError::Unopened { .. } | LogError::Shut { .. }) => Ok(Vec::new()),
             Err(error) => Err(error),
         }
@@ -324,7 +326,7 @@ impl Catalogue for FjallLog {
     }
 }
 
-/// Of a store that cannot be opened: what that means for an index.
+/// The error of an index in a store that cannot be opened.
 fn why_gone(why: &LogError, mark: &Mark) -> LogError {
     match why {
         LogError::Unopened { what, .. } => LogError::Unopened {

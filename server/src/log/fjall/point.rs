@@ -1,5 +1,5 @@
-//! The stored form of a point: the revision of its state, the revision that last changed it, its tag, how many
-//! coordinates it has, these, and the payload up to the checksum. Its id is in the key.
+//! The stored form of a point: the revision of its state, the revision that last changed it, its tag, the number of its
+//! coordinates, the coordinates, and the payload up to the checksum. Its id is in the key.
 
 use bytes::Bytes;
 
@@ -31,7 +31,7 @@ impl PointForm<'_> {
     }
 }
 
-/// The point of a stored form; None if it is damaged.
+/// Decodes a stored point; None if it is damaged.
 pub(super) fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoint> {
     let mut cursor = Cursor::new(unseal(&point_key(number, id), value)?);
     let (revision, modified, tag) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);

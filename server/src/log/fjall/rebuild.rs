@@ -1,11 +1,12 @@
-//! How a store comes to be: empty, or rebuilt from a damaged one with every index that can be read.
+//! Makes a store: an empty one, or one rebuilt from a damaged store with every readable index.
 //!
-//! fjall rewrites its files bit by bit while others are written. If it then meets a block that is not what it wrote, it
-//! stops writing for good, for all indices, and would again after every start. [`repair`] copies the indices that can be read
-//! whole into a new store, key by key; of the others it keeps the entry, which says that the rest is lost. The damaged store
-//! stays beside the new one under a name of its own.
+//! fjall rewrites its files step by step in the background. If it meets a damaged block, it permanently stops all
+//! writing, for all indices, and does so again after every start. [`repair`] copies the fully readable indices into a
+//! new store, key by key. Of the others it keeps the entry, which says that the rest is lost. The damaged store is kept
+//! under another name.
 //!
-//! A new store takes its name once it is whole and synced. If that is cut short, [`finish`] completes it at the next start.
+//! A new store is renamed to its final name once it is whole and synced. If the renaming is interrupted, [`finish`]
+//! completes it at the next start.
 
 use std::{
     collections::BTreeMap,
@@ -32,13 +33,13 @@ use super::{
 };
 use crate::log::LogError;
 
-/// About how many bytes are copied in one batch.
+/// The approximate number of bytes in one batch of the copy.
 const BATCH_BYTES: usize = 1024 * 1024;
 
 /// The outcome of [`repair`].
 #[derive(Debug)]
 pub struct RepairReport {
-    /// The first damage that was found; None if the store is whole, and then nothing else was done.
+    /// The first damage that was found. None if the store is whole; nothing else was done then.
     pub damage: Option<String>,
     /// The number of indices that can be read whole.
     pub whole: usize,
@@ -48,7 +49,7 @@ pub struct RepairReport {
     pub needed_bytes: u64,
     /// Bytes that are free.
     pub free_bytes: u64,
-    /// Where the damaged store is kept; None if nothing was rebuilt.
+    /// The path of the kept damaged store; None if nothing was rebuilt.
     pub kept: Option<PathBuf>,
 }
 
@@ -63,7 +64,7 @@ impl RepairReport {
     }
 }
 
-/// Why a store could not be repaired.
+/// The error of a repair.
 #[derive(Debug, Error)]
 pub enum RepairError {
     /// There is no store to repair.
@@ -90,8 +91,8 @@ pub enum RepairError {
     },
 }
 
-/// Makes the store, unless there is one or was one: a missing store beside the file of marks is not an empty one. A start
-/// that is cut short leaves none, or a whole one.
+/// Makes an empty store, unless a store exists or existed: if the file of marks exists, a missing store is a lost one.
+/// An interrupted start leaves no store or a whole one.
 pub(super) fn make_first(directory: &Directory) -> io::Result<()> {
     let store = directory.join(STORE);
     if store.try_exists()? || directory.join(MARKS).try_exists()? {
@@ -106,7 +107,7 @@ pub(super) fn make_first(directory: &Directory) -> io::Result<()> {
     sync_directory(directory.path())
 }
 
-/// Makes a store beside the present one, durable with everything that `fill` writes to it.
+/// Makes a store under the name [`NEW_STORE`]. It is durable, with everything that `fill` writes to it.
 fn make(
     directory: &Directory,
     fill: impl FnOnce(&Handles) -> Result<(), LogError>,
@@ -121,12 +122,12 @@ fn make(
     let synced = Journal::new(Arc::clone(&made), new.clone()).sync();
     synced.map_err(|what| LogError::Storage { what })?;
     made.close();
-    // fjall leaves it to the file system whether the names of its directories are durable.
+    // fjall does not sync the names in its directories.
     sync_directories(&new).map_err(shut)
 }
 
-/// Reads the store in a data directory from end to end, and rebuilds it if a part of it cannot be read. With `dry_run` it
-/// only reports. No server may use the directory.
+/// Reads the whole store in a data directory, and rebuilds it if a part is unreadable. With `dry_run` it only reports.
+/// No server may use the directory.
 pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairError> {
     let exists = [STORE, REBUILT_STORE].map(|name| directory.join(name).exists());
     if exists == [false, false] {
@@ -155,9 +156,9 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
         free_bytes: directory.room().map_err(shut)?,
         kept: None,
     };
-    // A read of all keys in order passes by what leads to single keys.
+    // A read of all keys in order does not read the filters and indices that lead to single keys.
     if report.damage.is_none() && recovery::recover(&handles, &marks, false)?.unreadable {
-        report.damage = Some("what leads to its keys cannot be read".into());
+        report.damage = Some("its filters or indices cannot be read".into());
     }
     if report.damage.is_none() || dry_run {
         return Ok(report);
@@ -174,8 +175,8 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     Ok(report)
 }
 
-/// Puts a rebuilt store in the place of the damaged one, if there is one, and returns where the damaged one is then. The
-/// damaged one is not to be written to before.
+/// Replaces the damaged store by the rebuilt one, if there is one, and returns the new path of the damaged store. The
+/// damaged store must not be written to before this call.
 pub(super) fn finish(directory: &Directory) -> io::Result<Option<PathBuf>> {
     let [store, rebuilt] = [STORE, REBUILT_STORE].map(|name| directory.join(name));
     if !rebuilt.try_exists()? {
@@ -199,7 +200,7 @@ pub(super) fn finish(directory: &Directory) -> io::Result<Option<PathBuf>> {
     Ok(moved)
 }
 
-/// The first damage in an open store; None if all of it can be read. A disk that cannot be read is an error.
+/// The first damage in an open store; None if all of it is readable. An unreadable disk is an error.
 pub(super) fn find_damage(handles: &Handles) -> Result<Option<String>, LogError> {
     damage_in(handles.keyspace.iter().map(Guard::into_inner))
 }
@@ -215,18 +216,18 @@ fn damage_in(
     Ok(None)
 }
 
-/// What a rebuilt store takes over of an index.
+/// The part of an index that a rebuilt store takes over.
 struct Content {
     number: Number,
     /// The new entry; None if only the mark of the index is left.
     entry: Option<Slice>,
-    /// Everything else can be read, and matters.
+    /// True if everything else is readable and is copied.
     whole: bool,
     /// The name and the damage of an index that is lost.
     lost: Option<(String, String)>,
 }
 
-/// What can be read of each index.
+/// Surveys the readable part of each index.
 fn survey(store: &Handles, marks: &BTreeMap<Number, Mark>) -> Result<Vec<Content>, LogError> {
     let mut contents = Vec::new();
     for (number, entry) in stored_entries(store, marks)? {

@@ -17,21 +17,21 @@ use super::{
 };
 use crate::log::{Entry, LogError, Lost, Origin, Uid};
 
-/// What a store holds.
+/// The content of a store.
 pub(super) struct Found {
-    /// The indices; those that are damaged are closed.
+    /// The indices; damaged ones are closed.
     pub(super) indexes: Vec<Arc<Index>>,
-    /// A part of them could not be read.
+    /// True if a part of the indices was unreadable.
     pub(super) unreadable: bool,
-    /// Indices of which only the mark is left.
+    /// Lost indices, of which only the mark is left.
     pub(super) gone: BTreeMap<Number, Lost>,
-    /// Indices that were deleted, of which there may be something left.
+    /// Deleted indices that may have keys left.
     pub(super) deleted: Vec<Number>,
     /// The number of the next index.
     pub(super) next: Number,
 }
 
-/// Reads the store. With `renamed` every index gets a new uid, since its past may be another one.
+/// Reads the store. With `renamed` every index gets a new uid, because its history may have changed.
 pub(super) fn recover(
     handles: &Handles,
     marks: &BTreeMap<Number, Mark>,
@@ -42,7 +42,7 @@ pub(super) fn recover(
         unreadable: false,
         gone: BTreeMap::new(),
         deleted: Vec::new(),
-        // The number of one that is gone stays taken.
+        // The number of a lost index stays in use.
         next: marks.keys().next_back().map_or(0, |last| last + 1),
     };
     let mut left = marks.clone();
@@ -70,12 +70,12 @@ pub(super) fn recover(
         let mark = left.get(&number);
         let was_deleted = mark.is_some_and(|mark| mark.deleted);
         match named.stage {
-            // It is told of below.
+            // A lost index; it is reported below.
             Stage::Copied if mark.is_some() && !was_deleted => continue,
             Stage::Whole | Stage::Unreadable if was_deleted => {
                 warn!(
                     index = named.entry.name,
-                    "the journal was cut short: an index is back that was deleted, and is deleted again"
+                    "the journal was cut short: a deleted index reappeared and is deleted again"
                 );
                 found.deleted.push(number);
             }
@@ -102,9 +102,9 @@ pub(super) fn recover(
 }
 
 impl Found {
-    /// Adds an index of which only the mark is left.
+    /// Adds a lost index, of which only the mark is left.
     fn lose(&mut self, number: Number, mark: &Mark, why: LogError) {
-        error!(index = &*mark.name, error = %why, "an index is gone: every call for it will say so");
+        error!(index = &*mark.name, error = %why, "an index is lost: every call for it fails");
         let (name, uid) = (mark.name.to_string(), mark.uid);
         self.gone.insert(number, Lost { name, uid, why });
     }
@@ -113,7 +113,7 @@ impl Found {
 /// The entry of a number, or its damage.
 pub(super) type StoredEntry = (Number, Result<Slice, String>);
 
-/// The entry of each number that has one. A damaged entry of which no mark tells is an error.
+/// The entry of each number that has one. A damaged entry without a mark is an error.
 pub(super) fn stored_entries(
     handles: &Handles,
     marks: &BTreeMap<Number, Mark>,
@@ -137,7 +137,8 @@ pub(super) fn stored_entries(
     Ok(found)
 }
 
-/// The pair of a key. A range reads a neighbouring block too, and only a get reads what leads to a single key.
+/// The key and value of a key. A range would also read a neighbouring block, and only a get reads the filters and
+/// indices that lead to a single key.
 pub(super) fn read_one(handles: &Handles, key: &[u8]) -> Option<fjall::Result<KvPair>> {
     match handles.keyspace.get(key) {
         Ok(value) => value.map(|value| Ok((key.into(), value))),
@@ -149,7 +150,7 @@ pub(super) fn read_one(handles: &Handles, key: &[u8]) -> Option<fjall::Result<Kv
     }
 }
 
-/// One index; closed if it is damaged.
+/// Opens one index; a damaged one is closed.
 fn open(
     handles: &Handles,
     number: Number,
@@ -172,10 +173,10 @@ fn open(
     );
     match state(handles, &index, mark.filter(|mark| mark.uid == uid)) {
         Ok(state) => index.restore(state),
-        // Of the disk, not of this index.
+        // This is an error of the disk, not of this index.
         Err(LogError::Storage { what }) => return Err(LogError::Shut { what }),
         Err(why) => {
-            error!(index = index.entry.name, error = %why, "an index is damaged: every call for it will say so");
+            error!(index = index.entry.name, error = %why, "an index is damaged: every call for it fails");
             index.close(why);
         }
     }
@@ -195,13 +196,13 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
              is kept in the data directory as one of {DAMAGED_STORE}N"
         ),
     };
-    error!(index = entry.name, error = %why, "an index is damaged: every call for it will say so");
+    error!(index = entry.name, error = %why, "an index is damaged: every call for it fails");
     let index = Index::new(number, entry, State::new(Origin::START, Sum::default()));
     index.close(why);
     index
 }
 
-/// The state of an index, if everything that a writer needs of it is whole.
+/// The state of an index; an error if anything that a writer needs is damaged.
 fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, LogError> {
     let (number, uid) = (index.number, index.entry.uid);
     let damaged = |revision, what| LogError::Damaged {
@@ -217,7 +218,7 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
     let marked = mark.as_ref().map_or(0, |mark| mark.revision);
     if let Some(stored) = get(&head_key(number))? {
         state.head = Head::decode(number, &stored)
-            .ok_or_else(|| damaged(marked, "what is known of the newest revision is damaged"))?;
+            .ok_or_else(|| damaged(marked, "the head of the index is damaged"))?;
     }
     let head = state.head;
     if marked > head.revision {
@@ -248,7 +249,8 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
     for (revision, operation) in index.stored_operations(handles)? {
         state.held_operation(revision, &operation);
     }
-    // A part of the journal that fjall leaves out without a word may have held points of which nothing else tells.
+    // fjall skips an unreadable part of its journal without an error. That part may have held points that no other
+    // check covers.
     let mut sum = Sum::default();
     for point in handles.keyspace.range(point_keys(number)) {
         let value = point.value().map_err(|error| unreadable(uid, error))?;
@@ -274,7 +276,7 @@ mod tests {
     };
     use crate::log::{Effects, Outcome, Record};
 
-    /// Of the revision after `head`: it stores a point, changes one, and removes another.
+    /// The effects of the revision after `head`: they store a point, change one, and remove another.
     fn effects(head: u64) -> Effects {
         let mut effects = Effects::new(1);
         for id in [2 * head, 1] {
@@ -292,7 +294,7 @@ mod tests {
         effects
     }
 
-    /// What is wrong with an index of three records after `damage`; None if nothing is.
+    /// The damage that is found in an index of three records after `damage`; None if none is found.
     fn found(damage: impl FnOnce(&Handles, &[Arc<Record>])) -> Option<String> {
         let directory = tempfile::tempdir().unwrap();
         let store = Arc::new(Store::open(directory.path(), Durability::Fsync).unwrap());
@@ -322,7 +324,7 @@ mod tests {
             let key = record_key(0, record.revision());
             handles.keyspace.insert(key, record.encode()).unwrap();
         };
-        // Of another second record the third tells; of another third the mark.
+        // The third record detects a replaced second one; the mark detects a replaced third one.
         for revision in [2, 3] {
             let other = found(|handles, records| {
                 let before = *records[revision - 1].previous();
@@ -349,7 +351,7 @@ mod tests {
         assert!(missing.is_some_and(|error| error.contains("it is missing")));
     }
 
-    /// As where fjall has left out a part of its journal, and the records of that part were trimmed before.
+    /// The state after fjall skipped a part of its journal whose records had been trimmed.
     #[test]
     fn points_that_are_missing_or_back_or_older_are_noticed() {
         type Damage = fn(&Handles);

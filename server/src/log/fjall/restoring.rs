@@ -1,7 +1,8 @@
-//! An index on its way into the store, point by point.
+//! Restores an index into the store, point by point.
 //!
-//! Until its last batch its entry says that it is a copy that is not finished: whatever ends it before, what is left of it
-//! is removed like what is left of a deleted index. Found so where a mark says that it was finished, it is lost.
+//! Until the last batch, the entry says that the copy is unfinished. If the restore ends earlier, the copy's keys are
+//! removed like those of a deleted index. If the entry says so and a mark says that the copy was finished, the index is
+//! lost.
 
 use std::sync::Arc;
 
@@ -14,19 +15,19 @@ use super::{
 };
 use crate::log::{Entry, LogError, Origin, Restoring, StoredPoint};
 
-/// See the module.
+/// An index that is being restored.
 pub(super) struct Copy {
     engine: Arc<Engine>,
     number: Number,
     entry: Entry,
     origin: Origin,
-    /// Of what was added.
+    /// The sum of the added points.
     sum: Sum,
     finished: bool,
 }
 
 impl Copy {
-    /// Begins one under a number of its own.
+    /// Begins a restore under a new number.
     pub(super) fn begin(
         engine: Arc<Engine>,
         number: Number,
@@ -50,7 +51,7 @@ impl Copy {
         result.map_err(|error| self.engine.note(error))
     }
 
-    /// Writes points and the entry in one batch, and, if it is `finished`, where the index begins.
+    /// Writes points and the entry in one batch, and the head of the index if it is `finished`.
     fn try_write(&mut self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
         let number = self.number;
         let mut sum = self.sum;
@@ -95,7 +96,7 @@ impl Restoring for Copy {
 
     fn finish(mut self: Box<Self>) -> Result<(), LogError> {
         self.write(&[], true)?;
-        // From here on it is there, or not, as the next start finds it.
+        // From here on the index may exist: if the next step fails, the next start decides.
         self.finished = true;
         let index = Index::new(
             self.number,

@@ -1,4 +1,4 @@
-//! Removes what is left of deleted indices, on a thread of its own: an index of millions of points takes a while.
+//! Removes the keys of deleted indices on a separate thread: removing millions of points takes long.
 
 use std::{
     fmt::Display,
@@ -23,13 +23,13 @@ use super::{
 };
 use crate::log::LogError;
 
-/// How many keys are removed in one batch, between which others write.
+/// The number of keys that are removed in one batch. Other writers write between the batches.
 const CHUNK: usize = 1024;
 
-/// Of keys of points, records or operations.
+/// A range of keys of points, records or operations.
 type Range = (Bound<[u8; 13]>, Bound<[u8; 13]>);
 
-/// See the module.
+/// The thread that removes deleted indices.
 pub(super) struct Sweeper {
     deleted: Mutex<Option<mpsc::Sender<Number>>>,
     stop: Arc<AtomicBool>,
@@ -70,15 +70,15 @@ impl Sweeper {
         self.stop.store(true, Ordering::Relaxed);
         *self.deleted.lock() = None;
         if let Some(thread) = self.thread.lock().take() {
-            // It panics only by a bug, of which the panic itself has told.
+            // The thread panics only by a bug, and the panic hook has printed it.
             let _ = thread.join();
         }
     }
 
-    /// Removes what is left of an index, by and by. What is not done at the end of the server is done by the next.
+    /// Queues a deleted index for removal. A later start continues a removal that is unfinished when the server ends.
     pub(super) fn sweep(&self, number: Number) {
         if let Some(deleted) = &*self.deleted.lock() {
-            // It fails only if the thread has panicked.
+            // The send fails only if the thread has panicked.
             let _ = deleted.send(number);
         }
     }
@@ -100,14 +100,14 @@ fn sweep(
         let mut after = Bound::Included(key(number, 0));
         let last = Bound::Included(key(number, u64::MAX));
         while let Some(removed) = remove_some((store, failure), (after, last)).map_err(text)? {
-            // Not from the start again: what was removed is passed over one by one.
+            // Continues after the last removed key: from the start, the scan would pass every removed key again.
             after = Bound::Excluded(removed);
             if stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
         }
     }
-    // Before the entry: a mark of another kind without an entry is an index that was lost.
+    // The mark is written before the entry is removed: a live mark without an entry means a lost index.
     marks.delete(number).map_err(text)?;
     let handles = store.handles().map_err(text)?;
     let mut batch = handles.database.batch();
@@ -116,7 +116,7 @@ fn sweep(
     commit(batch, failure).map_err(text)
 }
 
-/// What fails here has failed for all who write: they are told the reason too, and not only that there was one.
+/// Commits a batch. A failure here stops all writers, so the cause is noted for them too.
 fn commit(batch: OwnedWriteBatch, failure: &Failure) -> Result<(), LogError> {
     let committed = batch.commit();
     committed.map_err(|error| failure.note(storage(error)))
@@ -126,7 +126,7 @@ fn text(error: impl Display) -> String {
     error.to_string()
 }
 
-/// Removes the first few keys of a range, and says which was the last of them; None if there were none.
+/// Removes the first few keys of a range and returns the last of them; None if the range is empty.
 fn remove_some(
     (store, failure): (&Store, &Failure),
     range: Range,

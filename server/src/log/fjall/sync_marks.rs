@@ -1,11 +1,11 @@
-//! Sync marks: how far each index was synced, in a file beside the store. fjall cuts its journal in silence at an entry that it
-//! cannot read; a mark that is ahead of its index tells.
+//! Sync marks: the last synced revision of each index, in a file next to the store. fjall silently cuts its journal at
+//! an entry that it cannot read; a mark ahead of its index reveals the loss.
 //!
 //! The file has 128 bytes for each index that ever existed, at 128 times its number: uid, revision, the digest of that
 //! revision's record, the length of the name (its highest bit says that the index was deleted), the name, zeros, and a
-//! checksum over the number and all of these. So an index of which nothing else is left has a name. A mark is written after
-//! its revision was synced: it may be behind and is never ahead. The file is not synced with every mark: after a power loss it
-//! may be a moment older, and a torn mark says nothing.
+//! checksum over the number and all of these. So the name of a lost index is known. A mark is written after its
+//! revision was synced, so it may be behind the synced state but is never ahead of it. The file is not synced with
+//! every mark: after a power loss its marks may be older, and a torn mark is ignored.
 
 use std::{
     collections::BTreeMap,
@@ -19,20 +19,20 @@ use super::layout::{Number, seal, unseal};
 use crate::log::{Digest, Uid, cursor::Cursor};
 
 pub(super) const SIZE: usize = 128;
-/// Most bytes of a name: as many as the contract allows.
+/// The maximum bytes of a name, which the contract fixes.
 const NAME: usize = 63;
 /// Set in the byte of the name's length.
 const DELETED: u8 = 0x80;
 
-/// How far an index was synced, or that it was deleted.
+/// The last synced revision of an index, or its deletion.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Mark {
     pub(super) uid: Uid,
     pub(super) name: Arc<str>,
     pub(super) revision: u64,
-    /// Of the record of `revision`.
+    /// The digest of the record of `revision`.
     pub(super) digest: Digest,
-    /// Its deletion was synced: everything else that is found of it is removed.
+    /// True if the deletion was synced: all remaining keys of the index are removed.
     pub(super) deleted: bool,
 }
 
@@ -53,7 +53,7 @@ impl Mark {
 pub(super) struct Marks(File);
 
 impl Marks {
-    /// Opens the file, or makes it, and returns its marks.
+    /// Opens or creates the file, and returns its marks.
     pub(super) fn open(path: &Path) -> io::Result<(Self, BTreeMap<Number, Mark>)> {
         let mut file = File::options()
             .read(true)
@@ -68,7 +68,7 @@ impl Marks {
         Ok((Self(file), marks.collect()))
     }
 
-    /// Writes marks; the last one counts if an index has several.
+    /// Writes marks. If an index has several, the last one counts.
     pub(super) fn write<'a>(
         &mut self,
         marks: impl IntoIterator<Item = (Number, &'a Mark)>,

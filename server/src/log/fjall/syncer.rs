@@ -1,8 +1,8 @@
 //! Group commit: one thread syncs the journal for all writers.
 //!
 //! A writer commits its batch, which only hands it to the journal, and announces it ([`Syncer::written`]). The thread
-//! syncs once for all that was announced meanwhile, then notes in the marks how far each index has come, and only then
-//! tells those who wait. Where the last sync was shared by many, it waits a moment for them to be back.
+//! syncs once for all batches announced meanwhile, writes the sync marks, and only then wakes the waiting writers. If
+//! many writers shared the last sync, the thread first waits briefly for their next batches.
 
 use std::{sync::Arc, thread::JoinHandle, time::Duration};
 
@@ -16,14 +16,14 @@ use super::{
 };
 use crate::log::LogError;
 
-/// So many batches in one sync come from several writers, who will be back.
+/// From this many batches in one sync on, the thread assumes several writers, and waits for their next batches.
 const MANY: usize = 8;
 
-/// How long to wait then for most of them to be back, before the next sync: about as long as a sync takes. Each takes a
-/// good part of a core from those who write.
+/// The maximum wait for those next batches: about the duration of a sync. Each saved sync leaves processor time to the
+/// writers.
 const LINGER: Duration = Duration::from_micros(200);
 
-/// See the module.
+/// The thread that syncs, and its shared state.
 pub(super) struct Syncer {
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -31,9 +31,9 @@ pub(super) struct Syncer {
 
 struct Shared {
     announced: Mutex<Announced>,
-    /// Something was announced, or the thread is to end.
+    /// Notified when a batch was announced, or the thread is to end.
     wake: Condvar,
-    /// Something was synced, or nothing will be any more.
+    /// Notified when batches were synced, or the syncer has failed.
     done: Condvar,
     failure: Arc<Failure>,
 }
@@ -41,9 +41,9 @@ struct Shared {
 #[derive(Default)]
 struct Announced {
     batches: u64,
-    /// How many announcements the thread is waiting for.
+    /// The number of announcements that the thread waits for.
     enough: usize,
-    /// Where which indices are by these batches, unless a mark says so already.
+    /// The new marks of the announced batches, until they are written.
     marks: Vec<(Arc<Index>, Mark)>,
     stop: bool,
     /// The number of batches that are synced.
@@ -75,7 +75,7 @@ impl Syncer {
         })
     }
 
-    /// Announces a committed batch, which brought an index to `mark`.
+    /// Announces a committed batch that moved an index to `mark`.
     pub(super) fn written(&self, index: &Arc<Index>, mark: Mark) {
         let mut announced = self.shared.announced.lock();
         announced.batches += 1;
@@ -87,17 +87,17 @@ impl Syncer {
         }
     }
 
-    /// Ends the thread, once all that was announced is synced.
+    /// Ends the thread, once all announced batches are synced.
     pub(super) fn stop(&self) {
         self.shared.announced.lock().stop = true;
         self.shared.wake.notify_one();
         if let Some(thread) = self.thread.lock().take() {
-            // It panics only by a bug, of which the panic itself has told.
+            // The thread panics only by a bug, and the panic hook has printed it.
             let _ = thread.join();
         }
     }
 
-    /// Returns once all that was announced before is synced.
+    /// Returns once all batches announced before are synced.
     pub(super) fn wait(&self) -> Result<(), LogError> {
         let mut announced = self.shared.announced.lock();
         let batches = announced.batches;
@@ -143,7 +143,7 @@ impl Shared {
             });
             let failed = match synced {
                 Ok(()) => None,
-                // Noted before the writers hear of it, so that none of them writes on.
+                // Noted before the writers are woken, so that none of them continues to write.
                 Err(what) => Some(self.failure.note(LogError::Storage { what })),
             };
             if failed.is_none() {

@@ -1,8 +1,8 @@
-//! Marker file `unsynced`: this server ran without fsync and has not shut down cleanly. Acknowledged mutations may be lost
-//! then, so every index gets a new uid: a revision may come to mean something else.
+//! Marker file `unsynced`: this server ran without fsync and has not shut down cleanly. Acknowledged mutations may be
+//! lost then, so every index gets a new uid: one of its revisions may get another content.
 //!
-//! Under `os`, mutations survive the end of the process, so the file holds the id of the system's boot. If it is found under the
-//! same boot, nothing is lost.
+//! Under `os`, mutations survive the end of the process, so the file holds the id of the system's boot. If that boot
+//! still runs, nothing is lost.
 
 use std::{fs, io, path::Path};
 
@@ -47,7 +47,7 @@ pub(super) fn end(directory: &Path) -> io::Result<()> {
     }
 }
 
-/// The content that means that only a reboot loses mutations; None if there is no such content.
+/// The content of a marker whose mutations only a reboot can lose; None if there is no such content.
 fn survives(durability: Durability) -> Option<String> {
     let boot = fs::read_to_string(BOOT).ok()?;
     (durability == Durability::Os).then(|| format!("os {boot}"))

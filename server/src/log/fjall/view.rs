@@ -11,11 +11,11 @@ use super::{
 };
 use crate::log::{LogError, StoredPoint, Tip, Uid, View};
 
-/// The points of one revision. While that is the newest revision, the view reads the store as it is and holds no snapshot:
-/// a snapshot makes fjall keep everything that is overwritten in any index while the snapshot is held.
+/// The points of one revision. While this is the newest revision, the view reads the current store and holds no
+/// snapshot: a snapshot makes fjall keep all data that is overwritten in any index.
 pub(super) struct PointsView {
     pub(super) store: Arc<Store>,
-    /// Taken just before the index is written to again, and held until the view is dropped or the store is closed.
+    /// Taken just before the next write to the index, and held until the view is dropped or the store is closed.
     pub(super) frozen: OnceLock<Snapshot>,
     pub(super) number: Number,
     pub(super) uid: Uid,
@@ -24,14 +24,14 @@ pub(super) struct PointsView {
 }
 
 impl PointsView {
-    /// Keeps what the store holds now. The caller is about to write to the index, and nobody else is.
+    /// Keeps the current content of the store. The caller is about to write to the index and is its only writer.
     pub(super) fn freeze(&self, handles: &Handles) {
         self.frozen.get_or_init(|| handles.database.snapshot());
     }
 
     /// A snapshot of this revision.
     fn snapshot(&self, handles: &Handles) -> Snapshot {
-        // Taken before the look at `frozen`: an unfrozen view was not yet overwritten then.
+        // Taken before `frozen` is read: an unfrozen view was not yet overwritten then.
         let newest = handles.database.snapshot();
         self.frozen.get().cloned().unwrap_or(newest)
     }

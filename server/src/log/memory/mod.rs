@@ -17,7 +17,7 @@ use super::{
 };
 use store::Store;
 
-/// A log in memory. A record is as durable as this log makes it as soon as it is submitted.
+/// A log in memory. A submitted record is at once as durable as this log can make it.
 #[derive(Default)]
 pub struct MemoryLog {
     indexes: Arc<Indexes>,
@@ -135,7 +135,7 @@ fn add(
     }
 }
 
-/// An index in the making.
+/// An index that is being restored.
 struct Copy {
     indexes: Arc<Indexes>,
     entry: Entry,

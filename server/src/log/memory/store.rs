@@ -1,4 +1,4 @@
-//! One index in memory: its window of records, and the points that all its records amount to.
+//! One index in memory: its window of records, and the points that result from all its records.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -13,13 +13,13 @@ use crate::log::{
     retention::{Allowance, Window},
 };
 
-/// How many rows are stored or dropped under one hold of the lock, so that a large record does not keep readers from
-/// payloads. Also the most that whoever lets go of a view drops of what nobody sees any more, a fraction of a
-/// millisecond: the rest waits for the next view that is let go of, and for the next record, which looks after one such
-/// hold and twice as many rows as it changes, so that less and less waits.
+/// The number of rows that are stored or dropped during one hold of the lock. It keeps a large record from blocking
+/// readers of payloads. Dropping a view also collects at most this many unseen versions, which takes a fraction of a
+/// millisecond. The rest waits for the next dropped view or the next record. A record collects this number plus twice
+/// the rows it changes, so the backlog shrinks.
 const ROWS_PER_HOLD: usize = 512;
 
-/// Locks are taken in the order journal, versions. Only the holder of the journal adds versions.
+/// Lock order: journal, versions. Only the holder of the journal adds versions.
 pub(super) struct Store {
     uid: Uid,
     journal: Mutex<Journal>,
@@ -37,7 +37,7 @@ struct Journal {
     /// The newest operations.
     operations: VecDeque<Arc<Operation>>,
     window: Window,
-    /// The records that were submitted and not yet applied, oldest first, with the next id after each. Their versions are
+    /// The submitted records that are not yet applied, oldest first, each with the next id after it. Their versions are
     /// pinned.
     unapplied: VecDeque<(Arc<Record>, u64)>,
 }
@@ -89,7 +89,8 @@ impl Store {
         Ok(())
     }
 
-    /// Applies consecutive records, of which the store may have the first ones already. Returns the points as of the last.
+    /// Applies consecutive records. The store may already have the first ones. Returns the points as of the last
+    /// record.
     pub(super) fn apply(
         self: &Arc<Self>,
         records: &[Arc<Record>],
@@ -168,7 +169,7 @@ impl Store {
         let _ = self.newest.send_replace(Err(why));
     }
 
-    /// The records after the revision `after`, as they come.
+    /// A stream of the records after the revision `after`.
     pub(super) fn follow(self: Arc<Self>, after: u64) -> RecordStream {
         let newest = self.newest.subscribe();
         let batches = stream::unfold(Some((self, newest, after)), async |follower| {
@@ -190,7 +191,7 @@ impl Store {
         batches.boxed()
     }
 
-    /// Adds the versions that `record` makes. No view sees one before the head has moved.
+    /// Adds the versions that `record` makes. Views see them only after the head has moved.
     fn store(&self, record: &Record, next_id: &mut u64) {
         let effects = record.effects();
         for ids in effects.removed().chunks(ROWS_PER_HOLD) {
@@ -228,7 +229,7 @@ impl Store {
         }
     }
 
-    /// Drops some of what nobody sees any more; false if nothing of it is left.
+    /// Drops some of the versions that no revision sees any more; false if none is left.
     fn collect(&self) -> bool {
         self.versions.write().collect(ROWS_PER_HOLD)
     }
@@ -280,7 +281,7 @@ impl Store {
         })
     }
 
-    /// A view of a revision that is pinned; it takes over the pin.
+    /// A view of a pinned revision; it takes over the pin.
     fn pinned(self: &Arc<Self>, record: &Record, next_id: u64) -> Pinned {
         Pinned {
             store: Arc::clone(self),
@@ -290,7 +291,7 @@ impl Store {
     }
 }
 
-/// A view; while it is held, the versions it sees stay.
+/// A view. The versions it sees stay while it is held.
 struct Pinned {
     store: Arc<Store>,
     tip: Tip,
@@ -371,7 +372,7 @@ mod tests {
         let mut effects = Effects::new(1);
         (0..1500).for_each(|id| effects.remove(id));
         append(&store, effects);
-        // Each of the view's versions, and a version or a mark of each point in the place of it.
+        // Each of the view's versions, and for each point the version or mark that superseded it.
         assert_eq!(versions(), 4000);
         drop(view);
         while store.collect() {}
@@ -388,7 +389,7 @@ mod tests {
         for revision in 2..30 {
             append(&store, storing(0..2000, revision));
             newest = Arc::clone(&store).pin();
-            // The points, what the old view sees, and what was superseded just now.
+            // The points, the versions of the old view, and the versions that were just superseded.
             assert!(versions() <= 3 * 2000, "{}", versions());
         }
         drop(newest);

@@ -1,4 +1,4 @@
-//! Points in several versions at once: each reader sees those of its own revision while the writer adds new ones.
+//! Multi-version points: each reader sees the versions of its own revision while the writer adds new ones.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -8,19 +8,21 @@ use std::{
 
 use crate::log::StoredPoint;
 
-/// All versions of all points that somebody may still ask for.
+/// All versions of points that can still be read.
 ///
-/// Somebody sees a revision: a view that is pinned to it, or the head, to which the next view will be. Invariants:
-/// - Of the versions of an id a revision sees the newest that is not newer than itself: those from which a version was
-///   made up to the one before that in which it was superseded.
-/// - A superseded version is in `seen` under the newest revision that sees it, or, once that is released, in
-///   `released` until [`Versions::collect`] finds another that sees it, or drops it. So what is kept beside the points
-///   of the head is at most what each pinned revision sees, and what waits in `released`.
-/// - Right before the mark of a removed point there is a version for it to hide.
+/// A revision is visible if a view is pinned to it, or if it is the head, to which the next view will be pinned.
+/// Invariants:
+/// - A revision sees the newest version of an id that is not newer than the revision. So a version is seen from the
+///   revision that made it up to the one before the revision that superseded it.
+/// - A superseded version is in `seen` under the newest revision that sees it. Once that revision is released, the
+///   version is in `released` until [`Versions::collect`] finds another revision that sees it, or drops it. So the
+///   versions kept in addition to the head's points are at most those that pinned revisions see, and those in
+///   `released`.
+/// - The mark of a removed point directly follows a version that it hides.
 pub(super) struct Versions {
-    /// By id and the revision that made the version; None marks that the point was removed.
+    /// The versions by id and the revision that made them. None is the mark of a removed point.
     versions: BTreeMap<(u64, u64), Option<Arc<StoredPoint>>>,
-    /// How many see a revision.
+    /// The number of pins of each revision.
     pinned: BTreeMap<u64, usize>,
     /// The revision that the next view is pinned to; it is pinned itself.
     head: u64,
@@ -46,7 +48,7 @@ impl Default for Versions {
 }
 
 impl Versions {
-    /// Adds a version of a point whose id was never used before.
+    /// Adds the first version of a point whose id was never used before.
     pub(super) fn insert_new(&mut self, point: Arc<StoredPoint>) {
         self.versions
             .insert((point.id, point.modified), Some(point));
@@ -65,13 +67,13 @@ impl Versions {
         }
     }
 
-    /// Whether there was a point to put something else in the place of.
+    /// Supersedes the newest version of a point; false if there is none.
     fn supersede(&mut self, id: u64, by: u64) -> bool {
         let newest = self.versions.range((id, 0)..(id, by)).next_back();
         let Some((&version, Some(_))) = newest else {
             return false;
         };
-        // The head is not that far yet, and sees it still.
+        // The head has not advanced to `by` yet, so it still sees the version.
         let seen = self.seen.entry(self.head).or_default();
         seen.push(Superseded { version, by });
         true
@@ -88,7 +90,7 @@ impl Versions {
         *self.pinned.entry(revision).or_default() += 1;
     }
 
-    /// Takes the same time whatever the revision was the last to see.
+    /// Takes constant time, however many versions the revision was the last to see.
     pub(super) fn unpin(&mut self, revision: u64) {
         if let Some(count) = self.pinned.get_mut(&revision) {
             *count -= 1;
@@ -99,8 +101,7 @@ impl Versions {
         }
     }
 
-    /// Looks at up to `limit` versions that are not seen any more by all who saw them, and drops those that nobody
-    /// sees; false if none are left.
+    /// Examines up to `limit` released versions and drops those that no revision sees; false if none is left.
     pub(super) fn collect(&mut self, limit: usize) -> bool {
         for _ in 0..limit {
             let Some(oldest) = self.released.front_mut() else {
@@ -124,7 +125,7 @@ impl Versions {
         }
     }
 
-    /// Drops a version, and the mark after it if that is left with nothing to hide.
+    /// Drops a version, and the mark after it if the mark then hides nothing.
     fn forget(&mut self, version: (u64, u64)) {
         let (id, made) = version;
         self.versions.remove(&version);
@@ -220,8 +221,8 @@ mod tests {
     proptest! {
         #![proptest_config(crate::testing::cases(256))]
 
-        /// Against whole copies: every view sees its own revision however long it is held and however much waits to
-        /// be dropped; once nothing waits, what is left is what somebody sees.
+        /// Compared with full copies: every view sees its own revision, however long it is held and however many
+        /// versions wait to be dropped. Once none waits, only visible versions are left.
         #[test]
         fn views_see_their_revision_and_the_rest_is_freed(
             steps in prop::collection::vec(step(), 1..80)

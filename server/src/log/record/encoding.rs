@@ -1,4 +1,5 @@
-//! The bytes of a record, as [`Record`](super::Record) documents them: what its digest covers, and what is stored.
+//! The bytes of a record, as [`Record`](super::Record) documents them: the bytes that its digest covers, which are also
+//! the stored bytes.
 
 use std::sync::Arc;
 
@@ -8,10 +9,10 @@ use wayfold_index::{PointRef, Space};
 use super::{Digest, Effects, Operation, Outcome, Record};
 use crate::log::cursor::Cursor;
 
-/// Names the form. Another form needs another text.
+/// Names the form of the encoding. A changed form needs a new text.
 const FORM: &[u8; 16] = b"wayfold record 2";
 
-/// Gives the bytes of a record to `take`, part by part.
+/// Passes the bytes of a record to `take`, part by part.
 pub(super) fn write(record: &Record, mut take: impl FnMut(&[u8])) {
     let effects = &record.effects;
     let mut part = Vec::new();
@@ -68,7 +69,7 @@ fn push_sequence(part: &mut Vec<u8>, bytes: &[u8]) {
     part.extend_from_slice(bytes);
 }
 
-/// The record of what its `digest` covers; None if the bytes are of no such form.
+/// Decodes a record from the bytes that `digest` covers; None if they have another form.
 pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
     let mut cursor = Cursor::new(bytes);
     if cursor.array()? != *FORM {
@@ -76,7 +77,7 @@ pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
     }
     let (previous, revision, time_ms) = (cursor.array()?, cursor.u64()?, cursor.u64()?);
     let (coordinates, rows) = (cursor.length()?, cursor.length()?);
-    // No space is wider, and nobody need reckon with a width that is out of all proportion, even of no rows.
+    // No space is wider. The check applies without rows too, so that later arithmetic on the width cannot overflow.
     if coordinates > Space::MAX_COORDINATES {
         return None;
     }
@@ -123,7 +124,7 @@ pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
     })
 }
 
-/// The operation that begins here.
+/// Reads the operation at the cursor.
 pub(super) fn read_operation(cursor: &mut Cursor<'_>) -> Option<Operation> {
     Some(Operation {
         id: str::from_utf8(sequence(cursor)?).ok()?.to_owned(),
@@ -165,7 +166,7 @@ mod tests {
         }
     }
 
-    /// Found by fuzzing: recovery counts the bytes of a record, and the width of its rows overflowed that.
+    /// Found by fuzzing: recovery counts the bytes of a record, and a huge row width overflowed that count.
     #[test]
     fn rows_wider_than_any_space_are_not_read() {
         let width = |coordinates| {
@@ -181,7 +182,7 @@ mod tests {
     proptest! {
         #![proptest_config(crate::testing::cases(256))]
 
-        /// Past the checksum, as if whoever wrote it had gone mad.
+        /// Decodes arbitrary bytes, as if they had passed the checksum.
         #[test]
         fn no_bytes_are_too_odd_to_read(
             bytes in prop::collection::vec(any::<u8>(), 0..300),

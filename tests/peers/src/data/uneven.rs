@@ -1,4 +1,4 @@
-//! Data as roadmaps have it: clusters, trees, thin surfaces.
+//! Data like that of roadmaps: clusters, trees, thin surfaces.
 
 use std::f64::consts::TAU;
 
@@ -13,9 +13,9 @@ const CLUSTERS: usize = 50;
 const CLUSTER_SPREAD: f64 = 0.02;
 
 const TREES: usize = 5;
-/// How far a tree is extended at once, as a part of the mean distance of two uniform states.
+/// The length of one extension of a tree, as a fraction of the mean distance of two uniform states.
 const TREE_STEP: f64 = 0.1;
-/// States along an extension: a planner stores this many of an edge that it has checked.
+/// The number of states along an extension: a planner stores this many states of a checked edge.
 const STATES_OF_A_STEP: usize = 4;
 
 const SURFACE_THICKNESS: f64 = 1e-3;
@@ -31,7 +31,7 @@ pub(super) fn clusters(space: &Space, rows: usize, rng: &mut ChaCha8Rng) -> Vec<
     (0..rows).map(state).collect()
 }
 
-/// Moves a state about by a normal distribution.
+/// Perturbs a state by a normal distribution.
 fn scatter(space: &Space, row: &mut [f64], spread: f64, rng: &mut ChaCha8Rng) {
     let mut rest = row;
     for factor in factors(space) {
@@ -50,7 +50,7 @@ fn scatter(space: &Space, row: &mut [f64], spread: f64, rng: &mut ChaCha8Rng) {
     }
 }
 
-/// Twelve uniform numbers have nearly the sum of a normal one, of variance 1.
+/// A normal number of variance 1, approximated by the sum of twelve uniform ones.
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
 }
@@ -65,7 +65,7 @@ fn normalise(q: &mut [f64]) {
 /// States along the edges of trees that grow towards uniform states.
 pub(super) fn trees(space: &Space, rows: usize, rng: &mut ChaCha8Rng) -> Vec<Vec<f64>> {
     let canonical = |mut row: Vec<f64>| {
-        // Whatever interpolation made of a valid state is one; `generate` reports if it is not.
+        // Interpolation between valid states gives a valid state; `generate` reports an invalid one.
         let _ = space.canonicalize(&mut row);
         row
     };

@@ -1,11 +1,12 @@
-//! Brute force as the paper means it: every point's distance, one after the other, and the nearest kept.
+//! Brute force in the paper's sense: it computes the distance of every point, one after the other, and keeps the
+//! nearest.
 
 use wayfold_index::Space;
 
 use super::Structure;
 
-/// Rows, measured by the space's own scalar distance, which reads the space as it is: where it is compiled for one space, a
-/// loop takes about a third of that in R3.
+/// Rows, compared by the space's scalar distance, which interprets the space at run time. A loop compiled for one space
+/// takes about a third of that time in R3.
 pub struct Brute {
     space: Space,
     rows: Vec<f64>,

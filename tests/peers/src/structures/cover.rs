@@ -1,7 +1,7 @@
-//! A cover tree, that of the crate smartcore: a static one, in any metric.
+//! The cover tree of the crate smartcore, which is static and works in any metric.
 //!
-//! It is the only one found in a package that is kept up (crates.io and Debian were searched), and part of a library for
-//! learning, not tuned as the paper's was.
+//! It is the only one in a maintained package of crates.io or Debian. It is part of a machine learning library, and not
+//! tuned like the paper's.
 
 use smartcore::{algorithm::neighbour::cover_tree::CoverTree, metrics::distance::Distance};
 use wayfold_index::Space;
@@ -18,7 +18,7 @@ impl Distance<Vec<f64>> for Metric {
     }
 }
 
-/// The tree, and room for a query as it takes them.
+/// The tree, and a buffer for a query in its form.
 pub struct Cover {
     tree: CoverTree<Vec<f64>, Metric>,
     query: Vec<f64>,

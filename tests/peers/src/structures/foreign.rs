@@ -43,16 +43,16 @@ unsafe extern "C" {
     safe fn peer_heap_bytes() -> usize;
 }
 
-/// The bytes in use of the process's heap, from any allocator: Rust's and C++'s are the same one here.
+/// The used bytes of the process's heap. Rust and C++ share one allocator here.
 pub fn heap_bytes() -> usize {
     peer_heap_bytes()
 }
 
-/// A structure that lives in C++, and is freed with this. Rows and queries have `width` numbers.
+/// A C++ structure, which is freed when this is dropped. Rows and queries have `width` numbers.
 struct Handle {
     peer: NonNull<Opaque>,
     width: usize,
-    /// Points that fit; C++ holds pointers into the room for them.
+    /// The capacity in points. C++ holds pointers into their buffer.
     room: usize,
     points: usize,
 }
@@ -101,7 +101,7 @@ impl Drop for Handle {
     }
 }
 
-/// The ids that a peer found, and its reach.
+/// The ids that a peer found, and its new bound.
 ///
 /// # Safety
 /// The ids must stay in place for as long as the caller makes the borrow last.
@@ -114,7 +114,7 @@ unsafe fn held<'a>(found: Found) -> (&'a [u32], f64) {
     (ids, found.reach)
 }
 
-/// A tree over Euclidean coordinates, asked from each image of a query.
+/// A tree over Euclidean coordinates, searched from each image of a query.
 pub struct Charted {
     chart: Chart,
     place: Vec<f64>,
@@ -207,8 +207,8 @@ impl Structure for Charted {
     }
 }
 
-/// The parameters that OMPL's GNAT is compiled for: a cell of `cpp/gnat.cpp`, its number of repeats in a row, and the
-/// weight of its rotation.
+/// The compile-time parameters of OMPL's GNAT: a cell of `cpp/gnat.cpp`, its number of repeats in a row, and the weight
+/// of its rotation.
 #[derive(Clone, Copy)]
 pub struct Shape {
     cell: i32,
@@ -217,7 +217,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// The shape of a space that has one.
+    /// The shape for a space; None if GNAT is not compiled for it.
     pub fn of(space: &Space) -> Option<Shape> {
         let shape = |cell, repeats, weight| Shape {
             cell,

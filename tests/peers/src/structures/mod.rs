@@ -1,4 +1,4 @@
-//! The structures that are measured, ours and the peers', behind one trait.
+//! The measured structures, ours and the peers', behind one trait.
 
 mod brute;
 mod cover;
@@ -14,10 +14,10 @@ use crate::{chart::Chart, data::Rows};
 pub use foreign::heap_bytes;
 use foreign::{Charted, Gnat, Shape};
 
-/// A structure that holds rows under the ids 0, 1, 2, … in the order in which they came.
+/// A structure that holds rows under the ids 0, 1, 2, … in the order of their arrival.
 ///
-/// Answers are ids alone: each library has its own measure of distance, and none is asked to convert it. All borrow
-/// themselves mutably, so that each can keep its buffers from query to query.
+/// Answers are only ids: each library has its own measure of distance, and none has to convert it. All methods borrow
+/// mutably, so that a structure can keep its buffers from query to query.
 pub trait Structure {
     /// The `k` nearest, into `found`.
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>);
@@ -29,12 +29,12 @@ pub trait Structure {
     fn insert(&mut self, row: &[f64]);
 }
 
-/// The structures there are.
+/// The kinds of structures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// The forest right after the last of many single inserts.
     Wayfold,
-    /// The forest in one tree.
+    /// The forest merged into one tree.
     WayfoldRest,
     /// The paper's tree, in our own version.
     Mpnn,
@@ -50,11 +50,11 @@ pub enum Kind {
     Ann,
     /// OMPL's GNAT, grown by single inserts.
     OmplGnat,
-    /// Every point, bounded side by side.
+    /// A scan that bounds the distances of several points at once.
     SimdScan,
     /// smartcore's cover tree.
     CoverTree,
-    /// Every point, measured one after the other.
+    /// A scan that computes the distance of every point, one after the other.
     Brute,
 }
 
@@ -111,17 +111,17 @@ impl Kind {
         matches!(self, Kind::SimdScan | Kind::Brute)
     }
 
-    /// True if it is the index that is measured against the others.
+    /// True if it is our index.
     pub fn is_ours(self) -> bool {
         matches!(self, Kind::Wayfold | Kind::WayfoldRest)
     }
 
-    /// True if it answers in the order (distance, id), and so in the ids that brute force finds.
+    /// True if it answers in the order (distance, id), and so with the same ids as brute force.
     pub fn orders_by_id(self) -> bool {
         self.is_ours() || self == Kind::Mpnn
     }
 
-    /// Why it is not measured in this space, if it is not.
+    /// The reason why it is not measured in this space; None if it is.
     pub fn refuses(self, space: &Space) -> Option<&'static str> {
         match self {
             Kind::Wayfold
@@ -171,7 +171,7 @@ impl Kind {
         !self.grows() || self == Kind::OmplGnat
     }
 
-    /// An empty one, to be grown up to `room` points.
+    /// An empty structure that can grow up to `room` points.
     ///
     /// # Panics
     /// If it does not grow, or refuses the space.
@@ -194,7 +194,7 @@ impl Kind {
         }
     }
 
-    /// One that holds all these rows, which it was given at once.
+    /// A structure built from all these rows at once.
     ///
     /// # Panics
     /// If it has no way to take them at once, or refuses the space.
@@ -220,7 +220,7 @@ impl Kind {
         }
     }
 
-    /// One that holds these rows, grown if it is one that grows.
+    /// A structure that holds these rows, inserted one by one if it can grow.
     ///
     /// # Panics
     /// If it refuses the space.

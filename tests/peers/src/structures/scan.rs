@@ -1,18 +1,19 @@
-//! The floor in many dimensions: every point, its coordinates side by side with those of its neighbours in memory, so
-//! that the compiler bounds several of them at once. It is exact: the space's own distance measures the points that the
-//! bound lets through.
+//! A scan of every point, the lower limit in many dimensions. The coordinates of neighbouring points are interleaved in
+//! memory, so that the compiler computes several bounds at once. It is exact: the space's own distance is computed for
+//! the points that pass the bound.
 
 use wayfold_index::{Factor, Space};
 
 use super::Structure;
 
-/// Points whose coordinates lie together, and whose bounds fit into the registers of a CPU.
+/// The number of points of a block. Their coordinates are interleaved, and their bounds fit into the registers of a
+/// CPU.
 const LANES: usize = 32;
 
 /// The greatest relative excess of a bound over its quantity: some dozens of roundings.
 const MARGIN: f64 = 1e-13;
 
-/// How much a chord's square, of order 1, may be off by rounding.
+/// The maximum rounding error of a chord's square, which is of order 1.
 const CHORD_MARGIN: f64 = 4e-15;
 
 /// θ² ≥ s · (1 + s/12 + s²/90 + s³/560) for the angle θ of the squared chord s: the rest of the series is positive.
@@ -26,7 +27,7 @@ pub struct Scan {
     blocks: Vec<Lanes>,
     points: usize,
     row: Vec<f64>,
-    /// By (distance, id).
+    /// The answers, by (distance, id).
     held: Vec<(f64, u32)>,
 }
 
@@ -41,7 +42,7 @@ impl Scan {
         }
     }
 
-    /// Offers every point that may be within reach; `offer` returns the reach that is left.
+    /// Offers every point that may be within the bound; `offer` returns the new bound.
     fn scan(
         &mut self,
         query: &[f64],
@@ -57,7 +58,7 @@ impl Scan {
         let width = self.space.coordinates();
         for (at, block) in self.blocks.chunks_exact(width).enumerate() {
             let keys = keys(&self.space, is_squared, query, block);
-            // Without a branch, this is done for all lanes at once.
+            // Without a branch, the compiler does this for all lanes at once.
             let mut any = false;
             for key in &keys {
                 any |= *key <= most;

@@ -1,11 +1,11 @@
-//! Ours: the forest as it grows, and at rest.
+//! Our index: the forest while it grows, and at rest.
 
 use wayfold_index::{Answer, Forest, ForestOptions, Points, Search, Space};
 
 use super::Structure;
 use crate::data::Rows;
 
-/// Grown by single inserts, each a mutation of its own, merges run as they fall due.
+/// The forest grown by single inserts, each a separate mutation. Merges run when they fall due.
 pub struct Growing(Forest);
 
 impl Growing {
@@ -14,7 +14,7 @@ impl Growing {
     }
 }
 
-/// In one tree, as merging ends in.
+/// The forest as one tree, the final state of merging.
 pub struct Resting(Forest);
 
 impl Resting {

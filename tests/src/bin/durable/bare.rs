@@ -18,7 +18,7 @@ use tokio::{sync::watch, task::JoinSet};
 
 use crate::{CLIENTS, place::Place, shape::Shape};
 
-/// How far behind an added key the removed one is: as many records as our window keeps.
+/// The distance from an added key to the removed one: the number of records that our window keeps.
 const BEHIND: u64 = 12_000;
 /// Our log uses the same size.
 const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
@@ -26,15 +26,14 @@ const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 /// A way to share a sync.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Way {
-    /// 64 threads; a thread that finds no sync under way calls `persist(SyncData)` for all.
+    /// 64 threads. A thread that finds no sync in progress calls `persist(SyncData)` for all.
     Leader,
     /// 64 threads, and one more that calls `persist(SyncData)`.
     Thread,
     /// 64 tasks, and a thread that calls `persist(SyncData)`.
     Tasks,
     /// 64 tasks, and a thread that calls `persist(Buffer)` and syncs the file of the journal itself, so that others
-    /// write meanwhile.
-    /// It relies on how fjall keeps its files, as our log does.
+    /// write meanwhile. Like our log, it relies on the file layout of fjall.
     Beside,
 }
 
@@ -51,7 +50,7 @@ impl Way {
     }
 }
 
-/// An open store and those who sync it.
+/// An open store and the state of its syncing.
 pub(crate) struct Bare {
     writing: Arc<Writing>,
     way: Way,
@@ -110,7 +109,7 @@ impl Bare {
         }
     }
 
-    /// Returns when 64 writers have had `count` writes acknowledged in all.
+    /// Returns once 64 writers together have `count` acknowledged writes.
     pub(crate) async fn write(&self, count: usize) {
         let each = count / CLIENTS;
         if matches!(self.way, Way::Leader | Way::Thread) {
@@ -162,7 +161,7 @@ impl Writing {
         self.round.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// One insert's batch.
+    /// The batch of one insert.
     fn commit(&self) {
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let counted = |key: &[u8], number: u64| {
@@ -185,7 +184,7 @@ impl Writing {
         batch.commit().expect("a store that takes it");
     }
 
-    /// Says that something was committed, and which number stands for it.
+    /// Announces a commit, and returns its number.
     fn announce(&self) -> u64 {
         let mut round = self.round();
         round.committed += 1;
@@ -250,7 +249,7 @@ impl Writing {
         }
     }
 
-    /// The file that the journal is written to: the last by number.
+    /// The current file of the journal: the one with the largest number.
     fn newest<'a>(&self, known: &'a mut Option<(u64, File)>) -> &'a File {
         let files = fs::read_dir(&self.path).expect("a directory");
         let numbers = files.filter_map(|file| {

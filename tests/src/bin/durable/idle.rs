@@ -16,7 +16,7 @@ use crate::{
 };
 
 const COUNTS: [usize; 3] = [0, 100, 1_000];
-/// How often each is started.
+/// The number of starts of each.
 const STARTS: usize = 5;
 
 /// The cost of a server with some idle indices.

@@ -37,13 +37,13 @@ const CLIENTS: usize = 64;
 #[derive(Debug, Parser)]
 #[command(name = "durable")]
 struct Arguments {
-    /// Leaves out what takes many minutes.
+    /// Leaves out the parts that take many minutes.
     #[arg(long)]
     quick: bool,
     /// Measures only these parts.
     #[arg(long, value_enum)]
     only: Vec<Part>,
-    /// How often what is measured in rounds is measured; the medians are reported.
+    /// The number of rounds of a measurement; the medians are reported.
     #[arg(long, default_value_t = 5)]
     rounds: usize,
     /// A directory on the disk to measure; the system's own for temporary files if not given.

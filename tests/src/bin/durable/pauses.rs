@@ -1,4 +1,4 @@
-//! How long single inserts and queries take while an index is loaded and its levels merge.
+//! The latency of single inserts and queries while an index is loaded and its levels merge.
 
 use std::{
     path::Path,
@@ -24,12 +24,12 @@ use crate::{
 const BATCH: usize = 1_000;
 /// A call that takes longer than this counts as a pause.
 const PAUSE: Duration = Duration::from_millis(20);
-/// A sync of the witness that takes this long is to blame for a pause at the same time.
+/// A sync of the witness that takes this long explains a pause at the same time.
 const SLOW_SYNC: Duration = Duration::from_millis(10);
-/// How often the witness syncs.
+/// The interval between syncs of the witness.
 const EVERY: Duration = Duration::from_millis(2);
 
-/// When something began, and how long it took.
+/// The start and the duration of an event.
 type Taken = (Instant, Duration);
 
 pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
@@ -115,7 +115,7 @@ fn witness(directory: &Path, stopped: &mpsc::Receiver<()>) -> Vec<Taken> {
     taken
 }
 
-/// Points a second.
+/// Points per second.
 async fn load(mut stubs: Stubs, points: usize) -> f64 {
     let mut states = States::new(SPACE.parse().expect("a space"), 0);
     let mut in_calls = Duration::ZERO;
@@ -128,7 +128,7 @@ async fn load(mut stubs: Stubs, points: usize) -> f64 {
     points as f64 / in_calls.as_secs_f64()
 }
 
-/// One call of one state in flight, until all is loaded.
+/// Makes calls of one state, one in flight, until the load ends.
 async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<Taken> {
     let mut states = States::new(SPACE.parse().expect("a space"), 1 + u64::from(queries));
     let mut taken = Vec::new();

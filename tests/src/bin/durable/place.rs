@@ -9,22 +9,22 @@ use std::{
 
 use tempfile::TempDir;
 
-/// A directory for data directories, on a disk that counts.
+/// A directory for data directories, on the measured disk.
 pub(crate) struct Place(TempDir);
 
 impl Place {
-    /// In the directory given, or where the system keeps what is temporary.
+    /// Creates it in the given directory, or in the system's directory for temporary files.
     pub(crate) fn new(parent: Option<&Path>) -> Self {
         let parent = parent.map_or_else(std::env::temp_dir, PathBuf::from);
         Self(tempfile::tempdir_in(parent).expect("a directory to write in"))
     }
 
-    /// A new directory.
+    /// Creates a new directory.
     pub(crate) fn directory(&self) -> TempDir {
         tempfile::tempdir_in(self.0.path()).expect("a directory to write in")
     }
 
-    /// The type of the file system, and what it is mounted on, where the system tells.
+    /// The type and the mount source of the file system, if the system reports them.
     pub(crate) fn file_system(&self) -> Option<String> {
         let mounts = fs::read_to_string("/proc/mounts").ok()?;
         let path = self.0.path().canonicalize().ok()?;
@@ -57,7 +57,7 @@ impl Appended {
     }
 }
 
-/// The bytes of all files under a directory as the disk has them, and how many files there are.
+/// The allocated bytes of all files under a directory, and the number of these files.
 pub(crate) fn used(directory: &Path) -> (u64, usize) {
     let mut sum = (0, 0);
     for entry in fs::read_dir(directory).expect("a directory") {
@@ -73,7 +73,7 @@ pub(crate) fn used(directory: &Path) -> (u64, usize) {
     sum
 }
 
-/// The bytes of a file as the disk has them.
+/// The allocated bytes of a file.
 pub(crate) fn bytes_of(path: &Path) -> u64 {
     on_disk(&fs::metadata(path).expect("a file that stays"))
 }

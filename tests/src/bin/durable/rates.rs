@@ -1,4 +1,4 @@
-//! Acknowledged durable inserts a second of 64 clients, one state each.
+//! Acknowledged durable inserts per second of 64 clients, one state each.
 
 use std::{collections::BTreeMap, process, time::Instant};
 
@@ -20,7 +20,8 @@ use crate::{
     shape::Shape,
 };
 
-/// Connections that the clients share evenly: one for each, and as from a few processes with many tasks.
+/// The numbers of connections that the clients share evenly: one for each client, and a few, as from processes with
+/// many tasks.
 const CONNECTIONS: [usize; 2] = [CLIENTS, 4];
 
 /// States of one client; they are inserted over and over, under new ids.
@@ -29,9 +30,9 @@ const POOL: usize = 1024;
 /// The result of one round of one contestant.
 #[derive(Clone, Copy, Debug, Default)]
 struct Round {
-    /// Inserts a second.
+    /// Inserts per second.
     rate: f64,
-    /// Processor time an insert, in microseconds; the server's, where it is another process, first.
+    /// Processor time per insert, in microseconds. The server's comes first if it is another process.
     processor_us: (f64, f64),
 }
 

@@ -1,4 +1,4 @@
-//! The figures: lines of a table as they come, and JSON at the end.
+//! The figures: a table printed line by line, and JSON at the end.
 
 use serde_json::{Map, Value, json};
 
@@ -11,7 +11,7 @@ pub(crate) enum Goal {
     AtMost(f64),
 }
 
-/// See the module.
+/// The report of a run.
 #[derive(Default)]
 pub(crate) struct Report {
     json: Map<String, Value>,
@@ -19,7 +19,7 @@ pub(crate) struct Report {
 }
 
 impl Report {
-    /// Begins a part of the table; `against` is what its ratios are to.
+    /// Begins a part of the table; its ratios refer to `against`.
     pub(crate) fn section(&mut self, title: &str, against: &str) {
         println!(
             "\n{title}\n{:<54}{:>18}{against:>18}{:>8}  goal",
@@ -62,7 +62,7 @@ impl Report {
         );
     }
 
-    /// A figure by itself.
+    /// Prints a figure without a comparison.
     pub(crate) fn note(&mut self, what: &str, figure: f64, unit: &str) {
         println!("  {what:<52}{:>18}", shown(figure, unit));
         self.put(what, json!({"figure": figure, "unit": unit}));

@@ -22,7 +22,7 @@ pub(crate) const WINDOW_BYTES: usize = 4 * 1024 * 1024;
 pub(crate) struct Hosting(Service);
 
 impl Hosting {
-    /// With the server's own settings, but for the window.
+    /// Opens a service with the server's own settings, except the window.
     pub(crate) fn open(directory: &Path, durability: Durability, window_bytes: usize) -> Self {
         let log = FjallLog::open(directory, durability).expect("a data directory");
         let options = RegistryOptions {
@@ -36,7 +36,7 @@ impl Hosting {
         Self(service)
     }
 
-    /// Creates an index, unless it is there.
+    /// Creates an index, unless it exists.
     pub(crate) async fn create(&self, name: &str) {
         let request = CreateIndexRequest {
             name: name.into(),
@@ -52,7 +52,7 @@ impl Hosting {
     }
 }
 
-/// An insert of some states, which asks for the `k` nearest of each if given.
+/// An insert of some states, which requests the `k` nearest of each if `k` is given.
 pub(crate) fn insertion(states: &[f64], k: Option<u32>) -> InsertRequest {
     InsertRequest {
         index: INDEX.into(),

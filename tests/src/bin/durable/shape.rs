@@ -1,4 +1,4 @@
-//! The writes of one insert of one state, read off a log of ours: the keys and values of its batch.
+//! The writes of one insert of one state, read from our log: the keys and values of its batch.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -14,7 +14,7 @@ use crate::{
 /// The directory in which our log keeps its store, and the keyspace that holds all of it.
 pub(crate) const STORE: &str = "store";
 pub(crate) const KEYSPACE: &str = "wayfold";
-/// Records that are kept while the shape is read, in bytes: few, so that each insert also removes one.
+/// The kept bytes of records while the shape is read. It is small, so that each insert also removes a record.
 const WINDOW_BYTES: usize = 4096;
 const INSERTS: usize = 40;
 
@@ -30,7 +30,7 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    /// Reads it off a log in a directory of its own.
+    /// Reads it from a log in a separate directory.
     pub(crate) async fn read(place: &Place) -> Self {
         let directory = place.directory();
         let mut before = BTreeMap::new();
@@ -57,7 +57,7 @@ impl Shape {
         shape
     }
 
-    /// How many bytes it has.
+    /// Its size in bytes.
     pub(crate) fn bytes(&self) -> usize {
         let written = self.added.iter().chain(&self.changed);
         let written: usize = written.map(|(key, value)| key.len() + value.len()).sum();
@@ -65,7 +65,7 @@ impl Shape {
     }
 }
 
-/// All that a store holds.
+/// The whole content of a store.
 fn content(store: &Path) -> BTreeMap<Vec<u8>, Vec<u8>> {
     let database = Database::builder(store).open().expect("a store");
     let keyspace = database.keyspace(KEYSPACE, KeyspaceCreateOptions::default);

@@ -1,4 +1,4 @@
-//! A million stored points: how long a restart takes, and how much disk.
+//! A million stored points: the time of a restart, and the disk space.
 
 use std::{
     fs,
@@ -102,7 +102,7 @@ pub(crate) async fn measure(place: &Place, points: usize, rounds: usize, report:
     );
 }
 
-/// Leaves `points` points in a data directory, as a server does.
+/// Stores `points` points in a data directory, as a server does.
 async fn fill(data: &Path, points: usize) {
     let server = measuring::server(&data.to_string_lossy());
     let mut stubs = Stubs::connect(server.uri()).await;
@@ -127,7 +127,7 @@ fn open(store: &Path) -> (Database, Keyspace) {
     (database, keyspace)
 }
 
-/// Bytes and number of the journals of a store.
+/// The bytes and the number of a store's journal files.
 fn journals(store: &Path) -> (u64, usize) {
     let files = fs::read_dir(store).expect("a directory");
     let journals = files.filter_map(|file| {
@@ -139,7 +139,7 @@ fn journals(store: &Path) -> (u64, usize) {
     journals.fold((0, 0), |(bytes, files), more| (bytes + more, files + 1))
 }
 
-/// How long it takes without us: the store opened, its points read, and a forest built of them.
+/// The time without our log: opening the store, reading its points, and building a forest from them.
 fn scan_and_build(store: &Path, points: usize) -> Duration {
     let began = Instant::now();
     let (database, keyspace) = open(store);

@@ -9,7 +9,7 @@ use wayfold_tests::{States, Stubs, row_states};
 
 use crate::{WIDTH, phase::Setting};
 
-/// An insert that was acknowledged.
+/// An acknowledged insert.
 pub(crate) struct Inserted {
     pub(crate) rows: Vec<f64>,
     pub(crate) revision: Revision,
@@ -19,9 +19,9 @@ pub(crate) struct Inserted {
 
 /// The cost of feeding.
 pub(crate) struct Fed {
-    /// Points inserted a second.
+    /// Points inserted per second.
     pub(crate) rate: f64,
-    /// How long calls to the echo took meanwhile, one after the other.
+    /// The durations of calls to the echo meanwhile, one after the other.
     pub(crate) round_trips: Vec<Duration>,
 }
 
@@ -63,7 +63,7 @@ pub(crate) async fn feed(
         inserts.spawn(async move {
             let sent = Instant::now();
             let inserted = index.insert(rows.chunks(WIDTH)).await.expect("an insert");
-            // The receiver is gone where the inserts are not measured.
+            // The receiver is gone if the inserts are not measured.
             let _ = told.send(Inserted {
                 rows,
                 revision: inserted.revision,

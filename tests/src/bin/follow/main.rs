@@ -3,10 +3,10 @@
 //!     cargo run --release -p wayfold-tests --bin follow -- [--points 50000] [--rate 10000] [--rounds 5] [--over-zenoh]
 //!         [--json FILE]
 //!
-//! A server in a process of its own holds SE(3) points (`R3*SO3:0.15`); a writer here inserts more of them at a fixed
-//! rate. One thread asks for ten neighbours on end, in turns a replica and a forest that is fed without the network;
-//! its rate is counted by its own processor time, so that what else runs here does not count. How long after its
-//! acknowledgement an insert is in the replica is compared with calls to a bare echo, made at the same time.
+//! A server in a separate process holds SE(3) points (`R3*SO3:0.15`), and a writer in this process inserts more of them
+//! at a fixed rate. One thread continuously searches ten neighbours, in turns in a replica and in a forest that is fed
+//! without the network. Its rate refers to its own processor time, so that other load does not count. The delay from an
+//! insert's acknowledgement to its arrival in the replica is compared with simultaneous calls to a bare echo.
 
 mod feed;
 mod phase;
@@ -34,22 +34,22 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 #[derive(Debug, Parser)]
 #[command(name = "follow")]
 struct Arguments {
-    /// How many points there are before.
+    /// The number of points at the start.
     #[arg(long, default_value_t = 50_000)]
     points: usize,
-    /// How many points are inserted a second.
+    /// The number of points inserted per second.
     #[arg(long, default_value_t = 10_000)]
     rate: usize,
-    /// How many points are inserted in one call.
+    /// The number of points inserted in one call.
     #[arg(long, default_value_t = 10)]
     batch: usize,
-    /// How many seconds each measurement lasts.
+    /// The duration of each measurement in seconds.
     #[arg(long, default_value_t = 3)]
     seconds: usize,
-    /// How often each is measured; the medians are reported.
+    /// The number of rounds; the medians are reported.
     #[arg(long, default_value_t = 5)]
     rounds: usize,
-    /// The replica hears of mutations over Zenoh, not over gRPC.
+    /// The replica receives mutations over Zenoh, not over gRPC.
     #[arg(long)]
     over_zenoh: bool,
     /// Writes the figures to a file, as JSON.

@@ -21,9 +21,9 @@ use crate::{
     feed::{Fed, Inserted, feed},
 };
 
-/// States drawn in advance; they are asked about over and over.
+/// The number of query states, drawn in advance and used repeatedly.
 const POOL: usize = 4_096;
-/// A replica runs this many.
+/// The number of merges that a replica runs at once.
 const MERGERS: usize = 2;
 
 /// The setting of a measurement.
@@ -32,16 +32,16 @@ pub(crate) struct Setting {
     pub(crate) batch: usize,
     pub(crate) calls_per_second: usize,
     pub(crate) seconds: usize,
-    /// The way on which the replica hears of mutations, if it is Zenoh.
+    /// The Zenoh session on which the replica receives mutations, if it does not use gRPC.
     pub(crate) session: Option<Session>,
 }
 
-/// How fast one thread was answered.
+/// The rates at which one thread was answered.
 #[derive(Clone, Copy)]
 pub(crate) struct Asked {
-    /// Queries a second of its processor time.
+    /// Queries per second of its processor time.
     pub(crate) by_processor: f64,
-    /// Queries a second.
+    /// Queries per second.
     pub(crate) by_clock: f64,
 }
 
@@ -49,13 +49,13 @@ pub(crate) struct Asked {
 pub(crate) struct Followed {
     pub(crate) asked: Asked,
     pub(crate) fed: Fed,
-    /// From the acknowledgement of each insert to the moment at which the replica had it.
+    /// The time from the acknowledgement of each insert to its arrival in the replica.
     pub(crate) lags: Vec<Duration>,
-    /// The same from when it was sent.
+    /// The time from the sending of each insert to its arrival in the replica.
     pub(crate) lags_from_sending: Vec<Duration>,
 }
 
-/// An index of its own with the points that are there before; and these.
+/// Creates a separate index with the initial points, and returns these too.
 async fn index(client: &Client, setting: &Setting, name: String) -> (IndexHandle, Vec<f64>) {
     let space = SPACE.parse().expect("a space");
     let index = client.create_index(&name, &space).await.expect("an index");
@@ -65,7 +65,7 @@ async fn index(client: &Client, setting: &Setting, name: String) -> (IndexHandle
     (index, rows)
 }
 
-/// Asks a replica while it follows.
+/// Queries a replica while it follows.
 pub(crate) async fn replica(
     client: &Client,
     echo: &Stubs,
@@ -111,7 +111,7 @@ pub(crate) async fn replica(
     }
 }
 
-/// Asks a forest that is fed the same, at the same rate, with no replica.
+/// Queries a forest that receives the same inserts at the same rate, without a replica.
 pub(crate) async fn forest(client: &Client, echo: &Stubs, setting: &Setting, round: u64) -> Asked {
     let (index, rows) = index(client, setting, format!("forest-{round}")).await;
     let mut forest = Forest::new(
@@ -144,7 +144,7 @@ pub(crate) async fn forest(client: &Client, echo: &Stubs, setting: &Setting, rou
     asked
 }
 
-/// Applies what was inserted, and publishes it, with merges in the background.
+/// Applies the inserted points and publishes them, with merges in the background.
 async fn apply_all(
     index: IndexHandle,
     mut forest: Forest,
@@ -183,7 +183,7 @@ fn points(index: &IndexHandle, rows: &[f64], first_id: u64, revision: u64) -> Po
     points
 }
 
-/// A thread that asks without pause.
+/// A thread that queries without pause.
 struct Asking {
     stop: Arc<AtomicBool>,
     thread: thread::JoinHandle<Asked>,

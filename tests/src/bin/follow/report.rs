@@ -13,9 +13,9 @@ use crate::{
 /// One of the rates of a measurement.
 type Rate = fn(&Asked) -> f64;
 
-/// All that was measured, a value a round.
+/// All measurements, one value per round.
 pub(crate) struct Report {
-    /// On which way the replica hears of mutations.
+    /// The transport on which the replica receives mutations.
     feed: &'static str,
     points: usize,
     batch: usize,

@@ -1,4 +1,4 @@
-//! Four ways to ask for ten neighbours, and what an answer takes in each.
+//! Four ways to search ten neighbours, and the cost of an answer in each.
 
 use std::{
     fmt, process,
@@ -18,11 +18,11 @@ use wayfold_tests::{
 
 use crate::{INDEX, K, SPACE, WIDTH};
 
-/// How long a measurement lasts.
+/// The duration of a measurement.
 const DURATION: Duration = Duration::from_secs(2);
-/// And how many calls it makes at most.
+/// The maximum number of calls of a measurement.
 const CALLS: usize = 1_000_000;
-/// States drawn in advance; they are asked about over and over.
+/// The number of query states, drawn in advance and used repeatedly.
 const POOL: usize = 20_000;
 const BATCH: usize = 1_000;
 const IN_FLIGHT: usize = 64;
@@ -38,7 +38,7 @@ pub(crate) enum Way {
     ManyInFlight,
     /// One call of 1,000 states in flight.
     Batches,
-    /// One stream, 64 requests of one state under way.
+    /// One stream, 64 requests of one state in flight.
     Streamed,
 }
 
@@ -75,16 +75,16 @@ impl fmt::Display for Way {
 /// The result of one measurement.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Asked {
-    /// States answered a second.
+    /// States answered per second.
     pub(crate) rate: f64,
     /// Processor time for each, of server and client together, in microseconds.
     pub(crate) processor_us: f64,
-    /// How long a call took.
+    /// The duration of a call.
     pub(crate) p50_ms: f64,
     pub(crate) p99_ms: f64,
 }
 
-/// Asks in one way, about states of its own.
+/// Searches in one way, with its own query states.
 #[derive(Clone)]
 pub(crate) struct Asker {
     way: Way,
@@ -103,7 +103,7 @@ impl Asker {
         }
     }
 
-    /// Asks a server, whose process is the other.
+    /// Queries a server in the given other process.
     pub(crate) async fn measure(&mut self, stubs: &Stubs, server: &ServerProcess) -> Asked {
         let processes = [server.process().id(), process::id()];
         let processor = || {
@@ -122,7 +122,7 @@ impl Asker {
         }
     }
 
-    /// How many states were answered, and how long the calls took.
+    /// The number of answered states, and the durations of the calls.
     async fn ask_on(&mut self, stubs: &Stubs, started: Instant) -> (usize, Vec<Duration>) {
         match self.way {
             Way::OneInFlight => self.ask(stubs.clone(), 1, started).await,
@@ -144,7 +144,7 @@ impl Asker {
         }
     }
 
-    /// Asks with one call in flight.
+    /// Searches with one call in flight.
     async fn ask(
         &mut self,
         mut stubs: Stubs,

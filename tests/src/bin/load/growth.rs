@@ -1,4 +1,4 @@
-//! An index that grows by batches while a reader asks without pause.
+//! An index that grows by batches while a reader queries without pause.
 
 use std::{
     sync::{
@@ -19,11 +19,11 @@ const BATCH: usize = 1_000;
 /// The cost of growing.
 #[derive(Clone, Debug)]
 pub(crate) struct Growth {
-    /// Points a second, while the reader reads.
+    /// Points per second, while the reader reads.
     pub(crate) inserts_per_second: f64,
-    /// How long the calls took, in the order of their lengths.
+    /// The durations of the calls, ascending.
     pub(crate) inserts: Vec<Duration>,
-    /// How long the reader's calls took, in the order of their lengths.
+    /// The durations of the reader's calls, ascending.
     pub(crate) queries: Vec<Duration>,
 }
 

@@ -1,4 +1,4 @@
-//! The same search in this process: the part of an answer's time that is not the network's.
+//! The same search in this process: the part of an answer's time without the network.
 
 use std::time::Duration;
 
@@ -9,10 +9,10 @@ use crate::{K, SPACE, WIDTH};
 
 /// Points that are applied at a time, as the server gets them.
 const BATCH: usize = 1_000;
-/// States that are asked about in one measurement.
+/// The number of query states of one measurement.
 const ASKED: usize = 5_000;
 
-/// A forest with as many points as the server has, at rest as far as the server is.
+/// A forest with the same number of points as the server, merged as far as the server's forest.
 pub(crate) struct Inside {
     space: Space,
     points: Snapshot,

@@ -2,11 +2,11 @@
 //!
 //!     cargo run --release -p wayfold-tests --bin load -- [--points 1000000] [--rounds 5] [--json FILE]
 //!
-//! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`) in batches while a reader asks
-//! on, and then asks for ten neighbours in four ways: one call in flight, 64 in flight, batches of 1,000 states, and
-//! one pipelined stream. The echo takes the same requests and answers messages of the same size without looking at
-//! them: its rate is the limit that the protocol sets. This process does the same search, too: no server can take less
-//! than the echo and that search together. At last 64 writers insert without the network, and ask for neighbours.
+//! It starts the server in a separate process, inserts SE(3) points (`R3*SO3:0.15`) in batches while a reader queries,
+//! and then searches ten neighbours in four ways: one call in flight, 64 in flight, batches of 1,000 states, and one
+//! pipelined stream. The echo takes the same requests and answers messages of the same size without looking at them:
+//! its rate is the limit that the protocol sets. This process also does the same search: no server can take less time
+//! than the echo and that search together. Finally 64 writers insert without the network, and request neighbours.
 
 mod asking;
 mod growth;
@@ -37,10 +37,10 @@ const K: u32 = 10;
 #[derive(Debug, Parser)]
 #[command(name = "load")]
 struct Arguments {
-    /// How many points to insert, in batches of 1,000.
+    /// The number of points to insert, in batches of 1,000.
     #[arg(long, default_value_t = 1_000_000)]
     points: usize,
-    /// How often each way of asking is measured; the medians are reported.
+    /// The number of rounds; the medians are reported.
     #[arg(long, default_value_t = 5)]
     rounds: usize,
     /// Writes the figures to a file, as JSON.

@@ -47,14 +47,14 @@ fn middle(asked: impl Iterator<Item = Asked> + Clone) -> Asked {
     }
 }
 
-/// All that was measured; the server's first, the echo's second.
+/// All measurements: the server's first, the echo's second.
 pub(crate) struct Report {
     pub(crate) rounds: usize,
     pub(crate) growth: (Growth, Growth),
     pub(crate) asking: Vec<Figures>,
-    /// For each size of a batch, the medians.
+    /// The medians for each batch size.
     pub(crate) written: Vec<(usize, Written)>,
-    /// How many points the server held.
+    /// The number of points that the server held.
     pub(crate) points: u64,
     /// The memory that the server reports for its points.
     pub(crate) memory_bytes: u64,
@@ -74,7 +74,7 @@ impl Report {
         });
     }
 
-    /// Adds the medians of some measurements of one size of a batch.
+    /// Adds the medians of some measurements of one batch size.
     pub(crate) fn add_written(&mut self, batch: usize, rounds: &[Written]) {
         let of = |part: fn(&Written) -> f64| median(rounds.iter().map(part).collect());
         let written = Written {

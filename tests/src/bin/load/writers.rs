@@ -1,5 +1,5 @@
-//! Inserts that ask for the neighbours of what they insert, 64 at a time, without the network. They show how much work
-//! runs in parallel although an index has only one writer.
+//! Inserts that request the neighbours of the inserted states, 64 at a time, without the network. They show the
+//! parallelism of inserts although an index has only one writer.
 
 use std::{
     sync::Arc,
@@ -17,25 +17,25 @@ use wayfold_tests::{States, k_nearest, row_states};
 
 use crate::{INDEX, K, SPACE, WIDTH};
 
-/// How many insert at a time.
+/// The number of concurrent inserts.
 pub(crate) const WRITERS: usize = 64;
-/// How many states one call inserts.
+/// The numbers of states in one call.
 pub(crate) const BATCHES: [usize; 2] = [1, 100];
-/// Points that are there before, and as many are inserted.
+/// The number of initial points, and of inserted ones.
 pub(crate) const POINTS: usize = 50_000;
 
 /// The result of one measurement.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Written {
-    /// States inserted a second.
+    /// States inserted per second.
     pub(crate) rate: f64,
-    /// The part of the time in which the writer was held by one of them.
+    /// The fraction of the time in which one of them held the writer.
     pub(crate) writer: f64,
-    /// Processors used, on the average.
+    /// The average number of used processors.
     pub(crate) processors: f64,
 }
 
-/// Inserts into an index in memory, `batch` states a call. Each call asks for the nearest of each state.
+/// Inserts into an index in memory, `batch` states per call. Each call requests the nearest neighbour of each state.
 pub(crate) async fn write(batch: usize, round: u64) -> Written {
     let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
     registry.replay().expect("an empty log");

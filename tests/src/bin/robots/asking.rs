@@ -1,4 +1,4 @@
-//! Asks for ten neighbours of one state, over and over.
+//! Searches ten neighbours of one state, repeatedly.
 
 use std::time::{Duration, Instant};
 
@@ -12,15 +12,15 @@ use zenoh::{Session, bytes::Encoding};
 
 use crate::{INDEX, K, WIDTH};
 
-/// How long a measurement lasts.
+/// The duration of a measurement.
 const DURATION: Duration = Duration::from_secs(2);
-/// And how many queries each asker makes at most.
+/// The maximum number of queries of each task.
 const QUERIES: usize = 1_000_000;
-/// Queries made in advance.
+/// The number of queries made in advance.
 const POOL: usize = 5_000;
 const IN_FLIGHT: usize = 64;
 
-/// In which form to ask.
+/// The form of a query.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Form {
     Protobuf,
@@ -37,18 +37,18 @@ impl Form {
     }
 }
 
-/// How long each answer took, in order.
+/// The durations of the answers, ascending.
 pub(crate) struct One(pub(crate) Vec<Duration>);
 
 /// The result of many queries in flight.
 pub(crate) struct Many {
-    /// Answers a second.
+    /// Answers per second.
     pub(crate) rate: f64,
     /// Processor time of the process that answers, for each answer.
     pub(crate) processor_us: f64,
 }
 
-/// Asks in one form, about states of its own.
+/// Queries in one form, with its own states.
 #[derive(Clone)]
 pub(crate) struct Asker {
     form: Form,
@@ -74,14 +74,14 @@ impl Asker {
         }
     }
 
-    /// With one in flight.
+    /// Queries with one in flight.
     pub(crate) async fn one(&self, session: &Session) -> One {
         let mut taken = self.ask(session, 0, Instant::now()).await;
         taken.sort();
         One(taken)
     }
 
-    /// With 64 in flight; `process` answers.
+    /// Queries with 64 in flight; `process` answers.
     pub(crate) async fn many(&self, session: &Session, process: u32) -> Many {
         let before = processor_seconds(process);
         let started = Instant::now();
@@ -122,7 +122,7 @@ impl Asker {
         taken
     }
 
-    /// Looks at the answer as a planner does, outside of what is measured.
+    /// Reads the answer as a planner does, outside the measured time.
     fn check(&self, payload: &[u8]) {
         match self.form {
             Form::Protobuf => {

@@ -11,7 +11,7 @@ use crate::K;
 
 const UID: &str = "00000000-0000-4000-8000-000000000000";
 
-/// Answers until it is killed; says where as the server does.
+/// Answers until it is killed. It prints its address as the server does.
 pub(crate) fn main() -> ExitCode {
     let config = json!({
         "listen": { "endpoints": ["tcp/127.0.0.1:0"] },
@@ -19,7 +19,7 @@ pub(crate) fn main() -> ExitCode {
     });
     let config = Config::from_json5(&config.to_string()).expect("a configuration");
     let session = zenoh::open(config).wait().expect("a session");
-    // The numbers have as many digits as most.
+    // The numbers have a typical number of digits.
     let distances: Vec<f64> = (1..=K).map(|rank| (f64::from(rank) / 7.0).sqrt()).collect();
     let ids: Vec<u64> = (0..K).map(|rank| u64::from(rank) * 4_999).collect();
     let in_json = json!({

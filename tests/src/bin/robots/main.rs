@@ -2,9 +2,9 @@
 //!
 //!     cargo run --release -p wayfold-tests --bin robots -- [--points 50000] [--rounds 5] [--json FILE]
 //!
-//! It starts the server in a process of its own, inserts SE(3) points (`R3*SO3:0.15`), and asks for ten neighbours of
-//! one state: with one query in flight, and with 64. The bare queryable answers what the server might, without looking
-//! at the query: its rate is the limit that Zenoh sets. All share one machine.
+//! It starts the server in a separate process, inserts SE(3) points (`R3*SO3:0.15`), and searches ten neighbours of one
+//! state, with one query in flight and with 64. The bare queryable returns a typical answer of the server without
+//! reading the query: its rate is the limit that Zenoh sets. All share one machine.
 
 mod asking;
 mod bare;
@@ -24,24 +24,24 @@ use report::{Report, Rounds};
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// The role of a process that is the bare queryable.
+/// The role of the bare queryable's process.
 const BARE: &str = "bare";
 const SPACE: &str = "R3*SO3:0.15";
 const INDEX: &str = "arm";
 const WIDTH: usize = 7;
 const K: u32 = 10;
 const BATCH: usize = 1_000;
-/// Searches by which one is measured.
+/// The number of searches over which the time of one is averaged.
 const SEARCHES: usize = 20_000;
 
 /// Measures the server over Zenoh, and a bare queryable for comparison.
 #[derive(Debug, Parser)]
 #[command(name = "robots")]
 struct Arguments {
-    /// How many points to insert.
+    /// The number of points to insert.
     #[arg(long, default_value_t = 50_000)]
     points: usize,
-    /// How often each is measured; the medians are reported.
+    /// The number of rounds; the medians are reported.
     #[arg(long, default_value_t = 5)]
     rounds: usize,
     /// Writes the figures to a file, as JSON.

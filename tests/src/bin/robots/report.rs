@@ -17,7 +17,7 @@ pub(crate) struct Rounds {
     pub(crate) many: (Vec<Many>, Vec<Many>),
 }
 
-/// A median of the server's, and of the bare queryable's.
+/// The medians of the server and of the bare queryable.
 type Pair = (f64, f64);
 
 impl Rounds {
@@ -35,18 +35,18 @@ impl Rounds {
         (of(&self.many.0), of(&self.many.1))
     }
 
-    /// Answers a second with 64 queries in flight.
+    /// Answers per second with 64 queries in flight.
     fn rate(&self) -> Pair {
         self.many(|many| many.rate)
     }
 
-    /// Processor time of an answer, in microseconds.
+    /// Processor time per answer, in microseconds.
     fn processor_us(&self) -> Pair {
         self.many(|many| many.processor_us)
     }
 }
 
-/// All that was measured.
+/// All measurements.
 pub(crate) struct Report {
     pub(crate) points: usize,
     pub(crate) rounds: usize,
