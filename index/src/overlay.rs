@@ -3,18 +3,21 @@
 use std::collections::HashSet;
 
 use crate::{
-    ApplyError, Forest, ForestOptions, Neighbor, Point, Points, Search, SearchError, Snapshot,
-    Space,
+    ApplyError, Forest, ForestOptions, Linear, Neighbor, Point, PointRef, Points, Search,
+    SearchError, Snapshot, Space,
 };
+
+/// The most points of an overlay that are scanned one after the other.
+const MAX_FEW: usize = 64;
 
 /// Changes to some of the points below it, which are those of a [`Snapshot`] and of earlier overlays: points that it stores,
 /// and ids that it removes.
 #[derive(Debug)]
 pub struct Overlay {
-    space: Space,
-    /// The points that it stores; None before the first change, since most overlays never get one. Its revisions count
-    /// changes; the points carry their own.
-    forest: Option<Forest>,
+    /// The points that it stores, while they are few: a new forest costs more than it saves then.
+    few: Linear,
+    /// The points that it stores, once they are many. Its revisions count changes; the points carry their own.
+    many: Option<Forest>,
     /// The ids that it stores or removes. It hides the points below that have them.
     changed: HashSet<u64>,
 }
@@ -23,8 +26,8 @@ impl Overlay {
     /// An overlay without changes.
     pub fn new(space: &Space) -> Self {
         Self {
-            space: space.clone(),
-            forest: None,
+            few: Linear::new(space.clone()),
+            many: None,
             changed: HashSet::new(),
         }
     }
@@ -34,11 +37,24 @@ impl Overlay {
     /// # Errors
     /// The errors of [`Forest::apply`]; nothing is changed then.
     pub fn apply(&mut self, stored: &Points, removed: &[u64]) -> Result<(), ApplyError> {
-        let forest = self.forest.get_or_insert_with(|| {
-            let options = ForestOptions::for_space(&self.space);
-            Forest::new(self.space.clone(), options)
-        });
-        forest.apply(forest.revision() + 1, stored, removed)?;
+        stored.check(self.few.space())?;
+        if self.many.is_none() && self.few.len() + stored.len() > MAX_FEW {
+            self.many = Some(self.forest()?);
+        }
+        match &mut self.many {
+            Some(forest) => {
+                forest.apply(forest.revision() + 1, stored, removed)?;
+            }
+            None => {
+                for &id in removed {
+                    self.few.remove(id);
+                }
+                for point in stored.iter() {
+                    let inserted = self.few.insert(point);
+                    debug_assert!(inserted.is_ok(), "the rows are checked");
+                }
+            }
+        }
         self.changed.extend(stored.ids());
         self.changed.extend(removed);
         Ok(())
@@ -47,7 +63,28 @@ impl Overlay {
     /// The point that it stores under an id, or None inside if it removes the id; None outside if it does not change the id.
     pub fn get(&self, id: u64) -> Option<Option<Point>> {
         let is_changed = self.changed.contains(&id);
-        is_changed.then(|| self.forest.as_ref()?.get(id))
+        is_changed.then(|| match &self.many {
+            Some(forest) => forest.get(id),
+            None => self.few.get(id).map(PointRef::to_point),
+        })
+    }
+
+    /// A forest of the few points.
+    fn forest(&self) -> Result<Forest, ApplyError> {
+        let space = self.few.space();
+        let mut points = Points::with_capacity(space.coordinates(), self.few.len());
+        self.few.iter().for_each(|point| points.push_point(point));
+        let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
+        forest.apply(1, &points, &[])?;
+        Ok(forest)
+    }
+
+    fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Vec<Neighbor>, SearchError> {
+        let answer = match &self.many {
+            Some(forest) => forest.search(state, search),
+            None => self.few.search(state, search),
+        };
+        Ok(answer?.neighbors)
     }
 }
 
@@ -70,11 +107,11 @@ pub fn search_overlaid(
         merge(&mut neighbors, &known[..within], search.k);
     }
     for overlay in overlays.iter().rev() {
-        let Some(forest) = &overlay.forest else {
+        if overlay.changed.is_empty() {
             continue;
-        };
+        }
         let narrowed = narrowed(search, &neighbors, &hidden);
-        let found = forest.search(state, &narrowed)?.neighbors;
+        let found = overlay.search(state, &narrowed)?;
         merge(&mut neighbors, &found, search.k);
         hidden.push(&overlay.changed);
     }

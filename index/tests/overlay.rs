@@ -12,7 +12,7 @@ use wayfold_index::{
 type Changes = BTreeMap<u64, Option<u8>>;
 
 fn changes() -> impl Strategy<Value = Changes> {
-    prop::collection::btree_map(0..30u64, prop::option::weighted(0.8, 0..8u8), 0..20)
+    prop::collection::btree_map(0..150u64, prop::option::weighted(0.8, 0..8u8), 0..120)
 }
 
 /// The rows that some changes store, and the ids that they remove.
@@ -45,7 +45,7 @@ proptest! {
         radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
         tagged in any::<bool>(),
         since_revision in 0..4u64,
-        excluded in prop::collection::hash_set(0..30u64, 0..3),
+        excluded in prop::collection::hash_set(0..150u64, 0..3),
     ) {
         let space: Space = "R1".parse().unwrap();
         let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
@@ -69,7 +69,7 @@ proptest! {
             overlays.push(overlay);
         }
         let overlays: Vec<&Overlay> = overlays.iter().collect();
-        for id in 0..30 {
+        for id in 0..150 {
             let changed = overlays.iter().rev().find_map(|overlay| overlay.get(id));
             let found = changed.unwrap_or_else(|| forest.get(id));
             prop_assert_eq!(found.as_ref(), expected.get(&id));
@@ -99,7 +99,7 @@ proptest! {
 
         // With what is known of the snapshot, where no overlay changes it.
         let only_new = overlays.iter().all(|overlay| {
-            (0..30).all(|id| forest.get(id).is_none() || overlay.get(id).is_none())
+            (0..150).all(|id| forest.get(id).is_none() || overlay.get(id).is_none())
         });
         if only_new {
             let wider = Search { k: k.saturating_add(1), ..search };
