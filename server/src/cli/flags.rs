@@ -132,7 +132,7 @@ pub(super) struct Flags {
     pub(super) command: Option<Command>,
 }
 
-/// What the program does instead of serving.
+/// A job of the program other than serving.
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
     /// Rebuild a damaged store from everything that can be read of it

@@ -262,7 +262,7 @@ async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Po
     found
 }
 
-/// Each acknowledged mutation took effect once, whatever was lost and whoever was first, and no caller saw of either.
+/// Each acknowledged mutation took effect once. No caller sees a lost message or a refusal.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn servers_that_share_a_journal_agree_and_acknowledge_what_took_effect_once() {
     for (seed, loses) in [(1, 0.0), (2, 0.1), (3, 0.3), (4, 0.3)] {
