@@ -14,12 +14,12 @@ use tokio::{
 use tracing::{debug, warn};
 use wayfold_index::Forest;
 
-use super::{Hosted, Published, RegistryError, in_flight::notify};
+use super::{
+    Hosted, Published, RegistryError,
+    commit::{MAX_INLINE_BYTES, MAX_INLINE_POINTS},
+    in_flight::notify,
+};
 use crate::log::{Effects, LogError, Receipt, Record, RecordStream, Tip, View};
-
-/// A batch above these sizes is applied on a blocking thread. Inline it would delay the calls that share the thread.
-const MAX_INLINE_POINTS: usize = 1024;
-const MAX_INLINE_BYTES: usize = 128 * 1024;
 
 /// The time in which a lost receipt is settled before its callers are told.
 const SETTLE_TIME: Duration = Duration::from_secs(5);
