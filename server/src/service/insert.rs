@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use wayfold_index::{Neighbor, Point, Search};
+use wayfold_index::{Known, Neighbor, Point, Search};
 use wayfold_proto::v1;
 
 use super::{
@@ -288,14 +288,17 @@ impl<'a> Evaluation<'a> {
     }
 }
 
-/// The prefetched neighbours of a row, with their revision.
+/// The prefetched neighbours of a row.
 fn known<'a>(
     prefetch: Option<&'a Prefetch>,
     at: usize,
-    what: impl FnOnce(&'a PrefetchedRow) -> &'a Vec<Neighbor>,
-) -> Option<(u64, &'a [Neighbor])> {
+    neighbors: impl FnOnce(&'a PrefetchedRow) -> &'a Vec<Neighbor>,
+) -> Option<Known<'a>> {
     let prefetch = prefetch?;
-    Some((prefetch.revision(), what(prefetch.row(at)?)))
+    Some(Known {
+        revision: prefetch.revision(),
+        neighbors: neighbors(prefetch.row(at)?),
+    })
 }
 
 impl Insertion {
