@@ -243,7 +243,7 @@ impl Client {
     pub async fn index_info(&self, name: &str) -> Result<IndexInfo, Error> {
         const CALL: &str = "get_index";
         let message = v1::GetIndexRequest {
-            index: name.to_owned(),
+            index_name: name.to_owned(),
         };
         let call = |stub: IndexStub, request| async move { { stub }.get_index(request).await };
         let answer = self.index_call(CALL, message, call).await?;
@@ -293,7 +293,7 @@ impl Client {
             Err(error) => return Err(error),
         };
         let message = v1::DeleteIndexRequest {
-            index: name.to_owned(),
+            index_name: name.to_owned(),
             uid: uid.clone(),
         };
         let call = |stub: IndexStub, request| async move { { stub }.delete_index(request).await };

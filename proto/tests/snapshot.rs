@@ -36,7 +36,7 @@ fn points(ids: &[u64]) -> v1::SnapshotPoints {
         points: Some(v1::Points {
             ids: ids.into(),
             states: Some(v1::States {
-                rows: ids.len() as u32,
+                row_count: ids.len() as u32,
                 coordinates: coordinates.collect(),
             }),
             tags: ids.iter().map(|id| id * 3).collect(),
@@ -350,7 +350,7 @@ fn columns_and_counts_that_do_not_fit_are_refused() {
         read_changed(same, |p| p.points = None),
         read_changed(same, |p| columns(p).states = None),
         read_changed(same, |p| coordinates(p).truncate(5)),
-        read_changed(same, |p| columns(p).states.as_mut().unwrap().rows = 2),
+        read_changed(same, |p| columns(p).states.as_mut().unwrap().row_count = 2),
         read_changed(same, |p| columns(p).tags.truncate(2)),
         read_changed(same, |p| columns(p).revisions.push(1)),
         read_changed(same, |p| columns(p).payloads.truncate(2)),

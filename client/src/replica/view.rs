@@ -8,7 +8,7 @@ use super::load::protocol;
 use super::validate::{canonical, check};
 use crate::{
     Error, IndexHandle, Radius, Revision, Search, State, States,
-    search::{Bounds, Count},
+    search::{Bounds, K},
 };
 
 /// One revision of an index, frozen. Clones are cheap.
@@ -131,10 +131,10 @@ impl ReplicaView {
 
     /// The search in the index's terms, its factors evaluated.
     fn plain(&self, search: &Search, since_revision: u64) -> wayfold_index::Search<'static> {
-        let Bounds { count, radius } = search.bounds;
-        let k = match count {
-            Some(Count::K(k)) => k as usize,
-            Some(Count::Factor(_)) | None => usize::MAX,
+        let Bounds { k, radius } = search.bounds;
+        let k = match k {
+            Some(K::Fixed(k)) => k as usize,
+            Some(K::Scaled(_)) | None => usize::MAX,
         };
         let mut plain = wayfold_index::Search::nearest_k(k);
         if let Some(Radius::Fixed(radius)) = radius {

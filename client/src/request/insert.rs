@@ -174,7 +174,7 @@ impl Insert {
             operation_id: &self.operation_id,
         };
         let written = division.write(
-            |limits| self.rows_of_answer(limits).min(limits.rows_per_call),
+            |limits| self.rows_of_answer(limits).min(limits.max_rows_per_call),
             |row| self.row_bytes(&states, row),
             |part, operation_id| self.message(&states, part, operation_id),
             |mut stub, request| async move { stub.insert(request).await },
@@ -216,7 +216,7 @@ impl Insert {
             false => v1::OnConflict::Unspecified,
         };
         v1::InsertRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             states: Some(states.to_message(part.clone())),
             ids: column(&self.ids, part),
             tags: column(&self.tags, part),

@@ -69,10 +69,10 @@ impl Remove {
             operation_id: &self.operation_id,
         };
         let written = division.write(
-            |limits| limits.ids_per_call,
+            |limits| limits.max_ids_per_call,
             |_| ID_BYTES,
             |part, operation_id| v1::RemoveRequest {
-                index: self.index.name().to_owned(),
+                index_name: self.index.name().to_owned(),
                 ids: self.ids[part.clone()].to_vec(),
                 operation_id: operation_id.to_owned(),
                 uid: self.index.uid().to_owned(),

@@ -106,7 +106,7 @@ impl Update {
             operation_id: &self.operation_id,
         };
         let written = division.write(
-            |limits| limits.ids_per_call,
+            |limits| limits.max_ids_per_call,
             |row| self.row_bytes(row),
             |part, operation_id| self.message(part, operation_id),
             |mut stub, request| async move { stub.update(request).await },
@@ -137,7 +137,7 @@ impl Update {
             _ => &self.tags[part.clone()],
         };
         v1::UpdateRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             ids: self.ids[part.clone()].to_vec(),
             tags: tags.to_vec(),
             tag_mask: self.tag_mask,

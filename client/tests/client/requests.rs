@@ -318,11 +318,11 @@ async fn reads_have_the_columns_that_they_include() {
 
 #[tokio::test]
 async fn a_server_describes_itself() {
-    let server = Server::with(|config| config.limits.rows_per_call = 123);
+    let server = Server::with(|config| config.limits.max_rows_per_call = 123);
     let client = server.client().await;
     let found = client.server().await.unwrap();
     assert_eq!(found.version, env!("CARGO_PKG_VERSION"));
     assert_eq!(found.durability, Durability::Memory);
-    assert_eq!(found.limits.rows_per_call, 123);
-    assert_eq!(found.limits.payload_bytes, 64 * 1024);
+    assert_eq!(found.limits.max_rows_per_call, 123);
+    assert_eq!(found.limits.max_payload_bytes, 64 * 1024);
 }

@@ -48,7 +48,7 @@ impl Service {
         request: v1::InsertRequest,
     ) -> Result<v1::InsertResponse, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, &request.uid)?;
+        let hosted = self.index(&request.index_name, &request.uid)?;
         let mut pace = call.pace(DOING);
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
         let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;
@@ -59,7 +59,7 @@ impl Service {
         let unread = insertion
             .unread_in(&base, prefetch.as_ref(), &mut pace)
             .await?;
-        let most = self.limits().answer_bytes;
+        let most = self.limits().max_answer_bytes;
         let read = payloads.read(call, &hosted, &base, unread, most);
         read.await?;
         let (mut reads, mut held) = (1, None);
@@ -319,7 +319,7 @@ impl Insertion {
             return Ok(None);
         }
         // An insert that requests more neighbours than an answer holds fails.
-        let most = limits.answer_bytes / 16;
+        let most = limits.max_answer_bytes / 16;
         let (points, rows) = (head.snapshot.len(), self.rows.len());
         let neighbors = self
             .neighbors
@@ -396,7 +396,7 @@ impl Insertion {
         check::operation_id(&request.operation_id, &mut violations);
         let neighbors = match request.neighbors {
             Some(spec) => {
-                if spec.count.is_none() && spec.reach.is_none() {
+                if spec.k_form.is_none() && spec.radius_form.is_none() {
                     let text = "set k or k_factor, radius or scaled_radius, or one of each";
                     violations.add("neighbors", "REQUIRED", text);
                 }
@@ -410,7 +410,7 @@ impl Insertion {
         let count = request
             .states
             .as_ref()
-            .map_or(0, |states| states.rows as usize);
+            .map_or(0, |states| states.row_count as usize);
         let rows = check::states(space, request.states, limits, pace, &mut violations).await?;
         check::column("ids", &request.ids, count, &mut violations);
         check::column("tags", &request.tags, count, &mut violations);
