@@ -16,6 +16,9 @@ use crate::service::{Code, Damaged, Error, Listing, Violation};
 /// The domain of every `ErrorInfo`.
 pub(crate) const DOMAIN: &str = "wayfold";
 
+/// The descriptors of the details, the messages of google.rpc.
+pub(crate) const DETAIL_DESCRIPTORS: &[u8] = pb::FILE_DESCRIPTOR_SET;
+
 // A status travels in HTTP/2 headers, which stock clients limit to 8 KiB in all, and its text goes twice. Text from a
 // caller has any length, so every part is bounded.
 const MAX_MESSAGE: usize = 512;
