@@ -15,15 +15,31 @@ pub const READ_ROWS: usize = 1_000;
 
 /// A mutation, divided by rows.
 pub(crate) struct Division<'a> {
-    pub(crate) index: &'a IndexHandle,
-    pub(crate) call: &'static str,
-    pub(crate) rows: usize,
-    /// The ids of the rows, or none.
-    pub(crate) ids: &'a [u64],
-    pub(crate) operation_id: &'a str,
+    call: &'static str,
+    index: &'a IndexHandle,
+    rows: usize,
+    ids: &'a [u64],
+    operation_id: &'a str,
 }
 
-impl Division<'_> {
+impl<'a> Division<'a> {
+    /// The mutation `call` of this many rows, with their ids or none.
+    pub(crate) fn new(
+        call: &'static str,
+        index: &'a IndexHandle,
+        rows: usize,
+        ids: &'a [u64],
+        operation_id: &'a str,
+    ) -> Self {
+        Division {
+            call,
+            index,
+            rows,
+            ids,
+            operation_id,
+        }
+    }
+
     /// Sends the mutation in parts, in order. Where the server names a lower limit than the client knows, as after a start
     /// with other settings, the client divides the rest anew.
     pub(crate) async fn write<Q, A, F, Fut>(
