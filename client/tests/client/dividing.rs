@@ -45,8 +45,8 @@ async fn reads_are_divided_by_rows_and_by_the_bytes_of_their_answers() {
         .flat_map(|request| request.states.unwrap().coordinates);
     assert_eq!(sent.collect::<Vec<_>>(), states.coordinates());
     // The fake numbers the rows of each call from 0.
-    assert_eq!(neighbors.row(1000).ids, [0]);
-    assert_eq!(neighbors.row(2499).ids, [499]);
+    assert_eq!(neighbors.row(1000).ids().collect::<Vec<_>>(), [0]);
+    assert_eq!(neighbors.row(2499).ids().collect::<Vec<_>>(), [499]);
 
     // 10,000 neighbours of 16 bytes each: 26 states fill 4 MiB.
     index.knn(&scattered(60, 1)).k(10_000).await.unwrap();
@@ -343,9 +343,9 @@ async fn what_was_divided_and_joined_equals_brute_force() {
         ] {
             let expected = oracle.search(&state, &search).unwrap().neighbors;
             assert_eq!(row.iter().collect::<Vec<_>>(), expected);
-            for (place, id) in row.ids.iter().enumerate() {
-                assert_eq!(row.state(place).unwrap(), points.row(*id as usize));
-                assert_eq!(row.tags.unwrap()[place], id * 3);
+            for (place, id) in row.ids().enumerate() {
+                assert_eq!(row.state(place).unwrap(), points.row(id as usize));
+                assert_eq!(row.tags().unwrap()[place], id * 3);
             }
         }
     }
