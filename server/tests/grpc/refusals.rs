@@ -88,9 +88,9 @@ async fn stock_limits_let_an_answer_through_that_a_stock_client_takes() {
     let mut points = server.points();
     points.insert(insert("line", &[0.5; 3])).await.unwrap();
     let query = |count| v1::QueryRequest {
-        index: "line".into(),
+        index_name: "line".into(),
         states: Some(column(&vec![0.5; count])),
-        reach: Some(v1::query_request::Reach::Radius(1.0)),
+        radius_form: Some(v1::query_request::RadiusForm::Radius(1.0)),
         ..Default::default()
     };
     // Three neighbours of 16 bytes and a count: 80,000 states are answered in 3.9 MB, 90,000 would take 4.4 MB.

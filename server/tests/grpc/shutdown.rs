@@ -21,7 +21,7 @@ const MANY: u64 = 300_000;
 
 fn scan(index: &str) -> v1::ScanRequest {
     v1::ScanRequest {
-        index: index.into(),
+        index_name: index.into(),
         ..Default::default()
     }
 }

@@ -106,7 +106,7 @@ async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
     assert!(poll!(&mut first).is_pending());
     let request = v1::InsertRequest {
         neighbors: Some(v1::NeighborSpec {
-            count: nearest(9),
+            k_form: nearest(9),
             ..Default::default()
         }),
         ..insertion(&[[2.0]], &[])

@@ -168,7 +168,7 @@ async fn a_call_that_waits_rests() {
     }
     for after in EXTREMES.into_iter().filter(|after| *after >= head) {
         let follow = v1::WatchRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             after_revision: revision(&uid, after),
             include: None,
         };

@@ -46,7 +46,7 @@ impl Mutation {
             3 if !present.is_empty() => {
                 let ids = some(present, 3);
                 Mutation::Update(v1::UpdateRequest {
-                    index: "arm".into(),
+                    index_name: "arm".into(),
                     tags: vec![number],
                     payloads: ids
                         .iter()

@@ -44,21 +44,21 @@ async fn answers(service: &Service, space: &Space) -> Vec<Vec<u8>> {
         };
         let min_revision = revision(&uid, newest);
         let knn = v1::KnnRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(v1::States {
-                rows: 1,
+                row_count: 1,
                 coordinates: rows.clone(),
             }),
-            count: nearest(1000).map(Into::into),
+            k_form: nearest(1000).map(Into::into),
             filter: Some(filter.clone()),
             include: Some(include),
             min_revision: min_revision.clone(),
             ..Default::default()
         };
         let query = v1::QueryRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: knn.states.clone(),
-            reach: within(0.75),
+            radius_form: within(0.75),
             filter: Some(filter),
             include: Some(include),
             min_revision,
@@ -90,7 +90,7 @@ async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
     let mut told = Vec::new();
     for if_revision in 0..=index.revision.number() {
         let update = v1::UpdateRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             ids: ids.clone(),
             tags: vec![if_revision],
             if_revision: revision(&index.revision.uid(), if_revision),
@@ -107,9 +107,9 @@ async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
         row[space.coordinates() - 1] = 1.0;
     }
     let insert = v1::InsertRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: Some(v1::States {
-            rows: 1,
+            row_count: 1,
             coordinates: row,
         }),
         ..Default::default()
@@ -240,7 +240,7 @@ async fn a_name_that_is_taken_is_refused_first_and_last() {
 #[tokio::test]
 async fn the_limit_of_indices_is_kept() {
     let limits = Limits {
-        indexes: 1,
+        max_indexes: 1,
         ..Limits::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);

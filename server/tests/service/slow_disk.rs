@@ -85,9 +85,9 @@ const READING: [(&str, Reading); 10] = [
     ("Query", |service, _| {
         Box::pin(async move {
             let request = v1::QueryRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 states: states(&[[3.1]]),
-                reach: within(1.0),
+                radius_form: within(1.0),
                 include: include(),
                 ..Default::default()
             };
@@ -99,7 +99,7 @@ const READING: [(&str, Reading); 10] = [
     ("SnapshotIndex", |service, _| {
         Box::pin(async move {
             let request = v1::SnapshotIndexRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 min_revision: None,
             };
             let mut snapshot = service.snapshot_index(&CALL, request).await?;
@@ -115,7 +115,7 @@ const READING: [(&str, Reading); 10] = [
     ("VerifyIndex", |service, _| {
         Box::pin(async move {
             let request = v1::VerifyIndexRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 ..Default::default()
             };
             let mut verification = service.verify_index(&CALL, request).await?;
@@ -128,7 +128,7 @@ const READING: [(&str, Reading); 10] = [
     ("Watch", |service, uid| {
         Box::pin(async move {
             let request = v1::WatchRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 after_revision: revision(&uid, 0),
                 include: ALL,
             };
@@ -152,7 +152,7 @@ const READING: [(&str, Reading); 10] = [
             let request = v1::InsertRequest {
                 payloads: vec!["own".into(), "own".into()],
                 neighbors: Some(v1::NeighborSpec {
-                    count: nearest(2),
+                    k_form: nearest(2),
                     include: include(),
                     ..Default::default()
                 }),
@@ -170,7 +170,7 @@ const READING: [(&str, Reading); 10] = [
     ("Update", |service, uid| {
         Box::pin(async move {
             let request = v1::UpdateRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 ids: vec![3, 4],
                 payloads: vec![payload(3), "new".into()],
                 if_revision: revision(&uid, 1),
@@ -250,7 +250,7 @@ async fn overtaken<T>(
 
 fn update(tags: &[u64], payloads: &[&'static str]) -> v1::UpdateRequest {
     v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: vec![3],
         tags: tags.into(),
         payloads: payloads.iter().map(|payload| (*payload).into()).collect(),
@@ -313,7 +313,7 @@ async fn an_insert_is_told_the_payloads_of_the_neighbours_it_has_at_last() {
     let insert = async |service: Service| {
         let request = v1::InsertRequest {
             neighbors: Some(v1::NeighborSpec {
-                count: nearest(2),
+                k_form: nearest(2),
                 include: include(),
                 ..Default::default()
             }),
@@ -377,7 +377,7 @@ async fn an_overtaken_insert_is_not_charged_for_the_payloads_that_it_replaces() 
         ..options()
     };
     let limits = Limits {
-        answer_bytes: 2000,
+        max_answer_bytes: 2000,
         ..Limits::default()
     };
     let service = restarted_with(Arc::new(log.clone()), options, limits);
@@ -393,7 +393,7 @@ async fn an_overtaken_insert_is_not_charged_for_the_payloads_that_it_replaces() 
     let request = v1::InsertRequest {
         on_conflict: v1::OnConflict::Replace.into(),
         neighbors: Some(v1::NeighborSpec {
-            count: nearest(1),
+            k_form: nearest(1),
             include: include(),
             ..Default::default()
         }),

@@ -8,7 +8,7 @@ use crate::support::*;
 
 fn update(ids: &[u64]) -> v1::UpdateRequest {
     v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: ids.into(),
         ..Default::default()
     }

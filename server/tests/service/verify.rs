@@ -100,7 +100,7 @@ async fn the_hash_is_the_contents_and_not_the_pasts() {
         .unwrap();
     assert_eq!(hash(&one).await, hash(&other).await);
     let tagged = v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: vec![4],
         tags: vec![1],
         ..Default::default()
@@ -127,7 +127,7 @@ async fn what_is_asked_for_is_bounded() {
         assert_eq!(refused, expected);
     }
     let elsewhere = v1::VerifyIndexRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..verification()
     };
     assert_eq!(refusal(verify(&service, elsewhere).await).0, Code::NotFound);
@@ -282,7 +282,7 @@ async fn stored_points_that_cannot_be_read_are_data_loss() {
     assert_eq!(error.code(), Code::DataLoss);
     assert!(error.to_string().contains("\"arm\""), "{error}");
     let request = v1::SnapshotIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         min_revision: None,
     };
     let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();
@@ -295,7 +295,7 @@ async fn stored_points_that_cannot_be_read_are_data_loss() {
 async fn a_snapshot_that_lacks_points_is_not_finished() {
     let service = lying(|point| Ok((point.id != 500).then_some(point))).await;
     let request = v1::SnapshotIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         min_revision: None,
     };
     let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();

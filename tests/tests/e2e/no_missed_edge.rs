@@ -123,9 +123,9 @@ async fn insert(
     let mut before = None;
     if read_before {
         let request = QueryRequest {
-            index: "roadmap".into(),
+            index_name: "roadmap".into(),
             states: states.clone(),
-            reach: Some(query_request::Reach::Radius(f64::INFINITY)),
+            radius_form: Some(query_request::RadiusForm::Radius(f64::INFINITY)),
             ..Default::default()
         };
         let response = stubs.points.query(request).await;
@@ -138,10 +138,10 @@ async fn insert(
         ..Default::default()
     });
     let request = InsertRequest {
-        index: "roadmap".into(),
+        index_name: "roadmap".into(),
         states,
         neighbors: Some(NeighborSpec {
-            reach: Some(neighbor_spec::Reach::Radius(f64::INFINITY)),
+            radius_form: Some(neighbor_spec::RadiusForm::Radius(f64::INFINITY)),
             filter,
             ..Default::default()
         }),

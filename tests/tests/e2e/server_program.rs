@@ -56,7 +56,7 @@ async fn what_is_cut_shows_in_the_exit_status() {
     // More than fits into the buffers on its way.
     for _ in 0..8 {
         let request = v1::InsertRequest {
-            index: "line".into(),
+            index_name: "line".into(),
             states: Some(row_states(&[0.0; 32], 1)),
             payloads: vec![vec![0; 64 * 1024].into(); 32],
             ..Default::default()
@@ -64,7 +64,7 @@ async fn what_is_cut_shows_in_the_exit_status() {
         stubs.insert(request).await;
     }
     let request = v1::ScanRequest {
-        index: "line".into(),
+        index_name: "line".into(),
         include: Some(v1::Include {
             payloads: true,
             ..Default::default()

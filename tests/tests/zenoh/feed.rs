@@ -41,7 +41,7 @@ pub(crate) fn uid(index: v1::Index) -> String {
 pub(crate) fn insertion(ids: &[u64], payload: usize) -> v1::InsertRequest {
     let rows: Vec<f64> = ids.iter().flat_map(|id| [*id as f64, 0.5]).collect();
     v1::InsertRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: Some(row_states(&rows, 2)),
         ids: ids.into(),
         tags: ids.iter().map(|id| id % 3).collect(),
@@ -62,7 +62,7 @@ async fn mutate(stubs: &mut Stubs, first: u64, count: u64) {
             ),
             2 => {
                 let update = v1::UpdateRequest {
-                    index: "arm".into(),
+                    index_name: "arm".into(),
                     ids: vec![step - 1],
                     tags: vec![step],
                     ..Default::default()
@@ -71,7 +71,7 @@ async fn mutate(stubs: &mut Stubs, first: u64, count: u64) {
             }
             _ => {
                 let removal = v1::RemoveRequest {
-                    index: "arm".into(),
+                    index_name: "arm".into(),
                     ids: vec![step - 3],
                     ..Default::default()
                 };
@@ -92,7 +92,7 @@ async fn events_are_what_a_watch_tells() {
     // The first says how far the index is, once somebody follows it.
     follower.take(next(&events).await).await;
     let watched = v1::WatchRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         after_revision: revision(&uid, 0),
         include: Some(INCLUDE_ALL),
     };
@@ -130,7 +130,7 @@ pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs
             follower.take(told).await;
         }
         let removed = v1::RemoveRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             ids: vec![9_999],
             ..Default::default()
         };
@@ -153,12 +153,13 @@ fn whole(pieces: Vec<v1::Mutation>) -> Vec<v1::Mutation> {
                 let mut bytes = last.encode_to_vec();
                 let more = piece.stored.clone().unwrap_or_default();
                 let states = last.stored.as_mut().and_then(|it| it.states.as_mut());
-                let rows = states.map_or(0, |it| it.rows) + more.states.map_or(0, |it| it.rows);
+                let rows =
+                    states.map_or(0, |it| it.row_count) + more.states.map_or(0, |it| it.row_count);
                 bytes.extend(piece.encode_to_vec());
                 *last = v1::Mutation::decode(&*bytes).unwrap();
                 (last.continued, last.piece) = (continued, 0);
                 if let Some(states) = last.stored.as_mut().and_then(|it| it.states.as_mut()) {
-                    states.rows = rows;
+                    states.row_count = rows;
                 }
             }
             None => whole.push(piece),

@@ -124,7 +124,7 @@ impl<'a> Follower<'a> {
         let states = stored.states.as_ref().unwrap();
         let rows = states
             .coordinates
-            .chunks(states.coordinates.len() / states.rows as usize);
+            .chunks(states.coordinates.len() / states.row_count as usize);
         for (slot, row) in rows.enumerate() {
             let point = StoredPoint {
                 state: bits(row),

@@ -120,7 +120,7 @@ async fn states_parameters_and_payloads_say_one_thing() {
         ("arm/kn", json!([0, 1]), (3, "UNKNOWN_KEY")),
         ("arm", Value::Null, (3, "UNKNOWN_KEY")),
         ("arm/remove?ids=7", Value::Null, (3, "REQUIRED")),
-        ("delete?index=arm", Value::Null, (3, "REQUIRED")),
+        ("delete?index_name=arm", Value::Null, (3, "REQUIRED")),
     ] {
         let refused = robot.json(selector, body).await.unwrap_err();
         assert_eq!(reason(&refused), expected, "{selector}");
@@ -207,7 +207,7 @@ async fn what_is_too_large_or_too_much_is_refused_in_words() {
         assert_eq!(reason(&refused), (8, "TOO_MANY_CALLS"));
         let mut stubs = wayfold_tests::Stubs::connect(_server.uri()).await;
         let request = v1::InsertRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(wayfold_tests::row_states(&[1.0, 2.0], 2)),
             ..Default::default()
         };

@@ -17,14 +17,14 @@ async fn bad_inserts() {
     let good = || insertion(&[GOOD, GOOD], &[]);
     let query = |k: Option<u32>, radius: Option<f64>| {
         Some(v1::NeighborSpec {
-            count: k.and_then(nearest),
-            reach: radius.and_then(within),
+            k_form: k.and_then(nearest),
+            radius_form: radius.and_then(within),
             ..Default::default()
         })
     };
     let filtered = |filter| {
         Some(v1::NeighborSpec {
-            count: nearest(1),
+            k_form: nearest(1),
             filter: Some(filter),
             ..Default::default()
         })
@@ -158,7 +158,7 @@ async fn bad_inserts() {
         ..good()
     };
     let unknown = v1::InsertRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..good()
     };
     assert_elsewhere(
@@ -194,7 +194,7 @@ async fn bad_updates_and_removals() {
         .await
         .unwrap();
     let good = || v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: vec![0, 1, 2],
         ..Default::default()
     };
@@ -266,7 +266,7 @@ async fn bad_updates_and_removals() {
         ..good()
     };
     let unknown = v1::UpdateRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..good()
     };
     assert_elsewhere(
@@ -281,7 +281,7 @@ async fn bad_updates_and_removals() {
         ..removal(&[1])
     };
     let unknown = v1::RemoveRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..removal(&[1])
     };
     assert_elsewhere(

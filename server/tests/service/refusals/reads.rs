@@ -28,7 +28,7 @@ async fn bad_reads() {
         (knn(&[[0.0; 3]], 0), "ZERO", "k"),
         (
             v1::KnnRequest {
-                reach: within(f64::NAN),
+                radius_form: within(f64::NAN),
                 ..good()
             },
             "NAN",
@@ -36,7 +36,7 @@ async fn bad_reads() {
         ),
         (
             v1::KnnRequest {
-                reach: within(-1.0),
+                radius_form: within(-1.0),
                 ..good()
             },
             "NEGATIVE",
@@ -87,9 +87,9 @@ async fn bad_reads() {
         assert_invalid(service.knn(&CALL, request).await, reason, field);
     }
     let query = |radius, epsilon| v1::QueryRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: states(&[[0.0; 3]]),
-        reach: within(radius),
+        radius_form: within(radius),
         epsilon,
         ..Default::default()
     };
@@ -100,7 +100,7 @@ async fn bad_reads() {
         // A radius that was forgotten is not one of 0.
         (
             v1::QueryRequest {
-                reach: None,
+                radius_form: None,
                 ..query(1.0, 0.0)
             },
             "REQUIRED",
@@ -118,7 +118,7 @@ async fn bad_reads() {
     let refused = service.scan(&CALL, scan).await.map(drop);
     assert_invalid(refused, "REQUIRED", "filter.since_revision.uid");
     let unknown = v1::ScanRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..scanning()
     };
     let refused = service.scan(&CALL, unknown).await.map(drop);
@@ -134,7 +134,7 @@ async fn bad_reads() {
         },
     ] {
         let unknown = v1::KnnRequest {
-            index: "leg".into(),
+            index_name: "leg".into(),
             ..other.clone()
         };
         assert_elsewhere(

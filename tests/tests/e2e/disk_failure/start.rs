@@ -52,7 +52,7 @@ async fn a_server_that_finds_its_disk_failing_says_so_and_recovers_by_itself() {
                 assert!(is_up, "{how}");
                 let mut stubs = Stubs::connect(server.uri()).await;
                 let index = "arm".to_owned();
-                let request = wayfold_proto::v1::GetIndexRequest { index };
+                let request = wayfold_proto::v1::GetIndexRequest { index_name: index };
                 let status = stubs.indexes.get_index(request).await.unwrap_err();
                 let refusal = Refusal::of(&status);
                 assert_eq!(
