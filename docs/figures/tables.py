@@ -1,4 +1,4 @@
-"""The tables of the pages, by the names of their marks: each is a function of the saved figures beside this file."""
+"""The tables of the pages, by the names of their marks. Each is a function of the saved figures in this directory."""
 
 import json
 import textwrap
@@ -9,7 +9,7 @@ FIGURES = Path(__file__).resolve().parent
 
 
 class Missing(Exception):
-    """These figures were not saved yet."""
+    """No file has these figures yet."""
 
 
 def read(name):
@@ -24,7 +24,7 @@ def of(name):
 
 
 def table(names, header, rows):
-    """A table with its origin at its top."""
+    """A table under its origin."""
     origins = {}
     for saved in map(read, names):
         origin = "Commit {commit}, {date}; {processor}".format(**saved)
@@ -33,8 +33,8 @@ def table(names, header, rows):
         commands = origins.setdefault(origin, [])
         if "command" in saved:
             commands.append(f"`{saved['command']}`")
-    told = (f"{origin}. Command: {', '.join(commands)}" if commands else origin for origin, commands in origins.items())
-    text = textwrap.fill(f"*{'. '.join(told)}.*", 128, break_long_words=False, break_on_hyphens=False)
+    sources = (f"{origin}. Command: {', '.join(commands)}" if commands else origin for origin, commands in origins.items())
+    text = textwrap.fill(f"*{'. '.join(sources)}.*", 128, break_long_words=False, break_on_hyphens=False)
     shown = [f"| {' | '.join(row)} |" for row in (header, *rows)]
     shown.insert(1, "|---" * len(header) + "|")
     return f"\n{text}\n\n" + "\n".join(shown) + "\n"
@@ -86,7 +86,6 @@ def index(n):
     return table(["index"], ["space and metric", "against", "growing", "at rest"], rows)
 
 
-
 def building():
     what = {"rrt": "a random tree (ask for the nearest, insert)", "insert": "one insert after the other, merges included"}
     what |= {"build": "building at once", "memory": "memory, states included"}
@@ -126,7 +125,7 @@ def processor_names():
 
 
 def processors():
-    """What a second processor makes of it: the ratios of each saved file of the index, side by side."""
+    """The ratios on each processor: those of each saved file of the index, side by side."""
     names = processor_names()
     cases = [("SE3^2", "knn10"), ("SE3^4", "knn1")]
     words = {"knn1": "one neighbour", "knn10": "ten neighbours"}
@@ -152,6 +151,11 @@ def readme_speed():
             cells.append(ratio(least) + (" †" if least is not None and least != found[0] else ""))
         rows.append([shown, short[still], *cells])
     return table(["index"], ["space", "peer", "one neighbour", "ten neighbours", "random tree", "one insert"], rows)
+
+
+def nigh():
+    rows = [[METRICS.get(space, space), *map(ratio, ratios)] for space, ratios in of("nigh").items()]
+    return table(["nigh"], ["against nigh", "one neighbour", "ten neighbours", "random tree"], rows)
 
 
 def threads():
@@ -299,6 +303,10 @@ def sources():
     return table(PLANNERS, header, rows.values())
 
 
+def nodes(planner):
+    return f"{middle(of(planner), lambda row: row['nodes']):,.0f}"
+
+
 def runs_of(name, source, count):
     """The runs with so many workers, in the order of their seeds."""
     runs = [row for row in of(name) if (row["source"], row["workers"]) == (source, count)]
@@ -335,8 +343,24 @@ def roadmap_wait():
 def trees_cell(runs, alone):
     times = [row["total_s"] for row in runs]
     faster = median(other["total_s"] / one["total_s"] for one, other in zip(runs, alone))
-    span = f"{digits(median(times))} s ({digits(min(times))} to {digits(max(times))})"
-    return f"{span}, {digits(middle(runs, rate))} a second, {ratio(faster)}×"
+    shown = f"{digits(median(times))} s ({digits(min(times))} to {digits(max(times))})"
+    return f"{shown}, {digits(middle(runs, rate))} a second, {ratio(faster)}×"
+
+
+def span(values):
+    """The least and the greatest percentage."""
+    low, high = (f"{100 * value:.0f}" for value in (min(values), max(values)))
+    return f"{low} %" if low == high else f"{low} to {high} %"
+
+
+def tree_checks():
+    return span([row["check_s"] / row["total_s"] / row["workers"] for row in of("maze-workers")])
+
+
+def python_share():
+    """The share of calls of Python in the time of each of OMPL's planners, by medians."""
+    planners = (runs for planner, runs in of("ompl").items() if planner.startswith("OMPL"))
+    return span([middle(runs, lambda run: run["python"]) for runs in planners])
 
 
 def ompl():
@@ -360,7 +384,9 @@ TABLES = {
     "sources": sources, "roadmap-workers": lambda: workers("rigid-workers", roadmap_cell),
     "tree-workers": lambda: workers("maze-workers", trees_cell), "ompl": ompl, "speed": readme_speed,
     "maze-forest": seconds("forest"), "maze-replica": seconds("replica"), "maze-server": seconds("server"),
-    "maze-brute": seconds("brute force"),
+    "maze-brute": seconds("brute force"), "index-nigh": nigh,
+    "maze-nodes": lambda: nodes("maze"), "bodies-nodes": lambda: nodes("bodies"), "rigid-nodes": lambda: nodes("rigid"),
+    "tree-checks": tree_checks, "ompl-python": python_share,
     "memory": lambda: digits(of("index")["SE3"]["50000"]["uniform"]["memory"]["wayfold-rest"]) + " bytes",
     "roadmap-two": roadmap_two, "roadmap-wait": roadmap_wait,
     "grpc-call": lambda: digits(of("load")["asking"]["one_in_flight"]["server"]["p50_ms"]) + " ms",
