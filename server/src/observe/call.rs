@@ -136,6 +136,8 @@ requests! {
     InsertRequest: index_name, this => rows(this.states.as_ref());
     UpdateRequest: index_name, this => this.ids.len();
     RemoveRequest: index_name, this => this.ids.len();
+    OpenSessionRequest: index_name;
+    WriteRequest: index_name, this => this.kinds.len();
     GetRequest: index_name, this => this.ids.len();
     KnnRequest: index_name, this => rows(this.states.as_ref());
     QueryRequest: index_name, this => rows(this.states.as_ref());

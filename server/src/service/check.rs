@@ -59,6 +59,11 @@ impl Rows {
         self.coordinates.chunks_exact(self.width)
     }
 
+    /// The row with this number, which is below [`Rows::len`].
+    pub(super) fn row(&self, at: usize) -> &[f64] {
+        &self.coordinates[at * self.width..(at + 1) * self.width]
+    }
+
     pub(super) fn len(&self) -> usize {
         self.coordinates.len() / self.width
     }

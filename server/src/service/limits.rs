@@ -8,7 +8,7 @@ use serde::Deserialize;
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
-    /// Most states of one `Insert`, `Knn` or `Query`.
+    /// Most states of one `Insert`, `Knn` or `Query`, and most steps of one `Write`.
     pub max_rows_per_call: usize,
     /// Most ids of one `Get`, `Update` or `Remove`.
     pub max_ids_per_call: usize,
@@ -25,6 +25,12 @@ pub struct Limits {
     pub max_operations: usize,
     /// Most bytes of remembered operations, their responses included, for each index.
     pub max_operation_bytes: usize,
+    /// Most writer sessions of an index.
+    pub max_sessions: usize,
+    /// Most seconds between two batches of a writer session. A session that is idle for longer is ended.
+    pub max_session_idle_seconds: u64,
+    /// Most ids that one `OpenSession` or `Write` reserves.
+    pub max_reserved_ids: u64,
     /// Most bytes of one payload. Fixed by the contract, no setting.
     #[serde(skip)]
     pub max_payload_bytes: usize,
@@ -44,6 +50,9 @@ impl Default for Limits {
             max_scan_seconds: 300,
             max_operations: 10_000,
             max_operation_bytes: 16 * 1024 * 1024,
+            max_sessions: 65_536,
+            max_session_idle_seconds: 7 * 24 * 3600,
+            max_reserved_ids: 1 << 20,
             max_payload_bytes: 64 * 1024,
             min_revision_wait: Duration::from_secs(5),
         }

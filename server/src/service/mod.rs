@@ -37,12 +37,14 @@ mod restore;
 mod revision_pin;
 mod scan;
 mod server;
+mod session;
 mod snapshot;
 mod staging;
 mod stored;
 mod update;
 mod verify;
 mod watch;
+mod write;
 
 use std::sync::{
     Arc, OnceLock,

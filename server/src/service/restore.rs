@@ -14,7 +14,7 @@ use super::{
     indexes::{check_name, describe},
 };
 use crate::{
-    log::{Origin, StoredPoint},
+    log::{Origin, Sessions, StoredPoint},
     registry::{RegistryError, Restore},
 };
 
@@ -81,7 +81,7 @@ impl Restoring {
         };
         let service = self.service;
         let finished = tokio::task::spawn_blocking(move || {
-            let hosted = service.registry()?.host(restore);
+            let hosted = service.registry()?.host(restore, Sessions::default());
             hosted.map_err(|error| not_restored(&name, error))
         });
         let hosted = finished.await.map_err(stopped)??;

@@ -20,13 +20,15 @@ mod extremes;
 use extremes::{EXTREMES, requests, variants};
 
 /// The verb and the message of each request.
-const VERBS: [(&str, &str); 12] = [
+const VERBS: [(&str, &str); 14] = [
     ("server", "GetServerRequest"),
     ("arm/knn", "KnnRequest"),
     ("arm/query", "QueryRequest"),
     ("arm/insert", "InsertRequest"),
     ("arm/update", "UpdateRequest"),
     ("arm/remove", "RemoveRequest"),
+    ("arm/session", "OpenSessionRequest"),
+    ("arm/write", "WriteRequest"),
     ("arm/get", "GetRequest"),
     ("arm/info", "GetIndexRequest"),
     ("arm/log", "WatchRequest"),
