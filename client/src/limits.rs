@@ -40,8 +40,8 @@ impl<'a> Division<'a> {
         }
     }
 
-    /// Sends the mutation in parts, in order. Where the server names a lower limit than the client knows, as after a start
-    /// with other settings, the client divides the rest anew.
+    /// Sends the mutation in parts, in order. Where the server names a lower limit than the client knows, as after a
+    /// start with other settings, the client divides the rest anew.
     pub(crate) async fn write<Q, A, F, Fut>(
         &self,
         max_rows: impl Fn(&Limits) -> usize,
@@ -205,8 +205,8 @@ pub(crate) fn check_unique(ids: &[u64]) -> Result<(), Error> {
     }
 }
 
-/// The operation ids of the parts of a call: the call's own for the first, and for each other one with its first row. If a
-/// repeated call is divided in another way, an id comes with other rows, and the server refuses it.
+/// The operation ids of the parts of a call: the call's own for the first, and for each other one with its first row.
+/// If a repeated call is divided in another way, an id comes with other rows, and the server refuses it.
 fn operation_ids(id: &str, parts: &[Range<usize>]) -> Result<Vec<String>, Error> {
     const MAX_BYTES: usize = 64;
     let of_part = |part: &Range<usize>| {

@@ -9,7 +9,7 @@ use crate::{Error, Include, Revision, States, points::extend, revision::RowRevis
 /// The neighbours of each state of a request, nearest first; at equal distances by id.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Neighbors {
-    /// Where the neighbours of each state end in the columns.
+    /// The end of each state's neighbours in the columns.
     ends: Vec<usize>,
     ids: Vec<u64>,
     distances: Vec<f64>,

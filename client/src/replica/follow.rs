@@ -90,7 +90,7 @@ impl Follower {
         }
     }
 
-    /// Applies the server's mutations until it cannot go on.
+    /// Applies the server's mutations until an error or a reset stops it.
     async fn follow(&mut self) -> Stop {
         match self.follow_watch().await {
             Ok(never) => match never {},

@@ -1,7 +1,7 @@
 //! The publications of an index over Zenoh in the form of a watch: in order, without a gap and without a repeat.
 //!
-//! A publication may be lost. The next one shows the gap, and the index's log fills it. Where nothing is published for a
-//! while the feed asks the log too, since the last publication, or the way to the server, may be lost.
+//! A publication may be lost. The next one shows the gap, and the index's log fills it. Where nothing is published for
+//! a while the feed asks the log too, since the last publication, or the way to the server, may be lost.
 
 use std::{cmp::Ordering, sync::Arc, time::Duration};
 

@@ -1,4 +1,4 @@
-//! Where a replica gets mutations from.
+//! The sources of a replica's mutations.
 
 use std::time::Duration;
 

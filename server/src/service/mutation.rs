@@ -78,8 +78,8 @@ impl Service {
         }
     }
 
-    /// Commits a mutation that was evaluated under `writer`; returns [`Committed::Done`] once it may be acknowledged with
-    /// `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
+    /// Commits a mutation that was evaluated under `writer`; returns [`Committed::Done`] once it may be acknowledged
+    /// with `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
     pub(super) async fn commit(
         &self,
         call: &Call,
