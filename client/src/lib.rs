@@ -18,7 +18,7 @@
 //! # }
 //! ```
 //!
-//! A [`Client`] is a connection, an [`IndexHandle`] one index on it. The handle's methods make requests; await a
+//! A [`Client`] is a connection, and an [`IndexHandle`] is one index on it. The handle's methods make requests; await a
 //! request to send it:
 //!
 //! | to | request | answer |
@@ -49,7 +49,7 @@
 //! to the handle named: a caller reads its own writes.
 //!
 //! **Limits.** A request that exceeds the server's [`Limits`], or [`READ_ROWS`], is sent in several calls, in order,
-//! and the answers are joined. A mutation that is divided so is atomic by part, not as a whole.
+//! and the answers are joined. Each part of a divided mutation is atomic, but not the whole.
 //!
 //! **Retries.** The client retries a call that finds no server, or one that is starting, within the call's timeout
 //! ([`RetryPolicy`]). Mutations carry an operation id, so that they take effect once.

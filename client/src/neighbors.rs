@@ -120,7 +120,7 @@ impl Neighbors {
         (0..self.len()).map(|i| self.row(i))
     }
 
-    /// The revision that was read; the oldest one where the request was divided among several calls, so that no row
+    /// The revision that was read. If the request was divided among several calls, it is the oldest one, so that no row
     /// misses a point that was stored up to it.
     pub fn revision(&self) -> Revision {
         self.read_at.oldest()

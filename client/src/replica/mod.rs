@@ -71,7 +71,7 @@ pub struct Replica {
     owner: Arc<Owner>,
 }
 
-/// Ends the task when the last replica goes.
+/// Ends the task when the last clone of the replica is dropped.
 #[derive(Debug)]
 struct Owner {
     shared: Arc<Shared>,
@@ -105,7 +105,7 @@ impl Replica {
         self.shared().published().revision()
     }
 
-    /// One revision, frozen: for several reads of the same. It holds the memory of its points while it is held.
+    /// One frozen revision, for several reads of the same points. It keeps their memory until it is dropped.
     ///
     /// # Errors
     /// [`Error::Stale`] and [`Error::Ended`].

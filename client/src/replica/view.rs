@@ -1,4 +1,4 @@
-//! One frozen revision, and searching it.
+//! One frozen revision, and its searches.
 
 use std::time::Instant;
 

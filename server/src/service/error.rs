@@ -146,7 +146,7 @@ pub enum Error {
         limit: &'static str,
         /// Its value.
         value: u64,
-        /// The requested amount; for `max_answer_bytes` the size at which the answer was given up.
+        /// The requested amount; for `max_answer_bytes` the size at which the server stopped building the answer.
         requested: u64,
         /// The remedy.
         advice: &'static str,
@@ -203,7 +203,7 @@ pub enum Error {
         /// The activity: "while searching".
         doing: &'static str,
     },
-    /// An operation id came back with another request.
+    /// An operation id was used again with another request.
     #[error(
         "operation_id: \"{operation_id}\" was used for another request: a retry repeats the request to the letter, \
          and a new request needs a new id"

@@ -227,7 +227,7 @@ pub(super) fn check_name(name: &str, violations: &mut Violations) {
     }
 }
 
-/// The space in whichever form it was given; None after a violation.
+/// The space, from either form; `None` after a violation.
 fn read_space(form: Option<SpaceForm>, violations: &mut Violations) -> Option<Space> {
     let (field, problem) = match form {
         None => {

@@ -28,11 +28,11 @@ const DOING: &str = "while evaluating the rows; nothing was changed";
 /// A checked request.
 struct Insertion {
     rows: Rows,
-    /// One a row, or none: then they are assigned.
+    /// The ids, one a row; if empty, the server assigns them.
     ids: Vec<u64>,
-    /// One a row, or none.
+    /// The tags, one a row, or none.
     tags: Vec<u64>,
-    /// One a row, or none.
+    /// The payloads, one a row, or none.
     payloads: Vec<Bytes>,
     replace: bool,
     min_separation: f64,

@@ -102,7 +102,7 @@ impl Service {
             })
         });
         if effects.is_empty() {
-            // A twin that is under way finds it, and waits for the same records.
+            // A concurrent retry finds the operation, and waits for the same records.
             if let Some(operation) = operation {
                 hosted.remember(operation, window);
             }
