@@ -157,19 +157,19 @@ impl Status {
             Error::IndexExists {
                 name,
                 existing,
-                asked,
+                requested,
             } => {
                 self.set("existing", existing);
-                self.set("asked", asked);
+                self.set("requested", requested);
                 Detail::Resource("wayfold.v1.Index", name.clone())
             }
             Error::UidMismatch {
                 index,
-                asked,
+                requested,
                 found,
             } => {
                 self.set("index", index);
-                self.set("asked", asked);
+                self.set("requested", requested);
                 self.set("found", found);
                 Detail::Precondition(index.clone())
             }
@@ -186,12 +186,12 @@ impl Status {
             Error::LimitExceeded {
                 limit,
                 value,
-                asked,
+                requested,
                 advice: _,
             } => {
                 self.set("limit", limit);
                 self.set("value", value);
-                self.set("asked", asked);
+                self.set("requested", requested);
                 Detail::Quota(limit, *value)
             }
             Error::IdsExhausted { index } => {

@@ -84,7 +84,7 @@ pub enum Error {
     },
     /// An index of this name exists, with another space.
     #[error(
-        "index \"{name}\" exists with the space {existing}, not {asked}: take another name, or delete it first"
+        "index \"{name}\" exists with the space {existing}, not {requested}: take another name, or delete it first"
     )]
     IndexExists {
         /// The name.
@@ -92,9 +92,9 @@ pub enum Error {
         /// Its space, as text.
         existing: String,
         /// The requested space, as text.
-        asked: String,
+        requested: String,
     },
-    /// The name for a restored index is taken, whatever its space.
+    /// The name for a restored index is taken.
     #[error(
         "an index is named \"{name}\" already: restore under another name, or delete that one first"
     )]
@@ -156,14 +156,14 @@ pub enum Error {
     },
     /// The index has another uid: it was deleted and created again, or restored.
     #[error(
-        "index \"{index}\" has the uid {found}, not {asked}: its past is another one, so revisions and ids known of \
-         the old one mean nothing here"
+        "index \"{index}\" has the uid {found}, not {requested}: it has another history, so revisions and ids of the old \
+         one mean nothing here"
     )]
     UidMismatch {
         /// The index.
         index: String,
         /// The requested uid.
-        asked: String,
+        requested: String,
         /// The index's uid.
         found: String,
     },
@@ -181,14 +181,14 @@ pub enum Error {
         ids: Vec<u64>,
     },
     /// The call exceeds a limit of the server.
-    #[error("{asked} exceed the limit {limit} = {value}: {advice}")]
+    #[error("{requested} exceed the limit {limit} = {value}: {advice}")]
     LimitExceeded {
         /// The limit's name in the settings.
         limit: &'static str,
         /// Its value.
         value: u64,
-        /// The requested amount; for `max_answer_bytes` the size at which the answer was given up.
-        asked: u64,
+        /// The requested amount; for `max_answer_bytes` the size at which the server stopped building the answer.
+        requested: u64,
         /// The remedy.
         advice: &'static str,
     },
@@ -244,7 +244,7 @@ pub enum Error {
         /// The activity: "while searching".
         doing: &'static str,
     },
-    /// An operation id came back with another request.
+    /// An operation id was used again with another request.
     #[error(
         "operation_id: \"{operation_id}\" was used for another request: a retry repeats the request to the letter, \
          and a new request needs a new id"

@@ -167,8 +167,8 @@ impl Service {
         }
     }
 
-    /// Commits a mutation that was evaluated under `writer`; returns [`Committed::Done`] once it may be acknowledged with
-    /// `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
+    /// Commits a mutation that was evaluated under `writer`; returns [`Committed::Done`] once it may be acknowledged
+    /// with `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
     pub(super) async fn commit(
         &self,
         call: &Call,
@@ -187,7 +187,7 @@ impl Service {
             claim.mark(&mut effects, response.encode_to_vec().into());
         }
         if effects.is_empty() {
-            // A twin that is under way finds it, and waits for the same records.
+            // A concurrent retry finds the operation, and waits for the same records.
             let operation = effects.operation();
             if let Some(operation) = operation {
                 hosted.remember(Arc::clone(operation), window);

@@ -194,7 +194,7 @@ fn not_restored(name: &str, error: RegistryError) -> Error {
         RegistryError::Full { limit } => Error::LimitExceeded {
             limit: "max_indexes",
             value: limit as u64,
-            asked: limit as u64 + 1,
+            requested: limit as u64 + 1,
             advice: "delete an index first",
         },
         error => registry_error(name, error),

@@ -129,7 +129,7 @@ impl<'a> Target<'a> {
 fn unknown(prefix: &str, key: &keyexpr) -> Error {
     let names = |all: &[&str]| all.join(", ");
     let text = format!(
-        "nothing is asked under {key}: under {prefix}/INDEX/ there are {}, and under {prefix}/ {}",
+        "no verb has the key {key}: under {prefix}/INDEX/ there are {}, and under {prefix}/ {}",
         names(&PointVerb::ALL.map(|(name, _)| name)),
         names(&IndexVerb::ALL.map(|(name, _)| name)),
     );

@@ -20,7 +20,8 @@ fn long_insertion() -> v1::InsertRequest {
     }
 }
 
-/// Polls `long` until it holds the writer: until a call that changes nothing has to wait. Returns a short insert that waits.
+/// Polls `long` until it holds the writer: until a call that changes nothing has to wait. Returns a short insert that
+/// waits.
 pub(crate) async fn poll_into_evaluation<'a, T>(
     service: &'a Service,
     long: &mut Pin<Box<impl Future<Output = T>>>,

@@ -15,8 +15,8 @@ const INSERTS: u8 = 128;
 const POINTS: u64 = 32;
 const PAYLOAD_BYTES: usize = 64 * 1024;
 
-/// The busy index keeps 2 MiB of points and 64 MiB of records. The store keeps a few times that until it has rewritten its
-/// files, and over 700 MiB if an old view pins them.
+/// The busy index keeps 2 MiB of points and 64 MiB of records. The store keeps a few times that until it has rewritten
+/// its files, and over 700 MiB if an old view pins them.
 const MAX_TABLE_BYTES: u64 = 320 * 1024 * 1024;
 
 fn table_bytes(store: &Path) -> u64 {

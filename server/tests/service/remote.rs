@@ -1,5 +1,5 @@
-//! Two servers that share a journal on another machine: it accepts one record of an index at a time, its positions are not
-//! revisions, it loses requests and answers, and each server keeps its own points.
+//! Two servers that share a journal on another machine: it accepts one record of an index at a time, its positions are
+//! not revisions, it loses requests and answers, and each server keeps its own points.
 
 use std::{
     collections::BTreeMap,
@@ -98,7 +98,8 @@ const START: Tip = Tip {
 /// A record to publish, and where its outcome goes.
 type Submission = (Uid, Arc<Record>, oneshot::Sender<Result<(), LogError>>);
 
-/// A server's connection to the stream. It publishes one record after the other, a message of a foreign index before each.
+/// A server's connection to the stream. It publishes one record after the other, a message of a foreign index before
+/// each.
 struct Remote {
     stream: Arc<Stream>,
     submissions: mpsc::UnboundedSender<Submission>,

@@ -20,7 +20,8 @@ fn scaled(factor: f64, max: Option<f64>) -> Option<RadiusForm> {
     Some(RadiusForm::ScaledRadius(v1::ScaledRadius { factor, max }))
 }
 
-/// Inserts that searched ahead of a long one, and come after it: each is evaluated by the size of the index at its turn.
+/// Inserts that searched ahead of a long one, and come after it: each is evaluated by the size of the index at its
+/// turn.
 #[tokio::test]
 async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead() {
     let (service, _) = arm("R3").await;
@@ -97,8 +98,8 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
     }
 }
 
-/// Rows that are left out or replace a point add none, and a row whose id is stored counts that point, though it does not
-/// find it.
+/// Rows that are left out or replace a point add none, and a row whose id is stored counts that point, though it does
+/// not find it.
 #[tokio::test]
 async fn rows_count_the_rows_before_them_that_are_new() {
     let (service, _) = arm("R1").await;
@@ -213,9 +214,9 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
         Error::LimitExceeded {
             limit,
             value,
-            asked,
+            requested,
             ..
-        } => (limit, value, asked),
+        } => (limit, value, requested),
         other => panic!("{other}"),
     };
     for start in [0, 50] {
@@ -240,8 +241,8 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
     assert_eq!(error.code(), Code::ResourceExhausted);
     assert_eq!(exceeded(error).0, "max_answer_bytes");
 
-    // An insert is refused before anything is stored, at whichever row: ceil(8.65 ln n) is 40 for 100 and 101, and 41 for
-    // 102.
+    // An insert is refused before anything is stored, at whichever row: ceil(8.65 ln n) is 40 for 100 and 101, and 41
+    // for 102.
     let insert = |k_factor, rows: usize| v1::InsertRequest {
         neighbors: Some(v1::NeighborSpec {
             k_form: by(k_factor),

@@ -305,8 +305,8 @@ async fn a_store_that_cannot_be_opened_is_not_served_as_an_empty_one() {
     }
 }
 
-/// fjall stops writing for good when it has to rewrite a damaged block. The service goes on reading, and each write says what
-/// to do.
+/// fjall stops writing for good when it has to rewrite a damaged block. The service goes on reading, and each write
+/// says what to do.
 #[tokio::test]
 async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_repair() {
     const POINT_BYTES: usize = 32 * 1024;
