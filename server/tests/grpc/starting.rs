@@ -1,4 +1,4 @@
-//! A server listens before it has read its indices, and says so to each caller.
+//! A server listens before it has read its indices, and answers each caller that it is starting.
 #![cfg(unix)]
 
 use std::{fs::File, io::Write, process::Command};

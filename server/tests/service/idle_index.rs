@@ -1,4 +1,4 @@
-//! An index that nobody writes does not make the store keep what another index overwrites.
+//! An idle index does not make the store keep data that another index overwrites.
 
 use std::{fs, path::Path, sync::Arc};
 
@@ -10,13 +10,13 @@ use wayfold_server::{
 
 use crate::support::*;
 
-/// Calls to the busy index, each of which replaces the payloads of the same points.
+/// The number of calls to the busy index, each of which replaces the payloads of the same points.
 const INSERTS: u8 = 128;
 const POINTS: u64 = 32;
 const PAYLOAD_BYTES: usize = 64 * 1024;
 
-/// The busy index keeps 2 MiB of points and 64 MiB of records. The store keeps a few times that until it has rewritten its
-/// files, and over 700 MiB if an old view pins them.
+/// The busy index keeps 2 MiB of points and 64 MiB of records. The store keeps a few times that until it has rewritten
+/// its files, and over 700 MiB if an old view pins them.
 const MAX_TABLE_BYTES: u64 = 320 * 1024 * 1024;
 
 fn table_bytes(store: &Path) -> u64 {

@@ -137,7 +137,7 @@ async fn pages_are_in_order_and_survive_a_delete_between_them() {
             break;
         }
         if names.len() == 2 {
-            // The one that the token was made of.
+            // The index that the token names.
             let request = v1::DeleteIndexRequest {
                 index: "b".into(),
                 ..Default::default()
@@ -273,7 +273,7 @@ async fn no_call_is_answered_before_the_service_is_ready_or_after_it_stops() {
     service.set_ready();
     assert!(service.is_serving());
     create(&service, "arm", "R1").await;
-    // Accepted before the end begins, and finished after it.
+    // This call is accepted before the shutdown begins and finishes after it.
     let mut scan = service.scan(&CALL, scanning()).await.unwrap();
     service.begin_shutdown();
     assert!(!service.is_serving());

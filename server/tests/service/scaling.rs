@@ -1,4 +1,4 @@
-//! Number and radius by the size of the index: cases that the random comparison with a model does not reach.
+//! Number and radius scaled by the size of the index, in cases that the random comparison with a model does not reach.
 
 use std::collections::HashSet;
 
@@ -20,13 +20,14 @@ fn scaled(factor: f64, max: Option<f64>) -> Option<Reach> {
     Some(Reach::ScaledRadius(v1::ScaledRadius { factor, max }))
 }
 
-/// Inserts that searched ahead of a long one, and come after it: each is evaluated by the size of the index at its turn.
+/// Inserts that searched before a long insert and are applied after it are evaluated by the size of the index at their
+/// turn.
 #[tokio::test]
 async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead() {
     let (service, _) = arm("R3").await;
     let first = insertion(&cube(1, 1000), &[]);
     service.insert(&CALL, first).await.unwrap();
-    // Far away: the neighbours stay those that were found before, and k(n) asks for more of them.
+    // The long insert is far away, so the neighbours stay the same, and k(n) asks for more of them.
     let far = cube(2, 10_000).into_iter().map(|[x, y, z]| [x + 5.0, y, z]);
     let long = v1::InsertRequest {
         min_separation: 1e-9,
@@ -97,8 +98,8 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
     }
 }
 
-/// Rows that are left out or replace a point add none, and a row whose id is stored counts that point, though it does not
-/// find it.
+/// Skipped rows and rows that replace a point do not raise n. A row whose id is stored counts that point, although it
+/// does not find it.
 #[tokio::test]
 async fn rows_count_the_rows_before_them_that_are_new() {
     let (service, _) = arm("R1").await;
@@ -240,8 +241,8 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
     assert_eq!(error.code(), Code::ResourceExhausted);
     assert_eq!(exceeded(error).0, "answer_bytes");
 
-    // An insert is refused before anything is stored, at whichever row: ceil(8.65 ln n) is 40 for 100 and 101, and 41 for
-    // 102.
+    // An insert is refused before anything is stored, at whichever row: ceil(8.65 ln n) is 40 for 100 and 101, and 41
+    // for 102.
     let insert = |k_factor, rows: usize| v1::InsertRequest {
         neighbors: Some(v1::NeighborSpec {
             count: by(k_factor),
@@ -292,7 +293,7 @@ async fn what_is_wrong_is_named() {
         let expected = invalid(reason, format!("neighbors.{field}"));
         assert_eq!(refused, expected, "{count:?} {reach:?}");
 
-        // A Knn needs a number, too.
+        // `Knn` needs a number too.
         let request = v1::KnnRequest {
             count: count.or(nearest(1)).map(Into::into),
             reach: reach.map(Into::into),

@@ -1,4 +1,4 @@
-//! Snapshots: one pinned revision whatever happens meanwhile, with all that a copy needs.
+//! Snapshots have one pinned revision, unaffected by later mutations, and everything that a restore needs.
 
 use std::{sync::Arc, time::Duration};
 
@@ -38,7 +38,7 @@ async fn it_is_one_revision_whatever_is_written_meanwhile() {
     let mut parts = Vec::new();
     while let Some(part) = snapshot.next().await {
         parts.push(part.unwrap().part.unwrap());
-        // Between the parts points go, come and change.
+        // Between the parts, points are removed, inserted and changed.
         let (gone, left) = ids[parts.len() * 1000..][..1000].split_at(900);
         service.remove(&CALL, removal(gone)).await.unwrap();
         let update = v1::UpdateRequest {
@@ -145,7 +145,7 @@ async fn what_cannot_be_read_is_refused() {
     assert!(service.snapshot_index(&CALL, snapshot).await.is_ok());
 }
 
-/// On a clock that is moved by hand.
+/// The test advances the paused clock.
 #[tokio::test(start_paused = true)]
 async fn one_that_is_not_read_ends_and_is_no_snapshot() {
     let limits = Limits {
