@@ -171,7 +171,7 @@ pub struct Crew<A> {
     /// The time from the common start to the end of the last worker.
     pub wall: Duration,
     /// The progress reports with their times.
-    pub growth: Vec<Told>,
+    pub growth: Vec<WorkerProgress>,
     /// The killed worker, and the time.
     pub killed: Option<(usize, Duration)>,
     /// The times at which the server was killed and at which it listened again.
@@ -200,7 +200,7 @@ pub enum Incident<'a> {
 
 /// A worker's progress.
 #[derive(Clone, Copy, Debug)]
-pub struct Told {
+pub struct WorkerProgress {
     /// The time since the common start.
     pub at: Duration,
     /// The number of the worker.
@@ -275,7 +275,7 @@ pub fn run<J: Job>(
         };
         crew.wall = at;
         crew.accounts[number] = account;
-        crew.growth.push(Told {
+        crew.growth.push(WorkerProgress {
             at,
             worker: number,
             made: account.made(),
@@ -285,9 +285,9 @@ pub fn run<J: Job>(
 }
 
 /// A line of a worker, or its end, and the time of its arrival.
-pub type Heard<A> = (usize, Option<Line<A>>, Instant);
+pub type WorkerEvent<A> = (usize, Option<Line<A>>, Instant);
 
-fn next<A>(lines: &Receiver<Heard<A>>) -> Result<Heard<A>, PlanningError> {
+fn next<A>(lines: &Receiver<WorkerEvent<A>>) -> Result<WorkerEvent<A>, PlanningError> {
     let line = lines.recv();
     line.map_err(|_| lost(0, "all workers have ended early; what they said is above"))
 }
@@ -303,7 +303,7 @@ impl Process {
     /// Starts a worker, and forwards its messages as long as `told` accepts them.
     pub fn start<J: Job>(
         job: &J,
-        told: impl Fn(Heard<J::Account>) -> bool + Send + 'static,
+        told: impl Fn(WorkerEvent<J::Account>) -> bool + Send + 'static,
     ) -> Result<Process, PlanningError> {
         let number = job.number();
         let failed = |problem: io::Error| lost(number, problem);

@@ -85,8 +85,8 @@ pub unsafe extern "C" fn rigid_is_free(row: *const f64, length: usize) -> i32 {
 /// states to `checks`, unless `checks` is null.
 ///
 /// # Safety
-/// `a` and `b` are null or the addresses of `length` numbers, and `checks` is null or the address of a number that nobody
-/// else uses during the call.
+/// `a` and `b` are null or the addresses of `length` numbers, and `checks` is null or the address of a number that
+/// nobody else uses during the call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rigid_is_free_way(
     a: *const f64,
