@@ -89,7 +89,7 @@ async fn events_are_what_a_watch_tells() {
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
     let mut follower = Follower::new(&robot, &uid);
-    // The first says how far the index is, once somebody follows it.
+    // The first publication to a follower names the newest revision of the index.
     follower.take(next(&events).await).await;
     let watched = v1::WatchRequest {
         index: "arm".into(),
@@ -119,8 +119,8 @@ async fn events_are_what_a_watch_tells() {
     assert_eq!(whole(told), whole(follower.mutations));
 }
 
-/// Takes publications until the follower is where the index is. Any may have been dropped, also the last, and it is the
-/// next that shows it: so there is always one more.
+/// Takes publications until the follower has the newest revision. Any publication may be dropped, and only the next one
+/// shows it, so the test always makes one more.
 pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs: &mut Stubs) {
     loop {
         let made = stubs.insert(insertion(&[9_999], 1)).await;
@@ -142,13 +142,13 @@ pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs
     }
 }
 
-/// The same mutations, each in one piece.
+/// Joins the pieces of each mutation.
 fn whole(pieces: Vec<v1::Mutation>) -> Vec<v1::Mutation> {
     let mut whole: Vec<v1::Mutation> = Vec::new();
     for piece in pieces {
         match whole.last_mut().filter(|last| last.continued) {
             Some(last) => {
-                // Fields that are set again are added to: as in the encoding, one after the other.
+                // Merging the encoded pieces appends to repeated fields.
                 let continued = piece.continued;
                 let mut bytes = last.encode_to_vec();
                 let more = piece.stored.clone().unwrap_or_default();
@@ -172,7 +172,7 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
     let (server, locator) = server();
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = uid(stubs.create("arm", "R2").await);
-    // Before anybody follows.
+    // These mutations precede the first follower.
     mutate(&mut stubs, 0, 20).await;
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
@@ -180,7 +180,7 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
     follower.take(next(&events).await).await;
     assert_eq!((follower.content.revision, follower.repairs), (20, 1));
     for round in 0..20 {
-        // One at a time, so that each has a publication of its own; every third is lost.
+        // The mutations are made one at a time, so that each has its own publication; every third is lost.
         mutate(&mut stubs, 20 + round, 1).await;
         let told = next(&events).await;
         if round % 3 > 0 {
@@ -306,7 +306,7 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
     mutate(&mut stubs, 0, 3).await;
     assert_eq!(next_token().await, (SampleKind::Delete, token("arm")));
     assert_eq!(next_token().await, (SampleKind::Put, token("arm")));
-    // The follower knows another past: the publication and the log both say so.
+    // The follower knows another history; both the publication and the log report it.
     let told = next(&events).await;
     assert_eq!(told.revision.as_ref().unwrap().uid, new);
     let reset = follower.log().await;
@@ -321,7 +321,7 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
     );
 }
 
-/// A publication that its link has no room for is dropped; the subscriber hears from the log that it is too late.
+/// A publication is dropped if its link has no room; the subscriber learns from the log that it is too late.
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_anew() {
@@ -331,7 +331,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = uid(stubs.create("arm", "R2").await);
     let slow = Robot::connect(&locator).await;
-    // Shut for as long as `open` is not dropped.
+    // The link is shut until `open` is dropped.
     let (open, gate) = mpsc::channel::<()>();
     let gate = Mutex::new(gate);
     let (tell, mut told) = tokio::sync::mpsc::unbounded_channel();
@@ -375,7 +375,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
     let published = WRITES * PAYLOAD as u64 / 1024;
     assert!(grown < published / 2, "{grown} KiB of {published}");
 
-    // Others are answered meanwhile.
+    // Other peers are answered meanwhile.
     let robot = Robot::connect(&locator).await;
     let info = robot.json("arm/info", Value::Null).await.unwrap();
     assert_eq!(info["index"]["revision"]["number"], WRITES + 1);

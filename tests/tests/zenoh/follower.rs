@@ -22,7 +22,7 @@ pub(crate) struct Follower<'a> {
 }
 
 impl<'a> Follower<'a> {
-    /// One who knows the index from its beginning.
+    /// A follower that knows the index from its beginning.
     pub(crate) fn new(robot: &'a Robot, uid: &str) -> Self {
         let content = Content {
             uid: uid.to_owned(),

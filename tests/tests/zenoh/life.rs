@@ -1,4 +1,4 @@
-//! The face begins and ends with its server.
+//! The Zenoh interface starts and stops with its server.
 
 use std::env;
 
@@ -7,14 +7,14 @@ use tokio::task::JoinSet;
 use wayfold_tests::{Process, Signal};
 use zenoh::{bytes::Encoding, query::ConsolidationMode};
 
-use crate::robot::{PATIENCE, Robot, reason, server, server_with};
+use crate::robot::{MAX_WAIT, Robot, reason, server, server_with};
 
-/// How often a server is stopped; more with `ZENOH_STOPS`.
+/// The number of times that a server is stopped, unless the environment variable `ZENOH_STOPS` sets another.
 fn stops() -> usize {
     env::var("ZENOH_STOPS").map_or(3, |count| count.parse().unwrap())
 }
 
-/// Queries that the server works on for a while.
+/// The number of queries that keep the server busy.
 const ACCEPTED: usize = 12;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -44,7 +44,7 @@ async fn stopped_under_load() {
             .get("wayfold/v1/arm/knn?k=5")
             .payload(payload.clone())
             .consolidation(ConsolidationMode::None)
-            .timeout(PATIENCE)
+            .timeout(MAX_WAIT)
             .await
             .unwrap();
         accepted.spawn(async move {
@@ -55,19 +55,19 @@ async fn stopped_under_load() {
             told
         });
     }
-    // The queries of a session arrive in their order: with the answer to this one, the server has all of them.
+    // The queries of a session arrive in order, so the answer to this one shows that the server has all of them.
     robot.json("arm/info", Value::Null).await.unwrap();
 
     server.process().signal(Signal::Terminate);
     server.log_until("stopping: finishing accepted calls");
-    // A client that goes on asking must not cost another its answer.
+    // A client that goes on querying must not cost another client its answer.
     let mut later = JoinSet::new();
     for _ in 0..200 {
         let replies = robot
             .session
             .get("wayfold/v1/arm/info")
             .consolidation(ConsolidationMode::None)
-            .timeout(PATIENCE)
+            .timeout(MAX_WAIT)
             .await;
         // A session that has lost its only link has no peer to ask.
         let Ok(replies) = replies else { break };
@@ -84,7 +84,7 @@ async fn stopped_under_load() {
                 assert_eq!(told["ids"].as_array().unwrap().len(), 1500);
                 finished += 1;
             }
-            // Taken, but not begun.
+            // The query is accepted but not begun.
             Err(told) => {
                 let told = serde_json::from_slice(&told.payload().to_bytes()).unwrap();
                 assert_eq!(reason(&told), (14, "STOPPING"));
@@ -118,7 +118,7 @@ async fn what_is_not_done_in_time_is_cut_and_shows_in_the_exit_status() {
         .session
         .get("wayfold/v1/arm/get?timeout_ms=600000")
         .payload(get)
-        .timeout(PATIENCE)
+        .timeout(MAX_WAIT)
         .await
         .unwrap();
     robot.json("arm/info", Value::Null).await.unwrap();

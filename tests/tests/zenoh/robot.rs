@@ -1,4 +1,4 @@
-//! One who asks over Zenoh.
+//! A client over Zenoh.
 
 use std::{process::Command, time::Duration};
 
@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 use wayfold_tests::{Process, ServerProcess};
 use zenoh::{Config, Session, bytes::Encoding, query::ConsolidationMode};
 
-/// How long an answer may take before a test gives up on it.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+/// The maximum time of an answer, after which a test fails.
+pub(crate) const MAX_WAIT: Duration = Duration::from_secs(60);
 
 /// A server with Zenoh on a free port of loopback, in memory.
 pub(crate) fn server() -> (ServerProcess, String) {
@@ -58,14 +58,14 @@ pub(crate) struct Robot {
 
 /// One answer.
 #[derive(Clone, Debug)]
-pub(crate) struct Told {
+pub(crate) struct Reply {
     /// Its key; that of a refusal is empty.
     pub(crate) key: String,
     pub(crate) encoding: String,
     pub(crate) payload: Vec<u8>,
 }
 
-impl Told {
+impl Reply {
     pub(crate) fn json(&self) -> Value {
         assert_eq!(self.encoding, "application/json");
         serde_json::from_slice(&self.payload).unwrap()
@@ -84,25 +84,25 @@ impl Robot {
         selector: &str,
         payload: Vec<u8>,
         encoding: Encoding,
-    ) -> Vec<Result<Told, Told>> {
+    ) -> Vec<Result<Reply, Reply>> {
         let replies = self
             .session
             .get(selector)
             .payload(payload)
             .encoding(encoding)
             .consolidation(ConsolidationMode::None)
-            .timeout(PATIENCE)
+            .timeout(MAX_WAIT)
             .await
             .unwrap();
         let mut told = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
             told.push(match reply.into_result() {
-                Ok(sample) => Ok(Told {
+                Ok(sample) => Ok(Reply {
                     key: sample.key_expr().to_string(),
                     encoding: sample.encoding().to_string(),
                     payload: sample.payload().to_bytes().into_owned(),
                 }),
-                Err(refusal) => Err(Told {
+                Err(refusal) => Err(Reply {
                     key: String::new(),
                     encoding: refusal.encoding().to_string(),
                     payload: refusal.payload().to_bytes().into_owned(),
@@ -118,7 +118,7 @@ impl Robot {
         selector: &str,
         payload: Vec<u8>,
         encoding: Encoding,
-    ) -> Result<Told, Told> {
+    ) -> Result<Reply, Reply> {
         let mut told = self.all(selector, payload, encoding).await;
         assert_eq!(told.len(), 1, "{selector}: {told:?}");
         told.remove(0)

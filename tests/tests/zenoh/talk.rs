@@ -21,7 +21,7 @@ async fn with_indices(robot: &Robot, names: &[&str]) {
 async fn wildcards_reach_what_tells_of_the_indices_and_change_nothing() {
     let (_server, locator) = server();
     let robot = Robot::connect(&locator).await;
-    // None of the verbs is in the way of an index that has its name.
+    // An index may have the name of a verb.
     let names = ["arm", "leg", "list", "create"];
     with_indices(&robot, &names).await;
     let body = json!({ "states": [[1, 2]], "name": "more", "space_text": "R1", "ids": [0] });
@@ -192,13 +192,13 @@ async fn what_is_too_large_or_too_much_is_refused_in_words() {
             .contains("zenoh.max_message_bytes = 1000")
     );
 
-    // It waits, and keeps the only place, until the insert below has come through.
+    // This call waits and keeps the only place until the insert below takes effect.
     let index = robot.json("arm/info", Value::Null).await.unwrap()["index"].clone();
     let at = json!({ "uid": index["revision"]["uid"], "number": 1 });
     let at = json!({ "ids": [0], "min_revision": at });
     let waiting = robot.json("arm/get?timeout_ms=60000", at);
     let others = async {
-        // Refused as soon as the other has its place.
+        // This call is refused as soon as the other one has the place.
         let refused = loop {
             if let Err(refused) = robot.json("arm/info", Value::Null).await {
                 break refused;
@@ -218,7 +218,7 @@ async fn what_is_too_large_or_too_much_is_refused_in_words() {
     robot.json("arm/info", Value::Null).await.unwrap();
 }
 
-/// Neither brings the server down, nor keeps others from being answered; each is refused in words.
+/// Each is refused with a message, and the server goes on answering others.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_of_malformed_queries_is_refused_one_by_one() {
     let (server, locator) = server();

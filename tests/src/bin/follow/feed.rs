@@ -18,7 +18,7 @@ pub(crate) struct Inserted {
 }
 
 /// The cost of feeding.
-pub(crate) struct Fed {
+pub(crate) struct FeedCost {
     /// Points inserted per second.
     pub(crate) rate: f64,
     /// The durations of calls to the echo meanwhile, one after the other.
@@ -32,7 +32,7 @@ pub(crate) async fn feed(
     setting: &Setting,
     seed: u64,
     told: mpsc::UnboundedSender<Inserted>,
-) -> Fed {
+) -> FeedCost {
     let calls = setting.calls_per_second * setting.seconds;
     let mut states = States::new(index.space().clone(), 1_000 + seed);
     let batches: Vec<Vec<f64>> = (0..calls).map(|_| states.rows(setting.batch)).collect();
@@ -74,7 +74,7 @@ pub(crate) async fn feed(
     }
     inserts.join_all().await;
     let rate = (calls * setting.batch) as f64 / started.elapsed().as_secs_f64();
-    Fed {
+    FeedCost {
         rate,
         round_trips: round_trips.await.expect("the echo's caller"),
     }

@@ -1,4 +1,4 @@
-//! The places where the script is played: the service in this process, and the faces of servers.
+//! The targets of the script: the service in this process and the interfaces of servers.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::robot::{Robot, server};
 
-enum Way {
+enum Transport {
     Service(Service),
     Grpc(Box<Stubs>),
     Zenoh(Robot, Form),
@@ -32,8 +32,8 @@ enum Form {
 }
 
 pub(crate) struct Target {
-    way: Way,
-    /// The uid of the index "arm" here, once there is one.
+    way: Transport,
+    /// The uid of the index "arm" of this target, once it exists.
     uid: String,
     _server: Option<ServerProcess>,
 }
@@ -44,10 +44,10 @@ impl Target {
         let registry = Registry::new(log, RegistryOptions::default());
         let service = Service::new(registry, Limits::default());
         service.set_ready();
-        Self::of(Way::Service(service), None)
+        Self::of(Transport::Service(service), None)
     }
 
-    /// The faces, each of a server of its own.
+    /// The interfaces, each of its own server.
     pub(crate) async fn faces() -> [Self; 3] {
         let (grpc, _) = server();
         let stubs = Box::new(Stubs::connect(grpc.uri()).await);
@@ -56,13 +56,13 @@ impl Target {
         let (json, at_json) = server();
         let other = Robot::connect(&at_json).await;
         [
-            Self::of(Way::Grpc(stubs), Some(grpc)),
-            Self::of(Way::Zenoh(robot, Form::Protobuf), Some(protobuf)),
-            Self::of(Way::Zenoh(other, Form::Json), Some(json)),
+            Self::of(Transport::Grpc(stubs), Some(grpc)),
+            Self::of(Transport::Zenoh(robot, Form::Protobuf), Some(protobuf)),
+            Self::of(Transport::Zenoh(other, Form::Json), Some(json)),
         ]
     }
 
-    fn of(way: Way, server: Option<ServerProcess>) -> Self {
+    fn of(way: Transport, server: Option<ServerProcess>) -> Self {
         Self {
             way,
             uid: String::new(),
@@ -72,15 +72,15 @@ impl Target {
 
     pub(crate) fn name(&self) -> &'static str {
         match &self.way {
-            Way::Service(_) => "service",
-            Way::Grpc(_) => "gRPC",
-            Way::Zenoh(_, Form::Protobuf) => "Zenoh with Protocol Buffers",
-            Way::Zenoh(_, Form::Json) => "Zenoh with JSON",
+            Transport::Service(_) => "service",
+            Transport::Grpc(_) => "gRPC",
+            Transport::Zenoh(_, Form::Protobuf) => "Zenoh with Protocol Buffers",
+            Transport::Zenoh(_, Form::Json) => "Zenoh with JSON",
         }
     }
 
     pub(crate) fn has(&self, op: &Op) -> bool {
-        !matches!((&self.way, op), (Way::Grpc(_), Op::Log(_)))
+        !matches!((&self.way, op), (Transport::Grpc(_), Op::Log(_)))
     }
 
     pub(crate) async fn perform(&mut self, op: &Op) -> Outcome {
@@ -91,9 +91,9 @@ impl Target {
             }
         }
         let answer = match &mut self.way {
-            Way::Service(service) => by_service(service, op).await,
-            Way::Grpc(stubs) => by_grpc(stubs, op).await,
-            Way::Zenoh(robot, form) => by_zenoh(robot, *form, op).await,
+            Transport::Service(service) => by_service(service, op).await,
+            Transport::Grpc(stubs) => by_grpc(stubs, op).await,
+            Transport::Zenoh(robot, form) => by_zenoh(robot, *form, op).await,
         };
         let outcome = match answer {
             Ok(mut answer) => {
