@@ -8,7 +8,7 @@ use wayfold_index::{
     search_overlaid,
 };
 
-/// Ids stored with a coordinate, or removed.
+/// The ids that a change stores with a coordinate, and the ids that it removes.
 type Changes = BTreeMap<u64, Option<u8>>;
 
 fn changes() -> impl Strategy<Value = Changes> {
@@ -97,7 +97,7 @@ proptest! {
         let truth = linear.search(&asked, &search).unwrap().neighbors;
         prop_assert_eq!(&found, &truth);
 
-        // With what is known of the snapshot, where no overlay changes it.
+        // Searches the snapshot for ids that no overlay changes.
         let only_new = overlays.iter().all(|overlay| {
             (0..150).all(|id| forest.get(id).is_none() || overlay.get(id).is_none())
         });

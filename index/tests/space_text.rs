@@ -24,7 +24,7 @@ fn space(groups: &[GroupOf<'_>]) -> Space {
     Space::new(groups.collect()).unwrap()
 }
 
-/// Texts, what they print as, and what they mean.
+/// The texts, their printed forms, and their groups.
 #[test]
 fn reads_what_the_grammar_says() {
     let body: &[(Factor, f64)] = &[(R3, 1.0), (SO3, 0.15)];
@@ -160,7 +160,7 @@ fn reads_what_the_grammar_says() {
                 (1.0, &[(R3, 1.0)]),
             ],
         ),
-        // Numbers print with the fewest digits that say the same.
+        // Numbers print with the fewest digits that parse to the same value.
         ("R1:1e-7", "R1:1e-7", &[(1.0, &[(R1, 1e-7)])]),
         ("R1:0.10000000000000001", "R1:0.1", &[(1.0, &[(R1, 0.1)])]),
         (

@@ -1,5 +1,5 @@
-//! The level that grows by single points: points in a bad order, searches for new points, points that are written over and
-//! over, and pauses.
+//! The level that grows by single points: points in a bad order, searches for new points, points that are written over
+//! and over, and pauses.
 
 use std::time::Instant;
 
@@ -84,7 +84,7 @@ fn a_search_of_the_newest_visits_their_leaves_only() {
     assert_eq!(ids, [4998, 4999, 5000]);
 }
 
-/// A few points that move all the time leave no long past behind them.
+/// A few points that move all the time leave no long history behind.
 #[test]
 fn points_that_are_written_over_and_over_stay_few() {
     let space = Space::se3();
@@ -103,7 +103,7 @@ fn points_that_are_written_over_and_over_stay_few() {
     assert!(forest.memory_bytes() < 1 << 20, "{}", forest.memory_bytes());
 }
 
-/// Points that move in one place among many that rest leave no long past there, and little behind in memory.
+/// A few moving points among many resting ones leave no long history and little memory behind.
 #[test]
 fn what_moves_among_what_rests_stays_quick_to_search() {
     let space: Space = "R3".parse().unwrap();
@@ -123,7 +123,7 @@ fn what_moves_among_what_rests_stays_quick_to_search() {
     assert!(answer.neighbors.iter().all(|found| found.id >= 10_000));
 }
 
-/// A deadline that has passed ends a search also where points are read in the order in which they came.
+/// A deadline that has passed also ends a search that reads points in the order of their insertion.
 #[test]
 fn a_search_without_boxes_ends_in_time() {
     let space: Space = "R30".parse().unwrap();
@@ -133,7 +133,7 @@ fn a_search_without_boxes_ends_in_time() {
         until: Some(Instant::now()),
         ..Search::nearest_k(1)
     };
-    // Those that reach most leaves make the next ones do without boxes.
+    // Searches that reach most leaves make the next ones skip the boxes.
     for query in states(&space, Shape::Uniform, 20, &mut rng(37)) {
         forest.search(&query, &Search::nearest_k(1)).unwrap();
     }
