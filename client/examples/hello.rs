@@ -43,5 +43,5 @@ pub async fn hello(uri: &str) -> Result<Vec<u64>, Box<dyn Error>> {
             dock.id, dock.distance
         );
     }
-    Ok(near.ids.to_vec())
+    Ok(near.ids().collect())
 }

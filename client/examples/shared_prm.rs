@@ -60,11 +60,10 @@ async fn work(uri: String, name: String, seed: u64) -> Result<Roadmap, wayfold::
             continue;
         };
         let near = near.row(0);
-        let free = |&i: &usize| near.state(i).is_some_and(|other| is_free_way(state, other));
-        own.insert(
-            id,
-            (0..near.len()).filter(free).map(|i| near.ids[i]).collect(),
-        );
+        let states = (0..near.len()).map(|i| near.state(i));
+        let free = states.map(|other| other.is_some_and(|other| is_free_way(state, other)));
+        let edges = near.ids().zip(free).filter(|&(_, is_free)| is_free);
+        own.insert(id, edges.map(|(other, _)| other).collect());
     }
     Ok(own)
 }

@@ -1,5 +1,6 @@
 //! The connection to a server, and the calls about whole indices.
 
+mod builder;
 mod health;
 
 use std::{
@@ -9,10 +10,7 @@ use std::{
 };
 
 use tokio::time::{Instant, timeout_at};
-use tonic::{
-    Code,
-    transport::{Channel, Endpoint},
-};
+use tonic::{Code, transport::Channel};
 use wayfold_index::Space;
 use wayfold_proto::{
     space,
@@ -22,6 +20,7 @@ use wayfold_proto::{
     },
 };
 
+pub use self::builder::ClientBuilder;
 use crate::{
     DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, Limits, RetryPolicy, ServerInfo,
 };
@@ -36,109 +35,6 @@ pub struct Client {
     settings: ClientBuilder,
     /// The limits that requests are divided by, once they are known.
     limits: Arc<Mutex<Option<Limits>>>,
-}
-
-/// Settings of a [`Client`].
-#[derive(Clone, Copy, Debug)]
-pub struct ClientBuilder {
-    timeout: Duration,
-    max_message_bytes: usize,
-    retry: RetryPolicy,
-}
-
-impl Default for ClientBuilder {
-    fn default() -> ClientBuilder {
-        ClientBuilder {
-            timeout: Duration::from_secs(30),
-            max_message_bytes: 4 * 1024 * 1024,
-            retry: RetryPolicy::default(),
-        }
-    }
-}
-
-impl ClientBuilder {
-    /// The longest time of a call, attempts and pauses included: 30 s unless set. The server gives up then too.
-    pub fn timeout(mut self, timeout: Duration) -> ClientBuilder {
-        self.timeout = timeout;
-        self
-    }
-
-    /// The most bytes of one answer that the client accepts: 4 MiB unless set. It divides reads to keep to this and to
-    /// the server's own limit.
-    pub fn max_message_bytes(mut self, bytes: usize) -> ClientBuilder {
-        self.max_message_bytes = bytes;
-        self
-    }
-
-    /// When the client retries a call that found no server.
-    pub fn retry(mut self, policy: RetryPolicy) -> ClientBuilder {
-        self.retry = policy;
-        self
-    }
-
-    /// Connects to the server at `uri`, `http://HOST:PORT` or just `HOST:PORT`.
-    ///
-    /// # Errors
-    /// [`Error::Address`], or [`Error::Connection`] if no attempt reaches a server within the timeout.
-    pub async fn connect(self, uri: &str) -> Result<Client, Error> {
-        const CALL: &str = "connect";
-        let endpoint = endpoint(uri)?
-            .tcp_nodelay(true)
-            .connect_timeout(self.timeout)
-            // The keep-alive lets a waiting stream notice that its peer is gone.
-            .http2_keep_alive_interval(Duration::from_secs(10))
-            .keep_alive_timeout(Duration::from_secs(20));
-        let uri: Arc<str> = endpoint.uri().to_string().trim_end_matches('/').into();
-        let deadline = Instant::now() + self.timeout;
-        let unreachable = |source| Error::Connection {
-            call: CALL,
-            uri: uri.to_string(),
-            source,
-        };
-        let connect = || async {
-            let connected = timeout_at(deadline, endpoint.connect()).await;
-            let connected = connected.map_err(|_| Error::timeout(CALL, self.timeout))?;
-            connected.map_err(|error| unreachable(Box::new(error)))
-        };
-        let connected = self.retry.run(deadline, connect).await;
-        let channel = connected.map_err(|error| match error {
-            // The attempt before the timeout knows why there was no connection.
-            Error::Timeout {
-                earlier: Some(earlier),
-                ..
-            } => *earlier,
-            Error::Timeout { .. } => unreachable("no answer in time".into()),
-            other => other,
-        })?;
-        Ok(Client {
-            channel,
-            uri,
-            settings: self,
-            limits: Arc::default(),
-        })
-    }
-}
-
-/// The endpoint at `uri`, whose scheme may be left out.
-fn endpoint(uri: &str) -> Result<Endpoint, Error> {
-    let refused = |problem: &str| Error::Address {
-        uri: uri.to_owned(),
-        problem: problem.to_owned(),
-    };
-    let full = match uri.split_once("://") {
-        None => format!("http://{uri}"),
-        Some(("http", _)) => uri.to_owned(),
-        Some((scheme, _)) => {
-            return Err(refused(&format!(
-                "it speaks {scheme}, and this client only http"
-            )));
-        }
-    };
-    let endpoint = Endpoint::from_shared(full).map_err(|error| refused(&error.to_string()))?;
-    match endpoint.uri().host() {
-        None | Some("") => Err(refused("it names no host")),
-        Some(_) => Ok(endpoint),
-    }
 }
 
 impl Client {
@@ -243,7 +139,7 @@ impl Client {
     pub async fn index_info(&self, name: &str) -> Result<IndexInfo, Error> {
         const CALL: &str = "get_index";
         let message = v1::GetIndexRequest {
-            index: name.to_owned(),
+            index_name: name.to_owned(),
         };
         let call = |stub: IndexStub, request| async move { { stub }.get_index(request).await };
         let answer = self.index_call(CALL, message, call).await?;
@@ -293,7 +189,7 @@ impl Client {
             Err(error) => return Err(error),
         };
         let message = v1::DeleteIndexRequest {
-            index: name.to_owned(),
+            index_name: name.to_owned(),
             uid: uid.clone(),
         };
         let call = |stub: IndexStub, request| async move { { stub }.delete_index(request).await };

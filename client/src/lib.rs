@@ -41,7 +41,8 @@
 //!
 //! **Searches** have the same settings everywhere: `k` or `k_factor`, `radius` (a number or a [`ScaledRadius`]), `filter`
 //! ([`Filter`]), `include` ([`Include`]). The scaled ones depend on the size of the index, as PRM\* and RRT\* ask; the
-//! server or the replica evaluates them.
+//! server or the replica evaluates them. The neighbours of one state have the same methods everywhere: `ids`, `distances`,
+//! `nearest`, `iter`.
 //!
 //! **Revisions.** Every answer names its [`Revision`]. A handle's reads see at least the last revision that an answer to
 //! the handle named: a caller reads its own writes.
@@ -90,7 +91,7 @@ pub use neighbors::{Neighbors, Row};
 pub use points::{Point, Points};
 pub use refusal::{FieldViolation, Refusal};
 #[cfg(feature = "replica")]
-pub use replica::{Found, Replica, ReplicaRequest, ReplicaStatus, ReplicaView, Write};
+pub use replica::{Replica, ReplicaNeighbors, ReplicaRequest, ReplicaStatus, ReplicaView, Write};
 pub use request::{
     Get, Insert, Inserted, Knn, KnnAnswers, KnnRequests, Mutation, Outcome, Query, Remove, Removed,
     Reset, ResetReason, Scan, ScanRequest, Snapshot, SnapshotRequest, Update, Updated, Verified,

@@ -15,15 +15,31 @@ pub const READ_ROWS: usize = 1_000;
 
 /// A mutation, divided by rows.
 pub(crate) struct Division<'a> {
-    pub(crate) index: &'a IndexHandle,
-    pub(crate) call: &'static str,
-    pub(crate) rows: usize,
-    /// The ids of the rows, or none.
-    pub(crate) ids: &'a [u64],
-    pub(crate) operation_id: &'a str,
+    call: &'static str,
+    index: &'a IndexHandle,
+    rows: usize,
+    ids: &'a [u64],
+    operation_id: &'a str,
 }
 
-impl Division<'_> {
+impl<'a> Division<'a> {
+    /// The mutation `call` of this many rows, with their ids or none.
+    pub(crate) fn new(
+        call: &'static str,
+        index: &'a IndexHandle,
+        rows: usize,
+        ids: &'a [u64],
+        operation_id: &'a str,
+    ) -> Self {
+        Division {
+            call,
+            index,
+            rows,
+            ids,
+            operation_id,
+        }
+    }
+
     /// Sends the mutation in parts, in order. Where the server names a lower limit than the client knows, as after a start
     /// with other settings, the client divides the rest anew.
     pub(crate) async fn write<Q, A, F, Fut>(
@@ -75,7 +91,7 @@ fn divide(
 ) -> Vec<Range<usize>> {
     /// The bytes reserved for the fields of a request other than its rows.
     const FRAME_BYTES: usize = 64 * 1024;
-    let max_bytes = limits.request_bytes.saturating_sub(FRAME_BYTES);
+    let max_bytes = limits.max_request_bytes.saturating_sub(FRAME_BYTES);
     let mut parts = Vec::new();
     let (end, mut start, mut held) = (rows.end, rows.start, 0);
     for row in rows {
@@ -97,10 +113,10 @@ impl Limits {
             return None;
         };
         let limit = match refusal.metadata.get("limit")?.as_str() {
-            "rows_per_call" => &mut self.rows_per_call,
-            "ids_per_call" => &mut self.ids_per_call,
-            "answer_bytes" => &mut self.answer_bytes,
-            "grpc.max_message_bytes" => &mut self.request_bytes,
+            "max_rows_per_call" => &mut self.max_rows_per_call,
+            "max_ids_per_call" => &mut self.max_ids_per_call,
+            "max_answer_bytes" => &mut self.max_answer_bytes,
+            "grpc.max_message_bytes" => &mut self.max_request_bytes,
             _ => return None,
         };
         let named = refusal.metadata.get("value")?.parse().ok()?;
@@ -149,12 +165,11 @@ where
 }
 
 /// The limits of a server that a call of fewer rows keeps.
-const LIMITS_BY_ROWS: [&str; 5] = [
-    "answer_bytes",
+const LIMITS_BY_ROWS: [&str; 4] = [
+    "max_answer_bytes",
     "grpc.max_message_bytes",
-    "request_bytes",
-    "rows_per_call",
-    "ids_per_call",
+    "max_rows_per_call",
+    "max_ids_per_call",
 ];
 
 fn is_too_large(error: &Error) -> bool {
@@ -173,7 +188,7 @@ fn is_too_large(error: &Error) -> bool {
 pub(crate) fn rows_of_answer(client: &Client, limits: &Limits, row_bytes: usize) -> usize {
     /// The bytes reserved for the fields of an answer other than its rows.
     const FRAME_BYTES: usize = 1024;
-    let bytes = client.max_message_bytes().min(limits.answer_bytes);
+    let bytes = client.max_message_bytes().min(limits.max_answer_bytes);
     (bytes.saturating_sub(FRAME_BYTES) / row_bytes.max(1)).max(1)
 }
 

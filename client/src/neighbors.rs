@@ -23,16 +23,11 @@ pub struct Neighbors {
 /// The neighbours of one state, in columns.
 #[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {
-    /// Their ids.
-    pub ids: &'a [u64],
-    /// Their distances in the space's metric, ascending; as many as `ids`.
-    pub distances: &'a [f64],
-    /// Their tags, if included; as many as `ids`.
-    pub tags: Option<&'a [u64]>,
-    /// The numbers of the revisions that stored their states, if included; as many as `ids`.
-    pub revisions: Option<&'a [u64]>,
-    /// Their payloads, if included; as many as `ids`, empty where a point has none.
-    pub payloads: Option<&'a [Bytes]>,
+    ids: &'a [u64],
+    distances: &'a [f64],
+    tags: Option<&'a [u64]>,
+    revisions: Option<&'a [u64]>,
+    payloads: Option<&'a [Bytes]>,
     states: Option<&'a States>,
     start: usize,
 }
@@ -48,15 +43,40 @@ impl<'a> Row<'a> {
         self.ids.is_empty()
     }
 
-    /// The nearest of them.
+    /// The nearest neighbour.
     pub fn nearest(&self) -> Option<Neighbor> {
         self.iter().next()
     }
 
-    /// The id and distance of each, nearest first.
+    /// The ids, nearest first.
+    pub fn ids(&self) -> impl ExactSizeIterator<Item = u64> + use<'a> {
+        self.ids.iter().copied()
+    }
+
+    /// The distances in the space's metric, ascending.
+    pub fn distances(&self) -> impl ExactSizeIterator<Item = f64> + use<'a> {
+        self.distances.iter().copied()
+    }
+
+    /// The id and distance of each neighbour, nearest first.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = Neighbor> + use<'a> {
         let pairs = self.ids.iter().zip(self.distances);
         pairs.map(|(&id, &distance)| Neighbor { distance, id })
+    }
+
+    /// The tags, one a neighbour, if included.
+    pub fn tags(&self) -> Option<&'a [u64]> {
+        self.tags
+    }
+
+    /// The numbers of the revisions that stored the states, one a neighbour, if included.
+    pub fn revisions(&self) -> Option<&'a [u64]> {
+        self.revisions
+    }
+
+    /// The payloads, one a neighbour and empty for a point without one, if included.
+    pub fn payloads(&self) -> Option<&'a [Bytes]> {
+        self.payloads
     }
 
     /// The state of neighbour `i` in canonical form, if states are included and there is such a neighbour.

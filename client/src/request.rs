@@ -115,3 +115,42 @@ use search_options;
 fn fresh_operation_id() -> String {
     uuid::Uuid::new_v4().to_string()
 }
+
+/// Gives a mutation the setter of its field `operation_id`, and its index.
+macro_rules! mutation {
+    ($request:ident) => {
+        impl $request {
+            /// Names the operation, in at most 64 bytes: it takes effect once, however often it is sent under this id.
+            /// Unless set, the client makes one for its own retries. The later parts of a divided call have `ID/ROW`,
+            /// with their first row.
+            pub fn operation_id(mut self, id: impl Into<String>) -> $request {
+                self.operation_id = id.into();
+                self
+            }
+
+            /// The index that it writes to.
+            #[cfg(feature = "replica")]
+            pub(crate) fn index(&self) -> &IndexHandle {
+                &self.index
+            }
+        }
+    };
+}
+use mutation;
+
+/// Refuses a column whose number of `values` is not allowed for `rows` states or ids, the last of the allowed numbers.
+fn check_column(
+    field: &'static str,
+    values: usize,
+    allowed: &[usize],
+    rows: &str,
+) -> Result<(), Error> {
+    if allowed.contains(&values) {
+        return Ok(());
+    }
+    let count = allowed.last().copied().unwrap_or_default();
+    Err(Error::Argument {
+        field,
+        problem: format!("{values} given for {count} {rows}"),
+    })
+}

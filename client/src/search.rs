@@ -90,16 +90,17 @@ impl ScaledRadius {
 
 /// The greatest number of neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Count {
-    K(u32),
+pub(crate) enum K {
+    /// This many.
+    Fixed(u32),
     /// ⌈factor · ln n⌉.
-    Factor(f64),
+    Scaled(f64),
 }
 
 /// The greatest number of neighbours and the greatest distance; unset is without a limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Bounds {
-    pub(crate) count: Option<Count>,
+    pub(crate) k: Option<K>,
     pub(crate) radius: Option<Radius>,
 }
 
@@ -107,7 +108,7 @@ impl Bounds {
     /// The factors among them.
     pub(crate) fn scaling(&self) -> Scaling {
         let mut scaling = Scaling::default();
-        if let Some(Count::Factor(factor)) = self.count {
+        if let Some(K::Scaled(factor)) = self.k {
             scaling.k_factor = Some(factor);
         }
         if let Some(Radius::Scaled(radius)) = self.radius {
@@ -116,33 +117,33 @@ impl Bounds {
         scaling
     }
 
-    /// The most neighbours that a row can have, for dividing rows among calls; `None` if the count has no limit.
+    /// The most neighbours that a row can have, for dividing rows among calls; `None` if it has no limit.
     pub(crate) fn max_neighbors(&self) -> Option<usize> {
         // The client does not know how many points the server has, but hardly more than this. Should that be wrong, the
         // server refuses what is too large.
         const POINTS: usize = u32::MAX as usize;
-        match self.count? {
-            Count::K(k) => Some(k as usize),
-            Count::Factor(_) => self.scaling().k(POINTS),
+        match self.k? {
+            K::Fixed(k) => Some(k as usize),
+            K::Scaled(_) => self.scaling().k(POINTS),
         }
     }
 }
 
-impl From<Count> for neighbor_spec::Count {
-    fn from(count: Count) -> neighbor_spec::Count {
-        match count {
-            Count::K(k) => neighbor_spec::Count::K(k),
-            Count::Factor(factor) => neighbor_spec::Count::KFactor(factor),
+impl From<K> for neighbor_spec::KForm {
+    fn from(k: K) -> neighbor_spec::KForm {
+        match k {
+            K::Fixed(k) => neighbor_spec::KForm::K(k),
+            K::Scaled(factor) => neighbor_spec::KForm::KFactor(factor),
         }
     }
 }
 
-impl From<Radius> for neighbor_spec::Reach {
-    fn from(radius: Radius) -> neighbor_spec::Reach {
+impl From<Radius> for neighbor_spec::RadiusForm {
+    fn from(radius: Radius) -> neighbor_spec::RadiusForm {
         match radius {
-            Radius::Fixed(radius) => neighbor_spec::Reach::Radius(radius),
+            Radius::Fixed(radius) => neighbor_spec::RadiusForm::Radius(radius),
             Radius::Scaled(ScaledRadius { factor, max }) => {
-                neighbor_spec::Reach::ScaledRadius(v1::ScaledRadius { factor, max })
+                neighbor_spec::RadiusForm::ScaledRadius(v1::ScaledRadius { factor, max })
             }
         }
     }
@@ -154,13 +155,13 @@ macro_rules! bounded {
         impl $type {
             /// The `k` nearest, at least 1.
             pub fn k(k: u32) -> $type {
-                $type::of(Some(Count::K(k)), None)
+                $type::of(Some(K::Fixed(k)), None)
             }
 
             /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. The server or the replica
             /// evaluates it, so that workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`].
             pub fn k_factor(factor: f64) -> $type {
-                $type::of(Some(Count::Factor(factor)), None)
+                $type::of(Some(K::Scaled(factor)), None)
             }
 
             /// All at distance `radius` or nearer: a number, or a [`ScaledRadius`].
@@ -202,9 +203,9 @@ pub struct NeighborSpec {
 bounded!(NeighborSpec);
 
 impl NeighborSpec {
-    fn of(count: Option<Count>, radius: Option<Radius>) -> NeighborSpec {
+    fn of(k: Option<K>, radius: Option<Radius>) -> NeighborSpec {
         NeighborSpec {
-            bounds: Bounds { count, radius },
+            bounds: Bounds { k, radius },
             filter: Filter::default(),
             include: Include::none(),
         }
@@ -218,8 +219,8 @@ impl NeighborSpec {
 
     pub(crate) fn to_message(&self) -> v1::NeighborSpec {
         v1::NeighborSpec {
-            count: self.bounds.count.map(Into::into),
-            reach: self.bounds.radius.map(Into::into),
+            k_form: self.bounds.k.map(Into::into),
+            radius_form: self.bounds.radius.map(Into::into),
             filter: self.filter.to_message(),
             include: self.include.to_message(),
         }
@@ -248,9 +249,9 @@ bounded!(Search);
 
 #[cfg(feature = "replica")]
 impl Search {
-    fn of(count: Option<Count>, radius: Option<Radius>) -> Search {
+    fn of(k: Option<K>, radius: Option<Radius>) -> Search {
         Search {
-            bounds: Bounds { count, radius },
+            bounds: Bounds { k, radius },
             filter: Filter::default(),
             epsilon: 0.0,
             timeout: None,

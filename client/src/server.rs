@@ -38,31 +38,31 @@ pub enum Durability {
 #[non_exhaustive]
 pub struct Limits {
     /// States of one insert or search.
-    pub rows_per_call: usize,
+    pub max_rows_per_call: usize,
     /// Ids of one get, update or remove.
-    pub ids_per_call: usize,
+    pub max_ids_per_call: usize,
     /// Neighbours of one state.
-    pub k: u64,
+    pub max_k: u64,
     /// Bytes of one request message.
-    pub request_bytes: usize,
+    pub max_request_bytes: usize,
     /// Bytes of one answer message.
-    pub answer_bytes: usize,
+    pub max_answer_bytes: usize,
     /// Bytes of one payload.
-    pub payload_bytes: usize,
+    pub max_payload_bytes: usize,
     /// Indices of the server.
-    pub indexes: u64,
+    pub max_indexes: u64,
 }
 
 impl Limits {
     /// No limits, for a call that cannot be divided.
     pub(crate) const NONE: Limits = Limits {
-        rows_per_call: usize::MAX,
-        ids_per_call: usize::MAX,
-        k: u64::MAX,
-        request_bytes: usize::MAX,
-        answer_bytes: usize::MAX,
-        payload_bytes: usize::MAX,
-        indexes: u64::MAX,
+        max_rows_per_call: usize::MAX,
+        max_ids_per_call: usize::MAX,
+        max_k: u64::MAX,
+        max_request_bytes: usize::MAX,
+        max_answer_bytes: usize::MAX,
+        max_payload_bytes: usize::MAX,
+        max_indexes: u64::MAX,
     };
 }
 
@@ -86,13 +86,13 @@ impl ServerInfo {
                 other => Durability::Other(other),
             },
             limits: Limits {
-                rows_per_call: size(limits.rows_per_call),
-                ids_per_call: size(limits.ids_per_call),
-                k: limits.k,
-                request_bytes: size(limits.request_bytes),
-                answer_bytes: size(limits.answer_bytes),
-                payload_bytes: size(limits.payload_bytes),
-                indexes: limits.indexes,
+                max_rows_per_call: size(limits.max_rows_per_call),
+                max_ids_per_call: size(limits.max_ids_per_call),
+                max_k: limits.max_k,
+                max_request_bytes: size(limits.max_request_bytes),
+                max_answer_bytes: size(limits.max_answer_bytes),
+                max_payload_bytes: size(limits.max_payload_bytes),
+                max_indexes: limits.max_indexes,
             },
         })
     }

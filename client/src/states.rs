@@ -117,7 +117,7 @@ impl States {
     pub(crate) fn to_message(&self, rows: Range<usize>) -> v1::States {
         v1::States {
             // Requests are divided long before.
-            rows: u32::try_from(rows.len()).unwrap_or(u32::MAX),
+            row_count: u32::try_from(rows.len()).unwrap_or(u32::MAX),
             coordinates: self.coordinates[rows.start * self.width..rows.end * self.width].to_vec(),
         }
     }
@@ -129,7 +129,7 @@ impl States {
         width: usize,
     ) -> Option<States> {
         let message = message.unwrap_or_default();
-        let fits = message.rows as usize == rows
+        let fits = message.row_count as usize == rows
             && Some(message.coordinates.len()) == rows.checked_mul(width);
         fits.then_some(States {
             width,

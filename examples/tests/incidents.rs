@@ -95,8 +95,8 @@ fn main() -> ExitCode {
             a_killed_worker_leaves_trees_on_which_the_others_meet,
         ),
         trial(
-            "a_server_ends_when_who_started_it_is_killed",
-            a_server_ends_when_who_started_it_is_killed,
+            "a_server_ends_when_its_parent_is_killed",
+            a_server_ends_when_its_parent_is_killed,
         ),
     ];
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
@@ -227,7 +227,7 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
     );
 }
 
-fn a_server_ends_when_who_started_it_is_killed() {
+fn a_server_ends_when_its_parent_is_killed() {
     let mut holder = Command::new(env::current_exe().unwrap())
         .arg("hold")
         .stdin(Stdio::piped())

@@ -54,7 +54,7 @@ pub use kernel::Kernels;
 pub use linear::Linear;
 pub use mpnn::Mpnn;
 pub use neighbor::Neighbor;
-pub use overlay::{Overlay, search_overlaid};
+pub use overlay::{Known, Overlay, search_overlaid};
 pub use points::{Point, PointRef, Points};
 pub use scaling::Scaling;
 pub use search::{Answer, Filter, Search};

@@ -88,23 +88,34 @@ impl Overlay {
     }
 }
 
-/// Answers `search` over a snapshot as `overlays` change it, the oldest first. With `known`, the snapshot is not searched: the
-/// neighbours in it are known, at least the nearest `search.k` within `search.radius`, and no overlay changes one of them.
+/// The neighbours that an earlier search found.
+#[derive(Clone, Copy, Debug)]
+pub struct Known<'a> {
+    /// The revision of the searched snapshot.
+    pub revision: u64,
+    /// The nearest points of that revision, nearest first: at least as many and as far as the search to answer asks for.
+    pub neighbors: &'a [Neighbor],
+}
+
+/// Answers `search` over a snapshot as `overlays` change it, the oldest first. With `known`, only the snapshot's points after
+/// that revision are searched: until `snapshot` only points were added, and no overlay changes a known neighbour.
 ///
 /// # Errors
 /// The errors of [`Snapshot::search`].
 pub fn search_overlaid(
     snapshot: &Snapshot,
     overlays: &[&Overlay],
-    known: Option<&[Neighbor]>,
+    known: Option<Known<'_>>,
     state: &[f64],
     search: &Search<'_>,
 ) -> Result<Vec<Neighbor>, SearchError> {
     let mut hidden: Vec<&HashSet<u64>> = search.excluded.to_vec();
     let mut neighbors = Vec::new();
+    // The known neighbours come first: their distances bound all later searches.
     if let Some(known) = known {
-        let within = known.partition_point(|neighbor| neighbor.distance <= search.radius);
-        merge(&mut neighbors, &known[..within], search.k);
+        let is_within = |neighbor: &Neighbor| neighbor.distance <= search.radius;
+        let within = known.neighbors.partition_point(is_within);
+        merge(&mut neighbors, &known.neighbors[..within], search.k);
     }
     for overlay in overlays.iter().rev() {
         if overlay.changed.is_empty() {
@@ -115,8 +126,11 @@ pub fn search_overlaid(
         merge(&mut neighbors, &found, search.k);
         hidden.push(&overlay.changed);
     }
-    if known.is_none() {
-        let narrowed = narrowed(search, &neighbors, &hidden);
+    let known = known.map_or(0, |known| known.revision);
+    if known < snapshot.revision() {
+        let mut narrowed = narrowed(search, &neighbors, &hidden);
+        let since = &mut narrowed.filter.since_revision;
+        *since = known.max(*since);
         let found = snapshot.search(state, &narrowed)?.neighbors;
         merge(&mut neighbors, &found, search.k);
     }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 
 use proptest::prelude::*;
 use wayfold_index::{
-    Filter, Forest, ForestOptions, Linear, Overlay, Point, PointRef, Points, Search, Space,
+    Filter, Forest, ForestOptions, Known, Linear, Overlay, Point, PointRef, Points, Search, Space,
     search_overlaid,
 };
 
@@ -39,19 +39,21 @@ proptest! {
     #[test]
     fn overlays_answer_as_one_set(
         base in changes(),
+        added in prop::collection::btree_map(150..170u64, (0..8u8).prop_map(Some), 0..20),
         layers in prop::collection::vec(changes(), 0..4),
         asked in 0..8u8,
         k in prop_oneof![0..6usize, Just(usize::MAX)],
         radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
         tagged in any::<bool>(),
-        since_revision in 0..4u64,
+        since_revision in 0..5u64,
         excluded in prop::collection::hash_set(0..150u64, 0..3),
     ) {
         let space: Space = "R1".parse().unwrap();
         let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
         let mut expected = BTreeMap::new();
         let mut overlays = Vec::new();
-        for (at, changes) in std::iter::once(&base).chain(&layers).enumerate() {
+        let mut earlier = forest.snapshot();
+        for (at, changes) in [&base, &added].into_iter().chain(&layers).enumerate() {
             let revision = at as u64 + 1;
             let (stored, removed) = rows(changes, revision);
             for id in &removed {
@@ -60,7 +62,8 @@ proptest! {
             for point in stored.iter() {
                 expected.insert(point.id, point.to_point());
             }
-            if at == 0 {
+            if at < 2 {
+                earlier = forest.snapshot();
                 forest.apply(revision, &stored, &removed).unwrap();
                 continue;
             }
@@ -69,7 +72,7 @@ proptest! {
             overlays.push(overlay);
         }
         let overlays: Vec<&Overlay> = overlays.iter().collect();
-        for id in 0..150 {
+        for id in 0..170 {
             let changed = overlays.iter().rev().find_map(|overlay| overlay.get(id));
             let found = changed.unwrap_or_else(|| forest.get(id));
             prop_assert_eq!(found.as_ref(), expected.get(&id));
@@ -97,16 +100,18 @@ proptest! {
         let truth = linear.search(&asked, &search).unwrap().neighbors;
         prop_assert_eq!(&found, &truth);
 
-        // Searches the snapshot for ids that no overlay changes.
+        // With the neighbours of the snapshot, or of an earlier one, where no overlay changes them.
         let only_new = overlays.iter().all(|overlay| {
-            (0..150).all(|id| forest.get(id).is_none() || overlay.get(id).is_none())
+            (0..170).all(|id| forest.get(id).is_none() || overlay.get(id).is_none())
         });
         if only_new {
             let wider = Search { k: k.saturating_add(1), ..search };
-            let known = snapshot.search(&asked, &wider).unwrap().neighbors;
-            let found =
-                search_overlaid(&snapshot, &overlays, Some(&known), &asked, &search).unwrap();
-            prop_assert_eq!(found, truth);
+            for known in [&earlier, &snapshot] {
+                let neighbors = known.search(&asked, &wider).unwrap().neighbors;
+                let known = Known { revision: known.revision(), neighbors: &neighbors };
+                let found = search_overlaid(&snapshot, &overlays, Some(known), &asked, &search);
+                prop_assert_eq!(&found.unwrap(), &truth);
+            }
         }
     }
 }

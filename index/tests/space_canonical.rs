@@ -116,7 +116,7 @@ fn refusals_name_the_coordinate() {
 }
 
 #[test]
-fn refuses_what_is_no_unit_quaternion() {
+fn refuses_quaternions_that_are_not_unit() {
     // A row of SE(3) shifted by one column.
     let error = assert_refused(
         "R3*SO3:0.15",

@@ -288,7 +288,7 @@ proptest! {
     })]
 
     #[test]
-    fn what_is_printed_is_read_as_the_same_space(space in spaces()) {
+    fn printed_text_is_read_as_the_same_space(space in spaces()) {
         let text = space.to_string();
         let read: Space = text.parse().unwrap_or_else(|error| panic!("{error}"));
         prop_assert_eq!(&read, &space, "{}", text);

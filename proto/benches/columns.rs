@@ -62,7 +62,7 @@ fn states(criterion: &mut Criterion) {
             |b, coordinates| {
                 b.iter(|| {
                     let message = v1::States {
-                        rows,
+                        row_count: rows,
                         coordinates: coordinates.clone(),
                     };
                     let wire = Bytes::from(black_box(message).encode_to_vec());

@@ -3,44 +3,44 @@
 
 use crate::v1::{knn_request, neighbor_spec, query_request};
 
-impl From<knn_request::Count> for neighbor_spec::Count {
-    fn from(count: knn_request::Count) -> Self {
-        match count {
-            knn_request::Count::K(k) => Self::K(k),
-            knn_request::Count::KFactor(factor) => Self::KFactor(factor),
+impl From<knn_request::KForm> for neighbor_spec::KForm {
+    fn from(k: knn_request::KForm) -> Self {
+        match k {
+            knn_request::KForm::K(k) => Self::K(k),
+            knn_request::KForm::KFactor(factor) => Self::KFactor(factor),
         }
     }
 }
 
-impl From<neighbor_spec::Count> for knn_request::Count {
-    fn from(count: neighbor_spec::Count) -> Self {
-        match count {
-            neighbor_spec::Count::K(k) => Self::K(k),
-            neighbor_spec::Count::KFactor(factor) => Self::KFactor(factor),
+impl From<neighbor_spec::KForm> for knn_request::KForm {
+    fn from(k: neighbor_spec::KForm) -> Self {
+        match k {
+            neighbor_spec::KForm::K(k) => Self::K(k),
+            neighbor_spec::KForm::KFactor(factor) => Self::KFactor(factor),
         }
     }
 }
 
-macro_rules! same_reach {
+macro_rules! same_radius_form {
     ($($request:ident),*) => {
-        $(impl From<$request::Reach> for neighbor_spec::Reach {
-            fn from(reach: $request::Reach) -> Self {
-                match reach {
-                    $request::Reach::Radius(radius) => Self::Radius(radius),
-                    $request::Reach::ScaledRadius(scaled) => Self::ScaledRadius(scaled),
+        $(impl From<$request::RadiusForm> for neighbor_spec::RadiusForm {
+            fn from(radius: $request::RadiusForm) -> Self {
+                match radius {
+                    $request::RadiusForm::Radius(radius) => Self::Radius(radius),
+                    $request::RadiusForm::ScaledRadius(scaled) => Self::ScaledRadius(scaled),
                 }
             }
         }
 
-        impl From<neighbor_spec::Reach> for $request::Reach {
-            fn from(reach: neighbor_spec::Reach) -> Self {
-                match reach {
-                    neighbor_spec::Reach::Radius(radius) => Self::Radius(radius),
-                    neighbor_spec::Reach::ScaledRadius(scaled) => Self::ScaledRadius(scaled),
+        impl From<neighbor_spec::RadiusForm> for $request::RadiusForm {
+            fn from(radius: neighbor_spec::RadiusForm) -> Self {
+                match radius {
+                    neighbor_spec::RadiusForm::Radius(radius) => Self::Radius(radius),
+                    neighbor_spec::RadiusForm::ScaledRadius(scaled) => Self::ScaledRadius(scaled),
                 }
             }
         })*
     };
 }
 
-same_reach!(knn_request, query_request);
+same_radius_form!(knn_request, query_request);

@@ -5,19 +5,11 @@
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use prost::Message;
+use sha2::{Digest, Sha256};
 use wayfold_proto::snapshot::{
     Content, FileReader, FileWriter, Header, PointProblem, Reader, SnapshotError, Writer, check,
 };
 use wayfold_proto::v1;
-
-fn seeded(cases: u32) -> ProptestConfig {
-    ProptestConfig {
-        cases,
-        failure_persistence: None,
-        rng_seed: RngSeed::Fixed(7),
-        ..ProptestConfig::default()
-    }
-}
 
 fn header(points: u64) -> Header {
     Header {
@@ -36,7 +28,7 @@ fn points(ids: &[u64]) -> v1::SnapshotPoints {
         points: Some(v1::Points {
             ids: ids.into(),
             states: Some(v1::States {
-                rows: ids.len() as u32,
+                row_count: ids.len() as u32,
                 coordinates: coordinates.collect(),
             }),
             tags: ids.iter().map(|id| id * 3).collect(),
@@ -57,6 +49,12 @@ fn parts(ids: &[Vec<u64>]) -> Vec<v1::SnapshotPart> {
     parts
 }
 
+fn three_parts(header: &Header, points: v1::SnapshotPoints) -> [v1::SnapshotPart; 3] {
+    let mut writer = Writer::new();
+    let header = writer.header(header);
+    [header, writer.points(points), writer.trailer()]
+}
+
 fn file(parts: &[v1::SnapshotPart]) -> Vec<u8> {
     let mut file = FileWriter::new(Vec::new()).unwrap();
     for part in parts {
@@ -69,6 +67,14 @@ fn whole() -> Vec<u8> {
     file(&parts(&[vec![1, 5, 6], vec![70, 999]]))
 }
 
+/// Fails with the error's text unless it is this variant.
+macro_rules! assert_error {
+    ($error:expr, $($variant:tt)+) => {
+        let error = &$error;
+        assert!(matches!(error, SnapshotError::$($variant)+), "{error}");
+    };
+}
+
 /// The header of a snapshot with one thing changed, then such points, then a trailer, all with good digests.
 fn read_changed(
     change_header: impl FnOnce(&mut Header),
@@ -78,16 +84,9 @@ fn read_changed(
     change_header(&mut header);
     let mut points = points(&[1, 5, 6]);
     change(&mut points);
-    let mut writer = Writer::new();
-    let parts = [
-        writer.header(&header),
-        writer.points(points),
-        writer.trailer(),
-    ];
     let mut reader = Reader::new();
-    let read = parts
-        .iter()
-        .try_for_each(|part| reader.read(part).map(drop));
+    let mut parts = three_parts(&header, points).into_iter();
+    let read = parts.try_for_each(|part| reader.read(&part).map(drop));
     read.unwrap_err()
 }
 
@@ -101,6 +100,7 @@ fn coordinates(points: &mut v1::SnapshotPoints) -> &mut Vec<f64> {
 
 #[test]
 fn what_is_written_is_read() {
+    assert_eq!(check(&file(&parts(&[]))[..]).unwrap(), header(0));
     let written = parts(&[vec![1, 5, 6], vec![70, 999]]);
     let bytes = file(&written);
     assert_eq!(check(&bytes[..]).unwrap(), header(5));
@@ -121,12 +121,6 @@ fn what_is_written_is_read() {
         Content::Trailer,
     ];
     assert_eq!(contents, expected);
-
-    assert_eq!(check(&file_of_none()[..]).unwrap(), header(0));
-}
-
-fn file_of_none() -> Vec<u8> {
-    file(&parts(&[]))
 }
 
 /// As another program would read it: the line, and delimited messages.
@@ -146,17 +140,10 @@ fn every_cut_is_noticed() {
     let bytes = whole();
     for end in 0..bytes.len() {
         let error = check(&bytes[..end]).unwrap_err();
-        let line = "wayfold snapshot 2\n".len();
-        if end < line {
-            assert!(
-                matches!(error, SnapshotError::NotSnapshot),
-                "{end}: {error}"
-            );
+        if end < "wayfold snapshot 2\n".len() {
+            assert_error!(error, NotSnapshot);
         } else {
-            assert!(
-                matches!(error, SnapshotError::CutShort { .. }),
-                "{end}: {error}"
-            );
+            assert_error!(error, CutShort { .. });
         }
     }
 }
@@ -175,21 +162,13 @@ fn every_flipped_bit_is_noticed() {
 fn what_follows_the_trailer_is_noticed() {
     for more in [&b"\n"[..], b"\0", b"more", &whole()] {
         let bytes = [&whole()[..], more].concat();
-        let error = check(&bytes[..]).unwrap_err();
-        assert!(
-            matches!(error, SnapshotError::Trailing { part: 4 }),
-            "{more:?}: {error}"
-        );
+        assert_error!(check(&bytes[..]).unwrap_err(), Trailing { part: 4 });
     }
     let mut reader = Reader::new();
     let parts = parts(&[]);
     reader.read(&parts[0]).unwrap();
     reader.read(&parts[1]).unwrap();
-    let error = reader.read(&parts[1]).unwrap_err();
-    assert!(
-        matches!(error, SnapshotError::Trailing { part: 2 }),
-        "{error}"
-    );
+    assert_error!(reader.read(&parts[1]).unwrap_err(), Trailing { part: 2 });
 }
 
 #[test]
@@ -225,10 +204,7 @@ fn a_part_of_another_snapshot_is_noticed() {
     let (mut parts, others) = (parts(&[vec![1], vec![2]]), parts(&[vec![8], vec![2]]));
     parts[2] = others[2].clone();
     let error = check(&file(&parts)[..]).unwrap_err();
-    assert!(
-        matches!(error, SnapshotError::Damaged { part: 3 }),
-        "{error}"
-    );
+    assert_error!(error, Damaged { part: 3 });
     assert!(error.to_string().starts_with("part 3 "));
 }
 
@@ -241,8 +217,7 @@ fn other_files_and_other_versions_are_told_apart() {
         b"\x93NUMPY\x01\x00",
         &[0xff; 100],
     ] {
-        let error = check(other).unwrap_err();
-        assert!(matches!(error, SnapshotError::NotSnapshot), "{error}");
+        assert_error!(check(other).unwrap_err(), NotSnapshot);
     }
     for version in [1, 3] {
         let file = format!("wayfold snapshot {version}\nwhatever");
@@ -261,16 +236,16 @@ fn other_files_and_other_versions_are_told_apart() {
     // The header of version 1: `format_version`, `uid` and the number of its revision.
     let first = b"\x0a\x0a\x08\x01\x1a\x04fe1a\x30\x09".to_vec();
     for (version, content) in [(3, content.encode_to_vec()), (1, first)] {
-        let error = Reader::new().read(&signed(1, content)).unwrap_err();
+        let part = signed(&[0; 32], 1, content);
+        let error = Reader::new().read(&part).unwrap_err();
         let expected = format!("format version {version}");
         assert!(error.to_string().contains(&expected), "{error}");
     }
 }
 
-/// The first part of a snapshot with this content, its digest as documented.
-fn signed(number: u64, content: Vec<u8>) -> v1::SnapshotPart {
-    use sha2::{Digest, Sha256};
-    let bytes = [&[0; 32][..], &number.to_le_bytes(), &content].concat();
+/// The part with this content after the part with the digest `before`, its digest as documented.
+fn signed(before: &[u8], number: u64, content: Vec<u8>) -> v1::SnapshotPart {
+    let bytes = [before, &number.to_le_bytes(), &content].concat();
     v1::SnapshotPart {
         number,
         content: content.into(),
@@ -281,53 +256,29 @@ fn signed(number: u64, content: Vec<u8>) -> v1::SnapshotPart {
 #[test]
 fn digests_are_as_documented() {
     let part = &parts(&[])[0];
-    assert_eq!(*part, signed(1, part.content.to_vec()));
+    assert_eq!(*part, signed(&[0; 32], 1, part.content.to_vec()));
 }
 
 #[test]
 fn points_that_no_index_holds_are_refused_with_their_place() {
-    let same = |_: &mut Header| {};
-    let cases = [
+    let cases: [(fn(&mut v1::SnapshotPoints), &str); 10] = [
+        (|p| columns(p).ids[1] = 1, "NotAscending"),
+        (|p| columns(p).ids[2] = 2, "NotAscending"),
+        (|p| columns(p).ids[2] = 1 << 63, "Id"),
+        (|p| columns(p).revisions[2] = 7, "Revisions"),
+        (|p| columns(p).revisions[2] = 0, "Revisions"),
+        (|p| p.modified_revisions[2] = 10, "Revisions"),
+        (|p| coordinates(p)[2] = f64::NAN, "State"),
+        (|p| coordinates(p)[5] = 3.5, "NotCanonical"),
+        (|p| coordinates(p)[2] = -0.0, "NotCanonical"),
         (
-            read_changed(same, |p| columns(p).ids[1] = 1),
-            "NotAscending",
-        ),
-        (
-            read_changed(same, |p| columns(p).ids[2] = 2),
-            "NotAscending",
-        ),
-        (read_changed(|h| h.next_id = 6, |_| {}), "Id"),
-        (read_changed(same, |p| columns(p).ids[2] = 1 << 63), "Id"),
-        (
-            read_changed(same, |p| columns(p).revisions[2] = 7),
-            "Revisions",
-        ),
-        (
-            read_changed(same, |p| columns(p).revisions[2] = 0),
-            "Revisions",
-        ),
-        (
-            read_changed(same, |p| p.modified_revisions[2] = 10),
-            "Revisions",
-        ),
-        (
-            read_changed(same, |p| coordinates(p)[2] = f64::NAN),
-            "State",
-        ),
-        (
-            read_changed(same, |p| coordinates(p)[5] = 3.5),
-            "NotCanonical",
-        ),
-        (
-            read_changed(same, |p| coordinates(p)[2] = -0.0),
-            "NotCanonical",
-        ),
-        (
-            read_changed(same, |p| columns(p).payloads[1] = vec![0; 65_537].into()),
+            |p| columns(p).payloads[1] = vec![0; 65_537].into(),
             "Payload",
         ),
     ];
-    for (error, kind) in cases {
+    let cases = cases.map(|(change, kind)| (read_changed(|_| {}, change), kind));
+    let beyond = (read_changed(|h| h.next_id = 6, |_| {}), "Id");
+    for (error, kind) in cases.into_iter().chain([beyond]) {
         let text = error.to_string();
         let SnapshotError::Point { place, problem } = error else {
             panic!("{text}");
@@ -337,8 +288,7 @@ fn points_that_no_index_holds_are_refused_with_their_place() {
         assert!(format!("{problem:?}").starts_with(kind), "{text}");
     }
     let largest = |p: &mut v1::SnapshotPoints| columns(p).payloads[1] = vec![0; 65_536].into();
-    let error = read_changed(|h| h.point_count = 4, largest);
-    assert!(matches!(error, SnapshotError::Count { .. }), "{error}");
+    assert_error!(read_changed(|h| h.point_count = 4, largest), Count { .. });
     let next_id = PointProblem::Id { next_id: 6 };
     assert!(next_id.to_string().contains("next_id, which is 6"));
 }
@@ -350,7 +300,7 @@ fn columns_and_counts_that_do_not_fit_are_refused() {
         read_changed(same, |p| p.points = None),
         read_changed(same, |p| columns(p).states = None),
         read_changed(same, |p| coordinates(p).truncate(5)),
-        read_changed(same, |p| columns(p).states.as_mut().unwrap().rows = 2),
+        read_changed(same, |p| columns(p).states.as_mut().unwrap().row_count = 2),
         read_changed(same, |p| columns(p).tags.truncate(2)),
         read_changed(same, |p| columns(p).revisions.push(1)),
         read_changed(same, |p| columns(p).payloads.truncate(2)),
@@ -370,12 +320,7 @@ fn columns_and_counts_that_do_not_fit_are_refused() {
 fn payloads_may_be_left_out() {
     let mut without = points(&[1, 2]);
     columns(&mut without).payloads.clear();
-    let mut writer = Writer::new();
-    let parts = [
-        writer.header(&header(2)),
-        writer.points(without),
-        writer.trailer(),
-    ];
+    let parts = three_parts(&header(2), without);
     assert_eq!(check(&file(&parts)[..]).unwrap(), header(2));
 }
 
@@ -386,19 +331,19 @@ fn a_length_beyond_any_part_is_not_believed() {
         b"\xff\xff\xff\xff\xff\xff\xff\xff\xff\x7f",
     ] {
         let bytes = [b"wayfold snapshot 2\n", length].concat();
-        let error = check(&bytes[..]).unwrap_err();
-        assert!(
-            matches!(error, SnapshotError::TooLarge { part: 1, .. }),
-            "{error}"
-        );
+        assert_error!(check(&bytes[..]).unwrap_err(), TooLarge { part: 1, .. });
     }
     let endless = [b"wayfold snapshot 2\n", &[0xff; 11][..]].concat();
-    let error = check(&endless[..]).unwrap_err();
-    assert!(matches!(error, SnapshotError::Malformed { .. }), "{error}");
+    assert_error!(check(&endless[..]).unwrap_err(), Malformed { .. });
 }
 
 proptest! {
-    #![proptest_config(seeded(2000))]
+    #![proptest_config(ProptestConfig {
+        cases: 2000,
+        failure_persistence: None,
+        rng_seed: RngSeed::Fixed(7),
+        ..ProptestConfig::default()
+    })]
 
     #[test]
     fn arbitrary_bytes_are_refused(
@@ -414,7 +359,7 @@ proptest! {
     fn arbitrary_contents_do_not_make_a_reader_panic(
         content in prop::collection::vec(any::<u8>(), 0..300),
     ) {
-        prop_assert!(Reader::new().read(&signed(1, content)).is_err());
+        prop_assert!(Reader::new().read(&signed(&[0; 32], 1, content)).is_err());
     }
 
     /// A good header, then a damaged part with a good digest.
@@ -432,12 +377,10 @@ proptest! {
             *place = byte;
         }
         content.truncate(content.len() - cut);
-        let bytes = [&first.digest[..], &2_u64.to_le_bytes(), &content].concat();
-        let digest = <sha2::Sha256 as sha2::Digest>::digest(&bytes).to_vec().into();
         let mut reader = Reader::new();
         reader.read(&first).unwrap();
         // Some such parts are good ones: with another tag, or another payload.
-        let _ = reader.read(&v1::SnapshotPart { number: 2, content: content.into(), digest });
+        let _ = reader.read(&signed(&first.digest, 2, content));
     }
 
     #[test]

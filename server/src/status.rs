@@ -16,6 +16,9 @@ use crate::service::{Code, Damaged, Error, Listing, Violation};
 /// The domain of every `ErrorInfo`.
 pub(crate) const DOMAIN: &str = "wayfold";
 
+/// The descriptors of the details, the messages of google.rpc.
+pub(crate) const DETAIL_DESCRIPTORS: &[u8] = pb::FILE_DESCRIPTOR_SET;
+
 // A status travels in HTTP/2 headers, which stock clients limit to 8 KiB in all, and its text goes twice. Text from a
 // caller has any length, so every part is bounded.
 const MAX_MESSAGE: usize = 512;
@@ -171,18 +174,18 @@ impl Status {
                 Detail::Quota("ids", 1 << 63)
             }
             Error::ScanTooLong {
-                scan_seconds,
+                max_scan_seconds,
                 after_id,
             } => {
                 if let Some(id) = after_id {
                     self.set("after_id", id);
                 }
-                self.scan_seconds(*scan_seconds)
+                self.scan_seconds(*max_scan_seconds)
             }
             Error::HeldTooLong {
                 what: _,
-                scan_seconds,
-            } => self.scan_seconds(*scan_seconds),
+                max_scan_seconds,
+            } => self.scan_seconds(*max_scan_seconds),
             Error::Unavailable { why: _ }
             | Error::DeadlineExceeded { doing: _ }
             | Error::StorageFailed { what: _ }
@@ -192,9 +195,9 @@ impl Status {
     }
 
     fn scan_seconds(&mut self, value: u64) -> Detail {
-        self.set("limit", "scan_seconds");
+        self.set("limit", "max_scan_seconds");
         self.set("value", value);
-        Detail::Quota("scan_seconds", value)
+        Detail::Quota("max_scan_seconds", value)
     }
 
     fn set(&mut self, key: &str, value: impl ToString) {

@@ -26,17 +26,17 @@ def drive(address: str) -> str:
     created = _call(address, "wayfold.v1.IndexService/CreateIndex", {"name": "curl", "spaceText": "R2*SO2"})
     assert created["created"] and created["index"]["coordinateCount"] == 3, created
 
-    states = {"rows": 3, "coordinates": [0, 0, 0, 3, 4, 0, 0, 0, 1]}
-    inserted = _call(address, "wayfold.v1.PointService/Insert", {"index": "curl", "states": states, "ids": [7, 8, 9]})
+    states = {"rowCount": 3, "coordinates": [0, 0, 0, 3, 4, 0, 0, 0, 1]}
+    inserted = _call(address, "wayfold.v1.PointService/Insert", {"indexName": "curl", "states": states, "ids": [7, 8, 9]})
     assert inserted["outcomes"] == ["OUTCOME_INSERTED"] * 3 and inserted["revision"]["number"] == "1", inserted
 
-    query = {"index": "curl", "states": {"rows": 1, "coordinates": [0, 0, 0]}, "k": 10}
+    query = {"indexName": "curl", "states": {"rowCount": 1, "coordinates": [0, 0, 0]}, "k": 10}
     found = _call(address, "wayfold.v1.PointService/Knn", query)
     neighbors = found["neighbors"]
     assert neighbors == {"counts": [3], "ids": ["7", "9", "8"], "distances": [0, 1, 5]}, neighbors
     assert found["revision"] == inserted["revision"], found
 
-    query["states"] = {"rows": 1, "coordinates": [0, "NaN", 0]}
+    query["states"] = {"rowCount": 1, "coordinates": [0, "NaN", 0]}
     refused = _grpcurl(address, "-d", json.dumps(query), "wayfold.v1.PointService/Knn", fails=True)
     for part in ("InvalidArgument", "states[0].coords[1]: NaN", "google.rpc.ErrorInfo", "google.rpc.BadRequest"):
         assert part in refused, f"no {part!r} in {refused}"

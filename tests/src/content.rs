@@ -41,7 +41,7 @@ impl Content {
     /// If the parts of the scan disagree with each other or are out of order.
     pub async fn read(stubs: &Stubs, index: &str) -> Result<Self, Status> {
         let request = ScanRequest {
-            index: index.to_owned(),
+            index_name: index.to_owned(),
             include: Some(INCLUDE_ALL),
             ..Default::default()
         };
@@ -63,7 +63,7 @@ impl Content {
             assert_eq!(part.point_count, *total);
             let points = part.points.unwrap_or_default();
             let rows = points.states.unwrap_or_default();
-            assert_eq!(rows.rows as usize, points.ids.len());
+            assert_eq!(rows.row_count as usize, points.ids.len());
             let coordinates = rows.coordinates.len().checked_div(points.ids.len());
             for (i, &id) in points.ids.iter().enumerate() {
                 assert!(last_id < Some(id), "{id} after {last_id:?}");

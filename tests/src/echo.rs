@@ -61,7 +61,7 @@ struct Echo {
 
 impl Echo {
     fn neighbors(&self, request: &KnnRequest) -> KnnResponse {
-        let Some(knn_request::Count::K(k)) = request.count else {
+        let Some(knn_request::KForm::K(k)) = request.k_form else {
             return KnnResponse::default();
         };
         let rows = row_count(request.states.as_ref());
@@ -78,8 +78,8 @@ impl Echo {
 
     fn outcomes(&self, request: &InsertRequest) -> InsertResponse {
         let rows = row_count(request.states.as_ref());
-        let k = match request.neighbors.as_ref().and_then(|spec| spec.count) {
-            Some(neighbor_spec::Count::K(k)) => Some(k),
+        let k = match request.neighbors.as_ref().and_then(|spec| spec.k_form) {
+            Some(neighbor_spec::KForm::K(k)) => Some(k),
             _ => None,
         };
         let mut made = self.outcomes.lock().unwrap_or_else(PoisonError::into_inner);
@@ -94,7 +94,7 @@ impl Echo {
 }
 
 fn row_count(states: Option<&States>) -> usize {
-    states.map_or(0, |states| states.rows as usize)
+    states.map_or(0, |states| states.row_count as usize)
 }
 
 fn revision() -> Option<Revision> {

@@ -67,8 +67,8 @@ impl Model {
             let id = request.ids.get(i).copied();
             if let Some(query) = &request.neighbors {
                 let expected = self.neighbors(query, row, id);
-                let told = neighbors.next().expect("an entry a row");
-                assert_eq!(told, expected, "neighbours of row {i} of {request:?}");
+                let entry = neighbors.next().expect("an entry a row");
+                assert_eq!(entry, expected, "neighbours of row {i} of {request:?}");
             }
             let tag = request.tags.get(i).copied().unwrap_or_default();
             let payload = request.payloads.get(i).cloned().unwrap_or_default();
@@ -124,8 +124,8 @@ impl Model {
     pub fn knn(&self, request: &KnnRequest, response: &KnnResponse) {
         assert_eq!(number(&response.revision), self.revision);
         let search = search(
-            request.count.map(Into::into),
-            request.reach.map(Into::into),
+            request.k_form.map(Into::into),
+            request.radius_form.map(Into::into),
             request.filter.as_ref(),
         );
         self.searched(
@@ -141,8 +141,8 @@ impl Model {
     /// Panics where [`Model::check`] does.
     pub fn query(&self, request: &QueryRequest, response: &QueryResponse) {
         assert_eq!(number(&response.revision), self.revision);
-        let reach = request.reach.expect("a reach");
-        let search = search(None, Some(reach.into()), request.filter.as_ref());
+        let radius_form = request.radius_form.expect("a radius");
+        let search = search(None, Some(radius_form.into()), request.filter.as_ref());
         self.searched(
             request.states.as_ref(),
             &search,
@@ -156,21 +156,21 @@ impl Model {
     /// Panics where [`Model::check`] does.
     pub fn get(&self, request: &GetRequest, response: &GetResponse) {
         assert_eq!(number(&response.revision), self.revision);
-        let told = response.points.as_ref().expect("points");
-        let rows = told.states.as_ref().expect("states");
-        assert_eq!(told.ids, request.ids);
-        assert_eq!(rows.rows as usize, told.ids.len());
+        let stored = response.points.as_ref().expect("points");
+        let rows = stored.states.as_ref().expect("states");
+        assert_eq!(stored.ids, request.ids);
+        assert_eq!(rows.row_count as usize, stored.ids.len());
         let width = self.points.space().coordinates();
-        for (i, id) in told.ids.iter().enumerate() {
+        for (i, id) in stored.ids.iter().enumerate() {
             let point = self.points.get(*id).expect("a point that was there");
             let row = &rows.coordinates[i * width..][..width];
             assert_eq!(
-                (bits(row), told.tags[i], told.revisions[i]),
+                (bits(row), stored.tags[i], stored.revisions[i]),
                 (bits(point.row), point.tag, point.revision),
                 "point {id} at revision {}",
                 self.revision
             );
-            assert_eq!(told.payloads[i], self.payloads[id]);
+            assert_eq!(stored.payloads[i], self.payloads[id]);
         }
     }
 
@@ -199,20 +199,20 @@ impl Model {
         neighbors: Option<&Neighbors>,
     ) {
         let rows = self.canonical(states);
-        let mut told = expected_rows(true, neighbors);
+        let mut entries = expected_rows(true, neighbors);
         for (i, row) in rows.iter().enumerate() {
-            let told = told.next().expect("an entry a state");
+            let entry = entries.next().expect("an entry a state");
             let expected = self.search(row, search);
-            assert_eq!(told, expected, "state {i} at revision {}", self.revision);
+            assert_eq!(entry, expected, "state {i} at revision {}", self.revision);
         }
-        assert_eq!(told.next(), None);
+        assert_eq!(entries.next(), None);
     }
 
     fn neighbors(&self, spec: &NeighborSpec, row: &[f64], id: Option<u64>) -> Vec<(u64, u64)> {
         let own = HashSet::from_iter(id);
         let search = Search {
             excluded: &[&own],
-            ..search(spec.count, spec.reach, spec.filter.as_ref())
+            ..search(spec.k_form, spec.radius_form, spec.filter.as_ref())
         };
         self.search(row, &search)
     }
@@ -277,7 +277,7 @@ impl Model {
                 row
             })
             .collect();
-        assert_eq!(rows.len(), states.rows as usize);
+        assert_eq!(rows.len(), states.row_count as usize);
         rows
     }
 }
@@ -298,19 +298,19 @@ fn expected_rows(
 
 /// The search of a request without scaling.
 fn search(
-    count: Option<neighbor_spec::Count>,
-    reach: Option<neighbor_spec::Reach>,
+    count: Option<neighbor_spec::KForm>,
+    radius_form: Option<neighbor_spec::RadiusForm>,
     filter: Option<&v1::Filter>,
 ) -> Search<'static> {
     let k = match count {
         None => usize::MAX,
-        Some(neighbor_spec::Count::K(k)) => k as usize,
-        Some(neighbor_spec::Count::KFactor(_)) => panic!("{count:?}"),
+        Some(neighbor_spec::KForm::K(k)) => k as usize,
+        Some(neighbor_spec::KForm::KFactor(_)) => panic!("{count:?}"),
     };
-    let radius = match reach {
+    let radius = match radius_form {
         None => f64::INFINITY,
-        Some(neighbor_spec::Reach::Radius(radius)) => radius,
-        Some(neighbor_spec::Reach::ScaledRadius(_)) => panic!("{reach:?}"),
+        Some(neighbor_spec::RadiusForm::Radius(radius)) => radius,
+        Some(neighbor_spec::RadiusForm::ScaledRadius(_)) => panic!("{radius_form:?}"),
     };
     Search {
         radius,

@@ -54,7 +54,10 @@ impl Stubs {
     /// If it is refused.
     pub async fn describe(&mut self, name: &str) -> v1::Index {
         let index = name.to_owned();
-        let response = self.indexes.get_index(GetIndexRequest { index }).await;
+        let response = self
+            .indexes
+            .get_index(GetIndexRequest { index_name: index })
+            .await;
         let index = response.expect("an index").into_inner().index;
         index.expect("a description")
     }
@@ -65,7 +68,7 @@ impl Stubs {
     /// If it is refused.
     pub async fn delete(&mut self, name: &str) {
         let request = DeleteIndexRequest {
-            index: name.to_owned(),
+            index_name: name.to_owned(),
             ..Default::default()
         };
         let response = self.indexes.delete_index(request).await;
@@ -99,7 +102,7 @@ pub fn number(revision: &Option<v1::Revision>) -> u64 {
 /// The k nearest of each row of an insert.
 pub fn k_nearest(k: u32) -> v1::NeighborSpec {
     v1::NeighborSpec {
-        count: Some(neighbor_spec::Count::K(k)),
+        k_form: Some(neighbor_spec::KForm::K(k)),
         ..Default::default()
     }
 }
@@ -115,7 +118,7 @@ pub const INCLUDE_ALL: v1::Include = v1::Include {
 /// Rows of coordinates as a message.
 pub fn row_states(rows: &[f64], coordinates: usize) -> v1::States {
     v1::States {
-        rows: u32::try_from(rows.len() / coordinates).expect("a row count"),
+        row_count: u32::try_from(rows.len() / coordinates).expect("a row count"),
         coordinates: rows.to_vec(),
     }
 }

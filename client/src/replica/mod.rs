@@ -19,7 +19,7 @@ mod write;
 
 pub use request::ReplicaRequest;
 pub use status::ReplicaStatus;
-pub use view::{Found, ReplicaView};
+pub use view::{ReplicaNeighbors, ReplicaView};
 pub use write::Write;
 
 use std::{sync::Arc, time::Duration};
@@ -45,10 +45,10 @@ use shared::Shared;
 /// let pose = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0];
 /// // To the server; when it returns, the replica has the point.
 /// let inserted = replica.write(replica.index().insert([pose])).await?;
-/// let found = replica.knn(pose, 10)?;
-/// println!("{:?} at revision {}", found.neighbors, found.revision);
+/// let near = replica.knn(pose, 10)?;
+/// println!("{:?} at revision {}", near.nearest(), near.revision());
 /// let new = Filter::default().since(inserted.revision);
-/// let found = replica.search(pose, &Search::k(10).radius(0.5).filter(new))?;
+/// let near = replica.search(pose, &Search::k(10).radius(0.5).filter(new))?;
 /// let of_rrt_star = replica.query(pose, ScaledRadius::new(1.1).max(0.5))?;
 /// # Ok(())
 /// # }
@@ -119,7 +119,7 @@ impl Replica {
     ///
     /// # Errors
     /// The errors of [`Replica::search`].
-    pub fn knn(&self, state: impl State, k: u32) -> Result<Found, Error> {
+    pub fn knn(&self, state: impl State, k: u32) -> Result<ReplicaNeighbors, Error> {
         self.search(state, &Search::k(k))
     }
 
@@ -127,7 +127,11 @@ impl Replica {
     ///
     /// # Errors
     /// The errors of [`Replica::search`].
-    pub fn query(&self, state: impl State, radius: impl Into<Radius>) -> Result<Found, Error> {
+    pub fn query(
+        &self,
+        state: impl State,
+        radius: impl Into<Radius>,
+    ) -> Result<ReplicaNeighbors, Error> {
         self.search(state, &Search::within(radius))
     }
 
@@ -139,7 +143,7 @@ impl Replica {
     /// replica's. [`Error::Stale`]: the replica has not heard from the server for longer than
     /// [`ReplicaRequest::max_staleness`]. [`Error::Timeout`]: the search took longer than [`Search::timeout`].
     /// [`Error::Ended`].
-    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<Found, Error> {
+    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<ReplicaNeighbors, Error> {
         self.shared().check()?;
         self.shared().published().search(state, search)
     }

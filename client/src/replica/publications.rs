@@ -186,7 +186,7 @@ fn number(revision: Option<&v1::Revision>) -> u64 {
 
 fn is_too_large(refusal: &Refusal) -> bool {
     let limit = refusal.metadata.get("limit").map(String::as_str);
-    refusal.code == Code::ResourceExhausted && limit == Some("answer_bytes")
+    refusal.code == Code::ResourceExhausted && limit == Some("max_answer_bytes")
 }
 
 fn lost(key: &str, why: impl ToString) -> Error {

@@ -4,7 +4,7 @@ use wayfold_index::{Space, StateProblem};
 
 use crate::{
     Code, Error, FieldViolation, Radius, Refusal, Search, States,
-    search::{Count, ScaledRadius},
+    search::{K, ScaledRadius},
 };
 
 /// The violations of a request, and the reason of the first.
@@ -62,10 +62,10 @@ impl Violations {
 /// The violations of a search, in the server's order.
 pub(super) fn check(search: &Search) -> Violations {
     let mut violations = Violations::default();
-    match search.bounds.count {
-        Some(Count::K(0)) => violations.add("k", "ZERO", "k is at least 1"),
-        Some(Count::Factor(factor)) => violations.finite("k_factor", factor),
-        Some(Count::K(_)) | None => {}
+    match search.bounds.k {
+        Some(K::Fixed(0)) => violations.add("k", "ZERO", "k is at least 1"),
+        Some(K::Scaled(factor)) => violations.finite("k_factor", factor),
+        Some(K::Fixed(_)) | None => {}
     }
     match search.bounds.radius {
         Some(Radius::Fixed(radius)) => violations.distance("radius", radius),

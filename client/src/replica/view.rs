@@ -8,7 +8,7 @@ use super::load::protocol;
 use super::validate::{canonical, check};
 use crate::{
     Error, IndexHandle, Radius, Revision, Search, State, States,
-    search::{Bounds, Count},
+    search::{Bounds, K},
 };
 
 /// One revision of an index, frozen. Clones are cheap.
@@ -18,17 +18,15 @@ pub struct ReplicaView {
     points: Snapshot,
 }
 
-/// The answer of a replica to a search.
+/// The neighbours of one state, as a replica finds them: nearest first, at equal distances by id. They are read like a
+/// [`Row`](crate::Row) of the server's answer.
 #[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct Found {
-    /// The neighbours, nearest first; at equal distances by id.
-    pub neighbors: Vec<Neighbor>,
-    /// The revision that was searched.
-    pub revision: Revision,
+pub struct ReplicaNeighbors {
+    neighbors: Vec<Neighbor>,
+    revision: Revision,
 }
 
-impl Found {
+impl ReplicaNeighbors {
     /// The number of neighbours.
     pub fn len(&self) -> usize {
         self.neighbors.len()
@@ -39,14 +37,34 @@ impl Found {
         self.neighbors.is_empty()
     }
 
-    /// The nearest of them.
+    /// The nearest neighbour.
     pub fn nearest(&self) -> Option<Neighbor> {
         self.neighbors.first().copied()
     }
 
-    /// The id and distance of each, nearest first.
+    /// The ids, nearest first.
+    pub fn ids(&self) -> impl ExactSizeIterator<Item = u64> + use<'_> {
+        self.iter().map(|neighbor| neighbor.id)
+    }
+
+    /// The distances in the space's metric, ascending.
+    pub fn distances(&self) -> impl ExactSizeIterator<Item = f64> + use<'_> {
+        self.iter().map(|neighbor| neighbor.distance)
+    }
+
+    /// The id and distance of each neighbour, nearest first.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = Neighbor> + use<'_> {
         self.neighbors.iter().copied()
+    }
+
+    /// The id and distance of each neighbour, nearest first, without a copy.
+    pub fn into_vec(self) -> Vec<Neighbor> {
+        self.neighbors
+    }
+
+    /// The revision that was searched.
+    pub fn revision(&self) -> Revision {
+        self.revision.clone()
     }
 }
 
@@ -83,7 +101,7 @@ impl ReplicaView {
     ///
     /// # Errors
     /// The errors of [`ReplicaView::search`].
-    pub fn knn(&self, state: impl State, k: u32) -> Result<Found, Error> {
+    pub fn knn(&self, state: impl State, k: u32) -> Result<ReplicaNeighbors, Error> {
         self.search(state, &Search::k(k))
     }
 
@@ -91,7 +109,11 @@ impl ReplicaView {
     ///
     /// # Errors
     /// The errors of [`ReplicaView::search`].
-    pub fn query(&self, state: impl State, radius: impl Into<Radius>) -> Result<Found, Error> {
+    pub fn query(
+        &self,
+        state: impl State,
+        radius: impl Into<Radius>,
+    ) -> Result<ReplicaNeighbors, Error> {
         self.search(state, &Search::within(radius))
     }
 
@@ -99,7 +121,7 @@ impl ReplicaView {
     ///
     /// # Errors
     /// The errors of [`Replica::search`](super::Replica::search), except that a view does not grow stale.
-    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<Found, Error> {
+    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<ReplicaNeighbors, Error> {
         let states = States::collect(self.index.space(), [state])?;
         let state = canonical(self.index.space(), states, check(search))?;
         let revision = self.revision();
@@ -123,7 +145,7 @@ impl ReplicaView {
                 (SearchError::TimedOut, Some(timeout)) => Error::timeout("search", timeout),
                 (error, _) => protocol(error.to_string()),
             })?;
-        Ok(Found {
+        Ok(ReplicaNeighbors {
             neighbors: answer.neighbors,
             revision,
         })
@@ -131,10 +153,10 @@ impl ReplicaView {
 
     /// The search in the index's terms, its factors evaluated.
     fn plain(&self, search: &Search, since_revision: u64) -> wayfold_index::Search<'static> {
-        let Bounds { count, radius } = search.bounds;
-        let k = match count {
-            Some(Count::K(k)) => k as usize,
-            Some(Count::Factor(_)) | None => usize::MAX,
+        let Bounds { k, radius } = search.bounds;
+        let k = match k {
+            Some(K::Fixed(k)) => k as usize,
+            Some(K::Scaled(_)) | None => usize::MAX,
         };
         let mut plain = wayfold_index::Search::nearest_k(k);
         if let Some(Radius::Fixed(radius)) = radius {

@@ -41,14 +41,14 @@ impl Get {
     async fn send(self) -> Result<Points, Error> {
         const CALL: &str = "get";
         let limits = self.index.limits(CALL, self.ids.len()).await?;
-        let max_rows = limits.ids_per_call.min(READ_ROWS);
+        let max_rows = limits.max_ids_per_call.min(READ_ROWS);
         if self.ids.len() > max_rows {
             limits::check_unique(&self.ids)?;
         }
         let this = &self;
         let read = |part: Range<usize>| async move {
             let message = || v1::GetRequest {
-                index: this.index.name().to_owned(),
+                index_name: this.index.name().to_owned(),
                 ids: this.ids[part.clone()].to_vec(),
                 include: this.include.to_message(),
                 min_revision: this.index.min_revision(),

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use super::{awaitable, fresh_operation_id};
+use super::{awaitable, check_column, fresh_operation_id, mutation};
 use crate::{
     Error, IndexHandle, Limits, NeighborSpec, Neighbors, Revision, States,
     limits::{self, Division},
@@ -89,14 +89,11 @@ pub struct Inserted {
 }
 
 awaitable!(Insert => Inserted);
+mutation!(Insert);
+
+const CALL: &str = "insert";
 
 impl Insert {
-    /// The index that it writes to.
-    #[cfg(feature = "replica")]
-    pub(crate) fn index(&self) -> &IndexHandle {
-        &self.index
-    }
-
     pub(crate) fn new(index: IndexHandle, states: Result<States, Error>) -> Insert {
         Insert {
             index,
@@ -148,33 +145,20 @@ impl Insert {
         self
     }
 
-    /// At most 64 bytes: the insert takes effect once, however often it is sent under this id. Unless set, the client
-    /// makes one for its own retries. The later parts of a divided insert have `ID/ROW`, with their first row.
-    pub fn operation_id(mut self, id: impl Into<String>) -> Insert {
-        self.operation_id = id.into();
-        self
-    }
-
     async fn send(mut self) -> Result<Inserted, Error> {
         let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
         let rows = states.len();
-        check_column("ids", self.ids.len(), rows)?;
-        check_column("tags", self.tags.len(), rows)?;
-        check_column("payloads", self.payloads.len(), rows)?;
+        check_column("ids", self.ids.len(), &[0, rows], "states")?;
+        check_column("tags", self.tags.len(), &[0, rows], "states")?;
+        check_column("payloads", self.payloads.len(), &[0, rows], "states")?;
         let mut inserted = Inserted {
             outcomes: Vec::with_capacity(rows),
             neighbors: None,
             revision: self.index.revision(),
         };
-        let division = Division {
-            index: &self.index,
-            call: CALL,
-            rows,
-            ids: &self.ids,
-            operation_id: &self.operation_id,
-        };
+        let division = Division::new(CALL, &self.index, rows, &self.ids, &self.operation_id);
         let written = division.write(
-            |limits| self.rows_of_answer(limits).min(limits.rows_per_call),
+            |limits| self.rows_of_answer(limits).min(limits.max_rows_per_call),
             |row| self.row_bytes(&states, row),
             |part, operation_id| self.message(&states, part, operation_id),
             |mut stub, request| async move { stub.insert(request).await },
@@ -216,7 +200,7 @@ impl Insert {
             false => v1::OnConflict::Unspecified,
         };
         v1::InsertRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             states: Some(states.to_message(part.clone())),
             ids: column(&self.ids, part),
             tags: column(&self.tags, part),
@@ -268,20 +252,7 @@ impl Insert {
     }
 }
 
-const CALL: &str = "insert";
-
 /// The part of an optional column that belongs to these rows.
 fn column<T: Clone>(values: &[T], part: &std::ops::Range<usize>) -> Vec<T> {
     values.get(part.clone()).unwrap_or_default().to_vec()
-}
-
-fn check_column(field: &'static str, values: usize, rows: usize) -> Result<(), Error> {
-    match values {
-        0 => Ok(()),
-        _ if values == rows => Ok(()),
-        _ => Err(Error::Argument {
-            field,
-            problem: format!("{values} given for {rows} states"),
-        }),
-    }
 }

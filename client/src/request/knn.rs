@@ -9,7 +9,7 @@ use crate::{
     Error, Filter, Include, IndexHandle, Neighbors, Radius, States,
     limits::{self, READ_ROWS},
     neighbors::Expected,
-    search::{Bounds, Count},
+    search::{Bounds, K},
 };
 
 /// Finds the nearest points of each state; await it to send it.
@@ -37,7 +37,7 @@ impl Knn {
             index,
             states,
             bounds: Bounds {
-                count: Some(Count::K(1)),
+                k: Some(K::Fixed(1)),
                 radius: None,
             },
             options: SearchOptions::default(),
@@ -46,14 +46,14 @@ impl Knn {
 
     /// At most `k` neighbours of each state, at least 1; 1 unless set.
     pub fn k(mut self, k: u32) -> Knn {
-        self.bounds.count = Some(Count::K(k));
+        self.bounds.k = Some(K::Fixed(k));
         self
     }
 
     /// At most ⌈factor · ln n⌉ neighbours, at least 1, for an index of n points; in the place of `k`. The server evaluates
     /// it, so that workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`](crate::Scaling::K_FACTOR).
     pub fn k_factor(mut self, factor: f64) -> Knn {
-        self.bounds.count = Some(Count::Factor(factor));
+        self.bounds.k = Some(K::Scaled(factor));
         self
     }
 
@@ -69,7 +69,7 @@ impl Knn {
         let limits = self.index.limits(CALL, states.len()).await?;
         let row_bytes = self.row_bytes();
         let max_rows = limits::rows_of_answer(self.index.client(), &limits, row_bytes);
-        let max_rows = max_rows.min(limits.rows_per_call).min(READ_ROWS);
+        let max_rows = max_rows.min(limits.max_rows_per_call).min(READ_ROWS);
         let (this, states) = (&self, &states);
         let read = |part: Range<usize>| async move {
             let message = || this.message(states, part.clone());
@@ -96,16 +96,13 @@ impl Knn {
 
     pub(super) fn message(&self, states: &States, part: Range<usize>) -> v1::KnnRequest {
         v1::KnnRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
-            count: self
-                .bounds
-                .count
-                .map(|count| neighbor_spec::Count::from(count).into()),
-            reach: self
+            k_form: self.bounds.k.map(|k| neighbor_spec::KForm::from(k).into()),
+            radius_form: self
                 .bounds
                 .radius
-                .map(|radius| neighbor_spec::Reach::from(radius).into()),
+                .map(|radius| neighbor_spec::RadiusForm::from(radius).into()),
             epsilon: self.options.epsilon,
             filter: self.options.filter.to_message(),
             include: self.options.include.to_message(),

@@ -45,7 +45,7 @@ impl Query {
         const CALL: &str = "query";
         let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
         let limits = self.index.limits(CALL, states.len()).await?;
-        let max_rows = limits.rows_per_call.min(READ_ROWS);
+        let max_rows = limits.max_rows_per_call.min(READ_ROWS);
         let (this, states) = (&self, &states);
         let read = |part: Range<usize>| async move {
             let message = || this.message(states, part.clone());
@@ -69,9 +69,9 @@ impl Query {
 
     fn message(&self, states: &States, part: Range<usize>) -> v1::QueryRequest {
         v1::QueryRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             states: Some(states.to_message(part)),
-            reach: Some(neighbor_spec::Reach::from(self.radius).into()),
+            radius_form: Some(neighbor_spec::RadiusForm::from(self.radius).into()),
             epsilon: self.options.epsilon,
             filter: self.options.filter.to_message(),
             include: self.options.include.to_message(),

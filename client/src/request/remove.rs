@@ -2,7 +2,7 @@
 
 use wayfold_proto::v1;
 
-use super::{awaitable, fresh_operation_id};
+use super::{awaitable, fresh_operation_id, mutation};
 use crate::{Error, IndexHandle, Revision, limits::Division};
 
 /// Removes points by id; await it to send it.
@@ -29,28 +29,17 @@ pub struct Removed {
 }
 
 awaitable!(Remove => Removed);
+mutation!(Remove);
 
 const CALL: &str = "remove";
 
 impl Remove {
-    /// The index that it writes to.
-    #[cfg(feature = "replica")]
-    pub(crate) fn index(&self) -> &IndexHandle {
-        &self.index
-    }
-
     pub(crate) fn new(index: IndexHandle, ids: Vec<u64>) -> Remove {
         Remove {
             index,
             ids,
             operation_id: fresh_operation_id(),
         }
-    }
-
-    /// Sets the operation id; see [`Insert::operation_id`](crate::Insert::operation_id).
-    pub fn operation_id(mut self, id: impl Into<String>) -> Remove {
-        self.operation_id = id.into();
-        self
     }
 
     async fn send(self) -> Result<Removed, Error> {
@@ -61,18 +50,12 @@ impl Remove {
             missing_count: 0,
             revision: self.index.revision(),
         };
-        let division = Division {
-            index: &self.index,
-            call: CALL,
-            rows,
-            ids: &self.ids,
-            operation_id: &self.operation_id,
-        };
+        let division = Division::new(CALL, &self.index, rows, &self.ids, &self.operation_id);
         let written = division.write(
-            |limits| limits.ids_per_call,
+            |limits| limits.max_ids_per_call,
             |_| ID_BYTES,
             |part, operation_id| v1::RemoveRequest {
-                index: self.index.name().to_owned(),
+                index_name: self.index.name().to_owned(),
                 ids: self.ids[part.clone()].to_vec(),
                 operation_id: operation_id.to_owned(),
                 uid: self.index.uid().to_owned(),

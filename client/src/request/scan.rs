@@ -95,7 +95,7 @@ impl ScanRequest {
 
     fn message(&self) -> v1::ScanRequest {
         v1::ScanRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             filter: self.filter.to_message(),
             include: self.include.to_message(),
             after_id: self.after_id,

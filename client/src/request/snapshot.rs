@@ -57,7 +57,7 @@ impl SnapshotRequest {
         let index = self.index;
         let (stub, client) = (index.client().indexes(), index.client());
         let message = v1::SnapshotIndexRequest {
-            index: index.name().to_owned(),
+            index_name: index.name().to_owned(),
             min_revision: index.min_revision(),
         };
         let attempt = |_remaining: Duration| {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use super::{awaitable, fresh_operation_id};
+use super::{awaitable, check_column, fresh_operation_id, mutation};
 use crate::{Error, IndexHandle, Revision, limits::Division};
 
 /// Sets tags or payloads of stored points, whose states stay; await it to send it.
@@ -36,16 +36,11 @@ pub struct Updated {
 }
 
 awaitable!(Update => Updated);
+mutation!(Update);
 
 const CALL: &str = "update";
 
 impl Update {
-    /// The index that it writes to.
-    #[cfg(feature = "replica")]
-    pub(crate) fn index(&self) -> &IndexHandle {
-        &self.index
-    }
-
     pub(crate) fn new(index: IndexHandle, ids: Vec<u64>) -> Update {
         Update {
             index,
@@ -83,30 +78,18 @@ impl Update {
         self
     }
 
-    /// Sets the operation id; see [`Insert::operation_id`](crate::Insert::operation_id).
-    pub fn operation_id(mut self, id: impl Into<String>) -> Update {
-        self.operation_id = id.into();
-        self
-    }
-
     async fn send(self) -> Result<Updated, Error> {
         let rows = self.ids.len();
-        check_column("tags", self.tags.len(), &[0, 1, rows])?;
-        check_column("payloads", self.payloads.len(), &[0, rows])?;
+        check_column("tags", self.tags.len(), &[0, 1, rows], "ids")?;
+        check_column("payloads", self.payloads.len(), &[0, rows], "ids")?;
         let mut updated = Updated {
             updated_count: 0,
             unchanged_count: 0,
             revision: self.index.revision(),
         };
-        let division = Division {
-            index: &self.index,
-            call: CALL,
-            rows,
-            ids: &self.ids,
-            operation_id: &self.operation_id,
-        };
+        let division = Division::new(CALL, &self.index, rows, &self.ids, &self.operation_id);
         let written = division.write(
-            |limits| limits.ids_per_call,
+            |limits| limits.max_ids_per_call,
             |row| self.row_bytes(row),
             |part, operation_id| self.message(part, operation_id),
             |mut stub, request| async move { stub.update(request).await },
@@ -137,7 +120,7 @@ impl Update {
             _ => &self.tags[part.clone()],
         };
         v1::UpdateRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             ids: self.ids[part.clone()].to_vec(),
             tags: tags.to_vec(),
             tag_mask: self.tag_mask,
@@ -147,15 +130,4 @@ impl Update {
             uid: self.index.uid().to_owned(),
         }
     }
-}
-
-fn check_column(field: &'static str, values: usize, allowed: &[usize]) -> Result<(), Error> {
-    if allowed.contains(&values) {
-        return Ok(());
-    }
-    let ids = allowed.last().copied().unwrap_or_default();
-    Err(Error::Argument {
-        field,
-        problem: format!("{values} given for {ids} ids"),
-    })
 }

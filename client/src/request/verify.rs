@@ -122,7 +122,7 @@ impl Verify {
 
     fn message(&self) -> v1::VerifyIndexRequest {
         v1::VerifyIndexRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             min_revision: self.index.min_revision(),
             query_count: self.query_count,
             k: self.k,

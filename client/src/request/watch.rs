@@ -154,7 +154,7 @@ impl WatchRequest {
 
     fn message(&self) -> v1::WatchRequest {
         v1::WatchRequest {
-            index: self.index.name().to_owned(),
+            index_name: self.index.name().to_owned(),
             after_revision: self.after.as_ref().map(Revision::to_message),
             include: self.include.to_message(),
         }

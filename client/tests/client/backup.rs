@@ -30,7 +30,7 @@ fn parts(parts: &[&[f64]]) -> Vec<v1::SnapshotPart> {
             tags: vec![0; ids.len()],
             revisions: vec![2; ids.len()],
             states: Some(v1::States {
-                rows: ids.len() as u32,
+                row_count: ids.len() as u32,
                 coordinates: part.to_vec(),
             }),
             ids,

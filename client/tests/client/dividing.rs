@@ -27,7 +27,7 @@ fn scattered(rows: usize, width: usize) -> States {
 fn rows_of(requests: &[wayfold_proto::v1::KnnRequest]) -> Vec<u32> {
     requests
         .iter()
-        .map(|request| request.states.as_ref().unwrap().rows)
+        .map(|request| request.states.as_ref().unwrap().row_count)
         .collect()
 }
 
@@ -45,8 +45,8 @@ async fn reads_are_divided_by_rows_and_by_the_bytes_of_their_answers() {
         .flat_map(|request| request.states.unwrap().coordinates);
     assert_eq!(sent.collect::<Vec<_>>(), states.coordinates());
     // The fake numbers the rows of each call from 0.
-    assert_eq!(neighbors.row(1000).ids, [0]);
-    assert_eq!(neighbors.row(2499).ids, [499]);
+    assert_eq!(neighbors.row(1000).ids().collect::<Vec<_>>(), [0]);
+    assert_eq!(neighbors.row(2499).ids().collect::<Vec<_>>(), [499]);
 
     // 10,000 neighbours of 16 bytes each: 26 states fill 4 MiB.
     index.knn(&scattered(60, 1)).k(10_000).await.unwrap();
@@ -70,7 +70,7 @@ async fn reads_are_divided_by_rows_and_by_the_bytes_of_their_answers() {
 async fn an_answer_that_is_too_large_is_asked_for_by_halves() {
     let fake = Fake::start().await;
     let index = fake.client().await.index("line").await.unwrap();
-    fake.fail(|_, rows| (rows > 300).then(|| too_large("answer_bytes")));
+    fake.fail(|_, rows| (rows > 300).then(|| too_large("max_answer_bytes")));
     assert_eq!(index.knn(&scattered(1000, 1)).await.unwrap().len(), 1000);
     assert_eq!(
         rows_of(&fake.knn_requests()),
@@ -79,13 +79,13 @@ async fn an_answer_that_is_too_large_is_asked_for_by_halves() {
 
     // The limit on `k` does not depend on the rows: the call fails at once. The limit on the bytes of an answer makes
     // the client halve the rows: the call fails once a single row exceeds the limit.
-    fake.fail(|_, _| Some(too_large("k")));
+    fake.fail(|_, _| Some(too_large("max_k")));
     assert_eq!(
         index.knn(&scattered(1000, 1)).await.unwrap_err().code(),
         Code::ResourceExhausted
     );
     assert_eq!(fake.calls(), 1);
-    fake.fail(|_, _| Some(too_large("answer_bytes")));
+    fake.fail(|_, _| Some(too_large("max_answer_bytes")));
     assert_eq!(
         index.knn(&scattered(1000, 1)).await.unwrap_err().code(),
         Code::ResourceExhausted
@@ -117,7 +117,7 @@ async fn a_divided_insert_is_atomic_by_part() {
     let fake = Fake::start().await;
     let index = fake.client().await.index("line").await.unwrap();
     let limit = fake.client().await.server().await.unwrap().limits;
-    let rows = 2 * limit.rows_per_call + 5000;
+    let rows = 2 * limit.max_rows_per_call + 5000;
     let ids: Vec<u64> = (0..rows as u64).rev().collect();
     let states = scattered(rows, 1);
     let inserted = index
@@ -133,7 +133,7 @@ async fn a_divided_insert_is_atomic_by_part() {
         .map(|request| request.operation_id.as_str())
         .collect();
     // If other limits divide the same call in another way, an id comes with other rows, and nothing takes effect twice.
-    let [second, third] = [1, 2].map(|part| format!("big/{}", part * limit.rows_per_call));
+    let [second, third] = [1, 2].map(|part| format!("big/{}", part * limit.max_rows_per_call));
     assert_eq!(operations, ["big", &second, &third]);
     let sent: Vec<u64> = requests
         .iter()
@@ -209,7 +209,7 @@ async fn payloads_divide_an_insert_too() {
         .unwrap();
     let rows: Vec<u32> = fake.insert_requests()[2..]
         .iter()
-        .map(|one| one.states.as_ref().unwrap().rows)
+        .map(|one| one.states.as_ref().unwrap().row_count)
         .collect();
     // 261 rows of 1000 neighbours of 16 bytes.
     assert_eq!(rows, [261, 39]);
@@ -235,7 +235,7 @@ async fn the_server_is_asked_once_for_its_limits_and_only_where_they_matter() {
         (
             server.version.as_str(),
             server.durability,
-            server.limits.ids_per_call
+            server.limits.max_ids_per_call
         ),
         ("1.2.3", Durability::Memory, 10_000)
     );
@@ -255,7 +255,7 @@ async fn after_a_refusal_that_names_a_lower_limit_the_rest_is_divided_anew() {
     let sent: Vec<(u32, String)> = fake
         .insert_requests()
         .into_iter()
-        .map(|sent| (sent.states.unwrap().rows, sent.operation_id))
+        .map(|sent| (sent.states.unwrap().row_count, sent.operation_id))
         .collect();
     let part = |rows, start: usize| match start {
         0 => (rows, "big".to_owned()),
@@ -274,7 +274,7 @@ async fn after_a_refusal_that_names_a_lower_limit_the_rest_is_divided_anew() {
 async fn a_refusal_that_names_no_lower_limit_fails_a_mutation() {
     let fake = Fake::start().await;
     let index = fake.client().await.index("line").await.unwrap();
-    fake.fail(|number, _| (number > 0).then(|| exceeded("rows_per_call", 10_000)));
+    fake.fail(|number, _| (number > 0).then(|| exceeded("max_rows_per_call", 10_000)));
     let error = index.insert(&scattered(20_000, 1)).await.unwrap_err();
     assert!(
         matches!(error, Error::Partial { done: 10_000, .. }),
@@ -308,9 +308,9 @@ async fn columns_have_a_value_for_each_row() {
 #[tokio::test]
 async fn what_was_divided_and_joined_equals_brute_force() {
     let server = Server::with(|config| {
-        config.limits.rows_per_call = 1_500;
-        config.limits.ids_per_call = 300;
-        config.limits.answer_bytes = 40_000;
+        config.limits.max_rows_per_call = 1_500;
+        config.limits.max_ids_per_call = 300;
+        config.limits.max_answer_bytes = 40_000;
     });
     let index = server.index("se2", "R2*SO2").await;
     let space: Space = "R2*SO2".parse().unwrap();
@@ -343,9 +343,9 @@ async fn what_was_divided_and_joined_equals_brute_force() {
         ] {
             let expected = oracle.search(&state, &search).unwrap().neighbors;
             assert_eq!(row.iter().collect::<Vec<_>>(), expected);
-            for (place, id) in row.ids.iter().enumerate() {
-                assert_eq!(row.state(place).unwrap(), points.row(*id as usize));
-                assert_eq!(row.tags.unwrap()[place], id * 3);
+            for (place, id) in row.ids().enumerate() {
+                assert_eq!(row.state(place).unwrap(), points.row(id as usize));
+                assert_eq!(row.tags().unwrap()[place], id * 3);
             }
         }
     }

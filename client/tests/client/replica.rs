@@ -37,7 +37,7 @@ async fn request(fake: &Fake) -> ReplicaRequest {
 
 fn nearest(replica: &Replica, x: f64) -> (u64, u64) {
     let found = replica.knn([x], 1).unwrap();
-    (found.neighbors[0].id, found.revision.number)
+    (found.nearest().unwrap().id, found.revision().number)
 }
 
 fn reset(reason: v1::ResetReason, revision: u64) -> v1::WatchResponse {

@@ -47,11 +47,11 @@ async fn inserts_tell_outcomes_and_the_neighbours_of_the_moment() {
     );
     let last = neighbors.row(2);
     assert_eq!(
-        (last.state(0), last.tags),
+        (last.state(0), last.tags()),
         (Some(&[10.0][..]), Some(&[2][..]))
     );
-    assert_eq!((last.revisions, last.state(1)), (Some(&[1][..]), None));
-    assert_eq!(last.payloads.unwrap(), ["bc"]);
+    assert_eq!((last.revisions(), last.state(1)), (Some(&[1][..]), None));
+    assert_eq!(last.payloads().unwrap(), ["bc"]);
     assert_eq!(neighbors.revision(), second.revision);
     assert_eq!(second.revision, index.revision_at(2));
 
@@ -116,9 +116,9 @@ async fn tags_are_set_compared_and_filtered_by() {
 
     let odd = Filter::default().tag(1, 1);
     let nearest = index.knn([[1.1]]).k(3).filter(odd.clone()).await.unwrap();
-    assert_eq!(nearest.row(0).ids, [2, 0]);
+    assert_eq!(nearest.row(0).ids().collect::<Vec<_>>(), [2, 0]);
     let around = index.query([[1.1]], 1.0).filter(odd).await.unwrap();
-    assert_eq!(around.row(0).ids, [2]);
+    assert_eq!(around.row(0).ids().collect::<Vec<_>>(), [2]);
 
     let late = index
         .update([0, 2])
@@ -156,7 +156,8 @@ async fn only_what_is_new_since_a_revision_is_found() {
             .await
             .unwrap()
             .row(0)
-            .ids,
+            .ids()
+            .collect::<Vec<_>>(),
         [1]
     );
 }
@@ -318,11 +319,11 @@ async fn reads_have_the_columns_that_they_include() {
 
 #[tokio::test]
 async fn a_server_describes_itself() {
-    let server = Server::with(|config| config.limits.rows_per_call = 123);
+    let server = Server::with(|config| config.limits.max_rows_per_call = 123);
     let client = server.client().await;
     let found = client.server().await.unwrap();
     assert_eq!(found.version, env!("CARGO_PKG_VERSION"));
     assert_eq!(found.durability, Durability::Memory);
-    assert_eq!(found.limits.rows_per_call, 123);
-    assert_eq!(found.limits.payload_bytes, 64 * 1024);
+    assert_eq!(found.limits.max_rows_per_call, 123);
+    assert_eq!(found.limits.max_payload_bytes, 64 * 1024);
 }

@@ -156,7 +156,7 @@ async fn rows_are_divided_for_the_largest_index_that_there_may_be() {
     let sent = fake.insert_requests();
     let rows: Vec<u32> = sent
         .iter()
-        .map(|one| one.states.as_ref().unwrap().rows)
+        .map(|one| one.states.as_ref().unwrap().row_count)
         .collect();
     // 2e · ln 2^32 = 120.6: 121 neighbours of 16 bytes, and 16 bytes more.
     assert_eq!(rows, [2148, 352]);

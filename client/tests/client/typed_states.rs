@@ -36,7 +36,9 @@ async fn poses_in_space_are_sent_and_read_back() {
     // The distance of a quarter turn is half its angle, weighted: sqrt(0.15) · π/4.
     let straight = Isometry3::from_parts(pose.translation, UnitQuaternion::identity());
     let nearest = index.knn([straight]).await.unwrap();
-    assert!((nearest.row(0).distances[0] - 0.15_f64.sqrt() * PI / 4.0).abs() < 1e-15);
+    assert!(
+        (nearest.row(0).nearest().unwrap().distance - 0.15_f64.sqrt() * PI / 4.0).abs() < 1e-15
+    );
 }
 
 #[tokio::test]

@@ -41,7 +41,7 @@ pub(crate) fn points(revision: u64, points: &[(u64, f64)]) -> v1::Points {
     v1::Points {
         ids: points.iter().map(|(id, _)| *id).collect(),
         states: Some(v1::States {
-            rows: u32::try_from(points.len()).unwrap(),
+            row_count: u32::try_from(points.len()).unwrap(),
             coordinates: points.iter().map(|(_, x)| *x).collect(),
         }),
         tags: vec![0; points.len()],

@@ -24,10 +24,10 @@ pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result
     let mut own = vec![vec![(0.0, 0.0)]; crew.accounts.len()];
     let mut all = vec![(0.0, 0.0)];
     let mut now = vec![0; crew.accounts.len()];
-    for told in &crew.growth {
-        let at = told.at.as_secs_f64();
-        now[told.worker] = told.made;
-        own[told.worker].push((at, told.made as f64));
+    for progress in &crew.growth {
+        let at = progress.at.as_secs_f64();
+        now[progress.worker] = progress.made;
+        own[progress.worker].push((at, progress.made as f64));
         all.push((at, now.iter().sum::<u64>() as f64));
     }
     let most = now.iter().sum::<u64>().max(1) as f64;

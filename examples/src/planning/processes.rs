@@ -93,7 +93,7 @@ pub enum Line<A> {
 pub struct Reporter {
     number: usize,
     every: Duration,
-    told: Instant,
+    last_report: Instant,
     halt: Option<u64>,
 }
 
@@ -110,7 +110,7 @@ impl Reporter {
         let reporter = Reporter {
             number: job.number(),
             every: Duration::from_millis(every_ms),
-            told: Instant::now(),
+            last_report: Instant::now(),
             halt: halt_at,
         };
         reporter.wait()?;
@@ -124,10 +124,10 @@ impl Reporter {
             tell(self.number, &Line::Halted(*account))?;
             return self.wait();
         }
-        if self.told.elapsed() < self.every {
+        if self.last_report.elapsed() < self.every {
             return Ok(());
         }
-        self.told = Instant::now();
+        self.last_report = Instant::now();
         tell(self.number, &Line::Progress(*account))
     }
 
@@ -181,9 +181,9 @@ pub struct Crew<A> {
 impl<A> Crew<A> {
     /// The longest time without a report of progress from any worker.
     pub fn longest_pause(&self) -> Duration {
-        let mut told: Vec<Duration> = self.growth.iter().map(|told| told.at).collect();
-        told.sort_unstable();
-        let pauses = told.windows(2).map(|pair| pair[1] - pair[0]);
+        let mut events: Vec<Duration> = self.growth.iter().map(|events| events.at).collect();
+        events.sort_unstable();
+        let pauses = events.windows(2).map(|pair| pair[1] - pair[0]);
         pauses.max().unwrap_or_default()
     }
 }
@@ -214,13 +214,15 @@ pub fn run<J: Job>(
     jobs: &[J],
     mut incident: Incident<'_>,
 ) -> Result<Crew<J::Account>, PlanningError> {
-    let (told, lines) = mpsc::channel();
+    let (events, lines) = mpsc::channel();
     let mut processes = Vec::with_capacity(jobs.len());
     for job in jobs {
-        let told = told.clone();
-        processes.push(Process::start(job, move |heard| told.send(heard).is_ok())?);
+        let events = events.clone();
+        processes.push(Process::start(job, move |heard| {
+            events.send(heard).is_ok()
+        })?);
     }
-    drop(told);
+    drop(events);
     for _ in jobs {
         match next(&lines)? {
             (_, Some(Line::Ready), _) => {}
@@ -303,7 +305,7 @@ impl Process {
     /// Starts a worker, and forwards its messages as long as `told` accepts them.
     pub fn start<J: Job>(
         job: &J,
-        told: impl Fn(WorkerEvent<J::Account>) -> bool + Send + 'static,
+        events: impl Fn(WorkerEvent<J::Account>) -> bool + Send + 'static,
     ) -> Result<Process, PlanningError> {
         let number = job.number();
         let failed = |problem: io::Error| lost(number, problem);
@@ -321,12 +323,12 @@ impl Process {
             let lines = output.map(BufReader::new).into_iter();
             for line in lines.flat_map(BufRead::lines).map_while(Result::ok) {
                 let line = serde_json::from_str(&line).ok();
-                if line.is_some() && !told((number, line, Instant::now())) {
+                if line.is_some() && !events((number, line, Instant::now())) {
                     return;
                 }
             }
             // The receiver is gone once the run is over.
-            let _ = told((number, None, Instant::now()));
+            let _ = events((number, None, Instant::now()));
         });
         Ok(Process {
             number,

@@ -153,7 +153,7 @@ impl NeighborSource for ReplicaSource {
             Ok(k) => wayfold::Search::k(k).radius(search.radius),
             Err(_) => wayfold::Search::within(search.radius),
         };
-        Ok(self.replica.search(state, &search)?.neighbors)
+        Ok(self.replica.search(state, &search)?.into_vec())
     }
 }
 

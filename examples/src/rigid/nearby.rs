@@ -57,8 +57,8 @@ impl Source {
                 let search = Search::k_factor(CANDIDATE_GROWTH * Scaling::K_FACTOR);
                 let nearest = |state: &Vec<f64>| -> Result<Vec<Candidate>, PlanningError> {
                     let found = view.search(state, &search)?;
-                    let near = found.neighbors.iter();
-                    Ok(near.filter_map(|near| held(&view, near)).collect())
+                    let near = found.iter();
+                    Ok(near.filter_map(|near| held(&view, &near)).collect())
                 };
                 let near: Result<Vec<_>, _> = states.iter().map(nearest).collect();
                 Ok((near?, view.revision()))

@@ -99,7 +99,7 @@ async fn solve(
 ) -> Result<SolvedRoadmap, PlanningError> {
     let watch = index.watch().after(index.revision_at(0));
     let mut watch = watch.include(Include::all()).await?;
-    let (told, mut lines) = mpsc::unbounded_channel();
+    let (events, mut lines) = mpsc::unbounded_channel();
     let mut crew = Vec::new();
     for number in 0..options.workers {
         let job = Job {
@@ -116,10 +116,12 @@ async fn solve(
             progress_ms: 0,
             halt_at: None,
         };
-        let told = told.clone();
-        crew.push(Process::start(&job, move |heard| told.send(heard).is_ok())?);
+        let events = events.clone();
+        crew.push(Process::start(&job, move |heard| {
+            events.send(heard).is_ok()
+        })?);
     }
-    drop(told);
+    drop(events);
     for _ in 0..options.workers {
         match lines.recv().await {
             Some((_, Some(Line::Ready), _)) => {}

@@ -85,14 +85,14 @@ fn free_is_free(problem: &impl Verify, states: usize) {
 }
 
 #[test]
-fn what_is_free_in_the_maze_is_free_with_its_surroundings() {
+fn free_states_in_the_maze_have_free_surroundings() {
     let problem = small();
     assert!(problem.is_free(problem.start()) && problem.is_free(problem.goal()));
     free_is_free(&problem, 20_000);
 }
 
 #[test]
-fn what_is_free_in_the_room_is_free_with_its_surroundings() {
+fn free_states_in_the_room_have_free_surroundings() {
     let problem = Room::new();
     assert!(problem.is_free(problem.start()) && problem.is_free(problem.goal()));
     // The second body is at the place of the first.

@@ -244,11 +244,11 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
     let total = |source| median(source, |spent| spent.total_s);
     for (line, source) in lines.into_iter().zip(["brute force", "SIMD scan"]) {
         assert!(line.starts_with(source));
-        let told = line.split_whitespace().rev().take(4);
-        let told = told.map(|ratio| ratio.strip_suffix('×').unwrap().parse().unwrap());
+        let shown = line.split_whitespace().rev().take(4);
+        let shown = shown.map(|ratio| ratio.strip_suffix('×').unwrap().parse().unwrap());
         let [scan_total, scan_neighbors, brute_total, brute_neighbors]: [f64; 4] =
-            told.collect::<Vec<_>>().try_into().unwrap();
-        for (told, expected) in [
+            shown.collect::<Vec<_>>().try_into().unwrap();
+        for (shown, expected) in [
             (scan_total, total("SIMD scan") / total(source)),
             (scan_neighbors, neighbors("SIMD scan") / neighbors(source)),
             (brute_total, total("brute force") / total(source)),
@@ -260,8 +260,8 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
             // The rounding errors of a ratio below ten and of one above.
             let rounding = if expected < 10.0 { 0.0051 } else { 0.51 };
             assert!(
-                (told - expected).abs() < rounding,
-                "{line}: {told}, {expected}"
+                (shown - expected).abs() < rounding,
+                "{line}: {shown}, {expected}"
             );
         }
     }

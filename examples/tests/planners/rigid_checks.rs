@@ -72,15 +72,15 @@ fn states_and_motions_are_judged_as_by_the_scene() {
     let free: Vec<_> = states.iter().filter(|state| scene.is_free(state)).collect();
     assert!(free.len() > 40 && free.len() < 760);
 
-    let (mut told, mut expected, mut ways) = (0, 0, [0, 0]);
+    let (mut reported, mut expected, mut ways) = (0, 0, [0, 0]);
     for pair in free.windows(2) {
         let [a, b] = pair else { unreachable!() };
         // Some motions of this length are free.
         let mut near = vec![0.0; a.len()];
         scene.space().interpolate(a, b, 0.1, &mut near);
         let judged = scene.is_free_way(a, &near, &mut expected);
-        assert_eq!(is_free_way(a, &near, &mut told), i32::from(judged));
-        assert_eq!(told, expected, "as many checks");
+        assert_eq!(is_free_way(a, &near, &mut reported), i32::from(judged));
+        assert_eq!(reported, expected, "as many checks");
         ways[usize::from(judged)] += 1;
 
         // Safety: rows of one length.
@@ -98,7 +98,7 @@ fn states_and_motions_are_judged_as_by_the_scene() {
 }
 
 #[test]
-fn the_problem_is_told_whole() {
+fn the_problem_is_described_completely() {
     let scene = Rooms::new();
     // Safety: it is never freed.
     let text = unsafe { CStr::from_ptr(rigid_problem()) };
@@ -109,9 +109,9 @@ fn the_problem_is_told_whole() {
     assert_eq!(problem["resolution"], scene.resolution());
     let tasks = problem["tasks"].as_array().unwrap();
     assert_eq!(tasks.len(), scene.tasks().len());
-    for (told, task) in tasks.iter().zip(scene.tasks()) {
-        assert_eq!(told["start"], serde_json::json!(task.start));
-        assert_eq!(told["goal"], serde_json::json!(task.goal));
+    for (reported, task) in tasks.iter().zip(scene.tasks()) {
+        assert_eq!(reported["start"], serde_json::json!(task.start));
+        assert_eq!(reported["goal"], serde_json::json!(task.goal));
         assert_eq!(is_free(&task.start), FREE);
     }
 }
@@ -129,7 +129,7 @@ fn rows_become_canonical() {
 }
 
 #[test]
-fn what_is_no_state_is_refused() {
+fn invalid_states_are_refused() {
     let mut row = vec![5.0, 3.0, 2.0, 0.0, 0.0, 0.0, 1.0];
     assert_ne!(is_free(&row), NO_STATE);
     assert_eq!(is_free(&row[..6]), NO_STATE, "too short");

@@ -75,7 +75,7 @@ fn nearest(shared: &SharedTrees, asked: &SearchRecord) -> Option<Neighbor> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn four_workers_grow_two_trees_by_what_was_nearest_until_they_meet() {
+async fn four_workers_grow_two_trees_by_nearest_vertices_until_they_meet() {
     grow(Layout::Indices).await;
 }
 
@@ -128,7 +128,7 @@ async fn grow(layout: Layout) {
 }
 
 #[tokio::test]
-async fn the_first_to_say_that_the_trees_meet_is_the_one_who_did() {
+async fn the_first_announced_meeting_of_the_trees_counts() {
     let server = Server::start();
     let store = planted(&server, Layout::Indices).await;
     let meeting = store.meeting();
@@ -155,7 +155,7 @@ async fn the_first_to_say_that_the_trees_meet_is_the_one_who_did() {
 }
 
 #[tokio::test]
-async fn what_is_no_tree_is_not_read_as_one() {
+async fn invalid_trees_are_not_read() {
     let server = Server::start();
     let store = planted(&server, Layout::Tags).await;
     let index = store.index(0);
@@ -165,7 +165,7 @@ async fn what_is_no_tree_is_not_read_as_one() {
         insert.payloads([payload.to_vec()]).await.unwrap();
         let read = SharedTrees::read(&store).await;
         index.remove([id]).await.unwrap();
-        matches!(read, Err(PlanningError::Vertex { id: told, .. }) if told == id)
+        matches!(read, Err(PlanningError::Vertex { id: named, .. }) if named == id)
     };
     assert!(refused(20, 0, &[]).await, "no parent");
     assert!(refused(20, 0, &[1, 2, 3]).await, "no id");

@@ -190,7 +190,7 @@ fn a_great_weight_within_a_group_of_a_sum_keeps_the_slack_of_the_cosine() {
 
 /// Distances out of range are all equal: the least ids win, though their keys differ.
 #[test]
-fn of_points_infinitely_far_away_the_least_ids_win() {
+fn the_least_ids_of_infinitely_distant_points_win() {
     let space = Space::new(vec![Group {
         weight: 1e250,
         terms: vec![Term {

@@ -105,7 +105,7 @@ fn points_that_are_written_over_and_over_stay_few() {
 
 /// A few moving points among many resting ones leave no long history and little memory behind.
 #[test]
-fn what_moves_among_what_rests_stays_quick_to_search() {
+fn moving_points_among_resting_ones_stay_quick_to_search() {
     let space: Space = "R3".parse().unwrap();
     let far: Vec<Vec<f64>> = states(&space, Shape::Uniform, 3000, &mut rng(23))
         .into_iter()
@@ -143,7 +143,7 @@ fn a_search_without_boxes_ends_in_time() {
 
 /// Writes that pause leave one packed tree, whether or not a merge was due before.
 #[test]
-fn what_has_grown_is_packed_when_writes_pause() {
+fn grown_trees_are_packed_when_writes_pause() {
     let space = Space::se3();
     let rows = states(&space, Shape::Uniform, 6000, &mut rng(17));
     let mut forest = grow(&space, &rows);
@@ -165,7 +165,7 @@ fn what_has_grown_is_packed_when_writes_pause() {
 
 /// A snapshot stays the same while its tree grows, splits, is sealed and packed.
 #[test]
-fn snapshots_of_what_grows_stay_as_they_were() {
+fn snapshots_of_a_growing_tree_stay_unchanged() {
     let space: Space = "R2*SO2".parse().unwrap();
     let options = ForestOptions {
         growing_rows: 700,

@@ -173,7 +173,7 @@ fn in_many_dimensions_answers_stay_the_same() {
 
 /// If more points are equally near than a search returns, the least ids win.
 #[test]
-fn of_many_that_coincide_the_least_ids_win() {
+fn the_least_ids_of_coinciding_points_win() {
     for text in ["R3", "SO3", "R3*SO3:0.15", "sum(R1, SO3)"] {
         let space: Space = text.parse().unwrap();
         let (mut query, mut state) = (

@@ -279,7 +279,7 @@ fn check_columns(
     let columns = [
         (
             "rows of states",
-            states.map_or(0, |states| states.rows as usize),
+            states.map_or(0, |states| states.row_count as usize),
             rows,
         ),
         (

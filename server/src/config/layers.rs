@@ -18,8 +18,8 @@ const SEPARATOR: &str = "__";
 const MAY_BE_ZERO: [&str; 6] = [
     "index.growing_rows",
     "grpc.keepalive_interval_ms",
-    "limits.operations_remembered",
-    "limits.operation_bytes",
+    "limits.max_operations",
+    "limits.max_operation_bytes",
     "runtime.workers",
     "shutdown.grace_ms",
 ];

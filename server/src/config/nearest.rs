@@ -48,12 +48,17 @@ mod tests {
 
     #[test]
     fn a_misspelt_name_finds_its_setting() {
-        let known = ["grpc.listen", "grpc.max_calls", "limits.k", "log.filter"];
+        let known = [
+            "grpc.listen",
+            "grpc.max_calls",
+            "limits.max_k",
+            "log.filter",
+        ];
         for (written, meant) in [
             ("grpc.listne", "grpc.listen"),
             ("max_calls", "grpc.max_calls"),
             ("server.listen", "grpc.listen"),
-            ("limits.K", "limits.k"),
+            ("limits.max_K", "limits.max_k"),
         ] {
             assert_eq!(
                 nearest(written, known.into_iter()),

@@ -110,7 +110,7 @@ mod tests {
     #[test]
     fn clients_of_grpc_read_the_details() {
         let status = from_error(&Error::LimitExceeded {
-            limit: "k",
+            limit: "max_k",
             value: 10,
             asked: 11,
             advice: "ask for fewer",
@@ -121,7 +121,7 @@ mod tests {
         let violations = status.get_details_quota_failure().unwrap().violations;
         assert_eq!(
             (&*violations[0].subject, violations[0].quota_value),
-            ("k", 10)
+            ("max_k", 10)
         );
     }
 

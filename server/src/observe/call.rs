@@ -133,24 +133,24 @@ macro_rules! requests {
 }
 
 requests! {
-    InsertRequest: index, this => rows(this.states.as_ref());
-    UpdateRequest: index, this => this.ids.len();
-    RemoveRequest: index, this => this.ids.len();
-    GetRequest: index, this => this.ids.len();
-    KnnRequest: index, this => rows(this.states.as_ref());
-    QueryRequest: index, this => rows(this.states.as_ref());
-    ScanRequest: index;
-    WatchRequest: index;
+    InsertRequest: index_name, this => rows(this.states.as_ref());
+    UpdateRequest: index_name, this => this.ids.len();
+    RemoveRequest: index_name, this => this.ids.len();
+    GetRequest: index_name, this => this.ids.len();
+    KnnRequest: index_name, this => rows(this.states.as_ref());
+    QueryRequest: index_name, this => rows(this.states.as_ref());
+    ScanRequest: index_name;
+    WatchRequest: index_name;
     GetServerRequest;
     CreateIndexRequest: name;
-    GetIndexRequest: index;
+    GetIndexRequest: index_name;
     ListIndexesRequest;
-    DeleteIndexRequest: index;
-    SnapshotIndexRequest: index;
+    DeleteIndexRequest: index_name;
+    SnapshotIndexRequest: index_name;
     RestoreIndexRequest: name;
-    VerifyIndexRequest: index;
+    VerifyIndexRequest: index_name;
 }
 
 fn rows(states: Option<&v1::States>) -> usize {
-    states.map_or(0, |states| states.rows as usize)
+    states.map_or(0, |states| states.row_count as usize)
 }

@@ -25,8 +25,8 @@ pub(super) struct Room {
 impl Room {
     pub(super) fn new(limits: &Limits) -> Self {
         Self {
-            limit: limits.answer_bytes,
-            left: limits.answer_bytes.saturating_sub(FRAME),
+            limit: limits.max_answer_bytes,
+            left: limits.max_answer_bytes.saturating_sub(FRAME),
         }
     }
 
@@ -42,7 +42,7 @@ impl Room {
                 Ok(())
             }
             None => Err(Error::LimitExceeded {
-                limit: "answer_bytes",
+                limit: "max_answer_bytes",
                 value: self.limit as u64,
                 asked: (self.limit - self.left + bytes) as u64,
                 advice: "ask for less in one call: fewer states or ids, a smaller k or radius, fewer columns",
@@ -202,7 +202,7 @@ impl NeighborColumns {
 
     fn push_point(&mut self, point: Point) -> Result<(), Error> {
         if let Some(states) = &mut self.columns.states {
-            states.rows += 1;
+            states.row_count += 1;
             states.coordinates.extend(point.row);
         }
         if self.include.tags {
@@ -283,7 +283,7 @@ impl PointColumns {
         self.columns.ids.push(point.id);
         if let Some(states) = &mut self.columns.states {
             self.bytes += 8 * point.row.len();
-            states.rows += 1;
+            states.row_count += 1;
             states.coordinates.extend_from_slice(point.row);
         }
         if self.include.tags {

@@ -81,11 +81,11 @@ pub(super) async fn states(
         violations.add("states", "REQUIRED", "the states are missing");
         return Ok(checked);
     };
-    let rows = states.rows as usize;
-    if rows > limits.rows_per_call {
+    let rows = states.row_count as usize;
+    if rows > limits.max_rows_per_call {
         return Err(Error::LimitExceeded {
-            limit: "rows_per_call",
-            value: limits.rows_per_call as u64,
+            limit: "max_rows_per_call",
+            value: limits.max_rows_per_call as u64,
             asked: rows as u64,
             advice: "split the states over several calls",
         });
@@ -168,12 +168,12 @@ pub(super) async fn ids(
 
 /// Most ids of a call that names points by id.
 pub(super) fn id_count(ids: &[u64], limits: &Limits) -> Result<(), Error> {
-    if ids.len() <= limits.ids_per_call {
+    if ids.len() <= limits.max_ids_per_call {
         return Ok(());
     }
     Err(Error::LimitExceeded {
-        limit: "ids_per_call",
-        value: limits.ids_per_call as u64,
+        limit: "max_ids_per_call",
+        value: limits.max_ids_per_call as u64,
         asked: ids.len() as u64,
         advice: "split the ids over several calls",
     })
@@ -192,14 +192,14 @@ pub(super) fn column<T>(field: &str, column: &[T], rows: usize, violations: &mut
 
 pub(super) fn payloads(payloads: &[Bytes], limits: &Limits, violations: &mut Violations) {
     for (at, payload) in payloads.iter().enumerate() {
-        if payload.len() > limits.payload_bytes {
+        if payload.len() > limits.max_payload_bytes {
             violations.add(
                 format!("payloads[{at}]"),
                 "PAYLOAD_TOO_LARGE",
                 format!(
                     "{} bytes; a payload has at most {}",
                     payload.len(),
-                    limits.payload_bytes
+                    limits.max_payload_bytes
                 ),
             );
         }
@@ -231,7 +231,7 @@ pub(super) fn finite(field: &str, number: f64, violations: &mut Violations) {
     }
 }
 
-/// A number of neighbours: at least 1, at most `limits.k`.
+/// A number of neighbours: at least 1, at most `limits.max_k`.
 pub(super) fn k(
     field: &str,
     k: u32,
@@ -242,7 +242,7 @@ pub(super) fn k(
     if k == 0 {
         violations.add(field, "ZERO", "k is at least 1");
     }
-    k_limit(k, limits.k)?;
+    k_limit(k, limits.max_k)?;
     Ok(k)
 }
 
@@ -252,7 +252,7 @@ pub(super) fn k_limit(k: usize, limit: usize) -> Result<(), Error> {
         return Ok(());
     }
     Err(Error::LimitExceeded {
-        limit: "k",
+        limit: "max_k",
         value: limit as u64,
         asked: k as u64,
         advice: "ask for fewer neighbours, or for all within a radius",

@@ -146,7 +146,7 @@ pub enum Error {
         limit: &'static str,
         /// Its value.
         value: u64,
-        /// The requested amount; for `answer_bytes` the size at which the answer was given up.
+        /// The requested amount; for `max_answer_bytes` the size at which the answer was given up.
         asked: u64,
         /// The remedy.
         advice: &'static str,
@@ -162,7 +162,7 @@ pub enum Error {
     },
     /// A scan held its snapshot longer than allowed.
     #[error(
-        "the scan held its snapshot for longer than scan_seconds = {scan_seconds}: go on at a newer revision with \
+        "the scan held its snapshot for longer than max_scan_seconds = {max_scan_seconds}: go on at a newer revision with \
          {}",
         match after_id {
             Some(id) => format!("after_id = {id}"),
@@ -171,19 +171,19 @@ pub enum Error {
     )]
     ScanTooLong {
         /// The limit.
-        scan_seconds: u64,
+        max_scan_seconds: u64,
         /// The last id that was sent.
         after_id: Option<u64>,
     },
     /// A snapshot or a verification held its revision longer than allowed.
     #[error(
-        "the {what} held its revision for longer than scan_seconds = {scan_seconds}: read it faster, or raise the limit"
+        "the {what} held its revision for longer than max_scan_seconds = {max_scan_seconds}: read it faster, or raise the limit"
     )]
     HeldTooLong {
         /// "snapshot" or "verification".
         what: &'static str,
         /// The limit.
-        scan_seconds: u64,
+        max_scan_seconds: u64,
     },
     /// The server answers no calls now.
     #[error(

@@ -20,7 +20,7 @@ impl Service {
         request: v1::GetRequest,
     ) -> Result<v1::GetResponse, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, "")?;
+        let hosted = self.index(&request.index_name, "")?;
         let mut pace = call.pace(DOING);
         check::id_count(&request.ids, self.limits())?;
         let mut violations = Violations::default();
@@ -39,7 +39,7 @@ impl Service {
         }
         if !absent.is_empty() {
             return Err(Error::PointsNotFound {
-                index: request.index,
+                index: request.index_name,
                 ids: absent,
             });
         }

@@ -64,7 +64,7 @@ impl Service {
             });
         };
         let asked = space.to_string();
-        let (name, limit) = (request.name.clone(), self.limits().indexes);
+        let (name, limit) = (request.name.clone(), self.limits().max_indexes);
         let created = self.blocking(move |registry| registry.create(&name, space, limit));
         let (hosted, created) = created.await?.map_err(|error| match error {
             RegistryError::Exists { space } => Error::IndexExists {
@@ -73,7 +73,7 @@ impl Service {
                 asked,
             },
             RegistryError::Full { limit } => Error::LimitExceeded {
-                limit: "indexes",
+                limit: "max_indexes",
                 value: limit as u64,
                 asked: limit as u64 + 1,
                 advice: "delete an index first",
@@ -93,7 +93,7 @@ impl Service {
         request: v1::GetIndexRequest,
     ) -> Result<v1::GetIndexResponse, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, "")?;
+        let hosted = self.index(&request.index_name, "")?;
         Ok(v1::GetIndexResponse {
             index: Some(describe(&hosted, &hosted.published())),
         })
@@ -139,7 +139,7 @@ impl Service {
                 Ok(index) => index.encoded_len() + 8,
                 Err(damaged) => damaged.bytes(),
             };
-            let full = at == size || bytes > self.limits().answer_bytes;
+            let full = at == size || bytes > self.limits().max_answer_bytes;
             if let Some(last) = last.filter(|_| full) {
                 page.next_page_token = write_token(&last);
                 break;
@@ -161,17 +161,17 @@ impl Service {
         request: v1::DeleteIndexRequest,
     ) -> Result<v1::DeleteIndexResponse, Error> {
         self.accept(call)?;
-        let (name, uid) = (request.index.clone(), request.uid.clone());
+        let (name, uid) = (request.index_name.clone(), request.uid.clone());
         let deleted = self.blocking(move |registry| {
             registry.delete(&name, Some(&*uid).filter(|uid| !uid.is_empty()))
         });
         let uid = deleted.await?.map_err(|error| match error {
             RegistryError::OtherUid { found } => Error::UidMismatch {
-                index: request.index.clone(),
+                index: request.index_name.clone(),
                 asked: request.uid.clone(),
                 found: found.to_string(),
             },
-            error => registry_error(&request.index, error),
+            error => registry_error(&request.index_name, error),
         })?;
         Ok(v1::DeleteIndexResponse {
             uid: uid.to_string(),

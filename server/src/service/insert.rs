@@ -1,28 +1,27 @@
 //! `Insert`: states become points.
 
+mod evaluation;
+
 use std::sync::Arc;
 
 use bytes::Bytes;
-use wayfold_index::{Neighbor, Point, Search};
+use wayfold_index::{Point, Search};
 use wayfold_proto::v1;
 
+use self::evaluation::Evaluation;
 use super::{
     Call, Error, Limits, Service,
-    answer::{NeighborColumns, Room},
+    answer::Room,
     call::Pace,
-    check::{self, END_OF_IDS, Rows, Violations},
+    check::{self, Rows, Violations},
     mutation::{Claim, Start},
     neighbor_spec::NeighborSpec,
     payloads::{Payloads, Unread},
-    prefetch::{Prefetch, PrefetchedRow},
+    prefetch::Prefetch,
     read_view::revision,
-    staging::Staging,
     stored::MAX_READS_AHEAD,
 };
-use crate::{
-    log::{Effects, Outcome},
-    registry::{Committed, Hosted, Published, Writer},
-};
+use crate::registry::{Committed, Hosted, Published};
 
 const DOING: &str = "while evaluating the rows; nothing was changed";
 
@@ -48,7 +47,7 @@ impl Service {
         request: v1::InsertRequest,
     ) -> Result<v1::InsertResponse, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, &request.uid)?;
+        let hosted = self.index(&request.index_name, &request.uid)?;
         let mut pace = call.pace(DOING);
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
         let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;
@@ -59,7 +58,7 @@ impl Service {
         let unread = insertion
             .unread_in(&base, prefetch.as_ref(), &mut pace)
             .await?;
-        let most = self.limits().answer_bytes;
+        let most = self.limits().max_answer_bytes;
         let read = payloads.read(call, &hosted, &base, unread, most);
         read.await?;
         let (mut reads, mut held) = (1, None);
@@ -130,174 +129,6 @@ impl Service {
     }
 }
 
-/// An insertion evaluated against the newest state of an index, row by row, invisible to others.
-struct Evaluation<'a> {
-    insertion: &'a Insertion,
-    index: &'a str,
-    staging: Staging<'a>,
-    prefetch: Option<&'a Prefetch>,
-    payloads: &'a Payloads,
-    /// Payloads to read before the rows can be evaluated.
-    unread: Unread,
-    /// The next id to assign.
-    next_id: u64,
-    found: Option<NeighborColumns>,
-    response: v1::InsertResponse,
-    /// Ids that hold another point. After the first, only further conflicts are collected.
-    conflicts: Vec<u64>,
-}
-
-impl<'a> Evaluation<'a> {
-    fn new(
-        insertion: &'a Insertion,
-        hosted: &'a Hosted,
-        writer: &'a Writer,
-        limits: &Limits,
-        prefetch: Option<&'a Prefetch>,
-        payloads: &'a Payloads,
-    ) -> Result<Self, Error> {
-        let space = hosted.space();
-        let mut room = Room::new(limits);
-        room.take(insertion.rows.len() * (1 + 8))?;
-        Ok(Self {
-            insertion,
-            index: hosted.name(),
-            next_id: writer.next_id(),
-            staging: Staging::new(writer, insertion.is_searched()),
-            prefetch,
-            payloads,
-            unread: Unread::default(),
-            found: insertion
-                .neighbors
-                .map(|(_, include)| NeighborColumns::new(include, space.coordinates(), room)),
-            response: v1::InsertResponse::default(),
-            conflicts: Vec::new(),
-        })
-    }
-
-    fn row(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
-        let insertion = self.insertion;
-        let given = insertion.ids.get(at).copied();
-        let id = given.unwrap_or(self.next_id);
-        let tag = insertion.tags.get(at).copied().unwrap_or_default();
-        let payload = insertion.payload(at);
-
-        let held = given.and_then(|id| self.staging.held(id));
-        let is_held = held.is_some();
-        let is_unchanged = match held {
-            Some(held) if is_same(&held, tag, row) => match self.payloads.is_stored(id, payload) {
-                Some(is_stored) => is_stored,
-                None => {
-                    self.unread.compared.push(id);
-                    true
-                }
-            },
-            _ => false,
-        };
-        if is_held && !is_unchanged && !insertion.replace {
-            self.conflicts.push(id);
-        }
-        if !self.conflicts.is_empty() {
-            return Ok(());
-        }
-        if is_held {
-            self.staging.hide(id);
-        }
-        self.answer_neighbors(at, row)?;
-        let (outcome, answered_id) = if is_unchanged {
-            (v1::Outcome::Unchanged, id)
-        } else if let Some(blocker) = self.blocker(at, row)? {
-            (v1::Outcome::TooClose, blocker)
-        } else if is_held {
-            (v1::Outcome::Replaced, id)
-        } else {
-            (v1::Outcome::Inserted, id)
-        };
-        self.response.outcomes.push(outcome.into());
-        self.response.ids.push(answered_id);
-        let outcome = match outcome {
-            v1::Outcome::Inserted => Outcome::Inserted,
-            v1::Outcome::Replaced => Outcome::Replaced,
-            v1::Outcome::Unchanged | v1::Outcome::TooClose | v1::Outcome::Unspecified => {
-                self.staging.unhide(id);
-                return Ok(());
-            }
-        };
-        if id >= END_OF_IDS {
-            return Err(Error::IdsExhausted {
-                index: self.index.into(),
-            });
-        }
-        // Used only if ids are assigned.
-        self.next_id += 1;
-        // A copy: the request's payloads are slices that keep the whole message alive.
-        let payload = Bytes::copy_from_slice(payload);
-        self.staging.accept(id, tag, row, payload, outcome)
-    }
-
-    fn answer_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
-        let (Some(found), Some((spec, _))) = (&mut self.found, &self.insertion.neighbors) else {
-            return Ok(());
-        };
-        let search = spec.among(self.staging.points())?;
-        let search = Search {
-            k: search.k.min(found.too_many()),
-            ..search
-        };
-        let prefetch = self.prefetch.filter(|prefetch| prefetch.reaches(&search));
-        let known = known(prefetch, at, |row| &row.neighbors);
-        found.push(&self.staging, &self.staging.search(row, &search, known)?)?;
-        for id in found.without_payload().to_vec() {
-            let accepted = self.staging.accepted_payload(id);
-            let payload = accepted.or_else(|| self.payloads.of_neighbor(id).cloned());
-            if payload.is_none() {
-                self.unread.neighbors.push(id);
-            }
-            found.push_payload(payload.unwrap_or_default())?;
-        }
-        Ok(())
-    }
-
-    /// The nearest point, if it is nearer than `min_separation`.
-    fn blocker(&self, at: usize, row: &[f64]) -> Result<Option<u64>, Error> {
-        let min_separation = self.insertion.min_separation;
-        let Some(nearest) = self.insertion.nearest() else {
-            return Ok(None);
-        };
-        let known = known(self.prefetch, at, |row| &row.nearest);
-        let neighbors = self.staging.search(row, &nearest, known)?;
-        let blocker = neighbors
-            .first()
-            .filter(|near| near.distance < min_separation);
-        Ok(blocker.map(|near| near.id))
-    }
-
-    /// The effects to log, and the response without its revision.
-    fn finish(self) -> Result<(Effects, v1::InsertResponse), Error> {
-        if !self.conflicts.is_empty() {
-            return Err(Error::PointsExist {
-                index: self.index.into(),
-                ids: self.conflicts,
-            });
-        }
-        let response = v1::InsertResponse {
-            neighbors: self.found.map(NeighborColumns::finish),
-            ..self.response
-        };
-        Ok((self.staging.into_effects(), response))
-    }
-}
-
-/// The prefetched neighbours of a row, with their revision.
-fn known<'a>(
-    prefetch: Option<&'a Prefetch>,
-    at: usize,
-    what: impl FnOnce(&'a PrefetchedRow) -> &'a Vec<Neighbor>,
-) -> Option<(u64, &'a [Neighbor])> {
-    let prefetch = prefetch?;
-    Some((prefetch.revision(), what(prefetch.row(at)?)))
-}
-
 impl Insertion {
     /// The search for a point within `min_separation`.
     fn nearest(&self) -> Option<Search<'static>> {
@@ -319,7 +150,7 @@ impl Insertion {
             return Ok(None);
         }
         // An insert that requests more neighbours than an answer holds fails.
-        let most = limits.answer_bytes / 16;
+        let most = limits.max_answer_bytes / 16;
         let (points, rows) = (head.snapshot.len(), self.rows.len());
         let neighbors = self
             .neighbors
@@ -396,7 +227,7 @@ impl Insertion {
         check::operation_id(&request.operation_id, &mut violations);
         let neighbors = match request.neighbors {
             Some(spec) => {
-                if spec.count.is_none() && spec.reach.is_none() {
+                if spec.k_form.is_none() && spec.radius_form.is_none() {
                     let text = "set k or k_factor, radius or scaled_radius, or one of each";
                     violations.add("neighbors", "REQUIRED", text);
                 }
@@ -410,7 +241,7 @@ impl Insertion {
         let count = request
             .states
             .as_ref()
-            .map_or(0, |states| states.rows as usize);
+            .map_or(0, |states| states.row_count as usize);
         let rows = check::states(space, request.states, limits, pace, &mut violations).await?;
         check::column("ids", &request.ids, count, &mut violations);
         check::column("tags", &request.tags, count, &mut violations);

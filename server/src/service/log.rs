@@ -26,9 +26,9 @@ impl Service {
         let mut answer = next_message(&mut watch).await?;
         let cut = answer.mutations.pop_if(|last| last.continued);
         if cut.is_some() && answer.mutations.is_empty() {
-            let value = self.limits().answer_bytes as u64;
+            let value = self.limits().max_answer_bytes as u64;
             return Err(Error::LimitExceeded {
-                limit: "answer_bytes",
+                limit: "max_answer_bytes",
                 value,
                 asked: value + 1,
                 advice: "follow the index with Watch, which tells a large mutation in pieces, or start from its points",
@@ -41,9 +41,9 @@ impl Service {
 /// A message exceeds its size by less than one payload; this size keeps it within the limit of an answer.
 fn message_bytes(limits: &Limits) -> usize {
     let most = limits
-        .answer_bytes
-        .saturating_sub(limits.payload_bytes + 1024);
-    most.max(limits.answer_bytes / 2)
+        .max_answer_bytes
+        .saturating_sub(limits.max_payload_bytes + 1024);
+    most.max(limits.max_answer_bytes / 2)
 }
 
 async fn next_message(watch: &mut Watch) -> Result<v1::WatchResponse, Error> {

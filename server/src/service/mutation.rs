@@ -91,8 +91,8 @@ impl Service {
     ) -> Result<Committed, Error> {
         call.check("before anything was changed")?;
         let window = OperationWindow {
-            count: self.limits().operations_remembered,
-            bytes: self.limits().operation_bytes,
+            count: self.limits().max_operations,
+            bytes: self.limits().max_operation_bytes,
         };
         let operation = claim.map(|claim| {
             Arc::new(Operation {

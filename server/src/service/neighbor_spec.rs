@@ -4,7 +4,7 @@
 use wayfold_index::{Scaling, Search};
 use wayfold_proto::v1::{
     self,
-    neighbor_spec::{Count, Reach},
+    neighbor_spec::{KForm, RadiusForm},
 };
 
 use super::{
@@ -35,20 +35,20 @@ impl NeighborSpec {
         let field = |name: &str| format!("{prefix}{name}");
         let mut fixed = Search::nearest_k(usize::MAX);
         let mut scaling = Scaling::default();
-        match request.count {
-            Some(Count::K(k)) => fixed.k = check::k(&field("k"), k, limits, violations)?,
-            Some(Count::KFactor(factor)) => {
+        match request.k_form {
+            Some(KForm::K(k)) => fixed.k = check::k(&field("k"), k, limits, violations)?,
+            Some(KForm::KFactor(factor)) => {
                 check::finite(&field("k_factor"), factor, violations);
                 scaling.k_factor = Some(factor);
             }
             None => {}
         }
-        match request.reach {
-            Some(Reach::Radius(radius)) => {
+        match request.radius_form {
+            Some(RadiusForm::Radius(radius)) => {
                 check::radius(&field("radius"), radius, violations);
                 fixed.radius = radius;
             }
-            Some(Reach::ScaledRadius(scaled)) => {
+            Some(RadiusForm::ScaledRadius(scaled)) => {
                 check::finite(&field("scaled_radius.factor"), scaled.factor, violations);
                 if let Some(max) = scaled.max {
                     check::radius(&field("scaled_radius.max"), max, violations);
@@ -63,7 +63,7 @@ impl NeighborSpec {
             fixed,
             scaling,
             dimension: hosted.space().dimension(),
-            k_limit: limits.k,
+            k_limit: limits.max_k,
         })
     }
 

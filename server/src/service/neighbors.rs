@@ -32,12 +32,12 @@ impl Service {
     ) -> Result<v1::KnnResponse, Error> {
         let missing = ("k", "set k or k_factor");
         let request = NeighborRequest {
-            index: request.index,
+            index: request.index_name,
             states: request.states,
-            missing: request.count.is_none().then_some(missing),
+            missing: request.k_form.is_none().then_some(missing),
             spec: v1::NeighborSpec {
-                count: request.count.map(Into::into),
-                reach: request.reach.map(Into::into),
+                k_form: request.k_form.map(Into::into),
+                radius_form: request.radius_form.map(Into::into),
                 filter: request.filter,
                 include: request.include,
             },
@@ -62,12 +62,12 @@ impl Service {
             "set radius or scaled_radius; an infinite radius finds all points",
         );
         let request = NeighborRequest {
-            index: request.index,
+            index: request.index_name,
             states: request.states,
-            missing: request.reach.is_none().then_some(missing),
+            missing: request.radius_form.is_none().then_some(missing),
             spec: v1::NeighborSpec {
-                count: None,
-                reach: request.reach.map(Into::into),
+                k_form: None,
+                radius_form: request.radius_form.map(Into::into),
                 filter: request.filter,
                 include: request.include,
             },

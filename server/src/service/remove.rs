@@ -18,7 +18,7 @@ impl Service {
         request: v1::RemoveRequest,
     ) -> Result<v1::RemoveResponse, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, &request.uid)?;
+        let hosted = self.index(&request.index_name, &request.uid)?;
         let mut pace = call.pace("while looking up the points; nothing was changed");
         let claim = Claim::of("Remove", &request.operation_id, &request, &mut pace).await?;
         check::id_count(&request.ids, self.limits())?;

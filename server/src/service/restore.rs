@@ -131,7 +131,7 @@ impl Draft {
                     next_id: header.next_id,
                     digest: *self.reader.digest(),
                 };
-                let limit = service.limits().indexes;
+                let limit = service.limits().max_indexes;
                 let begun = service
                     .registry()?
                     .restore(name, header.space, limit, origin);
@@ -192,7 +192,7 @@ fn not_restored(name: &str, error: RegistryError) -> Error {
     match error {
         RegistryError::Taken => Error::NameTaken { name: name.into() },
         RegistryError::Full { limit } => Error::LimitExceeded {
-            limit: "indexes",
+            limit: "max_indexes",
             value: limit as u64,
             asked: limit as u64 + 1,
             advice: "delete an index first",

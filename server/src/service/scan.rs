@@ -39,7 +39,7 @@ impl Service {
     /// Begins to read all points at one pinned revision, in the order of their ids.
     pub async fn scan(&self, call: &Call, request: v1::ScanRequest) -> Result<Scan, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, "")?;
+        let hosted = self.index(&request.index_name, "")?;
         let mut violations = Violations::default();
         let filter = check::filter("filter", request.filter, &hosted, &mut violations)?;
         let min = request.min_revision.as_ref();
@@ -52,8 +52,8 @@ impl Service {
         Ok(Scan {
             call: *call,
             hosted,
-            pin: RevisionPin::new(published, limits.scan_seconds),
-            part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
+            pin: RevisionPin::new(published, limits.max_scan_seconds),
+            part_bytes: PART_BYTES.min(limits.max_answer_bytes / 2),
             filter,
             include: request.include,
             after: request.after_id,
@@ -149,7 +149,7 @@ impl Scan {
 
     fn still_held(&self) -> Result<Arc<Published>, Error> {
         self.pin.get().ok_or(Error::ScanTooLong {
-            scan_seconds: self.pin.seconds(),
+            max_scan_seconds: self.pin.seconds(),
             after_id: self.after,
         })
     }

@@ -6,12 +6,12 @@ use super::{Call, Error, Service};
 use crate::log::Durability;
 
 impl Service {
-    /// Describes the server to the caller of a face that reads requests of at most `request_bytes` bytes.
+    /// Describes the server to the caller of a face that reads requests of at most `max_request_bytes` bytes.
     pub async fn get_server(
         &self,
         call: &Call,
         _: v1::GetServerRequest,
-        request_bytes: usize,
+        max_request_bytes: usize,
     ) -> Result<v1::GetServerResponse, Error> {
         self.accept(call)?;
         let durability = match self.inner.durability {
@@ -25,13 +25,13 @@ impl Service {
             version: env!("CARGO_PKG_VERSION").into(),
             durability: durability.into(),
             limits: Some(v1::Limits {
-                rows_per_call: limits.rows_per_call as u64,
-                ids_per_call: limits.ids_per_call as u64,
-                k: limits.k as u64,
-                request_bytes: request_bytes as u64,
-                answer_bytes: limits.answer_bytes as u64,
-                payload_bytes: limits.payload_bytes as u64,
-                indexes: limits.indexes as u64,
+                max_rows_per_call: limits.max_rows_per_call as u64,
+                max_ids_per_call: limits.max_ids_per_call as u64,
+                max_k: limits.max_k as u64,
+                max_request_bytes: max_request_bytes as u64,
+                max_answer_bytes: limits.max_answer_bytes as u64,
+                max_payload_bytes: limits.max_payload_bytes as u64,
+                max_indexes: limits.max_indexes as u64,
             }),
         })
     }

@@ -49,7 +49,7 @@ impl Service {
         request: v1::SnapshotIndexRequest,
     ) -> Result<Snapshot, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, "")?;
+        let hosted = self.index(&request.index_name, "")?;
         let mut violations = Violations::default();
         let min = request.min_revision.as_ref();
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
@@ -60,8 +60,8 @@ impl Service {
         Ok(Snapshot {
             call: *call,
             hosted,
-            pin: RevisionPin::new(published, limits.scan_seconds),
-            part_bytes: PART_BYTES.min(limits.answer_bytes / 2),
+            pin: RevisionPin::new(published, limits.max_scan_seconds),
+            part_bytes: PART_BYTES.min(limits.max_answer_bytes / 2),
             writer: Writer::new(),
             after: None,
             next: Next::Header,
@@ -132,7 +132,7 @@ impl Snapshot {
     fn published(&self) -> Result<Arc<Published>, Error> {
         self.pin.get().ok_or(Error::HeldTooLong {
             what: "snapshot",
-            scan_seconds: self.pin.seconds(),
+            max_scan_seconds: self.pin.seconds(),
         })
     }
 }
@@ -178,7 +178,7 @@ impl Rows {
         points.revisions.push(point.revision);
         points.payloads.push(point.payload.clone());
         self.modified.push(point.modified);
-        self.states.rows += 1;
+        self.states.row_count += 1;
         self.states.coordinates.extend_from_slice(&point.state);
     }
 

@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 
 use bytes::Bytes;
-use wayfold_index::{Neighbor, Overlay, Point, PointRef, Points, Search, search_overlaid};
+use wayfold_index::{Known, Neighbor, Overlay, Point, PointRef, Points, Search, search_overlaid};
 
 use super::{Error, answer::Source};
 use crate::{
@@ -87,13 +87,13 @@ impl<'a> Staging<'a> {
         }
     }
 
-    /// The neighbours of a row in the newest state and in the rows before it. `known` is the answer of an earlier published
-    /// revision to this search or a wider one; since that revision points were only added.
+    /// The neighbours of a row in the newest state and in the rows before it. `known` answers this search or a wider one at an
+    /// earlier published revision; since that revision points were only added.
     pub(super) fn search(
         &self,
         row: &[f64],
         search: &Search<'_>,
-        known: Option<(u64, &[Neighbor])>,
+        known: Option<Known<'_>>,
     ) -> Result<Vec<Neighbor>, Error> {
         let Some(searched) = &self.searched else {
             return Ok(Vec::new());
@@ -103,31 +103,12 @@ impl<'a> Staging<'a> {
         if !searched.hidden.is_empty() {
             search.excluded = &hidden;
         }
+        // A known answer ignores what is hidden or replaced.
+        let known = known.filter(|_| searched.hidden.is_empty() && !searched.replaced);
         let [older, newer] = self.writer.overlays();
         let overlays = [older, newer, &searched.accepted];
         let snapshot = &self.writer.base().snapshot;
-        // A known answer ignores what is hidden or replaced.
-        let known = known.filter(|_| searched.hidden.is_empty() && !searched.replaced);
-        let Some((revision, known)) = known else {
-            return Ok(search_overlaid(snapshot, &overlays, None, row, &search)?);
-        };
-        let since = &mut search.filter.since_revision;
-        *since = revision.max(*since);
-        if revision == self.writer.base().revision {
-            return Ok(search_overlaid(
-                snapshot,
-                &overlays,
-                Some(known),
-                row,
-                &search,
-            )?);
-        }
-        let mut neighbors = search_overlaid(snapshot, &overlays, None, row, &search)?;
-        let within = known.partition_point(|neighbor| neighbor.distance <= search.radius);
-        neighbors.extend(&known[..within]);
-        neighbors.sort_unstable();
-        neighbors.truncate(search.k);
-        Ok(neighbors)
+        Ok(search_overlaid(snapshot, &overlays, known, row, &search)?)
     }
 
     /// Accepts a row.
@@ -278,7 +259,8 @@ mod tests {
                     union.insert(point(id, staging.revision(), &row)).unwrap();
                 }
                 let expected = union.search(&asked, &search).unwrap().neighbors;
-                for known in [None, Some((known.0, &*known.1))] {
+                let known = Known { revision: known.0, neighbors: &known.1 };
+                for known in [None, Some(known)] {
                     assert_eq!(staging.search(&asked, &search, known).unwrap(), expected);
                 }
             });

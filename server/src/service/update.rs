@@ -29,7 +29,7 @@ impl Service {
         request: v1::UpdateRequest,
     ) -> Result<v1::UpdateResponse, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, &request.uid)?;
+        let hosted = self.index(&request.index_name, &request.uid)?;
         let mut pace = call.pace(DOING);
         let claim = Claim::of("Update", &request.operation_id, &request, &mut pace).await?;
         let if_revision = check_update(&request, &hosted, self.limits(), &mut pace).await?;
@@ -131,13 +131,13 @@ async fn updated(
     }
     if !missing.is_empty() {
         return Err(Error::PointsNotFound {
-            index: request.index.clone(),
+            index: request.index_name.clone(),
             ids: missing,
         });
     }
     if let Some(if_revision) = if_revision.filter(|_| !changed.is_empty()) {
         return Err(Error::RevisionConflict {
-            index: request.index.clone(),
+            index: request.index_name.clone(),
             if_revision,
             ids: changed,
         });

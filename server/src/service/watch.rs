@@ -62,7 +62,7 @@ impl Service {
             let text = "it is the greatest revision: none comes after it";
             violations.add("after_revision.number", "OUT_OF_RANGE", text);
         }
-        let hosted = self.index(&request.index, "")?;
+        let hosted = self.index(&request.index_name, "")?;
         violations.finish()?;
         let is_other_uid = |after: &v1::Revision| after.uid != hosted.uid_text();
         let is_other_uid = after.as_ref().is_some_and(is_other_uid);
@@ -74,7 +74,7 @@ impl Service {
             next: VecDeque::new(),
             sent: (0, 0),
             include: request.include,
-            message_bytes: MESSAGE_BYTES.min(self.limits().answer_bytes / 2),
+            message_bytes: MESSAGE_BYTES.min(self.limits().max_answer_bytes / 2),
             state: match is_other_uid {
                 true => State::OtherUid,
                 false => State::Beginning,

@@ -70,7 +70,7 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
         (
             Error::HeldTooLong {
                 what: "snapshot",
-                scan_seconds: 300,
+                max_scan_seconds: 300,
             },
             Code::ResourceExhausted,
             Some("QuotaFailure"),
@@ -103,7 +103,7 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
         ),
         (
             Error::LimitExceeded {
-                limit: "k",
+                limit: "max_k",
                 value: 10,
                 asked: 11,
                 advice: "ask for fewer",
@@ -118,7 +118,7 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
         ),
         (
             Error::ScanTooLong {
-                scan_seconds: 300,
+                max_scan_seconds: 300,
                 after_id: Some(9),
             },
             Code::ResourceExhausted,
@@ -199,12 +199,12 @@ fn fields_ids_and_limits_can_be_read_by_a_program() {
     assert_eq!(metadata["ids_total"], "100");
 
     let status = from_error(&Error::LimitExceeded {
-        limit: "k",
+        limit: "max_k",
         value: 10,
         asked: 11,
         advice: "ask for fewer",
     });
     let violations = decoded::<pb::QuotaFailure>(&status, "QuotaFailure").violations;
-    assert_eq!(violations[0].subject, "k");
+    assert_eq!(violations[0].subject, "max_k");
     assert_eq!(violations[0].quota_value, 10);
 }

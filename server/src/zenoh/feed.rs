@@ -199,7 +199,7 @@ impl Feed {
         after: &mut Option<v1::Revision>,
     ) -> Result<(), Error> {
         let request = v1::WatchRequest {
-            index: self.index.clone(),
+            index_name: self.index.clone(),
             after_revision: after.clone(),
             include: Some(v1::Include {
                 states: true,

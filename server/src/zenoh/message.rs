@@ -48,7 +48,7 @@ macro_rules! requests {
         named!($($message),*);
         $(impl IndexRequest for v1::$message {
             fn index_mut(&mut self) -> &mut String {
-                &mut self.index
+                &mut self.index_name
             }
         })*
     };

@@ -84,7 +84,7 @@ impl<'a> Request<'a> {
             index.push_str(self.index);
         } else if index != self.index {
             let text = format!("the payload names {index:?}, the key {:?}", self.index);
-            return Err(invalid("index", "CONFLICT", text));
+            return Err(invalid("index_name", "CONFLICT", text));
         }
         observe::request(&request);
         Ok(request)

@@ -45,7 +45,7 @@ fn the_defaults_protect() {
     assert_eq!(config.data.dir, "./wayfold-data");
     assert_eq!(config.data.durability, Durability::Fsync);
     // Stock gRPC clients accept messages of up to 4 MiB.
-    assert!(config.limits.answer_bytes < 4 << 20);
+    assert!(config.limits.max_answer_bytes < 4 << 20);
     assert_eq!(config.limits, wayfold_server::service::Limits::default());
 }
 
@@ -83,7 +83,7 @@ fn an_empty_file_and_empty_sections_change_nothing() {
 fn an_unknown_key_is_named_with_its_place_and_the_nearest_one() {
     for (text, key, nearest) in [
         ("[grpc]\nlisten_on = 'x'", "grpc.listen_on", "grpc.listen"),
-        ("[limits]\nks = 3", "limits.ks", "limits.k"),
+        ("[limits]\nmax_ks = 3", "limits.max_ks", "limits.max_k"),
         ("max_calls = 3", "max_calls", "grpc.max_calls"),
         ("[gprc]\nmax_calls = 3", "gprc.max_calls", "grpc.max_calls"),
         ("[shutdwon]", "shutdwon", "shutdown.grace_ms"),

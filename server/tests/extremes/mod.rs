@@ -39,7 +39,7 @@ pub(crate) fn pool() -> DescriptorPool {
 pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
     let (index, uid) = ("arm".to_owned(), uid.to_owned());
     let states = Some(v1::States {
-        rows: 1,
+        row_count: 1,
         coordinates: vec![0.25],
     });
     let revision = Some(v1::Revision {
@@ -58,22 +58,22 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         payloads: true,
     });
     let knn = v1::KnnRequest {
-        index: index.clone(),
+        index_name: index.clone(),
         states: states.clone(),
-        count: Some(v1::knn_request::Count::K(2)),
+        k_form: Some(v1::knn_request::KForm::K(2)),
         filter: filter.clone(),
         include,
         min_revision: revision.clone(),
         ..Default::default()
     };
     let insert = v1::InsertRequest {
-        index: index.clone(),
+        index_name: index.clone(),
         states: states.clone(),
         tags: vec![1],
         payloads: vec![b"payload".as_slice().into()],
         min_separation: 1e-300,
         neighbors: Some(v1::NeighborSpec {
-            count: Some(v1::neighbor_spec::Count::K(2)),
+            k_form: Some(v1::neighbor_spec::KForm::K(2)),
             filter: filter.clone(),
             include,
             ..Default::default()
@@ -92,9 +92,9 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "QueryRequest",
             &v1::QueryRequest {
-                index: index.clone(),
+                index_name: index.clone(),
                 states,
-                reach: Some(v1::query_request::Reach::Radius(f64::INFINITY)),
+                radius_form: Some(v1::query_request::RadiusForm::Radius(f64::INFINITY)),
                 filter: filter.clone(),
                 include,
                 min_revision: revision.clone(),
@@ -106,7 +106,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "UpdateRequest",
             &v1::UpdateRequest {
-                index: index.clone(),
+                index_name: index.clone(),
                 ids: vec![1],
                 tags: vec![1],
                 uid: uid.clone(),
@@ -120,7 +120,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "GetRequest",
             &v1::GetRequest {
-                index: index.clone(),
+                index_name: index.clone(),
                 ids: vec![1],
                 include,
                 min_revision: revision.clone(),
@@ -129,7 +129,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "ScanRequest",
             &v1::ScanRequest {
-                index: index.clone(),
+                index_name: index.clone(),
                 filter,
                 include,
                 after_id: Some(0),
@@ -139,7 +139,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "WatchRequest",
             &v1::WatchRequest {
-                index: index.clone(),
+                index_name: index.clone(),
                 after_revision: revision.clone(),
                 include,
             },
@@ -165,13 +165,13 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "GetIndexRequest",
             &v1::GetIndexRequest {
-                index: index.clone(),
+                index_name: index.clone(),
             },
         ),
         dynamic(
             "SnapshotIndexRequest",
             &v1::SnapshotIndexRequest {
-                index: index.clone(),
+                index_name: index.clone(),
                 min_revision: revision.clone(),
             },
         ),
@@ -185,7 +185,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "VerifyIndexRequest",
             &v1::VerifyIndexRequest {
-                index: index.clone(),
+                index_name: index.clone(),
                 min_revision: revision.clone(),
                 query_count: Some(3),
                 k: Some(2),
@@ -195,7 +195,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "RemoveRequest",
             &v1::RemoveRequest {
-                index: index.clone(),
+                index_name: index.clone(),
                 ids: vec![1 << 40],
                 uid,
                 ..Default::default()
@@ -204,7 +204,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         dynamic(
             "DeleteIndexRequest",
             &v1::DeleteIndexRequest {
-                index,
+                index_name: index,
                 uid: "of another".into(),
             },
         ),

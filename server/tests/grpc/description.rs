@@ -13,11 +13,11 @@ async fn described(server: &TestServer) -> v1::GetServerResponse {
 #[tokio::test]
 async fn it_names_its_version_and_its_limits() {
     let server = TestServer::start(|config| {
-        config.limits.rows_per_call = 11;
-        config.limits.ids_per_call = 12;
-        config.limits.k = 13;
-        config.limits.answer_bytes = 14_000;
-        config.limits.indexes = 15;
+        config.limits.max_rows_per_call = 11;
+        config.limits.max_ids_per_call = 12;
+        config.limits.max_k = 13;
+        config.limits.max_answer_bytes = 14_000;
+        config.limits.max_indexes = 15;
         config.grpc.max_message_bytes = 16_000;
         config.zenoh.max_message_bytes = 17_000;
     })
@@ -26,13 +26,13 @@ async fn it_names_its_version_and_its_limits() {
     assert_eq!(answer.version, env!("CARGO_PKG_VERSION"));
     assert_eq!(answer.durability(), v1::Durability::Memory);
     let expected = v1::Limits {
-        rows_per_call: 11,
-        ids_per_call: 12,
-        k: 13,
-        request_bytes: 16_000,
-        answer_bytes: 14_000,
-        payload_bytes: 65_536,
-        indexes: 15,
+        max_rows_per_call: 11,
+        max_ids_per_call: 12,
+        max_k: 13,
+        max_request_bytes: 16_000,
+        max_answer_bytes: 14_000,
+        max_payload_bytes: 65_536,
+        max_indexes: 15,
     };
     assert_eq!(answer.limits, Some(expected));
     server.stop().await.unwrap().unwrap();

@@ -21,7 +21,7 @@ async fn a_wrong_field_is_named() {
 }
 
 #[tokio::test]
-async fn what_is_not_found_or_in_the_way_is_named() {
+async fn missing_and_conflicting_things_are_named() {
     let server = TestServer::start(|_| ()).await;
     let status = server.points().knn(knn("none", &[0.0], 1)).await;
     let status = status.unwrap_err();
@@ -31,7 +31,7 @@ async fn what_is_not_found_or_in_the_way_is_named() {
 
     server.create_ruler("line", 3).await;
     let request = v1::GetRequest {
-        index: "line".into(),
+        index_name: "line".into(),
         ids: vec![1, 7, 2, 9],
         ..Default::default()
     };
@@ -76,7 +76,7 @@ async fn a_precondition_that_fails_is_named() {
 
 #[tokio::test]
 async fn a_limit_is_named_with_its_value() {
-    let server = TestServer::start(|config| config.limits.k = 5).await;
+    let server = TestServer::start(|config| config.limits.max_k = 5).await;
     server.create_line("line").await;
     let status = server.points().knn(knn("line", &[0.0], 6)).await;
     let status = status.unwrap_err();

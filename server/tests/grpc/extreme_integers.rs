@@ -40,7 +40,7 @@ async fn call(
 }
 
 #[tokio::test]
-async fn every_method_answers_or_refuses_whatever_integers_it_is_asked_with() {
+async fn every_method_answers_or_refuses_extreme_integers() {
     let server = TestServer::start(|_| ()).await;
     let uid = uid_of(&server.create_line("arm").await);
     for coordinate in [0.0, 1.0] {

@@ -107,7 +107,7 @@ pub async fn connect(address: SocketAddr) -> Channel {
 
 pub fn insert(index: &str, coordinates: &[f64]) -> v1::InsertRequest {
     v1::InsertRequest {
-        index: index.into(),
+        index_name: index.into(),
         states: Some(column(coordinates)),
         ..Default::default()
     }
@@ -119,16 +119,16 @@ pub fn uid_of(index: &v1::Index) -> String {
 
 pub fn knn(index: &str, coordinates: &[f64], k: u32) -> v1::KnnRequest {
     v1::KnnRequest {
-        index: index.into(),
+        index_name: index.into(),
         states: Some(column(coordinates)),
-        count: Some(v1::knn_request::Count::K(k)),
+        k_form: Some(v1::knn_request::KForm::K(k)),
         ..Default::default()
     }
 }
 
 pub fn column(coordinates: &[f64]) -> v1::States {
     v1::States {
-        rows: u32::try_from(coordinates.len()).unwrap(),
+        row_count: u32::try_from(coordinates.len()).unwrap(),
         coordinates: coordinates.to_vec(),
     }
 }

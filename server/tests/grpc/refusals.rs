@@ -61,7 +61,7 @@ async fn a_message_that_does_not_parse_is_an_invalid_argument() {
 }
 
 #[tokio::test]
-async fn a_message_that_is_too_large_is_told_the_limit() {
+async fn the_refusal_of_a_large_message_names_the_limit() {
     let server = TestServer::start(|config| config.grpc.max_message_bytes = 100_000).await;
     let index = server.create_line("line").await;
     let mut points = server.points();
@@ -88,9 +88,9 @@ async fn stock_limits_let_an_answer_through_that_a_stock_client_takes() {
     let mut points = server.points();
     points.insert(insert("line", &[0.5; 3])).await.unwrap();
     let query = |count| v1::QueryRequest {
-        index: "line".into(),
+        index_name: "line".into(),
         states: Some(column(&vec![0.5; count])),
-        reach: Some(v1::query_request::Reach::Radius(1.0)),
+        radius_form: Some(v1::query_request::RadiusForm::Radius(1.0)),
         ..Default::default()
     };
     // Three neighbours of 16 bytes and a count: 80,000 states are answered in 3.9 MB, 90,000 would take 4.4 MB.

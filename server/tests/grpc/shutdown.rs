@@ -21,7 +21,7 @@ const POINTS: u64 = 300_000;
 
 fn scan(index: &str) -> v1::ScanRequest {
     v1::ScanRequest {
-        index: index.into(),
+        index_name: index.into(),
         ..Default::default()
     }
 }
@@ -76,7 +76,7 @@ async fn a_scan_under_way_is_finished_while_new_calls_are_refused() {
 }
 
 #[tokio::test]
-async fn an_open_stream_is_told_and_does_not_hold_the_server_up() {
+async fn an_open_stream_learns_of_the_stop_and_does_not_delay_it() {
     let server = TestServer::start(|_| ()).await;
     server.create_ruler("line", 10).await;
     let (send, mut receive) = mpsc::channel(1);
@@ -131,7 +131,7 @@ async fn requests_that_a_stream_accepted_are_answered_before_it_ends() {
 }
 
 #[tokio::test]
-async fn what_is_not_done_in_time_is_cut() {
+async fn calls_beyond_the_grace_period_are_cut() {
     let server = TestServer::start(|config| config.shutdown.grace_ms = 1).await;
     server.create_ruler("line", POINTS).await;
     let scanned = server.points().scan(scan("line")).await;

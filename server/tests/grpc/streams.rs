@@ -12,7 +12,7 @@ use crate::harness::{TestServer, insert, reason, uid_of};
 
 fn snapshot_of(name: &str) -> v1::SnapshotIndexRequest {
     v1::SnapshotIndexRequest {
-        index: name.into(),
+        index_name: name.into(),
         min_revision: None,
     }
 }
@@ -46,7 +46,7 @@ async fn others_write(server: &TestServer) {
     let mut points = server.points();
     for round in 0..20 {
         let request = v1::RemoveRequest {
-            index: "line".into(),
+            index_name: "line".into(),
             ids: (0..10_000).map(|id| round * 10_000 + id).collect(),
             ..Default::default()
         };
@@ -61,7 +61,7 @@ async fn a_scan_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
     let index = server.create_ruler("line", 200_000).await;
     let scan = async || {
         let request = v1::ScanRequest {
-            index: "line".into(),
+            index_name: "line".into(),
             ..Default::default()
         };
         let answer = server.points().scan(request).await;
@@ -152,7 +152,7 @@ async fn a_verification_ends_at_its_deadline() {
     let server = TestServer::start(|_| ()).await;
     server.create_ruler("line", 50_000).await;
     let mut late = tonic::Request::new(v1::VerifyIndexRequest {
-        index: "line".into(),
+        index_name: "line".into(),
         query_count: Some(1000),
         k: Some(100),
         ..Default::default()

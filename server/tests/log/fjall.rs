@@ -14,7 +14,7 @@ use super::{
 };
 
 #[test]
-fn what_was_synced_survives_a_crash_at_any_moment() {
+fn synced_records_survive_a_crash_at_any_moment() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let arm = entry("arm");
@@ -40,7 +40,7 @@ fn what_was_synced_survives_a_crash_at_any_moment() {
 }
 
 #[test]
-fn one_sync_is_shared_by_all_who_wrote_before_it() {
+fn one_sync_covers_all_earlier_writes() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let indexes = [entry("one"), entry("two")];

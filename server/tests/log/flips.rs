@@ -103,25 +103,25 @@ fn is_mended(name: &Path) -> bool {
 }
 
 /// Returns true if the log reports damage. Asserts that all indices without a report are unchanged.
-fn told(directory: &Path, entries: &[Entry], whole: &[Content], what: &str) -> bool {
+fn is_reported(directory: &Path, entries: &[Entry], whole: &[Content], what: &str) -> bool {
     let Ok(log) = FjallLog::open(directory, Durability::Fsync) else {
         return true;
     };
-    let mut told = false;
+    let mut is_reported = false;
     for (entry, whole) in entries.iter().zip(whole) {
         let gone = log.lost().iter().any(|gone| gone.uid == entry.uid);
-        told |= gone;
+        is_reported |= gone;
         match content(&log, entry.uid) {
             Ok(content) => assert!(content == *whole, "{what}: {} is another", entry.name),
             Err(LogError::UnknownIndex { .. }) => assert!(gone, "{what}: {} is gone", entry.name),
-            Err(_) => told = true,
+            Err(_) => is_reported = true,
         }
     }
-    told
+    is_reported
 }
 
 #[test]
-fn a_flipped_bit_of_any_file_is_told_or_changes_nothing() {
+fn a_flipped_bit_of_any_file_is_reported_or_changes_nothing() {
     let flips = std::env::var("FLIPS").map_or(FLIPS, |flips| flips.parse().unwrap());
     let directory = tempfile::tempdir().unwrap();
     let entries = fill(directory.path());
@@ -144,12 +144,12 @@ fn a_flipped_bit_of_any_file_is_told_or_changes_nothing() {
             flipped[at] ^= 1 << (at % 8);
             fs::write(copy.path().join(name), flipped).unwrap();
             let what = format!("bit {} of byte {at} of {}", at % 8, name.display());
-            match told(copy.path(), &entries, &whole, &what) {
+            match is_reported(copy.path(), &entries, &whole, &what) {
                 true => {
                     told_of += 1;
                     // After a repair, each index is equal too or reported as damaged.
                     if repair(copy.path(), false).is_ok() {
-                        told(copy.path(), &entries, &whole, &what);
+                        is_reported(copy.path(), &entries, &whole, &what);
                     }
                 }
                 false => harmless += 1,
@@ -160,7 +160,7 @@ fn a_flipped_bit_of_any_file_is_told_or_changes_nothing() {
             mended += 1;
         }
         println!(
-            "{}: {} bytes, {} flips told of, {} harmless",
+            "{}: {} bytes, {} flips is_reported of, {} harmless",
             name.display(),
             bytes.len(),
             told_of - before.0,

@@ -13,7 +13,7 @@ use super::{
 };
 
 #[test]
-fn a_journal_cut_short_of_what_was_synced_is_named() {
+fn a_journal_without_its_synced_end_is_named() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let (arm, idle) = (entry("arm"), entry("idle"));
@@ -59,23 +59,23 @@ fn a_flipped_byte_of_the_journal_is_never_a_silent_gap() {
     let whole = all_points(&*log.view(arm.uid).unwrap());
     drop(log);
     let journal = JournalFile::of(directory.path());
-    let mut told = 0;
+    let mut reported = 0;
     for at in (0..journal.used).step_by(97) {
         println!("byte {at}");
         let damaged = journal.flipped(at);
         let log = open(damaged.path());
         match log.view(arm.uid) {
             Ok(view) => assert_eq!(all_points(&*view), whole),
-            Err(LogError::Lost { .. }) => told += 1,
+            Err(LogError::Lost { .. }) => reported += 1,
             // The creation of the index was cut off, or the whole store.
             Err(LogError::UnknownIndex { .. } | LogError::Unopened { .. }) => {
                 only_gone(&log, &arm);
-                told += 1;
+                reported += 1;
             }
             Err(other) => panic!("{other}"),
         }
     }
-    assert!(told > 0);
+    assert!(reported > 0);
 }
 
 #[test]
@@ -108,7 +108,7 @@ fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
 
 /// fjall recreates a missing part over the remaining files.
 #[test]
-fn whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched() {
+fn any_missing_part_of_a_store_is_named_and_nothing_else_is_touched() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let arm = entry("arm");
@@ -140,7 +140,7 @@ fn whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched() {
 
 /// fjall itself would abort the process.
 #[test]
-fn what_does_not_belong_to_a_store_is_named() {
+fn foreign_files_in_a_store_are_named() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let arm = entry("arm");

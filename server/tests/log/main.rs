@@ -154,7 +154,7 @@ fn check_uids(log: &dyn Engine) {
 }
 
 #[test]
-fn who_has_all_records_but_the_newest_gets_it_however_large_it_is() {
+fn a_follower_gets_the_newest_record_of_any_size() {
     let log = MemoryLog::new();
     let entry = entry("arm");
     let uid = entry.uid;

@@ -10,7 +10,7 @@
 //!   `fjall/journal.rs`, `fjall/sync_marks.rs`, checked by `log::lost`, above all
 //!   `a_flipped_byte_of_the_journal_is_never_a_silent_gap`.
 //! - The trees `keyspaces/0` and `keyspaces/1`, their files `vN`, and `current`: number, XXH3, kind. Relied on in
-//!   `fjall/manifest.rs`, checked by `whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched`,
+//!   `fjall/manifest.rs`, checked by `any_missing_part_of_a_store_is_named_and_nothing_else_is_touched`,
 //!   `log::flips`.
 //! - `current` is replaced after its list is synced, and older lists are removed later. Relied on in
 //!   `fjall/manifest_copy.rs`, checked by `log::shared_files`.

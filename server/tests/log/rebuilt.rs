@@ -198,7 +198,7 @@ enum BlockContent {
 /// fjall finds the damage while the log is written, even if no read asks for the block. Then no write succeeds until a
 /// repair, and reads go on.
 #[test]
-fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_store_is_repaired() {
+fn a_repair_loses_only_the_content_of_a_block_damaged_while_the_log_was_open() {
     for held in [
         BlockContent::Point,
         BlockContent::Past,

@@ -106,7 +106,7 @@ async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
     assert!(poll!(&mut first).is_pending());
     let request = v1::InsertRequest {
         neighbors: Some(v1::NeighborSpec {
-            count: nearest(9),
+            k_form: nearest(9),
             ..Default::default()
         }),
         ..insertion(&[[2.0]], &[])
@@ -239,7 +239,7 @@ async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
 }
 
 #[tokio::test]
-async fn what_takes_long_to_log_for_its_rows_or_its_bytes_is_logged_on_another_thread() {
+async fn mutations_with_many_rows_or_bytes_are_logged_on_another_thread() {
     let log = ControlledLog::new();
     log.synced.send_replace(9);
     let service = service_with(log.clone(), Limits::default());

@@ -99,7 +99,7 @@ async fn quietly<T>(call: impl Future<Output = T>) -> T {
 
 /// A waiting call ends at its deadline. The clock of the test is paused, so the deadline comes at once.
 #[tokio::test(start_paused = true)]
-async fn every_verb_answers_or_refuses_whatever_integers_it_is_asked_with() {
+async fn every_verb_answers_or_refuses_extreme_integers() {
     let (service, uid) = two_points().await;
     for request in requests(&uid) {
         for (what, variant) in variants(&request) {
@@ -168,7 +168,7 @@ async fn a_call_that_waits_rests() {
     }
     for after in EXTREMES.into_iter().filter(|after| *after >= head) {
         let follow = v1::WatchRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             after_revision: revision(&uid, after),
             include: None,
         };

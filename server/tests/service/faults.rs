@@ -46,7 +46,7 @@ impl Mutation {
             3 if !present.is_empty() => {
                 let ids = some(present, 3);
                 Mutation::Update(v1::UpdateRequest {
-                    index: "arm".into(),
+                    index_name: "arm".into(),
                     tags: vec![number],
                     payloads: ids
                         .iter()
@@ -114,14 +114,14 @@ async fn read(service: &Service) -> (u64, BTreeMap<u64, Point>) {
     let points = part.points.unwrap_or_default();
     let rows = points.states.unwrap_or_default().coordinates;
     let rows = rows.as_chunks::<2>().0.iter();
-    let told = rows.zip(&points.tags).zip(&points.payloads);
-    let told = told.map(|((row, tag), payload)| {
+    let content = rows.zip(&points.tags).zip(&points.payloads);
+    let content = content.map(|((row, tag), payload)| {
         let payload = String::from_utf8(payload.to_vec()).unwrap();
         (*row, *tag, payload)
     });
     (
         part.revision.number(),
-        points.ids.into_iter().zip(told).collect(),
+        points.ids.into_iter().zip(content).collect(),
     )
 }
 

@@ -139,7 +139,7 @@ async fn pages_are_in_order_and_survive_a_delete_between_them() {
         if names.len() == 2 {
             // The index that the token names.
             let request = v1::DeleteIndexRequest {
-                index: "b".into(),
+                index_name: "b".into(),
                 ..Default::default()
             };
             service.delete_index(&CALL, request).await.unwrap();
@@ -151,7 +151,7 @@ async fn pages_are_in_order_and_survive_a_delete_between_them() {
 #[tokio::test]
 async fn a_page_ends_before_it_outgrows_an_answer() {
     let limits = Limits {
-        answer_bytes: 400,
+        max_answer_bytes: 400,
         ..Default::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);
@@ -181,13 +181,13 @@ async fn a_page_ends_before_it_outgrows_an_answer() {
 }
 
 #[tokio::test]
-async fn the_log_forgets_what_is_deleted() {
+async fn the_log_forgets_deleted_indices() {
     let log = Arc::new(MemoryLog::new());
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R1").await;
     assert_eq!(log.indexes().unwrap().len(), 1);
     let request = v1::DeleteIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, request).await.unwrap();
@@ -195,14 +195,14 @@ async fn the_log_forgets_what_is_deleted() {
 }
 
 #[tokio::test]
-async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
+async fn a_deleted_index_is_gone_and_its_name_starts_a_new_history() {
     let (service, uid) = arm("R1").await;
     service
         .insert(&CALL, insertion(&[[1.0]], &[]))
         .await
         .unwrap();
     let delete = |uid: &str| v1::DeleteIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         uid: uid.into(),
     };
     let other = refusal(service.delete_index(&CALL, delete("another")).await);
@@ -219,7 +219,7 @@ async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
     let gone = refusal(service.delete_index(&CALL, delete("")).await);
     assert_eq!(gone, (Code::NotFound, "INDEX_NOT_FOUND", String::new()));
     let request = v1::GetIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
     };
     let gone = refusal(service.get_index(&CALL, request).await);
     assert_eq!(gone, (Code::NotFound, "INDEX_NOT_FOUND", String::new()));
@@ -239,7 +239,7 @@ async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
 }
 
 #[tokio::test]
-async fn who_waits_for_a_revision_of_a_deleted_index_is_told() {
+async fn a_wait_for_a_revision_ends_when_the_index_is_deleted() {
     let (service, uid) = arm("R1").await;
     let request = v1::KnnRequest {
         min_revision: revision(&uid, 1),
@@ -248,7 +248,7 @@ async fn who_waits_for_a_revision_of_a_deleted_index_is_told() {
     let waiting = service.knn(&CALL, request);
     let deleting = async {
         let request = v1::DeleteIndexRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             uid,
         };
         service.delete_index(&CALL, request).await.unwrap();

@@ -182,7 +182,7 @@ async fn a_replaced_point_is_neither_in_its_own_way_nor_its_own_neighbour() {
         on_conflict: v1::OnConflict::Replace.into(),
         min_separation: 1.0,
         neighbors: Some(v1::NeighborSpec {
-            count: nearest(10),
+            k_form: nearest(10),
             include: Some(v1::Include {
                 revisions: true,
                 ..Default::default()
@@ -222,7 +222,7 @@ async fn neighbours_since_a_revision_are_what_came_meanwhile_and_the_same_call()
     let request = v1::InsertRequest {
         uid,
         neighbors: Some(v1::NeighborSpec {
-            reach: within(f64::INFINITY),
+            radius_form: within(f64::INFINITY),
             filter: Some(v1::Filter {
                 since_revision: checked_at,
                 ..Default::default()
@@ -242,14 +242,14 @@ async fn neighbours_since_a_revision_are_what_came_meanwhile_and_the_same_call()
 }
 
 #[tokio::test]
-async fn of_any_two_concurrent_inserts_the_later_sees_the_earlier() {
+async fn the_later_of_two_concurrent_inserts_sees_the_earlier() {
     let (service, _) = arm("R3").await;
     let mut calls = tokio::task::JoinSet::new();
     for row in cube(5, 200) {
         let service = service.clone();
         let request = v1::InsertRequest {
             neighbors: Some(v1::NeighborSpec {
-                reach: within(f64::INFINITY),
+                radius_form: within(f64::INFINITY),
                 ..Default::default()
             }),
             ..insertion(&[row], &[])

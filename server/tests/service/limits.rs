@@ -16,11 +16,11 @@ const ANSWER_BYTES: usize = 4000;
 
 async fn small() -> Service {
     let limits = Limits {
-        rows_per_call: 50,
-        ids_per_call: 60,
-        k: 40,
-        answer_bytes: ANSWER_BYTES,
-        indexes: 2,
+        max_rows_per_call: 50,
+        max_ids_per_call: 60,
+        max_k: 40,
+        max_answer_bytes: ANSWER_BYTES,
+        max_indexes: 2,
         ..Limits::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);
@@ -36,41 +36,44 @@ fn exceeded<T: std::fmt::Debug>(answer: Result<T, Error>) -> (&'static str, u64)
 }
 
 #[tokio::test]
-async fn what_exceeds_a_limit_is_refused_with_its_name_and_value() {
+async fn exceeding_a_limit_is_refused_with_its_name_and_value() {
     let service = small().await;
     let rows = cube(1, 51);
     assert_eq!(
         exceeded(service.insert(&CALL, insertion(&rows, &[])).await),
-        ("rows_per_call", 50)
+        ("max_rows_per_call", 50)
     );
     assert_eq!(
         exceeded(service.knn(&CALL, knn(&rows, 1)).await),
-        ("rows_per_call", 50)
+        ("max_rows_per_call", 50)
     );
     assert_eq!(
         exceeded(service.knn(&CALL, knn(&rows[..1], 41)).await),
-        ("k", 40)
+        ("max_k", 40)
     );
     let neighbors = v1::InsertRequest {
         neighbors: Some(v1::NeighborSpec {
-            count: nearest(41),
+            k_form: nearest(41),
             ..Default::default()
         }),
         ..insertion(&rows[..1], &[])
     };
-    assert_eq!(exceeded(service.insert(&CALL, neighbors).await), ("k", 40));
+    assert_eq!(
+        exceeded(service.insert(&CALL, neighbors).await),
+        ("max_k", 40)
+    );
     let ids: Vec<u64> = (0..61).collect();
     assert_eq!(
         exceeded(service.get(&CALL, getting(&ids)).await),
-        ("ids_per_call", 60)
+        ("max_ids_per_call", 60)
     );
     assert_eq!(
         exceeded(service.remove(&CALL, removal(&ids)).await),
-        ("ids_per_call", 60)
+        ("max_ids_per_call", 60)
     );
     create(&service, "second", "R1").await;
     let third = service.create_index(&CALL, creation("third", "R1")).await;
-    assert_eq!(exceeded(third), ("indexes", 2));
+    assert_eq!(exceeded(third), ("max_indexes", 2));
     // An existing index is still found.
     create(&service, "arm", "R3").await;
 }
@@ -144,15 +147,15 @@ async fn oversize_answers_of_every_verb_are_refused() {
     }
     let before = info(&service, "arm").await;
     let whole = v1::QueryRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: states(&[[0.5; 3]]),
-        reach: within(f64::INFINITY),
+        radius_form: within(f64::INFINITY),
         ..Default::default()
     };
-    let refused = ("answer_bytes", ANSWER_BYTES as u64);
+    let refused = ("max_answer_bytes", ANSWER_BYTES as u64);
     assert_eq!(exceeded(service.query(&CALL, whole).await), refused);
     let update = v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: (0..3).collect(),
         payloads: vec![Bytes::from(vec![1; 2000]); 3],
         ..Default::default()
@@ -175,7 +178,7 @@ async fn oversize_answers_of_every_verb_are_refused() {
     // An insert is refused before anything is stored.
     let request = v1::InsertRequest {
         neighbors: Some(v1::NeighborSpec {
-            count: nearest(30),
+            k_form: nearest(30),
             ..Default::default()
         }),
         ..insertion(&cube(9, 20), &[])
@@ -191,7 +194,7 @@ async fn oversize_answers_of_every_verb_are_refused() {
 #[tokio::test]
 async fn an_insert_whose_outcomes_alone_are_too_many_is_refused() {
     let limits = Limits {
-        answer_bytes: 600,
+        max_answer_bytes: 600,
         ..Limits::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);
@@ -201,6 +204,6 @@ async fn an_insert_whose_outcomes_alone_are_too_many_is_refused() {
         .await
         .unwrap();
     let many = service.insert(&CALL, insertion(&cube(2, 60), &[])).await;
-    assert_eq!(exceeded(many), ("answer_bytes", 600));
+    assert_eq!(exceeded(many), ("max_answer_bytes", 600));
     assert_eq!(info(&service, "arm").await.point_count, 30);
 }

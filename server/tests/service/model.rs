@@ -7,7 +7,7 @@ use bytes::Bytes;
 use wayfold_index::{Factor, Space};
 use wayfold_proto::v1::{
     self, Outcome,
-    neighbor_spec::{Count, Reach},
+    neighbor_spec::{KForm, RadiusForm},
 };
 
 use crate::support::{canonical, revision};
@@ -68,7 +68,7 @@ impl Model {
                 modified: self.revision + 1,
             };
             if let Some(query) = &request.neighbors {
-                let (k, radius) = next.bounds(query.count, query.reach);
+                let (k, radius) = next.bounds(query.k_form, query.radius_form);
                 let mut all = next.within(row, radius, query.filter.as_ref());
                 all.retain(|(_, other)| *other != id);
                 all.truncate(k);
@@ -194,7 +194,10 @@ impl Model {
     pub(crate) fn knn(&self, request: &v1::KnnRequest) -> v1::KnnResponse {
         let rows = canonical(&self.space, &request.states.as_ref().unwrap().coordinates);
         let mut found = Columns::new(request.include);
-        let (k, radius) = self.bounds(request.count.map(Into::into), request.reach.map(Into::into));
+        let (k, radius) = self.bounds(
+            request.k_form.map(Into::into),
+            request.radius_form.map(Into::into),
+        );
         for row in rows.chunks(self.space.coordinates()) {
             let mut all = self.within(row, radius, request.filter.as_ref());
             all.truncate(k);
@@ -237,12 +240,12 @@ impl Model {
 
     /// The number and the radius of a request, scaled by the present number of points after Karaman and Frazzoli. The
     /// radius equals no distance between the few states, so its last bit does not matter.
-    fn bounds(&self, count: Option<Count>, reach: Option<Reach>) -> (usize, f64) {
+    fn bounds(&self, count: Option<KForm>, radius_form: Option<RadiusForm>) -> (usize, f64) {
         let n = self.points.len() as f64;
         let k = match count {
             None => usize::MAX,
-            Some(Count::K(k)) => k as usize,
-            Some(Count::KFactor(factor)) => {
+            Some(KForm::K(k)) => k as usize,
+            Some(KForm::KFactor(factor)) => {
                 let k = if n > 1.0 { factor * n.ln() } else { 0.0 };
                 (k.ceil() as usize).max(1)
             }
@@ -261,10 +264,10 @@ impl Model {
                 false => max,
             }
         };
-        let radius = match reach {
+        let radius = match radius_form {
             None => f64::INFINITY,
-            Some(Reach::Radius(radius)) => radius,
-            Some(Reach::ScaledRadius(radius)) => scaled(radius),
+            Some(RadiusForm::Radius(radius)) => radius,
+            Some(RadiusForm::ScaledRadius(radius)) => scaled(radius),
         };
         (k, radius)
     }
@@ -313,7 +316,7 @@ fn columns<'a>(
             columns.revisions.push(point.stored);
         }
         if let Some(states) = &mut columns.states {
-            states.rows += 1;
+            states.row_count += 1;
             states.coordinates.extend(&point.row);
         }
         if include.payloads {
@@ -346,7 +349,7 @@ impl Columns {
             self.columns.ids.push(*id);
             self.columns.distances.push(*distance);
             if let Some(states) = &mut self.columns.states {
-                states.rows += 1;
+                states.row_count += 1;
                 states.coordinates.extend(&point.row);
             }
             if self.include.tags {

@@ -15,7 +15,7 @@ fn once(id: &str, row: f64) -> v1::InsertRequest {
     v1::InsertRequest {
         operation_id: id.into(),
         neighbors: Some(v1::NeighborSpec {
-            count: nearest(3),
+            k_form: nearest(3),
             ..Default::default()
         }),
         ..insertion(&[[row]], &[])
@@ -45,7 +45,7 @@ async fn a_retry_gets_the_original_response_bit_for_bit() {
     let first = service.remove(&CALL, removal.clone()).await.unwrap();
     assert_eq!(service.remove(&CALL, removal).await.unwrap(), first);
     let update = v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: vec![1],
         tags: vec![4],
         operation_id: "update".into(),
@@ -138,7 +138,7 @@ async fn twins_in_flight_take_effect_once() {
 #[tokio::test]
 async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
     let limits = Limits {
-        operations_remembered: 2,
+        max_operations: 2,
         ..Limits::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);
@@ -176,7 +176,7 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
     );
 
     let delete = v1::DeleteIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, delete).await.unwrap();

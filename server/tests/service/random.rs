@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use wayfold_index::{Factor, Space};
 use wayfold_proto::v1::{
     self,
-    neighbor_spec::{Count, Reach},
+    neighbor_spec::{KForm, RadiusForm},
 };
 use wayfold_server::service::{Error, Scan, Service};
 
@@ -70,7 +70,10 @@ impl Requests {
 
     fn states(&mut self, rows: u32) -> Option<v1::States> {
         let coordinates = (0..rows).flat_map(|_| self.row()).collect();
-        Some(v1::States { rows, coordinates })
+        Some(v1::States {
+            row_count: rows,
+            coordinates,
+        })
     }
 
     fn ids(&mut self, most: usize) -> Vec<u64> {
@@ -140,14 +143,14 @@ impl Requests {
             let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
             let radius = (k.is_none() || self.random.random()).then_some(radius);
             v1::NeighborSpec {
-                count: self.k_factor().or(k.map(Count::K)),
-                reach: self.scaled_radius().or(radius.map(Reach::Radius)),
+                k_form: self.k_factor().or(k.map(KForm::K)),
+                radius_form: self.scaled_radius().or(radius.map(RadiusForm::Radius)),
                 filter: self.filter(revision + 1),
                 include: self.include(),
             }
         });
         v1::InsertRequest {
-            index: self.name.clone(),
+            index_name: self.name.clone(),
             states: self.states(rows as u32),
             ids,
             tags,
@@ -171,7 +174,7 @@ impl Requests {
         tags.iter_mut()
             .for_each(|tag| *tag &= tag_mask.unwrap_or(u64::MAX));
         v1::UpdateRequest {
-            index: self.name.clone(),
+            index_name: self.name.clone(),
             tags,
             tag_mask,
             payloads: self.payloads(payload_count),
@@ -184,35 +187,35 @@ impl Requests {
 
     pub(crate) fn remove(&mut self) -> v1::RemoveRequest {
         v1::RemoveRequest {
-            index: self.name.clone(),
+            index_name: self.name.clone(),
             ..removal(&self.ids(5))
         }
     }
 
     /// A number scaled by the size of the index, in some of the requests.
-    fn k_factor(&mut self) -> Option<Count> {
+    fn k_factor(&mut self) -> Option<KForm> {
         let factor = self.pick(&[None, None, Some(0.0), Some(0.7), Some(1.5), Some(5.5)]);
-        factor.map(Count::KFactor)
+        factor.map(KForm::KFactor)
     }
 
     /// A radius scaled by the size of the index, in some of the requests.
-    fn scaled_radius(&mut self) -> Option<Reach> {
+    fn scaled_radius(&mut self) -> Option<RadiusForm> {
         let factor = self.pick(&[None, None, Some(0.0), Some(0.4), Some(1.1)])?;
         let max = self.pick(&[None, Some(0.3), Some(f64::INFINITY)]);
-        Some(Reach::ScaledRadius(v1::ScaledRadius { factor, max }))
+        Some(RadiusForm::ScaledRadius(v1::ScaledRadius { factor, max }))
     }
 
     pub(crate) fn knn(&mut self, revision: u64) -> v1::KnnRequest {
         let radius = self.pick(&[0.0, 0.3, 1.0, f64::INFINITY]);
         let radius = self.random.random_bool(0.5).then_some(radius);
         let count = self.k_factor();
-        let count = count.unwrap_or_else(|| Count::K(self.random.random_range(1..80)));
-        let reach = self.scaled_radius().or(radius.map(Reach::Radius));
+        let count = count.unwrap_or_else(|| KForm::K(self.random.random_range(1..80)));
+        let radius_form = self.scaled_radius().or(radius.map(RadiusForm::Radius));
         v1::KnnRequest {
-            index: self.name.clone(),
+            index_name: self.name.clone(),
             states: self.states(2),
-            count: Some(count.into()),
-            reach: reach.map(Into::into),
+            k_form: Some(count.into()),
+            radius_form: radius_form.map(Into::into),
             filter: self.filter(revision),
             include: self.include(),
             min_revision: self.at(revision),
@@ -222,7 +225,7 @@ impl Requests {
 
     fn scan(&mut self, revision: u64) -> v1::ScanRequest {
         v1::ScanRequest {
-            index: self.name.clone(),
+            index_name: self.name.clone(),
             filter: self.filter(revision),
             include: self.columns(),
             after_id: self
@@ -246,11 +249,11 @@ impl Requests {
 
 /// `Query` is `Knn` without k.
 fn as_query(knn: &v1::KnnRequest) -> v1::QueryRequest {
-    let reach = knn.reach.map_or(Reach::Radius(0.5), Into::into);
+    let radius_form = knn.radius_form.map_or(RadiusForm::Radius(0.5), Into::into);
     v1::QueryRequest {
-        index: knn.index.clone(),
+        index_name: knn.index_name.clone(),
         states: knn.states.clone(),
-        reach: Some(reach.into()),
+        radius_form: Some(radius_form.into()),
         filter: knn.filter.clone(),
         include: knn.include,
         min_revision: knn.min_revision.clone(),
@@ -289,8 +292,8 @@ pub(crate) async fn compare(service: &Service, model: &Model, requests: &mut Req
 
     let query = as_query(&knn);
     let unlimited = v1::KnnRequest {
-        count: nearest(u32::MAX).map(Into::into),
-        reach: query.reach.map(Reach::from).map(Into::into),
+        k_form: nearest(u32::MAX).map(Into::into),
+        radius_form: query.radius_form.map(RadiusForm::from).map(Into::into),
         ..knn
     };
     let expected = model.knn(&unlimited);
@@ -299,7 +302,7 @@ pub(crate) async fn compare(service: &Service, model: &Model, requests: &mut Req
     assert_eq!(answer.revision, revision(&model.uid, model.revision));
 
     let get = v1::GetRequest {
-        index: requests.name.clone(),
+        index_name: requests.name.clone(),
         include: requests.columns(),
         ..getting(&requests.ids(4))
     };

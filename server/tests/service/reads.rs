@@ -21,7 +21,7 @@ const ALL: v1::Include = v1::Include {
 };
 
 #[tokio::test]
-async fn neighbours_come_with_what_was_asked_for() {
+async fn neighbours_come_with_the_requested_columns() {
     let (service, uid) = arm("SO2").await;
     let request = v1::InsertRequest {
         tags: vec![1, 2, 3],
@@ -47,7 +47,7 @@ async fn neighbours_come_with_what_was_asked_for() {
     assert_eq!(found.payloads[0], Bytes::from_static(b"two"));
     assert_eq!(found.payloads[1], Bytes::new());
     let states = found.states.unwrap();
-    assert_eq!(states.rows, 4);
+    assert_eq!(states.row_count, 4);
     let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
     assert!(near(states.coordinates[0], 1.0) && states.coordinates[1] == 2.0);
     assert!(near(found.distances[0], 0.25) && found.distances[2] == 1.0);
@@ -75,9 +75,9 @@ async fn filters_by_tag_and_by_revision() {
         service.insert(&CALL, request).await.unwrap();
     }
     let ask = |tag_mask, tag_value, since| v1::QueryRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: states(&[[0.0]]),
-        reach: within(f64::INFINITY),
+        radius_form: within(f64::INFINITY),
         filter: Some(v1::Filter {
             tag_mask,
             tag_value,
@@ -110,16 +110,16 @@ async fn the_ball_is_closed_and_both_limits_hold() {
         .await
         .unwrap();
     let query = |radius| v1::QueryRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: states(&[[0.0]]),
-        reach: within(radius),
+        radius_form: within(radius),
         ..Default::default()
     };
     let ids = |response: v1::QueryResponse| response.neighbors.unwrap().ids;
     assert_eq!(ids(service.query(&CALL, query(0.0)).await.unwrap()), [0]);
     assert_eq!(ids(service.query(&CALL, query(1.0)).await.unwrap()), [0, 1]);
     let both = |k, radius| v1::KnnRequest {
-        reach: within(radius),
+        radius_form: within(radius),
         ..knn(&[[0.0]], k)
     };
     let ids = |response: v1::KnnResponse| response.neighbors.unwrap().ids;

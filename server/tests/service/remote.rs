@@ -236,7 +236,7 @@ async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Po
     let mut fed = 0;
     while fed < tip.revision {
         let request = v1::WatchRequest {
-            index: entry.name.clone(),
+            index_name: entry.name.clone(),
             after_revision: revision(&entry.uid.to_string(), fed),
             include: ALL,
         };

@@ -142,7 +142,7 @@ async fn create_damaged(service: &Service, name: &str) -> String {
     let uid = create(service, name, "R1").await;
     for row in [[1.0], [2.0]] {
         let request = v1::InsertRequest {
-            index: name.into(),
+            index_name: name.into(),
             ..insertion(&[row], &[])
         };
         let inserted = service.insert(&CALL, request).await;
@@ -169,11 +169,11 @@ async fn damaged_indices_are_listed_among_the_others_page_by_page() {
     registry.replay().unwrap();
     let registry = Arc::new(registry);
     // Some pages end by their size, others by the bytes of the answer.
-    for (page_size, answer_bytes, longest) in
+    for (page_size, max_answer_bytes, longest) in
         [(1, 9999, 1), (2, 9999, 2), (5, 9999, 5), (5, 500, 4)]
     {
         let limits = Limits {
-            answer_bytes,
+            max_answer_bytes,
             ..Limits::default()
         };
         let service = Service::starting(limits);
@@ -192,7 +192,7 @@ async fn damaged_indices_are_listed_among_the_others_page_by_page() {
             }
             for damaged in page.damaged {
                 let get = v1::GetIndexRequest {
-                    index: damaged.name.clone(),
+                    index_name: damaged.name.clone(),
                 };
                 let refused = service.get_index(&CALL, get).await.unwrap_err();
                 assert_eq!(refused, damaged.error);
@@ -224,7 +224,7 @@ async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
         .knn(
             &CALL,
             v1::KnnRequest {
-                index: "damaged".into(),
+                index_name: "damaged".into(),
                 ..knn(&[[1.0]], 1)
             },
         )
@@ -237,7 +237,7 @@ async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
     // The other indices are served, and the damaged one can be deleted and created anew.
     assert_eq!(info(&service, "other").await.point_count, 0);
     let deletion = v1::DeleteIndexRequest {
-        index: "damaged".into(),
+        index_name: "damaged".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, deletion).await.unwrap();
@@ -245,7 +245,7 @@ async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
 }
 
 #[tokio::test]
-async fn operations_are_remembered_for_their_own_window_whatever_becomes_of_their_records() {
+async fn operations_are_remembered_for_their_own_window_without_their_records() {
     let directory = tempfile::tempdir().unwrap();
     let on_disk = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
     for log in [
@@ -257,7 +257,7 @@ async fn operations_are_remembered_for_their_own_window_whatever_becomes_of_thei
             ..options()
         };
         let limits = Limits {
-            operations_remembered: 5,
+            max_operations: 5,
             ..Limits::default()
         };
         let served = |log: &Log| restarted_with(log.clone(), options, limits.clone());

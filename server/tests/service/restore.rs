@@ -44,21 +44,21 @@ async fn answers(service: &Service, space: &Space) -> Vec<Vec<u8>> {
         };
         let min_revision = revision(&uid, newest);
         let knn = v1::KnnRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(v1::States {
-                rows: 1,
+                row_count: 1,
                 coordinates: rows.clone(),
             }),
-            count: nearest(1000).map(Into::into),
+            k_form: nearest(1000).map(Into::into),
             filter: Some(filter.clone()),
             include: Some(include),
             min_revision: min_revision.clone(),
             ..Default::default()
         };
         let query = v1::QueryRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: knn.states.clone(),
-            reach: within(0.75),
+            radius_form: within(0.75),
             filter: Some(filter),
             include: Some(include),
             min_revision,
@@ -87,17 +87,17 @@ fn numbered(named: &Option<v1::Revision>) -> Option<v1::Revision> {
 async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
     let ids = everything(service).await.points.unwrap().ids;
     let index = info(service, "arm").await;
-    let mut told = Vec::new();
+    let mut encoded = Vec::new();
     for if_revision in 0..=index.revision.number() {
         let update = v1::UpdateRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             ids: ids.clone(),
             tags: vec![if_revision],
             if_revision: revision(&index.revision.uid(), if_revision),
             ..Default::default()
         };
         // The error names the points that changed later.
-        told.push(match service.update(&CALL, update).await {
+        encoded.push(match service.update(&CALL, update).await {
             Ok(updated) => updated.updated_count.to_string().into_bytes(),
             Err(error) => error.to_string().into_bytes(),
         });
@@ -107,18 +107,18 @@ async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
         row[space.coordinates() - 1] = 1.0;
     }
     let insert = v1::InsertRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: Some(v1::States {
-            rows: 1,
+            row_count: 1,
             coordinates: row,
         }),
         ..Default::default()
     };
     let mut inserted = service.insert(&CALL, insert).await.unwrap();
     inserted.revision = numbered(&inserted.revision);
-    told.push(inserted.encode_to_vec());
-    told.extend(answers(service, space).await);
-    told
+    encoded.push(inserted.encode_to_vec());
+    encoded.extend(answers(service, space).await);
+    encoded
 }
 
 #[tokio::test]
@@ -240,7 +240,7 @@ async fn a_name_that_is_taken_is_refused_first_and_last() {
 #[tokio::test]
 async fn the_limit_of_indices_is_kept() {
     let limits = Limits {
-        indexes: 1,
+        max_indexes: 1,
         ..Limits::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);
@@ -260,7 +260,7 @@ async fn is_untouched(service: &Service, log: &Log) {
 }
 
 #[tokio::test]
-async fn what_is_not_whole_leaves_nothing() {
+async fn an_incomplete_restore_leaves_nothing() {
     let source = service();
     create(&source, "arm", "R3").await;
     for seed in 0..4 {
@@ -313,7 +313,7 @@ async fn what_is_not_whole_leaves_nothing() {
 }
 
 #[tokio::test]
-async fn what_no_server_writes_is_refused() {
+async fn parts_that_no_server_writes_are_refused() {
     let target = service();
     let header = Header {
         name: "arm".into(),

@@ -6,18 +6,18 @@ use futures_util::future::join_all;
 use wayfold_index::{Linear, PointRef, Search, Space};
 use wayfold_proto::v1::{
     self,
-    neighbor_spec::{Count, Reach},
+    neighbor_spec::{KForm, RadiusForm},
 };
 use wayfold_server::service::{Code, Error, Limits};
 
 use crate::{cancellation::poll_into_evaluation, support::*};
 
-fn by(k_factor: f64) -> Option<Count> {
-    Some(Count::KFactor(k_factor))
+fn by(k_factor: f64) -> Option<KForm> {
+    Some(KForm::KFactor(k_factor))
 }
 
-fn scaled(factor: f64, max: Option<f64>) -> Option<Reach> {
-    Some(Reach::ScaledRadius(v1::ScaledRadius { factor, max }))
+fn scaled(factor: f64, max: Option<f64>) -> Option<RadiusForm> {
+    Some(RadiusForm::ScaledRadius(v1::ScaledRadius { factor, max }))
 }
 
 /// Inserts that searched before a long insert and are applied after it are evaluated by the size of the index at their
@@ -45,8 +45,8 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
     let calls = calls.map(async |(row, asked)| {
         let request = v1::InsertRequest {
             neighbors: Some(v1::NeighborSpec {
-                count: asked.0,
-                reach: asked.1,
+                k_form: asked.0,
+                radius_form: asked.1,
                 ..Default::default()
             }),
             ..insertion(&[*row], &[])
@@ -54,7 +54,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         (row, asked, service.insert(&CALL, request).await.unwrap())
     });
     // All calls are polled at once, so that none waits for a call that is not polled.
-    let (long, waiting, told) = tokio::join!(long, waiting, join_all(calls));
+    let (long, waiting, responses) = tokio::join!(long, waiting, join_all(calls));
     long.unwrap();
     waiting.unwrap();
 
@@ -67,7 +67,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         let rows = rows.chunks_exact(3).map(<[f64]>::to_vec);
         points.extend(ids.zip(rows));
     }
-    for (row, asked, response) in told {
+    for (row, asked, response) in responses {
         let mut before = Linear::new("R3".parse().unwrap());
         for ((id, revision), row) in &points {
             if *revision < response.revision.number() {
@@ -83,10 +83,10 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         }
         let n = before.len() as f64;
         let mut search = Search::nearest_k(usize::MAX);
-        if let Some(Count::KFactor(factor)) = asked.0 {
+        if let Some(KForm::KFactor(factor)) = asked.0 {
             search.k = (factor * n.ln()).ceil() as usize;
         }
-        if let Some(Reach::ScaledRadius(scaled)) = asked.1 {
+        if let Some(RadiusForm::ScaledRadius(scaled)) = asked.1 {
             let radius = scaled.factor * (n.ln() / n).powf(1.0 / 3.0);
             search.radius = radius.min(scaled.max.unwrap_or(f64::INFINITY));
         }
@@ -110,7 +110,7 @@ async fn rows_count_the_rows_before_them_that_are_new() {
         on_conflict: v1::OnConflict::Replace.into(),
         min_separation: 0.5,
         neighbors: Some(v1::NeighborSpec {
-            count: by(3.0),
+            k_form: by(3.0),
             ..Default::default()
         }),
         ..insertion(
@@ -163,7 +163,7 @@ async fn a_filter_does_not_change_how_many_points_there_are() {
     ] {
         let request = v1::KnnRequest {
             filter: Some(filter.clone()),
-            count: by(2.0).map(Into::into),
+            k_form: by(2.0).map(Into::into),
             ..knn(&[[0.0]], 0)
         };
         let answer = service.knn(&CALL, request).await.unwrap();
@@ -183,9 +183,9 @@ async fn the_dimension_is_the_manifolds() {
     service.insert(&CALL, insertion(&rows, &[])).await.unwrap();
     let radius = 0.5 * (400.0_f64.ln() / 400.0).powf(1.0 / 6.0);
     let query = v1::QueryRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: states(&rows[..20]),
-        reach: scaled(0.5, None).map(Into::into),
+        radius_form: scaled(0.5, None).map(Into::into),
         ..Default::default()
     };
     let answer = service.query(&CALL, query).await.unwrap();
@@ -201,10 +201,10 @@ async fn the_dimension_is_the_manifolds() {
 }
 
 #[tokio::test]
-async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
+async fn the_limits_of_k_and_of_an_answer_hold_for_scaled_searches() {
     let limits = Limits {
-        k: 40,
-        answer_bytes: 2000,
+        max_k: 40,
+        max_answer_bytes: 2000,
         ..Limits::default()
     };
     let log = std::sync::Arc::new(wayfold_server::log::MemoryLog::new());
@@ -227,33 +227,33 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
             .unwrap();
     }
     let ask = |k_factor, rows: usize| v1::KnnRequest {
-        count: by(k_factor).map(Into::into),
+        k_form: by(k_factor).map(Into::into),
         ..knn(&cube(7, rows), 0)
     };
     // ln 100 = 4.6052: 8.6 of it are 39.6, and 9 are 41.4.
     let answer = service.knn(&CALL, ask(8.6, 1)).await.unwrap();
     assert_eq!(answer.neighbors.unwrap().counts, [40]);
     let error = service.knn(&CALL, ask(9.0, 1)).await.unwrap_err();
-    assert_eq!(exceeded(error), ("k", 40, 42));
+    assert_eq!(exceeded(error), ("max_k", 40, 42));
     let error = service.knn(&CALL, ask(f64::MAX, 1)).await.unwrap_err();
-    assert_eq!(exceeded(error), ("k", 40, usize::MAX as u64));
+    assert_eq!(exceeded(error), ("max_k", 40, usize::MAX as u64));
     let error = service.knn(&CALL, ask(8.6, 3)).await.unwrap_err();
     assert_eq!(error.code(), Code::ResourceExhausted);
-    assert_eq!(exceeded(error).0, "answer_bytes");
+    assert_eq!(exceeded(error).0, "max_answer_bytes");
 
     // An insert is refused before anything is stored, at whichever row: ceil(8.65 ln n) is 40 for 100 and 101, and 41
     // for 102.
     let insert = |k_factor, rows: usize| v1::InsertRequest {
         neighbors: Some(v1::NeighborSpec {
-            count: by(k_factor),
+            k_form: by(k_factor),
             ..Default::default()
         }),
         ..insertion(&cube(9, rows), &[])
     };
     let error = service.insert(&CALL, insert(8.65, 4)).await.unwrap_err();
-    assert_eq!(exceeded(error), ("k", 40, 41));
+    assert_eq!(exceeded(error), ("max_k", 40, 41));
     let error = service.insert(&CALL, insert(8.0, 4)).await.unwrap_err();
-    assert_eq!(exceeded(error).0, "answer_bytes");
+    assert_eq!(exceeded(error).0, "max_answer_bytes");
     let after = info(&service, "arm").await;
     assert_eq!((after.revision.number(), after.point_count), (2, 100));
 }
@@ -262,7 +262,7 @@ const NAN: f64 = f64::NAN;
 const INFINITE: f64 = f64::INFINITY;
 
 #[tokio::test]
-async fn what_is_wrong_is_named() {
+async fn invalid_scalings_are_named() {
     let (service, _) = arm("R3").await;
     service
         .insert(&CALL, insertion(&[[0.0; 3]], &[]))
@@ -270,7 +270,7 @@ async fn what_is_wrong_is_named() {
         .unwrap();
     let invalid = |reason, field: String| (Code::InvalidArgument, reason, field);
     let (factor, max) = ("scaled_radius.factor", "scaled_radius.max");
-    for (count, reach, reason, field) in [
+    for (count, radius_form, reason, field) in [
         (by(-1.0), None, "NEGATIVE", "k_factor"),
         (by(INFINITE), None, "INFINITE", "k_factor"),
         (by(NAN), None, "NAN", "k_factor"),
@@ -281,8 +281,8 @@ async fn what_is_wrong_is_named() {
         (None, scaled(2.0, Some(NAN)), "NAN", max),
     ] {
         let neighbors = Some(v1::NeighborSpec {
-            count,
-            reach,
+            k_form: count,
+            radius_form,
             ..Default::default()
         });
         let request = v1::InsertRequest {
@@ -291,12 +291,12 @@ async fn what_is_wrong_is_named() {
         };
         let refused = refusal(service.insert(&CALL, request).await);
         let expected = invalid(reason, format!("neighbors.{field}"));
-        assert_eq!(refused, expected, "{count:?} {reach:?}");
+        assert_eq!(refused, expected, "{count:?} {radius_form:?}");
 
         // `Knn` needs a number too.
         let request = v1::KnnRequest {
-            count: count.or(nearest(1)).map(Into::into),
-            reach: reach.map(Into::into),
+            k_form: count.or(nearest(1)).map(Into::into),
+            radius_form: radius_form.map(Into::into),
             ..knn(&[[0.0; 3]], 1)
         };
         let refused = refusal(service.knn(&CALL, request.clone()).await);
@@ -305,7 +305,7 @@ async fn what_is_wrong_is_named() {
             for (count, reason) in [(None, "REQUIRED"), (nearest(0), "ZERO")] {
                 let count = count.map(Into::into);
                 let none = v1::KnnRequest {
-                    count,
+                    k_form: count,
                     ..request.clone()
                 };
                 let refused = refusal(service.knn(&CALL, none).await);
@@ -313,15 +313,15 @@ async fn what_is_wrong_is_named() {
             }
         }
 
-        if reach.is_some() {
+        if radius_form.is_some() {
             let query = v1::QueryRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 states: states(&[[0.0; 3]]),
-                reach: reach.map(Into::into),
+                radius_form: radius_form.map(Into::into),
                 ..Default::default()
             };
             let refused = refusal(service.query(&CALL, query).await);
-            assert_eq!(refused, invalid(reason, field.into()), "{reach:?}");
+            assert_eq!(refused, invalid(reason, field.into()), "{radius_form:?}");
         }
     }
     assert_eq!(info(&service, "arm").await.point_count, 1);

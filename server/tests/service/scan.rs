@@ -12,7 +12,7 @@ use wayfold_server::{
 use crate::support::*;
 
 #[tokio::test]
-async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
+async fn parts_add_up_to_the_pinned_revision_despite_later_writes() {
     let (service, _) = arm("R3").await;
     let rows = cube(7, 10_000);
     let ids: Vec<u64> = (0..10_000).map(|at| at * 3).collect();
@@ -31,7 +31,7 @@ async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
         assert_eq!((part.revision.number(), part.point_count), (1, 10_000));
         let points = part.points.unwrap();
         let states = points.states.unwrap();
-        assert_eq!(states.rows as usize, points.ids.len());
+        assert_eq!(states.row_count as usize, points.ids.len());
         coordinates.extend(states.coordinates);
         seen.ids.extend(points.ids);
         seen.payloads.extend(points.payloads);
@@ -39,7 +39,7 @@ async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
         let (gone, left) = ids[parts * 3000..][..3000].split_at(2900);
         service.remove(&CALL, removal(gone)).await.unwrap();
         let update = v1::UpdateRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             ids: left.into(),
             payloads: vec![Bytes::from_static(b"other"); left.len()],
             ..Default::default()
@@ -122,7 +122,7 @@ async fn a_scan_goes_on_after_an_id() {
 #[tokio::test(start_paused = true)]
 async fn a_scan_that_holds_its_snapshot_too_long_ends_and_another_goes_on() {
     let limits = Limits {
-        scan_seconds: 10,
+        max_scan_seconds: 10,
         ..Limits::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);
@@ -138,7 +138,7 @@ async fn a_scan_that_holds_its_snapshot_too_long_ends_and_another_goes_on() {
     let last = first.ids.last().copied();
     let error = scan.next().await.unwrap().unwrap_err();
     let too_long = Error::ScanTooLong {
-        scan_seconds: 10,
+        max_scan_seconds: 10,
         after_id: last,
     };
     assert_eq!(error, too_long);

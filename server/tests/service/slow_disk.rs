@@ -61,7 +61,7 @@ fn include() -> Option<v1::Include> {
 /// The payloads of this many nearest neighbours.
 fn neighbor_payloads(k: u32) -> Option<v1::NeighborSpec> {
     Some(v1::NeighborSpec {
-        count: nearest(k),
+        k_form: nearest(k),
         include: include(),
         ..Default::default()
     })
@@ -102,9 +102,9 @@ const READING: [(&str, Reading); 10] = [
     ("Query", |service, _| {
         Box::pin(async move {
             let request = v1::QueryRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 states: states(&[[3.1]]),
-                reach: within(1.0),
+                radius_form: within(1.0),
                 include: include(),
                 ..Default::default()
             };
@@ -116,7 +116,7 @@ const READING: [(&str, Reading); 10] = [
     ("SnapshotIndex", |service, _| {
         Box::pin(async move {
             let request = v1::SnapshotIndexRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 min_revision: None,
             };
             let mut snapshot = service.snapshot_index(&CALL, request).await?;
@@ -132,7 +132,7 @@ const READING: [(&str, Reading); 10] = [
     ("VerifyIndex", |service, _| {
         Box::pin(async move {
             let request = v1::VerifyIndexRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 ..Default::default()
             };
             let mut verification = service.verify_index(&CALL, request).await?;
@@ -145,7 +145,7 @@ const READING: [(&str, Reading); 10] = [
     ("Watch", |service, uid| {
         Box::pin(async move {
             let request = v1::WatchRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 after_revision: revision(&uid, 0),
                 include: ALL,
             };
@@ -183,7 +183,7 @@ const READING: [(&str, Reading); 10] = [
     ("Update", |service, uid| {
         Box::pin(async move {
             let request = v1::UpdateRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 ids: vec![3, 4],
                 payloads: vec![payload(3), "new".into()],
                 if_revision: revision(&uid, 1),
@@ -262,7 +262,7 @@ async fn overtaken<T>(
 
 fn update(tags: &[u64], payloads: &[&'static str]) -> v1::UpdateRequest {
     v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: vec![3],
         tags: tags.into(),
         payloads: payloads.iter().map(|payload| (*payload).into()).collect(),
@@ -366,7 +366,7 @@ async fn an_update_that_others_overtake_again_and_again_ends() {
 async fn an_overtaken_insert_is_not_charged_for_the_payloads_that_it_replaces() {
     let log = FaultLog::new(0);
     let limits = Limits {
-        answer_bytes: 2000,
+        max_answer_bytes: 2000,
         ..Limits::default()
     };
     let service = serving_without_cache(&log, limits);

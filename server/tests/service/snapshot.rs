@@ -14,13 +14,13 @@ use crate::support::{snapshots::*, *};
 
 fn request() -> v1::SnapshotIndexRequest {
     v1::SnapshotIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         min_revision: None,
     }
 }
 
 #[tokio::test]
-async fn it_is_one_revision_whatever_is_written_meanwhile() {
+async fn a_snapshot_has_one_revision_despite_later_writes() {
     let (service, uid) = arm("R3").await;
     let rows = cube(7, 20_000);
     let ids: Vec<u64> = (0..20_000).map(|at| at * 3).collect();
@@ -42,7 +42,7 @@ async fn it_is_one_revision_whatever_is_written_meanwhile() {
         let (gone, left) = ids[parts.len() * 1000..][..1000].split_at(900);
         service.remove(&CALL, removal(gone)).await.unwrap();
         let update = v1::UpdateRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             ids: left.into(),
             payloads: vec![Bytes::from_static(b"other"); left.len()],
             tags: vec![5],
@@ -73,7 +73,7 @@ async fn it_tells_which_revision_changed_a_point_last_and_which_ids_were_used() 
         .await
         .unwrap();
     let update = v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: vec![2],
         tags: vec![8],
         ..Default::default()
@@ -90,7 +90,7 @@ async fn it_tells_which_revision_changed_a_point_last_and_which_ids_were_used() 
 }
 
 #[tokio::test]
-async fn parts_are_bounded_whatever_the_payloads() {
+async fn parts_are_bounded_for_any_payloads() {
     let (service, _) = arm("R1").await;
     let rows: Vec<[f64; 1]> = (0..200).map(|at| [f64::from(at)]).collect();
     for rows in rows.chunks(50) {
@@ -115,11 +115,11 @@ async fn an_empty_index_has_a_header_and_a_trailer() {
 }
 
 #[tokio::test]
-async fn what_cannot_be_read_is_refused() {
+async fn snapshots_of_missing_indices_or_revisions_are_refused() {
     let (service, uid) = arm("R1").await;
     let ask = async |name: &str, min_revision| {
         let request = v1::SnapshotIndexRequest {
-            index: name.into(),
+            index_name: name.into(),
             min_revision,
         };
         let snapshot = service.snapshot_index(&CALL, request).await;
@@ -149,7 +149,7 @@ async fn what_cannot_be_read_is_refused() {
 #[tokio::test(start_paused = true)]
 async fn one_that_is_not_read_ends_and_is_no_snapshot() {
     let limits = Limits {
-        scan_seconds: 10,
+        max_scan_seconds: 10,
         ..Limits::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);
@@ -168,7 +168,7 @@ async fn one_that_is_not_read_ends_and_is_no_snapshot() {
     let error = snapshot.next().await.unwrap().unwrap_err();
     let too_long = Error::HeldTooLong {
         what: "snapshot",
-        scan_seconds: 10,
+        max_scan_seconds: 10,
     };
     assert_eq!(error, too_long);
     assert!(snapshot.next().await.is_none());

@@ -102,7 +102,7 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
         unavailable(service.insert(&CALL, operation(99)).await);
         unavailable(service.create_index(&CALL, creation("new", "R1")).await);
         let delete = v1::DeleteIndexRequest {
-            index: "idle".into(),
+            index_name: "idle".into(),
             ..Default::default()
         };
         unavailable(service.delete_index(&CALL, delete).await);
@@ -150,7 +150,7 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
 }
 
 #[tokio::test]
-async fn what_is_read_across_the_end_of_it_is_asked_for_again() {
+async fn reads_across_the_end_of_a_failure_are_unavailable() {
     let failing = Failing::new();
     let service = &failing.service;
     create(service, "arm", "R1").await;
@@ -234,7 +234,7 @@ async fn damage_that_is_found_on_the_way_is_named_for_every_call() {
 /// The service finds a damaged block of a table when it reopens the store. The content of the block is lost, and the
 /// rest stays writable.
 #[tokio::test]
-async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
+async fn damage_found_during_a_reopening_costs_only_the_damaged_content() {
     let directory = tempfile::tempdir().unwrap();
     let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
     let service = service_with(Arc::new(log), Limits::default());
@@ -254,7 +254,7 @@ async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
     let failing = Failing::at(directory);
     let service = &failing.service;
     let base = |id: u64| v1::InsertRequest {
-        index: "base".into(),
+        index_name: "base".into(),
         ..operation(id)
     };
     service.insert(&CALL, base(1)).await.unwrap();
@@ -314,7 +314,7 @@ async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_re
     const MAX_INSERTS: u64 = 500;
     let payload = |&id: &u64| Bytes::from(vec![id as u8; POINT_BYTES]);
     let insert = |ids: &[u64]| v1::InsertRequest {
-        index: "base".into(),
+        index_name: "base".into(),
         payloads: ids.iter().map(payload).collect(),
         ..insertion(&vec![[0.5]; ids.len()], ids)
     };
@@ -372,7 +372,7 @@ async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_re
         assert_eq!(refused.code(), Code::Unavailable);
         assert!(refused.to_string().contains("`wayfold-server repair`"));
         let get = v1::GetRequest {
-            index: "base".into(),
+            index_name: "base".into(),
             ..getting(&[7])
         };
         let points = service.get(&CALL, get).await.unwrap().points.unwrap();

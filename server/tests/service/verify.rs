@@ -39,7 +39,7 @@ pub(crate) fn hash_of(points: &v1::Points, space: &str) -> Vec<u8> {
 }
 
 #[tokio::test]
-async fn what_is_so_is_agreed_to() {
+async fn sound_data_is_accepted() {
     for (seed, space) in ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"]
         .into_iter()
         .enumerate()
@@ -100,7 +100,7 @@ async fn the_hash_is_the_contents_and_not_the_pasts() {
         .unwrap();
     assert_eq!(hash(&one).await, hash(&other).await);
     let tagged = v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: vec![4],
         tags: vec![1],
         ..Default::default()
@@ -110,7 +110,7 @@ async fn the_hash_is_the_contents_and_not_the_pasts() {
 }
 
 #[tokio::test]
-async fn what_is_asked_for_is_bounded() {
+async fn the_parameters_of_a_verification_are_bounded() {
     let (service, _) = arm("R1").await;
     for (query_count, k, field) in [
         (Some(1001), None, "query_count"),
@@ -127,7 +127,7 @@ async fn what_is_asked_for_is_bounded() {
         assert_eq!(refused, expected);
     }
     let elsewhere = v1::VerifyIndexRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..verification()
     };
     assert_eq!(refusal(verify(&service, elsewhere).await).0, Code::NotFound);
@@ -239,8 +239,8 @@ async fn a_point_that_differs_is_found_and_named() {
         };
         let report = verify(&service, none).await.unwrap();
         assert!(report.disagreement_count > 0, "{words}");
-        let told = report.first_disagreements.join("; ");
-        assert!(told.contains(words), "{words}: {told}");
+        let disagreements = report.first_disagreements.join("; ");
+        assert!(disagreements.contains(words), "{words}: {disagreements}");
         // A verification with queries finds the fault too.
         assert!(
             verify(&service, verification())
@@ -282,7 +282,7 @@ async fn stored_points_that_cannot_be_read_are_data_loss() {
     assert_eq!(error.code(), Code::DataLoss);
     assert!(error.to_string().contains("\"arm\""), "{error}");
     let request = v1::SnapshotIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         min_revision: None,
     };
     let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();
@@ -295,7 +295,7 @@ async fn stored_points_that_cannot_be_read_are_data_loss() {
 async fn a_snapshot_that_lacks_points_is_not_finished() {
     let service = lying(|point| Ok((point.id != 500).then_some(point))).await;
     let request = v1::SnapshotIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         min_revision: None,
     };
     let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();

@@ -17,7 +17,7 @@ use crate::{random::Requests, support::*};
 
 fn watching(uid: &str, after_revision: u64) -> v1::WatchRequest {
     v1::WatchRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         after_revision: revision(uid, after_revision),
         include: ALL,
     }
@@ -55,7 +55,7 @@ impl Follower {
                     continue;
                 };
                 let states = stored.states.unwrap();
-                let width = states.coordinates.len() / states.rows as usize;
+                let width = states.coordinates.len() / states.row_count as usize;
                 for (slot, row) in states.coordinates.chunks(width).enumerate() {
                     let (tag, revision) = (stored.tags[slot], stored.revisions[slot]);
                     assert!(revision <= self.revision);
@@ -145,7 +145,7 @@ async fn the_mutations_amount_to_the_points_wherever_one_begins() {
 #[tokio::test]
 async fn a_large_mutation_comes_in_pieces_that_fit() {
     let limits = Limits {
-        answer_bytes: 20_000,
+        max_answer_bytes: 20_000,
         ..Limits::default()
     };
     let service = service_with(Arc::new(MemoryLog::new()), limits);
@@ -177,7 +177,7 @@ async fn a_large_mutation_comes_in_pieces_that_fit() {
 }
 
 #[tokio::test]
-async fn what_can_not_be_told_any_more_is_a_reset() {
+async fn forgotten_records_become_a_reset() {
     let log = Arc::new(MemoryLog::new());
     let options = RegistryOptions {
         window_bytes: 0,
@@ -207,7 +207,7 @@ async fn what_can_not_be_told_any_more_is_a_reset() {
     assert!(watch.next().await.is_none());
 
     let deletion = v1::DeleteIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ..Default::default()
     };
     service.delete_index(&CALL, deletion).await.unwrap();
@@ -250,7 +250,7 @@ async fn a_watch_ends_with_its_index_its_deadline_and_its_server() {
         let mut next = pin!(waiting[0].next());
         assert!(poll!(&mut next).is_pending());
         let deletion = v1::DeleteIndexRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             ..Default::default()
         };
         service.delete_index(&CALL, deletion).await.unwrap();

@@ -203,7 +203,7 @@ mod tests {
         };
         let mut report = Report::default();
         report.extend([figure(Kind::Wayfold, 2.0), figure(Kind::Kiddo, 3.0)]);
-        let told = |report: &Report| {
+        let verdict = |report: &Report| {
             let table = table(report);
             let line = table.lines().last().expect("a line");
             line.split_whitespace()
@@ -212,8 +212,8 @@ mod tests {
                 .map(str::to_owned)
                 .collect::<Vec<_>>()
         };
-        assert_eq!(told(&report), ["reached", "1.00", "1.50"]);
+        assert_eq!(verdict(&report), ["reached", "1.00", "1.50"]);
         report.extend([figure(Kind::Nanoflann, 1.0)]);
-        assert_eq!(told(&report), ["MISSED", "1.00", "0.50"]);
+        assert_eq!(verdict(&report), ["MISSED", "1.00", "0.50"]);
     }
 }

@@ -86,10 +86,10 @@ impl Planner {
             0
         };
         let neighbors = NeighborSpec {
-            count: Some(neighbor_spec::Count::K(rng.random_range(1..=12))),
-            reach: rng
+            k_form: Some(neighbor_spec::KForm::K(rng.random_range(1..=12))),
+            radius_form: rng
                 .random_bool(0.5)
-                .then_some(neighbor_spec::Reach::Radius(3.0)),
+                .then_some(neighbor_spec::RadiusForm::Radius(3.0)),
             filter: Some(Filter {
                 since_revision: Some(self.revision_at(since_revision)),
                 ..Default::default()
@@ -144,7 +144,7 @@ impl Planner {
         let mut ids = self.own.split_off(self.own.len() - count);
         ids.push(0);
         let request = RemoveRequest {
-            index: self.index.clone(),
+            index_name: self.index.clone(),
             ids,
             ..Default::default()
         };
@@ -155,12 +155,13 @@ impl Planner {
     async fn knn(&mut self) -> Entry {
         let rows = self.up_to(4);
         let request = KnnRequest {
-            index: self.index.clone(),
+            index_name: self.index.clone(),
             states: Some(self.rows(rows)),
-            count: Some(knn_request::Count::K(
+            k_form: Some(knn_request::KForm::K(
                 self.states.rng().random_range(1..=20),
             )),
-            reach: (self.states.rng().random_bool(0.3)).then_some(knn_request::Reach::Radius(2.0)),
+            radius_form: (self.states.rng().random_bool(0.3))
+                .then_some(knn_request::RadiusForm::Radius(2.0)),
             filter: self.filter(),
             min_revision: self.min_revision(),
             ..Default::default()
@@ -174,9 +175,9 @@ impl Planner {
     async fn query(&mut self) -> Entry {
         let rows = self.up_to(4);
         let request = QueryRequest {
-            index: self.index.clone(),
+            index_name: self.index.clone(),
             states: Some(self.rows(rows)),
-            reach: Some(query_request::Reach::Radius(
+            radius_form: Some(query_request::RadiusForm::Radius(
                 self.states.rng().random_range(0.0..3.0),
             )),
             filter: self.filter(),
@@ -191,7 +192,7 @@ impl Planner {
 
     fn insert_of(&mut self, rows: usize) -> InsertRequest {
         InsertRequest {
-            index: self.index.clone(),
+            index_name: self.index.clone(),
             states: Some(self.rows(rows)),
             uid: self.uid.clone(),
             ..Default::default()

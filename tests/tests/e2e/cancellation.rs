@@ -6,7 +6,7 @@ use tokio_stream::iter;
 use tonic::{Code, Request};
 use wayfold_index::Space;
 use wayfold_proto::v1::{
-    InsertRequest, KnnRequest, StreamKnnRequest, knn_request::Count, stream_knn_response,
+    InsertRequest, KnnRequest, StreamKnnRequest, knn_request::KForm, stream_knn_response,
 };
 use wayfold_tests::{
     Content, ServerProcess, Signal, States, Stubs, k_nearest, number, row_states, server,
@@ -34,7 +34,7 @@ async fn filled(rows: usize) -> (ServerProcess, Stubs, States) {
 
 fn insert(states: &mut States, rows: usize) -> InsertRequest {
     InsertRequest {
-        index: "roadmap".into(),
+        index_name: "roadmap".into(),
         states: Some(row_states(&states.rows(rows), WIDTH)),
         ..Default::default()
     }
@@ -42,9 +42,9 @@ fn insert(states: &mut States, rows: usize) -> InsertRequest {
 
 fn knn(states: &mut States, rows: usize) -> KnnRequest {
     KnnRequest {
-        index: "roadmap".into(),
+        index_name: "roadmap".into(),
         states: Some(row_states(&states.rows(rows), WIDTH)),
-        count: Some(Count::K(1)),
+        k_form: Some(KForm::K(1)),
         ..Default::default()
     }
 }

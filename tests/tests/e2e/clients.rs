@@ -13,7 +13,7 @@ use tokio::{
     task::{JoinHandle, JoinSet},
 };
 use tonic::Status;
-use wayfold_proto::v1::{KnnRequest, knn_request::Count};
+use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
 use wayfold_tests::{
     Content, Model, ServerProcess, Signal, States, Stubs, ledger::Entry, row_states,
 };
@@ -262,9 +262,9 @@ impl Clients {
         }
         self.model.check_content(&content);
         let request = KnnRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(row_states(&self.probes.rows(20), COORDINATES)),
-            count: Some(Count::K(10)),
+            k_form: Some(KForm::K(10)),
             ..Default::default()
         };
         let answer = stubs.points.knn(request.clone()).await.unwrap();

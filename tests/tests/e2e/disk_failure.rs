@@ -77,11 +77,11 @@ impl Scene {
         let refusals = refusals.await;
         check_refusals(&refusals);
         for status in refusals {
-            let told = status.message();
+            let message = status.message();
             // The second answer comes while the server reopens the store.
             let says_what_to_do =
-                told.contains("tried again and again") || told.contains("ask again");
-            assert!(says_what_to_do, "{told}");
+                message.contains("tried again and again") || message.contains("ask again");
+            assert!(says_what_to_do, "{message}");
         }
     }
 

@@ -33,15 +33,15 @@ struct InsertRecord {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_inserts_the_later_saw_the_earlier() {
+async fn the_later_of_two_inserts_saw_the_earlier() {
     check(&inserts(false).await);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_read_before_is_told_of_what_arrived_meanwhile() {
-    let told = inserts(true).await;
-    check(&told);
-    let meanwhile = told
+async fn an_insert_reports_points_that_arrived_after_an_earlier_read() {
+    let records = inserts(true).await;
+    check(&records);
+    let meanwhile = records
         .iter()
         .map(|insert| insert.neighbors.len())
         .sum::<usize>();
@@ -53,8 +53,8 @@ async fn a_worker_that_read_before_is_told_of_what_arrived_meanwhile() {
 
 /// Every point is a neighbour of every other. An insert must therefore have returned exactly the ids that were stored
 /// by the revisions before its own.
-fn check(told: &[InsertRecord]) {
-    let mut by_revision: Vec<&InsertRecord> = told.iter().collect();
+fn check(records: &[InsertRecord]) {
+    let mut by_revision: Vec<&InsertRecord> = records.iter().collect();
     by_revision.sort_by_key(|insert| insert.revision);
     let mut stored = BTreeSet::new();
     for (i, insert) in by_revision.iter().enumerate() {
@@ -69,7 +69,7 @@ fn check(told: &[InsertRecord]) {
         assert_eq!(seen, stored, "the insert of revision {}", insert.revision);
         stored.insert(insert.id);
     }
-    let concurrent = concurrent_pairs(told);
+    let concurrent = concurrent_pairs(records);
     assert!(
         concurrent >= PAIRS,
         "only {concurrent} pairs were concurrent"
@@ -77,11 +77,11 @@ fn check(told: &[InsertRecord]) {
 }
 
 /// The number of pairs of concurrent calls.
-fn concurrent_pairs(told: &[InsertRecord]) -> usize {
+fn concurrent_pairs(records: &[InsertRecord]) -> usize {
     let overlap =
         |a: &InsertRecord, b: &InsertRecord| a.called < b.answered && b.called < a.answered;
-    let pairs = told.iter().enumerate();
-    let of_one = pairs.map(|(i, a)| told[..i].iter().filter(|b| overlap(a, b)).count());
+    let pairs = records.iter().enumerate();
+    let of_one = pairs.map(|(i, a)| records[..i].iter().filter(|b| overlap(a, b)).count());
     of_one.sum()
 }
 
@@ -92,7 +92,7 @@ async fn inserts(read_before: bool) -> Vec<InsertRecord> {
     let created = stubs.create("roadmap", "R3*SO3:0.15").await;
     let uid = created.revision.expect("a revision").uid;
     let clock = Arc::new(AtomicU64::new(0));
-    let mut told = Vec::new();
+    let mut records = Vec::new();
     for round in 0..ROUNDS {
         let barrier = Arc::new(Barrier::new(WORKERS as usize));
         let mut workers = JoinSet::new();
@@ -105,12 +105,12 @@ async fn inserts(read_before: bool) -> Vec<InsertRecord> {
                 insert(stubs, uid, seed, &clock, read_before).await
             });
         }
-        told.extend(workers.join_all().await);
-        if concurrent_pairs(&told) >= PAIRS {
+        records.extend(workers.join_all().await);
+        if concurrent_pairs(&records) >= PAIRS {
             break;
         }
     }
-    told
+    records
 }
 
 async fn insert(
@@ -124,9 +124,9 @@ async fn insert(
     let mut before = None;
     if read_before {
         let request = QueryRequest {
-            index: "roadmap".into(),
+            index_name: "roadmap".into(),
             states: states.clone(),
-            reach: Some(query_request::Reach::Radius(f64::INFINITY)),
+            radius_form: Some(query_request::RadiusForm::Radius(f64::INFINITY)),
             ..Default::default()
         };
         let response = stubs.points.query(request).await;
@@ -139,10 +139,10 @@ async fn insert(
         ..Default::default()
     });
     let request = InsertRequest {
-        index: "roadmap".into(),
+        index_name: "roadmap".into(),
         states,
         neighbors: Some(NeighborSpec {
-            reach: Some(neighbor_spec::Reach::Radius(f64::INFINITY)),
+            radius_form: Some(neighbor_spec::RadiusForm::Radius(f64::INFINITY)),
             filter,
             ..Default::default()
         }),

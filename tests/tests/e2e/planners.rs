@@ -23,7 +23,7 @@ async fn shared(space: &str) {
     let mut model = Model::new(space);
     // Assigned ids are above this one, the planners' own ids below.
     let root = InsertRequest {
-        index: "roadmap".into(),
+        index_name: "roadmap".into(),
         states: Some(row_states(&[5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0], 7)),
         ids: vec![1 << 48],
         ..Default::default()

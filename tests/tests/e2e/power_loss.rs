@@ -33,7 +33,7 @@ fn wanted() -> Option<u64> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn nothing_acknowledged_is_lost_when_the_disk_keeps_only_what_was_synced() {
+async fn nothing_acknowledged_is_lost_when_the_disk_keeps_only_synced_data() {
     lose_power(Disk::new(None), SEED).await;
 }
 
@@ -76,7 +76,7 @@ async fn lose_power(mut disk: Disk, seed: u64) {
 
 /// After a failed sync, the kernel marks the unwritten pages clean, and the next sync succeeds without them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_a_failed_sync_has_left_is_written_before_more_is_acknowledged() {
+async fn data_of_a_failed_sync_is_written_before_more_is_acknowledged() {
     println!("seed {SEED}");
     let mut random = ChaCha8Rng::seed_from_u64(SEED);
     let mut disk = Disk::new(None);

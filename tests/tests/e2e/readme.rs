@@ -19,9 +19,9 @@ async fn example(uri: &str) -> Result<(), Box<dyn Error>> {
     let inserted = roadmap.insert(poses).neighbors(NeighborSpec::k(10)).await?;
     let nearest = roadmap.knn(poses).k(10).radius(0.5).await?;
     println!(
-        "stored {:?}; near the first: {:?}",
+        "stored {:?}; nearest to the first: {:?}",
         inserted.outcomes,
-        nearest.row(0).ids
+        nearest.row(0).nearest()
     );
     Ok(())
 }
@@ -58,8 +58,8 @@ fn the_quick_start_runs() {
     );
     let finished = shell.finish();
     assert!(finished.status.success(), "{}", finished.stderr);
-    let told = finished.stdout.join("\n");
-    assert!(told.contains("2 points"), "{told}");
+    let output = finished.stdout.join("\n");
+    assert!(output.contains("2 points"), "{output}");
 }
 
 fn between<'a>(text: &'a str, start: &str, end: &str) -> &'a str {

@@ -85,7 +85,7 @@ async fn every_answer_is_brute_forces_through_kills_and_cuts() {
     assert!(
         answers
             .iter()
-            .all(|answered| &*answered.found.revision.uid == index.uid())
+            .all(|answered| &*answered.found.revision().uid == index.uid())
     );
     let points = history::check(&space, &past, answers);
     compare(&replica, &points);
@@ -197,7 +197,7 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
         .unwrap();
     line.insert([[0.0], [1.0]]).await.unwrap();
     let replica = client(&way.uri).await.replica("arm").await.unwrap();
-    assert_eq!(replica.knn([0.9], 1).unwrap().neighbors[0].id, 1);
+    assert_eq!(replica.knn([0.9], 1).unwrap().nearest().unwrap().id, 1);
 
     // Another client recreates the index with another space.
     way.close();
@@ -208,7 +208,7 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
         .unwrap();
     plane.insert([[5.0, 5.0]]).await.unwrap();
     assert_eq!(
-        replica.knn([0.9], 1).unwrap().neighbors[0].id,
+        replica.knn([0.9], 1).unwrap().nearest().unwrap().id,
         1,
         "what it had"
     );
@@ -220,7 +220,7 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
         .await;
     let found = replica.knn([5.0, 1.0], 1).unwrap();
     assert_eq!(
-        (found.revision, found.neighbors[0].distance),
+        (found.revision(), found.nearest().unwrap().distance),
         (plane.revision_at(1), 4.0)
     );
     assert!(matches!(replica.knn([0.9], 1), Err(Error::Width { .. })));
@@ -246,8 +246,8 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
         .await
         .unwrap();
     let found = replica.knn([0.0, 0.0], 1).unwrap();
-    assert!(found.revision.number >= inserted.revision.number);
-    assert_eq!(found.neighbors[0].distance, 1.0);
+    assert!(found.revision().number >= inserted.revision.number);
+    assert_eq!(found.nearest().unwrap().distance, 1.0);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -261,7 +261,10 @@ async fn a_deleted_index_ends_its_replica() {
     let request = direct.replica("arm").missing_for(Duration::ZERO);
     let replica = request.await.unwrap();
     replica.write(line.insert([[0.0]])).await.unwrap();
-    assert_eq!(replica.knn([1.0], 1).unwrap().neighbors[0].distance, 1.0);
+    assert_eq!(
+        replica.knn([1.0], 1).unwrap().nearest().unwrap().distance,
+        1.0
+    );
     direct.delete_index("arm").await.unwrap();
     let ended = replica.status_where(|status| matches!(status, ReplicaStatus::Ended { .. }));
     ended.await;
@@ -292,7 +295,7 @@ async fn inserts_through_a_replica_are_there_when_they_return() {
             .await
             .unwrap();
         let found = replica.knn(&row[..], 1).unwrap();
-        assert!(found.revision.number >= inserted.revision.number);
-        assert_eq!(found.neighbors[0].distance, 0.0);
+        assert!(found.revision().number >= inserted.revision.number);
+        assert_eq!(found.nearest().unwrap().distance, 0.0);
     }
 }

@@ -27,7 +27,7 @@ async fn lived_in(stubs: &mut Stubs, name: &str, seed: u64) {
     for first in (0..ROWS).step_by(5_000) {
         let ids = first..first + 5_000;
         let insert = InsertRequest {
-            index: name.into(),
+            index_name: name.into(),
             states: Some(row_states(&states.rows(5_000), 7)),
             tags: ids.clone().map(|id| id % 5).collect(),
             payloads: ids.clone().map(|id| format!("{id:x}").into()).collect(),
@@ -37,7 +37,7 @@ async fn lived_in(stubs: &mut Stubs, name: &str, seed: u64) {
         stubs.insert(insert).await;
     }
     let moved = InsertRequest {
-        index: name.into(),
+        index_name: name.into(),
         states: Some(row_states(&states.rows(1_000), 7)),
         ids: (0..1_000).map(|id| id * 20).collect(),
         on_conflict: OnConflict::Replace.into(),
@@ -45,13 +45,13 @@ async fn lived_in(stubs: &mut Stubs, name: &str, seed: u64) {
     };
     stubs.insert(moved).await;
     let removed = RemoveRequest {
-        index: name.into(),
+        index_name: name.into(),
         ids: (ROWS..2 * ROWS).filter(|id| id % 6 == 0).collect(),
         ..Default::default()
     };
     stubs.points.remove(removed).await.unwrap();
     let tagged = UpdateRequest {
-        index: name.into(),
+        index_name: name.into(),
         ids: (0..500).map(|id| id * 14).collect(),
         tags: vec![u64::MAX],
         ..Default::default()
@@ -61,7 +61,7 @@ async fn lived_in(stubs: &mut Stubs, name: &str, seed: u64) {
 
 async fn snapshot(stubs: &mut Stubs) -> Vec<SnapshotPart> {
     let request = SnapshotIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ..Default::default()
     };
     let answers = stubs.indexes.snapshot_index(request).await;

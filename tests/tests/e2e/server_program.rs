@@ -49,14 +49,14 @@ fn impatient() -> ServerProcess {
 }
 
 #[tokio::test]
-async fn what_is_cut_shows_in_the_exit_status() {
+async fn cut_calls_show_in_the_exit_status() {
     let server = impatient();
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("line", "R1").await;
     // The scan exceeds the buffers on its way.
     for _ in 0..8 {
         let request = v1::InsertRequest {
-            index: "line".into(),
+            index_name: "line".into(),
             states: Some(row_states(&[0.0; 32], 1)),
             payloads: vec![vec![0; 64 * 1024].into(); 32],
             ..Default::default()
@@ -64,7 +64,7 @@ async fn what_is_cut_shows_in_the_exit_status() {
         stubs.insert(request).await;
     }
     let request = v1::ScanRequest {
-        index: "line".into(),
+        index_name: "line".into(),
         include: Some(v1::Include {
             payloads: true,
             ..Default::default()
@@ -111,31 +111,31 @@ fn an_address_it_cannot_have_is_named_with_what_to_do() {
 }
 
 #[tokio::test]
-async fn a_file_of_marks_that_is_gone_is_told_of_once() {
+async fn a_missing_file_of_marks_is_reported_once() {
     let directory = tempfile::tempdir().unwrap();
     let data = directory.path().to_str().unwrap();
     let marks = directory.path().join("marks");
     let start = || server!("--data", data);
-    let told = |server: ServerProcess| {
+    let warnings = |server: ServerProcess| {
         let finished = server.stop(Signal::Terminate);
         assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
         finished.stderr.matches("no mark says").count()
     };
     // An empty store has no mark.
-    assert_eq!(told(start()), 0);
-    assert_eq!(told(start()), 0);
+    assert_eq!(warnings(start()), 0);
+    assert_eq!(warnings(start()), 0);
     let server = start();
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("line", "R1").await;
-    assert_eq!(told(server), 0);
+    assert_eq!(warnings(server), 0);
     for is_there in [true, false] {
         if is_there {
             fs::write(&marks, "").unwrap();
         } else {
             fs::remove_file(&marks).unwrap();
         }
-        assert_eq!(told(start()), 1);
-        assert_eq!(told(start()), 0);
+        assert_eq!(warnings(start()), 1);
+        assert_eq!(warnings(start()), 0);
     }
 }
 

@@ -6,7 +6,7 @@ use tonic_health::pb::{
     health_client::HealthClient,
 };
 use wayfold_index::Space;
-use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest, knn_request::Count};
+use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest, knn_request::KForm};
 use wayfold_tests::{Signal, States, Stubs, row_states, server};
 
 const ROWS: usize = 1_000;
@@ -17,7 +17,7 @@ async fn filled(stubs: &mut Stubs) -> States {
     let mut states = States::new(Space::se3(), 11);
     for _ in 0..BATCHES {
         let request = InsertRequest {
-            index: "roadmap".into(),
+            index_name: "roadmap".into(),
             states: Some(row_states(&states.rows(ROWS), 7)),
             ..Default::default()
         };
@@ -28,9 +28,9 @@ async fn filled(stubs: &mut Stubs) -> States {
 
 fn knn(states: &mut States, rows: usize) -> KnnRequest {
     KnnRequest {
-        index: "roadmap".into(),
+        index_name: "roadmap".into(),
         states: Some(row_states(&states.rows(rows), 7)),
-        count: Some(Count::K(100)),
+        k_form: Some(KForm::K(100)),
         ..Default::default()
     }
 }
@@ -64,7 +64,7 @@ async fn stops_gracefully(signal: Signal) {
 
     // The scan is larger than the connection, so the server sends ahead; the client has read one part.
     let scan = ScanRequest {
-        index: "roadmap".into(),
+        index_name: "roadmap".into(),
         ..Default::default()
     };
     let mut parts = stubs.points.scan(scan).await.unwrap().into_inner();

@@ -111,8 +111,8 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
         let again = insert().await.remove(0).unwrap().json();
         assert_eq!(again["outcomes"], json!(["INSERTED"]));
         // Any other reply is Zenoh's error that there will be no answer.
-        for told in first.into_iter().flatten() {
-            assert_eq!(told.json(), again);
+        for reply in first.into_iter().flatten() {
+            assert_eq!(reply.json(), again);
         }
     }
     catch_up(&mut follower, &events, &mut stubs).await;

@@ -41,7 +41,7 @@ pub(crate) fn uid(index: v1::Index) -> String {
 pub(crate) fn insertion(ids: &[u64], payload: usize) -> v1::InsertRequest {
     let rows: Vec<f64> = ids.iter().flat_map(|id| [*id as f64, 0.5]).collect();
     v1::InsertRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: Some(row_states(&rows, 2)),
         ids: ids.into(),
         tags: ids.iter().map(|id| id % 3).collect(),
@@ -62,7 +62,7 @@ async fn mutate(stubs: &mut Stubs, first: u64, count: u64) {
             ),
             2 => {
                 let update = v1::UpdateRequest {
-                    index: "arm".into(),
+                    index_name: "arm".into(),
                     ids: vec![step - 1],
                     tags: vec![step],
                     ..Default::default()
@@ -71,7 +71,7 @@ async fn mutate(stubs: &mut Stubs, first: u64, count: u64) {
             }
             _ => {
                 let removal = v1::RemoveRequest {
-                    index: "arm".into(),
+                    index_name: "arm".into(),
                     ids: vec![step - 3],
                     ..Default::default()
                 };
@@ -92,7 +92,7 @@ async fn events_are_what_a_watch_tells() {
     // The first publication to a follower names the newest revision of the index.
     follower.take(next(&events).await).await;
     let watched = v1::WatchRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         after_revision: revision(&uid, 0),
         include: Some(INCLUDE_ALL),
     };
@@ -108,15 +108,15 @@ async fn events_are_what_a_watch_tells() {
         follower.content,
         Content::read(&stubs, "arm").await.unwrap()
     );
-    let mut told = Vec::new();
-    while told
+    let mut received = Vec::new();
+    while received
         .last()
         .map(|last: &v1::Mutation| number(&last.revision))
         < Some(follower.content.revision)
     {
-        told.extend(watch.message().await.unwrap().unwrap().mutations);
+        received.extend(watch.message().await.unwrap().unwrap().mutations);
     }
-    assert_eq!(whole(told), whole(follower.mutations));
+    assert_eq!(whole(received), whole(follower.mutations));
 }
 
 /// Takes publications until the follower has the newest revision. Any publication may be dropped, and only the next one
@@ -126,11 +126,11 @@ pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs
         let made = stubs.insert(insertion(&[9_999], 1)).await;
         let made = number(&made.revision);
         while let Ok(Some(sample)) = events.try_recv() {
-            let told = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
-            follower.take(told).await;
+            let received = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
+            follower.take(received).await;
         }
         let removed = v1::RemoveRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             ids: vec![9_999],
             ..Default::default()
         };
@@ -153,12 +153,13 @@ fn whole(pieces: Vec<v1::Mutation>) -> Vec<v1::Mutation> {
                 let mut bytes = last.encode_to_vec();
                 let more = piece.stored.clone().unwrap_or_default();
                 let states = last.stored.as_mut().and_then(|it| it.states.as_mut());
-                let rows = states.map_or(0, |it| it.rows) + more.states.map_or(0, |it| it.rows);
+                let rows =
+                    states.map_or(0, |it| it.row_count) + more.states.map_or(0, |it| it.row_count);
                 bytes.extend(piece.encode_to_vec());
                 *last = v1::Mutation::decode(&*bytes).unwrap();
                 (last.continued, last.piece) = (continued, 0);
                 if let Some(states) = last.stored.as_mut().and_then(|it| it.states.as_mut()) {
-                    states.rows = rows;
+                    states.row_count = rows;
                 }
             }
             None => whole.push(piece),
@@ -182,9 +183,9 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
     for round in 0..20 {
         // The mutations are made one at a time, so that each has its own publication; every third is lost.
         mutate(&mut stubs, 20 + round, 1).await;
-        let told = next(&events).await;
+        let received = next(&events).await;
         if round % 3 > 0 {
-            follower.take(told).await;
+            follower.take(received).await;
         }
     }
     // The loss of the last publication shows only once another arrives.
@@ -213,10 +214,13 @@ async fn a_piece_that_is_missing_is_seen() {
         let made = number(&made.revision);
         let mut publications = 0;
         loop {
-            let told = next(&events).await;
-            let is_last = told.mutations.iter().any(|told| !told.continued);
+            let received = next(&events).await;
+            let is_last = received
+                .mutations
+                .iter()
+                .any(|received| !received.continued);
             if publications != lost {
-                follower.take(told).await;
+                follower.take(received).await;
             }
             publications += 1;
             if is_last {
@@ -254,8 +258,8 @@ async fn events_come_in_json_too() {
     );
     let insert = json!({ "states": [[1, 2]], "ids": [7], "tags": [3] });
     robot.json("arm/insert", insert).await.unwrap();
-    let mut told = next().await;
-    let time_ms = told["mutations"][0]["time_ms"].take();
+    let mut received = next().await;
+    let time_ms = received["mutations"][0]["time_ms"].take();
     assert!(time_ms.as_u64().unwrap() > 0);
     let stored = json!({
         "ids": [7], "states": [[1.0, 2.0]], "tags": [3], "revisions": [1], "payloads": [""]
@@ -264,12 +268,12 @@ async fn events_come_in_json_too() {
         "revision": revision(1), "time_ms": null, "stored": stored, "removed_ids": [], "continued": false, "piece": 0
     });
     assert_eq!(
-        told,
+        received,
         json!({ "revision": revision(1), "mutations": [mutation] })
     );
     let selector = format!("arm/log?from=0;uid={}", uid.as_str().unwrap());
-    let told = robot.json(&selector, Value::Null).await.unwrap();
-    assert_eq!(told["mutations"][0]["removed_ids"], json!([]));
+    let received = robot.json(&selector, Value::Null).await.unwrap();
+    assert_eq!(received["mutations"][0]["removed_ids"], json!([]));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -307,13 +311,13 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
     assert_eq!(next_token().await, (SampleKind::Delete, token("arm")));
     assert_eq!(next_token().await, (SampleKind::Put, token("arm")));
     // The follower knows another history; both the publication and the log report it.
-    let told = next(&events).await;
-    assert_eq!(told.revision.as_ref().unwrap().uid, new);
+    let received = next(&events).await;
+    assert_eq!(received.revision.as_ref().unwrap().uid, new);
     let reset = follower.log().await;
     assert_eq!(reset.reset(), ResetReason::UidChanged);
     assert_eq!(reset.revision.unwrap().uid, new);
     let mut follower = Follower::new(&robot, &new);
-    follower.take(told).await;
+    follower.take(received).await;
     follower.repair(3).await;
     assert_eq!(
         follower.content,
@@ -324,7 +328,7 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
 /// A publication is dropped if its link has no room; the subscriber learns from the log that it is too late.
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_anew() {
+async fn a_subscriber_that_does_not_read_costs_no_memory_and_receives_a_reset() {
     const PAYLOAD: usize = 60_000;
     let settings = [("WAYFOLD_INDEX__WINDOW_BYTES", "1000000")];
     let (server, locator) = server_with(&[], &settings);
@@ -334,7 +338,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
     // The link is shut until `open` is dropped.
     let (open, gate) = mpsc::channel::<()>();
     let gate = Mutex::new(gate);
-    let (tell, mut told) = tokio::sync::mpsc::unbounded_channel();
+    let (tell, mut received) = tokio::sync::mpsc::unbounded_channel();
     // Zenoh calls it on the thread that reads the link, and so reads no more.
     let events = slow
         .session
@@ -350,7 +354,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
             let _ = gate.lock().unwrap().recv();
         });
     let events = events.await.unwrap();
-    assert_eq!(told.recv().await, Some(None));
+    assert_eq!(received.recv().await, Some(None));
 
     let resident = || -> u64 {
         let status = fs::read_to_string(format!("/proc/{}/status", server.process().id())).unwrap();
@@ -390,7 +394,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
             break;
         }
         stubs.insert(insertion(&[more], 1)).await;
-        while let Ok(revision) = told.try_recv() {
+        while let Ok(revision) = received.try_recv() {
             last = last.max(revision.unwrap_or_default());
         }
     }

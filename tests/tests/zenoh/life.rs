@@ -48,11 +48,11 @@ async fn stopped_under_load() {
             .await
             .unwrap();
         accepted.spawn(async move {
-            let mut told = Vec::new();
+            let mut results = Vec::new();
             while let Ok(reply) = replies.recv_async().await {
-                told.push(reply.into_result());
+                results.push(reply.into_result());
             }
-            told
+            results
         });
     }
     // The queries of a session arrive in order, so the answer to this one shows that the server has all of them.
@@ -75,25 +75,25 @@ async fn stopped_under_load() {
     }
 
     let mut finished = 0;
-    while let Some(told) = accepted.join_next().await {
-        let mut told = told.unwrap();
-        assert_eq!(told.len(), 1, "an answer was lost: {told:?}");
-        match told.remove(0) {
-            Ok(told) => {
-                let told: Value = serde_json::from_slice(&told.payload().to_bytes()).unwrap();
-                assert_eq!(told["ids"].as_array().unwrap().len(), 1500);
+    while let Some(results) = accepted.join_next().await {
+        let mut results = results.unwrap();
+        assert_eq!(results.len(), 1, "an answer was lost: {results:?}");
+        match results.remove(0) {
+            Ok(results) => {
+                let results: Value = serde_json::from_slice(&results.payload().to_bytes()).unwrap();
+                assert_eq!(results["ids"].as_array().unwrap().len(), 1500);
                 finished += 1;
             }
             // The query is accepted but not begun.
-            Err(told) => {
-                let told = serde_json::from_slice(&told.payload().to_bytes()).unwrap();
-                assert_eq!(reason(&told), (14, "STOPPING"));
+            Err(results) => {
+                let results = serde_json::from_slice(&results.payload().to_bytes()).unwrap();
+                assert_eq!(reason(&results), (14, "STOPPING"));
             }
         }
     }
     println!("{finished} finished");
-    while let Some(told) = later.join_next().await {
-        if let Ok(reply) = told.unwrap() {
+    while let Some(results) = later.join_next().await {
+        if let Ok(reply) = results.unwrap() {
             let refusal = reply.into_result().unwrap_err();
             let refusal = serde_json::from_slice(&refusal.payload().to_bytes()).unwrap();
             assert_eq!(reason(&refusal), (14, "STOPPING"));
@@ -106,7 +106,7 @@ async fn stopped_under_load() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_not_done_in_time_is_cut_and_shows_in_the_exit_status() {
+async fn accepted_calls_beyond_the_grace_period_are_cut_and_show_in_the_exit_status() {
     let (mut server, locator) = server_with(&[], &[("WAYFOLD_SHUTDOWN__GRACE_MS", "1")]);
     let robot = Robot::connect(&locator).await;
     let space = json!({ "name": "arm", "space_text": "R3" });
@@ -164,7 +164,7 @@ async fn a_busy_port_is_named_and_off_is_off() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_wrong_with_the_settings_is_named() {
+async fn wrong_settings_are_named() {
     for (name, value, part) in [
         ("WAYFOLD_ZENOH__CONFIG", "{ mode: 'king' }", "zenoh.config"),
         ("WAYFOLD_ZENOH__PREFIX", "robots/*", "zenoh.prefix"),
@@ -197,8 +197,8 @@ async fn two_robots_with_prefixes_of_their_own_share_a_router() {
     for (prefix, _) in &servers {
         let create = json!({ "name": "arm", "space_text": "R1" }).to_string();
         let create_key = format!("{prefix}/create");
-        let told = robot.ask(&create_key, create.into_bytes(), Encoding::APPLICATION_JSON);
-        assert_eq!(told.await.unwrap().json()["created"], true);
+        let results = robot.ask(&create_key, create.into_bytes(), Encoding::APPLICATION_JSON);
+        assert_eq!(results.await.unwrap().json()["created"], true);
     }
     let both = robot
         .all("*/wayfold/arm/info", Vec::new(), Encoding::APPLICATION_JSON)

@@ -127,7 +127,7 @@ fn server(wait_us: u64, max_calls: &str) -> (ServerProcess, String) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn those_who_take_no_answers_hold_up_nobody() {
+async fn peers_that_read_no_answers_delay_nobody() {
     // The wait lasts longer than this test.
     let (_server, locator) = server(3_600_000_000, "1024");
     let (robot, _relays) = beside_mutes(&locator, QUERIES).await;
@@ -135,8 +135,8 @@ async fn those_who_take_no_answers_hold_up_nobody() {
     // waits.
     let mut done = 0;
     while done < PEERS - 1 {
-        let told = robot.json("done/info", Value::Null).await.unwrap();
-        done = told["index"]["point_count"].as_u64().unwrap() as usize;
+        let described = robot.json("done/info", Value::Null).await.unwrap();
+        done = described["index"]["point_count"].as_u64().unwrap() as usize;
     }
     for _ in 0..QUERIES {
         let near = robot.json("arm/knn?k=1", json!([0.0])).await.unwrap();
@@ -145,7 +145,7 @@ async fn those_who_take_no_answers_hold_up_nobody() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn those_who_take_no_answers_are_cut_off() {
+async fn peers_that_read_no_answers_are_disconnected() {
     let (_server, locator) = server(100_000, "1024");
     let (robot, relays) = beside_mutes(&locator, QUERIES).await;
     for relay in relays {
@@ -155,7 +155,7 @@ async fn those_who_take_no_answers_are_cut_off() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn those_who_take_no_refusals_are_cut_off() {
+async fn peers_that_read_no_refusals_are_disconnected() {
     // Most of the queries exceed the capacity.
     let (_server, locator) = server(100_000, "4");
     let (robot, relays) = beside_mutes(&locator, REFUSED).await;

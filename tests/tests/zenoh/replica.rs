@@ -104,7 +104,7 @@ async fn every_answer_is_brute_forces_through_kills_of_server_and_router() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_the_log_has_no_more_is_read_anew() {
+async fn an_index_whose_records_are_trimmed_is_read_anew() {
     let (mut router_process, at) = router("tcp/127.0.0.1:0");
     let server = server_behind(&at, &[], ("WAYFOLD_INDEX__WINDOW_BYTES", "1000"));
     let client = client(server.uri()).await;
@@ -149,7 +149,7 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
     line.insert([[0.0], [1.0]]).await.unwrap();
     let robot = Robot::connect(&locator).await;
     let replica = replica(&client, &robot).await;
-    assert_eq!(replica.knn([0.9], 1).unwrap().neighbors[0].id, 1);
+    assert_eq!(replica.knn([0.9], 1).unwrap().nearest().unwrap().id, 1);
     for round in 0..5 {
         client.delete_index("arm").await.unwrap();
         let plane = client
@@ -163,13 +163,13 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
         replica.at_least(&inserted.revision).await.unwrap();
         let found = replica.knn([5.0, 0.0], 1).unwrap();
         assert_eq!(
-            (&*found.revision.uid, found.neighbors[0].distance),
+            (&*found.revision().uid, found.nearest().unwrap().distance),
             (plane.uid(), f64::from(round))
         );
     }
     let made = replica.write(replica.index().insert([[1.0, 0.0]]));
     let made = made.await.unwrap();
     let found = replica.knn([0.0, 0.0], 1).unwrap();
-    assert!(found.revision.number >= made.revision.number);
-    assert_eq!(found.neighbors[0].distance, 1.0);
+    assert!(found.revision().number >= made.revision.number);
+    assert_eq!(found.nearest().unwrap().distance, 1.0);
 }

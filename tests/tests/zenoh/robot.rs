@@ -94,9 +94,9 @@ impl Robot {
             .timeout(MAX_WAIT)
             .await
             .unwrap();
-        let mut told = Vec::new();
+        let mut results = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
-            told.push(match reply.into_result() {
+            results.push(match reply.into_result() {
                 Ok(sample) => Ok(Reply {
                     key: sample.key_expr().to_string(),
                     encoding: sample.encoding().to_string(),
@@ -109,7 +109,7 @@ impl Robot {
                 }),
             });
         }
-        told
+        results
     }
 
     /// The one answer to a query.
@@ -119,9 +119,9 @@ impl Robot {
         payload: Vec<u8>,
         encoding: Encoding,
     ) -> Result<Reply, Reply> {
-        let mut told = self.all(selector, payload, encoding).await;
-        assert_eq!(told.len(), 1, "{selector}: {told:?}");
-        told.remove(0)
+        let mut results = self.all(selector, payload, encoding).await;
+        assert_eq!(results.len(), 1, "{selector}: {results:?}");
+        results.remove(0)
     }
 
     /// The same in JSON, of a key under the usual prefix; a null is no payload.
@@ -131,10 +131,10 @@ impl Robot {
             body => body.to_string().into_bytes(),
         };
         let selector = format!("wayfold/v1/{selector}");
-        let told = self.ask(&selector, payload, Encoding::APPLICATION_JSON);
-        match told.await {
-            Ok(told) => Ok(told.json()),
-            Err(told) => Err(told.json()),
+        let results = self.ask(&selector, payload, Encoding::APPLICATION_JSON);
+        match results.await {
+            Ok(results) => Ok(results.json()),
+            Err(results) => Err(results.json()),
         }
     }
 }

@@ -27,10 +27,10 @@ async fn wildcards_reach_what_tells_of_the_indices_and_change_nothing() {
     let body = json!({ "states": [[1, 2]], "name": "more", "space_text": "R1", "ids": [0] });
     let keys = async |selector: &str| -> BTreeSet<String> {
         let payload = body.to_string().into_bytes();
-        let told = robot
+        let reply = robot
             .all(selector, payload, Encoding::APPLICATION_JSON)
             .await;
-        let keys: Vec<String> = told.into_iter().map(|it| it.unwrap().key).collect();
+        let keys: Vec<String> = reply.into_iter().map(|it| it.unwrap().key).collect();
         let distinct: BTreeSet<String> = keys.iter().cloned().collect();
         assert_eq!(distinct.len(), keys.len(), "{keys:?}");
         distinct
@@ -120,7 +120,7 @@ async fn states_parameters_and_payloads_say_one_thing() {
         ("arm/kn", json!([0, 1]), (3, "UNKNOWN_KEY")),
         ("arm", Value::Null, (3, "UNKNOWN_KEY")),
         ("arm/remove?ids=7", Value::Null, (3, "REQUIRED")),
-        ("delete?index=arm", Value::Null, (3, "REQUIRED")),
+        ("delete?index_name=arm", Value::Null, (3, "REQUIRED")),
     ] {
         let refused = robot.json(selector, body).await.unwrap_err();
         assert_eq!(reason(&refused), expected, "{selector}");
@@ -146,10 +146,10 @@ async fn answers_come_in_the_form_of_the_question() {
         (Encoding::ZENOH_STRING, "application/json"),
         (Encoding::ZENOH_BYTES, "application/json"),
     ] {
-        let told = robot.ask(info, Vec::new(), encoding.clone()).await.unwrap();
-        assert_eq!((&*told.encoding, &*told.key), (form, info), "{encoding}");
+        let reply = robot.ask(info, Vec::new(), encoding.clone()).await.unwrap();
+        assert_eq!((&*reply.encoding, &*reply.key), (form, info), "{encoding}");
         if form == "application/protobuf" {
-            let index = v1::GetIndexResponse::decode(&*told.payload).unwrap().index;
+            let index = v1::GetIndexResponse::decode(&*reply.payload).unwrap().index;
             assert_eq!(index.unwrap().name, "arm");
         }
         let unknown = robot
@@ -174,7 +174,7 @@ async fn answers_come_in_the_form_of_the_question() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_too_large_or_too_much_is_refused_in_words() {
+async fn oversized_requests_are_refused_with_a_message() {
     let settings = [
         ("WAYFOLD_ZENOH__MAX_MESSAGE_BYTES", "1000"),
         ("WAYFOLD_ZENOH__MAX_CALLS", "1"),
@@ -207,14 +207,14 @@ async fn what_is_too_large_or_too_much_is_refused_in_words() {
         assert_eq!(reason(&refused), (8, "TOO_MANY_CALLS"));
         let mut stubs = wayfold_tests::Stubs::connect(_server.uri()).await;
         let request = v1::InsertRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(wayfold_tests::row_states(&[1.0, 2.0], 2)),
             ..Default::default()
         };
         stubs.insert(request).await;
     };
-    let (told, ()) = tokio::join!(waiting, others);
-    assert_eq!(told.unwrap()["points"]["states"], json!([[1.0, 2.0]]));
+    let (reply, ()) = tokio::join!(waiting, others);
+    assert_eq!(reply.unwrap()["points"]["states"], json!([[1.0, 2.0]]));
     robot.json("arm/info", Value::Null).await.unwrap();
 }
 
@@ -258,15 +258,15 @@ async fn a_flood_of_malformed_queries_is_refused_one_by_one() {
                 });
             }
         }
-        for told in join_all(asked).await {
-            assert!(told.is_err(), "{told:?}");
+        for reply in join_all(asked).await {
+            assert!(reply.is_err(), "{reply:?}");
             refused += 1;
         }
-        let told = robot.json("arm/insert", json!([[1, 2]])).await.unwrap();
-        assert_eq!(told["outcomes"], json!(["INSERTED"]));
+        let reply = robot.json("arm/insert", json!([[1, 2]])).await.unwrap();
+        assert_eq!(reply["outcomes"], json!(["INSERTED"]));
     }
     assert_eq!(refused, 20 * verbs.len() * payloads.len());
-    let told = robot.json("arm/info", Value::Null).await.unwrap();
-    assert_eq!(told["index"]["point_count"], 20);
+    let reply = robot.json("arm/info", Value::Null).await.unwrap();
+    assert_eq!(reply["index"]["point_count"], 20);
     drop(server);
 }

@@ -5,13 +5,13 @@ use std::io;
 use serde::Serialize;
 use wayfold::{Include, Row};
 
-use crate::output::{Column, JsonIds, Output, Row as Numbers, json_payload, table};
+use crate::output::{Column, JsonId, JsonIds, Output, Row as Numbers, json_payload, table};
 
 /// The fields of a JSON line: ids and distances, and the included columns.
 #[derive(Serialize)]
 pub(super) struct NeighborFields<'a> {
-    ids: JsonIds<'a>,
-    distances: &'a [f64],
+    ids: Vec<JsonId>,
+    distances: Vec<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     states: Option<Vec<&'a [f64]>>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -25,14 +25,14 @@ pub(super) struct NeighborFields<'a> {
 impl<'a> NeighborFields<'a> {
     pub(super) fn of(row: Row<'a>, include: Include) -> NeighborFields<'a> {
         let payloads = row
-            .payloads
+            .payloads()
             .map(|payloads| payloads.iter().map(|payload| json_payload(payload)));
         NeighborFields {
-            ids: JsonIds(row.ids),
-            distances: row.distances,
+            ids: row.ids().map(JsonId).collect(),
+            distances: row.distances().collect(),
             states: include.states.then(|| states(row).collect()),
-            tags: row.tags.map(JsonIds),
-            revisions: row.revisions,
+            tags: row.tags().map(JsonIds),
+            revisions: row.revisions(),
             payloads: payloads.map(Iterator::collect),
         }
     }
@@ -51,21 +51,21 @@ pub(super) fn neighbor_table(
     if row.is_empty() {
         return Ok(());
     }
-    let distances = row.distances.iter().map(|distance| format!("{distance:?}"));
+    let distances = row.distances().map(|distance| format!("{distance:?}"));
     let mut columns = vec![
-        Column::new("id", true, row.ids),
+        Column::new("id", true, row.ids()),
         Column::new("distance", false, distances),
     ];
-    if let Some(tags) = row.tags {
+    if let Some(tags) = row.tags() {
         columns.push(Column::new("tag", true, tags));
     }
-    if let Some(revisions) = row.revisions {
+    if let Some(revisions) = row.revisions() {
         columns.push(Column::new("revision", true, revisions));
     }
     if include.states {
         columns.push(Column::new("state", false, states(row).map(Numbers)));
     }
-    if let Some(payloads) = row.payloads {
+    if let Some(payloads) = row.payloads() {
         let payloads = payloads.iter().map(|payload| payload.escape_ascii());
         columns.push(Column::new("payload", false, payloads));
     }

@@ -94,7 +94,7 @@ impl SearchArgs {
 #[command(
     after_help = KNN_EXAMPLES,
     override_usage = "wayfold knn [OPTIONS] <-k <K> | --k-factor <F>> <NAME> <FILE | --state <NUMBERS>>",
-    group = ArgGroup::new("count").required(true).args(["k", "k_factor"])
+    group = ArgGroup::new("k_form").required(true).args(["k", "k_factor"])
 )]
 pub(crate) struct KnnArgs {
     #[command(flatten)]
@@ -112,7 +112,7 @@ pub(crate) struct KnnArgs {
 #[command(
     after_help = QUERY_EXAMPLES,
     override_usage = "wayfold query [OPTIONS] <--radius <R> | --radius-factor <F>> <NAME> <FILE | --state <NUMBERS>>",
-    group = ArgGroup::new("reach").required(true).args(["radius", "radius_factor"])
+    group = ArgGroup::new("radius_form").required(true).args(["radius", "radius_factor"])
 )]
 pub(crate) struct QueryArgs {
     #[command(flatten)]

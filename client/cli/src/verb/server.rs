@@ -16,13 +16,13 @@ struct ServerLine<'a> {
 
 #[derive(Serialize)]
 struct LimitsLine {
-    rows_per_call: usize,
-    ids_per_call: usize,
-    k: u64,
-    request_bytes: usize,
-    answer_bytes: usize,
-    payload_bytes: usize,
-    indexes: u64,
+    max_rows_per_call: usize,
+    max_ids_per_call: usize,
+    max_k: u64,
+    max_request_bytes: usize,
+    max_answer_bytes: usize,
+    max_payload_bytes: usize,
+    max_indexes: u64,
 }
 
 pub(crate) async fn server(session: &mut Session) -> Result<(), Failure> {
@@ -47,13 +47,13 @@ pub(crate) async fn server(session: &mut Session) -> Result<(), Failure> {
             version: &version,
             durability,
             limits: LimitsLine {
-                rows_per_call: limits.rows_per_call,
-                ids_per_call: limits.ids_per_call,
-                k: limits.k,
-                request_bytes: limits.request_bytes,
-                answer_bytes: limits.answer_bytes,
-                payload_bytes: limits.payload_bytes,
-                indexes: limits.indexes,
+                max_rows_per_call: limits.max_rows_per_call,
+                max_ids_per_call: limits.max_ids_per_call,
+                max_k: limits.max_k,
+                max_request_bytes: limits.max_request_bytes,
+                max_answer_bytes: limits.max_answer_bytes,
+                max_payload_bytes: limits.max_payload_bytes,
+                max_indexes: limits.max_indexes,
             },
         })?);
     }
@@ -65,13 +65,16 @@ pub(crate) async fn server(session: &mut Session) -> Result<(), Failure> {
     ))?;
     output.text(format_args!(
         "a call      {} states or {} ids, {} in, {} out",
-        limits.rows_per_call,
-        limits.ids_per_call,
-        bytes(limits.request_bytes),
-        bytes(limits.answer_bytes)
+        limits.max_rows_per_call,
+        limits.max_ids_per_call,
+        bytes(limits.max_request_bytes),
+        bytes(limits.max_answer_bytes)
     ))?;
-    output.text(format_args!("k           {}", limits.k))?;
-    output.text(format_args!("a payload   {}", bytes(limits.payload_bytes)))?;
-    output.text(format_args!("indices     {}", limits.indexes))?;
+    output.text(format_args!("k           {}", limits.max_k))?;
+    output.text(format_args!(
+        "a payload   {}",
+        bytes(limits.max_payload_bytes)
+    ))?;
+    output.text(format_args!("indices     {}", limits.max_indexes))?;
     Ok(())
 }

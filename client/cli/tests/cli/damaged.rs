@@ -34,9 +34,9 @@ fn lose_a_mutation(directory: &Path) -> Vec<String> {
             uids.push(created.index.unwrap().revision.unwrap().uid);
         }
         let insert = v1::InsertRequest {
-            index: "leg".into(),
+            index_name: "leg".into(),
             states: Some(v1::States {
-                rows: 1,
+                row_count: 1,
                 coordinates: vec![0.5],
             }),
             ..Default::default()

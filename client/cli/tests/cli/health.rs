@@ -62,7 +62,7 @@ fn a_server_describes_itself() {
     });
     assert_eq!(info, expected);
     // The documented limit.
-    assert_eq!(info["limits"]["payload_bytes"], 64 * 1024);
+    assert_eq!(info["limits"]["max_payload_bytes"], 64 * 1024);
     let text = server.run(&["server"]).stdout;
     for line in [
         &format!("server      {}\n", server.uri),

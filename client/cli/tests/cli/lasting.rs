@@ -58,7 +58,7 @@ fn scanned(ids: &[u64], coordinates: &[f64]) -> v1::ScanResponse {
         points: Some(v1::Points {
             ids: ids.to_vec(),
             states: Some(v1::States {
-                rows: u32::try_from(coordinates.len()).unwrap(),
+                row_count: u32::try_from(coordinates.len()).unwrap(),
                 coordinates: coordinates.to_vec(),
             }),
             tags: vec![0; ids.len()],

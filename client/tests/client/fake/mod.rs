@@ -35,13 +35,13 @@ pub(crate) fn revision(number: u64) -> Option<v1::Revision> {
 
 /// The limits that tests of dividing are written for.
 const LIMITS: v1::Limits = v1::Limits {
-    rows_per_call: 10_000,
-    ids_per_call: 10_000,
-    k: 100_000,
-    request_bytes: 4 * 1024 * 1024,
-    answer_bytes: 4 * 1024 * 1024,
-    payload_bytes: 64 * 1024,
-    indexes: 1_000,
+    max_rows_per_call: 10_000,
+    max_ids_per_call: 10_000,
+    max_k: 100_000,
+    max_request_bytes: 4 * 1024 * 1024,
+    max_answer_bytes: 4 * 1024 * 1024,
+    max_payload_bytes: 64 * 1024,
+    max_indexes: 1_000,
 };
 
 /// Decides by its number, from 0, and its rows whether a call fails.
@@ -154,9 +154,11 @@ impl Fake {
 
     /// Lets calls, counted from now, have at most `rows` rows or ids, as a server that was started again may.
     pub(crate) fn limit_rows(&self, rows: u64) {
-        self.fail(move |_, found| (found as u64 > rows).then(|| exceeded("rows_per_call", rows)));
+        self.fail(move |_, found| {
+            (found as u64 > rows).then(|| exceeded("max_rows_per_call", rows))
+        });
         self.inner.lock().unwrap().limits = Some(v1::Limits {
-            rows_per_call: rows,
+            max_rows_per_call: rows,
             ..LIMITS
         });
     }
@@ -274,7 +276,7 @@ impl IndexService for Fake {
     ) -> Result<Response<v1::GetIndexResponse>, Status> {
         let number = self.enter(&request, 0).await?;
         let index = v1::Index {
-            name: request.into_inner().index,
+            name: request.into_inner().index_name,
             space: Some(space::to_message(&"R1".parse::<Space>().unwrap())),
             revision: revision(number),
             ..Default::default()

@@ -6,7 +6,9 @@ use wayfold_proto::v1::{self, point_service_server::PointService};
 use super::{Answers, Fake, answers, revision};
 
 fn rows(states: &Option<v1::States>) -> usize {
-    states.as_ref().map_or(0, |states| states.rows as usize)
+    states
+        .as_ref()
+        .map_or(0, |states| states.row_count as usize)
 }
 
 /// Its own number as the one neighbour of each state.

@@ -70,7 +70,7 @@ impl Source {
                         Some(Nearest {
                             neighbor,
                             state: view.get(neighbor.id)?.row.to_vec(),
-                            revision: found.revision.number,
+                            revision: found.revision().number,
                         })
                     }))
                 };

@@ -62,7 +62,7 @@ impl Service {
         request: v1::VerifyIndexRequest,
     ) -> Result<Verification, Error> {
         self.accept(call)?;
-        let hosted = self.index(&request.index, "")?;
+        let hosted = self.index(&request.index_name, "")?;
         let mut violations = Violations::default();
         let min = request.min_revision.as_ref();
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
@@ -83,7 +83,7 @@ impl Service {
         Ok(Verification {
             call: *call,
             hosted,
-            pin: RevisionPin::new(published, self.limits().scan_seconds),
+            pin: RevisionPin::new(published, self.limits().max_scan_seconds),
             queries,
             k,
             disagreements: Disagreements::default(),
@@ -160,7 +160,7 @@ impl Verification {
 fn held(pin: &RevisionPin) -> Result<Arc<Published>, Error> {
     pin.get().ok_or(Error::HeldTooLong {
         what: "verification",
-        scan_seconds: pin.seconds(),
+        max_scan_seconds: pin.seconds(),
     })
 }
 

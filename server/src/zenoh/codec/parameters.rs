@@ -97,7 +97,7 @@ fn can_be_set(field: &FieldDescriptor) -> bool {
         _ => true,
     };
     let is_in_key =
-        field.name() == "index" && field.parent_message().full_name() != special::DELETE_INDEX;
+        field.name() == "index_name" && field.parent_message().full_name() != special::DELETE_INDEX;
     is_short && !is_in_key
 }
 

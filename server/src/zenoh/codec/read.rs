@@ -188,7 +188,7 @@ fn states(
     let count = u32::try_from(count)
         .map_err(|_| invalid(path.to_string(), "WIDTH", format!("{count} rows")))?;
     let mut states = DynamicMessage::new(descriptor.clone());
-    states.set_field_by_name("rows", Value::U32(count));
+    states.set_field_by_name("row_count", Value::U32(count));
     states.set_field_by_name("coordinates", Value::List(coordinates));
     Ok(states)
 }

@@ -5,13 +5,12 @@ use std::sync::LazyLock;
 use prost_reflect::{DescriptorError, DescriptorPool, EnumDescriptor, MessageDescriptor};
 use wayfold_proto::v1;
 
-use crate::service::Error;
+use crate::{service::Error, status::DETAIL_DESCRIPTORS};
 
 static POOL: LazyLock<Result<DescriptorPool, DescriptorError>> = LazyLock::new(|| {
     let mut pool = DescriptorPool::new();
     pool.decode_file_descriptor_set(v1::FILE_DESCRIPTOR_SET)?;
-    // The details of errors.
-    pool.decode_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)?;
+    pool.decode_file_descriptor_set(DETAIL_DESCRIPTORS)?;
     Ok(pool)
 });
 

@@ -1,5 +1,5 @@
 use proptest::{collection::vec, prelude::*};
-use wayfold_proto::v1::{self, knn_request::Count};
+use wayfold_proto::v1::{self, knn_request::KForm};
 
 use super::*;
 use crate::{service::Code, testing};
@@ -31,7 +31,7 @@ fn revision(uid: &str, number: u64) -> Option<v1::Revision> {
 
 fn states(rows: u32, coordinates: &[f64]) -> Option<v1::States> {
     Some(v1::States {
-        rows,
+        row_count: rows,
         coordinates: coordinates.into(),
     })
 }
@@ -40,12 +40,12 @@ fn states(rows: u32, coordinates: &[f64]) -> Option<v1::States> {
 fn states_are_rows_or_one_row_or_the_message() {
     let two = v1::KnnRequest {
         states: states(2, &[1.0, 2.0, 3.0, 4.5]),
-        count: Some(Count::K(10)),
+        k_form: Some(KForm::K(10)),
         ..Default::default()
     };
     for json in [
         r#"{"states": [[1, 2], [3, 4.5]], "k": 10}"#,
-        r#"{"states": {"rows": 2, "coordinates": [1, 2, 3, 4.5]}, "k": 10}"#,
+        r#"{"states": {"row_count": 2, "coordinates": [1, 2, 3, 4.5]}, "k": 10}"#,
     ] {
         assert_eq!(read::<v1::KnnRequest>("KnnRequest", json), two);
     }
@@ -76,9 +76,9 @@ fn what_json_has_not_is_written_as_text() {
     assert_eq!(request.payloads, [&[0, 255][..], &[]]);
     assert_eq!(request.on_conflict, 2);
     let neighbors = request.neighbors.unwrap();
-    assert_eq!(neighbors.count, None);
-    let radius = v1::neighbor_spec::Reach::Radius(f64::INFINITY);
-    assert_eq!(neighbors.reach, Some(radius));
+    assert_eq!(neighbors.k_form, None);
+    let radius = v1::neighbor_spec::RadiusForm::Radius(f64::INFINITY);
+    assert_eq!(neighbors.radius_form, Some(radius));
     assert_eq!(neighbors.filter.unwrap().tag_mask, u64::MAX);
     for (json, value) in [
         (r#""ON_CONFLICT_REPLACE""#, 2),
@@ -216,8 +216,8 @@ fn parameters_say_what_the_message_does_not() {
     ];
     let expected = v1::KnnRequest {
         states: states(1, &[1.0]),
-        count: Some(Count::K(10)),
-        reach: Some(v1::knn_request::Reach::Radius(0.5)),
+        k_form: Some(KForm::K(10)),
+        radius_form: Some(v1::knn_request::RadiusForm::Radius(0.5)),
         include: Some(v1::Include {
             tags: true,
             payloads: true,
@@ -264,10 +264,10 @@ fn parameters_say_what_the_message_does_not() {
         .read(
             "DeleteIndexRequest",
             b"{}",
-            &[("index", "arm"), ("uid", "u")],
+            &[("index_name", "arm"), ("uid", "u")],
         )
         .unwrap();
-    assert_eq!((&*deletion.index, &*deletion.uid), ("arm", "u"));
+    assert_eq!((&*deletion.index_name, &*deletion.uid), ("arm", "u"));
     for (parameters, field, reason) in [
         (&[("k", "5")][..], "k", "CONFLICT"),
         (&[("r", "1"), ("radius", "2")], "radius", "CONFLICT"),
@@ -284,7 +284,7 @@ fn parameters_say_what_the_message_does_not() {
         (&[("r", "far")], "radius", "TYPE"),
         (&[("k", "-1")], "k", "TYPE"),
         (&[("kk", "1")], "kk", "UNKNOWN_PARAMETER"),
-        (&[("index", "arm")], "index", "UNKNOWN_PARAMETER"),
+        (&[("index_name", "arm")], "index_name", "UNKNOWN_PARAMETER"),
         (&[("filter", "1")], "filter", "UNKNOWN_PARAMETER"),
     ] {
         let found = refused("KnnRequest", r#"{"k": 10, "epsilon": 0}"#, parameters);
@@ -335,12 +335,12 @@ proptest! {
         k in any::<u32>(),
     ) {
         let request = v1::InsertRequest {
-            index: "ä\n\u{0}".into(),
+            index_name: "ä\n\u{0}".into(),
             states: states(coordinates.len() as u32, &coordinates),
             ids,
             payloads: vec![payload.into()],
             neighbors: Some(v1::NeighborSpec {
-                count: Some(v1::neighbor_spec::Count::K(k)),
+                k_form: Some(v1::neighbor_spec::KForm::K(k)),
                 ..Default::default()
             }),
             ..Default::default()

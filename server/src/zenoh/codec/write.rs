@@ -114,7 +114,7 @@ impl Writer {
 
     /// Rows of coordinates, grouped by `counts` if present.
     fn rows(&mut self, states: &DynamicMessage, counts: Option<&[usize]>) {
-        let rows = column(states, "rows");
+        let rows = column(states, "row_count");
         let rows = rows.as_ref().and_then(Value::as_u32).unwrap_or(0) as usize;
         let coordinates = column(states, "coordinates");
         let coordinates = coordinates.as_ref().and_then(Value::as_list).unwrap_or(&[]);

@@ -48,9 +48,9 @@ async fn two_points() -> (Service, String) {
     let created = service.create_index(&call, request).await.unwrap();
     for id in 0..2 {
         let request = v1::InsertRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(v1::States {
-                rows: 1,
+                row_count: 1,
                 coordinates: vec![id as f64],
             }),
             ids: vec![id],
@@ -91,9 +91,9 @@ fn request_in<'a>(form: Form, key: &'a str, message: &DynamicMessage) -> Request
 /// In JSON, states are rows. Their number is the length of the list, not a field.
 fn count_rows(message: &mut DynamicMessage) {
     if let Some(Value::Message(states)) = message.get_field_by_name_mut("states")
-        && states.has_field_by_name("rows")
+        && states.has_field_by_name("row_count")
     {
-        states.set_field_by_name("rows", Value::U32(1));
+        states.set_field_by_name("row_count", Value::U32(1));
     }
 }
 

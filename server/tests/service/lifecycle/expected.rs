@@ -36,7 +36,7 @@ pub(super) struct ExpectedIndex {
 pub(super) struct Operation {
     pub(super) mutation: Mutation,
     /// The answer to a retry; None if a retry is evaluated again.
-    pub(super) told: Option<Reply>,
+    pub(super) reply: Option<Reply>,
     /// True if it made a revision; a restart forgets the others.
     pub(super) changed: bool,
 }
@@ -87,7 +87,7 @@ impl Expected {
         for kept in self.indexes.values_mut() {
             for operation in &mut kept.operations {
                 if !operation.changed {
-                    operation.told = None;
+                    operation.reply = None;
                 }
             }
         }
@@ -98,14 +98,14 @@ impl ExpectedIndex {
     /// Applies one of its operations, or recalls the answer to it.
     pub(super) fn apply(&mut self, at: usize) -> Reply {
         let operation = &mut self.operations[at];
-        if let Some(told) = &operation.told {
-            return told.clone();
+        if let Some(reply) = &operation.reply {
+            return reply.clone();
         }
         let before = self.model.revision;
-        let told = operation.mutation.apply(&mut self.model);
+        let reply = operation.mutation.apply(&mut self.model);
         operation.changed = self.model.revision > before;
-        operation.told = told.is_ok().then(|| told.clone());
-        told
+        operation.reply = reply.is_ok().then(|| reply.clone());
+        reply
     }
 }
 

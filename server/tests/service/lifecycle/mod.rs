@@ -84,19 +84,19 @@ fn run_all(place: &str, usual: u64, store: impl Fn(u64) -> Store) {
 }
 
 #[test]
-fn whatever_a_server_lives_through_in_memory_its_indices_are_as_they_must() {
+fn indices_agree_with_their_models_in_memory() {
     run_all("in memory", 40, |_| {
         Store::Memory(Arc::new(MemoryLog::new()))
     });
 }
 
 #[test]
-fn whatever_a_server_lives_through_on_disk_its_indices_are_as_they_must() {
+fn indices_agree_with_their_models_on_disk() {
     run_all("on disk", 10, |_| Store::on_disk());
 }
 
 #[test]
-fn whatever_a_server_lives_through_on_a_disk_without_power_its_indices_are_as_they_must() {
+fn indices_agree_with_their_models_across_losses_of_power() {
     run_all("on a disk that loses its power", 40, |seed| {
         Store::Faulty(FaultLog::new(seed))
     });

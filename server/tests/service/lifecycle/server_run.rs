@@ -123,7 +123,7 @@ impl<'a> ServerRun<'a> {
         let uid = held.map_or(String::new(), |model| model.uid.clone());
         let asked = self.world.pick(&["", "another", &uid]).to_owned();
         let request = v1::DeleteIndexRequest {
-            index: name.clone(),
+            index_name: name.clone(),
             uid: asked.clone(),
         };
         let deleted = self.service.delete_index(&CALL, request).await;
@@ -150,7 +150,7 @@ impl<'a> ServerRun<'a> {
         );
         kept.operations.push(Operation {
             mutation,
-            told: None,
+            reply: None,
             changed: false,
         });
         let newest = kept.operations.len() - 1;
@@ -163,9 +163,9 @@ impl<'a> ServerRun<'a> {
             return;
         }
         let at = self.world.random.random_range(0..operations.len());
-        if operations[at].told.is_some() && self.world.random.random_bool(0.2) {
+        if operations[at].reply.is_some() && self.world.random.random_bool(0.2) {
             let other = v1::RemoveRequest {
-                index: name.into(),
+                index_name: name.into(),
                 operation_id: format!("op {at}"),
                 // No other request has this operation id.
                 ..removal(&[1000])
@@ -180,8 +180,8 @@ impl<'a> ServerRun<'a> {
     async fn send(&mut self, name: &str, at: usize) {
         let kept = self.world.indexes.get_mut(name).unwrap();
         let mutation = kept.operations[at].mutation.clone();
-        let told = mutation.send(&self.service).await;
-        assert_eq!(told, kept.apply(at), "{mutation:?}");
+        let reply = mutation.send(&self.service).await;
+        assert_eq!(reply, kept.apply(at), "{mutation:?}");
     }
 
     async fn begin_snapshot(&mut self) {
@@ -191,7 +191,7 @@ impl<'a> ServerRun<'a> {
             false => any.into(),
         };
         let request = v1::SnapshotIndexRequest {
-            index: name.clone(),
+            index_name: name.clone(),
             min_revision: None,
         };
         let begun = self.service.snapshot_index(&CALL, request).await;
@@ -310,7 +310,7 @@ impl<'a> ServerRun<'a> {
 
     async fn verify(&mut self, name: &str) {
         let request = v1::VerifyIndexRequest {
-            index: name.into(),
+            index_name: name.into(),
             query_count: Some(8),
             seed: self.world.random.random(),
             ..verification()
@@ -339,7 +339,7 @@ impl<'a> ServerRun<'a> {
             let model = &self.world.indexes[&name].model;
 
             let request = v1::ScanRequest {
-                index: name.clone(),
+                index_name: name.clone(),
                 ..scanning()
             };
             let mut scan = self.service.scan(&CALL, request.clone()).await.unwrap();
@@ -354,8 +354,8 @@ impl<'a> ServerRun<'a> {
                 payloads: true,
             };
             let knn = v1::KnnRequest {
-                count: nearest(1000).map(Into::into),
-                reach: None,
+                k_form: nearest(1000).map(Into::into),
+                radius_form: None,
                 filter: None,
                 include: Some(include),
                 ..requests.knn(model.revision)

@@ -19,7 +19,7 @@ async fn three_points() -> (Service, v1::ScanResponse) {
 /// Neighbours by a filter.
 fn filtered(filter: v1::Filter) -> Option<v1::NeighborSpec> {
     Some(v1::NeighborSpec {
-        count: nearest(1),
+        k_form: nearest(1),
         filter: Some(filter),
         ..Default::default()
     })
@@ -52,7 +52,7 @@ const BAD_INSERTS: [Fault<v1::InsertRequest>; 16] = [
     (
         |r| {
             r.neighbors = Some(v1::NeighborSpec {
-                count: nearest(0),
+                k_form: nearest(0),
                 ..Default::default()
             });
         },
@@ -62,7 +62,7 @@ const BAD_INSERTS: [Fault<v1::InsertRequest>; 16] = [
     (
         |r| {
             r.neighbors = Some(v1::NeighborSpec {
-                reach: within(-1.0),
+                radius_form: within(-1.0),
                 ..Default::default()
             });
         },
@@ -130,7 +130,7 @@ async fn bad_inserts() {
         ..good.clone()
     };
     let unknown = v1::InsertRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..good
     };
     assert_elsewhere(insert(other).await, insert(unknown).await);
@@ -154,7 +154,7 @@ async fn the_first_few_of_many_violations_are_named() {
 async fn bad_updates() {
     let (service, before) = three_points().await;
     let good = v1::UpdateRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: vec![0, 1, 2],
         ..Default::default()
     };
@@ -165,7 +165,7 @@ async fn bad_updates() {
         ..good.clone()
     };
     let unknown = v1::UpdateRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..good
     };
     assert_elsewhere(update(other).await, update(unknown).await);
@@ -182,7 +182,7 @@ async fn bad_removals() {
         ..removal(&[1])
     };
     let unknown = v1::RemoveRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..removal(&[1])
     };
     assert_elsewhere(remove(other).await, remove(unknown).await);

@@ -14,9 +14,9 @@ fn since(uid: &str) -> Option<v1::Filter> {
 }
 
 const BAD_SEARCHES: [Fault<v1::KnnRequest>; 8] = [
-    (|r| r.count = nearest(0).map(Into::into), "ZERO", "k"),
-    (|r| r.reach = within(f64::NAN), "NAN", "radius"),
-    (|r| r.reach = within(-1.0), "NEGATIVE", "radius"),
+    (|r| r.k_form = nearest(0).map(Into::into), "ZERO", "k"),
+    (|r| r.radius_form = within(f64::NAN), "NAN", "radius"),
+    (|r| r.radius_form = within(-1.0), "NEGATIVE", "radius"),
     (|r| r.epsilon = -1.0, "NEGATIVE", "epsilon"),
     (|r| r.epsilon = f64::INFINITY, "INFINITE", "epsilon"),
     (
@@ -43,11 +43,11 @@ const BAD_SEARCHES: [Fault<v1::KnnRequest>; 8] = [
 ];
 
 const BAD_QUERIES: [Fault<v1::QueryRequest>; 4] = [
-    (|r| r.reach = within(-1.0), "NEGATIVE", "radius"),
-    (|r| r.reach = within(f64::NAN), "NAN", "radius"),
+    (|r| r.radius_form = within(-1.0), "NEGATIVE", "radius"),
+    (|r| r.radius_form = within(f64::NAN), "NAN", "radius"),
     (|r| r.epsilon = f64::NAN, "NAN", "epsilon"),
     // A missing radius is not one of 0.
-    (|r| r.reach = None, "REQUIRED", "radius"),
+    (|r| r.radius_form = None, "REQUIRED", "radius"),
 ];
 
 #[tokio::test]
@@ -60,9 +60,9 @@ async fn bad_reads() {
     let search = async |request| service.knn(&CALL, request).await;
     assert_faults(&knn(&[[0.0; 3]], 1), &BAD_SEARCHES, search).await;
     let query = v1::QueryRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: states(&[[0.0; 3]]),
-        reach: within(1.0),
+        radius_form: within(1.0),
         ..Default::default()
     };
     let call = async |request| service.query(&CALL, request).await;
@@ -76,7 +76,7 @@ async fn bad_reads() {
     let refused = service.scan(&CALL, scan).await.map(drop);
     assert_invalid(refused, "REQUIRED", "filter.since_revision.uid");
     let unknown = v1::ScanRequest {
-        index: "leg".into(),
+        index_name: "leg".into(),
         ..scanning()
     };
     let refused = service.scan(&CALL, unknown).await.map(drop);
@@ -92,7 +92,7 @@ async fn bad_reads() {
         },
     ] {
         let unknown = v1::KnnRequest {
-            index: "leg".into(),
+            index_name: "leg".into(),
             ..other.clone()
         };
         assert_elsewhere(search(other).await, search(unknown).await);

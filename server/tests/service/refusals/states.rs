@@ -15,11 +15,11 @@ fn bad_states() -> Vec<(Option<v1::States>, &'static str, &'static str)> {
         states(&[GOOD, bad])
     };
     let missing_coordinate = v1::States {
-        rows: 2,
+        row_count: 2,
         coordinates: [&GOOD[..], &GOOD[..6]].concat(),
     };
     let missing_row = v1::States {
-        rows: 3,
+        row_count: 3,
         coordinates: [GOOD, GOOD].concat(),
     };
     vec![
@@ -61,9 +61,9 @@ async fn bad_states_are_refused_by_every_call_that_takes_states() {
         };
         assert_invalid(service.knn(&CALL, search).await, reason, field);
         let query = v1::QueryRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states,
-            reach: within(1.0),
+            radius_form: within(1.0),
             ..Default::default()
         };
         assert_invalid(service.query(&CALL, query).await, reason, field);

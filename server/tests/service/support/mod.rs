@@ -5,7 +5,7 @@ use std::sync::Arc;
 use wayfold_index::Space;
 use wayfold_proto::v1::{
     self,
-    neighbor_spec::{Count, Reach},
+    neighbor_spec::{KForm, RadiusForm},
 };
 use wayfold_server::{
     log::{Log, MemoryLog},
@@ -74,7 +74,9 @@ pub(crate) fn creation(name: &str, space: &str) -> v1::CreateIndexRequest {
 }
 
 pub(crate) async fn info(service: &Service, name: &str) -> v1::Index {
-    let request = v1::GetIndexRequest { index: name.into() };
+    let request = v1::GetIndexRequest {
+        index_name: name.into(),
+    };
     service
         .get_index(&CALL, request)
         .await
@@ -85,7 +87,7 @@ pub(crate) async fn info(service: &Service, name: &str) -> v1::Index {
 
 pub(crate) fn states<const N: usize>(rows: &[[f64; N]]) -> Option<v1::States> {
     Some(v1::States {
-        rows: rows.len() as u32,
+        row_count: rows.len() as u32,
         coordinates: rows.concat(),
     })
 }
@@ -93,7 +95,7 @@ pub(crate) fn states<const N: usize>(rows: &[[f64; N]]) -> Option<v1::States> {
 /// Rows into `arm`; an empty `ids` lets the server assign them.
 pub(crate) fn insertion<const N: usize>(rows: &[[f64; N]], ids: &[u64]) -> v1::InsertRequest {
     v1::InsertRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: states(rows),
         ids: ids.into(),
         ..Default::default()
@@ -109,7 +111,7 @@ pub(crate) fn cube(seed: u64, rows: usize) -> Vec<[f64; 3]> {
 
 pub(crate) fn removal(ids: &[u64]) -> v1::RemoveRequest {
     v1::RemoveRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: ids.into(),
         ..Default::default()
     }
@@ -117,16 +119,16 @@ pub(crate) fn removal(ids: &[u64]) -> v1::RemoveRequest {
 
 pub(crate) fn knn<const N: usize>(rows: &[[f64; N]], k: u32) -> v1::KnnRequest {
     v1::KnnRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         states: states(rows),
-        count: nearest(k).map(Into::into),
+        k_form: nearest(k).map(Into::into),
         ..Default::default()
     }
 }
 
 pub(crate) fn getting(ids: &[u64]) -> v1::GetRequest {
     v1::GetRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ids: ids.into(),
         include: ALL,
         min_revision: None,
@@ -135,7 +137,7 @@ pub(crate) fn getting(ids: &[u64]) -> v1::GetRequest {
 
 pub(crate) fn scanning() -> v1::ScanRequest {
     v1::ScanRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         include: ALL,
         ..Default::default()
     }
@@ -178,13 +180,13 @@ pub(crate) const ALL: Option<v1::Include> = Some(v1::Include {
 });
 
 /// This many neighbours.
-pub(crate) fn nearest(k: u32) -> Option<Count> {
-    Some(Count::K(k))
+pub(crate) fn nearest(k: u32) -> Option<KForm> {
+    Some(KForm::K(k))
 }
 
 /// All neighbours at this distance or nearer.
-pub(crate) fn within<R: From<Reach>>(radius: f64) -> Option<R> {
-    Some(Reach::Radius(radius).into())
+pub(crate) fn within<R: From<RadiusForm>>(radius: f64) -> Option<R> {
+    Some(RadiusForm::Radius(radius).into())
 }
 
 /// A revision of the index that has this uid.

@@ -16,7 +16,7 @@ pub(crate) struct SnapshotContent {
 
 pub(crate) async fn snapshot(service: &Service, name: &str) -> Vec<v1::SnapshotPart> {
     let request = v1::SnapshotIndexRequest {
-        index: name.into(),
+        index_name: name.into(),
         min_revision: None,
     };
     let mut snapshot = service.snapshot_index(&CALL, request).await.unwrap();
@@ -72,7 +72,7 @@ pub(crate) async fn restore(
 
 pub(crate) fn verification() -> v1::VerifyIndexRequest {
     v1::VerifyIndexRequest {
-        index: "arm".into(),
+        index_name: "arm".into(),
         ..Default::default()
     }
 }

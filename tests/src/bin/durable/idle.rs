@@ -79,7 +79,7 @@ async fn host(place: &Place, count: usize) -> Idle {
         let name = format!("idle-{number}");
         stubs.create(&name, SPACE).await;
         let mut request = insertion(&states.row(), None);
-        request.index = name;
+        request.index_name = name;
         stubs.insert(request).await;
     }
     drop(stubs);

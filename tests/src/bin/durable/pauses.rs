@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use wayfold_proto::v1::{KnnRequest, knn_request::Count};
+use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
 use wayfold_tests::{States, Stubs, figures::quantile_ms, measuring, row_states};
 
 use crate::{
@@ -137,9 +137,9 @@ async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<Ti
         let began;
         if queries {
             let request = KnnRequest {
-                index: INDEX.into(),
+                index_name: INDEX.into(),
                 states: Some(row_states(&row, WIDTH)),
-                count: Some(Count::K(K)),
+                k_form: Some(KForm::K(K)),
                 ..Default::default()
             };
             began = Instant::now();

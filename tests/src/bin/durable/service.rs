@@ -55,7 +55,7 @@ impl DurableService {
 /// An insert of some states, which requests the `k` nearest of each if `k` is given.
 pub(crate) fn insertion(states: &[f64], k: Option<u32>) -> InsertRequest {
     InsertRequest {
-        index: INDEX.into(),
+        index_name: INDEX.into(),
         states: Some(row_states(states, WIDTH)),
         neighbors: k.map(k_nearest),
         ..Default::default()

@@ -31,7 +31,7 @@ pub(crate) async fn feed(
     echo: &Stubs,
     setting: &Setting,
     seed: u64,
-    told: mpsc::UnboundedSender<Inserted>,
+    reports: mpsc::UnboundedSender<Inserted>,
 ) -> FeedCost {
     let calls = setting.calls_per_second * setting.seconds;
     let mut states = States::new(index.space().clone(), 1_000 + seed);
@@ -59,12 +59,12 @@ pub(crate) async fn feed(
     let mut inserts = JoinSet::new();
     for rows in batches {
         times.tick().await;
-        let (index, told) = (index.clone(), told.clone());
+        let (index, reports) = (index.clone(), reports.clone());
         inserts.spawn(async move {
             let sent = Instant::now();
             let inserted = index.insert(rows.chunks(WIDTH)).await.expect("an insert");
             // The receiver is gone if the inserts are not measured.
-            let _ = told.send(Inserted {
+            let _ = reports.send(Inserted {
                 rows,
                 revision: inserted.revision,
                 sent,

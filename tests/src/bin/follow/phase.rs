@@ -86,7 +86,7 @@ pub(crate) async fn replica(
         }
     };
     let asking = QueryThread::start(round, search);
-    let (told, mut inserted) = mpsc::unbounded_channel::<Inserted>();
+    let (reports, mut inserted) = mpsc::unbounded_channel::<Inserted>();
     let watched = tokio::spawn(async move {
         let mut waits = JoinSet::new();
         while let Some(insert) = inserted.recv().await {
@@ -99,7 +99,7 @@ pub(crate) async fn replica(
         }
         waits.join_all().await
     });
-    let fed = feed(&index, echo, setting, round, told).await;
+    let fed = feed(&index, echo, setting, round, reports).await;
     let asked = asking.stop();
     let (lags, lags_from_sending) = watched.await.expect("the watcher").into_iter().unzip();
     client.delete_index(index.name()).await.expect("a deletion");
@@ -139,10 +139,10 @@ pub(crate) async fn forest(
         }
     };
     let asking = QueryThread::start(round, search);
-    let (told, inserted) = mpsc::unbounded_channel();
+    let (reports, inserted) = mpsc::unbounded_channel();
     let fed_with = index.clone();
     let applied = tokio::spawn(apply_all(fed_with, forest, published, inserted));
-    feed(&index, echo, setting, round, told).await;
+    feed(&index, echo, setting, round, reports).await;
     let asked = asking.stop();
     applied.await.expect("the applier");
     client.delete_index(index.name()).await.expect("a deletion");

@@ -54,7 +54,7 @@ pub(crate) async fn grow(stubs: &Stubs, points: usize, progress: &ProgressBar) -
     while inserted < points {
         let rows = BATCH.min(points - inserted);
         let request = InsertRequest {
-            index: INDEX.into(),
+            index_name: INDEX.into(),
             states: Some(row_states(&states.rows(rows), WIDTH)),
             ..Default::default()
         };

@@ -8,7 +8,7 @@ use std::{
 use tokio::{sync::mpsc, task::JoinSet};
 use tokio_stream::wrappers::ReceiverStream;
 use wayfold_proto::v1::{
-    KnnRequest, StreamKnnRequest, knn_request::Count, stream_knn_response::Result as StreamedAnswer,
+    KnnRequest, StreamKnnRequest, knn_request::KForm, stream_knn_response::Result as StreamedAnswer,
 };
 use wayfold_tests::{
     ServerProcess, States, Stubs,
@@ -210,9 +210,9 @@ impl Searcher {
         let coordinates = &self.states[self.next * WIDTH..][..rows * WIDTH];
         self.next += rows;
         KnnRequest {
-            index: INDEX.into(),
+            index_name: INDEX.into(),
             states: Some(row_states(coordinates, WIDTH)),
-            count: Some(Count::K(K)),
+            k_form: Some(KForm::K(K)),
             ..Default::default()
         }
     }

@@ -80,7 +80,7 @@ pub(crate) async fn write(batch: usize, round: u64) -> WriterRates {
 
 async fn insert(service: &Service, rows: &[f64], with_neighbors: bool) {
     let request = InsertRequest {
-        index: INDEX.into(),
+        index_name: INDEX.into(),
         states: Some(row_states(rows, WIDTH)),
         neighbors: with_neighbors.then(|| k_nearest(K)),
         ..Default::default()

@@ -69,7 +69,7 @@ async fn measure(arguments: &Arguments) -> Report {
     stubs.create(INDEX, SPACE).await;
     for rows in rows.chunks(BATCH * WIDTH) {
         let request = InsertRequest {
-            index: INDEX.into(),
+            index_name: INDEX.into(),
             states: Some(row_states(rows, WIDTH)),
             ..Default::default()
         };

@@ -6,7 +6,7 @@ use prost::Message;
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use wayfold_index::Space;
-use wayfold_proto::v1::{KnnRequest, KnnResponse, knn_request::Count};
+use wayfold_proto::v1::{KnnRequest, KnnResponse, knn_request::KForm};
 use wayfold_tests::{States, figures::processor_seconds, row_states};
 use zenoh::{Session, bytes::Encoding};
 
@@ -60,9 +60,9 @@ impl Searcher {
         let rows = States::new(space.clone(), 100 + seed).rows(POOL);
         let payloads = rows.chunks(WIDTH).map(|row| match form {
             Form::Protobuf => KnnRequest {
-                index: INDEX.into(),
+                index_name: INDEX.into(),
                 states: Some(row_states(row, WIDTH)),
-                count: Some(Count::K(K)),
+                k_form: Some(KForm::K(K)),
                 ..Default::default()
             }
             .encode_to_vec(),

@@ -27,7 +27,7 @@ impl Builder {
             began.send_modify(|count| *count += 1);
             let done = if there {
                 let request = DeleteIndexRequest {
-                    index: name.clone(),
+                    index_name: name.clone(),
                     ..Default::default()
                 };
                 stubs.indexes.delete_index(request).await.is_ok()
@@ -38,7 +38,7 @@ impl Builder {
                 };
                 let created = stubs.indexes.create_index(request).await.is_ok();
                 let row = InsertRequest {
-                    index: name.clone(),
+                    index_name: name.clone(),
                     states: Some(row_states(&[1.0, 2.0], 2)),
                     ..Default::default()
                 };

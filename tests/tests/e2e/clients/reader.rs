@@ -4,7 +4,7 @@ use rand::RngExt;
 use tokio::{net::unix::pipe, sync::watch};
 use tonic::{Code, Status};
 use wayfold_proto::v1::{
-    Filter, GetRequest, GetResponse, KnnRequest, KnnResponse, Revision, knn_request::Count,
+    Filter, GetRequest, GetResponse, KnnRequest, KnnResponse, Revision, knn_request::KForm,
 };
 use wayfold_tests::{Content, INCLUDE_ALL, Model, States, Stubs, number, revision, row_states};
 
@@ -107,7 +107,7 @@ impl Reader {
         }
         if let Some(id) = self.ids.pop() {
             let request = GetRequest {
-                index: "arm".into(),
+                index_name: "arm".into(),
                 ids: vec![id],
                 include: Some(INCLUDE_ALL),
                 ..Default::default()
@@ -116,9 +116,9 @@ impl Reader {
             return Ok(ReaderAnswer::Get(request, response.into_inner()));
         }
         let request = KnnRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(row_states(&self.states.rows(1), COORDINATES)),
-            count: Some(Count::K(20)),
+            k_form: Some(KForm::K(20)),
             // Reads all of the newest points, because these are the ones that a failure may lose.
             filter: Some(Filter {
                 since_revision: revision(&self.uid, self.newest.saturating_sub(MAX_REVISIONS_BACK)),

@@ -75,7 +75,7 @@ impl Writer {
             let ids = self.outdated();
             if !ids.is_empty() {
                 return Request::Remove(RemoveRequest {
-                    index: "arm".into(),
+                    index_name: "arm".into(),
                     ids,
                     operation_id,
                     ..Default::default()
@@ -91,7 +91,7 @@ impl Writer {
         let payloads = (0..rows).map(|row| self.payload(&format!("{operation_id}/{row}"), bytes));
         let payloads = payloads.collect();
         Request::Insert(Box::new(InsertRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(row_states(&self.states.rows(rows), COORDINATES)),
             tags: vec![self.name; rows],
             payloads,

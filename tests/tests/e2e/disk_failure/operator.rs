@@ -28,7 +28,7 @@ async fn one_line_says_that_it_began_and_one_that_it_ended() {
     disk.fail("full 28");
     for write in 0..WRITES {
         let request = InsertRequest {
-            index: format!("arm-{}", write % INDEXES),
+            index_name: format!("arm-{}", write % INDEXES),
             states: Some(row_states(&[1.0, 2.0], 2)),
             ..Default::default()
         };

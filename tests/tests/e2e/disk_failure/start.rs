@@ -10,8 +10,8 @@ use crate::clients::{Clients, FaultTime};
 fn check_refused(finished: &ProcessOutput) {
     assert_eq!(finished.status.code(), Some(1), "{finished:?}");
     assert_eq!(finished.stderr.lines().count(), 1, "{finished:?}");
-    let told = "see that this user may write there and that the disk has room";
-    assert!(finished.stderr.contains(told), "{finished:?}");
+    let advice = "see that this user may write there and that the disk has room";
+    assert!(finished.stderr.contains(advice), "{finished:?}");
 }
 
 #[test]
@@ -52,7 +52,7 @@ async fn a_server_that_finds_its_disk_failing_says_so_and_recovers_by_itself() {
                 assert!(is_up, "{how}");
                 let mut stubs = Stubs::connect(server.uri()).await;
                 let index = "arm".to_owned();
-                let request = wayfold_proto::v1::GetIndexRequest { index };
+                let request = wayfold_proto::v1::GetIndexRequest { index_name: index };
                 let status = stubs.indexes.get_index(request).await.unwrap_err();
                 let refusal = Refusal::of(&status);
                 assert_eq!(

@@ -8,7 +8,7 @@ use std::{
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Client, Found, IndexHandle, Replica, RetryPolicy};
+use wayfold::{Client, IndexHandle, Replica, ReplicaNeighbors, RetryPolicy};
 use wayfold_index::{Filter, Linear, PointRef, Search, Space};
 use wayfold_tests::{
     States, bits,
@@ -38,7 +38,7 @@ pub(super) type History = BTreeMap<u64, Change>;
 pub(super) struct ReplicaAnswer {
     pub(super) state: Vec<f64>,
     pub(super) question: Question,
-    pub(super) found: Found,
+    pub(super) found: ReplicaNeighbors,
 }
 
 /// A client that waits for its server without a limit.
@@ -172,8 +172,8 @@ pub(super) fn ask(
         let question = question(&mut random, replica.revision().number);
         let search = question.of(&replica.index());
         let found = replica.search(&state[..], &search).unwrap();
-        let now = found.revision.number;
-        let last = answers.last().map(|last| last.found.revision.number);
+        let now = found.revision().number;
+        let last = answers.last().map(|last| last.found.revision().number);
         assert!(last <= Some(now), "it went back from {last:?}");
         if last != Some(now) {
             answers.push(ReplicaAnswer {
@@ -202,14 +202,15 @@ pub(super) fn compare(replica: &Replica, points: &Linear) {
 
 /// Replays the history and compares each answer with brute force at its revision. Returns the points at the end.
 pub(super) fn check(space: &Space, past: &History, mut answers: Vec<ReplicaAnswer>) -> Linear {
-    answers.sort_by_key(|answered| answered.found.revision.number);
+    answers.sort_by_key(|answered| answered.found.revision().number);
     let mut answers = answers.into_iter().peekable();
     let mut points = Linear::new(space.clone());
     let mut compare = |revision: u64, points: &Linear| {
-        while let Some(answered) = answers.next_if(|next| next.found.revision.number == revision) {
+        while let Some(answered) = answers.next_if(|next| next.found.revision().number == revision)
+        {
             let question = answered.question;
             let expected = brute_force::search(points, &answered.state, &question.plain());
-            let found = pairs(answered.found.neighbors);
+            let found = pairs(answered.found.into_vec());
             assert_eq!(found, expected, "{question:?} at {revision}");
         }
     };

@@ -34,16 +34,20 @@ pub(crate) fn by_hand() -> Vec<Op> {
     };
     let delete = |name: &str, uid: &str| {
         Op::Delete(v1::DeleteIndexRequest {
-            index: name.into(),
+            index_name: name.into(),
             uid: uid.into(),
         })
     };
-    let info = |name: &str| Op::Info(v1::GetIndexRequest { index: name.into() });
+    let info = |name: &str| {
+        Op::Info(v1::GetIndexRequest {
+            index_name: name.into(),
+        })
+    };
     let insert = |ids: &[u64], operation_id: &str, payload: usize| {
         Op::Insert(v1::InsertRequest {
-            index: "arm".into(),
+            index_name: "arm".into(),
             states: Some(v1::States {
-                rows: 1,
+                row_count: 1,
                 coordinates: vec![0.1, 0.2, 0.3, 0.6, 0.8],
             }),
             ids: ids.into(),

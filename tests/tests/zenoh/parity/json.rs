@@ -35,7 +35,7 @@ fn payloads<B: AsRef<[u8]>>(values: &[B]) -> Value {
 
 fn states(states: &v1::States) -> Value {
     let numbers: Vec<Value> = states.coordinates.iter().copied().map(float).collect();
-    let rows = states.rows as usize;
+    let rows = states.row_count as usize;
     if rows == 0 && numbers.is_empty() {
         return json!([]);
     }
@@ -68,17 +68,17 @@ fn revision(it: &v1::Revision) -> Value {
 }
 
 /// The name and value of the field of a oneof that is set.
-fn count(it: neighbor_spec::Count) -> (&'static str, Option<Value>) {
+fn count(it: neighbor_spec::KForm) -> (&'static str, Option<Value>) {
     match it {
-        neighbor_spec::Count::K(k) => ("k", Some(json!(k))),
-        neighbor_spec::Count::KFactor(factor) => ("k_factor", Some(float(factor))),
+        neighbor_spec::KForm::K(k) => ("k", Some(json!(k))),
+        neighbor_spec::KForm::KFactor(factor) => ("k_factor", Some(float(factor))),
     }
 }
 
-fn reach(it: neighbor_spec::Reach) -> (&'static str, Option<Value>) {
+fn radius_form(it: neighbor_spec::RadiusForm) -> (&'static str, Option<Value>) {
     match it {
-        neighbor_spec::Reach::Radius(radius) => ("radius", Some(float(radius))),
-        neighbor_spec::Reach::ScaledRadius(it) => {
+        neighbor_spec::RadiusForm::Radius(radius) => ("radius", Some(float(radius))),
+        neighbor_spec::RadiusForm::ScaledRadius(it) => {
             let scaled = object([
                 ("factor", Some(float(it.factor))),
                 ("max", it.max.map(float)),
@@ -110,7 +110,7 @@ pub(super) fn request(op: &Op) -> Value {
         ]),
         Op::Info(_) => json!({}),
         Op::List(it) => json!({ "page_size": it.page_size, "page_token": it.page_token }),
-        Op::Delete(it) => json!({ "index": it.index, "uid": it.uid }),
+        Op::Delete(it) => json!({ "index": it.index_name, "uid": it.uid }),
         Op::Insert(it) => object([
             ("states", it.states.as_ref().map(states)),
             ("ids", Some(integers(&it.ids))),
@@ -129,8 +129,8 @@ pub(super) fn request(op: &Op) -> Value {
                 "neighbors",
                 it.neighbors.as_ref().map(|it| {
                     object([
-                        it.count.map_or(UNSET, count),
-                        it.reach.map_or(UNSET, reach),
+                        it.k_form.map_or(UNSET, count),
+                        it.radius_form.map_or(UNSET, radius_form),
                         ("filter", it.filter.as_ref().map(filter)),
                         ("include", it.include.as_ref().map(include)),
                     ])
@@ -158,8 +158,8 @@ pub(super) fn request(op: &Op) -> Value {
         ]),
         Op::Knn(it) => object([
             ("states", it.states.as_ref().map(states)),
-            it.count.map_or(UNSET, |it| count(it.into())),
-            it.reach.map_or(UNSET, |it| reach(it.into())),
+            it.k_form.map_or(UNSET, |it| count(it.into())),
+            it.radius_form.map_or(UNSET, |it| radius_form(it.into())),
             ("epsilon", Some(float(it.epsilon))),
             ("filter", it.filter.as_ref().map(filter)),
             ("include", it.include.as_ref().map(include)),
@@ -167,7 +167,7 @@ pub(super) fn request(op: &Op) -> Value {
         ]),
         Op::Query(it) => object([
             ("states", it.states.as_ref().map(states)),
-            it.reach.map_or(UNSET, |it| reach(it.into())),
+            it.radius_form.map_or(UNSET, |it| radius_form(it.into())),
             ("epsilon", Some(float(it.epsilon))),
             ("filter", it.filter.as_ref().map(filter)),
             ("include", it.include.as_ref().map(include)),
@@ -204,7 +204,7 @@ fn list<T>(value: &Value, read: impl Fn(&Value) -> T) -> Vec<T> {
 
 fn read_rows(rows: &[&Value]) -> v1::States {
     v1::States {
-        rows: rows.len() as u32,
+        row_count: rows.len() as u32,
         coordinates: rows.iter().flat_map(|row| list(row, read_float)).collect(),
     }
 }

@@ -24,16 +24,16 @@ impl Op {
     pub(crate) fn key(&self) -> String {
         match self {
             Op::Create(_) => "create".into(),
-            Op::Info(it) => format!("{}/info", it.index),
+            Op::Info(it) => format!("{}/info", it.index_name),
             Op::List(_) => "list".into(),
             Op::Delete(_) => "delete".into(),
-            Op::Insert(it) => format!("{}/insert", it.index),
-            Op::Update(it) => format!("{}/update", it.index),
-            Op::Remove(it) => format!("{}/remove", it.index),
-            Op::Get(it) => format!("{}/get", it.index),
-            Op::Knn(it) => format!("{}/knn", it.index),
-            Op::Query(it) => format!("{}/query", it.index),
-            Op::Log(it) => format!("{}/log", it.index),
+            Op::Insert(it) => format!("{}/insert", it.index_name),
+            Op::Update(it) => format!("{}/update", it.index_name),
+            Op::Remove(it) => format!("{}/remove", it.index_name),
+            Op::Get(it) => format!("{}/get", it.index_name),
+            Op::Knn(it) => format!("{}/knn", it.index_name),
+            Op::Query(it) => format!("{}/query", it.index_name),
+            Op::Log(it) => format!("{}/log", it.index_name),
         }
     }
 

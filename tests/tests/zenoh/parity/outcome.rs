@@ -32,7 +32,7 @@ pub(crate) struct Refused {
 }
 
 impl Outcome {
-    pub(crate) fn told(message: &impl Debug, revision: u64) -> Self {
+    pub(crate) fn answered(message: &impl Debug, revision: u64) -> Self {
         Outcome::Reply {
             text: format!("{message:?}"),
             revision,

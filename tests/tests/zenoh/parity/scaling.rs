@@ -12,21 +12,21 @@ pub(super) fn scale(op: &mut Op, random: &mut ChaCha8Rng) {
         return;
     }
     let (k_factor, radius) = draw(random);
-    let count = k_factor.map(neighbor_spec::Count::KFactor);
-    let reach = radius.map(neighbor_spec::Reach::ScaledRadius);
+    let count = k_factor.map(neighbor_spec::KForm::KFactor);
+    let radius_form = radius.map(neighbor_spec::RadiusForm::ScaledRadius);
     match op {
         Op::Insert(v1::InsertRequest {
             neighbors: Some(it),
             ..
         }) => {
-            it.count = count.or(it.count);
-            it.reach = reach.or(it.reach);
+            it.k_form = count.or(it.k_form);
+            it.radius_form = radius_form.or(it.radius_form);
         }
         Op::Knn(it) => {
-            it.count = count.map(Into::into).or(it.count);
-            it.reach = reach.map(Into::into).or(it.reach);
+            it.k_form = count.map(Into::into).or(it.k_form);
+            it.radius_form = radius_form.map(Into::into).or(it.radius_form);
         }
-        Op::Query(it) => it.reach = reach.map(Into::into).or(it.reach),
+        Op::Query(it) => it.radius_form = radius_form.map(Into::into).or(it.radius_form),
         _ => {}
     }
 }
@@ -58,15 +58,21 @@ fn draw(random: &mut ChaCha8Rng) -> (Option<f64>, Option<v1::ScaledRadius>) {
 
 /// True if it asks for scaled numbers or radii.
 pub(super) fn is_scaled(op: &Op) -> bool {
-    let (count, reach): (Option<neighbor_spec::Count>, Option<neighbor_spec::Reach>) = match op {
+    let (count, radius_form): (
+        Option<neighbor_spec::KForm>,
+        Option<neighbor_spec::RadiusForm>,
+    ) = match op {
         Op::Insert(it) => it
             .neighbors
             .as_ref()
-            .map_or((None, None), |it| (it.count, it.reach)),
-        Op::Knn(it) => (it.count.map(Into::into), it.reach.map(Into::into)),
-        Op::Query(it) => (None, it.reach.map(Into::into)),
+            .map_or((None, None), |it| (it.k_form, it.radius_form)),
+        Op::Knn(it) => (it.k_form.map(Into::into), it.radius_form.map(Into::into)),
+        Op::Query(it) => (None, it.radius_form.map(Into::into)),
         _ => (None, None),
     };
-    matches!(count, Some(neighbor_spec::Count::KFactor(_)))
-        || matches!(reach, Some(neighbor_spec::Reach::ScaledRadius(_)))
+    matches!(count, Some(neighbor_spec::KForm::KFactor(_)))
+        || matches!(
+            radius_form,
+            Some(neighbor_spec::RadiusForm::ScaledRadius(_))
+        )
 }

@@ -66,41 +66,41 @@ impl Script {
                 ids: self.ids(4),
                 operation_id: self.operation_id(),
                 uid: self.uid(),
-                index: self.index(),
+                index_name: self.index(),
             }),
             55..65 => Op::Get(v1::GetRequest {
                 ids: self.ids(2),
                 include: self.include(),
                 min_revision: self.min_revision(),
-                index: self.index(),
+                index_name: self.index(),
             }),
             // The request keeps the search exact: an inexact one depends on how the trees were merged.
             65..80 => Op::Knn(v1::KnnRequest {
                 states: self.states(3),
-                count: self.k().map(knn_request::Count::K),
-                reach: self.radius().map(knn_request::Reach::Radius),
+                k_form: self.k().map(knn_request::KForm::K),
+                radius_form: self.radius().map(knn_request::RadiusForm::Radius),
                 epsilon: self.pick(&[0.0, 0.0, 0.0, 1e-300, 1e-300, 0.0, 0.0, -1.0]),
                 filter: self.filter(),
                 include: self.include(),
                 min_revision: self.min_revision(),
-                index: self.index(),
+                index_name: self.index(),
             }),
             80..90 => Op::Query(v1::QueryRequest {
                 states: self.states(3),
-                reach: self.radius().map(query_request::Reach::Radius),
+                radius_form: self.radius().map(query_request::RadiusForm::Radius),
                 epsilon: self.pick(&[0.0, 0.0, 0.0, 0.0, 0.0, 1e-300, f64::INFINITY]),
                 filter: self.filter(),
                 include: self.include(),
                 min_revision: self.min_revision(),
-                index: self.index(),
+                index_name: self.index(),
             }),
             90..95 => Op::Log(v1::WatchRequest {
                 after_revision: self.revision_or_none(),
                 include: self.include(),
-                index: self.index(),
+                index_name: self.index(),
             }),
             95..98 => Op::Info(v1::GetIndexRequest {
-                index: self.index(),
+                index_name: self.index(),
             }),
             _ => Op::List(v1::ListIndexesRequest {
                 page_size: self.pick(&[0, 1]),
@@ -111,7 +111,9 @@ impl Script {
 
     fn insert(&mut self) -> v1::InsertRequest {
         let states = self.states(5);
-        let rows = states.as_ref().map_or(0, |states| states.rows as usize);
+        let rows = states
+            .as_ref()
+            .map_or(0, |states| states.row_count as usize);
         let mut column = |most: u64| -> Vec<u64> {
             let length = match self.random.random_range(0..50) {
                 0..25 => 0,
@@ -127,8 +129,8 @@ impl Script {
         let neighbors = self.chance(0.4).then(|| {
             let k = self.pick(&[None, Some(1), Some(4), Some(4), Some(9), Some(0)]);
             v1::NeighborSpec {
-                count: k.map(neighbor_spec::Count::K),
-                reach: self.radius().map(neighbor_spec::Reach::Radius),
+                k_form: k.map(neighbor_spec::KForm::K),
+                radius_form: self.radius().map(neighbor_spec::RadiusForm::Radius),
                 filter: self.filter(),
                 include: self.include(),
             }
@@ -143,7 +145,7 @@ impl Script {
             neighbors,
             operation_id: self.operation_id(),
             uid: self.uid(),
-            index: self.index(),
+            index_name: self.index(),
         }
     }
 
@@ -170,7 +172,7 @@ impl Script {
             },
             operation_id: self.operation_id(),
             uid: self.uid(),
-            index: self.index(),
+            index_name: self.index(),
         }
     }
 
@@ -194,7 +196,10 @@ impl Script {
             6 => coordinates.extend(std::iter::repeat_n(0.5, rows as usize)),
             _ => {}
         }
-        Some(v1::States { rows, coordinates })
+        Some(v1::States {
+            row_count: rows,
+            coordinates,
+        })
     }
 
     fn ids(&mut self, most: usize) -> Vec<u64> {

@@ -140,12 +140,12 @@ impl Answer {
         match self {
             Answer::Create(mut it) => {
                 it.index = it.index.map(plain);
-                Outcome::told(&it, 0)
+                Outcome::answered(&it, 0)
             }
             Answer::Info(mut it) => {
                 it.index = it.index.map(plain);
                 let revision = it.index.as_ref().unwrap().revision.clone();
-                Outcome::told(&it, number(&revision))
+                Outcome::answered(&it, number(&revision))
             }
             Answer::List(mut it) => {
                 it.indexes = it.indexes.into_iter().map(plain).collect();
@@ -154,20 +154,20 @@ impl Answer {
                         uid(index).clear();
                     }
                 }
-                Outcome::told(&it, 0)
+                Outcome::answered(&it, 0)
             }
-            Answer::Delete(it) => Outcome::told(&it, 0),
-            Answer::Insert(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Update(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Remove(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Get(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Knn(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Query(it) => Outcome::told(&it, number(&it.revision)),
+            Answer::Delete(it) => Outcome::answered(&it, 0),
+            Answer::Insert(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Update(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Remove(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Get(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Knn(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Query(it) => Outcome::answered(&it, number(&it.revision)),
             Answer::Log(mut it) => {
                 for mutation in &mut it.mutations {
                     mutation.time_ms = 0;
                 }
-                Outcome::told(&it, number(&it.revision))
+                Outcome::answered(&it, number(&it.revision))
             }
         }
     }
@@ -228,14 +228,16 @@ async fn by_zenoh(robot: &Robot, form: Form, op: Op) -> Result<Answer, Outcome> 
         ),
     };
     let key = format!("wayfold/v1/{}", op.key());
-    let told = robot.ask(&key, payload, encoding.clone()).await;
-    let (Ok(answer) | Err(answer)) = &told;
+    let answered = robot.ask(&key, payload, encoding.clone()).await;
+    let (Ok(answer) | Err(answer)) = &answered;
     assert_eq!(answer.encoding, encoding.to_string());
-    match (told, form) {
-        (Ok(told), Form::Protobuf) => Ok(decode(&op, &told.payload)),
-        (Err(told), Form::Protobuf) => Err(v1::Status::decode(&*told.payload).unwrap().into()),
-        (Ok(told), Form::Json) => Ok(json::answer(&op, &told.json())),
-        (Err(told), Form::Json) => Err(refused_json(&told.json())),
+    match (answered, form) {
+        (Ok(answered), Form::Protobuf) => Ok(decode(&op, &answered.payload)),
+        (Err(answered), Form::Protobuf) => {
+            Err(v1::Status::decode(&*answered.payload).unwrap().into())
+        }
+        (Ok(answered), Form::Json) => Ok(json::answer(&op, &answered.json())),
+        (Err(answered), Form::Json) => Err(refused_json(&answered.json())),
     }
 }
 
