@@ -1,7 +1,8 @@
-//! Sampling-based motion planners on Wayfold, with collision checking by parry: the programs `maze`, `bodies` and `rigid`.
+//! Sampling-based motion planners on Wayfold, with collision checking by parry: the programs `maze`, `bodies` and
+//! `rigid`.
 //!
-//! Reading order: `planning` (the planners, which know no scene), `maze` and `bodies` (a scene and its pictures each), `rigid` (a
-//! roadmap that several processes build together).
+//! Reading order: `planning` (the planners, which know no scene), `maze` and `bodies` (a scene and its pictures each),
+//! `rigid` (a roadmap that several processes build together).
 
 #![expect(
     clippy::new_without_default,

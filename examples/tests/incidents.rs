@@ -1,7 +1,7 @@
-//! Processes that build one roadmap together, or grow the same two trees, and what happens to them: a worker or the server
-//! is killed in the middle, and the roadmap is as if it had lived, the trees are trees.
+//! Processes build one roadmap or the same two trees together, and a worker or the server is killed meanwhile. The
+//! roadmap is the same as without the kill, and the trees stay trees.
 //!
-//! This program is all of them: it starts itself as the workers and as the server, and so has a `main` of its own.
+//! This program starts itself as the workers and as the server, so it has a `main` of its own.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -44,7 +44,7 @@ use wayfold_examples::{
 static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
 static MAZE: LazyLock<Maze> = LazyLock::new(|| Maze::between((0, 0), (4, 2)));
 const MILESTONES: u64 = 150;
-/// How many milestones a worker has when something happens.
+/// The number of a worker's milestones at which the incident happens.
 const HALF: u64 = 20;
 
 fn main() -> ExitCode {
@@ -69,7 +69,7 @@ fn main() -> ExitCode {
         Some("hold") => {
             let server = ServerProcess::start().unwrap();
             println!("{}", server.uri());
-            // Until it is killed.
+            // The worker runs until it is killed.
             io::copy(&mut io::stdin().lock(), &mut io::sink()).unwrap();
             return ExitCode::SUCCESS;
         }
@@ -95,8 +95,8 @@ fn main() -> ExitCode {
             a_killed_worker_leaves_trees_on_which_the_others_meet,
         ),
         trial(
-            "a_server_ends_when_who_started_it_is_killed",
-            a_server_ends_when_who_started_it_is_killed,
+            "a_server_ends_when_its_parent_is_killed",
+            a_server_ends_when_its_parent_is_killed,
         ),
     ];
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
@@ -107,7 +107,7 @@ fn runtime() -> Runtime {
     runtime.worker_threads(1).enable_all().build().unwrap()
 }
 
-/// Three workers, one of which halts in the middle.
+/// Three workers, one of which halts after some milestones.
 fn jobs(server: &str, batch: usize) -> Vec<Job> {
     let job = |number| Job {
         server: server.to_owned(),
@@ -130,7 +130,7 @@ async fn index(server: &str) -> IndexHandle {
     created.unwrap()
 }
 
-/// The roadmap as it is, and once all of it is complete.
+/// The roadmap as stored, and after its completion.
 async fn read(index: &IndexHandle) -> [Roadmap; 2] {
     index.info().await.unwrap();
     let as_left = Roadmap::read(index).await.unwrap();
@@ -139,7 +139,7 @@ async fn read(index: &IndexHandle) -> [Roadmap; 2] {
     [as_left, Roadmap::read(index).await.unwrap()]
 }
 
-/// That it is what one worker would have built, and that nothing is stored twice.
+/// Asserts that a single worker would have built the same roadmap, and that no state is stored twice.
 fn is_serial(roadmap: &Roadmap) {
     assert!(roadmap.len() as u64 >= MILESTONES && !roadmap.pending.contains(&true));
     assert_eq!(
@@ -162,7 +162,7 @@ fn a_killed_worker_changes_nothing_but_speed() {
     let of_the_dead = as_left.workers.iter().filter(|&&worker| worker == 0);
     let of_the_dead = of_the_dead.count() as u64;
     assert!((HALF..MILESTONES / 2).contains(&of_the_dead));
-    // Only it left anything pending, and no more than its last two batches.
+    // Only the killed worker left milestones pending, at most those of its last two batches.
     let pending = (0..as_left.len()).filter(|&at| as_left.pending[at]);
     let pending: Vec<usize> = pending.collect();
     assert!(pending.len() <= 8);
@@ -216,7 +216,8 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
             .flatten()
             .filter(move |&&maker| maker == worker)
     };
-    // What it said of its last insert, which was under way, may be more than it did; of the others' nothing is missing.
+    // The killed worker may have reported an insert under way that never took effect; no other worker's vertex is
+    // missing.
     assert!(of(2).count() as u64 <= crew.accounts[2].vertices);
     let others: u64 = crew.accounts[..2].iter().map(|one| one.vertices).sum();
     assert_eq!(
@@ -226,7 +227,7 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
     );
 }
 
-fn a_server_ends_when_who_started_it_is_killed() {
+fn a_server_ends_when_its_parent_is_killed() {
     let mut holder = Command::new(env::current_exe().unwrap())
         .arg("hold")
         .stdin(Stdio::piped())
@@ -242,7 +243,7 @@ fn a_server_ends_when_who_started_it_is_killed() {
     holder.kill().unwrap();
     holder.wait().unwrap();
 
-    // The server has inherited its standard error, which ends with the last process that holds it.
+    // The server inherited the standard error, which ends with the last process that holds it.
     let mut errors = holder.stderr.take().unwrap();
     let (ended, end) = mpsc::channel();
     thread::spawn(move || ended.send(io::copy(&mut errors, &mut io::sink())));

@@ -1,5 +1,5 @@
-//! Times of the index alone at 50,000 points: building a tree, growing a forest by single inserts, and searching both (for the
-//! nearest, for ten, and within a radius that holds about ten).
+//! Times of the index alone at 50,000 points: building a tree, growing a forest by single inserts, and searching both
+//! (for the nearest, for ten, and within a radius that holds about ten).
 //!
 //! Coordinates are uniform in [0, 1), angles and rotations uniform. Times of one machine do not carry to another:
 //! compare rows of one run.

@@ -1,10 +1,11 @@
-//! The cost of concurrency: readers of one snapshot, parallel bulk inserts, a reader next to a writer, and the slowest calls
-//! while levels merge.
+//! The cost of concurrency: readers of one snapshot, parallel bulk inserts, a reader next to a writer, and the slowest
+//! calls while levels merge.
 //!
 //!     cargo bench -p wayfold-index --bench together [-- [POINTS] [--json FILE]]
 //!
-//! In SE(3), `R3*SO3:0.15`, uniform, ten neighbours. Two threads of one process are compared with two processes, in turns: no
-//! structure can give two threads more than the machine gives two processes. Each figure is the median of the rounds.
+//! In SE(3), `R3*SO3:0.15`, uniform, ten neighbours. Two threads of one process are compared with two processes, in
+//! turns: no structure can give two threads more than the machine gives two processes. Each figure is the median of the
+//! rounds.
 
 use std::{
     env, fs,
@@ -31,7 +32,7 @@ const SEED: u64 = 7;
 /// The points that readers search, and those of a bulk insert.
 const POINTS: usize = 50_000;
 /// The default number of single inserts in the measurement of the slowest calls.
-const MANY: usize = 1_000_000;
+const LARGE_POINTS: usize = 1_000_000;
 const ROUNDS: usize = 5;
 const DURATION: Duration = Duration::from_secs(2);
 /// The length of a turn: the writer rests in even turns and writes in odd ones.
@@ -85,7 +86,7 @@ fn measure() {
     parts.push(format!(
         "\"beside_a_writer\": {{\"per_second\": {beside}, \"alone\": {alone}, \"ratio\": {ratio}, \"inserts_per_second\": {inserts}}}"
     ));
-    parts.push(slowest(points.unwrap_or(MANY)));
+    parts.push(slowest(points.unwrap_or(LARGE_POINTS)));
     if let Some(file) = json {
         let text = format!("{{\n  {}\n}}\n", parts.join(",\n  "));
         fs::write(file, text).expect("a file that can be written");
@@ -147,30 +148,30 @@ fn forest(states: &[f64]) -> Forest {
 }
 
 /// Work of one kind, with its data.
-enum Work {
+enum Workload {
     Read(Snapshot, Vec<f64>),
     Bulk(Vec<f64>),
 }
 
-impl Work {
+impl Workload {
     fn new(role: &str) -> Self {
         let stored = states(POINTS, SEED);
         match role {
-            "bulk" => Work::Bulk(stored),
-            _ => Work::Read(forest(&stored).snapshot(), states(QUERIES, SEED + 1)),
+            "bulk" => Workload::Bulk(stored),
+            _ => Workload::Read(forest(&stored).snapshot(), states(QUERIES, SEED + 1)),
         }
     }
 
-    /// The number of times a second that it is done.
+    /// The rate of the work, in units a second.
     fn rate(&self) -> f64 {
         let (started, mut done) = (Instant::now(), 0);
         while started.elapsed() < DURATION {
             match self {
-                Work::Read(points, queries) => {
+                Workload::Read(points, queries) => {
                     queries.chunks(WIDTH).for_each(|row| query(points, row));
                     done += QUERIES;
                 }
-                Work::Bulk(stored) => {
+                Workload::Bulk(stored) => {
                     assert_eq!(forest(stored).len(), POINTS);
                     done += 1;
                 }
@@ -189,7 +190,7 @@ fn query(points: &Snapshot, row: &[f64]) {
 
 /// The sum of the rates of `count` threads.
 fn by_threads(role: &str, count: usize) -> f64 {
-    let (work, start) = (Work::new(role), Barrier::new(count));
+    let (work, start) = (Workload::new(role), Barrier::new(count));
     thread::scope(|scope| {
         let one = || {
             start.wait();
@@ -250,15 +251,15 @@ fn by_processes(role: &str) -> f64 {
 }
 
 fn serve_one_round(role: &str) {
-    let work = Work::new(role);
+    let work = Workload::new(role);
     println!("ready");
     io::stdin().read_line(&mut String::new()).expect("a line");
     println!("{}", work.rate());
 }
 
-/// The rate of a reader alone and next to a writer, which inserts single points as fast as it can and merges on its own thread.
-/// Every query is of the newest snapshot. The writer rests and writes in turns, so that both rates are of nearly the same
-/// points.
+/// The rate of a reader alone and next to a writer, which inserts single points as fast as it can and merges on its own
+/// thread. Every query is of the newest snapshot. The writer rests and writes in turns, so that both rates are of
+/// nearly the same points.
 #[expect(clippy::disallowed_methods, reason = "the writer's rest")]
 fn next_to_a_writer() -> [f64; 4] {
     let queries = states(QUERIES, SEED + 1);
@@ -318,8 +319,8 @@ fn next_to_a_writer() -> [f64; 4] {
     })
 }
 
-/// The slowest of `count` single inserts, and of queries made between them, while another thread merges. Returns them as a
-/// part of the JSON.
+/// The slowest of `count` single inserts, and of queries made between them, while another thread merges. Returns them
+/// as a part of the JSON.
 fn slowest(count: usize) -> String {
     let (rows, query_rows) = (states(count, SEED), states(QUERIES, SEED + 1));
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));

@@ -8,7 +8,7 @@ use wayfold_index::{
     search_overlaid,
 };
 
-/// Ids stored with a coordinate, or removed.
+/// The ids that a change stores with a coordinate, and the ids that it removes.
 type Changes = BTreeMap<u64, Option<u8>>;
 
 fn changes() -> impl Strategy<Value = Changes> {

@@ -1,4 +1,4 @@
-//! The canonical form of states, and what is refused.
+//! The canonical form of states, and the states that are refused.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
 
@@ -111,12 +111,12 @@ fn refusals_name_the_coordinate() {
         [0.0, 0.0, 0.0, 0.0, -infinity],
         "coords[4]: infinite",
     );
-    // NaN is named before the norm that it spoils.
+    // The error names NaN before the norm that it spoils.
     assert_refused("SO3", [2.0, 0.0, 0.0, nan], "coords[3]: NaN");
 }
 
 #[test]
-fn refuses_what_is_no_unit_quaternion() {
+fn refuses_quaternions_that_are_not_unit() {
     // A row of SE(3) shifted by one column.
     let error = assert_refused(
         "R3*SO3:0.15",
@@ -158,7 +158,7 @@ fn refuses_rows_of_another_width() {
     );
 }
 
-/// The remainder by another road: Rust's `%` is exact, and so is the last step, by Sterbenz's lemma.
+/// The remainder computed another way: Rust's `%` is exact, and so is the last step, by Sterbenz's lemma.
 fn wrapped(angle: f64, period: f64) -> f64 {
     let r = angle % period;
     let half = period / 2.0;
@@ -255,7 +255,7 @@ proptest! {
         exponent in -320..0_i32,
         length in prop_oneof![Just(1.0), 0.9901..1.0099],
     ) {
-        // One coordinate at least is large, some are tiny, down to subnormal.
+        // At least one coordinate is large, and some are tiny, down to subnormal.
         let mut q: [f64; 4] =
             std::array::from_fn(|i| if small[i] { q[i] * 10_f64.powi(exponent) } else { q[i] });
         q[large.0] = large.1;

@@ -1,4 +1,4 @@
-//! Distances against values worked out independently: by hand, or with mpmath at 40 digits where a literal stands.
+//! Distances against independent values: derived by hand, or literals from mpmath at 40 digits.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
 
@@ -106,8 +106,8 @@ fn rotations_are_the_arc_cosine_of_the_dot_product() {
     }
 }
 
-/// Where the cosine is 1 to the last bit, its arc cosine is 0 or worse than no answer: see W. Kahan, "How Futile are
-/// Mindless Assessments of Roundoff", on the angle between vectors. The sine of a small t is t − t³/6.
+/// Near a cosine of 1, the arc cosine is 0 or has no correct digit; see W. Kahan, "How Futile are Mindless Assessments
+/// of Roundoff", on the angle between vectors. The sine of a small t is t − t³/6.
 #[test]
 fn small_rotations_keep_all_their_digits() {
     for t in [1e-4, 1e-7, 1e-9, 1e-12, 1e-15, 1e-100] {
@@ -131,7 +131,7 @@ fn nearly_equal_rotations_are_not_equal() {
 
 #[test]
 fn a_weight_within_a_product_multiplies_the_square() {
-    // 3-4-5 in the plane and a quarter turn: √(25 + 0.15·(π/4)²), the paper's weights for SE(3).
+    // A translation by 3-4-5 and a quarter turn: √(25 + 0.15·(π/4)²), the paper's weights for SE(3).
     let (a, b) = ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], rotation(Z, FRAC_PI_2));
     let b = [3.0, 4.0, 0.0, b[0], b[1], b[2], b[3]];
     for space in ["R3*SO3:0.15", "mpnn-se3"] {

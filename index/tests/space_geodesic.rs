@@ -1,4 +1,4 @@
-//! States between states, against known values and against the metric.
+//! Interpolated states, against known values and against the metric.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
 
@@ -55,7 +55,7 @@ fn rotations_turn_about_a_fixed_axis() {
     let (a, b) = (about_z(FRAC_PI_6), about_z(FRAC_PI_2));
     assert_near(&between("SO3", &a, &b, 0.5), &about_z(FRAC_PI_3));
     assert_near(&between("SO3", &a, &b, 0.25), &about_z(FRAC_PI_4));
-    // A sixth forwards and a third backwards: the short way is through nothing, whatever the signs.
+    // A sixth forwards and a third backwards: the short way is through 0, for any signs.
     let back = about_z(-FRAC_PI_3);
     for b in [back, back.map(|x| -x)] {
         assert_near(&between("SO3", &a, &b, 1.0 / 3.0), &about_z(0.0));

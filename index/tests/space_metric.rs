@@ -1,5 +1,5 @@
 //! The axioms of a metric, factor by factor and composed: non-negativity, identity, symmetry to the bit, the triangle
-//! inequality, and that what is identified is the same.
+//! inequality, and equal distances of identified states.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
 

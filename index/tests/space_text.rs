@@ -24,7 +24,7 @@ fn space(groups: &[GroupOf<'_>]) -> Space {
     Space::new(groups.collect()).unwrap()
 }
 
-/// Texts, what they print as, and what they mean.
+/// The texts, their printed forms, and their groups.
 #[test]
 fn reads_what_the_grammar_says() {
     let body: &[(Factor, f64)] = &[(R3, 1.0), (SO3, 0.15)];
@@ -160,7 +160,7 @@ fn reads_what_the_grammar_says() {
                 (1.0, &[(R3, 1.0)]),
             ],
         ),
-        // Numbers print with the fewest digits that say the same.
+        // Numbers print with the fewest digits that parse to the same value.
         ("R1:1e-7", "R1:1e-7", &[(1.0, &[(R1, 1e-7)])]),
         ("R1:0.10000000000000001", "R1:0.1", &[(1.0, &[(R1, 0.1)])]),
         (
@@ -288,7 +288,7 @@ proptest! {
     })]
 
     #[test]
-    fn what_is_printed_is_read_as_the_same_space(space in spaces()) {
+    fn printed_text_is_read_as_the_same_space(space in spaces()) {
         let text = space.to_string();
         let read: Space = text.parse().unwrap_or_else(|error| panic!("{error}"));
         prop_assert_eq!(&read, &space, "{}", text);

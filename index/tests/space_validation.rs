@@ -1,4 +1,4 @@
-//! Which spaces there are, which not, and which are equal.
+//! Valid spaces, invalid spaces, and equal spaces.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
 
@@ -62,10 +62,10 @@ fn at_least_one_factor_counts() {
     let refused = Err(SpaceError::NoWeight);
     assert_eq!(Space::product(vec![term(R1, 0.0)]), refused);
     assert_eq!(Space::new(vec![group(0.0, &[R1.into()])]), refused);
-    // A weight within a group that does not count, and a group of terms that do not.
+    // One group has the weight 0, and the terms of the other have it.
     let crossed = vec![group(0.0, &[R1.into()]), group(1.0, &[term(R1, 0.0)])];
     assert_eq!(Space::new(crossed), refused);
-    // The smallest weights count, though their product is no number.
+    // The smallest weights are valid, although their product underflows.
     assert!(Space::new(vec![group(1e-300, &[term(R1, 1e-300)])]).is_ok());
 }
 

@@ -19,7 +19,7 @@ QUERIES = 3_000
 K = 10
 # Rows a call.
 BATCH = 500
-# Of the inserted rows, one in so many has the neighbours that Insert answered compared.
+# The neighbours in the answer of Insert are compared for one in this many rows.
 INSERTS_COMPARED = 10
 
 
@@ -96,7 +96,7 @@ def compare(client: Client, name: str, make, minimum: int):
     queries = roadmap.queries(QUERIES)
     rows = roadmap.rows(queries)
     nearest = list(client.knn(name, rows, K))
-    # A radius that about thirty vertices of a typical neighbourhood lie within.
+    # A radius that contains about thirty vertices of a typical neighbourhood.
     radius = float(np.median([distances[-1] for _, distances in nearest])) * 1.25
     within = list(client.query(name, rows, radius))
     took = time.monotonic() - started
@@ -142,5 +142,5 @@ if __name__ == "__main__":
     except (AssertionError, RuntimeError, grpc.RpcError) as error:
         sys.exit(f"error: {error}")
     sys.stdout.flush()
-    # OMPL's bindings report what the interpreter has not freed, thousands of states, on the way out.
+    # At exit, OMPL's bindings report thousands of states that the interpreter has not freed.
     os._exit(0)

@@ -61,7 +61,7 @@ class Oracle:
         for vertex in expected.symmetric_difference(ids):
             if abs(d[vertex] - radius) > self._tolerance(query, vertex):
                 raise Mismatch(f"vertex {vertex} at {d[vertex]!r} is on the wrong side of radius {radius!r}")
-        # What lies on the sphere itself within the tolerance may be on either side of it.
+        # A vertex whose distance equals the radius within the tolerance may be inside or outside.
         self._check_order(figures, query, d, self._nearest(d, radius, set(ids)), ids, distances)
 
     @staticmethod

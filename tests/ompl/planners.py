@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "src" 
 from checks import Scene  # noqa: E402
 
 ROTATION_WEIGHT = math.sqrt(0.15)
-# How long a planner may take for a question before the comparison gives up on it.
-PATIENCE_S = 120.0
+# The maximum time of a planner for a question, after which the comparison fails.
+MAX_WAIT_S = 120.0
 PLANNERS = {
     "PRM": lambda information: geometric.PRM(information),
     "PRM*": lambda information: geometric.PRM(information, True),
@@ -71,11 +71,11 @@ class Problem:
         self.space.setSubspaceWeight(1, ROTATION_WEIGHT)
         self.information = base.SpaceInformation(self.space)
         self.information.setStateValidityChecker(self.is_valid)
-        # Held here, as what Python overrides lives as long as Python holds it.
+        # This reference keeps the Python override alive.
         self.motions = Motions(self.information, self)
         self.information.setMotionValidator(self.motions)
         self.information.setup()
-        # Any path will do: PRM* would make it shorter until its time is over.
+        # Any path ends the run: PRM* would shorten it until its time is over.
         self.objective = base.PathLengthOptimizationObjective(self.information)
         self.objective.setCostThreshold(self.objective.infiniteCost())
 
@@ -119,13 +119,13 @@ def answer(scene: Scene, name: str) -> Run:
     for definition in definitions:
         if single_query:
             planner.clear()
-        # A roadmap stays; the ends of the question before are milestones of it by now.
+        # The roadmap stays, so the ends of the previous question are milestones of it.
         planner.setProblemDefinition(definition)
         began = time.perf_counter()
-        solved = planner.solve(base.timedPlannerTerminationCondition(PATIENCE_S))
+        solved = planner.solve(base.timedPlannerTerminationCondition(MAX_WAIT_S))
         seconds += time.perf_counter() - began
         if not solved or not definition.hasExactSolution():
-            raise RuntimeError(f"{name} found no path in {PATIENCE_S:.0f} s")
+            raise RuntimeError(f"{name} found no path in {MAX_WAIT_S:.0f} s")
         if single_query:
             nodes += vertices(problem, planner)
     run = problem.run(seconds, nodes or planner.milestoneCount(), [])

@@ -43,7 +43,7 @@ class Roadmap:
                 case 0:
                     sampler.sampleUniform(state)
                 case 1:
-                    # From a collision-checking step down to far below OMPL's smallest rotation.
+                    # The distances range from a collision-checking step down to far below OMPL's smallest rotation.
                     sampler.sampleUniformNear(state, near, 10.0 ** -(i % 7))
                 case _:
                     self.space.copyState(state, near)
@@ -97,7 +97,8 @@ def prm_in_se3(vertices: int) -> Roadmap:
     planner = geometric.PRM(si)
     planner.setProblemDefinition(problem)
     planner.setup()
-    # By count, not by time: the same roadmap on every machine. Vertices without an edge are not in the PlannerData.
+    # The limit is a count, not a time, so the roadmap is the same on every machine. Vertices without an edge are not in
+    # the PlannerData.
     wanted = vertices + vertices // 20
     planner.growRoadmapPtc(base.PlannerTerminationCondition(lambda: planner.milestoneCount() >= wanted))
 

@@ -61,10 +61,10 @@ def main():
     checking: list[float] = []
     few = max(runs // 4, 1) if arguments.milestones > 0 else 0
     with tempfile.TemporaryDirectory() as directory:
-        # Not counted, as the program's own first run.
+        # The first run is not counted, like the program's own first run.
         for name in PLANNERS:
             answer(scene, name)
-        # In turns, so that what else the machine does meets all.
+        # The planners take turns, so that other load on the machine affects all of them.
         for seed in range(1, runs + 1):
             for name in PLANNERS:
                 solved.setdefault(f"OMPL {name}", []).append(answer(scene, name))
@@ -106,5 +106,5 @@ if __name__ == "__main__":
     except (AssertionError, RuntimeError, OSError, subprocess.CalledProcessError) as error:
         sys.exit(f"error: {error}")
     sys.stdout.flush()
-    # OMPL's bindings report what the interpreter has not freed on the way out.
+    # At exit, OMPL's bindings report objects that the interpreter has not freed.
     os._exit(0)

@@ -12,8 +12,8 @@ from grpc_tools import protoc
 
 PROTO = Path(__file__).resolve().parents[2] / "proto"
 READY = "listening on http://"
-# How long the server may take to come up or to stop before the comparison gives up on it.
-PATIENCE_S = 60
+# The maximum time for the server to start or to stop, after which the comparison fails.
+MAX_WAIT_S = 60
 
 
 def generate_stubs(directory: str):
@@ -44,7 +44,7 @@ class Server:
             stderr=self.stderr,
             text=True,
         )
-        watchdog = threading.Timer(PATIENCE_S, self.process.kill)
+        watchdog = threading.Timer(MAX_WAIT_S, self.process.kill)
         watchdog.start()
         first = self.process.stdout.readline().strip()
         watchdog.cancel()
@@ -52,14 +52,14 @@ class Server:
             self.process.kill()
             raise RuntimeError(f"the server said {first!r} and not that it listens\n{self._log()}")
         self.address = first.removeprefix(READY)
-        # Nobody reads the rest; a full pipe must not stop the server.
+        # The rest is discarded, because a full pipe would stop the server.
         threading.Thread(target=self.process.stdout.read, daemon=True).start()
         return self
 
     def __exit__(self, kind, error, trace):
         self.process.terminate()
         try:
-            status = self.process.wait(PATIENCE_S)
+            status = self.process.wait(MAX_WAIT_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             status = "none: it did not stop"

@@ -17,12 +17,12 @@ fn main() {
         .opt_level(3)
         .define("NDEBUG", None)
         .force_frame_pointer(false)
-        // Of nanoflann's forest, which copies empty trees.
+        // nanoflann's forest copies empty trees, which causes this warning.
         .flag_if_supported("-Wno-maybe-uninitialized")
         .files(["peer", "nanoflann", "ann", "gnat"].map(|name| format!("cpp/{name}.cpp")))
         .flag("-isystem")
         .flag("/usr/include/eigen3");
-    // A portable build says what ours loses; the peers are not measured in it.
+    // A portable build measures only the loss of our index, not the peers.
     if env::var_os("PEERS_PORTABLE").is_none() {
         build.flag("-march=native");
     }
@@ -34,7 +34,7 @@ fn main() {
     println!("cargo::rustc-link-lib=ann");
 }
 
-/// Debian has the headers in a folder that is named by their version.
+/// Debian's folder of the headers is named by their version.
 fn ompl_headers() -> Vec<PathBuf> {
     let folders = fs::read_dir("/usr/include").into_iter().flatten().flatten();
     let is_ompl = |path: &PathBuf| path.join("ompl/config.h").exists();

@@ -1,22 +1,22 @@
 /* A disk that fails and comes back, put before a program by LD_PRELOAD.
  *
- *   FAILING_DISK     a directory, as an absolute path without links; only what is under it fails
- *   FAILING_CONTROL  a file, not under it: while it is there, the disk fails
+ *   FAILING_DISK     a directory, as an absolute path without links; only files under it fail
+ *   FAILING_CONTROL  a file, not under it: while it exists, the disk fails
  *
- * The file says in one line what fails, with which number of errno, and, if anything follows, only where that is part of
- * the path:
+ * The file has one line: which calls fail, the number of errno, and optionally a part of the path to which this is
+ * limited:
  *
- *   full 28             no room: whatever makes a file or a directory, and writing
- *   torn 28             as before, but of every other write the first half is written
- *   readonly 30         opening to write or to make, writing, renaming, removing, syncing
- *   syncs 5             fsync and fdatasync alone
- *   full 28 /tables/    no room for files whose path has this in it
- *   large 28 1000000    little room: none for more than so many bytes of a file, unless it is a journal (*.jnl), whose room
- *                       is taken in advance
+ *   full 28             no room: making a file or a directory fails, and writing
+ *   torn 28             the same, but every other write writes its first half
+ *   readonly 30         opening to write or to make, writing, renaming, removing and syncing fail
+ *   syncs 5             only fsync and fdatasync fail
+ *   full 28 /tables/    no room for files whose path contains this
+ *   large 28 1000000    little room: a write at or beyond this offset fails, unless the file is a journal (*.jnl),
+ *                       whose room is taken in advance
  *
- * Descriptors are asked for their path each time, so it does not matter by which call they were made. The file is looked
- * for at each call that could fail: it fails from the moment on at which the file has its name. Calls that a program
- * makes of the kernel directly are not caught. */
+ * Each call reads the path of its descriptor, so the call that made the descriptor does not matter. Each call looks for
+ * the control file, so the disk fails from the moment at which the file has its name. System calls that a program makes
+ * without the C library are not caught. */
 
 #define _GNU_SOURCE
 #include <errno.h>
@@ -35,7 +35,7 @@
 
 enum { PATH_BYTES = 4096 };
 
-/* What a call would do. */
+/* The effect of a call. */
 enum call { MAKES = 1, WRITES = 2, OPENS = 4, NAMES = 8, SYNCS = 16 };
 
 static const char *root, *control;
@@ -56,7 +56,7 @@ struct failure {
     bool half;
 };
 
-/* Whether such a call fails now; 0 if not. With the offset from which it writes. */
+/* The failure of such a call at this moment, number 0 if there is none; `at` is the offset at which it writes. */
 static struct failure failure(enum call call, const char *path, off_t at) {
     struct failure none = {0, false};
     int before = errno;
@@ -85,7 +85,7 @@ static struct failure failure(enum call call, const char *path, off_t at) {
     return call & failing ? found : none;
 }
 
-/* Of a descriptor; below 0 it writes where that stands. */
+/* The failure of a call on a descriptor; a negative `at` is the position of the descriptor. */
 static struct failure failure_of(enum call call, int fd, off_t at) {
     char link[64], path[PATH_BYTES];
     snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
@@ -97,14 +97,14 @@ static struct failure failure_of(enum call call, int fd, off_t at) {
     return failure(call, path, at < 0 ? lseek64(fd, 0, SEEK_CUR) : at);
 }
 
-/* Of a call that returns -1 and the number. */
+/* Sets errno and returns true if there is a failure. */
 static bool fails(struct failure failure) {
     if (failure.number == 0) return false;
     errno = failure.number;
     return true;
 }
 
-/* The calls that are caught. Paths that are not absolute are none of the disk's. */
+/* The calls that are caught. Relative paths are not under the disk. */
 
 static int opened(int at, const char *path, int flags, mode_t mode) {
     struct stat stat;
@@ -118,7 +118,7 @@ static int opened(int at, const char *path, int flags, mode_t mode) {
 
 int mkdir(const char *path, mode_t mode) {
     struct stat stat;
-    /* Of one that is there the system says just that. */
+    /* For an existing directory, the kernel returns EEXIST. */
     bool makes = fstatat(AT_FDCWD, path, &stat, 0) != 0;
     if (makes && fails(failure(MAKES, path, 0))) return -1;
     return syscall(SYS_mkdirat, AT_FDCWD, path, mode);
@@ -134,16 +134,16 @@ int unlink(const char *path) {
     return syscall(SYS_unlinkat, AT_FDCWD, path, 0);
 }
 
-/* How many bytes of so many to write; below 0 if it fails. */
-static ssize_t most(int fd, size_t length, off_t at) {
+/* The number of bytes to write of `length`; negative if the write fails. */
+static ssize_t writable(int fd, size_t length, off_t at) {
     struct failure found = failure_of(WRITES, fd, at);
     if (found.half && length > 1 && atomic_fetch_add(&torn, 1) % 2 == 0) return length / 2;
     return fails(found) ? -1 : (ssize_t)length;
 }
 
 ssize_t write(int fd, const void *bytes, size_t length) {
-    ssize_t few = most(fd, length, -1);
-    return few < 0 ? -1 : syscall(SYS_write, fd, bytes, few);
+    ssize_t allowed = writable(fd, length, -1);
+    return allowed < 0 ? -1 : syscall(SYS_write, fd, bytes, allowed);
 }
 
 ssize_t writev(int fd, const struct iovec *parts, int count) {
@@ -152,8 +152,8 @@ ssize_t writev(int fd, const struct iovec *parts, int count) {
 }
 
 ssize_t pwrite64(int fd, const void *bytes, size_t length, off64_t at) {
-    ssize_t few = most(fd, length, at);
-    return few < 0 ? -1 : syscall(SYS_pwrite64, fd, bytes, few, at);
+    ssize_t allowed = writable(fd, length, at);
+    return allowed < 0 ? -1 : syscall(SYS_pwrite64, fd, bytes, allowed, at);
 }
 
 ssize_t pwrite(int fd, const void *bytes, size_t length, off_t at) { return pwrite64(fd, bytes, length, at); }

@@ -1,4 +1,4 @@
-/* The calls that open a file, all of them caught in one place: opened(), which the file that includes this defines. */
+/* The calls that open a file. Each calls opened(), which the file that includes this defines. */
 
 #include <fcntl.h>
 #include <stdarg.h>

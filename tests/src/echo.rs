@@ -20,7 +20,7 @@ use wayfold_proto::v1::{
 
 const UID: &str = "00000000-0000-4000-8000-000000000000";
 /// The number of answers by which a stream may be ahead of its reader.
-const AHEAD: usize = 32;
+const MAX_QUEUED: usize = 32;
 const MAX_MESSAGE_BYTES: usize = 16 << 20;
 
 /// Serves until it is killed. It prints its address as the server does.
@@ -50,13 +50,13 @@ pub fn main() -> ExitCode {
     ExitCode::SUCCESS
 }
 
-type Made<By, Answer> = Arc<Mutex<HashMap<By, Answer>>>;
+type AnswerCache<By, Answer> = Arc<Mutex<HashMap<By, Answer>>>;
 
 /// The answers by their numbers of rows and of neighbours.
 #[derive(Clone, Debug, Default)]
 struct Echo {
-    neighbors: Made<(usize, u32), KnnResponse>,
-    outcomes: Made<(usize, Option<u32>), InsertResponse>,
+    neighbors: AnswerCache<(usize, u32), KnnResponse>,
+    outcomes: AnswerCache<(usize, Option<u32>), InsertResponse>,
 }
 
 impl Echo {
@@ -135,7 +135,7 @@ impl PointService for Echo {
         request: Request<Streaming<StreamKnnRequest>>,
     ) -> Answer<Self::StreamKnnStream> {
         let mut requests = request.into_inner();
-        let (sender, answers) = mpsc::channel(AHEAD);
+        let (sender, answers) = mpsc::channel(MAX_QUEUED);
         let echo = self.clone();
         tokio::spawn(async move {
             while let Ok(Some(StreamKnnRequest { knn: Some(request) })) = requests.message().await {

@@ -16,7 +16,7 @@ mod stubs;
 
 pub use content::{Content, StoredPoint};
 pub use model::Model;
-pub use process::{Finished, Process, ServerProcess, Signal};
+pub use process::{Process, ProcessOutput, ServerProcess, Signal};
 pub use refusal::Refusal;
 pub use states::States;
 pub use stubs::{INCLUDE_ALL, Stubs, bits, k_nearest, neighbor_rows, number, revision, row_states};

@@ -67,8 +67,8 @@ impl Model {
             let id = request.ids.get(i).copied();
             if let Some(query) = &request.neighbors {
                 let expected = self.neighbors(query, row, id);
-                let told = neighbors.next().expect("an entry a row");
-                assert_eq!(told, expected, "neighbours of row {i} of {request:?}");
+                let entry = neighbors.next().expect("an entry a row");
+                assert_eq!(entry, expected, "neighbours of row {i} of {request:?}");
             }
             let tag = request.tags.get(i).copied().unwrap_or_default();
             let payload = request.payloads.get(i).cloned().unwrap_or_default();
@@ -156,21 +156,21 @@ impl Model {
     /// Panics where [`Model::check`] does.
     pub fn get(&self, request: &GetRequest, response: &GetResponse) {
         assert_eq!(number(&response.revision), self.revision);
-        let told = response.points.as_ref().expect("points");
-        let rows = told.states.as_ref().expect("states");
-        assert_eq!(told.ids, request.ids);
-        assert_eq!(rows.row_count as usize, told.ids.len());
+        let stored = response.points.as_ref().expect("points");
+        let rows = stored.states.as_ref().expect("states");
+        assert_eq!(stored.ids, request.ids);
+        assert_eq!(rows.row_count as usize, stored.ids.len());
         let width = self.points.space().coordinates();
-        for (i, id) in told.ids.iter().enumerate() {
+        for (i, id) in stored.ids.iter().enumerate() {
             let point = self.points.get(*id).expect("a point that was there");
             let row = &rows.coordinates[i * width..][..width];
             assert_eq!(
-                (bits(row), told.tags[i], told.revisions[i]),
+                (bits(row), stored.tags[i], stored.revisions[i]),
                 (bits(point.row), point.tag, point.revision),
                 "point {id} at revision {}",
                 self.revision
             );
-            assert_eq!(told.payloads[i], self.payloads[id]);
+            assert_eq!(stored.payloads[i], self.payloads[id]);
         }
     }
 
@@ -199,13 +199,13 @@ impl Model {
         neighbors: Option<&Neighbors>,
     ) {
         let rows = self.canonical(states);
-        let mut told = expected_rows(true, neighbors);
+        let mut entries = expected_rows(true, neighbors);
         for (i, row) in rows.iter().enumerate() {
-            let told = told.next().expect("an entry a state");
+            let entry = entries.next().expect("an entry a state");
             let expected = self.search(row, search);
-            assert_eq!(told, expected, "state {i} at revision {}", self.revision);
+            assert_eq!(entry, expected, "state {i} at revision {}", self.revision);
         }
-        assert_eq!(told.next(), None);
+        assert_eq!(entries.next(), None);
     }
 
     fn neighbors(&self, spec: &NeighborSpec, row: &[f64], id: Option<u64>) -> Vec<(u64, u64)> {

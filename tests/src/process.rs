@@ -10,7 +10,7 @@ use std::{
 };
 
 /// The maximum time that a test waits for the next line or the end of a process.
-const PATIENCE: Duration = Duration::from_secs(120);
+const MAX_WAIT: Duration = Duration::from_secs(120);
 
 /// The signal to send to a process.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +25,7 @@ pub enum Signal {
 
 /// The end of a process.
 #[derive(Debug)]
-pub struct Finished {
+pub struct ProcessOutput {
     /// Its exit status.
     pub status: ExitStatus,
     /// The lines of its standard output that were not read before.
@@ -104,7 +104,7 @@ impl Process {
     ///
     /// # Panics
     /// Panics where [`Process::signal`] and [`Process::finish`] do.
-    pub fn stop(mut self, signal: Signal) -> Finished {
+    pub fn stop(mut self, signal: Signal) -> ProcessOutput {
         match signal {
             // The kill is immediate: it starts no other program.
             Signal::Kill => self.child.kill().expect("a child of this process"),
@@ -173,14 +173,14 @@ impl Process {
     ///
     /// # Panics
     /// If it says nothing for two minutes and lives on.
-    pub fn finish(mut self) -> Finished {
+    pub fn finish(mut self) -> ProcessOutput {
         drop(self.child.stdin.take());
         let mut stdout = Vec::new();
         while let Some(line) = self.line() {
             stdout.push(line);
         }
         let status = self.child.wait().expect("a child of this process");
-        Finished {
+        ProcessOutput {
             status,
             stdout,
             stderr: self.log(),
@@ -209,7 +209,7 @@ fn read_lines(stream: impl Read + Send + 'static) -> Receiver<String> {
 }
 
 fn next(lines: &Receiver<String>) -> Option<String> {
-    match lines.recv_timeout(PATIENCE) {
+    match lines.recv_timeout(MAX_WAIT) {
         Ok(line) => Some(line),
         Err(mpsc::RecvTimeoutError::Disconnected) => None,
         Err(mpsc::RecvTimeoutError::Timeout) => panic!("a process says nothing and lives on"),
@@ -303,7 +303,7 @@ impl ServerProcess {
     ///
     /// # Panics
     /// Panics where [`Process::finish`] does.
-    pub fn finish(self) -> Finished {
+    pub fn finish(self) -> ProcessOutput {
         self.process.finish()
     }
 
@@ -311,7 +311,7 @@ impl ServerProcess {
     ///
     /// # Panics
     /// Panics where [`Process::signal`] and [`Process::finish`] do.
-    pub fn stop(self, signal: Signal) -> Finished {
+    pub fn stop(self, signal: Signal) -> ProcessOutput {
         self.process.stop(signal)
     }
 }

@@ -11,9 +11,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The most words of the README outside code and tables.
+/// The maximum number of words of the README outside code and tables.
 const MAX_README_WORDS: usize = 1_500;
-/// The most rows of a table in the README.
+/// The maximum number of rows of a table in the README.
 const MAX_README_ROWS: usize = 8;
 
 fn root() -> PathBuf {
@@ -21,7 +21,7 @@ fn root() -> PathBuf {
     tests.parent().unwrap().to_owned()
 }
 
-/// All pages below `directory`, except in hidden directories and in what a build makes.
+/// Collects all pages below `directory`, except in hidden directories and in the output of builds.
 fn collect(directory: &Path, pages: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(directory).unwrap() {
         let path = entry.unwrap().path();

@@ -14,11 +14,11 @@ import zenoh
 import mixed
 from faces import PREFIX, Json, Protobuf, Refused, connect, only
 from planner import entry
-from processes import PATIENCE_S, Server, generate_stubs, load_stubs
+from processes import MAX_WAIT_S, Server, generate_stubs, load_stubs
 
 README = Path(__file__).resolve().parents[2] / "README.md"
-# Where the server listens in the README.
-USUAL = "tcp/127.0.0.1:7448"
+# The server's address in the README.
+README_ADDRESS = "tcp/127.0.0.1:7448"
 ROUNDS = 120
 MILESTONES = 150
 ROWS = [[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]]
@@ -51,7 +51,7 @@ def drive(face, index_pb, pb, types):
     events = face.session.declare_subscriber(f"{PREFIX}/{name}/{face.events}", told.put)
 
     def event():
-        return face.read(told.get(timeout=PATIENCE_S), pb.WatchResponse)
+        return face.read(told.get(timeout=MAX_WAIT_S), pb.WatchResponse)
 
     expect(event().revision, types.Revision(uid=uid, number=0))
 
@@ -110,7 +110,7 @@ def drive(face, index_pb, pb, types):
     other = pb.RemoveRequest(index_name=name, ids=[2], uid="another")
     refused(9, "UID_MISMATCH", lambda: face.ask(f"{name}/remove", other, pb.RemoveResponse))
 
-    tokens = face.session.liveliness().get(f"{PREFIX}/{name}/@alive", timeout=PATIENCE_S)
+    tokens = face.session.liveliness().get(f"{PREFIX}/{name}/@alive", timeout=MAX_WAIT_S)
     expect([str(token.ok.key_expr) for token in tokens], [f"{PREFIX}/{name}/@alive"])
     deleted = face.ask("delete", index_pb.DeleteIndexRequest(index_name=name, uid=uid), index_pb.DeleteIndexResponse)
     expect(deleted.uid, uid)
@@ -141,8 +141,8 @@ def readme(session: zenoh.Session, server: Server):
     """The example of the README does what it says."""
     text = README.read_text()
     example = text.split("```python\n")[1].split("```")[0]
-    expect(example.count(USUAL), 1)
-    exec(example.replace(USUAL, server.locator), {})
+    expect(example.count(README_ADDRESS), 1)
+    exec(example.replace(README_ADDRESS, server.locator), {})
     reply = only(session, "wrist/info")
     expect(json.loads(reply.ok.payload.to_string())["index"]["point_count"], 2)
 
@@ -150,7 +150,7 @@ def readme(session: zenoh.Session, server: Server):
 def share(server: Server, programs: Path, directory: str, face: Protobuf, pb, types):
     """Two planners over Zenoh and two over gRPC share an index; each of their answers equals brute force."""
     only(face.session, "create", payload=json.dumps({"name": "roadmap", "space_text": "R3*SO3:0.15"}))
-    # Assigned ids run above this one, those that the planners give below.
+    # Assigned ids are above this one, the planners' own ids below.
     pose = types.States(row_count=1, coordinates=[5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0])
     root = pb.InsertRequest(index_name="roadmap", states=pose, ids=[1 << 48])
     rooted = face.ask("roadmap/insert", root, pb.InsertResponse)
@@ -173,12 +173,12 @@ def share(server: Server, programs: Path, directory: str, face: Protobuf, pb, ty
             process.stdin.write("go\n")
             process.stdin.flush()
         for process in planners:
-            expect(process.wait(PATIENCE_S), 0)
+            expect(process.wait(MAX_WAIT_S), 0)
     finally:
         for process in planners:
             process.kill()
     check = [programs / "ledger-check", server.uri, "roadmap", f"{directory}/root.ledger", *ledgers]
-    subprocess.run(check, check=True, timeout=PATIENCE_S)
+    subprocess.run(check, check=True, timeout=MAX_WAIT_S)
 
 
 def main():

@@ -82,7 +82,7 @@ class Json:
     def ask(self, key: str, request, answer):
         """As Protobuf.ask."""
         fields = to_json(request)
-        # The key names it, but for the one to delete.
+        # The key names the index, except in a deletion.
         if key != "delete":
             fields.pop("index_name", None)
         reply = only(self.session, key, payload=json.dumps(fields), encoding=zenoh.Encoding.APPLICATION_JSON)
@@ -140,7 +140,7 @@ def from_json(fields, message):
         fields["neighbors"] = neighbors
     if kind == "Neighbors":
         message.counts.extend(len(row) for row in fields["ids"])
-        # What was found of each state is a row of its own.
+        # The result of each state is a row.
         fields = {name: [value for row in rows for value in row] for name, rows in fields.items()}
     for name, value in fields.items():
         field = message.DESCRIPTOR.fields_by_name[name]

@@ -7,15 +7,15 @@ import sys
 import threading
 from pathlib import Path
 
-from processes import PATIENCE_S, Server
+from processes import MAX_WAIT_S, Server
 
 INDEX = "prm"
 SEED = 5
-# Those of the program `rigid`, and where their first neighbours come from.
+# The workers of the program `rigid`, and the source of their first neighbours.
 SOURCES = ["server", "replica"]
 FORMS = ["protobuf", "json"]
-# How many milestones each worker over Zenoh makes at least.
-LEAST = 15
+# The minimum number of milestones of each worker over Zenoh.
+MIN_MILESTONES = 15
 
 
 class Planner:
@@ -33,9 +33,9 @@ class Planner:
         self.lines.put(None)
 
     def next(self):
-        line = self.lines.get(timeout=PATIENCE_S)
+        line = self.lines.get(timeout=MAX_WAIT_S)
         if line is None:
-            raise RuntimeError(f"a worker ended early: status {self.process.wait(PATIENCE_S)}")
+            raise RuntimeError(f"a worker ended early: status {self.process.wait(MAX_WAIT_S)}")
         return line
 
     def begin(self):
@@ -61,13 +61,13 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
             job |= {"source": source, "batch": 3, "min-separation": 0.0, "progress-ms": 0}
             planners.append(Planner([rigid, "work", *(f"--{name}={value}" for name, value in job.items())]))
         for number, form in enumerate(FORMS, len(SOURCES)):
-            job = [server.locator, INDEX, form, number, SEED, milestones, LEAST, programs, stubs]
+            job = [server.locator, INDEX, form, number, SEED, milestones, MIN_MILESTONES, programs, stubs]
             planners.append(Planner([sys.executable, worker, *map(str, job)]))
         for planner in planners:
             if planner.next() != "ready":
                 raise AssertionError("a worker begins before it is told to")
-        # Those over Zenoh have looked at the empty roadmap. However all are scheduled, they meet milestones of each of
-        # the others when they insert what they looked at.
+        # The workers over Zenoh have read the empty roadmap. In any schedule, they therefore meet milestones of each of
+        # the others when they insert.
         grpc, zenoh = planners[: len(SOURCES)], planners[len(SOURCES) :]
         for planner in grpc:
             planner.begin()
@@ -78,21 +78,21 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
             planner.begin()
         accounts = [planner.account(sys.maxsize) for planner in zenoh]
         for planner in planners:
-            if planner.process.wait(PATIENCE_S) != 0:
+            if planner.process.wait(MAX_WAIT_S) != 0:
                 raise AssertionError(f"a worker's exit status is {planner.process.returncode}")
     finally:
         for planner in planners:
             planner.process.kill()
-            planner.process.wait(PATIENCE_S)
+            planner.process.wait(MAX_WAIT_S)
 
     audit = [rigid, "audit", f"--server={server.uri}", f"--index={INDEX}"]
-    audited = subprocess.run(audit, check=True, stdout=subprocess.PIPE, text=True, timeout=PATIENCE_S)
+    audited = subprocess.run(audit, check=True, stdout=subprocess.PIPE, text=True, timeout=MAX_WAIT_S)
     told = json.loads(audited.stdout)
     made = {int(number): count for number, count in told["workers"].items()}
     if sorted(made) != list(range(len(planners))) or told["milestones"] < milestones:
         raise AssertionError(f"not all workers made milestones, or too few: {told}")
     for number, account in enumerate(accounts, len(SOURCES)):
-        if account["milestones"] != made[number] or made[number] < LEAST or account["meanwhile"] < 2:
+        if account["milestones"] != made[number] or made[number] < MIN_MILESTONES or account["meanwhile"] < 2:
             raise AssertionError(f"worker {number} says {account}, and made {made[number]}")
     shares = ", ".join(f"{count} by worker {number}" for number, count in sorted(made.items()))
     return f"{told['milestones']} milestones ({shares}), {told['edges']} edges"

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 PROTO = Path(__file__).resolve().parents[2] / "proto"
-# How long a process may take to come up or to stop before the test gives up on it.
-PATIENCE_S = 120
+# The maximum time for a process to start or to stop, after which the test fails.
+MAX_WAIT_S = 120
 
 
 def generate_stubs(directory: str):
@@ -49,5 +49,5 @@ class Server:
     def __exit__(self, kind, error, trace):
         self.process.terminate()
         self.process.stdout.read()
-        if self.process.wait(PATIENCE_S) != 0 and kind is None:
+        if self.process.wait(MAX_WAIT_S) != 0 and kind is None:
             raise RuntimeError(f"the server's exit status is {self.process.returncode}")

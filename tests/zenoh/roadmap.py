@@ -1,9 +1,9 @@
 """A worker of the program `rigid` in Python, over Zenoh:
-roadmap.py LOCATOR INDEX FORM NUMBER SEED MILESTONES LEAST PROGRAMS STUBS.
+roadmap.py LOCATOR INDEX FORM NUMBER SEED MILESTONES MIN_MILESTONES PROGRAMS STUBS.
 
 It keeps what `examples/src/rigid/milestone.rs` says of milestones, and makes those that `worker.rs` would make. It looks
 at its first state, says that it is ready, and waits for a line; then it extends the roadmap until there are so many
-milestones, at least LEAST of them its own. It tells its progress as the program's own workers do.
+milestones, at least MIN_MILESTONES of them its own. It tells its progress as the program's own workers do.
 """
 
 import json
@@ -22,8 +22,8 @@ from checks import Scene  # noqa: E402
 PENDING = 1
 # k(n) of PRM*.
 K_FACTOR = 2.0 * math.e
-# Far more states than it takes until one is free; where it does not suffice, the scene is not what it was.
-TRIES = 10_000
+# The maximum number of draws, far more than a free state takes; a failure means that the scene has changed.
+MAX_DRAWS = 10_000
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Worker:
 
     def sample(self) -> list[float]:
         """A free state."""
-        for _ in range(TRIES):
+        for _ in range(MAX_DRAWS):
             self.account["samples"] += 1
             position = [self.random.uniform(low, high) for low, high in self.scene.bounds]
             turn = [self.random.gauss(0.0, 1.0) for _ in range(4)]
@@ -65,7 +65,7 @@ class Worker:
             state = self.scene.canonical(position + [number / norm for number in turn])
             if self.scene.is_free(state):
                 return state
-        raise RuntimeError(f"none of {TRIES} states is free")
+        raise RuntimeError(f"none of {MAX_DRAWS} states is free")
 
     def look(self, state: list[float]) -> Checked:
         """The first step: checks the ways to the k(n) nearest that are there."""
@@ -95,7 +95,7 @@ class Worker:
     def complete(self, id: int, checked: Checked, meanwhile: list[Candidate]):
         """The last step: checks the ways to what arrived meanwhile, and says that nothing is missing now."""
         self.account["meanwhile"] += len(meanwhile)
-        # Ids are assigned from 0 on and nothing is ever removed: so many milestones were there before.
+        # Ids are assigned from 0 on and nothing is ever removed, so the first id is the number of earlier milestones.
         k = max(1, math.ceil(K_FACTOR * math.log(id))) if id > 1 else 1
         known = checked.earlier + meanwhile
         if len(checked.earlier) < k and len(known) < id:
@@ -129,7 +129,7 @@ class Worker:
     def nearest_before(self, state: list[float], id: int, k: int) -> list[Candidate]:
         """The k nearest of those that were stored before a milestone; there are so many."""
         asked = 2 * k
-        # The whole roadmap is enough, at the latest.
+        # The whole roadmap always suffices.
         while True:
             found, _ = self.nearest(state, k=asked)
             before = [candidate for candidate in found if candidate.id < id]

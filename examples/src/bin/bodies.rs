@@ -1,6 +1,6 @@
-//! Eight rigid bodies change places between three pillars, without touching it or one another: 48 degrees of freedom, the
-//! size of the experiment of Fig. 9 in A. Yershova, S. M. LaValle, "Improving Motion Planning Algorithms by Efficient
-//! Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
+//! Eight rigid bodies change places between three pillars, without touching it or one another: 48 degrees of freedom,
+//! the size of the experiment of Fig. 9 in A. Yershova, S. M. LaValle, "Improving Motion Planning Algorithms by
+//! Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
 //!     cargo run --release --bin bodies -- [--source forest] [--seed 1] [--runs 5]
 //!

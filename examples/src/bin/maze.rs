@@ -7,8 +7,8 @@
 //!     cargo run --release --bin maze -- --workers 4 [--source replica]
 //!     cargo run --release --bin maze -- --scaling [--runs 5]
 //!
-//! The same trees are grown with each source of neighbours, from the same seeds; `maze.svg` shows them, `maze-shared.svg` those
-//! of several workers, `maze-rrt-star.svg` the one of RRT*.
+//! The same trees are grown with each source of neighbours, from the same seeds; `maze.svg` shows them,
+//! `maze-shared.svg` those of several workers, `maze-rrt-star.svg` the one of RRT*.
 
 use std::process::ExitCode;
 

@@ -1,6 +1,6 @@
-//! A chair through three rooms, several times, on one roadmap that several processes build together: PRM* for a rigid body
-//! with six degrees of freedom, the kind of experiment of Fig. 10 in A. Yershova, S. M. LaValle, "Improving Motion Planning
-//! Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
+//! A chair through three rooms, several times, on one roadmap that several processes build together: PRM* for a rigid
+//! body with six degrees of freedom, the kind of experiment of Fig. 10 in A. Yershova, S. M. LaValle, "Improving Motion
+//! Planning Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
 //!     cargo run --release --bin rigid -- [--workers 4] [--source server] [--kill | --restart]
 //!     cargo run --release --bin rigid -- --scaling [--runs 5]

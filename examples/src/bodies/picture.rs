@@ -15,7 +15,7 @@ use super::{
 };
 use crate::planning::{
     comparison::Comparison,
-    drawing::{self, Area, DARK, DrawingError, LETTERS, PALE, TREES, letters, walk, write},
+    drawing::{self, Area, DARK, DrawingError, FONT_SIZES, PALE, TREES, letters, walk, write},
     error::PlanningError,
     panels, path,
 };
@@ -24,7 +24,7 @@ use crate::planning::{
 const STATES: usize = 22;
 
 /// A colour for each body.
-const INKS: [RGBColor; BODIES] = [
+const BODY_COLORS: [RGBColor; BODIES] = [
     RGBColor(214, 72, 66),
     RGBColor(231, 145, 39),
     RGBColor(199, 172, 28),
@@ -126,7 +126,7 @@ fn along_the_path(
     let title = format!(
         "Eight bodies change places, from light to dark: {nodes} nodes in (R³ × RP³)⁸, 48 degrees of freedom"
     );
-    write(area, title, (80, 60), letters(LETTERS[0], DARK))
+    write(area, title, (80, 60), letters(FONT_SIZES[0], DARK))
 }
 
 /// Everything in the room, the nearest last.
@@ -154,7 +154,7 @@ fn solids(room: &Room, shown: &[Vec<f64>], view: &View) -> Vec<Face<(RGBColor, f
     for (at, state) in states.iter().enumerate() {
         let share = at as f64 / last;
         let is_end = at == 0 || at + 1 == states.len();
-        for (pose, ink) in scene::poses(state).iter().zip(INKS) {
+        for (pose, ink) in scene::poses(state).iter().zip(BODY_COLORS) {
             let opacity = if is_end { 1.0 } else { 0.35 + 0.3 * share };
             let color = (faded(ink, 0.35 + 0.65 * share), opacity);
             for (part, shape) in scene::parts(0.0) {
@@ -213,5 +213,5 @@ fn flat(
         )
     });
     chart.draw_series(pillars)?;
-    write(area, title, (80, 40), letters(LETTERS[1], DARK))
+    write(area, title, (80, 40), letters(FONT_SIZES[1], DARK))
 }

@@ -13,7 +13,8 @@ use super::scene::Maze;
 use crate::planning::{
     comparison::Comparison,
     drawing::{
-        self, Area, DARK, DrawingError, LETTERS, PALE, TREES, along, around, letters, walk, write,
+        self, Area, DARK, DrawingError, FONT_SIZES, PALE, TREES, along, around, letters, walk,
+        write,
     },
     error::PlanningError,
     panels, path,
@@ -54,7 +55,7 @@ fn above(
     bodies(maze, shown, BODIES, &mut chart)?;
     let nodes = comparison.solution.nodes();
     let title = format!("A C-shaped body through a maze: {nodes} nodes in R² × S¹");
-    write(area, title, (80, 60), letters(LETTERS[0], DARK))?;
+    write(area, title, (80, 60), letters(FONT_SIZES[0], DARK))?;
     let entries = [
         ("tree from the start", TREES[0]),
         ("tree from the goal", TREES[1]),
@@ -120,7 +121,7 @@ fn side(
     }
     along_path(maze, shown, &mut chart)?;
     let title = "The same trees and path from the side: the body's angle, whose upper and lower edge are one";
-    write(area, title, (80, 45), letters(LETTERS[1], DARK))
+    write(area, title, (80, 45), letters(FONT_SIZES[1], DARK))
 }
 
 /// The angle over the maze's width, below a title.
@@ -139,7 +140,7 @@ pub fn elevation<'a>(maze: &Maze, area: &Area<'a>) -> Result<Plane<'a>, DrawingE
     for (name, y) in [("π", 0), ("0", 1), ("−π", 2)] {
         let (_, height) = area.dim_in_pixel();
         let y = 90 + y * (height as i32 - 140) / 2;
-        write(area, name, (16, y), letters(LETTERS[1], DARK))?;
+        write(area, name, (16, y), letters(FONT_SIZES[1], DARK))?;
     }
     Ok(chart)
 }

@@ -11,11 +11,11 @@ use super::{picture, scene::Maze};
 use crate::planning::{
     crew_panels,
     drawing::{
-        self, Area, DARK, DrawingError, LETTERS, WORKERS, letters, lighter, lines, straightened,
+        self, Area, DARK, DrawingError, FONT_SIZES, WORKERS, letters, lighter, lines, straightened,
         write,
     },
     error::PlanningError,
-    shared_trees::solve::Solved,
+    shared_trees::solve::SharedSolution,
 };
 
 /// The number of bodies drawn along the path, small enough that the trees stay visible between them.
@@ -27,7 +27,7 @@ const SHADES: [f64; 2] = [1.0, 0.55];
 /// Draws the maze with both trees and the path, and the panels of figures.
 pub fn draw(
     maze: &Maze,
-    solved: &Solved,
+    solved: &SharedSolution,
     shown: &[Vec<f64>],
     file: &Path,
 ) -> Result<(), PlanningError> {
@@ -42,7 +42,7 @@ pub fn draw(
 
 fn trees(
     maze: &Maze,
-    solved: &Solved,
+    solved: &SharedSolution,
     shown: &[Vec<f64>],
     area: &Area<'_>,
 ) -> Result<(), DrawingError> {
@@ -73,7 +73,7 @@ fn trees(
         "The same two trees, grown by {crew}: {} vertices in R² × S¹",
         shared.len()
     );
-    write(&head, title, (80, 60), letters(LETTERS[0], DARK))?;
+    write(&head, title, (80, 60), letters(FONT_SIZES[0], DARK))?;
     legend(&area, workers)
 }
 
@@ -87,11 +87,11 @@ fn legend(area: &Area<'_>, workers: usize) -> Result<(), DrawingError> {
             area.draw(&PathElement::new(line, style))?;
         }
         let name = format!("worker {worker}");
-        write(area, name, (x + 76, 46), letters(LETTERS[1], DARK))?;
+        write(area, name, (x + 76, 46), letters(FONT_SIZES[1], DARK))?;
         x += 260;
     }
     let hint = "dark: the tree from the start; light: the tree from the goal";
-    write(area, hint, (x + 20, 46), letters(LETTERS[1], DARK))
+    write(area, hint, (x + 20, 46), letters(FONT_SIZES[1], DARK))
 }
 
 fn ink(worker: usize, shade: f64) -> RGBColor {

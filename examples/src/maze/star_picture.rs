@@ -11,8 +11,8 @@ use plotters::{
 use super::{picture, scene::Maze};
 use crate::planning::{
     drawing::{
-        self, Area, DARK, DrawingError, LETTERS, along, around, axes, letters, lines, straightened,
-        write,
+        self, Area, DARK, DrawingError, FONT_SIZES, along, around, axes, letters, lines,
+        straightened, write,
     },
     error::PlanningError,
     rrt_star::Star,
@@ -28,7 +28,7 @@ const BANDS: usize = 64;
 pub fn draw(maze: &Maze, star: &Star, path: &[Vec<f64>], file: &Path) -> Result<(), PlanningError> {
     drawing::picture(file, (2700, 2620), |area| {
         let (above, below) = area.split_vertically(1900);
-        let tree = Banded::of(star);
+        let tree = BandedTree::of(star);
         from_above(maze, &tree, path, &above)?;
         let (left, right) = below.split_horizontally(1100);
         length(star, &left)?;
@@ -37,15 +37,15 @@ pub fn draw(maze: &Maze, star: &Star, path: &[Vec<f64>], file: &Path) -> Result<
 }
 
 /// A tree in lines of one colour each.
-struct Banded<'a> {
+struct BandedTree<'a> {
     star: &'a Star,
     /// The distance of the farthest node.
     farthest: f64,
     lines: Vec<(usize, Vec<usize>)>,
 }
 
-impl Banded<'_> {
-    fn of(star: &Star) -> Banded<'_> {
+impl BandedTree<'_> {
+    fn of(star: &Star) -> BandedTree<'_> {
         let costs = &star.tree.costs;
         let farthest = costs.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         // A child is never nearer than its parent.
@@ -58,7 +58,7 @@ impl Banded<'_> {
         let mut lines = lines(order.into_iter(), &star.tree.parents, band);
         // Near lines are drawn over far ones.
         lines.sort_by_key(|(band, _)| std::cmp::Reverse(*band));
-        Banded {
+        BandedTree {
             star,
             farthest,
             lines,
@@ -84,7 +84,7 @@ fn ink(band: usize) -> RGBColor {
 
 fn from_above(
     maze: &Maze,
-    tree: &Banded<'_>,
+    tree: &BandedTree<'_>,
     path: &[Vec<f64>],
     area: &Area<'_>,
 ) -> Result<(), DrawingError> {
@@ -101,9 +101,9 @@ fn from_above(
         "The tree of RRT* after {samples} samples: {} nodes in R² × S¹, and its path",
         tree.star.tree.len()
     );
-    write(&head, title, (80, 60), letters(LETTERS[0], DARK))?;
+    write(&head, title, (80, 60), letters(FONT_SIZES[0], DARK))?;
 
-    let style = || letters(LETTERS[1], DARK);
+    let style = || letters(FONT_SIZES[1], DARK);
     write(
         &area,
         "length of the way from the start:",
@@ -157,12 +157,12 @@ fn length(star: &Star, area: &Area<'_>) -> Result<(), DrawingError> {
     chart.draw_series([PathElement::new(steps, color.stroke_width(7))])?;
     chart.draw_series([Circle::new((first.0 as f64, first.1), 14, color.filled())])?;
     let title = "Length of the path over samples";
-    write(area, title, (80, 56), letters(LETTERS[0], DARK))
+    write(area, title, (80, 56), letters(FONT_SIZES[0], DARK))
 }
 
 fn from_the_side(
     maze: &Maze,
-    tree: &Banded<'_>,
+    tree: &BandedTree<'_>,
     path: &[Vec<f64>],
     area: &Area<'_>,
 ) -> Result<(), DrawingError> {
@@ -174,5 +174,5 @@ fn from_the_side(
     }
     picture::along_path(maze, path, &mut chart)?;
     let title = "From the side: the body's angle, whose upper and lower edge are one";
-    write(area, title, (80, 45), letters(LETTERS[1], DARK))
+    write(area, title, (80, 45), letters(FONT_SIZES[1], DARK))
 }

@@ -5,9 +5,9 @@ use std::{io, rc::Rc};
 use super::{
     account::{Account, Growth},
     error::PlanningError,
-    figures::{Row, Spent},
+    figures::{Row, RunTimes},
     local::{BruteForce, LocalForest},
-    options::{Options, Wanted, seeds},
+    options::{Options, SourceChoice, seeds},
     path,
     problem::Problem,
     remote::{Remote, ReplicaSource, ServerSource},
@@ -20,7 +20,7 @@ use super::{
 /// The trials of a comparison.
 pub struct Trials<'a> {
     /// The sources.
-    pub sources: Vec<Wanted>,
+    pub sources: Vec<SourceChoice>,
     /// The seeds. There is one run for each seed and source.
     pub seeds: Vec<u64>,
     /// The address of a running server. If it is None, a server is started when one is needed.
@@ -38,7 +38,7 @@ impl<'a> From<&'a Options> for Trials<'a> {
 }
 
 /// The outcome of a planner, with the account of its time.
-pub trait Planned {
+pub trait PlannerOutcome {
     /// The name of the planner.
     const PLANNER: &'static str;
 
@@ -64,7 +64,7 @@ pub trait Planned {
 /// One run with one source.
 pub struct Run {
     /// The source.
-    pub source: Wanted,
+    pub source: SourceChoice,
     /// The seed.
     pub seed: u64,
     /// The nodes of all trees, or the milestones.
@@ -80,7 +80,7 @@ pub struct Run {
 /// All runs of a planner.
 pub struct Comparison<R = Solution> {
     /// The sources, in the order of the trials.
-    pub sources: Vec<Wanted>,
+    pub sources: Vec<SourceChoice>,
     /// The runs, seed by seed.
     pub runs: Vec<Run>,
     /// The solution for the first seed. It is the same with all sources.
@@ -89,12 +89,12 @@ pub struct Comparison<R = Solution> {
 
 impl<R> Comparison<R> {
     /// The runs with one source.
-    pub fn runs_of(&self, source: Wanted) -> impl Iterator<Item = &Run> {
+    pub fn runs_of(&self, source: SourceChoice) -> impl Iterator<Item = &Run> {
         self.runs.iter().filter(move |run| run.source == source)
     }
 }
 
-impl<R: Planned> Comparison<R> {
+impl<R: PlannerOutcome> Comparison<R> {
     /// The figures of all runs.
     pub fn rows(&self) -> impl Iterator<Item = Row> {
         self.runs.iter().map(|run| Row {
@@ -103,7 +103,7 @@ impl<R: Planned> Comparison<R> {
             workers: 1,
             seed: run.seed,
             nodes: run.nodes as u64,
-            spent: Spent::from(&run.account),
+            spent: RunTimes::from(&run.account),
             checks: run.account.checks as u64,
             path_lengths: run.path_lengths.clone(),
         })
@@ -115,7 +115,7 @@ pub type Open<'a> = dyn Fn() -> Result<Box<dyn NeighborSource>, PlanningError> +
 
 /// Solves `problem` by a planner that receives its sources and a seed. The same seed must give the same outcome with
 /// every source.
-pub fn compare<R: Planned>(
+pub fn compare<R: PlannerOutcome>(
     problem: &impl Problem,
     trials: &Trials<'_>,
     plan: impl Fn(&Open<'_>, u64) -> Result<R, PlanningError>,
@@ -152,7 +152,7 @@ pub fn grow(
     problem: &impl Problem,
     options: &Options,
     samples: usize,
-) -> Result<Vec<(Wanted, Star)>, PlanningError> {
+) -> Result<Vec<(SourceChoice, Star)>, PlanningError> {
     let trials = Trials::from(options);
     let (_server, remote) = remote(&trials)?;
     let plan = |own: &Open<'_>, seed| rrt_star::grow(problem, own()?, seed, samples);
@@ -175,8 +175,8 @@ fn each<R>(
     seed: u64,
     plan: &impl Fn(&Open<'_>, u64) -> Result<R, PlanningError>,
     is_like: impl Fn(&R, &R) -> bool,
-) -> Result<Vec<(Wanted, R)>, PlanningError> {
-    let mut all: Vec<(Wanted, R)> = Vec::new();
+) -> Result<Vec<(SourceChoice, R)>, PlanningError> {
+    let mut all: Vec<(SourceChoice, R)> = Vec::new();
     for &source in &trials.sources {
         eprintln!("{}, seed {seed} ...", source.name());
         let made = plan(&|| open(source, problem, remote), seed)?;
@@ -198,7 +198,8 @@ fn each<R>(
 fn remote(
     trials: &Trials<'_>,
 ) -> Result<(Option<ServerProcess>, Option<Rc<Remote>>), PlanningError> {
-    let is_remote = |source: &Wanted| matches!(source, Wanted::Server | Wanted::Replica);
+    let is_remote =
+        |source: &SourceChoice| matches!(source, SourceChoice::Server | SourceChoice::Replica);
     if !trials.sources.iter().any(is_remote) {
         return Ok((None, None));
     }
@@ -212,7 +213,7 @@ fn remote(
 
 /// Opens an empty source. Sources behind a server need `remote`.
 pub fn open(
-    source: Wanted,
+    source: SourceChoice,
     problem: &impl Problem,
     remote: Option<&Rc<Remote>>,
 ) -> Result<Box<dyn NeighborSource>, PlanningError> {
@@ -222,10 +223,10 @@ pub fn open(
         remote.ok_or_else(missing)
     };
     Ok(match source {
-        Wanted::Brute => Box::new(BruteForce::new(space)),
-        Wanted::Scan => Box::new(LocalForest::scan(space)),
-        Wanted::Forest | Wanted::All => Box::new(LocalForest::trees(space)),
-        Wanted::Server => Box::new(ServerSource::new(remote()?, space)?),
-        Wanted::Replica => Box::new(ReplicaSource::new(remote()?, space)?),
+        SourceChoice::Brute => Box::new(BruteForce::new(space)),
+        SourceChoice::Scan => Box::new(LocalForest::scan(space)),
+        SourceChoice::Forest | SourceChoice::All => Box::new(LocalForest::trees(space)),
+        SourceChoice::Server => Box::new(ServerSource::new(remote()?, space)?),
+        SourceChoice::Replica => Box::new(ReplicaSource::new(remote()?, space)?),
     })
 }

@@ -7,7 +7,7 @@ use plotters::{
 };
 
 use super::{
-    drawing::{Area, DARK, DrawingError, LETTERS, WORKERS, axes, legend, letters, write},
+    drawing::{Area, DARK, DrawingError, FONT_SIZES, WORKERS, axes, legend, letters, write},
     processes::{Account, Crew},
 };
 
@@ -24,10 +24,10 @@ pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result
     let mut own = vec![vec![(0.0, 0.0)]; crew.accounts.len()];
     let mut all = vec![(0.0, 0.0)];
     let mut now = vec![0; crew.accounts.len()];
-    for told in &crew.growth {
-        let at = told.at.as_secs_f64();
-        now[told.worker] = told.made;
-        own[told.worker].push((at, told.made as f64));
+    for progress in &crew.growth {
+        let at = progress.at.as_secs_f64();
+        now[progress.worker] = progress.made;
+        own[progress.worker].push((at, progress.made as f64));
         all.push((at, now.iter().sum::<u64>() as f64));
     }
     let most = now.iter().sum::<u64>().max(1) as f64;
@@ -48,14 +48,14 @@ pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result
         chart.draw_series([PathElement::new(line, color.stroke_width(6))])?;
     }
     let title = format!("{what} over time: all, and by each worker");
-    write(area, title, (80, 56), letters(LETTERS[0], DARK))
+    write(area, title, (80, 56), letters(FONT_SIZES[0], DARK))
 }
 
 /// One bar for each worker: the shares of its time, and the share of searches as a number.
 pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), DrawingError> {
     let (width, height) = area.dim_in_pixel();
     let title = "Where the workers' time went; in figures: searches";
-    write(area, title, (40, 56), letters(LETTERS[0], DARK))?;
+    write(area, title, (40, 56), letters(FONT_SIZES[0], DARK))?;
     for (row, parts) in PARTS.chunks(2).enumerate() {
         legend(area, parts, (40, 130 + 52 * row as i32), 420)?;
     }
@@ -69,7 +69,7 @@ pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), Drawing
         );
         let middle = (top + 0.4 * each) as i32;
         let name = format!("worker {worker}");
-        write(area, name, (40, middle), letters(LETTERS[1], color))?;
+        write(area, name, (40, middle), letters(FONT_SIZES[1], color))?;
         let known = [times.checking, times.waiting, times.searching];
         let known = known.map(|part| times.percent(part) / 100.0);
         let rest = (1.0 - known.iter().sum::<f64>()).max(0.0);
@@ -88,7 +88,7 @@ pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), Drawing
             area,
             share,
             (right as i32 + 20, middle),
-            letters(LETTERS[1], DARK),
+            letters(FONT_SIZES[1], DARK),
         )?;
     }
     Ok(())

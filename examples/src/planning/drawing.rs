@@ -18,7 +18,7 @@ use plotters::{
     },
 };
 
-use super::{error::PlanningError, options::Wanted, rrt::Tree};
+use super::{error::PlanningError, options::SourceChoice, rrt::Tree};
 
 /// A part of a picture. Pictures have a large scale because positions on them are integers.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -46,13 +46,13 @@ pub const WORKERS: [RGBColor; 8] = [
 ];
 
 /// The colour of a source.
-pub fn ink(source: Wanted) -> RGBColor {
+pub fn ink(source: SourceChoice) -> RGBColor {
     match source {
-        Wanted::Brute => RGBColor(120, 127, 140),
-        Wanted::Scan => RGBColor(201, 160, 34),
-        Wanted::Forest | Wanted::All => RGBColor(35, 138, 92),
-        Wanted::Server => RGBColor(190, 62, 72),
-        Wanted::Replica => RGBColor(110, 84, 178),
+        SourceChoice::Brute => RGBColor(120, 127, 140),
+        SourceChoice::Scan => RGBColor(201, 160, 34),
+        SourceChoice::Forest | SourceChoice::All => RGBColor(35, 138, 92),
+        SourceChoice::Server => RGBColor(190, 62, 72),
+        SourceChoice::Replica => RGBColor(110, 84, 178),
     }
 }
 
@@ -69,7 +69,7 @@ where
     X: Ranged<ValueType = f64> + ValueFormatter<f64>,
     Y: Ranged<ValueType = f64> + ValueFormatter<f64>,
 {
-    let small = letters(LETTERS[1], DARK);
+    let small = letters(FONT_SIZES[1], DARK);
     chart
         .configure_mesh()
         .bold_line_style(PALE.stroke_width(2))
@@ -117,7 +117,7 @@ pub fn picture(
 }
 
 /// The font sizes: of titles, and of other text.
-pub const LETTERS: [i32; 2] = [46, 34];
+pub const FONT_SIZES: [i32; 2] = [46, 34];
 
 /// A text style.
 pub fn letters(size: i32, color: RGBColor) -> TextStyle<'static> {
@@ -145,7 +145,7 @@ pub fn legend(
     for (text, color) in entries {
         let line = vec![(x, y), (x + 50, y)];
         area.draw(&PathElement::new(line, color.stroke_width(10)))?;
-        write(area, *text, (x + 66, y), letters(LETTERS[1], DARK))?;
+        write(area, *text, (x + 66, y), letters(FONT_SIZES[1], DARK))?;
         x += spacing;
     }
     Ok(())

@@ -19,7 +19,7 @@ use super::{
     server::{self, ServerProcess},
     shared_trees::{
         job, report as shared_report,
-        solve::{self as shared, Solved},
+        solve::{self as shared, SharedSolution},
     },
 };
 
@@ -38,7 +38,7 @@ pub struct Example<P> {
     /// Draws the trees of one planner, and the differences of the sources.
     pub draw: Draw<P, Comparison>,
     /// Draws the trees of several workers.
-    pub draw_shared: Option<Draw<P, Solved>>,
+    pub draw_shared: Option<Draw<P, SharedSolution>>,
     /// Draws the tree of RRT*.
     pub draw_star: Option<Draw<P, Star>>,
 }

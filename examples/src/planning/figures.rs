@@ -21,7 +21,7 @@ pub struct Row {
     pub nodes: u64,
     /// The time of the run.
     #[serde(flatten)]
-    pub spent: Spent,
+    pub spent: RunTimes,
     /// The number of states that were checked for collisions.
     pub checks: u64,
     /// The lengths of the found paths, in the metric.
@@ -30,7 +30,7 @@ pub struct Row {
 
 /// The account of a run's time, in seconds. The parts are sums over all workers.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Spent {
+pub struct RunTimes {
     /// From the start of the run to its end.
     pub total_s: f64,
     /// Searches for neighbours.
@@ -41,9 +41,9 @@ pub struct Spent {
     pub check_s: f64,
 }
 
-impl From<&Account> for Spent {
-    fn from(account: &Account) -> Spent {
-        Spent {
+impl From<&Account> for RunTimes {
+    fn from(account: &Account) -> RunTimes {
+        RunTimes {
             total_s: account.total.as_secs_f64(),
             search_s: account.neighbors.searching.as_secs_f64(),
             insert_s: account.neighbors.inserting.as_secs_f64(),
@@ -52,10 +52,10 @@ impl From<&Account> for Spent {
     }
 }
 
-impl Spent {
+impl RunTimes {
     /// The summed times of all workers in a run of `total_s`.
-    pub fn by_workers(total_s: f64, times: Times) -> Spent {
-        Spent {
+    pub fn by_workers(total_s: f64, times: Times) -> RunTimes {
+        RunTimes {
             total_s,
             search_s: times.searching.as_secs_f64(),
             insert_s: times.waiting.as_secs_f64(),

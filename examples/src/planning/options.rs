@@ -13,8 +13,8 @@ pub struct Options {
     #[command(subcommand)]
     pub role: Option<Role>,
     /// The source of neighbours
-    #[arg(long, value_enum, default_value_t = Wanted::All)]
-    pub source: Wanted,
+    #[arg(long, value_enum, default_value_t = SourceChoice::All)]
+    pub source: SourceChoice,
     /// The seed of the random states; the next run takes the next seed
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -57,7 +57,7 @@ pub enum Role {
 
 /// One source, or all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Wanted {
+pub enum SourceChoice {
     /// A scalar loop over all states
     Brute,
     /// A SIMD scan of all states
@@ -72,10 +72,10 @@ pub enum Wanted {
     All,
 }
 
-impl Wanted {
+impl SourceChoice {
     /// Its sources, brute force first.
-    pub fn sources(self) -> Vec<Wanted> {
-        use Wanted::{All, Brute, Forest, Replica, Scan, Server};
+    pub fn sources(self) -> Vec<SourceChoice> {
+        use SourceChoice::{All, Brute, Forest, Replica, Scan, Server};
         match self {
             All => vec![Brute, Scan, Forest, Server, Replica],
             one => vec![one],
@@ -86,22 +86,22 @@ impl Wanted {
     /// must be sent to the replica of every worker.
     pub fn shared(self) -> Vec<Kind> {
         match self {
-            Wanted::All => vec![Kind::Server, Kind::Replica],
-            Wanted::Replica => vec![Kind::Replica],
-            Wanted::Server => vec![Kind::Server],
-            Wanted::Brute | Wanted::Scan | Wanted::Forest => Vec::new(),
+            SourceChoice::All => vec![Kind::Server, Kind::Replica],
+            SourceChoice::Replica => vec![Kind::Replica],
+            SourceChoice::Server => vec![Kind::Server],
+            SourceChoice::Brute | SourceChoice::Scan | SourceChoice::Forest => Vec::new(),
         }
     }
 
     /// Its name in tables and pictures.
     pub fn name(self) -> &'static str {
         match self {
-            Wanted::Brute => "brute force",
-            Wanted::Scan => "SIMD scan",
-            Wanted::Forest => "forest",
-            Wanted::Server => "server",
-            Wanted::Replica => "replica",
-            Wanted::All => "all",
+            SourceChoice::Brute => "brute force",
+            SourceChoice::Scan => "SIMD scan",
+            SourceChoice::Forest => "forest",
+            SourceChoice::Server => "server",
+            SourceChoice::Replica => "replica",
+            SourceChoice::All => "all",
         }
     }
 }

@@ -8,8 +8,8 @@ use plotters::{
 
 use super::{
     comparison::{Comparison, Run},
-    drawing::{Area, DARK, DrawingError, LETTERS, axes, ink, legend, letters, write},
-    options::Wanted,
+    drawing::{Area, DARK, DrawingError, FONT_SIZES, axes, ink, legend, letters, write},
+    options::SourceChoice,
 };
 
 /// Draws both panels, one below the other, with their legend.
@@ -30,7 +30,7 @@ pub fn draw(area: &Area<'_>, comparison: &Comparison) -> Result<(), DrawingError
 }
 
 /// The first run with each source.
-fn first_runs(comparison: &Comparison) -> impl Iterator<Item = (Wanted, &Run)> {
+fn first_runs(comparison: &Comparison) -> impl Iterator<Item = (SourceChoice, &Run)> {
     let of = |&source| Some((source, comparison.runs_of(source).next()?));
     comparison.sources.iter().filter_map(of)
 }
@@ -68,7 +68,12 @@ fn nodes_over_time(area: &Area<'_>, comparison: &Comparison) -> Result<(), Drawi
         let line = PathElement::new(points(run), ink(source).stroke_width(7));
         chart.draw_series([line])?;
     }
-    write(area, "Nodes over time", (40, 50), letters(LETTERS[0], DARK))
+    write(
+        area,
+        "Nodes over time",
+        (40, 50),
+        letters(FONT_SIZES[0], DARK),
+    )
 }
 
 fn share_over_nodes(area: &Area<'_>, comparison: &Comparison) -> Result<(), DrawingError> {
@@ -102,6 +107,6 @@ fn share_over_nodes(area: &Area<'_>, comparison: &Comparison) -> Result<(), Draw
         area,
         "Time spent in searches and inserts",
         (40, 50),
-        letters(LETTERS[0], DARK),
+        letters(FONT_SIZES[0], DARK),
     )
 }

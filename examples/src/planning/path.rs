@@ -11,7 +11,7 @@ use wayfold::{Space, States};
 use super::{error::PlanningError, problem::Problem};
 
 /// The factor by which the check is finer than the planner's.
-const FINER: f64 = 10.0;
+const CHECK_FACTOR: f64 = 10.0;
 
 /// Boxes nearer than this touch: for touching boxes, GJK may return a distance of some last bits instead of 0.
 pub const TOUCHING: f64 = 1e-9;
@@ -68,7 +68,9 @@ pub fn verify(problem: &impl Verify, path: &[Vec<f64>]) -> Result<usize, Plannin
     for (segment, pair) in path.windows(2).enumerate() {
         let [a, b] = pair else { continue };
         let distance = problem.space().distance(a, b);
-        let steps = (FINER * distance / problem.resolution()).ceil().max(1.0) as usize;
+        let steps = (CHECK_FACTOR * distance / problem.resolution())
+            .ceil()
+            .max(1.0) as usize;
         for step in 0..=steps {
             if !problem.is_free_between(a, b, step as f64 / steps as f64) {
                 return Err(PlanningError::Collision { segment });

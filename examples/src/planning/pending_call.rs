@@ -5,15 +5,15 @@ use tokio::task::JoinHandle;
 use super::error::PlanningError;
 
 /// A call that may be under way.
-pub struct UnderWay<T>(Option<JoinHandle<Result<T, PlanningError>>>);
+pub struct PendingCall<T>(Option<JoinHandle<Result<T, PlanningError>>>);
 
-impl<T> Default for UnderWay<T> {
-    fn default() -> UnderWay<T> {
-        UnderWay(None)
+impl<T> Default for PendingCall<T> {
+    fn default() -> PendingCall<T> {
+        PendingCall(None)
     }
 }
 
-impl<T: Send + 'static> UnderWay<T> {
+impl<T: Send + 'static> PendingCall<T> {
     /// Begins one, on the runtime's threads.
     pub fn begin(&mut self, call: impl Future<Output = Result<T, PlanningError>> + Send + 'static) {
         self.0 = Some(tokio::spawn(call));

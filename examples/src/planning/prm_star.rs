@@ -17,12 +17,12 @@ use wayfold_index::Search;
 
 use super::{
     account::{Account, Growth, Record},
-    comparison::Planned,
+    comparison::PlannerOutcome,
     error::PlanningError,
     path,
     problem::Problem,
     sampling,
-    source::{NeighborSource, Timed},
+    source::{NeighborSource, TimedSource},
 };
 
 /// k(n): the paper's 2e · ln n, above its bound e(1 + 1/d) · ln n in every dimension above 1.
@@ -33,7 +33,7 @@ pub const SCALING: Scaling = Scaling {
 };
 
 /// The maximum number of states drawn for each milestone, so that sampling ends if no state is free.
-const TRIES: usize = 100;
+const MAX_DRAWS: usize = 100;
 
 /// The milestones, numbered from 0, and their edges.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +57,7 @@ impl Roadmap {
 }
 
 /// A roadmap, and the answers to its questions.
-pub struct Answered {
+pub struct AnsweredRoadmap {
     /// All milestones; those of the questions are last.
     pub roadmap: Roadmap,
     /// The shortest path on it for each question; None if it does not connect start and goal.
@@ -68,7 +68,7 @@ pub struct Answered {
     pub growth: Vec<Growth>,
 }
 
-impl Planned for Answered {
+impl PlannerOutcome for AnsweredRoadmap {
     const PLANNER: &'static str = "PRM*";
     const INSERT: &'static str = "a milestone";
 
@@ -88,7 +88,7 @@ impl Planned for Answered {
         self.paths.iter().flatten().map(Vec::as_slice)
     }
 
-    fn is_like(&self, other: &Answered) -> bool {
+    fn is_like(&self, other: &AnsweredRoadmap) -> bool {
         self.roadmap == other.roadmap
     }
 }
@@ -101,10 +101,10 @@ pub fn solve(
     seed: u64,
     milestones: usize,
     questions: &[[&[f64]; 2]],
-) -> Result<Answered, PlanningError> {
+) -> Result<AnsweredRoadmap, PlanningError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut planner = Planner::new(problem, source);
-    for _ in 0..TRIES.saturating_mul(milestones) {
+    for _ in 0..MAX_DRAWS.saturating_mul(milestones) {
         if planner.roadmap.len() == milestones {
             break;
         }
@@ -123,7 +123,7 @@ pub fn solve(
 
 struct Planner<'a, P> {
     problem: &'a P,
-    source: Timed,
+    source: TimedSource,
     roadmap: Roadmap,
     /// The milestones by their ids in the source.
     milestones: HashMap<u64, usize>,
@@ -137,7 +137,7 @@ impl<'a, P: Problem> Planner<'a, P> {
     fn new(problem: &'a P, source: Box<dyn NeighborSource>) -> Self {
         Planner {
             problem,
-            source: Timed::new(source),
+            source: TimedSource::new(source),
             roadmap: Roadmap {
                 states: States::new(problem.space().coordinates()),
                 edges: Vec::new(),
@@ -201,7 +201,7 @@ impl<'a, P: Problem> Planner<'a, P> {
     }
 
     /// The shortest paths between these milestones.
-    fn answer(self, ends: &[[usize; 2]]) -> Answered {
+    fn answer(self, ends: &[[usize; 2]]) -> AnsweredRoadmap {
         let Roadmap { states, edges } = &self.roadmap;
         let space = self.problem.space();
         let shortest =
@@ -209,7 +209,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         let paths = ends.iter().map(shortest).collect();
         let account = self.account();
         let growth = self.record.finish(self.roadmap.len(), account);
-        Answered {
+        AnsweredRoadmap {
             roadmap: self.roadmap,
             paths,
             account,

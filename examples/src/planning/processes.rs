@@ -93,7 +93,7 @@ pub enum Line<A> {
 pub struct Reporter {
     number: usize,
     every: Duration,
-    told: Instant,
+    last_report: Instant,
     halt: Option<u64>,
 }
 
@@ -110,7 +110,7 @@ impl Reporter {
         let reporter = Reporter {
             number: job.number(),
             every: Duration::from_millis(every_ms),
-            told: Instant::now(),
+            last_report: Instant::now(),
             halt: halt_at,
         };
         reporter.wait()?;
@@ -124,10 +124,10 @@ impl Reporter {
             tell(self.number, &Line::Halted(*account))?;
             return self.wait();
         }
-        if self.told.elapsed() < self.every {
+        if self.last_report.elapsed() < self.every {
             return Ok(());
         }
-        self.told = Instant::now();
+        self.last_report = Instant::now();
         tell(self.number, &Line::Progress(*account))
     }
 
@@ -171,7 +171,7 @@ pub struct Crew<A> {
     /// The time from the common start to the end of the last worker.
     pub wall: Duration,
     /// The progress reports with their times.
-    pub growth: Vec<Told>,
+    pub growth: Vec<WorkerProgress>,
     /// The killed worker, and the time.
     pub killed: Option<(usize, Duration)>,
     /// The times at which the server was killed and at which it listened again.
@@ -181,9 +181,9 @@ pub struct Crew<A> {
 impl<A> Crew<A> {
     /// The longest time without a report of progress from any worker.
     pub fn longest_pause(&self) -> Duration {
-        let mut told: Vec<Duration> = self.growth.iter().map(|told| told.at).collect();
-        told.sort_unstable();
-        let pauses = told.windows(2).map(|pair| pair[1] - pair[0]);
+        let mut events: Vec<Duration> = self.growth.iter().map(|events| events.at).collect();
+        events.sort_unstable();
+        let pauses = events.windows(2).map(|pair| pair[1] - pair[0]);
         pauses.max().unwrap_or_default()
     }
 }
@@ -200,7 +200,7 @@ pub enum Incident<'a> {
 
 /// A worker's progress.
 #[derive(Clone, Copy, Debug)]
-pub struct Told {
+pub struct WorkerProgress {
     /// The time since the common start.
     pub at: Duration,
     /// The number of the worker.
@@ -214,13 +214,15 @@ pub fn run<J: Job>(
     jobs: &[J],
     mut incident: Incident<'_>,
 ) -> Result<Crew<J::Account>, PlanningError> {
-    let (told, lines) = mpsc::channel();
+    let (events, lines) = mpsc::channel();
     let mut processes = Vec::with_capacity(jobs.len());
     for job in jobs {
-        let told = told.clone();
-        processes.push(Process::start(job, move |heard| told.send(heard).is_ok())?);
+        let events = events.clone();
+        processes.push(Process::start(job, move |heard| {
+            events.send(heard).is_ok()
+        })?);
     }
-    drop(told);
+    drop(events);
     for _ in jobs {
         match next(&lines)? {
             (_, Some(Line::Ready), _) => {}
@@ -275,7 +277,7 @@ pub fn run<J: Job>(
         };
         crew.wall = at;
         crew.accounts[number] = account;
-        crew.growth.push(Told {
+        crew.growth.push(WorkerProgress {
             at,
             worker: number,
             made: account.made(),
@@ -285,9 +287,9 @@ pub fn run<J: Job>(
 }
 
 /// A line of a worker, or its end, and the time of its arrival.
-pub type Heard<A> = (usize, Option<Line<A>>, Instant);
+pub type WorkerEvent<A> = (usize, Option<Line<A>>, Instant);
 
-fn next<A>(lines: &Receiver<Heard<A>>) -> Result<Heard<A>, PlanningError> {
+fn next<A>(lines: &Receiver<WorkerEvent<A>>) -> Result<WorkerEvent<A>, PlanningError> {
     let line = lines.recv();
     line.map_err(|_| lost(0, "all workers have ended early; what they said is above"))
 }
@@ -303,7 +305,7 @@ impl Process {
     /// Starts a worker, and forwards its messages as long as `told` accepts them.
     pub fn start<J: Job>(
         job: &J,
-        told: impl Fn(Heard<J::Account>) -> bool + Send + 'static,
+        events: impl Fn(WorkerEvent<J::Account>) -> bool + Send + 'static,
     ) -> Result<Process, PlanningError> {
         let number = job.number();
         let failed = |problem: io::Error| lost(number, problem);
@@ -321,12 +323,12 @@ impl Process {
             let lines = output.map(BufReader::new).into_iter();
             for line in lines.flat_map(BufRead::lines).map_while(Result::ok) {
                 let line = serde_json::from_str(&line).ok();
-                if line.is_some() && !told((number, line, Instant::now())) {
+                if line.is_some() && !events((number, line, Instant::now())) {
                     return;
                 }
             }
             // The receiver is gone once the run is over.
-            let _ = told((number, None, Instant::now()));
+            let _ = events((number, None, Instant::now()));
         });
         Ok(Process {
             number,

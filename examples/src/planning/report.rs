@@ -9,15 +9,15 @@ use std::{
 };
 
 use super::{
-    comparison::{Comparison, Planned, Run},
+    comparison::{Comparison, PlannerOutcome, Run},
     error::PlanningError,
-    options::Wanted,
+    options::SourceChoice,
     rrt_star::{Progress, Star},
 };
 
 /// Medians over the runs with one source.
 struct Line {
-    source: Wanted,
+    source: SourceChoice,
     nodes: f64,
     total: f64,
     searching: f64,
@@ -30,7 +30,7 @@ struct Line {
 }
 
 impl Line {
-    fn of<R>(comparison: &Comparison<R>, source: Wanted) -> Line {
+    fn of<R>(comparison: &Comparison<R>, source: SourceChoice) -> Line {
         let middle = |of: fn(&Run) -> f64| median(comparison.runs_of(source).map(of));
         Line {
             source,
@@ -92,7 +92,7 @@ pub fn median(numbers: impl IntoIterator<Item = f64>) -> f64 {
 }
 
 /// The table. `paper` is the speedup of the paper's planner by the trees of the paper's library, if the paper gives it.
-pub fn table<R: Planned>(comparison: &Comparison<R>, paper: Option<f64>) -> String {
+pub fn table<R: PlannerOutcome>(comparison: &Comparison<R>, paper: Option<f64>) -> String {
     let lines = Line::all(comparison);
     let runs = comparison.runs.len() / lines.len().max(1);
     let mut text = format!(
@@ -169,9 +169,9 @@ pub fn table<R: Planned>(comparison: &Comparison<R>, paper: Option<f64>) -> Stri
 }
 
 /// The source with which the others are compared.
-const BASELINES: [Wanted; 2] = [Wanted::Brute, Wanted::Scan];
+const BASELINES: [SourceChoice; 2] = [SourceChoice::Brute, SourceChoice::Scan];
 
-fn of(lines: &[Line], source: Wanted) -> Option<&Line> {
+fn of(lines: &[Line], source: SourceChoice) -> Option<&Line> {
     lines.iter().find(|line| line.source == source)
 }
 
@@ -185,10 +185,10 @@ fn ratio(ratio: f64) -> String {
 
 /// Prints the cost of the network, if the same index was used with and without it.
 fn network(lines: &[Line], text: &mut String) {
-    let Some(forest) = of(lines, Wanted::Forest) else {
+    let Some(forest) = of(lines, SourceChoice::Forest) else {
         return;
     };
-    let remote = [Wanted::Server, Wanted::Replica].into_iter();
+    let remote = [SourceChoice::Server, SourceChoice::Replica].into_iter();
     for line in remote.filter_map(|source| of(lines, source)) {
         let search = (line.search_us - forest.search_us).max(0.0);
         let insert = (line.insert_us - forest.insert_us).max(0.0);
@@ -203,7 +203,7 @@ fn network(lines: &[Line], text: &mut String) {
 }
 
 /// The improvement of RRT*'s path, and its time with each source.
-pub fn progress(grown: &[(Wanted, Star)]) -> String {
+pub fn progress(grown: &[(SourceChoice, Star)]) -> String {
     let mut text = format!("{:>9} {:>9} {:>9}", "samples", "nodes", "length");
     for (source, _) in grown {
         let _ = write!(text, " {:>17}", format!("{}, s", source.name()));

@@ -16,11 +16,11 @@ use wayfold::States;
 
 use super::{
     account::{Account, Growth, Record},
-    comparison::Planned,
+    comparison::PlannerOutcome,
     error::PlanningError,
     problem::Problem,
     sampling,
-    source::{NeighborSource, Timed},
+    source::{NeighborSource, TimedSource},
 };
 
 /// One tree. Nodes are numbered from 0; ids are the source's names of the nodes.
@@ -112,7 +112,7 @@ impl Solution {
     }
 }
 
-impl Planned for Solution {
+impl PlannerOutcome for Solution {
     const PLANNER: &'static str = "RRTConCon";
     const INSERT: &'static str = "all nodes of a connection";
 
@@ -178,7 +178,7 @@ pub fn solve(
 struct Planner<'a, P> {
     problem: &'a P,
     trees: [Tree; 2],
-    sources: [Timed; 2],
+    sources: [TimedSource; 2],
     started: Instant,
     checking: Duration,
     checks: usize,
@@ -198,7 +198,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         let mut planner = Planner {
             problem,
             trees: [Tree::new(coordinates), Tree::new(coordinates)],
-            sources: sources.map(Timed::new),
+            sources: sources.map(TimedSource::new),
             started: Instant::now(),
             checking: Duration::ZERO,
             checks: 0,

@@ -18,7 +18,7 @@ use super::{
     error::PlanningError,
     problem::Problem,
     sampling,
-    source::{NeighborSource, Timed, Usage},
+    source::{NeighborSource, TimedSource, Usage},
 };
 
 /// k(n): the paper's 2e · ln n, above its bound e(1 + 1/d) · ln n in every dimension above 1.
@@ -29,7 +29,7 @@ const SCALING: Scaling = Scaling {
 };
 
 /// The maximum length of an extension in resolutions: η.
-const REACH: f64 = 30.0;
+const MAX_EXTENSION: f64 = 30.0;
 
 /// Until the goal is reached, one in this many samples is the goal.
 const GOAL_EVERY: usize = 50;
@@ -164,13 +164,13 @@ const FIRST: usize = 125;
 
 struct Planner<'a, P> {
     problem: &'a P,
-    source: Timed,
+    source: TimedSource,
     tree: StarTree,
     goal: Option<usize>,
 }
 
 /// A near node, and the known facts about the motion to it.
-struct Near {
+struct NearNode {
     node: usize,
     distance: f64,
     free: Option<bool>,
@@ -188,7 +188,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         };
         let mut planner = Planner {
             problem,
-            source: Timed::new(source),
+            source: TimedSource::new(source),
             tree,
             goal: None,
         };
@@ -238,7 +238,7 @@ impl<'a, P: Problem> Planner<'a, P> {
             return Ok(None);
         }
         let node = self.tree.nodes[&nearest.id];
-        let share = REACH * self.problem.resolution() / nearest.distance;
+        let share = MAX_EXTENSION * self.problem.resolution() / nearest.distance;
         let mut state = target.to_vec();
         if share < 1.0 {
             let from = self.tree.states.row(node);
@@ -254,7 +254,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         &mut self,
         nearest: usize,
         state: &[f64],
-    ) -> Result<Option<Vec<Near>>, PlanningError> {
+    ) -> Result<Option<Vec<NearNode>>, PlanningError> {
         let (problem, from) = (self.problem, self.tree.states.row(nearest));
         if !problem.is_free_way(from, state, &mut 0) {
             return Ok(None);
@@ -265,7 +265,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         let found = self.source.search(state, &search)?;
         let near = found.iter().map(|near| {
             let node = self.tree.nodes[&near.id];
-            Near {
+            NearNode {
                 node,
                 distance: near.distance,
                 free: (node == nearest).then_some(true),
@@ -276,8 +276,8 @@ impl<'a, P: Problem> Planner<'a, P> {
 
     /// The node that gives the shortest path from the root to `state`, and its distance to `state`. Candidates are
     /// checked in ascending order of the path's length, so that few motions are checked.
-    fn best_parent(&self, near: &mut [Near], state: &[f64]) -> Option<(usize, f64)> {
-        let cost = |near: &Near| self.tree.costs[near.node] + near.distance;
+    fn best_parent(&self, near: &mut [NearNode], state: &[f64]) -> Option<(usize, f64)> {
+        let cost = |near: &NearNode| self.tree.costs[near.node] + near.distance;
         near.sort_by(|a, b| cost(a).total_cmp(&cost(b)).then(a.node.cmp(&b.node)));
         near.iter_mut().find_map(|near| {
             let free = self.is_free_way(near, state);
@@ -285,7 +285,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         })
     }
 
-    fn is_free_way(&self, near: &mut Near, state: &[f64]) -> bool {
+    fn is_free_way(&self, near: &mut NearNode, state: &[f64]) -> bool {
         let from = self.tree.states.row(near.node);
         *near
             .free

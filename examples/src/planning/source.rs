@@ -62,15 +62,15 @@ impl std::ops::Add for Usage {
 }
 
 /// A source with a record of its usage, so that sources need not measure themselves.
-pub struct Timed {
+pub struct TimedSource {
     source: Box<dyn NeighborSource>,
     usage: Usage,
 }
 
-impl Timed {
+impl TimedSource {
     /// Measures `source` from now on.
-    pub fn new(source: Box<dyn NeighborSource>) -> Timed {
-        Timed {
+    pub fn new(source: Box<dyn NeighborSource>) -> TimedSource {
+        TimedSource {
             source,
             usage: Usage::default(),
         }
@@ -82,7 +82,7 @@ impl Timed {
     }
 }
 
-impl NeighborSource for Timed {
+impl NeighborSource for TimedSource {
     fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError> {
         let start = Instant::now();
         let ids = self.source.insert(states);

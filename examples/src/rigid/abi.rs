@@ -76,7 +76,7 @@ pub unsafe extern "C" fn rigid_canonicalize(row: *mut f64, length: usize) -> i32
 pub unsafe extern "C" fn rigid_is_free(row: *const f64, length: usize) -> i32 {
     // Safety: as this function's.
     match unsafe { state(row, length) } {
-        Some(state) => told(SCENE.is_free(state)),
+        Some(state) => as_flag(SCENE.is_free(state)),
         None => NO_STATE,
     }
 }
@@ -85,8 +85,8 @@ pub unsafe extern "C" fn rigid_is_free(row: *const f64, length: usize) -> i32 {
 /// states to `checks`, unless `checks` is null.
 ///
 /// # Safety
-/// `a` and `b` are null or the addresses of `length` numbers, and `checks` is null or the address of a number that nobody
-/// else uses during the call.
+/// `a` and `b` are null or the addresses of `length` numbers, and `checks` is null or the address of a number that
+/// nobody else uses during the call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rigid_is_free_way(
     a: *const f64,
@@ -104,7 +104,7 @@ pub unsafe extern "C" fn rigid_is_free_way(
     if let Some(checks) = unsafe { checks.as_mut() } {
         *checks += checked;
     }
-    told(free)
+    as_flag(free)
 }
 
 /// The distance between two states in the space's metric; NaN unless both are states.
@@ -139,10 +139,10 @@ pub unsafe extern "C" fn rigid_is_free_path(rows: *const f64, count: usize, leng
             None => return NO_STATE,
         }
     }
-    told(path::verify(&*SCENE, &path).is_ok())
+    as_flag(path::verify(&*SCENE, &path).is_ok())
 }
 
-fn told(free: bool) -> i32 {
+fn as_flag(free: bool) -> i32 {
     match free {
         true => FREE,
         false => NOT_FREE,

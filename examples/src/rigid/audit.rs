@@ -33,11 +33,11 @@ pub async fn audit(server: &str, index: &str) -> Result<(), PlanningError> {
     for &worker in &roadmap.workers {
         *workers.entry(worker).or_default() += 1;
     }
-    let told = json!({
+    let summary = json!({
         "milestones": roadmap.len(),
         "edges": roadmap.edge_count(),
         "workers": workers,
     });
-    println!("{told}");
+    println!("{summary}");
     Ok(())
 }

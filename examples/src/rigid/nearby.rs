@@ -10,7 +10,7 @@ pub use crate::planning::prm_star::SCALING;
 /// The factor by which more than k(n) neighbours are requested. The roadmap, and so k(n), grows while a batch is
 /// checked. k(n) grows by this factor when n becomes n^1.1, for example from 1,000 to 2,000. A worker with enough
 /// candidates need not search again.
-const SPARE: f64 = 1.1;
+const CANDIDATE_GROWTH: f64 = 1.1;
 
 /// The required columns of a candidate.
 pub const STATES: Include = Include::none().states();
@@ -46,13 +46,15 @@ impl Source {
     ) -> Result<(Vec<Vec<Candidate>>, Revision), PlanningError> {
         match self {
             Source::Server => {
-                let found = index.knn(states).k_factor(SPARE * Scaling::K_FACTOR);
+                let found = index
+                    .knn(states)
+                    .k_factor(CANDIDATE_GROWTH * Scaling::K_FACTOR);
                 let found = found.include(STATES).await?;
                 Ok((found.rows().map(candidates).collect(), found.revision()))
             }
             Source::Replica(replica) => {
                 let view = replica.view()?;
-                let search = Search::k_factor(SPARE * Scaling::K_FACTOR);
+                let search = Search::k_factor(CANDIDATE_GROWTH * Scaling::K_FACTOR);
                 let nearest = |state: &Vec<f64>| -> Result<Vec<Candidate>, PlanningError> {
                     let found = view.search(state, &search)?;
                     let near = found.iter();
@@ -67,7 +69,7 @@ impl Source {
 
 /// The number of found candidates that belong, at least approximately, to the k(n) nearest. These are checked at once.
 pub fn without_spare(found: usize) -> usize {
-    (found as f64 / SPARE).ceil() as usize
+    (found as f64 / CANDIDATE_GROWTH).ceil() as usize
 }
 
 /// A candidate found by a replica.

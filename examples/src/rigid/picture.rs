@@ -16,7 +16,7 @@ use super::{
 };
 use crate::planning::{
     crew_panels,
-    drawing::{self, Area, DARK, DrawingError, LETTERS, PALE, WORKERS, letters, write},
+    drawing::{self, Area, DARK, DrawingError, FONT_SIZES, PALE, WORKERS, letters, write},
     error::PlanningError,
     path,
     problem::Problem,
@@ -105,11 +105,11 @@ fn rooms(
         built.roadmap.len(),
         built.roadmap.edge_count(),
     );
-    write(area, title, (80, 66), letters(LETTERS[0], DARK))?;
+    write(area, title, (80, 66), letters(FONT_SIZES[0], DARK))?;
     let hint = format!(
         "Drawn are the {EDGES} shortest edges of each milestone, in the colour of the worker that made it."
     );
-    write(area, hint, (80, 126), letters(LETTERS[1], DARK))?;
+    write(area, hint, (80, 126), letters(FONT_SIZES[1], DARK))?;
     for (row, (answer, [_, color])) in built.paths.iter().zip(CHAIRS).enumerate() {
         let entry = [(answer.name, color)];
         drawing::legend(area, &entry, (80, 190 + 52 * row as i32), 0)?;

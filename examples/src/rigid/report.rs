@@ -8,9 +8,9 @@ use super::{
     options::Kind,
 };
 use crate::planning::{
-    comparison::Planned,
-    figures::{Row, Spent},
-    prm_star::Answered,
+    comparison::PlannerOutcome,
+    figures::{Row, RunTimes},
+    prm_star::AnsweredRoadmap,
     processes::Times,
     report::median,
 };
@@ -30,12 +30,12 @@ impl Built {
     pub fn row(&self) -> Row {
         let sum = self.sum();
         Row {
-            planner: Answered::PLANNER,
+            planner: AnsweredRoadmap::PLANNER,
             source: self.source.name(),
             workers: self.workers,
             seed: self.seed,
             nodes: sum.milestones,
-            spent: Spent::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            spent: RunTimes::by_workers(self.crew.wall.as_secs_f64(), sum.times),
             checks: sum.checks,
             path_lengths: self.paths.iter().map(|path| path.length).collect(),
         }

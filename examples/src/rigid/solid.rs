@@ -25,10 +25,10 @@ pub struct Projection {
 pub const DEPTH: [f64; 2] = [0.46, 0.40];
 
 /// Towards the eye.
-const EYE: Vector = Vector::new(DEPTH[0], -1.0, DEPTH[1]);
+const VIEW_DIRECTION: Vector = Vector::new(DEPTH[0], -1.0, DEPTH[1]);
 
 /// Towards the light.
-const LIGHT: Vector = Vector::new(0.35, -0.55, 0.76);
+const LIGHT_DIRECTION: Vector = Vector::new(0.35, -0.55, 0.76);
 
 impl Projection {
     /// The position of a point in the picture.
@@ -80,7 +80,7 @@ impl Solid {
                     let mut normal = Vector::ZERO;
                     normal[axis] = side;
                     let outwards = at.rotation * normal;
-                    if outwards.dot(EYE) <= 0.0 {
+                    if outwards.dot(VIEW_DIRECTION) <= 0.0 {
                         continue;
                     }
                     let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -92,7 +92,7 @@ impl Solid {
                         corner[last] = two * half[last];
                         projection.at(at.transform_point(corner))
                     });
-                    let fill = shaded(self.color, outwards.dot(LIGHT)).mix(self.opacity);
+                    let fill = shaded(self.color, outwards.dot(LIGHT_DIRECTION)).mix(self.opacity);
                     area.draw(&Polygon::new(face.to_vec(), fill))?;
                     let closed: Vec<_> = face.iter().chain(face.first()).copied().collect();
                     let edge = self.outline.mix(self.opacity.max(0.5)).stroke_width(2);
@@ -105,7 +105,7 @@ impl Solid {
 }
 
 fn nearness(at: &Pose) -> f64 {
-    at.translation.dot(EYE)
+    at.translation.dot(VIEW_DIRECTION)
 }
 
 fn shaded(color: RGBColor, light: f64) -> RGBColor {

@@ -10,8 +10,8 @@ use crate::planning::{
     comparison::{self, Open, Trials},
     error::PlanningError,
     figures,
-    options::{Wanted, seeds},
-    prm_star::{self, Answered},
+    options::{SourceChoice, seeds},
+    prm_star::{self, AnsweredRoadmap},
     report::{self, can_write},
 };
 
@@ -19,7 +19,7 @@ use crate::planning::{
 pub fn compare(scene: &Rooms, options: &Options) -> Result<(), PlanningError> {
     can_write(options.json.as_deref())?;
     let trials = Trials {
-        sources: Wanted::All.sources(),
+        sources: SourceChoice::All.sources(),
         seeds: seeds(options.seed, options.runs).collect(),
         server: options.server.as_deref(),
     };
@@ -47,7 +47,7 @@ pub fn compare(scene: &Rooms, options: &Options) -> Result<(), PlanningError> {
 }
 
 /// A path for each question, checked independently.
-fn check(scene: &Rooms, solved: &Answered) -> Result<Vec<Answer>, PlanningError> {
+fn check(scene: &Rooms, solved: &AnsweredRoadmap) -> Result<Vec<Answer>, PlanningError> {
     let found = scene.tasks().iter().zip(&solved.paths);
     let milestones = solved.roadmap.len();
     found

@@ -24,19 +24,19 @@ use super::{
     worker::Worker,
 };
 use crate::planning::{
-    comparison::Planned,
+    comparison::PlannerOutcome,
     error::PlanningError,
-    figures::{self, Row, Spent},
+    figures::{self, Row, RunTimes},
     options::seeds,
     path,
-    prm_star::Answered,
+    prm_star::AnsweredRoadmap,
     problem::Problem,
-    processes::{Heard, Line, Process, lost},
+    processes::{Line, Process, WorkerEvent, lost},
     report::median,
 };
 
 /// A roadmap that answers all questions.
-struct Solved {
+struct SolvedRoadmap {
     source: Kind,
     workers: usize,
     seed: u64,
@@ -71,7 +71,7 @@ pub async fn run(scene: &Rooms, uri: &str, options: &Options) -> Result<(), Plan
         }
     }
     print!("{}", table(&all, workers));
-    figures::write(all.iter().map(Solved::row), options.json.as_deref())
+    figures::write(all.iter().map(SolvedRoadmap::row), options.json.as_deref())
 }
 
 /// Solves them in a separate index.
@@ -80,7 +80,7 @@ async fn solve_anew(
     uri: &str,
     options: &Options,
     seed: u64,
-) -> Result<Solved, PlanningError> {
+) -> Result<SolvedRoadmap, PlanningError> {
     let client = Client::connect(uri).await?;
     let name = format!("rigid-{}", uuid::Uuid::new_v4());
     let index = client.create_index(&name, scene.space()).await?;
@@ -96,10 +96,10 @@ async fn solve(
     index: &IndexHandle,
     options: &Options,
     seed: u64,
-) -> Result<Solved, PlanningError> {
+) -> Result<SolvedRoadmap, PlanningError> {
     let watch = index.watch().after(index.revision_at(0));
     let mut watch = watch.include(Include::all()).await?;
-    let (told, mut lines) = mpsc::unbounded_channel();
+    let (events, mut lines) = mpsc::unbounded_channel();
     let mut crew = Vec::new();
     for number in 0..options.workers {
         let job = Job {
@@ -116,10 +116,12 @@ async fn solve(
             progress_ms: 0,
             halt_at: None,
         };
-        let told = told.clone();
-        crew.push(Process::start(&job, move |heard| told.send(heard).is_ok())?);
+        let events = events.clone();
+        crew.push(Process::start(&job, move |heard| {
+            events.send(heard).is_ok()
+        })?);
     }
-    drop(told);
+    drop(events);
     for _ in 0..options.workers {
         match lines.recv().await {
             Some((_, Some(Line::Ready), _)) => {}
@@ -163,7 +165,7 @@ async fn solve(
     for path in &paths {
         path::verify(scene, path)?;
     }
-    Ok(Solved {
+    Ok(SolvedRoadmap {
         source: options.source,
         workers: options.workers,
         seed,
@@ -177,7 +179,7 @@ async fn solve(
 /// Follows the roadmap until its edges connect these pairs of milestones, or all workers are done.
 async fn follow(
     watch: &mut Watch,
-    lines: &mut UnboundedReceiver<Heard<Account>>,
+    lines: &mut UnboundedReceiver<WorkerEvent<Account>>,
     accounts: &mut [Account],
     ends: &[(u64, u64)],
 ) -> Result<(), PlanningError> {
@@ -238,12 +240,12 @@ fn note(accounts: &mut [Account], number: usize, line: Option<Line<Account>>) ->
 }
 
 /// The figures of all runs, one line for each number of workers.
-fn table(all: &[Solved], workers: &[usize]) -> String {
+fn table(all: &[SolvedRoadmap], workers: &[usize]) -> String {
     let mut text =
         "workers   time to solution (least .. most), s   milestones   collision checks\n"
             .to_owned();
     for &workers in workers {
-        let of = |figure: fn(&Solved) -> f64| {
+        let of = |figure: fn(&SolvedRoadmap) -> f64| {
             let mut figures: Vec<f64> = all
                 .iter()
                 .filter(|one| one.workers == workers)
@@ -269,15 +271,15 @@ fn table(all: &[Solved], workers: &[usize]) -> String {
     text
 }
 
-impl Solved {
+impl SolvedRoadmap {
     fn row(&self) -> Row {
         Row {
-            planner: Answered::PLANNER,
+            planner: AnsweredRoadmap::PLANNER,
             source: self.source.name(),
             workers: self.workers,
             seed: self.seed,
             nodes: self.milestones as u64,
-            spent: Spent::by_workers(self.wall.as_secs_f64(), self.account.times),
+            spent: RunTimes::by_workers(self.wall.as_secs_f64(), self.account.times),
             checks: self.account.checks,
             path_lengths: self.lengths.clone(),
         }

@@ -21,7 +21,9 @@ use super::{
     nearby::{self, Candidate, SCALING, STATES, Source},
     scene::Rooms,
 };
-use crate::planning::{error::PlanningError, problem::Problem, sampling, under_way::UnderWay};
+use crate::planning::{
+    error::PlanningError, pending_call::PendingCall, problem::Problem, sampling,
+};
 
 /// A worker that samples, checks and inserts.
 pub struct Worker<'a> {
@@ -37,7 +39,7 @@ pub struct Worker<'a> {
 
 /// Free states that are not stored yet. Their motions to the existing milestones are checked.
 #[derive(Debug)]
-pub struct Checked {
+pub struct CheckedStates {
     states: Vec<CheckedState>,
     /// A revision up to which no milestone was missed.
     seen: Revision,
@@ -144,7 +146,7 @@ impl<'a> Worker<'a> {
 
     /// The first step: checks the motions of free states to existing milestones, and drops states that are too near to
     /// one.
-    pub async fn look(&mut self, states: Vec<Vec<f64>>) -> Result<Checked, PlanningError> {
+    pub async fn look(&mut self, states: Vec<Vec<f64>>) -> Result<CheckedStates, PlanningError> {
         let start = Instant::now();
         let (near, seen) = self.source.nearest(&self.index, &states).await?;
         self.account.times.searching += start.elapsed();
@@ -162,7 +164,7 @@ impl<'a> Worker<'a> {
                 edges,
             });
         }
-        Ok(Checked {
+        Ok(CheckedStates {
             states: checked,
             seen,
         })
@@ -170,7 +172,7 @@ impl<'a> Worker<'a> {
 
     /// The second step: stores the states with these edges. The response contains the milestones that arrived
     /// meanwhile.
-    pub async fn insert(&mut self, checked: Checked) -> Result<Vec<Pending>, PlanningError> {
+    pub async fn insert(&mut self, checked: CheckedStates) -> Result<Vec<Pending>, PlanningError> {
         if checked.states.is_empty() {
             return Ok(Vec::new());
         }
@@ -183,7 +185,7 @@ impl<'a> Worker<'a> {
     /// The call of the second step, which can run while the worker does something else.
     fn insertion(
         &self,
-        checked: Checked,
+        checked: CheckedStates,
     ) -> impl Future<Output = Result<Vec<Pending>, PlanningError>> + Send + use<> {
         let meanwhile = Filter::default().since(checked.seen);
         let around = NeighborSpec::k_factor(Scaling::K_FACTOR);
@@ -302,7 +304,7 @@ impl<'a> Worker<'a> {
     ) -> Result<(), PlanningError> {
         let started = Instant::now();
         let before = self.account.times.total;
-        let (mut inserting, mut updating) = (UnderWay::default(), UnderWay::default());
+        let (mut inserting, mut updating) = (PendingCall::default(), PendingCall::default());
         // This is the known number; other workers may have made more.
         let mut there_are = 0;
         while there_are < milestones && !self.is_in_vain(milestones) {
@@ -339,7 +341,7 @@ impl<'a> Worker<'a> {
 
     /// True if the space is practically full at the required separation.
     fn is_in_vain(&self, milestones: u64) -> bool {
-        const TRIES: u64 = 100;
-        self.account.samples > TRIES * milestones
+        const MAX_DRAWS: u64 = 100;
+        self.account.samples > MAX_DRAWS * milestones
     }
 }

@@ -26,7 +26,7 @@ fn a_path_through_a_wall_is_found_out() {
     ));
 }
 
-/// Whether the finer check takes a state for free.
+/// True if the finer check finds a state free.
 fn is_free_by_other_code(problem: &impl Verify, state: &[f64]) -> bool {
     problem.is_free_between(state, state, 0.0)
 }
@@ -34,12 +34,12 @@ fn is_free_by_other_code(problem: &impl Verify, state: &[f64]) -> bool {
 #[test]
 fn the_finer_check_of_the_maze_tells_a_touch_from_a_gap() {
     let problem = Maze::new();
-    // The left wall reaches to 0.05, the body 0.33 from its middle.
+    // The left wall ends at 0.05, and the body extends 0.33 from its middle.
     assert!(!is_free_by_other_code(&problem, &[0.38, 7.5, 0.0]));
     assert!(is_free_by_other_code(&problem, &[0.381, 7.5, 0.0]));
     // The planner keeps a margin.
     assert!(!problem.is_free(&[0.381, 7.5, 0.0]));
-    // On a corner it is 0.467 to each side, more than the corridor has.
+    // Turned by an eighth, the body extends 0.467 to each side, more than the corridor.
     let turned = std::f64::consts::FRAC_PI_4;
     assert!(!is_free_by_other_code(&problem, &[0.5, 7.5, turned]));
     assert!(is_free_by_other_code(&problem, &[0.5, 7.5, 0.0]));
@@ -53,7 +53,7 @@ fn the_finer_check_of_the_room_tells_a_touch_from_a_gap() {
         state[7 * body..7 * body + 3].copy_from_slice(&place);
         is_free_by_other_code(&problem, &state)
     };
-    // Two upright bodies, each 0.1 deep to both sides; the first is where it starts.
+    // Two upright bodies, each 0.1 deep to both sides; the first is at its start.
     assert!(!with(1, [1.2, 1.4 + 0.2, 1.3]));
     assert!(with(1, [1.2, 1.4 + 0.201, 1.3]));
     // A pillar begins at 4.0, and the upper bar reaches 0.4 to its side.
@@ -64,7 +64,7 @@ fn the_finer_check_of_the_room_tells_a_touch_from_a_gap() {
     assert!(!with(0, [1.2, 1.4, 5.591]) && with(0, [1.2, 1.4, 5.589]));
 }
 
-/// Whatever the planner takes for free is free, and so is all that is within half a resolution of it.
+/// Each state that the planner finds free is free, with all states within half a resolution of it.
 fn free_is_free(problem: &impl Verify, states: usize) {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let (space, mut free) = (problem.space(), 0);
@@ -85,17 +85,17 @@ fn free_is_free(problem: &impl Verify, states: usize) {
 }
 
 #[test]
-fn what_is_free_in_the_maze_is_free_with_its_surroundings() {
+fn free_states_in_the_maze_have_free_surroundings() {
     let problem = small();
     assert!(problem.is_free(problem.start()) && problem.is_free(problem.goal()));
     free_is_free(&problem, 20_000);
 }
 
 #[test]
-fn what_is_free_in_the_room_is_free_with_its_surroundings() {
+fn free_states_in_the_room_have_free_surroundings() {
     let problem = Room::new();
     assert!(problem.is_free(problem.start()) && problem.is_free(problem.goal()));
-    // The second body in the place of the first.
+    // The second body is at the place of the first.
     let mut two = problem.start().to_vec();
     two.copy_within(0..7, 7);
     assert!(!problem.is_free(&two) && !problem.is_free_between(&two, &two, 0.0));

@@ -22,9 +22,9 @@ const MAZE: &str = env!("CARGO_BIN_EXE_maze");
 const BODIES: &str = env!("CARGO_BIN_EXE_bodies");
 const RIGID: &str = env!("CARGO_BIN_EXE_rigid");
 
-/// Runs a program in a directory of its own. Its only row has planner, source, workers and seed as told, as many paths, and
-/// numbers that fit together.
-fn writes(program: &str, arguments: &str, told: (&str, &str, u64, u64), paths: usize) {
+/// Runs a program in a directory of its own, and checks its only row: planner, source, workers, seed, the number of
+/// paths, and consistent figures.
+fn writes(program: &str, arguments: &str, expected: (&str, &str, u64, u64), paths: usize) {
     let directory = tempfile::tempdir().unwrap();
     let mut command = Command::new(program);
     let command = command
@@ -53,13 +53,13 @@ fn writes(program: &str, arguments: &str, told: (&str, &str, u64, u64), paths: u
         whole("workers"),
         whole("seed"),
     );
-    assert_eq!(of, told);
+    assert_eq!(of, expected);
     let seconds = |key: &str| row[key].as_f64().unwrap();
     let parts = ["search_s", "insert_s", "check_s"].map(seconds);
     assert!(parts.iter().all(|part| *part > 0.0), "{row}");
-    // The parts are of all workers together.
+    // The parts are sums over all workers.
     assert!(
-        parts.iter().sum::<f64>() <= seconds("total_s") * told.2 as f64,
+        parts.iter().sum::<f64>() <= seconds("total_s") * expected.2 as f64,
         "{row}"
     );
     assert!(

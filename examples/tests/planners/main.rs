@@ -1,4 +1,4 @@
-//! The planners and the scenes of this package, in small, with a server in this process.
+//! The planners and the scenes of this package on small problems, with a server in this process.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 

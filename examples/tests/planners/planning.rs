@@ -1,5 +1,5 @@
-//! The planners, in small: with every source of neighbours they grow the same trees, and what they find is
-//! free by other code than theirs.
+//! The planners on small problems: they grow the same trees with every source of neighbours, and independent code finds
+//! their paths free.
 
 use std::cell::Cell;
 
@@ -11,8 +11,8 @@ use wayfold_examples::{
     planning::{
         comparison::{self, Open, Trials},
         error::PlanningError,
-        figures::Spent,
-        options::Wanted,
+        figures::RunTimes,
+        options::SourceChoice,
         path::{self, Verify},
         prm_star,
         problem::Problem,
@@ -29,7 +29,7 @@ pub(crate) fn small() -> Maze {
     Maze::between((0, 0), (2, 3))
 }
 
-/// What is small, with no more of the maze to draw states from than it is about.
+/// A small problem, whose states are drawn only from its part of the maze.
 struct Corner(Maze, [(f64, f64); 2]);
 
 impl Corner {
@@ -83,12 +83,12 @@ fn all_sources_grow_the_trees_of_brute_force_to_the_bit() {
             let own = || comparison::open(source, &problem, Some(&remote)).unwrap();
             rrt::solve(&problem, [own(), own()], seed, 100_000).unwrap()
         };
-        let expected = solve(Wanted::Brute);
+        let expected = solve(SourceChoice::Brute);
         assert!(expected.trees.iter().all(|tree| tree.len() > 10));
         path::verify(&problem, &expected.path).unwrap();
         assert_eq!(expected.path.first().unwrap(), problem.start());
         assert_eq!(expected.path.last().unwrap(), problem.goal());
-        for source in Wanted::All.sources() {
+        for source in SourceChoice::All.sources() {
             let found = solve(source);
             assert!(found.trees == expected.trees, "{source:?}, seed {seed}");
             assert_eq!(found.path, expected.path);
@@ -104,9 +104,9 @@ fn all_sources_grow_the_tree_of_rrt_star_of_brute_force_to_the_bit() {
         let own = comparison::open(source, &problem, Some(&remote)).unwrap();
         rrt_star::grow(&problem, own, 3, 3000).unwrap()
     };
-    let expected = grow(Wanted::Brute);
+    let expected = grow(SourceChoice::Brute);
     assert!(expected.tree.len() > 80);
-    for source in Wanted::All.sources() {
+    for source in SourceChoice::All.sources() {
         let found = grow(source);
         assert!(found.tree == expected.tree, "{source:?}");
         assert_eq!(found.goal, expected.goal);
@@ -117,13 +117,13 @@ fn all_sources_grow_the_tree_of_rrt_star_of_brute_force_to_the_bit() {
 fn the_way_of_rrt_star_only_becomes_shorter() {
     let problem = Corner::new();
     let grow = |samples| {
-        let own = comparison::open(Wanted::Forest, &problem, None).unwrap();
+        let own = comparison::open(SourceChoice::Forest, &problem, None).unwrap();
         rrt_star::grow(&problem, own, 3, samples).unwrap()
     };
     let mut costs = Vec::new();
     for samples in (2000..=12_000).step_by(2000) {
         let star = grow(samples);
-        // What its nodes know is what the states and parents say.
+        // The stored data of the nodes agrees with the states and parents.
         let tree = &star.tree;
         assert_eq!((tree.parents[0], tree.costs[0]), (None, 0.0));
         for node in 1..tree.len() {
@@ -165,11 +165,11 @@ fn all_sources_build_the_roadmap_of_prm_star_that_its_states_tell() {
         let own = comparison::open(source, &problem, Some(&remote)).unwrap();
         prm_star::solve(&problem, own, 4, milestones, &questions).unwrap()
     };
-    let expected = solve(Wanted::Brute);
+    let expected = solve(SourceChoice::Brute);
     let (roadmap, space) = (&expected.roadmap, problem.space());
     assert_eq!(roadmap.len(), milestones + 4);
 
-    // Each by all distances to those before it, the equally near by their numbers.
+    // The expected edges follow from all distances to earlier milestones, ties by number.
     for (n, state) in roadmap.states.iter().enumerate() {
         let distance = |other: usize| space.distance(state, roadmap.states.row(other));
         let mut near: Vec<usize> = (0..n).collect();
@@ -187,7 +187,7 @@ fn all_sources_build_the_roadmap_of_prm_star_that_its_states_tell() {
         path::verify(&problem, path).unwrap();
         assert_eq!((&path[0][..], &path[path.len() - 1][..]), (*start, *goal));
     }
-    for source in Wanted::All.sources() {
+    for source in SourceChoice::All.sources() {
         let found = solve(source);
         assert!(found.roadmap == expected.roadmap, "{source:?}");
         assert_eq!(found.paths, expected.paths);
@@ -198,7 +198,7 @@ fn all_sources_build_the_roadmap_of_prm_star_that_its_states_tell() {
 
 fn two_local_sources() -> Trials<'static> {
     Trials {
-        sources: vec![Wanted::Brute, Wanted::Scan],
+        sources: vec![SourceChoice::Brute, SourceChoice::Scan],
         seeds: vec![1, 2, 3],
         server: None,
     }
@@ -230,9 +230,9 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
     let table = report::table(&compared, None);
     let lines: Vec<_> = table.lines().skip(2).take(2).collect();
 
-    // From the rows, by other arithmetic than the table's.
+    // The expected figures are computed from the rows, independently of the table.
     let rows: Vec<_> = compared.rows().collect();
-    let median = |source: &str, of: fn(&Spent) -> f64| {
+    let median = |source: &str, of: fn(&RunTimes) -> f64| {
         let of_source = rows.iter().filter(|row| row.source == source);
         let mut times: Vec<f64> = of_source.map(|row| of(&row.spent)).collect();
         assert_eq!(times.len(), 3);
@@ -244,11 +244,11 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
     let total = |source| median(source, |spent| spent.total_s);
     for (line, source) in lines.into_iter().zip(["brute force", "SIMD scan"]) {
         assert!(line.starts_with(source));
-        let told = line.split_whitespace().rev().take(4);
-        let told = told.map(|ratio| ratio.strip_suffix('×').unwrap().parse().unwrap());
+        let shown = line.split_whitespace().rev().take(4);
+        let shown = shown.map(|ratio| ratio.strip_suffix('×').unwrap().parse().unwrap());
         let [scan_total, scan_neighbors, brute_total, brute_neighbors]: [f64; 4] =
-            told.collect::<Vec<_>>().try_into().unwrap();
-        for (told, expected) in [
+            shown.collect::<Vec<_>>().try_into().unwrap();
+        for (shown, expected) in [
             (scan_total, total("SIMD scan") / total(source)),
             (scan_neighbors, neighbors("SIMD scan") / neighbors(source)),
             (brute_total, total("brute force") / total(source)),
@@ -257,16 +257,16 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
                 neighbors("brute force") / neighbors(source),
             ),
         ] {
-            // What rounding takes away, of a ratio below and of one above ten.
+            // The rounding errors of a ratio below ten and of one above.
             let rounding = if expected < 10.0 { 0.0051 } else { 0.51 };
             assert!(
-                (told - expected).abs() < rounding,
-                "{line}: {told}, {expected}"
+                (shown - expected).abs() < rounding,
+                "{line}: {shown}, {expected}"
             );
         }
     }
     for row in &rows {
-        let Spent {
+        let RunTimes {
             total_s,
             search_s,
             insert_s,
@@ -302,8 +302,8 @@ fn all_sources_answer_all_searches_alike() {
         each.map(|(state, search)| source.search(state, &search).unwrap())
             .collect()
     };
-    let expected = answers(Wanted::Brute);
-    for source in Wanted::All.sources() {
+    let expected = answers(SourceChoice::Brute);
+    for source in SourceChoice::All.sources() {
         assert_eq!(answers(source), expected, "{source:?}");
     }
 }
@@ -311,7 +311,7 @@ fn all_sources_answer_all_searches_alike() {
 #[test]
 fn a_tree_that_may_not_grow_gives_up() {
     let problem = small();
-    let own = || comparison::open(Wanted::Forest, &problem, None).unwrap();
+    let own = || comparison::open(SourceChoice::Forest, &problem, None).unwrap();
     let ended = rrt::solve(&problem, [own(), own()], 1, 50);
     assert!(matches!(ended, Err(PlanningError::Unsolved { nodes }) if nodes >= 50));
 }

@@ -1,4 +1,4 @@
-//! The library `rigid-checks` gives other languages the answers that the program `rigid` gets itself.
+//! The library `rigid-checks` gives other languages the same answers as the program `rigid`.
 
 #![expect(
     unsafe_code,
@@ -47,12 +47,12 @@ fn the_finer_check_of_paths_tells_a_touch_from_a_gap() {
         let state = upright(place);
         scene.is_free_between(&state, &state, 0.0)
     };
-    // In the door, which begins at 0.6 and ends at a height of 2.4: the chair reaches 0.4 to the side and 0.85 up.
+    // In the door, which begins at 0.6 and ends at a height of 2.4: the chair extends 0.4 to the side and 0.85 up.
     assert!(!is_free([3.3, 1.0, 1.05]) && is_free([3.3, 1.001, 1.05]));
     assert!(!is_free([3.3, 1.6, 1.55]) && is_free([3.3, 1.6, 1.549]));
     // The planner keeps a margin.
     assert!(!scene.is_free(&upright([3.3, 1.001, 1.05])));
-    // Its legs reach 0.85 down to the floor.
+    // Its legs extend 0.85 down to the floor.
     assert!(!is_free([1.2, 1.4, 0.849]) && is_free([1.2, 1.4, 0.851]));
     let way = |y| [[2.5, y, 1.05], [4.2, y, 1.05]].map(upright);
     assert!(path::verify(&scene, &way(1.001)).is_ok());
@@ -72,15 +72,15 @@ fn states_and_motions_are_judged_as_by_the_scene() {
     let free: Vec<_> = states.iter().filter(|state| scene.is_free(state)).collect();
     assert!(free.len() > 40 && free.len() < 760);
 
-    let (mut told, mut expected, mut ways) = (0, 0, [0, 0]);
+    let (mut reported, mut expected, mut ways) = (0, 0, [0, 0]);
     for pair in free.windows(2) {
         let [a, b] = pair else { unreachable!() };
-        // Of motions so short some are free.
+        // Some motions of this length are free.
         let mut near = vec![0.0; a.len()];
         scene.space().interpolate(a, b, 0.1, &mut near);
         let judged = scene.is_free_way(a, &near, &mut expected);
-        assert_eq!(is_free_way(a, &near, &mut told), i32::from(judged));
-        assert_eq!(told, expected, "as many checks");
+        assert_eq!(is_free_way(a, &near, &mut reported), i32::from(judged));
+        assert_eq!(reported, expected, "as many checks");
         ways[usize::from(judged)] += 1;
 
         // Safety: rows of one length.
@@ -98,7 +98,7 @@ fn states_and_motions_are_judged_as_by_the_scene() {
 }
 
 #[test]
-fn the_problem_is_told_whole() {
+fn the_problem_is_described_completely() {
     let scene = Rooms::new();
     // Safety: it is never freed.
     let text = unsafe { CStr::from_ptr(rigid_problem()) };
@@ -109,9 +109,9 @@ fn the_problem_is_told_whole() {
     assert_eq!(problem["resolution"], scene.resolution());
     let tasks = problem["tasks"].as_array().unwrap();
     assert_eq!(tasks.len(), scene.tasks().len());
-    for (told, task) in tasks.iter().zip(scene.tasks()) {
-        assert_eq!(told["start"], serde_json::json!(task.start));
-        assert_eq!(told["goal"], serde_json::json!(task.goal));
+    for (reported, task) in tasks.iter().zip(scene.tasks()) {
+        assert_eq!(reported["start"], serde_json::json!(task.start));
+        assert_eq!(reported["goal"], serde_json::json!(task.goal));
         assert_eq!(is_free(&task.start), FREE);
     }
 }
@@ -129,7 +129,7 @@ fn rows_become_canonical() {
 }
 
 #[test]
-fn what_is_no_state_is_refused() {
+fn invalid_states_are_refused() {
     let mut row = vec![5.0, 3.0, 2.0, 0.0, 0.0, 0.0, 1.0];
     assert_ne!(is_free(&row), NO_STATE);
     assert_eq!(is_free(&row[..6]), NO_STATE, "too short");
@@ -143,7 +143,7 @@ fn what_is_no_state_is_refused() {
         assert!(rigid_distance(none, some, 7).is_nan());
         assert_eq!(rigid_is_free_path(none, 1, 7), NO_STATE);
         assert_eq!(rigid_canonicalize(ptr::null_mut(), 7), NO_STATE);
-        // Nobody need count.
+        // The count is optional.
         let way = rigid_is_free_way(some, some, 7, ptr::null_mut());
         assert_eq!(way, FREE);
     }

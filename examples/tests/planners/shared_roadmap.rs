@@ -1,6 +1,5 @@
-//! A roadmap that several workers build together is the one that a single worker would have built, had it drawn the same
-//! states in the same order: compared with brute force, milestone by milestone. The workers are those of the program
-//! `rigid`.
+//! The roadmap of several workers equals that of a single worker which draws the same states in the same order, by a
+//! comparison with brute force for each milestone. The workers are those of the program `rigid`.
 
 use std::{collections::BTreeSet, sync::LazyLock};
 
@@ -22,7 +21,7 @@ static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
 const SPACE: &str = "R3*SO3:0.15";
 const SEED: u64 = 7;
 
-/// How many milestones each of four workers inserts in one call.
+/// The number of milestones that each of four workers inserts in one call.
 const BATCHES: [usize; 4] = [1, 3, 1, 3];
 
 /// A worker with a connection of its own.
@@ -36,13 +35,13 @@ async fn worker(server: &Server, number: usize, replica: bool) -> Worker<'static
     Worker::new(&SCENE, index, source, number, SEED)
 }
 
-/// The edges of each milestone, had one worker made all of them in the order of their revisions, and of the rows of each
-/// insert.
+/// The expected edges of each milestone, as one worker would make them in the order of the revisions and of the rows of
+/// each insert.
 fn replayed(roadmap: &Roadmap) -> Vec<BTreeSet<u64>> {
     replay::edges(&SCENE, roadmap).unwrap()
 }
 
-/// Extends the roadmap by workers side by side.
+/// Extends the roadmap by concurrent workers.
 async fn extend(workers: Vec<Worker<'static>>, milestones: u64) -> u64 {
     let tasks = workers.into_iter().map(|mut worker| {
         tokio::spawn(async move {
@@ -70,8 +69,8 @@ async fn four_workers_build_what_one_would() {
     for number in 0..4 {
         workers.push(worker(&server, number, number % 2 == 0).await);
     }
-    // Each looks before any inserts, so that all but one are told of another, however they are scheduled later; and the
-    // later of a batch of the earlier.
+    // Each worker searches before any inserts, so in any schedule the inserts of all but one report another's
+    // milestones, and the later rows of a batch report the earlier ones.
     let mut looked = Vec::new();
     for (worker, batch) in workers.iter_mut().zip(BATCHES) {
         let states = (0..batch).map(|_| worker.sample()).collect();
@@ -97,7 +96,7 @@ async fn four_workers_build_what_one_would() {
     assert_eq!(BTreeSet::from_iter(&roadmap.workers).len(), 4);
     assert_eq!(stored(&roadmap), replayed(&roadmap));
 
-    // It answers, with what a finer check by other code finds free.
+    // The roadmap answers the question, and a finer check by other code finds the path free.
     assert!(roadmap.edge_count() > 300);
     let last = roadmap.ids[roadmap.len() - 1];
     let found = roadmap.ids.iter();
@@ -124,15 +123,16 @@ async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
         worker(&server, 0, false).await,
         worker(&server, 1, true).await,
     );
-    // Enough that each has the next in its sight, and k(n) grows by the way.
+    // The states are so many that each milestone has the next among its neighbours, and k(n) grows meanwhile.
     for _ in 0..40 {
         let state = other.sample();
         other.add(state).await.unwrap().unwrap();
     }
-    // It dies before it inserts, which leaves nothing.
+    // A worker that dies before it inserts leaves nothing behind.
     let states = vec![doomed.sample(), doomed.sample()];
     drop(doomed.look(states).await.unwrap());
-    // It dies when it has inserted a batch, and milestones arrived meanwhile, the first of them next to one of it.
+    // A worker dies after it inserted a batch; other milestones arrived meanwhile, the first of them next to one of the
+    // batch.
     let states: Vec<_> = (0..3).map(|_| doomed.sample()).collect();
     let checked = doomed.look(states.clone()).await.unwrap();
     let mut beside = states[1].clone();
@@ -144,7 +144,7 @@ async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
     }
     assert_eq!(doomed.insert(checked).await.unwrap().len(), 3);
     drop(doomed);
-    // The others see them, and go on.
+    // The other workers see its milestones and go on.
     let third = worker(&server, 2, false).await;
     extend(vec![other.batch(4), third], 90).await;
 
@@ -155,7 +155,7 @@ async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
     let (mut as_left, serial) = (stored(&roadmap), replayed(&roadmap));
     assert!(!as_left[62].contains(&40), "the one beside it");
     assert!(serial[62].contains(&40));
-    // All that they have is free, and nothing else is missing anywhere.
+    // All stored edges are free, and no other edge is missing.
     for id in pending {
         for &to in &as_left[id] {
             let (state, other) = (roadmap.states.row(id), roadmap.states.row(to as usize));

@@ -1,5 +1,5 @@
-//! Two trees that several workers grow together are trees, whoever made which vertex, and every neighbour by which they
-//! grew was the nearest that the index held then: compared with brute force, search by search.
+//! Two trees that several workers grow together are trees, and each search found the nearest vertex of its revision, by
+//! a comparison with brute force.
 
 use std::{collections::BTreeSet, sync::LazyLock};
 
@@ -17,14 +17,14 @@ use wayfold_examples::{
             store::{Layout, Store},
             trees::SharedTrees,
             vertex::{self, ROOTS},
-            worker::{Asked, Worker},
+            worker::{SearchRecord, Worker},
         },
     },
 };
 
 use crate::server::Server;
 
-/// Some corners away from the start.
+/// A goal some corners away from the start.
 static MAZE: LazyLock<Maze> = LazyLock::new(|| Maze::between((0, 0), (2, 3)));
 const SEED: u64 = 3;
 
@@ -46,8 +46,8 @@ async fn worker(server: &Server, layout: Layout, number: usize) -> Worker<'stati
     worker.batch(1 + number / 2).remember()
 }
 
-/// That each node but the root was stored after its parent, or by the same insert behind it, and that the way between them
-/// is free by another check than the workers'.
+/// Asserts that each node but the root was stored after its parent, or behind it in the same insert, and that an
+/// independent check finds the motion between them free.
 fn are_trees(shared: &SharedTrees) {
     for (tree, root) in [MAZE.start(), MAZE.goal()].into_iter().enumerate() {
         let (nodes, revisions) = (&shared.trees[tree], &shared.revisions[tree]);
@@ -64,7 +64,7 @@ fn are_trees(shared: &SharedTrees) {
 }
 
 /// The vertex that a search had to find.
-fn nearest(shared: &SharedTrees, asked: &Asked) -> Option<Neighbor> {
+fn nearest(shared: &SharedTrees, asked: &SearchRecord) -> Option<Neighbor> {
     let (nodes, revisions) = (&shared.trees[asked.tree], &shared.revisions[asked.tree]);
     let there = (0..nodes.len()).filter(|&node| revisions[node] <= asked.revision);
     let measured = there.map(|node| Neighbor {
@@ -75,7 +75,7 @@ fn nearest(shared: &SharedTrees, asked: &Asked) -> Option<Neighbor> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn four_workers_grow_two_trees_by_what_was_nearest_until_they_meet() {
+async fn four_workers_grow_two_trees_by_nearest_vertices_until_they_meet() {
     grow(Layout::Indices).await;
 }
 
@@ -90,14 +90,14 @@ async fn grow(layout: Layout) {
     let mut tasks = Vec::new();
     for number in 0..4 {
         let mut worker = worker(&server, layout, number).await;
-        // Each has a part in it, however they are scheduled later.
+        // In any schedule, each worker has a part in the trees.
         worker.grow(1, |_| Ok(())).await.unwrap();
         tasks.push(worker);
     }
     let tasks = tasks.into_iter().map(|mut worker| {
         tokio::spawn(async move {
             let met = worker.grow(100_000, |_| Ok(())).await.unwrap();
-            (met, worker.account(), worker.into_asked())
+            (met, worker.account(), worker.into_searches())
         })
     });
     let (mut asked, mut vertices) = (Vec::new(), 0);
@@ -120,7 +120,7 @@ async fn grow(layout: Layout) {
     for asked in &asked {
         assert_eq!(Some(asked.found), nearest(&shared, asked), "{asked:?}");
     }
-    let in_between = |asked: &&Asked| {
+    let in_between = |asked: &&SearchRecord| {
         let last = shared.revisions.iter().flatten().max();
         asked.revision > 1 && Some(&asked.revision) < last
     };
@@ -128,7 +128,7 @@ async fn grow(layout: Layout) {
 }
 
 #[tokio::test]
-async fn the_first_to_say_that_the_trees_meet_is_the_one_who_did() {
+async fn the_first_announced_meeting_of_the_trees_counts() {
     let server = Server::start();
     let store = planted(&server, Layout::Indices).await;
     let meeting = store.meeting();
@@ -147,15 +147,15 @@ async fn the_first_to_say_that_the_trees_meet_is_the_one_who_did() {
         listener.await.unwrap().unwrap();
     }
     assert_eq!(meeting.vertices().await.unwrap(), Some([7, 8]));
-    // Also to who listens only then.
+    // A late watcher receives it too.
     meeting.clone().heard().await.unwrap();
-    // Of vertices that are not there.
+    // The announced vertices do not exist.
     let unread = solve::read(&store).await;
     assert!(matches!(unread, Err(PlanningError::Vertex { id: 7, .. })));
 }
 
 #[tokio::test]
-async fn what_is_no_tree_is_not_read_as_one() {
+async fn invalid_trees_are_not_read() {
     let server = Server::start();
     let store = planted(&server, Layout::Tags).await;
     let index = store.index(0);
@@ -165,7 +165,7 @@ async fn what_is_no_tree_is_not_read_as_one() {
         insert.payloads([payload.to_vec()]).await.unwrap();
         let read = SharedTrees::read(&store).await;
         index.remove([id]).await.unwrap();
-        matches!(read, Err(PlanningError::Vertex { id: told, .. }) if told == id)
+        matches!(read, Err(PlanningError::Vertex { id: named, .. }) if named == id)
     };
     assert!(refused(20, 0, &[]).await, "no parent");
     assert!(refused(20, 0, &[1, 2, 3]).await, "no id");

@@ -1,4 +1,4 @@
-//! Shared by the suites: the spaces, the data, and an independent brute force.
+//! The shared parts of the suites: the spaces, the data, and an independent brute force.
 
 use std::{
     collections::HashSet,
@@ -9,7 +9,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_index::{Factor, Filter, Neighbor, PointRef, Points, Search, Space};
 
-/// The spaces that every structure is held to.
+/// The spaces in which every structure is tested.
 pub const SPACES: [&str; 17] = [
     "R1",
     "R3",
@@ -49,7 +49,7 @@ pub enum Shape {
     Tiny,
     /// Angles at ±half a period, quaternions with w near 0 and their antipodes.
     Seam,
-    /// Ever closer to a corner by halves: the deepest sliding midpoints.
+    /// Distances to a corner that halve with each state, which give the deepest sliding midpoints.
     Geometric,
 }
 
@@ -80,7 +80,7 @@ pub fn states(space: &Space, shape: Shape, rows: usize, rng: &mut ChaCha8Rng) ->
     distinct
 }
 
-/// One canonical state, as it came from the generator of the data.
+/// Brings one generated state into canonical form.
 pub fn row(space: &Space, shape: Shape, at: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
     let mut row = Vec::with_capacity(space.coordinates());
     for factor in space.groups().iter().flat_map(|group| &group.terms) {
@@ -169,7 +169,7 @@ pub fn table(space: &Space, states: &[Vec<f64>]) -> Points {
     points
 }
 
-/// Brute force as one would write it on paper: measure all, sort, cut.
+/// Brute force in its plainest form: measure all, sort, truncate.
 pub fn brute_force<'a>(
     space: &Space,
     points: impl IntoIterator<Item = PointRef<'a>>,
@@ -226,7 +226,7 @@ pub fn searches<'a>(
     ask("r=0", Search::nearest_r(0.0));
     ask("r=inf", Search::nearest_r(f64::INFINITY));
     if let Some(at) = near.get(near.len() / 3) {
-        // Exactly the distance of a point: the ball is closed.
+        // The radius is exactly the distance of a point, because the ball is closed.
         let mut search = Search::nearest_r(at.distance);
         ask("r", search);
         search.k = 4;

@@ -1,4 +1,4 @@
-//! Every structure against brute force, in every space, on data that reaches the corners.
+//! Every structure against brute force, in every space, on data with extreme cases.
 
 use std::collections::HashSet;
 
@@ -85,7 +85,7 @@ fn with_every_kernel(name: &str, snapshot: &Snapshot) -> Vec<Structure> {
     Kernels::available().iter().map(with).collect()
 }
 
-/// One insert a revision, each twice where that replaces something, and a stray point that is removed again.
+/// One insert a revision, each made twice where it replaces a point, and a stray point that is removed again.
 fn grown(space: &Space, options: ForestOptions, points: &Points, settled: bool) -> Forest {
     let mut forest = Forest::new(space.clone(), options);
     for (at, point) in points.iter().enumerate() {
@@ -168,14 +168,14 @@ fn approximate(
                 found.distance <= truth.distance * 1.5,
                 "{name} {found:?} {truth:?}"
             ),
-            // Only what lies near the rim of the ball may be missing.
+            // Only points near the surface of the ball may be missing.
             None => assert!(truth.distance * 1.5 > exact.radius, "{name} {truth:?}"),
         }
     }
     assert!(answer.neighbors.is_sorted() && answer.neighbors.len() <= expected.len());
 }
 
-/// Two tests a space, so that a failure names it and they run side by side.
+/// Two tests a space, so that a failure names the space and the tests run in parallel.
 macro_rules! conformance {
     ($($name:ident: $index:literal,)*) => {
         $(mod $name {

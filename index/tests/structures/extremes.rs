@@ -1,4 +1,4 @@
-//! Bounds where errors are not relative, against brute force.
+//! Bounds outside the range in which errors are relative, against brute force.
 
 use wayfold_index::{
     Factor, Forest, ForestOptions, Group, KdTree, Kernels, Linear, Points, Search, Space, Term,
@@ -69,7 +69,8 @@ fn boxes_infinitely_far_away_are_visited_once_each() {
     compare(&space, &rows, &[3.3], &Search::nearest_r(1e300));
 }
 
-/// One rotation far off (its bound is low by 0.7 %), and one point that is nearer by less than that, by its translation.
+/// One rotation is far off (its bound is low by 0.7 %), and the translation of another point makes that point nearer by
+/// less.
 fn nearer_by_translation(space: &Space, unit: f64) {
     let half_pi = std::f64::consts::FRAC_PI_2;
     let mut far = vec![0.0];
@@ -131,8 +132,8 @@ fn a_group_far_heavier_than_its_rotation_keeps_the_rest_of_the_series() {
     }
 }
 
-/// A rotation that weighs nothing leaves nothing to add to an infinite key, not a NaN. (All lie in the buffer, so that no
-/// box is asked.)
+/// A rotation that weighs nothing leaves nothing to add to an infinite key, not a NaN. (All lie in the buffer, so that
+/// no box is asked.)
 #[test]
 fn an_infinite_distance_with_a_weightless_rotation_displaces_no_neighbour() {
     let space: Space = "R1:1e10*SO3:0".parse().unwrap();
@@ -178,7 +179,7 @@ fn a_great_weight_within_a_group_of_a_sum_keeps_the_slack_of_the_cosine() {
         ])
         .unwrap();
         let row = |x: f64, theta: f64| [&[x][..], &about_x(theta)].concat();
-        // Among the first, cosines are 1; the translation of the last is less than what they are apart.
+        // The cosines of the first points are 1, and the translation of the last is smaller than their distances.
         let unit = mu.sqrt();
         let rows = [row(0.0, 3e-9), row(0.0, 2e-9), row(1e-10 * unit, 0.0)];
         for k in 1..=3 {
@@ -189,7 +190,7 @@ fn a_great_weight_within_a_group_of_a_sum_keeps_the_slack_of_the_cosine() {
 
 /// Distances out of range are all equal: the least ids win, though their keys differ.
 #[test]
-fn of_points_infinitely_far_away_the_least_ids_win() {
+fn the_least_ids_of_infinitely_distant_points_win() {
     let space = Space::new(vec![Group {
         weight: 1e250,
         terms: vec![Term {

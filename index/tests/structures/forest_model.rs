@@ -153,7 +153,7 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// Every revision that was ever held stays as it was, whatever comes after it.
+    /// Every held revision stays unchanged, whatever mutations follow.
     #[test]
     fn a_forest_is_its_model(
         space in 0..SPACES.len(),
@@ -231,7 +231,7 @@ fn a_full_scan_leaves_nothing_behind() {
     assert_eq!(forest.memory_bytes(), held);
 }
 
-/// A forest that is left alone merges until nothing is left to merge, also what came before as single points.
+/// An idle forest merges until one tree is left, including points that were inserted singly.
 #[test]
 fn merges_end_in_one_level() {
     let space: Space = "R2".parse().unwrap();
@@ -275,7 +275,7 @@ fn snapshots_are_never_torn() {
     let reader = std::thread::spawn(move || {
         let mut seen = 0;
         for snapshot in receiver {
-            // Revision r stores point r and moves point 0 to r: they are at one place, and no point is beyond it.
+            // Revision r stores point r and moves point 0 to r, so both are at one place and no point is beyond it.
             let revision = snapshot.revision();
             let at = [revision as f64, 0.0];
             for _ in 0..20 {

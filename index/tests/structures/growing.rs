@@ -1,5 +1,5 @@
-//! The level that grows by single points: points in a bad order, searches for new points, points that are written over and
-//! over, and pauses.
+//! The level that grows by single points: points in a bad order, searches for new points, points that are written over
+//! and over, and pauses.
 
 use std::time::Instant;
 
@@ -84,7 +84,7 @@ fn a_search_of_the_newest_visits_their_leaves_only() {
     assert_eq!(ids, [4998, 4999, 5000]);
 }
 
-/// A few points that move all the time leave no long past behind them.
+/// A few points that move all the time leave no long history behind.
 #[test]
 fn points_that_are_written_over_and_over_stay_few() {
     let space = Space::se3();
@@ -103,9 +103,9 @@ fn points_that_are_written_over_and_over_stay_few() {
     assert!(forest.memory_bytes() < 1 << 20, "{}", forest.memory_bytes());
 }
 
-/// Points that move in one place among many that rest leave no long past there, and little behind in memory.
+/// A few moving points among many resting ones leave no long history and little memory behind.
 #[test]
-fn what_moves_among_what_rests_stays_quick_to_search() {
+fn moving_points_among_resting_ones_stay_quick_to_search() {
     let space: Space = "R3".parse().unwrap();
     let far: Vec<Vec<f64>> = states(&space, Shape::Uniform, 3000, &mut rng(23))
         .into_iter()
@@ -123,7 +123,7 @@ fn what_moves_among_what_rests_stays_quick_to_search() {
     assert!(answer.neighbors.iter().all(|found| found.id >= 10_000));
 }
 
-/// A deadline that has passed ends a search also where points are read in the order in which they came.
+/// A deadline that has passed also ends a search that reads points in the order of their insertion.
 #[test]
 fn a_search_without_boxes_ends_in_time() {
     let space: Space = "R30".parse().unwrap();
@@ -133,7 +133,7 @@ fn a_search_without_boxes_ends_in_time() {
         until: Some(Instant::now()),
         ..Search::nearest_k(1)
     };
-    // Those that reach most leaves make the next ones do without boxes.
+    // Searches that reach most leaves make the next ones skip the boxes.
     for query in states(&space, Shape::Uniform, 20, &mut rng(37)) {
         forest.search(&query, &Search::nearest_k(1)).unwrap();
     }
@@ -143,7 +143,7 @@ fn a_search_without_boxes_ends_in_time() {
 
 /// Writes that pause leave one packed tree, whether or not a merge was due before.
 #[test]
-fn what_has_grown_is_packed_when_writes_pause() {
+fn grown_trees_are_packed_when_writes_pause() {
     let space = Space::se3();
     let rows = states(&space, Shape::Uniform, 6000, &mut rng(17));
     let mut forest = grow(&space, &rows);
@@ -165,7 +165,7 @@ fn what_has_grown_is_packed_when_writes_pause() {
 
 /// A snapshot stays the same while its tree grows, splits, is sealed and packed.
 #[test]
-fn snapshots_of_what_grows_stay_as_they_were() {
+fn snapshots_of_a_growing_tree_stay_unchanged() {
     let space: Space = "R2*SO2".parse().unwrap();
     let options = ForestOptions {
         growing_rows: 700,

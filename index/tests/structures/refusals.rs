@@ -1,4 +1,4 @@
-//! Points and searches that are not of the space: refused by every structure, with a typed error and without a change.
+//! Every structure refuses points and searches that do not fit the space, with a typed error and without a change.
 
 use wayfold_index::{
     ApplyError, Forest, ForestOptions, KdTree, Linear, Mpnn, PointRef, Points, PointsError, Search,
@@ -110,7 +110,7 @@ fn an_id_is_stored_once_in_a_mutation() {
         let error = forest.apply(1, &twice, &[]).unwrap_err();
         assert_eq!(error, ApplyError::Points(PointsError::DuplicateId(3)));
         assert!(forest.is_empty());
-        // One that is removed may be stored again, and be removed twice.
+        // A removed point may be stored again, and an id may be removed twice.
         forest.apply(1, &points(&[(3, &row)]), &[]).unwrap();
         assert_eq!(forest.apply(2, &points(&[(3, &row)]), &[3, 3]), Ok(1));
         assert_eq!(forest.len(), 1);

@@ -1,4 +1,4 @@
-//! Searches that meet a corner of the trees: splits and scans, weights, limits of time, and ties.
+//! Searches that meet special cases of the trees: splits and scans, weights, deadlines, and ties.
 
 use crate::{
     common::{Shape, assert_same, brute_force, rng, states, table},
@@ -9,14 +9,14 @@ use wayfold_index::{
     TreeReport,
 };
 
-/// Trees of two levels of nodes, grown and packed, answer as brute force does, both while searches descend and once they
-/// have read so much of a tree that the next ones scan it.
+/// Trees of two levels of nodes, grown and packed, answer as brute force does, both while searches descend and once
+/// they have read so much of a tree that the next ones scan it.
 pub(crate) fn splits_and_scans(space_text: &str) {
     let space: Space = space_text.parse().unwrap();
     let mut rng = rng(0x5CA4 ^ space_text.len() as u64);
     let points = table(&space, &states(&space, Shape::Uniform, ROWS, &mut rng));
     let queries = states(&space, Shape::Uniform, QUERIES, &mut rng);
-    // Most of the points, and few enough for the tree to take note.
+    // The search reads most of the points, and the tree is small enough to record it.
     let search = Search::nearest_k(ROWS * 3 / 5);
     let expected: Vec<_> = queries
         .iter()
@@ -65,8 +65,8 @@ pub(crate) fn splits_and_scans(space_text: &str) {
     }
 }
 
-/// The design's warning: without the weight in the incremental bound, μ = 0.15 prunes true neighbours. Large enough
-/// that a wrong bound would show.
+/// The design's warning: without the weight in the incremental bound, μ = 0.15 prunes true neighbours. The data is
+/// large enough that a wrong bound would show.
 #[test]
 fn weights_below_and_above_one_prune_nothing_true() {
     for text in [
@@ -93,8 +93,8 @@ fn weights_below_and_above_one_prune_nothing_true() {
     }
 }
 
-/// Where squares and weights leave the range in which errors are relative, a bound must give way. The ball around a
-/// state through a point is closed, so it holds that point.
+/// Bounds stay valid where squares and weights leave the range in which errors are relative. The ball around a state
+/// through a point is closed, so it holds that point.
 #[test]
 fn weights_at_the_ends_of_the_range_lose_no_point() {
     let texts = [
@@ -155,7 +155,7 @@ fn a_search_that_is_out_of_time_fails() {
     }
 }
 
-/// Where searches reach most of a tree, it is read from end to end instead: with the same answers.
+/// A tree of which searches reach most is scanned from end to end, with the same answers.
 #[test]
 fn in_many_dimensions_answers_stay_the_same() {
     let space: Space = "(R3*SO3:0.15)^8".parse().unwrap();
@@ -171,9 +171,9 @@ fn in_many_dimensions_answers_stay_the_same() {
     }
 }
 
-/// If more points are equally near than a search holds, the least ids win.
+/// If more points are equally near than a search returns, the least ids win.
 #[test]
-fn of_many_that_coincide_the_least_ids_win() {
+fn the_least_ids_of_coinciding_points_win() {
     for text in ["R3", "SO3", "R3*SO3:0.15", "sum(R1, SO3)"] {
         let space: Space = text.parse().unwrap();
         let (mut query, mut state) = (

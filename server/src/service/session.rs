@@ -68,7 +68,7 @@ fn ended(writer: &Writer, limits: &Limits) -> Result<Vec<u64>, Error> {
         return Err(Error::LimitExceeded {
             limit: "max_sessions",
             value: limits.max_sessions as u64,
-            asked: open as u64 + 1,
+            requested: open as u64 + 1,
             advice: "open one session a process, or wait until idle ones end",
         });
     }
@@ -90,7 +90,7 @@ pub(super) fn reserve(
         return Err(Error::LimitExceeded {
             limit: "max_reserved_ids",
             value: limits.max_reserved_ids,
-            asked: count,
+            requested: count,
             advice: "reserve fewer ids at a time",
         });
     }

@@ -95,7 +95,7 @@ impl Steps {
             return Err(Error::LimitExceeded {
                 limit: "max_rows_per_call",
                 value: limits.max_rows_per_call as u64,
-                asked: count as u64,
+                requested: count as u64,
                 advice: "split the steps over several batches",
             });
         }

@@ -1,6 +1,6 @@
 //! Requests with integers that no honest client sends.
 //!
-//! They are made of one good request for each verb, by its descriptor: a field that is added later is tried, too.
+//! They are derived from one good request for each verb by its descriptor, so a field that is added later is tried too.
 
 use prost::Message;
 use prost_reflect::{
@@ -10,7 +10,7 @@ use rand::{Rng, RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold_proto::v1::{self, create_index_request::SpaceForm};
 
-/// Each integer field takes each of these.
+/// The values that each integer field takes.
 pub(crate) const EXTREMES: [u64; 9] = [
     0,
     1,
@@ -23,10 +23,10 @@ pub(crate) const EXTREMES: [u64; 9] = [
     u64::MAX,
 ];
 
-/// How many requests of each verb have a random integer in every field.
+/// The number of requests of each verb that have random integers.
 const RANDOM: u64 = 64;
 
-/// How deep messages are looked into: a space holds spaces.
+/// The depth to which nested messages are visited, which ends the recursion: a space holds spaces.
 const DEPTH: usize = 5;
 
 /// The descriptors of `wayfold.v1`.
@@ -34,7 +34,7 @@ pub(crate) fn pool() -> DescriptorPool {
     DescriptorPool::decode(v1::FILE_DESCRIPTOR_SET).unwrap()
 }
 
-/// A good request for each verb, by the name of its message: about the index `arm` in R1 that has this uid, two points
+/// A good request for each verb, by the name of its message. Its index is `arm` in R1, which has this uid, two points
 /// and two revisions.
 pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
     let (index, uid) = ("arm".to_owned(), uid.to_owned());
@@ -216,8 +216,8 @@ fn dynamic(name: &str, message: &impl Message) -> DynamicMessage {
     DynamicMessage::decode(descriptor.unwrap(), &*message.encode_to_vec()).unwrap()
 }
 
-/// `request` with each extreme in each of its integer fields, one at a time, and with random ones in some of them; each
-/// with a text that tells it from the others.
+/// `request` with each extreme in each of its integer fields, one at a time, and with random integers in several
+/// fields; each variant has a text that identifies it.
 pub(crate) fn variants(request: &DynamicMessage) -> Vec<(String, DynamicMessage)> {
     let name = request.descriptor().name().to_owned();
     let paths = integers(&request.descriptor(), DEPTH);
@@ -266,7 +266,7 @@ fn integers(message: &MessageDescriptor, depth: usize) -> Vec<Vec<u32>> {
     paths
 }
 
-/// Sets the integer at `path`; of a list the first.
+/// Sets the integer at `path`; in a list, the first one.
 fn set(message: &mut DynamicMessage, path: &[u32], integer: u64) {
     let (&number, rest) = path.split_first().unwrap();
     let field = message.descriptor().get_field(number).unwrap();

@@ -1,6 +1,6 @@
-//! The server itself keeps the deadline that a request's headers name.
+//! The server enforces the deadline that a request's headers name.
 //!
-//! tonic's client keeps it too and hides what the server answers, so these requests go over bare HTTP/2.
+//! tonic's client enforces it too and hides the server's answer, so these requests go over bare HTTP/2.
 
 use crate::harness::{TestServer, knn, reason};
 use bytes::{BufMut, Bytes, BytesMut};

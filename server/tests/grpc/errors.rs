@@ -21,7 +21,7 @@ async fn a_wrong_field_is_named() {
 }
 
 #[tokio::test]
-async fn what_is_not_found_or_in_the_way_is_named() {
+async fn missing_and_conflicting_things_are_named() {
     let server = TestServer::start(|_| ()).await;
     let status = server.points().knn(knn("none", &[0.0], 1)).await;
     let status = status.unwrap_err();

@@ -1,4 +1,4 @@
-//! Whatever integers a request holds, every method of both services answers it or refuses it with a status of its own.
+//! Every method of both services answers or refuses each extreme integer with a status of its own.
 
 use std::time::Duration;
 
@@ -13,10 +13,10 @@ use crate::{
     raw::Raw,
 };
 
-/// The timeout of a call: one that waits for a revision that does not exist ends after this time.
-const PATIENCE: Duration = Duration::from_millis(20);
+/// The timeout of a call, which ends a wait for a revision that does not exist.
+const TIMEOUT: Duration = Duration::from_millis(20);
 
-/// Calls a method, whether or not it streams, and reads its answers to their end.
+/// Calls a method, streaming or not, and reads all of its answers.
 async fn call(
     channel: &Channel,
     method: &MethodDescriptor,
@@ -25,7 +25,7 @@ async fn call(
     let service = method.parent_service().full_name();
     let path = format!("/{service}/{}", method.name());
     let mut request = Request::new(stream::iter([message.encode_to_vec()]));
-    request.set_timeout(PATIENCE);
+    request.set_timeout(TIMEOUT);
     let mut client = Grpc::new(channel.clone());
     client.ready().await.unwrap();
     let answers = client
@@ -40,7 +40,7 @@ async fn call(
 }
 
 #[tokio::test]
-async fn every_method_answers_or_refuses_whatever_integers_it_is_asked_with() {
+async fn every_method_answers_or_refuses_extreme_integers() {
     let server = TestServer::start(|_| ()).await;
     let uid = uid_of(&server.create_line("arm").await);
     for coordinate in [0.0, 1.0] {

@@ -80,7 +80,7 @@ impl TestServer {
         response.into_inner().index.unwrap()
     }
 
-    /// An index over the real line with the points 0, 1, .. `count` − 1 under the ids of the same numbers.
+    /// An index over the real line with the points 0, 1, …, `count` − 1, each under the id of the same number.
     pub async fn create_ruler(&self, name: &str, count: u64) -> v1::Index {
         let index = self.create_line(name).await;
         let ids: Vec<u64> = (0..count).collect();
@@ -93,7 +93,7 @@ impl TestServer {
         index
     }
 
-    /// Asks the server to stop, and goes on.
+    /// Asks the server to stop and does not wait for its end.
     pub fn stop(self) -> JoinHandle<Result<(), ServerError>> {
         self.stop.send(()).unwrap();
         self.ended
@@ -133,7 +133,7 @@ pub fn column(coordinates: &[f64]) -> v1::States {
     }
 }
 
-/// The reason in the `ErrorInfo` of a status, after a check that it has this code and speaks for Wayfold.
+/// The reason in the `ErrorInfo` of a status, after checks of the code and of the domain.
 pub fn reason(status: &Status, code: Code) -> String {
     assert_eq!(status.code(), code, "{status:?}");
     let info = status.get_details_error_info().expect("an ErrorInfo");

@@ -24,7 +24,7 @@ async fn every_service_is_serving_while_the_server_runs() {
 }
 
 #[tokio::test]
-async fn watchers_are_told_that_the_server_stops_and_do_not_hold_it_up() {
+async fn watchers_learn_that_the_server_stops_and_do_not_delay_it() {
     let server = TestServer::start(|_| ()).await;
     let mut watches = Vec::new();
     for service in ["", "wayfold.v1.IndexService", "wayfold.v1.PointService"] {

@@ -1,4 +1,4 @@
-//! The gRPC face, seen from outside: a server on a port of its own, and clients over the network.
+//! The gRPC interface from outside: a server on a port of its own and clients over the network.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 

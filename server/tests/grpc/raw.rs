@@ -6,7 +6,7 @@ use tonic::{
     codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder},
 };
 
-/// Sends and receives messages as the bytes they are.
+/// Sends and receives messages as raw bytes.
 pub struct Raw;
 
 impl Codec for Raw {

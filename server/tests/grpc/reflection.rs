@@ -1,4 +1,4 @@
-//! Generic clients find out what the server offers, by both versions of the reflection protocol.
+//! Generic clients discover the server's methods by both versions of the reflection protocol.
 
 use crate::harness::TestServer;
 use tokio_stream::{StreamExt, once};

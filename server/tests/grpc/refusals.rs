@@ -55,13 +55,13 @@ async fn a_message_that_does_not_parse_is_an_invalid_argument() {
             assert_eq!(fields[0].field, "request");
         }
     }
-    // The connection is as good as before.
+    // The connection still works.
     server.create_line("line").await;
     server.stop().await.unwrap().unwrap();
 }
 
 #[tokio::test]
-async fn a_message_that_is_too_large_is_told_the_limit() {
+async fn the_refusal_of_a_large_message_names_the_limit() {
     let server = TestServer::start(|config| config.grpc.max_message_bytes = 100_000).await;
     let index = server.create_line("line").await;
     let mut points = server.points();
@@ -106,7 +106,7 @@ async fn calls_beyond_the_capacity_are_refused_and_health_is_not() {
     let server = TestServer::start(|config| config.grpc.max_calls = 1).await;
     server.create_ruler("line", 3).await;
     let (hang_up, hung_up) = oneshot::channel::<v1::StreamKnnRequest>();
-    // Opened and silent: a stream that ends without a request when its sender is dropped.
+    // This stream sends no request; it ends when its sender is dropped.
     let requests = stream::once(hung_up).filter_map(async |request| request.ok());
     let answers = server.points().stream_knn(requests).await.unwrap();
 
@@ -117,7 +117,7 @@ async fn calls_beyond_the_capacity_are_refused_and_health_is_not() {
     let check = server.health().check(HealthCheckRequest::default()).await;
     assert_eq!(check.unwrap().into_inner().status(), ServingStatus::Serving);
 
-    // A call has left its place by the time that its client hears of its end.
+    // A call frees its place before its client learns of its end.
     drop(hang_up);
     assert_eq!(answers.into_inner().count().await, 0);
     for _ in 0..10 {

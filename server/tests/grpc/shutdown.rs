@@ -1,4 +1,4 @@
-//! A server that is asked to stop finishes what it accepted, takes nothing new, and does not wait for ever.
+//! A server that is asked to stop finishes accepted calls, refuses new ones, and does not wait for ever.
 
 use crate::harness::{TestServer, connect, knn, reason};
 use futures_util::{StreamExt, stream};
@@ -17,7 +17,7 @@ use wayfold_proto::v1::{
 use wayfold_server::ServerError;
 
 /// The number of points. A scan of them does not fit into the buffers on its way.
-const MANY: u64 = 300_000;
+const POINTS: u64 = 300_000;
 
 fn scan(index: &str) -> v1::ScanRequest {
     v1::ScanRequest {
@@ -42,7 +42,7 @@ fn nearest(answer: v1::StreamKnnResponse) -> u64 {
 #[tokio::test]
 async fn a_scan_under_way_is_finished_while_new_calls_are_refused() {
     let server = TestServer::start(|_| ()).await;
-    server.create_ruler("line", MANY).await;
+    server.create_ruler("line", POINTS).await;
     let scanned = server.points().scan(scan("line")).await;
     let mut parts = scanned.unwrap().into_inner();
     let first = parts.message().await.unwrap().unwrap();
@@ -69,14 +69,14 @@ async fn a_scan_under_way_is_finished_while_new_calls_are_refused() {
     while let Some(part) = parts.message().await.unwrap() {
         ids.extend(part.points.unwrap().ids);
     }
-    assert_eq!(ids, (0..MANY).collect::<Vec<_>>());
+    assert_eq!(ids, (0..POINTS).collect::<Vec<_>>());
     ended.await.unwrap().unwrap();
     let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
     assert!(endpoint.connect().await.is_err());
 }
 
 #[tokio::test]
-async fn an_open_stream_is_told_and_does_not_hold_the_server_up() {
+async fn an_open_stream_learns_of_the_stop_and_does_not_delay_it() {
     let server = TestServer::start(|_| ()).await;
     server.create_ruler("line", 10).await;
     let (send, mut receive) = mpsc::channel(1);
@@ -119,7 +119,7 @@ async fn requests_that_a_stream_accepted_are_answered_before_it_ends() {
                     assert_eq!(answer.neighbors.unwrap().ids, [answered % 10]);
                     answered += 1;
                 }
-                // Read before the server stopped and not begun before: refused like any new call.
+                // The request arrived before the stop but was not begun, so it is refused like any new call.
                 Answer::Error(status) => assert_eq!(status.code, Code::Unavailable as i32),
             },
             Err(status) => break status,
@@ -131,9 +131,9 @@ async fn requests_that_a_stream_accepted_are_answered_before_it_ends() {
 }
 
 #[tokio::test]
-async fn what_is_not_done_in_time_is_cut() {
+async fn calls_beyond_the_grace_period_are_cut() {
     let server = TestServer::start(|config| config.shutdown.grace_ms = 1).await;
-    server.create_ruler("line", MANY).await;
+    server.create_ruler("line", POINTS).await;
     let scanned = server.points().scan(scan("line")).await;
     let mut parts = scanned.unwrap().into_inner();
     parts.message().await.unwrap().unwrap();
@@ -155,7 +155,7 @@ async fn connections_without_calls_whose_peers_are_frozen_are_cut_and_that_is_no
     let server = TestServer::start(|config| config.shutdown.grace_ms = 2_000_000_000).await;
     let _silent = TcpStream::connect(server.address).await.unwrap();
     let mut frozen = TcpStream::connect(server.address).await.unwrap();
-    // The preface of HTTP/2 with empty settings (RFC 9113, 3.4): from here on it never reads nor writes.
+    // The preface of HTTP/2 with empty settings (RFC 9113, 3.4): after it the client never reads nor writes.
     let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
     frozen.write_all(preface).await.unwrap();
     let mut settings = [0; 9];

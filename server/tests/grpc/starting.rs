@@ -1,4 +1,4 @@
-//! A server listens before it has read its indices, and says so to each caller.
+//! A server listens before it has read its indices, and answers each caller that it is starting.
 #![cfg(unix)]
 
 use std::{fs::File, io::Write, process::Command};
@@ -21,7 +21,7 @@ use wayfold_server::{
 use crate::harness::{connect, knn, reason};
 
 #[tokio::test]
-async fn calls_are_told_to_come_again_until_the_indices_are_read() {
+async fn calls_are_refused_as_starting_until_the_indices_are_read() {
     // Reading this data directory blocks until a writer opens the pipe.
     let directory = tempfile::tempdir().unwrap();
     let marker = directory.path().join("wayfold-data");

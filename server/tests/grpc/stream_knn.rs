@@ -17,7 +17,7 @@ fn request(knn: v1::KnnRequest) -> v1::StreamKnnRequest {
     v1::StreamKnnRequest { knn: Some(knn) }
 }
 
-/// Which point of the ruler is nearest; the ruler's points are at the whole numbers.
+/// The id of the nearest point of the ruler, whose points are at the whole numbers.
 fn nearest(answer: v1::StreamKnnResponse) -> u64 {
     match answer.result.unwrap() {
         Answer::Knn(answer) => answer.neighbors.unwrap().ids[0],
@@ -25,7 +25,7 @@ fn nearest(answer: v1::StreamKnnResponse) -> u64 {
     }
 }
 
-/// The status inside of an answer, as a failed call would have it.
+/// The status inside an answer, as a failed call would return it.
 fn error(answer: v1::StreamKnnResponse) -> Status {
     match answer.result.unwrap() {
         Answer::Knn(answer) => panic!("{answer:?}"),
@@ -45,7 +45,7 @@ fn error(answer: v1::StreamKnnResponse) -> Status {
 async fn answers_come_in_the_order_of_the_requests() {
     let server = TestServer::start(|config| config.grpc.stream_window = 4).await;
     server.create_ruler("line", COUNT).await;
-    // Long and short ones take turns, so that an answer is ready before the one ahead of it.
+    // Long and short requests alternate, so an answer is ready before the one that precedes it.
     let requests = stream::iter(0..COUNT).map(|at| {
         let rows = if at % 2 == 0 { 2000 } else { 1 };
         request(knn("line", &vec![at as f64; rows], 1))

@@ -1,4 +1,4 @@
-//! The streams of scans, snapshots, restores and verifications: what is not read, too large, or late.
+//! Streams of scans, snapshots, restores and verifications that are unread, too large or late.
 
 use futures_util::stream;
 use tonic::{Code, Status};
@@ -41,7 +41,7 @@ async fn restore(
     answer.map(|answer| answer.into_inner().index.unwrap())
 }
 
-/// Removes the points of a ruler of 200,000 and inserts another.
+/// Replaces a ruler of 200,000 points by another.
 async fn others_write(server: &TestServer) {
     let mut points = server.points();
     for round in 0..20 {
@@ -99,7 +99,7 @@ async fn a_snapshot_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
         panic!("no header");
     };
 
-    // More than the connection holds is still to come.
+    // The rest of the stream exceeds the buffers of the connection.
     others_write(&server).await;
     let other = parts(&server, "line").await;
     assert_eq!(other.len(), 3);
@@ -164,7 +164,7 @@ async fn a_verification_ends_at_its_deadline() {
         Ok::<_, Status>(())
     };
     let status = ended.await.unwrap_err();
-    // The client keeps the deadline too, and may be the first.
+    // The client enforces the deadline too, and may end the call first.
     assert!(
         matches!(status.code(), Code::DeadlineExceeded | Code::Cancelled),
         "{status}"

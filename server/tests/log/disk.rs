@@ -27,7 +27,7 @@ pub(crate) fn append_synced(log: &FjallLog, uid: Uid, revision: u64) {
     synced(log, uid, revision).unwrap();
 }
 
-/// Only this index is gone; why.
+/// Asserts that only this index is lost, and returns the reason.
 pub(crate) fn only_gone(log: &FjallLog, entry: &Entry) -> LogError {
     let mut gone = log.lost();
     let names: Vec<_> = gone.iter().map(|gone| (&*gone.name, gone.uid)).collect();
@@ -38,9 +38,9 @@ pub(crate) fn only_gone(log: &FjallLog, entry: &Entry) -> LogError {
 /// The newest journal of fjall in a directory.
 pub(crate) struct JournalFile<'a> {
     directory: &'a Path,
-    /// In the directory.
+    /// Its path in the directory.
     pub(crate) name: PathBuf,
-    /// How much of it is written.
+    /// The number of bytes written to it.
     pub(crate) used: u64,
 }
 
@@ -80,7 +80,7 @@ impl<'a> JournalFile<'a> {
     }
 }
 
-/// A part of a directory that can be taken away, and comes back.
+/// A part of a directory that can be removed and put back.
 pub(crate) struct Part {
     path: PathBuf,
     away: PathBuf,

@@ -14,7 +14,7 @@ use super::{
 };
 
 #[test]
-fn what_was_synced_survives_a_crash_at_any_moment() {
+fn synced_records_survive_a_crash_at_any_moment() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let arm = entry("arm");
@@ -40,7 +40,7 @@ fn what_was_synced_survives_a_crash_at_any_moment() {
 }
 
 #[test]
-fn one_sync_is_shared_by_all_who_wrote_before_it() {
+fn one_sync_covers_all_earlier_writes() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let indexes = [entry("one"), entry("two")];
@@ -51,13 +51,13 @@ fn one_sync_is_shared_by_all_who_wrote_before_it() {
         }
     }
     synced(&log, indexes[1].uid, 50).unwrap();
-    // It was written before, so it needs no other.
+    // This index's records were written earlier, so the same sync covers them.
     let mut other = log.follow(indexes[0].uid, 49);
     let records = other.next().now_or_never().unwrap().unwrap().unwrap();
     assert_eq!(records.last().unwrap().revision(), 50);
 }
 
-/// The disk is taken away and comes back. Every acknowledged mutation is there, and any other is there whole or not at
+/// The disk is removed and put back. Every acknowledged mutation is stored, and any other is stored whole or not at
 /// all.
 #[test]
 fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
@@ -83,7 +83,7 @@ fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
             assert_eq!(refused.unwrap_err(), failed);
             assert_eq!(log.create(entry("other")), Err(failed.clone()));
             assert_eq!(log.delete(uid), Err(failed.clone()));
-            // It is not over yet, and so the store stays as it is.
+            // The disk is still missing, so the store does not reopen.
             assert!(matches!(log.reopen(), Err(LogError::Storage { .. })));
             assert_eq!(log.failure(), Some(failed.clone()));
             assert_eq!(all_points(&*view), before);
@@ -95,7 +95,7 @@ fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
             log.view(uid).unwrap(),
             log.read(uid, None, usize::MAX).unwrap(),
         );
-        // The last one was handed to the system: it happens to be there.
+        // The last record reached the system's cache, so it survived by chance.
         assert_eq!((found.revision(), tail.len() as u64), (head + 1, head + 1));
         assert_eq!(all_points(&*found).len() as u64, head + 1);
     }
@@ -173,7 +173,7 @@ fn below_fsync_a_crash_that_may_have_lost_something_makes_new_uids() {
         if durability != Durability::None {
             assert_eq!(after.view(uids[0]).unwrap().revision(), 1);
         }
-        // After an orderly stop everything is there.
+        // After an orderly stop nothing is missing.
         drop(log);
         let after = open_at(directory.path(), durability);
         assert_eq!(after.view(arm.uid).unwrap().revision(), 1);

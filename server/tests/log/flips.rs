@@ -16,13 +16,13 @@ use wayfold_server::log::{
 
 use crate::{copied::copied, effects, entry, submit};
 
-/// The greatest number of flips in a file, approximately, unless the environment variable `FLIPS` sets another.
+/// The approximate maximum number of flips in a file, unless the environment variable `FLIPS` sets another.
 const FLIPS: u64 = 16;
 
-/// Revisions of an index that go into tables, and as many stay in the journal.
+/// The number of revisions of an index in tables; as many again stay in the journal.
 const REVISIONS: u64 = 40;
 
-/// Ids that the effects of a revision store and remove.
+/// The ids that the effects of a revision store and remove.
 fn changed(revision: u64) -> ([u64; 3], [u64; 1]) {
     let first = revision * 2;
     ([first, first + 1, revision % 7], [first.saturating_sub(9)])
@@ -53,7 +53,7 @@ fn fill(directory: &Path) -> Vec<Entry> {
     entries
 }
 
-/// All that a log holds of an index.
+/// The whole content of an index in a log.
 type Content = (
     BTreeMap<u64, Arc<StoredPoint>>,
     Vec<Arc<Record>>,
@@ -93,7 +93,7 @@ fn files(directory: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// True for the files that the log mends: `version`, `current`, the list that it names, and their copy.
+/// True for the files that the log repairs: `version`, `current`, the list that `current` names, and their copy.
 fn is_mended(name: &Path) -> bool {
     let last = name.file_name().unwrap().to_str().unwrap();
     let is_list = last
@@ -102,26 +102,26 @@ fn is_mended(name: &Path) -> bool {
     ["version", "current", "manifest-copy"].contains(&last) || is_list
 }
 
-/// Returns true if the log reports damage. Checks that all it does not report is unchanged.
-fn told(directory: &Path, entries: &[Entry], whole: &[Content], what: &str) -> bool {
+/// Returns true if the log reports damage. Asserts that all indices without a report are unchanged.
+fn is_reported(directory: &Path, entries: &[Entry], whole: &[Content], what: &str) -> bool {
     let Ok(log) = FjallLog::open(directory, Durability::Fsync) else {
         return true;
     };
-    let mut told = false;
+    let mut is_reported = false;
     for (entry, whole) in entries.iter().zip(whole) {
         let gone = log.lost().iter().any(|gone| gone.uid == entry.uid);
-        told |= gone;
+        is_reported |= gone;
         match content(&log, entry.uid) {
             Ok(content) => assert!(content == *whole, "{what}: {} is another", entry.name),
             Err(LogError::UnknownIndex { .. }) => assert!(gone, "{what}: {} is gone", entry.name),
-            Err(_) => told = true,
+            Err(_) => is_reported = true,
         }
     }
-    told
+    is_reported
 }
 
 #[test]
-fn a_flipped_bit_of_any_file_is_told_or_changes_nothing() {
+fn a_flipped_bit_of_any_file_is_reported_or_changes_nothing() {
     let flips = std::env::var("FLIPS").map_or(FLIPS, |flips| flips.parse().unwrap());
     let directory = tempfile::tempdir().unwrap();
     let entries = fill(directory.path());
@@ -144,12 +144,12 @@ fn a_flipped_bit_of_any_file_is_told_or_changes_nothing() {
             flipped[at] ^= 1 << (at % 8);
             fs::write(copy.path().join(name), flipped).unwrap();
             let what = format!("bit {} of byte {at} of {}", at % 8, name.display());
-            match told(copy.path(), &entries, &whole, &what) {
+            match is_reported(copy.path(), &entries, &whole, &what) {
                 true => {
                     told_of += 1;
-                    // Whatever can be repaired is equal too, or told.
+                    // After a repair, each index is equal too or reported as damaged.
                     if repair(copy.path(), false).is_ok() {
-                        told(copy.path(), &entries, &whole, &what);
+                        is_reported(copy.path(), &entries, &whole, &what);
                     }
                 }
                 false => harmless += 1,
@@ -160,7 +160,7 @@ fn a_flipped_bit_of_any_file_is_told_or_changes_nothing() {
             mended += 1;
         }
         println!(
-            "{}: {} bytes, {} flips told of, {} harmless",
+            "{}: {} bytes, {} flips is_reported of, {} harmless",
             name.display(),
             bytes.len(),
             told_of - before.0,

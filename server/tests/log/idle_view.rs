@@ -1,4 +1,4 @@
-//! A view of the head of an index that nobody writes does not make the store keep what other indices overwrite.
+//! A view of an idle index does not make the store keep data that other indices overwrite.
 
 use std::{fs, path::Path, sync::Arc};
 
@@ -95,7 +95,7 @@ fn a_view_stays_at_its_revision_when_its_index_is_written_and_deleted() {
         }
         views.push(view);
     }
-    // It removes what every view holds.
+    // This removes a point that every view holds.
     let removed: Vec<u64> = (1..=5).collect();
     submit(&log, arm.uid, 5, effects(6, &[9], &removed)).unwrap();
     views.push(log.view(arm.uid).unwrap());

@@ -13,7 +13,7 @@ use super::{
 };
 
 #[test]
-fn a_journal_cut_short_of_what_was_synced_is_named() {
+fn a_journal_without_its_synced_end_is_named() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let (arm, idle) = (entry("arm"), entry("idle"));
@@ -32,7 +32,7 @@ fn a_journal_cut_short_of_what_was_synced_is_named() {
         first: 3,
         last: 3,
     };
-    // It stays so, and the other index is not concerned.
+    // The index stays lost, and the other index is unaffected.
     for _ in 0..2 {
         let log = open(damaged.path());
         assert_eq!(log.read(arm.uid, None, usize::MAX).unwrap_err(), lost);
@@ -46,7 +46,7 @@ fn a_journal_cut_short_of_what_was_synced_is_named() {
     assert_eq!(log.indexes().unwrap(), [idle]);
 }
 
-/// Whatever happens to one byte of the journal, a start tells of it, or nothing is missing.
+/// After damage to any byte of the journal, a start reports it or nothing is missing.
 #[test]
 fn a_flipped_byte_of_the_journal_is_never_a_silent_gap() {
     let directory = tempfile::tempdir().unwrap();
@@ -59,23 +59,23 @@ fn a_flipped_byte_of_the_journal_is_never_a_silent_gap() {
     let whole = all_points(&*log.view(arm.uid).unwrap());
     drop(log);
     let journal = JournalFile::of(directory.path());
-    let mut told = 0;
+    let mut reported = 0;
     for at in (0..journal.used).step_by(97) {
         println!("byte {at}");
         let damaged = journal.flipped(at);
         let log = open(damaged.path());
         match log.view(arm.uid) {
             Ok(view) => assert_eq!(all_points(&*view), whole),
-            Err(LogError::Lost { .. }) => told += 1,
-            // The index as a whole, where its creation was cut off, or all there is.
+            Err(LogError::Lost { .. }) => reported += 1,
+            // The creation of the index was cut off, or the whole store.
             Err(LogError::UnknownIndex { .. } | LogError::Unopened { .. }) => {
                 only_gone(&log, &arm);
-                told += 1;
+                reported += 1;
             }
             Err(other) => panic!("{other}"),
         }
     }
-    assert!(told > 0);
+    assert!(reported > 0);
 }
 
 #[test]
@@ -106,9 +106,9 @@ fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
     assert_eq!(log.lost(), []);
 }
 
-/// Fjall recreates a part that it does not find, over the files that are left.
+/// fjall recreates a missing part over the remaining files.
 #[test]
-fn whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched() {
+fn any_missing_part_of_a_store_is_named_and_nothing_else_is_touched() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let arm = entry("arm");
@@ -138,9 +138,9 @@ fn whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched() {
     }
 }
 
-/// fjall would end the process.
+/// fjall itself would abort the process.
 #[test]
-fn what_does_not_belong_to_a_store_is_named() {
+fn foreign_files_in_a_store_are_named() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
     let arm = entry("arm");
@@ -209,7 +209,7 @@ fn a_restored_index_that_is_cut_off_is_named() {
         restoring.add(&ids.map(point).collect::<Vec<_>>()).unwrap();
     }
     restoring.finish().unwrap();
-    // Given up: it leaves nothing, also no mark.
+    // An abandoned restore leaves nothing behind, not even a mark.
     let mut given_up = log.restore(entry("given-up"), origin).unwrap();
     given_up.add(&[point(1)]).unwrap();
     let journal = JournalFile::of(directory.path());
@@ -243,7 +243,7 @@ fn a_restored_index_that_is_cut_off_is_named() {
     }
 }
 
-/// However much of it is back after the journal was cut short.
+/// The index stays deleted, however much of it the cut journal brings back.
 #[test]
 fn an_index_that_was_deleted_does_not_come_back() {
     let directory = tempfile::tempdir().unwrap();
@@ -264,7 +264,7 @@ fn an_index_that_was_deleted_does_not_come_back() {
             assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm));
             assert_eq!(log.lost(), []);
         }
-        // Its number is not used again.
+        // The lost index's number is never reused.
         let log = open(damaged.path());
         let new = entry("leg");
         log.create(new.clone()).unwrap();

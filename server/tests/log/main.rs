@@ -12,13 +12,13 @@ mod fault;
 mod fjall;
 mod flips;
 mod idle_view;
-mod kept;
 mod lost;
 mod model;
 mod pin;
 mod rebuilt;
 mod shared_files;
 mod suite;
+mod test_log;
 
 use std::{collections::BTreeMap, sync::Arc, time::SystemTime};
 
@@ -31,9 +31,9 @@ use wayfold_server::log::{
     Retention, StoredPoint, Tip, Uid, View,
 };
 
-use kept::Kept;
+use test_log::TestLog;
 
-/// A log that is all three parts.
+/// A log whose three parts are one store.
 trait Engine: Journal + PointStore + Catalogue {}
 
 impl<Log: Journal + PointStore + Catalogue> Engine for Log {}
@@ -55,7 +55,7 @@ fn submit(
     Ok(record)
 }
 
-/// Waits on this thread until a revision is durable, and returns the newest that is so then.
+/// Blocks this thread until a revision is durable, and returns the newest durable revision.
 fn synced(log: &(impl Engine + ?Sized), uid: Uid, revision: u64) -> Result<u64, LogError> {
     if revision == 0 {
         return Ok(0);
@@ -95,7 +95,7 @@ fn effects(revision: u64, stored: &[u64], removed: &[u64]) -> Effects {
     effects
 }
 
-/// Keeps this many bytes of records, however old, and every operation.
+/// A retention of this many bytes of records of any age and of every operation.
 fn keep(record_bytes: usize) -> Retention {
     Retention {
         record_bytes,
@@ -132,7 +132,7 @@ fn cases(cases: u32) -> ProptestConfig {
 
 #[test]
 fn unknown_and_taken_uids_are_refused() {
-    for kept in [Kept::in_memory(), Kept::on_disk(), Kept::faulty(1)] {
+    for kept in [TestLog::in_memory(), TestLog::on_disk(), TestLog::faulty(1)] {
         check_uids(kept.log());
     }
 }
@@ -154,7 +154,7 @@ fn check_uids(log: &dyn Engine) {
 }
 
 #[test]
-fn who_has_all_records_but_the_newest_gets_it_however_large_it_is() {
+fn a_follower_gets_the_newest_record_of_any_size() {
     let log = MemoryLog::new();
     let entry = entry("arm");
     let uid = entry.uid;
@@ -167,10 +167,10 @@ fn who_has_all_records_but_the_newest_gets_it_however_large_it_is() {
     }
 }
 
-/// Readers hold views while a writer goes on: each sees one revision whole.
+/// A view that is held while a writer goes on shows exactly one revision.
 #[test]
 fn views_are_never_torn() {
-    for kept in [Kept::in_memory(), Kept::on_disk(), Kept::faulty(1)] {
+    for kept in [TestLog::in_memory(), TestLog::on_disk(), TestLog::faulty(1)] {
         check_views(kept.log());
     }
 }

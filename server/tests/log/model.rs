@@ -1,4 +1,4 @@
-//! An index as it must be, whatever store it is in.
+//! The expected state of an index, the same for every store.
 
 use std::{
     collections::BTreeMap,
@@ -15,15 +15,15 @@ use crate::{Engine, all_points, effects};
 
 pub(crate) type Points = BTreeMap<u64, Arc<StoredPoint>>;
 
-/// An index as it must be: its points after each of its records, and what is held of these.
+/// The expected state of an index: its points after each of its records, and the records that are kept.
 pub(crate) struct Model {
     origin: Origin,
     pub(crate) records: Vec<Arc<Record>>,
-    /// After the origin, and after each record.
+    /// The points after the origin and after each record.
     points: Vec<(Points, u64)>,
     pub(crate) trimmed: usize,
     pub(crate) operations_trimmed: usize,
-    /// How many records are there for certain.
+    /// The number of records that are certainly durable.
     pub(crate) synced: usize,
 }
 
@@ -39,12 +39,12 @@ impl Model {
         }
     }
 
-    /// Where the index began, and with which points.
+    /// The tip and the points of the index at its origin.
     pub(crate) fn origin(&self) -> (Origin, &Points) {
         (self.origin, &self.points[0].0)
     }
 
-    /// The points after so many records.
+    /// The points after this many records.
     pub(crate) fn points_after(&self, records: usize) -> &Points {
         &self.points[records].0
     }
@@ -79,7 +79,7 @@ impl Model {
         effects
     }
 
-    /// Takes note of the next record, which must be of these effects.
+    /// Adds the next record, which must have these effects.
     pub(crate) fn append(&mut self, record: Arc<Record>, effects: &Effects) {
         assert_eq!(record.revision(), self.head() + 1);
         assert_eq!(record.effects(), effects);
@@ -138,8 +138,8 @@ impl Model {
         }
     }
 
-    /// Goes back to where a log is that was opened again; what was trimmed may have come back. `unknown` are the effects
-    /// of an append that failed.
+    /// Follows a log that was reopened: trimmed records may have come back. `unknown` are the effects of a failed
+    /// append.
     pub(crate) fn rejoin(&mut self, log: &dyn Engine, uid: Uid, unknown: Option<&Effects>) {
         let revision = log.view(uid).unwrap().revision();
         let held = log.read(uid, None, usize::MAX).unwrap();
@@ -161,7 +161,7 @@ impl Model {
         self.operations_trimmed = trimmed;
     }
 
-    /// Checks all that a log shows of the index.
+    /// Checks everything that a log shows of the index.
     pub(crate) fn check(&self, log: &dyn Engine, uid: Uid) {
         let view = log.view(uid).unwrap();
         assert_eq!(view.revision(), self.head());

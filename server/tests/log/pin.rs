@@ -3,20 +3,30 @@
 //! Before the pin moves to another version, read how that version does each of the following, run the tests named here,
 //! and then write its version below:
 //!
-//! | the log relies on | in | checked by |
-//! |---|---|---|
-//! | a batch goes to the largest of the files `N.jnl`; the one before is synced when the next is made | `fjall/journal.rs` | `what_was_committed_is_in_the_newest_file_once_it_is_synced`, `a_file_that_was_made_and_is_not_written_to_does_not_hide_the_one_before` |
-//! | an entry of the journal never begins with a zero, and a damaged entry ends the journal in silence | `fjall/journal.rs`, `fjall/sync_marks.rs` | `log::lost`, above all `a_flipped_byte_of_the_journal_is_never_a_silent_gap` |
-//! | the trees `keyspaces/0` and `keyspaces/1`, their files `vN`, and `current`: number, XXH3, kind | `fjall/manifest.rs` | `whatever_part_of_a_store_is_missing_is_named_and_nothing_else_is_touched`, `log::flips` |
-//! | `current` is replaced after its list is synced, and older lists are removed later | `fjall/manifest_copy.rs` | `log::shared_files` |
-//! | the content of the file `version` | `fjall/manifest_copy.rs` | `log::shared_files` |
-//! | a keyspace that is poisoned says so in `persist`, and memtables and runs above its limits hold up a writer | `fjall/store.rs` | `log::rebuilt`, e2e `disk_failure` |
-//! | fjall refuses a block whose checksum does not match, in reads and in compactions | `fjall/rebuild.rs` | `log::rebuilt`, `log::flips` |
-//! | a snapshot sees all that was committed before it, and pins what was overwritten since | `fjall/view.rs` | `log::idle_view`, `views_are_never_torn` |
-//! | a database that is dropped has ended its threads and writes nothing more | `fjall/journal.rs`, `fjall/manifest_copy.rs` | `only_after_a_clean_end_the_journal_is_not_written_again`, e2e `power_loss` |
-//! | all keys in one keyspace reach the tables in the order of the journal | `fjall/layout.rs` | `log::model`, e2e `crash` and `power_loss` |
+//! - A batch goes to the largest of the files `N.jnl`; the one before is synced when the next is made. Relied on in
+//!   `fjall/journal.rs`, checked by `what_was_committed_is_in_the_newest_file_once_it_is_synced`,
+//!   `a_file_that_was_made_and_is_not_written_to_does_not_hide_the_one_before`.
+//! - An entry of the journal never begins with a zero, and a damaged entry ends the journal in silence. Relied on in
+//!   `fjall/journal.rs`, `fjall/sync_marks.rs`, checked by `log::lost`, above all
+//!   `a_flipped_byte_of_the_journal_is_never_a_silent_gap`.
+//! - The trees `keyspaces/0` and `keyspaces/1`, their files `vN`, and `current`: number, XXH3, kind. Relied on in
+//!   `fjall/manifest.rs`, checked by `any_missing_part_of_a_store_is_named_and_nothing_else_is_touched`,
+//!   `log::flips`.
+//! - `current` is replaced after its list is synced, and older lists are removed later. Relied on in
+//!   `fjall/manifest_copy.rs`, checked by `log::shared_files`.
+//! - The content of the file `version`. Relied on in `fjall/manifest_copy.rs`, checked by `log::shared_files`.
+//! - A keyspace that is poisoned says so in `persist`, and memtables and runs above its limits hold up a writer. Relied
+//!   on in `fjall/store.rs`, checked by `log::rebuilt`, e2e `disk_failure`.
+//! - Fjall refuses a block whose checksum does not match, in reads and in compactions. Relied on in `fjall/rebuild.rs`,
+//!   checked by `log::rebuilt`, `log::flips`.
+//! - A snapshot sees all that was committed before it, and pins what was overwritten since. Relied on in
+//!   `fjall/view.rs`, checked by `log::idle_view`, `views_are_never_torn`.
+//! - A database that is dropped has ended its threads and writes nothing more. Relied on in `fjall/journal.rs`,
+//!   `fjall/manifest_copy.rs`, checked by `only_after_a_clean_end_the_journal_is_not_written_again`, e2e `power_loss`.
+//! - All keys in one keyspace reach the tables in the order of the journal. Relied on in `fjall/layout.rs`, checked by
+//!   `log::model`, e2e `crash` and `power_loss`.
 
-/// The versions for which the table above was checked.
+/// The versions for which the list above was checked.
 const CHECKED: [(&str, &str); 2] = [("fjall", "3.1.13"), ("lsm-tree", "3.1.10")];
 
 #[test]
@@ -28,7 +38,7 @@ fn the_locked_versions_of_fjall_are_the_checked_ones() {
         assert_eq!(locked.len(), 1, "{name} is locked once");
         assert!(
             locked[0].starts_with(&format!("{version}\"")),
-            "{name} is not locked at {version}: check the table in this file"
+            "{name} is not locked at {version}: check the list in this file"
         );
     }
 }

@@ -1,5 +1,5 @@
-//! A store with a damaged block. A start serves what can be read and rebuilds nothing; a repair keeps every index that can be
-//! read whole, and these stay writable.
+//! A store with a damaged block. A start serves the readable content and rebuilds nothing. A repair keeps every index
+//! that can be read whole, and these stay writable.
 
 use std::{
     fs::{self, File},
@@ -26,11 +26,11 @@ use super::{
     effects, entry, keep, submit, synced,
 };
 
-/// Bytes of a payload: several blocks, and large enough that fjall soon begins another table.
+/// The bytes of a payload, which fill several blocks, so that fjall soon begins another table.
 const PAYLOAD: usize = 32 * 1024;
-const MUCH: usize = 1024 * 1024;
+const BURST_BYTES: usize = 1024 * 1024;
 
-/// The payload of a point, which no compression makes shorter.
+/// The incompressible payload of a point.
 fn payload(id: u64) -> Bytes {
     let mut bytes = vec![0; PAYLOAD];
     ChaCha8Rng::seed_from_u64(id).fill_bytes(&mut bytes);
@@ -59,8 +59,8 @@ fn store(directory: &Path) -> (Database, Keyspace) {
     (database, keyspace)
 }
 
-/// Creates two indices that are wholly in tables: `arm` with 20 points with payloads, `base` with one revision. Fjall
-/// will rewrite them with the next table or two.
+/// Creates two indices that are wholly in tables: `arm` with 20 points with payloads, `base` with one revision. fjall
+/// will rewrite the tables with the next one or two.
 fn fill(directory: &Path) -> [Entry; 2] {
     let entries = [entry("arm"), entry("base")];
     let log = open(directory);
@@ -85,15 +85,15 @@ fn tables(directory: &Path) -> Vec<PathBuf> {
     tables.map(|table| table.unwrap().path()).collect()
 }
 
-/// Flips a bit in the middle of the payload of point 10 of `arm`, wherever it is in a table, in the point and in the
-/// record: where the files are, so that who has them open comes upon it too.
+/// Flips a bit in the middle of the payload of point 10 of `arm` in every table, in the point and in the record. The
+/// files are changed in place, so that a store that has them open meets the damage too.
 fn damage(directory: &Path) {
     for (table, at) in found(directory) {
         flip(&table, at);
     }
 }
 
-/// The same in the record alone, which comes after the point.
+/// Flips a bit of the payload in the record alone, which comes after the point.
 fn damage_last(directory: &Path) {
     let (table, at) = found(directory).pop().unwrap();
     flip(&table, at);
@@ -128,7 +128,7 @@ fn damaged(log: &FjallLog, entry: &Entry) {
     }
 }
 
-/// Nothing of the store keeps fjall from rewriting all of its files.
+/// Lets fjall rewrite all of its files by holding nothing of the store.
 fn can_be_rewritten(directory: &Path) {
     store(directory).1.major_compact().unwrap();
 }
@@ -186,37 +186,41 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
 
 /// The content of the damaged block.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Held {
+enum BlockContent {
     /// A point of `arm`.
     Point,
-    /// A record of `arm` that was trimmed since.
+    /// A record of `arm` that has been trimmed.
     Past,
     /// The remains of a deleted index.
     Deleted,
 }
 
-/// fjall finds the damage while the log is written, even if no read asks for the block. Then nothing is written until a
+/// fjall finds the damage while the log is written, even if no read asks for the block. Then no write succeeds until a
 /// repair, and reads go on.
 #[test]
-fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_store_is_repaired() {
-    for held in [Held::Point, Held::Past, Held::Deleted] {
+fn a_repair_loses_only_the_content_of_a_block_damaged_while_the_log_was_open() {
+    for held in [
+        BlockContent::Point,
+        BlockContent::Past,
+        BlockContent::Deleted,
+    ] {
         let directory = tempfile::tempdir().unwrap();
         let [arm, base] = fill(directory.path());
         let log = open(directory.path());
         match held {
-            Held::Point => {}
-            Held::Past => {
+            BlockContent::Point => {}
+            BlockContent::Past => {
                 log.trim(arm.uid, &keep(0)).unwrap();
                 append_synced(&log, arm.uid, 21);
             }
-            Held::Deleted => log.delete(arm.uid).unwrap(),
+            BlockContent::Deleted => log.delete(arm.uid).unwrap(),
         }
         match held {
-            Held::Past => damage_last(directory.path()),
-            Held::Point | Held::Deleted => damage(directory.path()),
+            BlockContent::Past => damage_last(directory.path()),
+            BlockContent::Point | BlockContent::Deleted => damage(directory.path()),
         }
         let mut revision = 1;
-        let much = Bytes::from(vec![0; MUCH]);
+        let much = Bytes::from(vec![0; BURST_BYTES]);
         let failure = loop {
             assert!(revision < 500, "the block was never rewritten");
             match grow(&log, base.uid, revision + 1, much.clone()) {
@@ -229,7 +233,7 @@ fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_st
         let points = |entry: &Entry| all_points(&*log.view(entry.uid).unwrap()).len() as u64;
         assert!(points(&base) >= revision);
 
-        // It is read again, and not written.
+        // The reopened store can be read but not written.
         log.reopen().unwrap();
         for _ in 0..2 {
             let refused = log.failure().unwrap();
@@ -248,9 +252,9 @@ fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_st
         let log = open(directory.path());
         let points = |entry: &Entry| all_points(&*log.view(entry.uid).unwrap()).len() as u64;
         match held {
-            Held::Point => damaged(&log, &arm),
-            Held::Past => assert_eq!(points(&arm), 21),
-            Held::Deleted => assert_eq!(log.indexes().unwrap(), slice::from_ref(&base)),
+            BlockContent::Point => damaged(&log, &arm),
+            BlockContent::Past => assert_eq!(points(&arm), 21),
+            BlockContent::Deleted => assert_eq!(log.indexes().unwrap(), slice::from_ref(&base)),
         }
         let head = log.view(base.uid).unwrap().revision();
         assert!(head >= revision);
@@ -261,7 +265,7 @@ fn a_block_that_is_damaged_while_the_log_is_open_costs_what_is_there_once_the_st
     }
 }
 
-/// Wherever in a table the bit is, but at its very end: some indices are lost, and the others live on.
+/// A flipped bit anywhere in a table but at its very end loses some indices; the others live on.
 #[test]
 fn no_block_of_a_table_costs_all_indices() {
     const INDICES: u64 = 120;
@@ -336,13 +340,13 @@ fn no_block_of_a_table_costs_all_indices() {
                 assert_eq!(points.len() as u64, REVISIONS);
             }
         }
-        // fjall opens no table without the data at its end.
+        // fjall opens no table whose end is damaged.
         let end = bytes.len() * 9 / 10;
         assert!(all_lost.iter().all(|at| *at > end), "{all_lost:?}");
     }
 }
 
-/// Power is lost when the new store is whole: before the damaged one was moved away, or after that.
+/// Power is lost once the new store is whole, before or after the damaged store is moved away.
 #[test]
 fn a_rebuilt_store_takes_its_place_at_the_next_start() {
     let directory = tempfile::tempdir().unwrap();

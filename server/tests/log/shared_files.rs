@@ -1,4 +1,4 @@
-//! The small files of the store that every index depends on are put back when they are damaged or missing.
+//! The store restores the small files that every index depends on when they are damaged or missing.
 
 use std::{fs, path::Path};
 
@@ -13,7 +13,7 @@ use super::{
 
 const CURRENTS: [&str; 2] = ["store/keyspaces/0/current", "store/keyspaces/1/current"];
 
-/// Moves everything of a closed log to tables, so that fjall writes another list of them.
+/// Moves the content of a closed log to tables, so that fjall writes another list of them.
 fn move_to_tables(directory: &Path) {
     let database = fjall::Database::builder(directory.join("store"))
         .open()
@@ -74,7 +74,7 @@ fn every_flipped_bit_and_every_missing_file_is_mended() {
     }
 }
 
-/// Every bit of `current` itself; without the copy too, as the rest of `current` proves the list.
+/// Flips every bit of `current`, with and without the copy: the rest of `current` proves the list.
 #[test]
 fn a_flipped_bit_of_current_needs_no_copy() {
     let directory = tempfile::tempdir().unwrap();
@@ -115,7 +115,7 @@ fn a_copy_that_is_older_than_the_tables_is_not_put_back() {
         assert!(matches!(failure, LogError::Unopened { .. }), "{failure}");
         assert_eq!(fs::read(&current).unwrap(), left);
         assert!(copy.path().join(&newer).exists());
-        // The file as it was mends it: nothing was touched.
+        // The original file repairs the store, because the failed start changed nothing.
         fs::write(&current, &whole).unwrap();
         log.reopen().unwrap();
         assert_eq!(point_count(&log, &arm), 2);

@@ -1,4 +1,4 @@
-//! One suite for every store: whatever is done to a log, it is the sum of its records.
+//! One suite for every store: after any sequence of calls, a log equals the sum of its records.
 
 use std::{
     sync::Arc,
@@ -10,9 +10,9 @@ use wayfold_server::log::{Effects, Entry, LogError, Origin, Record, Retention, S
 
 use crate::{
     all_points, cases, effects, entry,
-    kept::Kept,
     model::{Model, Points, check_view},
     submit, synced,
+    test_log::TestLog,
 };
 
 #[derive(Clone, Debug)]
@@ -36,13 +36,13 @@ enum Step {
         oldest: usize,
     },
     Sync,
-    /// Closed in order, and opened.
+    /// The log is closed in order and reopened.
     Reopen,
-    /// The log ends without closing, and is opened again.
+    /// The log ends without closing and is reopened.
     Cut,
     /// The writing call after this many others fails.
     Fail(u64),
-    /// A copy is made, and, if it is finished, takes the place of the index.
+    /// A copy of the index is made; a finished copy replaces the index.
     Copy {
         finished: bool,
     },
@@ -73,9 +73,9 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// A log, its model, and the views that are held of it.
+/// A log, its model, and the held views of it.
 struct Run {
-    kept: Kept,
+    kept: TestLog,
     ours: Entry,
     other: Entry,
     model: Model,
@@ -83,7 +83,7 @@ struct Run {
 }
 
 impl Run {
-    fn new(kept: Kept) -> Self {
+    fn new(kept: TestLog) -> Self {
         let (ours, other) = (entry("ours"), entry("other"));
         for entry in [&ours, &other] {
             kept.log().create(entry.clone()).unwrap();
@@ -150,7 +150,7 @@ impl Run {
                 match log.trim(uid, &keep) {
                     Ok(()) => self.model.trim(&keep),
                     Err(why) => {
-                        // It may have been trimmed or not.
+                        // The trim may have taken effect or not.
                         self.views.clear();
                         let (records, operations) =
                             (self.model.trimmed, self.model.operations_trimmed);
@@ -238,7 +238,7 @@ impl Run {
         self.model.rejoin(log, self.ours.uid, unknown);
     }
 
-    /// Copies the index under another uid, in parts; a copy that is finished goes on in its place.
+    /// Copies the index under another uid, in parts; a finished copy replaces it.
     fn copy(&mut self, finished: bool) {
         let log = self.kept.log();
         let (points, next_id) = self.model.newest().clone();
@@ -284,8 +284,8 @@ impl Run {
     }
 }
 
-/// A store that applies the records of another is that store, and follows with them.
-fn check_applied(kept: &Kept, model: &Model) {
+/// A store that applies the records of another becomes equal to it and serves the same records to followers.
+fn check_applied(kept: &TestLog, model: &Model) {
     let (log, entry) = (kept.log(), entry("applied"));
     let (origin, points) = model.origin();
     let mut copying = log.restore(entry.clone(), origin).unwrap();
@@ -298,7 +298,7 @@ fn check_applied(kept: &Kept, model: &Model) {
         assert_eq!(view.tip(), records.last().unwrap().tip());
         let applied = model.points_after(3 * at + records.len());
         check_view(&*view, applied);
-        // What is there already is not applied again, and nothing is left out.
+        // Applied records are not applied again, and none is skipped.
         assert_eq!(log.apply(entry.uid, records).unwrap().tip(), view.tip());
         check_view(&*log.view(entry.uid).unwrap(), applied);
         let unlinked = Record::new(view.revision() + 1, [7; 32], 0, Effects::new(1));
@@ -317,13 +317,13 @@ fn check_applied(kept: &Kept, model: &Model) {
     }
 }
 
-fn check_log(kept: Kept, steps: Vec<Step>) {
+fn check_log(kept: TestLog, steps: Vec<Step>) {
     let mut run = Run::new(kept);
     for step in steps {
         run.step(step);
     }
     check_applied(&run.kept.another(), &run.model);
-    // The neighbour is as it was, and views outlive their index.
+    // The neighbouring index is unchanged, and views outlive their index.
     let log = run.kept.log();
     if let Err(why) = log.delete(run.ours.uid) {
         run.failed(&why);
@@ -339,7 +339,7 @@ proptest! {
     #![proptest_config(cases(256))]
     #[test]
     fn the_log_in_memory_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
-        check_log(Kept::in_memory(), steps);
+        check_log(TestLog::in_memory(), steps);
     }
 }
 
@@ -347,7 +347,7 @@ proptest! {
     #![proptest_config(cases(48))]
     #[test]
     fn the_log_on_disk_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
-        check_log(Kept::on_disk(), steps);
+        check_log(TestLog::on_disk(), steps);
     }
 }
 
@@ -358,6 +358,6 @@ proptest! {
         seed in any::<u64>(),
         steps in prop::collection::vec(step(), 1..40),
     ) {
-        check_log(Kept::faulty(seed), steps);
+        check_log(TestLog::faulty(seed), steps);
     }
 }

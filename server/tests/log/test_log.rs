@@ -4,8 +4,8 @@ use wayfold_server::log::{Durability, FjallLog, MemoryLog};
 
 use crate::{Engine, copied::copied, fault::FaultLog};
 
-/// A log under test, which is closed and opened again, cut off and made to fail where it can be.
-pub(crate) enum Kept {
+/// A log under test: a test closes and reopens it, ends it without closing, and makes it fail.
+pub(crate) enum TestLog {
     Memory(MemoryLog),
     Disk {
         log: Option<Box<FjallLog>>,
@@ -14,7 +14,7 @@ pub(crate) enum Kept {
     Faulty(FaultLog),
 }
 
-impl Kept {
+impl TestLog {
     pub(crate) fn in_memory() -> Self {
         Self::Memory(MemoryLog::new())
     }
@@ -35,50 +35,50 @@ impl Kept {
         Self::Faulty(FaultLog::new(seed))
     }
 
-    /// An empty log of the same kind, which does not fail.
+    /// An empty log of the same kind that never fails.
     pub(crate) fn another(&self) -> Self {
         match self {
-            Kept::Memory(_) => Self::in_memory(),
-            Kept::Disk { .. } => Self::on_disk(),
-            Kept::Faulty(_) => Self::faulty(0),
+            TestLog::Memory(_) => Self::in_memory(),
+            TestLog::Disk { .. } => Self::on_disk(),
+            TestLog::Faulty(_) => Self::faulty(0),
         }
     }
 
     pub(crate) fn log(&self) -> &dyn Engine {
         match self {
-            Kept::Memory(log) => log,
-            Kept::Disk { log, .. } => &**log.as_ref().unwrap(),
-            Kept::Faulty(log) => log,
+            TestLog::Memory(log) => log,
+            TestLog::Disk { log, .. } => &**log.as_ref().unwrap(),
+            TestLog::Faulty(log) => log,
         }
     }
 
     /// Closes it in order and opens it again. No view of it may be held.
     pub(crate) fn reopen(&mut self) {
         match self {
-            Kept::Memory(_) => {}
-            Kept::Disk { log, directory } => {
+            TestLog::Memory(_) => {}
+            TestLog::Disk { log, directory } => {
                 *log = None;
                 let opened = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
                 *log = Some(Box::new(opened));
             }
-            Kept::Faulty(log) => log.close_and_open(),
+            TestLog::Faulty(log) => log.close_and_open(),
         }
     }
 
     /// Ends the log without closing it. Unsynced writes may be lost. A log on disk loses what a killed process loses.
     pub(crate) fn cut(&mut self) {
         match self {
-            Kept::Memory(_) => {}
-            Kept::Disk { directory, .. } => *self = Self::in_directory(copied(directory.path())),
-            Kept::Faulty(log) => log.cut(),
+            TestLog::Memory(_) => {}
+            TestLog::Disk { directory, .. } => *self = Self::in_directory(copied(directory.path())),
+            TestLog::Faulty(log) => log.cut(),
         }
     }
 
-    /// Lets the writing call after this many others fail; false if it cannot.
+    /// Makes the writing call after this many others fail; false if this store cannot fail.
     pub(crate) fn fail_after(&self, calls: u64) -> bool {
         match self {
-            Kept::Memory(_) | Kept::Disk { .. } => false,
-            Kept::Faulty(log) => {
+            TestLog::Memory(_) | TestLog::Disk { .. } => false,
+            TestLog::Faulty(log) => {
                 log.fail_after(calls);
                 true
             }

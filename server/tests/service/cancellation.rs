@@ -1,4 +1,4 @@
-//! Calls that are given up, and calls that take long.
+//! Cancelled calls and long calls.
 
 use std::{
     pin::Pin,
@@ -20,14 +20,13 @@ fn long_insertion() -> v1::InsertRequest {
     }
 }
 
-/// Polls `long` until it holds the writer: until a call that changes nothing has to wait. Returns a short insert that
-/// waits.
+/// Polls `long` until it holds the writer, so that a short insert has to wait. Returns that insert.
 pub(crate) async fn poll_into_evaluation<'a, T>(
     service: &'a Service,
     long: &mut Pin<Box<impl Future<Output = T>>>,
 ) -> Pin<Box<dyn Future<Output = Result<v1::InsertResponse, Error>> + 'a>> {
     loop {
-        // Polled again and again without it, calls of tokio pretend to wait after 128 steps.
+        // Without this, tokio's cooperative budget makes a ready call return Pending after 128 polls.
         tokio::task::yield_now().await;
         assert!(
             poll!(&mut *long).is_pending(),
@@ -49,7 +48,7 @@ async fn a_call_dropped_while_it_is_evaluated_changes_nothing() {
     let mut long = Box::pin(service.insert(&CALL, long_insertion()));
     let short = poll_into_evaluation(&service, &mut long).await;
     drop(long);
-    // The writer is free again, and knows nothing of the rows that were evaluated.
+    // The writer is free again and has stored none of the evaluated rows.
     let response = short.await.unwrap();
     assert_eq!((response.revision.number(), response.ids), (1, vec![0]));
     assert_eq!(everything(&service).await.point_count, 1);
@@ -93,7 +92,7 @@ fn in_20_ms() -> (Call, Instant) {
     (call, deadline)
 }
 
-/// On a clock that jumps ahead whenever nothing else is left to do.
+/// The clock jumps ahead whenever no task can run.
 #[tokio::test(start_paused = true)]
 async fn a_deadline_ends_the_wait_for_the_writer() {
     let (service, _) = arm("R3").await;
@@ -117,7 +116,7 @@ async fn a_call_whose_deadline_has_passed_does_nothing() {
     assert_eq!(info(&service, "arm").await.revision.number(), 0);
 }
 
-/// On one thread, where a call that does not yield would be the only one to run.
+/// All calls share one thread, so a call that never yields would starve the others.
 #[tokio::test(flavor = "current_thread")]
 async fn long_batches_let_short_calls_pass() {
     let (service, _) = arm("R3").await;

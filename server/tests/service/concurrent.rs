@@ -1,5 +1,5 @@
-//! Many write one index at once: whatever was prepared before it was a call's turn, the answers are those of the calls
-//! one after another, in the order of their revisions.
+//! Concurrent writers of one index get the answers of the same calls made one by one in the order of their revisions,
+//! whatever they prepared before their turn.
 
 use wayfold_index::Space;
 use wayfold_proto::v1;
@@ -25,7 +25,7 @@ enum Response {
 }
 
 impl Request {
-    /// None if it is refused.
+    /// None for a refused call.
     async fn send(&self, service: &Service) -> Option<Response> {
         Some(match self.clone() {
             Request::Insert(request) => {
@@ -100,7 +100,7 @@ async fn calls_at_once_are_calls_one_after_another() {
             let of_it = answered
                 .iter()
                 .filter(|(_, response)| response.revision() == revision);
-            // One of them made it; the others changed nothing after it.
+            // One call made this revision; the others changed nothing after it.
             let (mut made, mut others) = (None, Vec::new());
             for (request, response) in of_it {
                 let mut next = model.clone();

@@ -30,8 +30,8 @@ use crate::{
     support::*,
 };
 
-/// A log in memory that is synced up to the revision that the test says, and fails when it says so.
-struct Held {
+/// A log in memory whose syncs and failures the test controls.
+struct ControlledLog {
     memory: MemoryLog,
     synced: watch::Sender<u64>,
     fails: Arc<AtomicBool>,
@@ -39,7 +39,7 @@ struct Held {
     appended_by: Mutex<Option<ThreadId>>,
 }
 
-impl Held {
+impl ControlledLog {
     fn new() -> Arc<Self> {
         Arc::new(Self {
             memory: MemoryLog::new(),
@@ -50,9 +50,9 @@ impl Held {
     }
 }
 
-forward_catalogue!(Held, memory);
+forward_catalogue!(ControlledLog, memory);
 
-impl Journal for Held {
+impl Journal for ControlledLog {
     forward_journal!(memory);
 
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
@@ -85,7 +85,7 @@ impl Journal for Held {
     }
 }
 
-impl PointStore for Held {
+impl PointStore for ControlledLog {
     forward_points!(memory);
 
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
@@ -99,7 +99,7 @@ impl PointStore for Held {
 
 #[tokio::test]
 async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
-    let log = Held::new();
+    let log = ControlledLog::new();
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R1").await;
     let mut first = pin!(service.insert(&CALL, insertion(&[[1.0]], &[])));
@@ -122,7 +122,7 @@ async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
 
     log.synced.send_replace(2);
     let response = second.await.unwrap();
-    // It was evaluated against the writer's own head, before anybody could see that.
+    // The insert was evaluated against the writer's unpublished head.
     assert_eq!(
         (response.revision.number(), response.neighbors.unwrap().ids),
         (2, vec![0])
@@ -132,9 +132,9 @@ async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
 
 #[tokio::test]
 async fn a_call_dropped_after_it_was_logged_takes_place() {
-    // The larger is committed on a thread of its own.
+    // The larger mutation is committed on a thread of its own.
     for rows in [1, 5000] {
-        let log = Held::new();
+        let log = ControlledLog::new();
         let service = service_with(log.clone(), Limits::default());
         let uid = create(&service, "arm", "R3").await;
         let entry = log.indexes().unwrap().remove(0);
@@ -160,7 +160,7 @@ async fn a_call_dropped_after_it_was_logged_takes_place() {
 
 #[tokio::test]
 async fn a_retry_is_not_acknowledged_before_the_original_is_durable() {
-    let log = Held::new();
+    let log = ControlledLog::new();
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R1").await;
     let request = v1::InsertRequest {
@@ -175,20 +175,20 @@ async fn a_retry_is_not_acknowledged_before_the_original_is_durable() {
     assert_eq!(retry.await.unwrap(), original.await.unwrap());
 }
 
-/// Notifies that the polled future is to be polled again.
+/// Signals each wake-up of the polled future.
 #[derive(Default)]
-struct Woken(Notify);
+struct WakeSignal(Notify);
 
-impl Wake for Woken {
+impl Wake for WakeSignal {
     fn wake(self: Arc<Self>) {
         self.0.notify_one();
     }
 }
 
-/// On a clock that stands still while anything goes on.
+/// The paused clock advances only while no task can run.
 #[tokio::test(start_paused = true)]
 async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
-    let log = Held::new();
+    let log = ControlledLog::new();
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R1").await;
     let entry = log.indexes().unwrap().remove(0);
@@ -210,11 +210,11 @@ async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
     let mut calls = Vec::new();
     for (request, logged) in requests {
         let mut call = Box::pin(service.insert(&CALL, request));
-        let woken = Arc::new(Woken::default());
+        let woken = Arc::new(WakeSignal::default());
         let waker = Waker::from(Arc::clone(&woken));
         let mut context = Context::from_waker(&waker);
         assert!(call.as_mut().poll(&mut context).is_pending());
-        // It yields, and reads stored points on another thread; in the end it waits for the sync.
+        // The call yields and reads stored points on another thread; then it waits for the sync.
         while timeout(Duration::from_secs(1), woken.0.notified())
             .await
             .is_ok()
@@ -239,8 +239,8 @@ async fn calls_that_write_nothing_wait_for_the_sync_without_the_writer() {
 }
 
 #[tokio::test]
-async fn what_takes_long_to_log_for_its_rows_or_its_bytes_is_logged_on_another_thread() {
-    let log = Held::new();
+async fn mutations_with_many_rows_or_bytes_are_logged_on_another_thread() {
+    let log = ControlledLog::new();
     log.synced.send_replace(9);
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R3").await;
@@ -262,7 +262,7 @@ async fn what_takes_long_to_log_for_its_rows_or_its_bytes_is_logged_on_another_t
 
 #[tokio::test]
 async fn an_index_whose_log_fails_takes_no_more_and_still_answers() {
-    let log = Held::new();
+    let log = ControlledLog::new();
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R1").await;
     log.synced.send_replace(1);
@@ -274,7 +274,7 @@ async fn an_index_whose_log_fails_takes_no_more_and_still_answers() {
     for _ in 0..2 {
         let answer = service.insert(&CALL, insertion(&[[2.0]], &[])).await;
         assert_eq!(refusal(answer).0, Code::DataLoss);
-        // A log that failed once is not trusted again.
+        // The index stays stopped after one failure of the log.
         log.fails.store(false, Ordering::Relaxed);
         log.synced.send_replace(9);
     }

@@ -1,4 +1,4 @@
-//! Whatever integers a request holds, it is answered or refused, and a call that waits does nothing meanwhile.
+//! The service answers or refuses each extreme integer, and a waiting call uses no core.
 
 use std::{
     future::poll_fn,
@@ -23,8 +23,8 @@ use crate::{
     support::*,
 };
 
-/// A call about two points that is polled more often spins.
-const MOST_POLLS: usize = 300;
+/// The maximum number of polls of a call about two points; a call that spins exceeds it.
+const MAX_POLLS: usize = 300;
 
 /// `arm` with two points and two revisions.
 async fn two_points() -> (Service, String) {
@@ -39,7 +39,7 @@ async fn two_points() -> (Service, String) {
     (service, uid)
 }
 
-/// Asks for all that a request is answered with, but for what a watch tells after the newest revision.
+/// Makes a request and reads its whole answer, a watch only up to the newest revision.
 async fn ask(service: &Service, call: &Call, request: &DynamicMessage) -> Result<(), Error> {
     macro_rules! read {
         () => {
@@ -79,19 +79,19 @@ async fn ask(service: &Service, call: &Call, request: &DynamicMessage) -> Result
             restoring.add(read!()).await?;
             restoring.finish().await.map(drop)
         }
-        // A stream of requests is one of the gRPC face.
+        // Streams of requests exist only over gRPC.
         "StreamKnnRequest" => Ok(()),
         other => panic!("{other} is asked of nobody"),
     }
 }
 
-/// Awaits a call, which must not be polled as if it were busy.
+/// Awaits a call and asserts that it does not spin.
 async fn quietly<T>(call: impl Future<Output = T>) -> T {
     let mut call = pin!(call);
     let mut polls = 0;
     poll_fn(|context| {
         polls += 1;
-        assert!(polls <= MOST_POLLS, "a call spins");
+        assert!(polls <= MAX_POLLS, "a call spins");
         call.as_mut().poll(context)
     })
     .await
@@ -99,7 +99,7 @@ async fn quietly<T>(call: impl Future<Output = T>) -> T {
 
 /// A waiting call ends at its deadline. The clock of the test is paused, so the deadline comes at once.
 #[tokio::test(start_paused = true)]
-async fn every_verb_answers_or_refuses_whatever_integers_it_is_asked_with() {
+async fn every_verb_answers_or_refuses_extreme_integers() {
     let (service, uid) = two_points().await;
     for request in requests(&uid) {
         for (what, variant) in variants(&request) {
@@ -125,7 +125,7 @@ async fn the_requests_that_are_varied_are_good_ones() {
         let answer = ask(&service, &call, &request).await;
         let code = answer.map_err(|error| error.code());
         let expected = match request.descriptor().name() {
-            // It waits for more than there is.
+            // The call waits for a revision that does not exist.
             "WatchRequest" => Err(Code::DeadlineExceeded),
             "DeleteIndexRequest" => Err(Code::FailedPrecondition),
             "RestoreIndexRequest" => Err(Code::InvalidArgument),
@@ -135,19 +135,19 @@ async fn the_requests_that_are_varied_are_good_ones() {
     }
 }
 
-/// Counts how often the polled future asks to be polled again.
+/// Counts the wake-ups of the polled future.
 #[derive(Default)]
-struct Wakes(AtomicUsize);
+struct WakeCounter(AtomicUsize);
 
-impl Wake for Wakes {
+impl Wake for WakeCounter {
     fn wake(self: Arc<Self>) {
         self.0.fetch_add(1, Relaxed);
     }
 }
 
-/// Polls a future that has to wait: it must not be woken before there is news.
+/// Polls a future that has to wait, and asserts that it is not woken before there is news.
 fn assert_rests(waiting: impl Future) {
-    let wakes = Arc::new(Wakes::default());
+    let wakes = Arc::new(WakeCounter::default());
     let waker = Waker::from(Arc::clone(&wakes));
     let mut waiting = pin!(waiting);
     let polled = waiting.as_mut().poll(&mut Context::from_waker(&waker));

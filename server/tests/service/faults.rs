@@ -18,7 +18,7 @@ const MUTATIONS: u64 = 25;
 /// Calls that fail, one in each run. Every mutation makes two at least.
 const CALLS: u64 = 60;
 /// Every run makes at least this many of these calls.
-const REACHED: u64 = 30;
+const MIN_CALLS: u64 = 30;
 
 /// State, tag, payload.
 type Point = ([f64; 2], u64, String);
@@ -98,7 +98,7 @@ impl Mutation {
         }
     }
 
-    /// The revision that it made.
+    /// The revision that the mutation made.
     async fn send(&self, service: &Service) -> Result<u64, Error> {
         Ok(match self.clone() {
             Mutation::Insert(request) => service.insert(&CALL, request).await?.revision.number(),
@@ -114,19 +114,19 @@ async fn read(service: &Service) -> (u64, BTreeMap<u64, Point>) {
     let points = part.points.unwrap_or_default();
     let rows = points.states.unwrap_or_default().coordinates;
     let rows = rows.as_chunks::<2>().0.iter();
-    let told = rows.zip(&points.tags).zip(&points.payloads);
-    let told = told.map(|((row, tag), payload)| {
+    let content = rows.zip(&points.tags).zip(&points.payloads);
+    let content = content.map(|((row, tag), payload)| {
         let payload = String::from_utf8(payload.to_vec()).unwrap();
         (*row, *tag, payload)
     });
     (
         part.revision.number(),
-        points.ids.into_iter().zip(told).collect(),
+        points.ids.into_iter().zip(content).collect(),
     )
 }
 
 fn registry(log: &FaultLog) -> Arc<Registry> {
-    // So small a window that trimming, too, is a call that may fail.
+    // The window is so small that calls of trim occur and may fail too.
     let options = RegistryOptions {
         window_bytes: 500,
         ..options()
@@ -141,7 +141,7 @@ fn serving(registry: &Arc<Registry>) -> Service {
     service
 }
 
-/// Lets the call of the log after `calls` others fail, and returns the number of refused mutations.
+/// Makes the log's call after `calls` others fail, and returns the number of refused mutations.
 async fn run(seed: u64, calls: u64) -> u64 {
     let log = FaultLog::new(seed ^ (calls << 8));
     let registry = registry(&log);
@@ -172,7 +172,7 @@ async fn run(seed: u64, calls: u64) -> u64 {
             let found = read(&service).await;
             let may = [(revision, before), (revision + 1, points.clone())];
             assert!(may.contains(&found), "{found:?} is none of {may:?}");
-            // Asking again makes it take place, once.
+            // A retry makes the mutation take effect once.
             assert_eq!(mutation.send(&service).await.unwrap(), revision + 1);
         }
         revision += 1;
@@ -180,7 +180,7 @@ async fn run(seed: u64, calls: u64) -> u64 {
         assert_eq!(read(&service).await, (revision, points.clone()));
         assert_eq!(info(&service, "arm").await.revision.uid(), uid);
     }
-    // Other servers, after an orderly end and after a loss of power.
+    // Two other servers start, one after an orderly end and one after a loss of power.
     drop(service);
     for end in [FaultLog::close_and_open, FaultLog::cut] {
         end(&log);
@@ -197,7 +197,7 @@ async fn whichever_call_of_the_log_fails_nothing_acknowledged_is_lost_and_nothin
         for calls in 0..CALLS {
             println!("seed {seed}, the call after {calls} fails");
             let refused = run(seed, calls).await;
-            assert!(refused == 1 || calls >= REACHED && refused == 0);
+            assert!(refused == 1 || calls >= MIN_CALLS && refused == 0);
         }
     }
 }

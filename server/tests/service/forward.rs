@@ -1,4 +1,4 @@
-//! Logs in memory that do something otherwise.
+//! Macros for test logs that forward most calls to a log in memory.
 
 /// A `Catalogue` that forwards to the field of a log.
 macro_rules! forward_catalogue {

@@ -1,4 +1,4 @@
-//! An index that nobody writes does not make the store keep what another index overwrites.
+//! An idle index does not make the store keep data that another index overwrites.
 
 use std::{fs, path::Path, sync::Arc};
 
@@ -10,7 +10,7 @@ use wayfold_server::{
 
 use crate::support::*;
 
-/// Calls to the busy index, each of which replaces the payloads of the same points.
+/// The number of calls to the busy index, each of which replaces the payloads of the same points.
 const INSERTS: u8 = 128;
 const POINTS: u64 = 32;
 const PAYLOAD_BYTES: usize = 64 * 1024;

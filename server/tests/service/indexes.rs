@@ -137,7 +137,7 @@ async fn pages_are_in_order_and_survive_a_delete_between_them() {
             break;
         }
         if names.len() == 2 {
-            // The one that the token was made of.
+            // The index that the token names.
             let request = v1::DeleteIndexRequest {
                 index_name: "b".into(),
                 ..Default::default()
@@ -181,7 +181,7 @@ async fn a_page_ends_before_it_outgrows_an_answer() {
 }
 
 #[tokio::test]
-async fn the_log_forgets_what_is_deleted() {
+async fn the_log_forgets_deleted_indices() {
     let log = Arc::new(MemoryLog::new());
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R1").await;
@@ -195,7 +195,7 @@ async fn the_log_forgets_what_is_deleted() {
 }
 
 #[tokio::test]
-async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
+async fn a_deleted_index_is_gone_and_its_name_starts_a_new_history() {
     let (service, uid) = arm("R1").await;
     service
         .insert(&CALL, insertion(&[[1.0]], &[]))
@@ -239,7 +239,7 @@ async fn a_deleted_index_is_gone_and_its_name_starts_another_past() {
 }
 
 #[tokio::test]
-async fn who_waits_for_a_revision_of_a_deleted_index_is_told() {
+async fn a_wait_for_a_revision_ends_when_the_index_is_deleted() {
     let (service, uid) = arm("R1").await;
     let request = v1::KnnRequest {
         min_revision: revision(&uid, 1),
@@ -273,7 +273,7 @@ async fn no_call_is_answered_before_the_service_is_ready_or_after_it_stops() {
     service.set_ready();
     assert!(service.is_serving());
     create(&service, "arm", "R1").await;
-    // Accepted before the end begins, and finished after it.
+    // This call is accepted before the shutdown begins and finishes after it.
     let mut scan = service.scan(&CALL, scanning()).await.unwrap();
     service.begin_shutdown();
     assert!(!service.is_serving());

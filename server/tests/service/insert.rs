@@ -1,4 +1,4 @@
-//! The effect and the answer of an insert, case by case; a random comparison with a model covers the rest.
+//! The effect and the answer of an insert in selected cases; a random comparison with a model covers the rest.
 
 use bytes::Bytes;
 use wayfold_proto::v1::{self, Outcome};
@@ -64,7 +64,7 @@ async fn ids_end_below_2_to_the_63() {
     );
     assert_eq!(error.code(), Code::ResourceExhausted);
     assert_eq!(everything(&service).await, before);
-    // Given ids are still taken.
+    // Ids chosen by the caller stay taken.
     service
         .insert(&CALL, insertion(&[[2.0]], &[5]))
         .await
@@ -167,7 +167,7 @@ async fn separation_is_strict_and_counts_the_rows_before() {
         outcomes(&response),
         [TooClose, Inserted, TooClose, Inserted, TooClose]
     );
-    // The blockers: 0 at 0.0; 2 was not yet stored when 1.75 came, so 1 at 1.0.
+    // The blockers are 0 at 0.0 and, for 1.75, 1 at 1.0, because 2 was not stored yet.
     assert_eq!(response.ids, [0, 1, 1, 2, 1]);
 }
 
@@ -189,7 +189,7 @@ async fn a_replaced_point_is_neither_in_its_own_way_nor_its_own_neighbour() {
             }),
             ..Default::default()
         }),
-        // 1 moves by less than the separation; then 3 comes where 1 was, near where it is now.
+        // Point 1 moves by less than the separation; then 3 is inserted at its old place, near its new one.
         ..insertion(&[[0.25], [0.0], [-2.0]], &[1, 3, 4])
     };
     let response = service.insert(&CALL, request).await.unwrap();
@@ -242,7 +242,7 @@ async fn neighbours_since_a_revision_are_what_came_meanwhile_and_the_same_call()
 }
 
 #[tokio::test]
-async fn of_any_two_concurrent_inserts_the_later_sees_the_earlier() {
+async fn the_later_of_two_concurrent_inserts_sees_the_earlier() {
     let (service, _) = arm("R3").await;
     let mut calls = tokio::task::JoinSet::new();
     for row in cube(5, 200) {

@@ -1,4 +1,4 @@
-//! Answers stay below their limit, and a request that exceeds a limit is refused by the limit's name.
+//! Answers stay below their limit, and the refusal of a request that exceeds a limit names the limit.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ fn exceeded<T: std::fmt::Debug>(answer: Result<T, Error>) -> (&'static str, u64)
 }
 
 #[tokio::test]
-async fn what_exceeds_a_limit_is_refused_with_its_name_and_value() {
+async fn exceeding_a_limit_is_refused_with_its_name_and_value() {
     let service = small().await;
     let rows = cube(1, 51);
     assert_eq!(
@@ -74,7 +74,7 @@ async fn what_exceeds_a_limit_is_refused_with_its_name_and_value() {
     create(&service, "second", "R1").await;
     let third = service.create_index(&CALL, creation("third", "R1")).await;
     assert_eq!(exceeded(third), ("max_indexes", 2));
-    // One that exists is still found.
+    // An existing index is still found.
     create(&service, "arm", "R3").await;
 }
 
@@ -94,7 +94,7 @@ async fn fill(service: &Service, rows: &[[f64; 3]]) {
     service.insert(&CALL, request).await.unwrap();
 }
 
-/// Whatever is accepted fits, and whatever is refused would hardly have fitted.
+/// An accepted answer fits, and a refused answer would hardly have fitted.
 #[tokio::test]
 async fn answers_of_every_size_up_to_the_limit() {
     let service = small().await;

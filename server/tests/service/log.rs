@@ -52,10 +52,12 @@ async fn answers_that_fit_amount_to_what_a_watch_tells() {
         }
     }
     let last = info(&service, "arm").await.revision.number();
-    let mut told: Vec<v1::Mutation> = Vec::new();
+    let mut received: Vec<v1::Mutation> = Vec::new();
     let mut answers = 0;
     loop {
-        let from = told.last().map_or(0, |mutation| mutation.revision.number());
+        let from = received
+            .last()
+            .map_or(0, |mutation| mutation.revision.number());
         let answer = service.log(&CALL, after(&uid, from)).await.unwrap();
         assert_eq!(
             (answer.revision.uid(), answer.revision.number()),
@@ -66,11 +68,11 @@ async fn answers_that_fit_amount_to_what_a_watch_tells() {
             break;
         }
         answers += 1;
-        told.extend(answer.mutations);
+        received.extend(answer.mutations);
     }
     assert!(answers > 3, "{answers}");
-    assert!(told.iter().all(|mutation| !mutation.continued));
-    assert_eq!(told, watched(&service, &uid, last).await);
+    assert!(received.iter().all(|mutation| !mutation.continued));
+    assert_eq!(received, watched(&service, &uid, last).await);
 }
 
 #[tokio::test]
@@ -135,7 +137,7 @@ async fn a_mutation_that_no_answer_holds_is_refused_and_not_cut() {
 }
 
 #[tokio::test]
-async fn whoever_follows_which_indices_are_served_is_told_of_each_change() {
+async fn followers_of_the_list_of_indices_receive_each_change() {
     let service = service();
     let mut served = service.watch_catalog().unwrap();
     assert!(served.changed().await.unwrap().is_empty());

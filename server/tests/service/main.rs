@@ -1,4 +1,4 @@
-//! The service on its own, without a transport: what every call promises.
+//! The promises of every call, tested on the service without a transport.
 
 #![expect(
     clippy::unwrap_used,

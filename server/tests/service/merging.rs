@@ -7,7 +7,7 @@ use wayfold_server::service::Service;
 
 use crate::support::*;
 
-/// Waits until the index takes less than `bytes`, however long that takes; a minute is a failure.
+/// Waits until the index takes less than `bytes`, and fails after a minute.
 async fn shrinks_below(service: &Service, bytes: u64) {
     let shrinking = async {
         while info(service, "arm").await.memory_bytes >= bytes {

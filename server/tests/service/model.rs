@@ -1,5 +1,5 @@
-//! An index as its contract describes it, in the plainest words: a sorted map, searched from end to end and copied
-//! where something must be undone. Shares nothing with the server but the distance of two states.
+//! The simplest index that fulfils the contract: a sorted map, searched from end to end and copied where something must
+//! be undone. It shares nothing with the server but the distance of two states.
 
 use std::collections::BTreeMap;
 
@@ -30,7 +30,7 @@ pub(crate) struct Model {
     pub(crate) next_id: u64,
 }
 
-/// Why the model refuses, with all ids.
+/// The reason of a refusal, with all ids.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Refused {
     Exist(Vec<u64>),
@@ -238,8 +238,8 @@ impl Model {
         })
     }
 
-    /// The number and the radius that a request asks for, as Karaman and Frazzoli scale them by the points of now. The
-    /// radius is no distance of the few states that there are, so its last bit does not matter.
+    /// The number and the radius of a request, scaled by the present number of points after Karaman and Frazzoli. The
+    /// radius equals no distance between the few states, so its last bit does not matter.
     fn bounds(&self, count: Option<KForm>, radius_form: Option<RadiusForm>) -> (usize, f64) {
         let n = self.points.len() as f64;
         let k = match count {

@@ -146,7 +146,7 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
     for (at, id) in ["a", "b", "c"].into_iter().enumerate() {
         service.insert(&CALL, once(id, at as f64)).await.unwrap();
     }
-    // c and b are remembered, a is not.
+    // The operations c and b are remembered, a is forgotten.
     assert_eq!(
         service
             .insert(&CALL, once("c", 2.0))

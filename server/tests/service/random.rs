@@ -34,7 +34,7 @@ impl Requests {
         }
     }
 
-    /// The same of an index that has another name than `arm`.
+    /// The same requests for an index with another name than `arm`.
     pub(crate) fn named(self, name: &str) -> Self {
         let name = name.into();
         Self { name, ..self }
@@ -192,13 +192,13 @@ impl Requests {
         }
     }
 
-    /// A number by the size of the index, now and then.
+    /// A number scaled by the size of the index, in some of the requests.
     fn k_factor(&mut self) -> Option<KForm> {
         let factor = self.pick(&[None, None, Some(0.0), Some(0.7), Some(1.5), Some(5.5)]);
         factor.map(KForm::KFactor)
     }
 
-    /// A radius by the size of the index, now and then.
+    /// A radius scaled by the size of the index, in some of the requests.
     fn scaled_radius(&mut self) -> Option<RadiusForm> {
         let factor = self.pick(&[None, None, Some(0.0), Some(0.4), Some(1.1)])?;
         let max = self.pick(&[None, Some(0.3), Some(f64::INFINITY)]);
@@ -240,7 +240,7 @@ impl Requests {
         revision(&self.uid, self.random.random_range(0..=newest))
     }
 
-    /// The columns of points; now and then what there is without a word.
+    /// The requested columns of points; None, the default, in some requests.
     fn columns(&mut self) -> Option<v1::Include> {
         let include = self.include();
         include.filter(|_| self.random.random())
@@ -270,7 +270,7 @@ pub(crate) fn refused<T>(answer: Result<T, Error>) -> Result<T, Refused> {
     })
 }
 
-/// Equal to the last bit, of zeros too.
+/// Compares to the last bit, including the sign of zeros.
 pub(crate) fn assert_same<M: Message + PartialEq + std::fmt::Debug>(
     answer: Result<M, Error>,
     expected: Result<M, Refused>,
@@ -313,7 +313,7 @@ pub(crate) async fn compare(service: &Service, model: &Model, requests: &mut Req
     );
 }
 
-/// Finishes a scan that was begun when the index was as in `expected`.
+/// Finishes a scan that began when the index had the content of `expected`.
 async fn finish(mut scan: Scan, expected: v1::ScanResponse) {
     assert_same(scan.next().await.unwrap(), Ok(expected), "a scan");
     assert!(scan.next().await.is_none());
@@ -372,7 +372,7 @@ async fn run(space: &str, seed: u64) {
 async fn every_answer_is_the_models() {
     for space in ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"] {
         for seed in 0..40 {
-            // Shown if the test fails.
+            // The output is shown only if the test fails.
             println!("space {space}, seed {seed}");
             run(space, seed).await;
         }

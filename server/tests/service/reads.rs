@@ -1,4 +1,4 @@
-//! The points that a read sees: columns, filters, and the revision it waits for.
+//! The points that a read returns: columns, filters, and the revision it waits for.
 
 use std::{
     pin::pin,
@@ -21,7 +21,7 @@ const ALL: v1::Include = v1::Include {
 };
 
 #[tokio::test]
-async fn neighbours_come_with_what_was_asked_for() {
+async fn neighbours_come_with_the_requested_columns() {
     let (service, uid) = arm("SO2").await;
     let request = v1::InsertRequest {
         tags: vec![1, 2, 3],
@@ -153,7 +153,8 @@ async fn a_read_waits_for_its_revision() {
     );
 }
 
-/// A client that knows a revision asks what came after it: a server that has not got there yet cannot say "nothing".
+/// A client asks for the changes after a revision. A server that has not reached that revision must not answer
+/// "nothing".
 #[tokio::test]
 async fn a_read_waits_for_the_revision_it_asks_after() {
     let (service, uid) = arm("R1").await;
@@ -182,7 +183,7 @@ async fn a_read_waits_for_the_revision_it_asks_after() {
     assert_eq!(response.neighbors.unwrap().ids, [2]);
 }
 
-/// On a clock that jumps ahead whenever nothing else is left to do.
+/// The clock jumps ahead whenever no task can run.
 #[tokio::test(start_paused = true)]
 async fn the_wait_for_a_revision_ends_after_five_seconds_or_at_the_deadline() {
     let (service, uid) = arm("R1").await;

@@ -1,5 +1,5 @@
-//! Two servers that share a journal on another machine: it accepts one record of an index at a time, its positions are
-//! not revisions, it loses requests and answers, and each server keeps its own points.
+//! Two servers share a journal on another machine. The journal accepts one record of an index at a time, its positions
+//! are not revisions, and it loses requests and answers. Each server has its own point store.
 
 use std::{
     collections::BTreeMap,
@@ -37,7 +37,7 @@ struct Stream {
     length: watch::Sender<usize>,
     random: Mutex<ChaCha8Rng>,
     loses: f64,
-    /// Nothing reaches it.
+    /// True while no request reaches it.
     is_cut: AtomicBool,
 }
 
@@ -83,9 +83,10 @@ impl Stream {
         }
         messages.push((uid, Arc::clone(record)));
         self.length.send_replace(messages.len());
-        match self.is_lost() {
-            true => Err(unconfirmed),
-            false => Ok(()),
+        if self.is_lost() {
+            Err(unconfirmed)
+        } else {
+            Ok(())
         }
     }
 }
@@ -95,15 +96,14 @@ const START: Tip = Tip {
     digest: Origin::START.digest,
 };
 
-/// A record to publish, and where its outcome goes.
+/// A record to publish, and the channel for its outcome.
 type Submission = (Uid, Arc<Record>, oneshot::Sender<Result<(), LogError>>);
 
-/// A server's connection to the stream. It publishes one record after the other, a message of a foreign index before
-/// each.
+/// A server's connection to the stream. It publishes records one by one, each after a message of a foreign index.
 struct Remote {
     stream: Arc<Stream>,
     submissions: mpsc::UnboundedSender<Submission>,
-    /// A permit per record that may be published; the test holds the server back by taking it.
+    /// One permit a record that may be published; a test delays the server by taking permits.
     turns: Arc<Semaphore>,
 }
 
@@ -120,12 +120,9 @@ impl Remote {
         tokio::spawn(async move {
             while let Some((uid, record, answer)) = waiting.recv().await {
                 turns.acquire().await.unwrap().forget();
-                let foreign = Record::after(START, Effects::new(1));
-                stream
-                    .messages
-                    .lock()
-                    .push((Uid::unique(), Arc::new(foreign)));
-                // The server may have ended.
+                let foreign = Arc::new(Record::after(START, Effects::new(1)));
+                stream.messages.lock().push((Uid::unique(), foreign));
+                // Fails if the server has ended.
                 let _ = answer.send(stream.publish(uid, &record));
             }
         });
@@ -178,13 +175,8 @@ impl Journal for Remote {
     }
 }
 
-/// A server over the stream, with points of its own, that serves the index of this entry.
-fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Remote>) {
-    let (service, _, journal) = maintained(stream, entry);
-    (service, journal)
-}
-
-fn maintained(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, Arc<Remote>) {
+/// A server over the stream that serves the index of this entry from a point store of its own.
+fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, Arc<Remote>) {
     let points = Arc::new(MemoryLog::new());
     points.create(entry.clone()).unwrap();
     let journal = Remote::connect(stream);
@@ -193,7 +185,7 @@ fn maintained(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, A
         points: Arc::clone(&points) as Arc<dyn PointStore>,
         catalogue: points,
     };
-    // Small windows: most catching up is from the journal.
+    // A small window makes most catching up read the journal.
     let options = RegistryOptions {
         window_bytes: 2000,
         ..options()
@@ -225,7 +217,7 @@ async fn points_at(service: &Service, uid: Uid, number: u64) -> v1::Points {
     everything(service).await.points.unwrap()
 }
 
-/// What is stored is what the records say, which form one chain; the servers agree. Returns the points.
+/// Asserts that the records form one chain and that all servers store the points of the records. Returns these points.
 async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Points {
     let records = stream.records(entry.uid);
     let (mut tip, mut expected) = (START, BTreeMap::new());
@@ -240,7 +232,7 @@ async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Po
         }
     }
     let found = points_at(servers[0], entry.uid, tip.revision).await;
-    // Feeds have every record, also one that only fenced another off.
+    // A feed has every record, also one whose only effect was to fence another.
     let mut fed = 0;
     while fed < tip.revision {
         let request = v1::WatchRequest {
@@ -263,13 +255,13 @@ async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Po
     found
 }
 
-/// Each acknowledged mutation took effect once. No caller sees a lost message or a refusal.
+/// Each acknowledged mutation takes effect once. No caller sees a lost message or a refusal.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn servers_that_share_a_journal_agree_and_acknowledge_what_took_effect_once() {
+async fn servers_that_share_a_journal_agree_and_apply_each_mutation_once() {
     for (seed, loses) in [(1, 0.0), (2, 0.1), (3, 0.3), (4, 0.3)] {
         let (stream, entry) = (Stream::new(seed, loses), arm());
-        let (one, _) = server(&stream, &entry);
-        let (other, _) = server(&stream, &entry);
+        let (one, ..) = server(&stream, &entry);
+        let (other, ..) = server(&stream, &entry);
         let writers = (0..6u64).map(|writer| {
             let service = [&one, &other][writer as usize % 2].clone();
             tokio::spawn(async move {
@@ -310,12 +302,12 @@ async fn servers_that_share_a_journal_agree_and_acknowledge_what_took_effect_onc
     }
 }
 
-/// A row that was refused is evaluated again: it sees what took its place.
+/// A refused row is evaluated again against the record that took its place.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_two_points_are_too_close_whichever_server_took_them() {
+async fn no_two_points_are_too_close_across_servers() {
     let (stream, entry) = (Stream::new(5, 0.2), arm());
-    let (one, _) = server(&stream, &entry);
-    let (other, _) = server(&stream, &entry);
+    let (one, ..) = server(&stream, &entry);
+    let (other, ..) = server(&stream, &entry);
     let writers = (0..8u64).map(|writer| {
         let service = [&one, &other][writer as usize % 2].clone();
         tokio::spawn(async move {
@@ -339,11 +331,11 @@ async fn no_two_points_are_too_close_whichever_server_took_them() {
     assert!(rows.array_windows().all(|[a, b]| b - a >= 0.5), "{rows:?}");
 }
 
-/// A writer whose records are under way evaluates against them, and a server that comes later reads them all.
+/// A writer evaluates against its records under way, and a server that starts later reads them all.
 #[tokio::test]
 async fn records_under_way_are_seen_by_the_next_mutation_and_by_no_reader() {
     let (stream, entry) = (Stream::new(6, 0.0), arm());
-    let (one, held) = server(&stream, &entry);
+    let (one, _, held) = server(&stream, &entry);
     let turns = held.turns.acquire_many(u32::MAX >> 3).await.unwrap();
     let every = held.turns.available_permits();
     held.turns.forget_permits(every);
@@ -367,15 +359,15 @@ async fn records_under_way_are_seen_by_the_next_mutation_and_by_no_reader() {
     }
     let close = v1::Outcome::TooClose as i32;
     assert_eq!(outcomes, [v1::Outcome::Inserted as i32, close, close]);
-    let (late, _) = server(&stream, &entry);
+    let (late, ..) = server(&stream, &entry);
     settled(&stream, &entry, &[&one, &late]).await;
 }
 
-/// On a clock that jumps ahead whenever nothing else is left to do.
+/// The clock jumps ahead whenever no task can run.
 #[tokio::test(start_paused = true)]
-async fn what_cannot_be_settled_in_time_is_unavailable_until_the_journal_answers_again() {
+async fn an_unsettled_mutation_makes_the_index_unavailable_until_the_journal_answers() {
     let (stream, entry) = (Stream::new(7, 0.0), arm());
-    let (service, registry, _) = maintained(&stream, &entry);
+    let (service, registry, _) = server(&stream, &entry);
     let maintaining = tokio::spawn(registry.maintain(|| ()));
     let insert = |state: f64| {
         let (service, request) = (service.clone(), insertion(&[[state]], &[]));
@@ -384,10 +376,8 @@ async fn what_cannot_be_settled_in_time_is_unavailable_until_the_journal_answers
     assert_eq!(insert(1.0).await.unwrap().revision.number(), 1);
     stream.is_cut.store(true, Relaxed);
     let error = insert(2.0).await.unwrap_err();
-    assert_eq!(
-        (error.code(), error.reason()),
-        (Code::Unavailable, "STORAGE_FAILED")
-    );
+    let reported = (error.code(), error.reason());
+    assert_eq!(reported, (Code::Unavailable, "STORAGE_FAILED"));
     assert!(error.to_string().contains("operation_id"), "{error}");
     assert_eq!(everything(&service).await.point_count, 1);
     stream.is_cut.store(false, Relaxed);
@@ -396,7 +386,7 @@ async fn what_cannot_be_settled_in_time_is_unavailable_until_the_journal_answers
         if inserted.is_ok() {
             break;
         }
-        // The clock stands still while maintenance resumes the index on a thread of its own.
+        // The clock stops while maintenance resumes the index on a blocking thread.
         let second = Duration::from_secs(1);
         assert!(timeout(second, pending::<()>()).await.is_err());
         inserted = insert(3.0).await;

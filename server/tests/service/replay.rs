@@ -1,4 +1,4 @@
-//! The log is the only source of state: a second server over the same log is the first one.
+//! The log is the only source of state: a second server over the same log equals the first.
 
 use std::sync::Arc;
 
@@ -39,7 +39,7 @@ async fn a_restart_changes_nothing() {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         for _ in 0..40 {
             let revision = info(&before, "arm").await.revision;
-            // Refusals are as good as any.
+            // Refused mutations are part of the history too.
             match random.random_range(0..4) {
                 0..=1 => drop(
                     before
@@ -54,7 +54,7 @@ async fn a_restart_changes_nothing() {
                 _ => drop(before.remove(&CALL, requests.remove()).await),
             }
         }
-        // An id that was used and is free again, and an operation.
+        // The history has an id that was used and freed, and an operation id.
         before
             .insert(&CALL, insertion(&[[0.0; 3]], &[500]))
             .await
@@ -98,7 +98,7 @@ async fn a_restart_changes_nothing() {
         if on_disk {
             continue;
         }
-        // The first server follows the other's records, and evaluates after them.
+        // The first server follows the other's records and evaluates against them.
         let late = before
             .insert(&CALL, insertion(&[[0.3; 3]], &[]))
             .await
@@ -109,12 +109,12 @@ async fn a_restart_changes_nothing() {
 }
 
 /// A log that finds every index damaged at its second revision.
-struct Damaging(MemoryLog);
+struct DamagedLog(MemoryLog);
 
-forward_catalogue!(Damaging, 0);
-forward_whole_journal!(Damaging, 0);
+forward_catalogue!(DamagedLog, 0);
+forward_whole_journal!(DamagedLog, 0);
 
-impl PointStore for Damaging {
+impl PointStore for DamagedLog {
     forward_points!(0);
 
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
@@ -137,7 +137,7 @@ fn readable(uid: Uid, view: Arc<dyn View>) -> Result<Arc<dyn View>, LogError> {
     }
 }
 
-/// Makes an index whose second mutation is logged and then cannot be applied for readers.
+/// Makes an index whose second mutation is logged but cannot be applied for readers.
 async fn create_damaged(service: &Service, name: &str) -> String {
     let uid = create(service, name, "R1").await;
     for row in [[1.0], [2.0]] {
@@ -153,7 +153,7 @@ async fn create_damaged(service: &Service, name: &str) -> String {
 
 #[tokio::test]
 async fn damaged_indices_are_listed_among_the_others_page_by_page() {
-    let log = Log::from(Arc::new(Damaging(MemoryLog::new())));
+    let log = Log::from(Arc::new(DamagedLog(MemoryLog::new())));
     let before = service_with(log.clone(), Limits::default());
     let mut expected = Vec::new();
     for name in ["e", "c", "a", "d", "b"] {
@@ -168,7 +168,7 @@ async fn damaged_indices_are_listed_among_the_others_page_by_page() {
     let registry = Registry::new(log, options());
     registry.replay().unwrap();
     let registry = Arc::new(registry);
-    // Pages that end by their size, and by the bytes of the answer.
+    // Some pages end by their size, others by the bytes of the answer.
     for (page_size, max_answer_bytes, longest) in
         [(1, 9999, 1), (2, 9999, 2), (5, 9999, 5), (5, 500, 4)]
     {
@@ -214,7 +214,7 @@ async fn damaged_indices_are_listed_among_the_others_page_by_page() {
 
 #[tokio::test]
 async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
-    let log = Log::from(Arc::new(Damaging(MemoryLog::new())));
+    let log = Log::from(Arc::new(DamagedLog(MemoryLog::new())));
     let service = service_with(log.clone(), Limits::default());
     create_damaged(&service, "damaged").await;
     create(&service, "other", "R1").await;
@@ -234,7 +234,7 @@ async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
     assert!(error.contains("record of revision 2"), "{error}");
     let again = service.create_index(&CALL, creation("damaged", "R1")).await;
     assert_eq!(refusal(again).0, Code::DataLoss);
-    // The others are there, and it can make room for a new one.
+    // The other indices are served, and the damaged one can be deleted and created anew.
     assert_eq!(info(&service, "other").await.point_count, 0);
     let deletion = v1::DeleteIndexRequest {
         index_name: "damaged".into(),
@@ -245,7 +245,7 @@ async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
 }
 
 #[tokio::test]
-async fn operations_are_remembered_for_their_own_window_whatever_becomes_of_their_records() {
+async fn operations_are_remembered_for_their_own_window_without_their_records() {
     let directory = tempfile::tempdir().unwrap();
     let on_disk = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
     for log in [
@@ -283,7 +283,7 @@ async fn operations_are_remembered_for_their_own_window_whatever_becomes_of_thei
             assert_eq!(retried, responses[at as usize]);
         }
         assert_eq!(info(&after, "arm").await.revision.number(), 9);
-        // Out of the window: a new call.
+        // The operation is outside the window, so the retry is a new call.
         assert_eq!(
             after
                 .insert(&CALL, request(3))

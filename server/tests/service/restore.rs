@@ -21,7 +21,7 @@ use crate::{
 
 const SPACES: [&str; 5] = ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"];
 
-/// All that reads tell of `arm`, encoded: equal to the last bit, or not equal.
+/// The encoded answers of all reads of `arm`, for comparisons to the last bit.
 async fn answers(service: &Service, space: &Space) -> Vec<Vec<u8>> {
     let index = info(service, "arm").await;
     let (uid, newest) = (index.revision.uid(), index.revision.number());
@@ -82,12 +82,12 @@ fn numbered(named: &Option<v1::Revision>) -> Option<v1::Revision> {
     revision("", named.number())
 }
 
-/// The same calls on both, one after the other, have the same effects: the revisions that changed each point, and the
-/// ids that were used, are the same.
+/// The same calls on both have the same effects, because both know the same used ids and the revision that changed each
+/// point.
 async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
     let ids = everything(service).await.points.unwrap().ids;
     let index = info(service, "arm").await;
-    let mut told = Vec::new();
+    let mut encoded = Vec::new();
     for if_revision in 0..=index.revision.number() {
         let update = v1::UpdateRequest {
             index_name: "arm".into(),
@@ -96,8 +96,8 @@ async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
             if_revision: revision(&index.revision.uid(), if_revision),
             ..Default::default()
         };
-        // The points that changed later are named.
-        told.push(match service.update(&CALL, update).await {
+        // The error names the points that changed later.
+        encoded.push(match service.update(&CALL, update).await {
             Ok(updated) => updated.updated_count.to_string().into_bytes(),
             Err(error) => error.to_string().into_bytes(),
         });
@@ -116,9 +116,9 @@ async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
     };
     let mut inserted = service.insert(&CALL, insert).await.unwrap();
     inserted.revision = numbered(&inserted.revision);
-    told.push(inserted.encode_to_vec());
-    told.extend(answers(service, space).await);
-    told
+    encoded.push(inserted.encode_to_vec());
+    encoded.extend(answers(service, space).await);
+    encoded
 }
 
 #[tokio::test]
@@ -157,7 +157,7 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
             assert_eq!((one.disagreement_count, other.disagreement_count), (0, 0));
             assert_eq!(one.content_hash, other.content_hash);
 
-            // A copy of the copy holds the same.
+            // A copy of the copy has the same content.
             let again = read(&snapshot(&target, "arm").await);
             let first = read(&parts);
             assert_eq!((again.ids, again.points), (first.ids, first.points));
@@ -166,7 +166,7 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
             assert_eq!(go_on(&target, &space).await, gone_on);
             crashed = Some((copy, gone_on));
         }
-        // The one on disk does so after a crash too.
+        // After a crash, the copy on disk answers the same.
         let (crashed, gone_on) = crashed.unwrap();
         let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
         let service = restarted(Arc::new(log));
@@ -216,7 +216,7 @@ async fn a_name_that_is_taken_is_refused_first_and_last() {
     );
     assert_eq!(described(&source, "arm").await, before);
 
-    // Two at once: the first to end has the name.
+    // Of two concurrent restores, the first to end gets the name.
     let target = service();
     let mut both = [
         target.restore_index(&CALL).unwrap(),
@@ -251,7 +251,7 @@ async fn the_limit_of_indices_is_kept() {
     assert_eq!((refused.0, refused.1), expected);
 }
 
-/// Asserts that a restore left nothing: neither an index nor, once its remains are swept, a trace in the log.
+/// Asserts that a failed restore left no index and, once its remains are swept, no trace in the log.
 async fn is_untouched(service: &Service, log: &Log) {
     let page = v1::ListIndexesRequest::default();
     let listed = service.list_indexes(&CALL, page).await.unwrap();
@@ -260,7 +260,7 @@ async fn is_untouched(service: &Service, log: &Log) {
 }
 
 #[tokio::test]
-async fn what_is_not_whole_leaves_nothing() {
+async fn an_incomplete_restore_leaves_nothing() {
     let source = service();
     create(&source, "arm", "R3").await;
     for seed in 0..4 {
@@ -283,7 +283,7 @@ async fn what_is_not_whole_leaves_nothing() {
             assert_eq!((code, reason, &*field), expected, "after {end} parts");
             is_untouched(&target, &log).await;
 
-            // One that is given up by its caller.
+            // A restore that its caller cancels.
             let mut given_up = target.restore_index(&CALL).unwrap();
             for part in &parts[..end] {
                 let (name, part) = ("arm".into(), Some(part.clone()));
@@ -306,14 +306,14 @@ async fn what_is_not_whole_leaves_nothing() {
             assert!(error.to_string().starts_with(&place), "{error}");
             is_untouched(&target, &log).await;
         }
-        // The name is free as before.
+        // The name stays free.
         restore(&target, "arm", &parts).await.unwrap();
         assert_eq!(info(&target, "arm").await.point_count, 16_000);
     }
 }
 
 #[tokio::test]
-async fn what_no_server_writes_is_refused() {
+async fn parts_that_no_server_writes_are_refused() {
     let target = service();
     let header = Header {
         name: "arm".into(),

@@ -1,4 +1,4 @@
-//! Number and radius by the size of the index: cases that the random comparison with a model does not radius_form.
+//! Number and radius scaled by the size of the index, in cases that the random comparison with a model does not reach.
 
 use std::collections::HashSet;
 
@@ -20,14 +20,14 @@ fn scaled(factor: f64, max: Option<f64>) -> Option<RadiusForm> {
     Some(RadiusForm::ScaledRadius(v1::ScaledRadius { factor, max }))
 }
 
-/// Inserts that searched ahead of a long one, and come after it: each is evaluated by the size of the index at its
+/// Inserts that searched before a long insert and are applied after it are evaluated by the size of the index at their
 /// turn.
 #[tokio::test]
 async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead() {
     let (service, _) = arm("R3").await;
     let first = insertion(&cube(1, 1000), &[]);
     service.insert(&CALL, first).await.unwrap();
-    // Far away: the neighbours stay those that were found before, and k(n) asks for more of them.
+    // The long insert is far away, so the neighbours stay the same, and k(n) asks for more of them.
     let far = cube(2, 10_000).into_iter().map(|[x, y, z]| [x + 5.0, y, z]);
     let long = v1::InsertRequest {
         min_separation: 1e-9,
@@ -54,7 +54,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         (row, asked, service.insert(&CALL, request).await.unwrap())
     });
     // All calls are polled at once, so that none waits for a call that is not polled.
-    let (long, waiting, told) = tokio::join!(long, waiting, join_all(calls));
+    let (long, waiting, responses) = tokio::join!(long, waiting, join_all(calls));
     long.unwrap();
     waiting.unwrap();
 
@@ -67,7 +67,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         let rows = rows.chunks_exact(3).map(<[f64]>::to_vec);
         points.extend(ids.zip(rows));
     }
-    for (row, asked, response) in told {
+    for (row, asked, response) in responses {
         let mut before = Linear::new("R3".parse().unwrap());
         for ((id, revision), row) in &points {
             if *revision < response.revision.number() {
@@ -98,8 +98,8 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
     }
 }
 
-/// Rows that are left out or replace a point add none, and a row whose id is stored counts that point, though it does
-/// not find it.
+/// Skipped rows and rows that replace a point do not raise n. A row whose id is stored counts that point, although it
+/// does not find it.
 #[tokio::test]
 async fn rows_count_the_rows_before_them_that_are_new() {
     let (service, _) = arm("R1").await;
@@ -201,7 +201,7 @@ async fn the_dimension_is_the_manifolds() {
 }
 
 #[tokio::test]
-async fn the_limits_of_k_and_of_an_answer_hold_for_what_is_scaled() {
+async fn the_limits_of_k_and_of_an_answer_hold_for_scaled_searches() {
     let limits = Limits {
         max_k: 40,
         max_answer_bytes: 2000,
@@ -262,7 +262,7 @@ const NAN: f64 = f64::NAN;
 const INFINITE: f64 = f64::INFINITY;
 
 #[tokio::test]
-async fn what_is_wrong_is_named() {
+async fn invalid_scalings_are_named() {
     let (service, _) = arm("R3").await;
     service
         .insert(&CALL, insertion(&[[0.0; 3]], &[]))
@@ -293,7 +293,7 @@ async fn what_is_wrong_is_named() {
         let expected = invalid(reason, format!("neighbors.{field}"));
         assert_eq!(refused, expected, "{count:?} {radius_form:?}");
 
-        // A Knn needs a number, too.
+        // `Knn` needs a number too.
         let request = v1::KnnRequest {
             k_form: count.or(nearest(1)).map(Into::into),
             radius_form: radius_form.map(Into::into),

@@ -1,4 +1,4 @@
-//! Scans: parts, the pinned revision, and how long it may be held.
+//! Scans: parts, the pinned revision, and the maximum time that it is held.
 
 use std::{sync::Arc, time::Duration};
 
@@ -12,7 +12,7 @@ use wayfold_server::{
 use crate::support::*;
 
 #[tokio::test]
-async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
+async fn parts_add_up_to_the_pinned_revision_despite_later_writes() {
     let (service, _) = arm("R3").await;
     let rows = cube(7, 10_000);
     let ids: Vec<u64> = (0..10_000).map(|at| at * 3).collect();
@@ -35,7 +35,7 @@ async fn parts_add_up_to_the_pinned_revision_whatever_happens_meanwhile() {
         coordinates.extend(states.coordinates);
         seen.ids.extend(points.ids);
         seen.payloads.extend(points.payloads);
-        // Between the parts most of it goes, and the rest gets other payloads.
+        // Between the parts, most points are removed and the rest get other payloads.
         let (gone, left) = ids[parts * 3000..][..3000].split_at(2900);
         service.remove(&CALL, removal(gone)).await.unwrap();
         let update = v1::UpdateRequest {
@@ -118,7 +118,7 @@ async fn a_scan_goes_on_after_an_id() {
     }
 }
 
-/// On a clock that is moved by hand.
+/// The test advances the paused clock.
 #[tokio::test(start_paused = true)]
 async fn a_scan_that_holds_its_snapshot_too_long_ends_and_another_goes_on() {
     let limits = Limits {

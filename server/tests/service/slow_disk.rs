@@ -1,4 +1,4 @@
-//! While the disk takes its time, other calls are answered: on the one thread there is, and on the same index.
+//! A slow disk delays only the calls that read from it: other calls are answered, on a single thread and on one index.
 
 use std::sync::Arc;
 
@@ -14,27 +14,35 @@ use wayfold_server::{
 
 use crate::{fault::FaultLog, support::*};
 
-/// Serves the content of the log; none of it is cached.
+/// Serves the content of the log with empty caches.
 fn serving(log: &FaultLog) -> Service {
     restarted_with(Arc::new(log.clone()), options(), Limits::default())
+}
+
+/// Serves the content of the log, with a cache of records that holds less than one record.
+fn serving_without_cache(log: &FaultLog, limits: Limits) -> Service {
+    let options = RegistryOptions {
+        window_bytes: 1,
+        ..options()
+    };
+    restarted_with(Arc::new(log.clone()), options, limits)
 }
 
 fn payload(id: u64) -> bytes::Bytes {
     format!("payload {id}").into()
 }
 
-/// A log of `arm` with the points 0, 1 .. 9 and their payloads, and the index's uid.
+/// A log of `arm` with the points 0, 1, …, 9 and their payloads, and the index's uid.
 async fn ten_points() -> (FaultLog, String) {
     let log = FaultLog::new(0);
     let service = serving(&log);
     let uid = create(&service, "arm", "R1").await;
-    let insert = insert_point(10);
-    service.insert(&CALL, insert).await.unwrap();
+    service.insert(&CALL, first_points(10)).await.unwrap();
     (log, uid)
 }
 
-/// The points below `end`, which lie where their ids say.
-fn insert_point(end: u64) -> v1::InsertRequest {
+/// The points below `end`, each at the coordinate that is its id.
+fn first_points(end: u64) -> v1::InsertRequest {
     let ids: Vec<u64> = (0..end).collect();
     let rows: Vec<[f64; 1]> = ids.iter().map(|id| [*id as f64]).collect();
     v1::InsertRequest {
@@ -50,10 +58,19 @@ fn include() -> Option<v1::Include> {
     })
 }
 
-/// A call that reads from the disk, and checks its answer.
+/// The payloads of this many nearest neighbours.
+fn neighbor_payloads(k: u32) -> Option<v1::NeighborSpec> {
+    Some(v1::NeighborSpec {
+        k_form: nearest(k),
+        include: include(),
+        ..Default::default()
+    })
+}
+
+/// A call that reads from the disk and checks its answer.
 type Reading = fn(Service, String) -> BoxFuture<'static, Result<(), Error>>;
 
-/// Calls that must not keep the writer while they read.
+/// The calls that must not hold the writer while they read.
 const READING: [(&str, Reading); 10] = [
     ("Get", |service, _| {
         Box::pin(async move {
@@ -119,8 +136,8 @@ const READING: [(&str, Reading); 10] = [
                 ..Default::default()
             };
             let mut verification = service.verify_index(&CALL, request).await?;
-            while let Some(told) = verification.next().await {
-                told?;
+            while let Some(answer) = verification.next().await {
+                answer?;
             }
             Ok(())
         })
@@ -140,9 +157,9 @@ const READING: [(&str, Reading); 10] = [
             Ok(())
         })
     }),
-    ("Insert of what is there", |service, _| {
+    ("Insert of stored points", |service, _| {
         Box::pin(async move {
-            let outcomes = service.insert(&CALL, insert_point(10)).await?.outcomes;
+            let outcomes = service.insert(&CALL, first_points(10)).await?.outcomes;
             assert_eq!(outcomes, [i32::from(v1::Outcome::Unchanged); 10]);
             Ok(())
         })
@@ -151,11 +168,7 @@ const READING: [(&str, Reading); 10] = [
         Box::pin(async move {
             let request = v1::InsertRequest {
                 payloads: vec!["own".into(), "own".into()],
-                neighbors: Some(v1::NeighborSpec {
-                    k_form: nearest(2),
-                    include: include(),
-                    ..Default::default()
-                }),
+                neighbors: neighbor_payloads(2),
                 ..insertion(&[[3.1], [3.2]], &[])
             };
             let neighbors = service.insert(&CALL, request).await?.neighbors.unwrap();
@@ -177,20 +190,20 @@ const READING: [(&str, Reading); 10] = [
                 uid,
                 ..Default::default()
             };
-            let told = service.update(&CALL, request).await?;
-            assert_eq!((told.updated_count, told.unchanged_count), (1, 1));
+            let answer = service.update(&CALL, request).await?;
+            assert_eq!((answer.updated_count, answer.unchanged_count), (1, 1));
             Ok(())
         })
     }),
 ];
 
-/// Makes a call that changes nothing and reads nothing, and, if `writes`, one that writes a new point.
-async fn go_on(service: &Service, writes: bool) {
-    let told = service.knn(&CALL, knn(&[[7.9]], 1)).await.unwrap();
-    assert_eq!(told.neighbors.unwrap().ids, [8]);
+/// Makes a search, which reads nothing from the disk, and, if `writes`, inserts a new point.
+async fn answer_others(service: &Service, writes: bool) {
+    let answer = service.knn(&CALL, knn(&[[7.9]], 1)).await.unwrap();
+    assert_eq!(answer.neighbors.unwrap().ids, [8]);
     if writes {
-        let told = service.insert(&CALL, insertion(&[[100.0]], &[])).await;
-        assert_eq!(told.unwrap().outcomes, [i32::from(v1::Outcome::Inserted)]);
+        let answer = service.insert(&CALL, insertion(&[[100.0]], &[])).await;
+        assert_eq!(answer.unwrap().outcomes, [i32::from(v1::Outcome::Inserted)]);
     }
 }
 
@@ -206,17 +219,17 @@ async fn other_calls_are_answered_while_one_reads() {
             () = log.gate().holds_a_read() => {}
             ended = &mut reads => panic!("{name} ended without a read: {ended:?}"),
         }
-        go_on(&service, true).await;
+        answer_others(&service, true).await;
         assert!(!reads.is_finished());
         log.gate().open();
         reads.await.unwrap().unwrap();
-        go_on(&service, true).await;
+        answer_others(&service, true).await;
     }
 }
 
-/// The log itself reads the points it replaces, with the writer held: others read meanwhile.
+/// The log reads the points that it replaces while it holds the writer; searches go on meanwhile.
 #[tokio::test]
-async fn other_calls_are_answered_while_the_log_reads_what_it_replaces() {
+async fn searches_are_answered_while_the_log_reads_the_points_it_replaces() {
     let (log, _) = ten_points().await;
     let service = serving(&log);
     log.gate().close();
@@ -226,13 +239,12 @@ async fn other_calls_are_answered_while_the_log_reads_what_it_replaces() {
         () = log.gate().holds_a_read() => {}
         ended = &mut removes => panic!("it ended without a read: {ended:?}"),
     }
-    go_on(&service, false).await;
+    answer_others(&service, false).await;
     log.gate().open();
     assert_eq!(removes.await.unwrap().unwrap().removed_count, 1);
 }
 
-/// Begins a call, and makes a change once the call has begun to read the stored points. Returns the outcome of the
-/// call.
+/// Begins a call and makes a change once the call has begun to read the stored points. Returns the call's outcome.
 async fn overtaken<T>(
     call: impl AsyncFnOnce(Service) -> Result<T, Error>,
     change: impl AsyncFnOnce(Service),
@@ -264,20 +276,14 @@ async fn change_three(service: Service) {
 }
 
 async fn remove_three(service: Service) {
-    assert_eq!(
-        service
-            .remove(&CALL, removal(&[3]))
-            .await
-            .unwrap()
-            .removed_count,
-        1
-    );
+    let removed = service.remove(&CALL, removal(&[3])).await;
+    assert_eq!(removed.unwrap().removed_count, 1);
 }
 
-/// The points that a mutation reads before it has the writer are up to date once it has it.
+/// A mutation that read points before it had the writer uses their newest content.
 #[tokio::test]
 async fn a_mutation_sees_what_changed_while_it_read() {
-    let again = async |service: Service| service.insert(&CALL, insert_point(4)).await;
+    let again = async |service: Service| service.insert(&CALL, first_points(4)).await;
     let (_, refused) = overtaken(again, change_three).await;
     assert!(matches!(refused, Err(Error::PointsExist { ids, .. }) if ids == [3]));
     let (_, inserted) = overtaken(again, remove_three).await;
@@ -307,28 +313,22 @@ async fn a_mutation_sees_what_changed_while_it_read() {
     assert!(matches!(conflict, Err(Error::RevisionConflict { ids, .. }) if ids == [3]));
 }
 
-/// Among them points that were not there when it began, and points that come to be near because others go.
+/// The neighbours include points that were inserted after the call began, and points that are near only after a
+/// removal.
 #[tokio::test]
-async fn an_insert_is_told_the_payloads_of_the_neighbours_it_has_at_last() {
+async fn an_insert_answers_with_the_payloads_of_its_final_neighbours() {
     let insert = async |service: Service| {
         let request = v1::InsertRequest {
-            neighbors: Some(v1::NeighborSpec {
-                k_form: nearest(2),
-                include: include(),
-                ..Default::default()
-            }),
+            neighbors: neighbor_payloads(2),
             ..insertion(&[[3.1]], &[])
         };
         let neighbors = service.insert(&CALL, request).await?.neighbors.unwrap();
         Ok((neighbors.ids, neighbors.payloads))
     };
-    let (_, told) = overtaken(insert, change_three).await;
-    assert_eq!(
-        told.unwrap(),
-        (vec![3, 4], vec!["changed".into(), payload(4)])
-    );
-    let (_, told) = overtaken(insert, remove_three).await;
-    assert_eq!(told.unwrap(), (vec![4, 2], vec![payload(4), payload(2)]));
+    let answer = overtaken(insert, change_three).await.1.unwrap();
+    assert_eq!(answer, (vec![3, 4], vec!["changed".into(), payload(4)]));
+    let answer = overtaken(insert, remove_three).await.1.unwrap();
+    assert_eq!(answer, (vec![4, 2], vec![payload(4), payload(2)]));
     let add = async |service: Service| {
         let request = v1::InsertRequest {
             payloads: vec!["near".into()],
@@ -336,22 +336,15 @@ async fn an_insert_is_told_the_payloads_of_the_neighbours_it_has_at_last() {
         };
         service.insert(&CALL, request).await.unwrap();
     };
-    let (_, told) = overtaken(insert, add).await;
-    assert_eq!(
-        told.unwrap(),
-        (vec![3, 50], vec![payload(3), "near".into()])
-    );
+    let answer = overtaken(insert, add).await.1.unwrap();
+    assert_eq!(answer, (vec![3, 50], vec![payload(3), "near".into()]));
 }
 
-/// Other writers commit more than the cache of records holds during each read: the update still ends.
+/// The update ends although other writers commit more than the cache of records holds during each read.
 #[tokio::test]
 async fn an_update_that_others_overtake_again_and_again_ends() {
     let (log, _) = ten_points().await;
-    let options = RegistryOptions {
-        window_bytes: 1,
-        ..options()
-    };
-    let service = restarted_with(Arc::new(log), options, Limits::default());
+    let service = serving_without_cache(&log, Limits::default());
     let updating = service.clone();
     let update =
         tokio::spawn(async move { updating.update(&CALL, update(&[], &["changed"])).await });
@@ -368,19 +361,15 @@ async fn an_update_that_others_overtake_again_and_again_ends() {
     assert_eq!(update.await.unwrap().unwrap().updated_count, 1);
 }
 
-/// A payload that an insert replaces is not in its answer, though the rows found it before they were compared.
+/// An insert's answer lacks the payloads that the insert replaces, although its rows found them before the comparison.
 #[tokio::test]
 async fn an_overtaken_insert_is_not_charged_for_the_payloads_that_it_replaces() {
     let log = FaultLog::new(0);
-    let options = RegistryOptions {
-        window_bytes: 1,
-        ..options()
-    };
     let limits = Limits {
         max_answer_bytes: 2000,
         ..Limits::default()
     };
-    let service = restarted_with(Arc::new(log.clone()), options, limits);
+    let service = serving_without_cache(&log, limits);
     create(&service, "arm", "R1").await;
     let pair = |payload: &'static [u8]| v1::InsertRequest {
         payloads: vec![payload.into(); 2],
@@ -392,18 +381,14 @@ async fn an_overtaken_insert_is_not_charged_for_the_payloads_that_it_replaces() 
     log.gate().close();
     let request = v1::InsertRequest {
         on_conflict: v1::OnConflict::Replace.into(),
-        neighbors: Some(v1::NeighborSpec {
-            k_form: nearest(1),
-            include: include(),
-            ..Default::default()
-        }),
+        neighbors: neighbor_payloads(1),
         ..pair(b"small")
     };
     let mut inserting = Box::pin(service.insert(&CALL, request));
     assert!(poll!(&mut inserting).is_pending());
     log.gate().holds_a_read().await;
     log.gate().open();
-    // More than the cache of records holds: the insert reads again.
+    // The cache of records holds less than this, so the insert reads again.
     for x in [100.0, 101.0] {
         service.insert(&CALL, insertion(&[[x]], &[])).await.unwrap();
     }

@@ -1,4 +1,4 @@
-//! Snapshots: one pinned revision whatever happens meanwhile, with all that a copy needs.
+//! Snapshots have one pinned revision, unaffected by later mutations, and everything that a restore needs.
 
 use std::{sync::Arc, time::Duration};
 
@@ -20,7 +20,7 @@ fn request() -> v1::SnapshotIndexRequest {
 }
 
 #[tokio::test]
-async fn it_is_one_revision_whatever_is_written_meanwhile() {
+async fn a_snapshot_has_one_revision_despite_later_writes() {
     let (service, uid) = arm("R3").await;
     let rows = cube(7, 20_000);
     let ids: Vec<u64> = (0..20_000).map(|at| at * 3).collect();
@@ -38,7 +38,7 @@ async fn it_is_one_revision_whatever_is_written_meanwhile() {
     let mut parts = Vec::new();
     while let Some(part) = snapshot.next().await {
         parts.push(part.unwrap().part.unwrap());
-        // Between the parts points go, come and change.
+        // Between the parts, points are removed, inserted and changed.
         let (gone, left) = ids[parts.len() * 1000..][..1000].split_at(900);
         service.remove(&CALL, removal(gone)).await.unwrap();
         let update = v1::UpdateRequest {
@@ -90,7 +90,7 @@ async fn it_tells_which_revision_changed_a_point_last_and_which_ids_were_used() 
 }
 
 #[tokio::test]
-async fn parts_are_bounded_whatever_the_payloads() {
+async fn parts_are_bounded_for_any_payloads() {
     let (service, _) = arm("R1").await;
     let rows: Vec<[f64; 1]> = (0..200).map(|at| [f64::from(at)]).collect();
     for rows in rows.chunks(50) {
@@ -115,7 +115,7 @@ async fn an_empty_index_has_a_header_and_a_trailer() {
 }
 
 #[tokio::test]
-async fn what_cannot_be_read_is_refused() {
+async fn snapshots_of_missing_indices_or_revisions_are_refused() {
     let (service, uid) = arm("R1").await;
     let ask = async |name: &str, min_revision| {
         let request = v1::SnapshotIndexRequest {
@@ -145,7 +145,7 @@ async fn what_cannot_be_read_is_refused() {
     assert!(service.snapshot_index(&CALL, snapshot).await.is_ok());
 }
 
-/// On a clock that is moved by hand.
+/// The test advances the paused clock.
 #[tokio::test(start_paused = true)]
 async fn one_that_is_not_read_ends_and_is_no_snapshot() {
     let limits = Limits {

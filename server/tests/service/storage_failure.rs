@@ -1,4 +1,5 @@
-//! The disk fails under a running service, and comes back: writes are refused, reads go on, and nothing is half there.
+//! The disk fails under a running service and comes back: writes are refused, reads go on, and no mutation is half
+//! applied.
 
 use std::{
     io::Write,
@@ -19,7 +20,7 @@ use wayfold_server::{
 
 use crate::{copied::copied, support::*};
 
-/// A service over a store that can be taken away.
+/// A service over a store whose directory can be removed.
 struct Failing {
     service: Service,
     registry: Arc<Registry>,
@@ -95,9 +96,9 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
     for (round, id) in (20..23).enumerate() {
         let before = everything(service).await;
         failing.fail();
-        // It was under way during the failure, so its outcome is unknown.
+        // The insert was under way during the failure, so its outcome is unknown.
         unavailable(service.insert(&CALL, operation(id)).await);
-        // Refused before anything was written.
+        // This call was refused before anything was written.
         unavailable(service.insert(&CALL, operation(99)).await);
         unavailable(service.create_index(&CALL, creation("new", "R1")).await);
         let delete = v1::DeleteIndexRequest {
@@ -129,7 +130,7 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
             ),
             (uid.clone(), idle.clone())
         );
-        // Whatever became of it, asking again makes it take place, once.
+        // Whatever the outcome was, a retry makes it take effect exactly once.
         let revision = service
             .insert(&CALL, operation(id))
             .await
@@ -149,7 +150,7 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
 }
 
 #[tokio::test]
-async fn what_is_read_across_the_end_of_it_is_asked_for_again() {
+async fn reads_across_the_end_of_a_failure_are_unavailable() {
     let failing = Failing::new();
     let service = &failing.service;
     create(service, "arm", "R1").await;
@@ -177,7 +178,7 @@ fn damage(store: &Path) {
     std::fs::write(&journal, bytes).unwrap();
 }
 
-/// Moves everything of a closed store to tables.
+/// Moves the content of a closed store to tables.
 fn move_to_tables(store: &Path) {
     let database = fjall::Database::builder(store).open().unwrap();
     let keyspace = database.keyspace("wayfold", fjall::KeyspaceCreateOptions::default);
@@ -195,7 +196,7 @@ fn flip_payload(store: &Path, payload: &[u8]) {
             .position(|bytes| bytes == payload);
         found.is_some_and(|at| {
             bytes[at] ^= 1;
-            // Not truncated first: the store has the file open.
+            // The file is changed in place, because the store has it open.
             let file = std::fs::File::options().write(true).open(path);
             file.unwrap().write_all(&bytes).unwrap();
             true
@@ -233,7 +234,7 @@ async fn damage_that_is_found_on_the_way_is_named_for_every_call() {
 /// The service finds a damaged block of a table when it reopens the store. The content of the block is lost, and the
 /// rest stays writable.
 #[tokio::test]
-async fn damage_of_a_part_that_is_found_on_the_way_costs_only_what_was_there() {
+async fn damage_found_during_a_reopening_costs_only_the_damaged_content() {
     let directory = tempfile::tempdir().unwrap();
     let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
     let service = service_with(Arc::new(log), Limits::default());
@@ -305,8 +306,8 @@ async fn a_store_that_cannot_be_opened_is_not_served_as_an_empty_one() {
     }
 }
 
-/// fjall stops writing for good when it has to rewrite a damaged block. The service goes on reading, and each write
-/// says what to do.
+/// fjall stops writing for good when it has to rewrite a damaged block. Reads go on, and each write fails with an
+/// instruction for the operator.
 #[tokio::test]
 async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_repair() {
     const POINT_BYTES: usize = 32 * 1024;
@@ -324,7 +325,7 @@ async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_re
         name: name.into(),
         space: "R1".parse().unwrap(),
     });
-    // Several tables, which fjall rewrites with the next one or two.
+    // The content is in several tables, which fjall rewrites with the next one or two.
     for ids in [1..11, 11..16, 16..21] {
         let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
         for id in ids {

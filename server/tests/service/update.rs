@@ -105,7 +105,7 @@ async fn if_revision_compares_with_the_last_change_of_the_whole_point() {
 }
 
 #[tokio::test]
-async fn of_concurrent_compare_and_sets_one_wins() {
+async fn one_of_concurrent_compare_and_sets_wins() {
     let (service, uid) = arm("R1").await;
     service
         .insert(&CALL, insertion(&[[1.0]], &[]))
@@ -155,7 +155,7 @@ async fn missing_points_are_named_and_nothing_is_updated() {
 }
 
 #[tokio::test]
-async fn removals_count_what_was_missing() {
+async fn removals_count_missing_points() {
     let (service, _) = arm("R1").await;
     service
         .insert(&CALL, insertion(&[[1.0], [2.0]], &[]))

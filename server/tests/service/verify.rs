@@ -1,4 +1,4 @@
-//! Verification: it accepts sound data, and finds damage.
+//! Verification accepts sound data and finds damage.
 
 use std::sync::Arc;
 
@@ -39,7 +39,7 @@ pub(crate) fn hash_of(points: &v1::Points, space: &str) -> Vec<u8> {
 }
 
 #[tokio::test]
-async fn what_is_so_is_agreed_to() {
+async fn sound_data_is_accepted() {
     for (seed, space) in ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"]
         .into_iter()
         .enumerate()
@@ -110,7 +110,7 @@ async fn the_hash_is_the_contents_and_not_the_pasts() {
 }
 
 #[tokio::test]
-async fn what_is_asked_for_is_bounded() {
+async fn the_parameters_of_a_verification_are_bounded() {
     let (service, _) = arm("R1").await;
     for (query_count, k, field) in [
         (Some(1001), None, "query_count"),
@@ -133,15 +133,15 @@ async fn what_is_asked_for_is_bounded() {
     assert_eq!(refusal(verify(&service, elsewhere).await).0, Code::NotFound);
 }
 
-/// How a view lies about the points it stores.
-type Lie = fn(Arc<StoredPoint>) -> Result<Option<Arc<StoredPoint>>, LogError>;
+/// The fault of a view: the stored point in, the returned point out.
+type ReadFault = fn(Arc<StoredPoint>) -> Result<Option<Arc<StoredPoint>>, LogError>;
 
-/// A log whose views lie.
-struct Lying(MemoryLog, Lie);
+/// A log whose views return wrong points.
+struct FaultyLog(MemoryLog, ReadFault);
 
-struct LyingView(Arc<dyn View>, Lie);
+struct FaultyView(Arc<dyn View>, ReadFault);
 
-impl View for LyingView {
+impl View for FaultyView {
     fn tip(&self) -> Tip {
         self.0.tip()
     }
@@ -162,30 +162,30 @@ impl View for LyingView {
     }
 }
 
-forward_catalogue!(Lying, 0);
-forward_whole_journal!(Lying, 0);
+forward_catalogue!(FaultyLog, 0);
+forward_whole_journal!(FaultyLog, 0);
 
-impl PointStore for Lying {
+impl PointStore for FaultyLog {
     forward_points!(0);
 
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
-        Ok(Arc::new(LyingView(self.0.apply(uid, records)?, self.1)))
+        Ok(Arc::new(FaultyView(self.0.apply(uid, records)?, self.1)))
     }
 
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
-        Ok(Arc::new(LyingView(self.0.view(uid)?, self.1)))
+        Ok(Arc::new(FaultyView(self.0.view(uid)?, self.1)))
     }
 }
 
-async fn lying(lie: Lie) -> Service {
-    let service = over(Arc::new(Lying(MemoryLog::new(), lie)));
+async fn lying(lie: ReadFault) -> Service {
+    let service = over(Arc::new(FaultyLog(MemoryLog::new(), lie)));
     create(&service, "arm", "R3").await;
     let rows = cube(3, 1000);
     service.insert(&CALL, insertion(&rows, &[])).await.unwrap();
     service
 }
 
-/// The last point under another id.
+/// Returns the last point under another id.
 fn moved(point: Arc<StoredPoint>) -> Result<Option<Arc<StoredPoint>>, LogError> {
     let mut point = (*point).clone();
     if point.id == 999 {
@@ -194,7 +194,7 @@ fn moved(point: Arc<StoredPoint>) -> Result<Option<Arc<StoredPoint>>, LogError> 
     Ok(Some(Arc::new(point)))
 }
 
-/// The point with id 500, changed.
+/// Changes the point with id 500.
 fn changed(
     point: Arc<StoredPoint>,
     change: impl FnOnce(&mut StoredPoint),
@@ -208,7 +208,7 @@ fn changed(
 
 #[tokio::test]
 async fn a_point_that_differs_is_found_and_named() {
-    let lies: [(Lie, &str); 6] = [
+    let lies: [(ReadFault, &str); 6] = [
         (
             |point| Ok((point.id != 500).then_some(point)),
             "id 500 is searched and not stored",
@@ -239,9 +239,9 @@ async fn a_point_that_differs_is_found_and_named() {
         };
         let report = verify(&service, none).await.unwrap();
         assert!(report.disagreement_count > 0, "{words}");
-        let told = report.first_disagreements.join("; ");
-        assert!(told.contains(words), "{words}: {told}");
-        // With queries too, whatever is stored.
+        let disagreements = report.first_disagreements.join("; ");
+        assert!(disagreements.contains(words), "{words}: {disagreements}");
+        // A verification with queries finds the fault too.
         assert!(
             verify(&service, verification())
                 .await
@@ -254,7 +254,7 @@ async fn a_point_that_differs_is_found_and_named() {
 
 #[tokio::test]
 async fn an_answer_that_differs_is_found() {
-    // All is moved a little, each to where a brute force finds it and a forest does not.
+    // Each point is moved slightly, so that brute force finds it and the forest does not.
     let service = lying(|point| {
         let mut point = (*point).clone();
         point.state[0] += 1e-9;
@@ -262,7 +262,7 @@ async fn an_answer_that_differs_is_found() {
     })
     .await;
     let report = verify(&service, verification()).await.unwrap();
-    // A thousand points, and both answers to each query.
+    // The count includes a thousand points and both answers to each query.
     assert_eq!(report.disagreement_count, 1000 + 2 * 32);
     assert_eq!(report.first_disagreements.len(), 10);
 }

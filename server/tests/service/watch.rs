@@ -1,4 +1,4 @@
-//! A follower of an index sees each mutation once, in order, whole, and not before readers do.
+//! A follower of an index sees each mutation once, in order, complete, and not before readers do.
 
 use std::{collections::BTreeMap, pin::pin, sync::Arc, time::Duration};
 
@@ -110,7 +110,7 @@ async fn the_mutations_amount_to_the_points_wherever_one_begins() {
         let mut late: Vec<(Follower, u64)> = Vec::new();
         for step in 0..60 {
             let revision = info(&service, "arm").await.revision.number();
-            // Refusals are as good as any.
+            // Refused mutations are part of the history too.
             match step % 4 {
                 0..=1 => drop(service.insert(&CALL, requests.insert(revision)).await),
                 2 => drop(service.update(&CALL, requests.update(revision)).await),
@@ -177,7 +177,7 @@ async fn a_large_mutation_comes_in_pieces_that_fit() {
 }
 
 #[tokio::test]
-async fn what_can_not_be_told_any_more_is_a_reset() {
+async fn forgotten_records_become_a_reset() {
     let log = Arc::new(MemoryLog::new());
     let options = RegistryOptions {
         window_bytes: 0,
@@ -192,7 +192,7 @@ async fn what_can_not_be_told_any_more_is_a_reset() {
             .await
             .unwrap();
     }
-    // Only the newest is left to one that starts again.
+    // A follower that starts again receives only the newest mutation.
     let service = served();
     let mut watch = service.watch(&CALL, watching(&uid, 3)).await.unwrap();
     assert_eq!(message(&mut watch).await.mutations, []);

@@ -1,4 +1,4 @@
-// ANN by Mount and Arya, the library that MPNN was made from: its kd-tree, searched exactly.
+// ANN by Mount and Arya, the library on which MPNN is based: its kd-tree, searched exactly.
 #include "peer.h"
 
 #include <ANN/ANN.h>
@@ -9,7 +9,7 @@
 
 namespace {
 
-// Of 1 (the library's default), 4, 8, 16 and 32, what was fastest in R3, R6, SE2 and SO3.
+// The fastest bucket size of 1 (the library's default), 4, 8, 16 and 32 in R3, R6, SE2 and SO3.
 constexpr int bucket = 16;
 
 class Tree final : public Peer {
@@ -29,7 +29,7 @@ public:
 
     void insert(const double *) override {}
 
-    Found nearest(const double *query, std::size_t k, bool more) override {
+    PeerResult nearest(const double *query, std::size_t k, bool more) override {
         const int count = static_cast<int>(k);
         make_room(k);
         if (more) {
@@ -46,11 +46,11 @@ public:
         return report(held.back().first);
     }
 
-    Found within(const double *query, double radius, bool more) override {
+    PeerResult within(const double *query, double radius, bool more) override {
         if (!more) {
             held.clear();
         }
-        // Room for so many makes a second search rare.
+        // This capacity makes a second search rare.
         const int guess = 64;
         make_room(guess);
         int within = tree->annkFRSearch(place(query), radius, guess, found.data(), distances.data());
@@ -77,7 +77,7 @@ private:
         }
     }
 
-    Found report(double reach) {
+    PeerResult report(double reach) {
         ids.clear();
         for (const auto &near : held) {
             ids.push_back(near.second);

@@ -1,7 +1,7 @@
-// OMPL's GNAT, without locks (what OMPL itself chooses for planners of one thread), over states that the planner holds.
+// OMPL's GNAT without locks, OMPL's choice for planners with one thread, over states that the planner holds.
 //
-// A distance is a function of the space, compiled for it and called through std::function, as the library wants it.
-// OMPL's own state spaces measure the same through a virtual call for each factor: they would be slower.
+// A distance is a function of the space, compiled for it and called through std::function, as the library requires.
+// OMPL's own state spaces make a virtual call for each factor and would be slower.
 #include "peer.h"
 
 #include <algorithm>
@@ -23,7 +23,7 @@ double arc(double a, double b) {
     return std::min(d, 2 * M_PI - d);
 }
 
-// As OMPL's SO3StateSpace::distance, but that small angles do not count as 0.
+// The distance of OMPL's SO3StateSpace::distance, except that small angles do not count as 0.
 double angle(State a, State b) {
     return std::acos(std::min(std::fabs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]), 1.0));
 }
@@ -36,7 +36,7 @@ double straight_2(State a, State b, int n) {
     return sum;
 }
 
-// The cells of the spaces that are measured: their coordinates, and the squared distance in one.
+// The cells of the measured spaces: their coordinates, and the squared distance in one cell.
 struct Line {
     static constexpr int width = 1;
     static double distance_2(State a, State b, double) { return square(a[0] - b[0]); }
@@ -82,7 +82,7 @@ public:
         tree.add(states.data() + states.size() - width);
     }
 
-    Found nearest(const double *query, std::size_t k, bool) override {
+    PeerResult nearest(const double *query, std::size_t k, bool) override {
         if (k == 1) {
             found.assign(1, tree.nearest(query));
         } else {
@@ -91,13 +91,13 @@ public:
         return report();
     }
 
-    Found within(const double *query, double radius, bool) override {
+    PeerResult within(const double *query, double radius, bool) override {
         tree.nearestR(query, radius, found);
         return report();
     }
 
 private:
-    Found report() {
+    PeerResult report() {
         ids.clear();
         for (State state : found) {
             ids.push_back((state - states.data()) / width);
@@ -144,7 +144,7 @@ extern "C" Peer *ompl_gnat(int cell, std::size_t repeats, double weight, const d
     case 4:
         return product<Body>(repeats, weight, rows, n, room);
     default: {
-        // OMPL's SE3: the distances of place and rotation are added.
+        // OMPL's SE3 adds the distances of position and rotation.
         const auto sum = [weight](const State &a, const State &b) {
             return std::sqrt(straight_2(a, b, 3)) + weight * angle(a + 3, b + 3);
         };

@@ -1,4 +1,4 @@
-// nanoflann: its static tree, and its forest of static trees that takes points one by one.
+// nanoflann's static tree, and its forest of static trees that takes points one by one.
 //
 // Its adaptors for SO2 and SO3 are not used: that for SO2 looks at one angle only and adds signed differences, so that
 // it is neither a metric nor exact, and that for SO3 takes q and −q for two rotations. Images of the query are exact.
@@ -26,7 +26,7 @@ using Metric = nanoflann::L2_Simple_Adaptor<double, Cloud>;
 template <int Width> using Static = nanoflann::KDTreeSingleIndexAdaptor<Metric, Cloud, Width>;
 template <int Width> using Dynamic = nanoflann::KDTreeSingleIndexDynamicAdaptor<Metric, Cloud, Width>;
 
-// What the k nearest are collected in: the library's own result set, kept from image to image.
+// The collector of the k nearest, the library's own result set, kept from image to image.
 using Nearest = nanoflann::KNNResultSet<double, std::uint32_t>;
 using Within = nanoflann::RadiusResultSet<double, std::uint32_t>;
 
@@ -34,7 +34,7 @@ const nanoflann::SearchParams unsorted(32, 0, false);
 
 template <class Tree> class Searched : public Peer {
 public:
-    Found nearest(const double *query, std::size_t k, bool more) override {
+    PeerResult nearest(const double *query, std::size_t k, bool more) override {
         if (!more) {
             ids.resize(k);
             distances.resize(k);
@@ -45,11 +45,11 @@ public:
         return {ids.data(), set.size(), set.worstDist()};
     }
 
-    Found within(const double *query, double radius, bool more) override {
+    PeerResult within(const double *query, double radius, bool more) override {
         if (!more) {
             ids.clear();
         }
-        // The library's radius is open. The radii that are asked for have no point on them.
+        // The library's radius is open; no point lies exactly at a requested radius.
         Within inside(radius, pairs);
         tree().findNeighbors(inside, query, unsorted);
         for (const auto &pair : pairs) {
@@ -105,7 +105,7 @@ private:
     Dynamic<Width> index;
 };
 
-// Widths that are known when this is compiled make it faster.
+// Widths that are known at compile time make the search faster.
 template <template <int> class Of, class... Arguments> Peer *make(std::size_t width, Arguments... arguments) {
     switch (width) {
     case 3:

@@ -6,11 +6,11 @@ extern "C" {
 
 void peer_insert(Peer *peer, const double *row) { peer->insert(row); }
 
-Found peer_nearest(Peer *peer, const double *query, std::size_t k, bool more) {
+PeerResult peer_nearest(Peer *peer, const double *query, std::size_t k, bool more) {
     return peer->nearest(query, k, more);
 }
 
-Found peer_within(Peer *peer, const double *query, double radius, bool more) {
+PeerResult peer_within(Peer *peer, const double *query, double radius, bool more) {
     return peer->within(query, radius, more);
 }
 
@@ -18,7 +18,7 @@ void peer_free(Peer *peer) { delete peer; }
 
 std::size_t heap_bytes() {
     const struct mallinfo2 info = mallinfo2();
-    // In arenas, and in mappings of their own.
+    // The sum of the arenas and of separate mappings.
     return info.uordblks + info.hblkhd;
 }
 }

@@ -1,15 +1,15 @@
-// The narrow face behind which a library in C++ is measured: what foreign.rs declares, and nothing more.
+// The narrow interface to a measured library in C++, exactly as foreign.rs declares it.
 //
-// Points have the ids 0, 1, 2, … in the order in which they came. What a structure found last stays where it is until it
-// is asked again. Nothing here throws to the caller but what ends the process: the libraries throw only out of memory.
+// Points have the ids 0, 1, 2, … in the order in which they came. The result of a search stays valid until the next
+// search. No function throws to the caller, except that running out of memory ends the process.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 
-// What is held of a search. With `reach`, a bound in the structure's own measure: what lies farther cannot change the
-// answer (infinity as long as too few are held).
-struct Found {
+// The result of a search. `reach` is a bound in the structure's own measure: points beyond it cannot change the answer
+// (infinity as long as too few are held).
+struct PeerResult {
     const std::uint32_t *ids;
     std::size_t count;
     double reach;
@@ -19,14 +19,14 @@ class Peer {
 public:
     virtual ~Peer() = default;
 
-    // Only of structures that are made empty.
+    // Only for structures that are built empty.
     virtual void insert(const double *row) = 0;
 
     // The k nearest; with `more`, the k nearest to this query and to those since the last without `more`.
-    virtual Found nearest(const double *query, std::size_t k, bool more) = 0;
+    virtual PeerResult nearest(const double *query, std::size_t k, bool more) = 0;
 
     // All within a radius (the squared one, of structures that measure squares); `more` as above.
-    virtual Found within(const double *query, double radius, bool more) = 0;
+    virtual PeerResult within(const double *query, double radius, bool more) = 0;
 };
 
 extern "C" {
@@ -40,8 +40,8 @@ Peer *nanoflann_dynamic(std::size_t width, std::size_t room);
 Peer *ompl_gnat(int cell, std::size_t repeats, double weight, const double *rows, std::size_t n, std::size_t room);
 
 void peer_insert(Peer *peer, const double *row);
-Found peer_nearest(Peer *peer, const double *query, std::size_t k, bool more);
-Found peer_within(Peer *peer, const double *query, double radius, bool more);
+PeerResult peer_nearest(Peer *peer, const double *query, std::size_t k, bool more);
+PeerResult peer_within(Peer *peer, const double *query, double radius, bool more);
 void peer_free(Peer *peer);
 
 // The bytes in use of the process's heap, whoever asked for them.

@@ -9,7 +9,7 @@ use crate::{
 };
 
 /// The number of neighbours that `knn10` requests. A radius is chosen to hold about as many.
-pub const MANY: usize = 10;
+pub const NEIGHBORS: usize = 10;
 
 /// The relative tolerance of distances for structures that compute them differently.
 const TOLERANCE: f64 = 1e-9;
@@ -53,7 +53,7 @@ impl<'a> Case<'a> {
                 .expect("canonical states");
         }
         // This is enough: few radii hold more.
-        let search = Search::nearest_k(8 * MANY);
+        let search = Search::nearest_k(8 * NEIGHBORS);
         let nearest: Vec<Vec<Neighbor>> = queries
             .iter()
             .take(checked)
@@ -64,7 +64,7 @@ impl<'a> Case<'a> {
                     .neighbors
             })
             .collect();
-        let mut tenth: Vec<f64> = nearest.iter().map(|near| near[MANY - 1].distance).collect();
+        let mut tenth: Vec<f64> = nearest.iter().map(|near| near[NEIGHBORS - 1].distance).collect();
         tenth.sort_by(f64::total_cmp);
         // The radius is slightly larger, so that no point lies exactly on the sphere, where rounding would decide.
         let radius = tenth[tenth.len() / 2] * (1.0 + 1e-6);
@@ -82,7 +82,7 @@ impl<'a> Case<'a> {
                         .neighbors
                 };
                 within.retain(|near| near.distance <= radius);
-                nearest.truncate(MANY);
+                nearest.truncate(NEIGHBORS);
                 (nearest, within)
             })
             .collect();
@@ -107,7 +107,7 @@ impl<'a> Case<'a> {
             let query = self.queries.row(at);
             structure.nearest(query, 1, &mut found);
             self.compare(kind, "knn1", at, &nearest[..1], &found)?;
-            structure.nearest(query, MANY, &mut found);
+            structure.nearest(query, NEIGHBORS, &mut found);
             self.compare(kind, "knn10", at, nearest, &found)?;
             structure.within(query, self.radius, &mut found);
             self.compare(kind, "radius", at, within, &found)?;

@@ -1,7 +1,7 @@
 //! The goals of the index against its peers, and the figures that a run reached: one line for each goal.
 
 use crate::{
-    MANY_POINTS, POINTS,
+    LARGE_POINTS, POINTS,
     report::{Op, Report, aligned},
     spaces::SETTINGS,
     structures::Kind,
@@ -9,14 +9,14 @@ use crate::{
 
 /// The value with which ours is compared.
 #[derive(Clone, Copy, Debug)]
-enum Against {
+enum Baseline {
     /// The best of these.
     Best(&'static [Kind]),
     /// A value, and its description.
     Value(f64, &'static str),
 }
 
-use Against::{Best, Value};
+use Baseline::{Best, Value};
 
 /// The ratio of a peer's figure to ours, for uniform data.
 #[derive(Clone, Copy, Debug)]
@@ -25,22 +25,22 @@ struct Goal {
     n: usize,
     op: Op,
     ours: Kind,
-    against: Against,
+    against: Baseline,
     least: f64,
 }
 
-const KIDDO: Against = Best(&[Kind::Kiddo]);
-const KIDDO_MUTABLE: Against = Best(&[Kind::KiddoMutable]);
-const STATIC: Against = Best(&[Kind::Kiddo, Kind::Nanoflann]);
-const GNAT: Against = Best(&[Kind::OmplGnat]);
-const SCAN: Against = Best(&[Kind::SimdScan]);
-const AT_REST: Against = Best(&[Kind::WayfoldRest]);
+const KIDDO: Baseline = Best(&[Kind::Kiddo]);
+const KIDDO_MUTABLE: Baseline = Best(&[Kind::KiddoMutable]);
+const STATIC: Baseline = Best(&[Kind::Kiddo, Kind::Nanoflann]);
+const GNAT: Baseline = Best(&[Kind::OmplGnat]);
+const SCAN: Baseline = Best(&[Kind::SimdScan]);
+const AT_REST: Baseline = Best(&[Kind::WayfoldRest]);
 
 /// The maximum ratio of a search's time in a growing index to its time at rest.
 const GROWING: f64 = 1.5;
 
 /// The size of a point of SE3: seven coordinates, id, tag and revision.
-const POINT_BYTES: Against = Value(80.0, "80 bytes of numbers");
+const POINT_BYTES: Baseline = Value(80.0, "80 bytes of numbers");
 
 /// All goals.
 fn goals() -> Vec<Goal> {
@@ -60,17 +60,17 @@ fn goals() -> Vec<Goal> {
     };
     for space in ["SE3", "SE3-SUM"] {
         nearest(space, POINTS, Grows, GNAT, [20.0, 15.0]);
-        nearest(space, MANY_POINTS, Rests, GNAT, [20.0, 15.0]);
+        nearest(space, LARGE_POINTS, Rests, GNAT, [20.0, 15.0]);
     }
     for space in ["SE2", "R12", "SO2^6"] {
         nearest(space, POINTS, Grows, STATIC, [1.0; 2]);
         nearest(space, POINTS, Rests, STATIC, [1.3; 2]);
-        nearest(space, MANY_POINTS, Rests, STATIC, [1.3; 2]);
+        nearest(space, LARGE_POINTS, Rests, STATIC, [1.3; 2]);
     }
     for space in ["SO3", "R6", "SO2^3"] {
         nearest(space, POINTS, Grows, KIDDO_MUTABLE, [1.0; 2]);
         nearest(space, POINTS, Rests, KIDDO, [1.0; 2]);
-        nearest(space, MANY_POINTS, Rests, KIDDO, [1.0; 2]);
+        nearest(space, LARGE_POINTS, Rests, KIDDO, [1.0; 2]);
     }
     nearest("SE3^2", POINTS, Grows, SCAN, [2.0, 1.2]);
     for space in ["SE3^4", "SE3^8", "R30"] {
@@ -80,11 +80,11 @@ fn goals() -> Vec<Goal> {
         nearest(space, POINTS, Grows, GNAT, [10.0; 2]);
     }
     nearest("R3", POINTS, Rests, KIDDO, [1.0; 2]);
-    nearest("R3", MANY_POINTS, Rests, KIDDO, [1.0; 2]);
+    nearest("R3", LARGE_POINTS, Rests, KIDDO, [1.0; 2]);
     for setting in SETTINGS.iter().filter(|setting| setting.million) {
         nearest(
             setting.name,
-            MANY_POINTS,
+            LARGE_POINTS,
             Grows,
             AT_REST,
             [1.0 / GROWING; 2],
@@ -107,7 +107,7 @@ fn goals() -> Vec<Goal> {
     goals
 }
 
-impl Against {
+impl Baseline {
     fn name(self) -> String {
         match self {
             Best(kinds) => kinds
@@ -203,7 +203,7 @@ mod tests {
         };
         let mut report = Report::default();
         report.extend([figure(Kind::Wayfold, 2.0), figure(Kind::Kiddo, 3.0)]);
-        let told = |report: &Report| {
+        let verdict = |report: &Report| {
             let table = table(report);
             let line = table.lines().last().expect("a line");
             line.split_whitespace()
@@ -212,8 +212,8 @@ mod tests {
                 .map(str::to_owned)
                 .collect::<Vec<_>>()
         };
-        assert_eq!(told(&report), ["reached", "1.00", "1.50"]);
+        assert_eq!(verdict(&report), ["reached", "1.00", "1.50"]);
         report.extend([figure(Kind::Nanoflann, 1.0)]);
-        assert_eq!(told(&report), ["MISSED", "1.00", "0.50"]);
+        assert_eq!(verdict(&report), ["MISSED", "1.00", "0.50"]);
     }
 }

@@ -58,7 +58,7 @@ struct Options {
 /// The number of points of a case.
 const POINTS: usize = 50_000;
 /// The number of points of a large case.
-const MANY_POINTS: usize = 1_000_000;
+const LARGE_POINTS: usize = 1_000_000;
 
 /// The number of queries. It is so large that the part of a tree that they touch stays in the caches no more than a
 /// planner's does.
@@ -169,7 +169,7 @@ fn compare(settings: &[Setting], options: &Options, report: &mut Report) -> Resu
             }
         }
         if setting.million {
-            measure(setting, Data::Uniform, MANY_POINTS, &kinds, brief, report)?;
+            measure(setting, Data::Uniform, LARGE_POINTS, &kinds, brief, report)?;
         }
     }
     Ok(())

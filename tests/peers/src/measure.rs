@@ -8,7 +8,7 @@ use rustix::time::{ClockId, clock_gettime};
 use wayfold_index::Space;
 
 use crate::{
-    check::{Case, MANY},
+    check::{Case, NEIGHBORS},
     data::Rows,
     problem::Problem,
     report::{Op, Report},
@@ -18,7 +18,7 @@ use crate::{
 /// The minimum duration of one timing of queries.
 const WINDOW: Duration = Duration::from_millis(50);
 /// The minimum number of queries in one timing.
-const LEAST_QUERIES: usize = 20;
+const MIN_QUERIES: usize = 20;
 
 /// The extent of the measurements of a case.
 #[derive(Clone, Copy, Debug)]
@@ -33,11 +33,11 @@ pub struct Effort {
     pub longest_rrt: Duration,
 }
 
-/// A structure that takes longer than this to make is made once.
-const LONG_TO_MAKE: Duration = Duration::from_secs(5);
+/// The maximum build time of a structure that is built repeatedly; a slower one is built once.
+const MAX_REPEATED_BUILD: Duration = Duration::from_secs(5);
 
 /// A measured structure.
-struct Measured {
+struct MeasuredStructure {
     kind: Kind,
     /// The time to build or grow it.
     made: Duration,
@@ -75,7 +75,7 @@ pub fn measure(
             held as f64 / case.points.len() as f64,
         );
         structures.push((kind, structure));
-        measured.push(Measured {
+        measured.push(MeasuredStructure {
             kind,
             made,
             nearest: Duration::MAX,
@@ -106,12 +106,12 @@ fn time_queries(
         .iter_mut()
         .map(|(_, structure)| {
             // The count grows until caches are warm and the cost of a first call is negligible.
-            let mut count = LEAST_QUERIES;
+            let mut count = MIN_QUERIES;
             loop {
                 let one = ask(case, op, structure.as_mut(), 0, count).as_secs_f64();
                 let fit = (WINDOW.as_secs_f64() / one).ceil() as usize;
                 if fit <= 4 * count {
-                    break fit.max(LEAST_QUERIES);
+                    break fit.max(MIN_QUERIES);
                 }
                 count *= 4;
             }
@@ -136,14 +136,14 @@ fn ask(
     count: usize,
 ) -> Duration {
     let queries = case.queries;
-    let mut found = Vec::with_capacity(4 * MANY);
+    let mut found = Vec::with_capacity(4 * NEIGHBORS);
     let mut at = first % queries.len();
     let begin = processor_time();
     for _ in 0..count {
         let query = queries.row(at);
         match op {
             Op::Knn1 => structure.nearest(query, 1, &mut found),
-            Op::Knn10 => structure.nearest(query, MANY, &mut found),
+            Op::Knn10 => structure.nearest(query, NEIGHBORS, &mut found),
             _ => structure.within(query, case.radius, &mut found),
         }
         black_box(&found);
@@ -156,7 +156,7 @@ fn ask(
 }
 
 /// Times building, growing, and searching while growing.
-fn time_growth(case: &Case<'_>, measured: &[Measured], effort: Effort, report: &mut Report) {
+fn time_growth(case: &Case<'_>, measured: &[MeasuredStructure], effort: Effort, report: &mut Report) {
     let n = case.points.len();
     let mut times = vec![[const { Vec::new() }; 3]; measured.len()];
     for round in 0..effort.growth_rounds {
@@ -164,14 +164,14 @@ fn time_growth(case: &Case<'_>, measured: &[Measured], effort: Effort, report: &
             let (kind, is_first) = (one.kind, round == 0);
             if is_first && kind.builds() && !kind.grows() {
                 build.push(one.made);
-            } else if kind.builds() && (is_first || one.made < LONG_TO_MAKE) {
+            } else if kind.builds() && (is_first || one.made < MAX_REPEATED_BUILD) {
                 let begin = processor_time();
                 black_box(kind.built(case.space, case.points));
                 build.push(processor_time() - begin);
             }
             if is_first && kind.grows() {
                 insert.push(one.made);
-            } else if kind.grows() && one.made < LONG_TO_MAKE {
+            } else if kind.grows() && one.made < MAX_REPEATED_BUILD {
                 insert.push(grow(kind, case.space, case.points, false));
             }
             // The average search finds half of all points stored.
@@ -196,7 +196,7 @@ fn time_growth(case: &Case<'_>, measured: &[Measured], effort: Effort, report: &
 
 /// Inserts all rows one by one. To simulate a random tree, it first searches the nearest neighbour of each row.
 fn grow(kind: Kind, space: &Space, rows: &Rows, is_asked: bool) -> Duration {
-    let mut found = Vec::with_capacity(MANY);
+    let mut found = Vec::with_capacity(NEIGHBORS);
     let begin = processor_time();
     let mut structure = kind.empty(space, rows.len());
     for (at, row) in rows.iter().enumerate() {

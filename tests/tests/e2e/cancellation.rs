@@ -12,13 +12,13 @@ use wayfold_tests::{
     Content, ServerProcess, Signal, States, Stubs, k_nearest, number, row_states, server,
 };
 
-/// High-dimensional enough that a search looks at most of the points.
+/// A search in this many dimensions looks at most of the points.
 const WIDTH: usize = 16;
 const SPACE: &str = "R16";
-/// States of a long batch of searches: more than a second of work.
-const LONG: usize = 10_000;
-/// Rows of a long insert that asks for neighbours: the same.
-const LONG_INSERT: usize = 4_000;
+/// The states of a long batch of searches, which takes more than a second.
+const SEARCH_STATES: usize = 10_000;
+/// The rows of a long insert that asks for neighbours, which takes as long.
+const INSERT_ROWS: usize = 4_000;
 
 async fn filled(rows: usize) -> (ServerProcess, Stubs, States) {
     let server = server!();
@@ -64,26 +64,26 @@ async fn a_mutation_past_its_deadline_is_whole_or_not_there() {
         let request = InsertRequest {
             neighbors: Some(k_nearest(1)),
             operation_id: format!("within {deadline_ms} ms"),
-            ..insert(&mut states, LONG_INSERT)
+            ..insert(&mut states, INSERT_ROWS)
         };
         let timed = stubs
             .points
             .insert(within(deadline_ms, request.clone()))
             .await;
         if let Err(status) = timed {
-            // This client's own timer says CANCELLED, the server's DEADLINE_EXCEEDED.
+            // The client's own timer answers CANCELLED, the server's DEADLINE_EXCEEDED.
             assert!(
                 matches!(status.code(), Code::DeadlineExceeded | Code::Cancelled),
                 "{status:?}"
             );
             cut += 1;
         }
-        // Whatever became of it: the same call again takes effect once.
+        // Whatever the outcome was, a retry makes the call take effect exactly once.
         let answer = stubs.insert(request).await;
         assert_eq!(number(&answer.revision), number(&before.revision) + 1);
         let after = stubs.describe("roadmap").await;
         assert_eq!(after.revision, answer.revision);
-        assert_eq!(after.point_count, before.point_count + LONG_INSERT as u64);
+        assert_eq!(after.point_count, before.point_count + INSERT_ROWS as u64);
     }
     assert!(cut > 0, "no deadline was short enough");
 }
@@ -95,23 +95,23 @@ async fn a_dropped_mutation_is_whole_or_not_there() {
         let before = stubs.describe("roadmap").await;
         let request = InsertRequest {
             neighbors: Some(k_nearest(1)),
-            ..insert(&mut states, LONG_INSERT)
+            ..insert(&mut states, INSERT_ROWS)
         };
         let mut other = stubs.clone();
         let call = tokio::spawn(async move { other.insert(request).await });
-        // The delay is this many answers, so the insert is under way in most rounds.
+        // The delay lasts this many answers, so the insert is under way in most rounds.
         for _ in 0..round {
             stubs.points.knn(knn(&mut states, 1)).await.unwrap();
         }
         call.abort();
         let dropped = call.await.is_err();
-        // A later mutation of the same index comes after it, or finds that it never happened.
+        // A later mutation of the same index is ordered after it, or finds that it never took effect.
         stubs.insert(insert(&mut states, 1)).await;
         let content = Content::read(&stubs, "roadmap").await.unwrap();
         let stored = content.points.len() as u64 - before.point_count - 1;
         let made = content.revision - number(&before.revision) - 1;
         assert!(
-            (stored, made) == (LONG_INSERT as u64, 1) || dropped && (stored, made) == (0, 0),
+            (stored, made) == (INSERT_ROWS as u64, 1) || dropped && (stored, made) == (0, 0),
             "{stored} rows in {made} revisions of a dropped insert"
         );
     }
@@ -120,11 +120,11 @@ async fn a_dropped_mutation_is_whole_or_not_there() {
 #[tokio::test(flavor = "multi_thread")]
 async fn short_calls_are_answered_while_long_batches_run() {
     let (_server, mut stubs, mut states) = filled(10_000).await;
-    // More of them than the machine has cores.
+    // There are more calls than cores.
     let batches = 2 * std::thread::available_parallelism().unwrap().get();
     let mut long = tokio::task::JoinSet::new();
     for _ in 0..batches {
-        let request = knn(&mut states, LONG);
+        let request = knn(&mut states, SEARCH_STATES);
         let mut stubs = stubs.clone();
         long.spawn(async move { stubs.points.knn(request).await.unwrap().into_inner() });
     }
@@ -137,17 +137,17 @@ async fn short_calls_are_answered_while_long_batches_run() {
         );
     }
     for answer in long.join_all().await {
-        assert_eq!(answer.neighbors.unwrap().counts, vec![1; LONG]);
+        assert_eq!(answer.neighbors.unwrap().counts, vec![1; SEARCH_STATES]);
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn work_that_nobody_waits_for_is_given_up() {
     let (server, mut stubs, mut states) = filled(10_000).await;
-    // Hours of it, unless it ends with its deadline.
+    // The work would take hours without the deadline.
     let requests = vec![
         StreamKnnRequest {
-            knn: Some(knn(&mut states, LONG))
+            knn: Some(knn(&mut states, SEARCH_STATES))
         };
         1_000
     ];
@@ -167,8 +167,8 @@ async fn work_that_nobody_waits_for_is_given_up() {
     };
     assert_eq!(status.code(), Code::DeadlineExceeded, "{status:?}");
 
-    // Calls that are dropped are given up too: the server has nothing left to finish.
-    let request = knn(&mut states, LONG);
+    // Dropped calls are cancelled too, so the server has nothing left to finish.
+    let request = knn(&mut states, SEARCH_STATES);
     let mut dropped = tokio::task::JoinSet::new();
     for _ in 0..100 {
         let (mut stubs, request) = (stubs.clone(), request.clone());

@@ -1,4 +1,4 @@
-//! The clients that are at work while a server or its disk goes down, and what they know afterwards.
+//! Clients that run while a server or its disk fails, and the checks of the answers that they received.
 
 mod builder;
 mod reader;
@@ -19,7 +19,7 @@ use wayfold_tests::{
 };
 
 use builder::Builder;
-use reader::{Reader, Seen};
+use reader::{Reader, ReaderAnswer};
 pub(crate) use tally::Tally;
 pub(crate) use writer::Load;
 use writer::Writer;
@@ -29,19 +29,19 @@ const SPACE: &str = "R3*SO3:0.15";
 /// Its coordinates.
 const COORDINATES: usize = 7;
 const READERS: u64 = 2;
-/// The readers read as often as time allows; one read in this many is kept.
-const KEPT: usize = 20;
+/// Readers read without pause; one read in this many is kept.
+const READ_SAMPLING: usize = 20;
 
-/// When a server is killed, or its disk fails.
+/// The time at which a server is killed or its disk fails.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Moment {
-    /// Once this many mutations were acknowledged.
+pub(crate) enum FaultTime {
+    /// After this many acknowledged mutations.
     Acknowledged(u64),
-    /// Once the creation or deletion of this many indices was begun.
+    /// After this many creations and deletions of indices have begun.
     Built(u64),
 }
 
-/// Eight writers, two readers, one client that creates and deletes indices, and a model of what they must find.
+/// Eight writers, two readers, one client that creates and deletes indices, and a model of the expected content.
 pub(crate) struct Clients {
     writers: Vec<Writer>,
     readers: Vec<Reader>,
@@ -53,32 +53,34 @@ pub(crate) struct Clients {
     looked: Option<PathBuf>,
 }
 
-/// Clients at work.
-struct Working {
+/// The running clients.
+struct RunningClients {
     writing: JoinSet<Writer>,
     reading: JoinSet<Reader>,
-    /// Ends the readers: only this signal ends them.
+    /// The signal that ends the readers; nothing else does.
     over: watch::Sender<bool>,
     building: JoinHandle<Builder>,
     at_acknowledged: watch::Receiver<u64>,
     at_built: watch::Receiver<u64>,
 }
 
-impl Working {
-    async fn reach(&mut self, moment: Moment) {
+impl RunningClients {
+    async fn reach(&mut self, moment: FaultTime) {
         let reached = match moment {
-            Moment::Acknowledged(count) => self.at_acknowledged.wait_for(|&now| now >= count).await,
-            Moment::Built(count) => self.at_built.wait_for(|&now| now >= count).await,
+            FaultTime::Acknowledged(count) => {
+                self.at_acknowledged.wait_for(|&now| now >= count).await
+            }
+            FaultTime::Built(count) => self.at_built.wait_for(|&now| now >= count).await,
         };
         assert!(reached.is_ok(), "the server has ended by itself");
     }
 }
 
 impl Clients {
-    /// How many of them write.
+    /// The number of writers.
     pub(crate) const WRITERS: usize = 8;
 
-    /// Creates the index they share.
+    /// Creates the index that the clients share.
     pub(crate) async fn new(server: &ServerProcess, seed: u64, load: Load) -> Self {
         let mut stubs = Stubs::connect(server.uri()).await;
         let uid = stubs.create("arm", SPACE).await.revision.unwrap().uid;
@@ -99,13 +101,13 @@ impl Clients {
         }
     }
 
-    /// From now on readers write a byte into this pipe, which the server has open, each time they have looked.
+    /// From now on, readers write a byte into this pipe, which the server has open, after each read.
     pub(crate) fn tell_of_looks(&mut self, looked: PathBuf) {
         self.looked = Some(looked);
     }
 
-    /// All work, until the server is killed under them.
-    pub(crate) async fn work(&mut self, server: ServerProcess, moment: Moment) {
+    /// Runs all clients until the server is killed.
+    pub(crate) async fn work(&mut self, server: ServerProcess, moment: FaultTime) {
         let mut working = self.begin(&server).await;
         working.reach(moment).await;
         server.stop(Signal::Kill);
@@ -115,11 +117,11 @@ impl Clients {
         }
     }
 
-    /// All work until each writer was refused, as it will be after `fail`. Returns the refusals.
+    /// Runs all clients until each writer is refused, which `fail` causes. Returns the refusals.
     pub(crate) async fn work_until_refused(
         &mut self,
         server: &ServerProcess,
-        moment: Moment,
+        moment: FaultTime,
         fail: impl FnOnce(),
     ) -> Vec<Status> {
         let mut working = self.begin(server).await;
@@ -130,7 +132,7 @@ impl Clients {
         refusals.map(Option::unwrap).collect()
     }
 
-    /// Each writer asks again for its unknown mutation. Returns how many are refused again.
+    /// Lets each writer retry its unknown mutation. Returns the number of retries that are refused.
     pub(crate) async fn ask_again(&mut self, server: &ServerProcess) -> usize {
         let mut stubs = Stubs::connect(server.uri()).await;
         let mut refused = 0;
@@ -140,7 +142,7 @@ impl Clients {
         refused
     }
 
-    /// Each reader reads `times` times.
+    /// Lets each reader read `times` times.
     pub(crate) async fn look(&mut self, server: &ServerProcess, times: usize) {
         let stubs = Stubs::connect(server.uri()).await;
         for reader in &mut self.readers {
@@ -150,7 +152,7 @@ impl Clients {
         }
     }
 
-    /// The readers read while `wait` takes its time.
+    /// Lets the readers read until `wait` ends.
     pub(crate) async fn look_during(
         &mut self,
         server: &mut ServerProcess,
@@ -167,11 +169,11 @@ impl Clients {
         tokio::task::block_in_place(|| wait(server));
         over.send_replace(true);
         for (seen, mut reader) in reading.join_all().await {
-            // To compare all with brute force would take longer than it took to read it.
+            // Comparing all answers with brute force would take longer than reading them.
             let mut at = 0;
             reader.seen.retain(|_| {
                 at += 1;
-                at <= seen || at % KEPT == 0
+                at <= seen || at % READ_SAMPLING == 0
             });
             self.readers.push(reader);
         }
@@ -187,8 +189,8 @@ impl Clients {
         refusals
     }
 
-    /// All begin to work.
-    async fn begin(&mut self, server: &ServerProcess) -> Working {
+    /// Starts all clients.
+    async fn begin(&mut self, server: &ServerProcess) -> RunningClients {
         let (acknowledged, built) = (watch::Sender::new(0), watch::Sender::new(0));
         let (at_acknowledged, at_built) = (acknowledged.subscribe(), built.subscribe());
         let (mut writing, mut reading) = (JoinSet::new(), JoinSet::new());
@@ -205,8 +207,8 @@ impl Clients {
         }
         let builder = std::mem::take(&mut self.builder);
         let building = tokio::spawn(builder.build(Stubs::connect(server.uri()).await, built));
-        // Only those who work hold the senders: a server that has ended by itself is noticed.
-        Working {
+        // Only running clients hold the senders, so the end of a server that stopped by itself is noticed.
+        RunningClients {
             writing,
             reading,
             over,
@@ -216,8 +218,8 @@ impl Clients {
         }
     }
 
-    /// The writers are refused, and end.
-    async fn end(&mut self, working: Working) {
+    /// Each writer ends after its refusal.
+    async fn end(&mut self, working: RunningClients) {
         self.writers = working.writing.join_all().await;
         self.writers.sort_by_key(|writer| writer.name);
         working.over.send_replace(true);
@@ -225,7 +227,7 @@ impl Clients {
         self.builder = working.building.await.unwrap();
     }
 
-    /// Checks that each acknowledged mutation is there, once, in order, that each answer seen still holds, and that
+    /// Checks that each acknowledged mutation is stored once and in order, that each read answer still holds, and that
     /// answers equal brute force.
     pub(crate) async fn check(&mut self, server: &ServerProcess) {
         let mut stubs = Stubs::connect(server.uri()).await;
@@ -242,7 +244,7 @@ impl Clients {
             println!("{}", self.tally);
             assert_eq!((self.tally.lost, self.tally.duplicated), (0, 0));
         }
-        let mut seen: Vec<Seen> = Vec::new();
+        let mut seen: Vec<ReaderAnswer> = Vec::new();
         for reader in &mut self.readers {
             seen.append(&mut reader.seen);
         }
@@ -267,12 +269,11 @@ impl Clients {
         };
         let answer = stubs.points.knn(request.clone()).await.unwrap();
         self.model.knn(&request, &answer.into_inner());
-        // Every call that was acknowledged made a revision of its own, and there is no other.
+        // Each acknowledged call made its own revision, and there are no other revisions.
         assert_eq!(self.model.revision(), self.tally.acknowledged);
     }
 
-    /// Compares the acknowledged mutations with the newest content, from which some may be missing. Returns the
-    /// content.
+    /// Compares the acknowledged mutations with the newest content and counts the lost ones. Returns the content.
     pub(crate) async fn count(&mut self, server: &ServerProcess) -> Content {
         self.acknowledged();
         let stubs = Stubs::connect(server.uri()).await;
@@ -281,7 +282,7 @@ impl Clients {
         content
     }
 
-    /// The count until now.
+    /// The count so far.
     pub(crate) fn tally(&self) -> &Tally {
         &self.tally
     }
@@ -291,7 +292,7 @@ impl Clients {
         &self.uid
     }
 
-    /// The mutations acknowledged since the last time, in the order of revisions.
+    /// The mutations acknowledged since the last call, in the order of revisions.
     fn acknowledged(&mut self) -> Vec<Entry> {
         let ledgers = self.writers.iter_mut().map(|writer| &mut writer.ledger);
         let mut entries: Vec<Entry> = ledgers.flat_map(|ledger| ledger.drain(..)).collect();
@@ -302,8 +303,8 @@ impl Clients {
         entries
     }
 
-    /// Checks the answers seen at the model's revision.
-    fn check_seen(&self, seen: &mut std::iter::Peekable<std::vec::IntoIter<Seen>>) {
+    /// Checks the readers' answers of the model's revision.
+    fn check_seen(&self, seen: &mut std::iter::Peekable<std::vec::IntoIter<ReaderAnswer>>) {
         let here = (self.uid.as_str(), self.model.revision());
         while let Some(seen) = seen.next_if(|seen| seen.at() == here) {
             seen.check(&self.model);

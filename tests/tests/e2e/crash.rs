@@ -1,5 +1,5 @@
-//! Nothing acknowledged is lost: a server that is killed again and again under its writers comes back with every
-//! mutation that it acknowledged, once, at the revision that it said.
+//! A server that is killed repeatedly under its writers restarts with each acknowledged mutation, once, at the
+//! acknowledged revision.
 
 use std::{path::Path, process::Command};
 
@@ -7,9 +7,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_tests::{Process, ServerProcess, Signal};
 
-use crate::clients::{Clients, Load, Moment};
+use crate::clients::{Clients, FaultTime, Load};
 
-/// Kills, unless the environment variable `CRASH_KILLS` says otherwise.
+/// The number of kills, unless the environment variable `CRASH_KILLS` sets another.
 const KILLS: u64 = 20;
 const SEED: u64 = 3;
 const LOAD: Load = Load {
@@ -17,11 +17,11 @@ const LOAD: Load = Load {
     heavy: 0.02,
     removals: 0.2,
 };
-/// Lines that a starting server says at least: that it opened the log, replayed this and that index and with it all,
-/// and serves.
+/// The minimum number of lines that a starting server logs: it opened the log, replayed an index, replayed all, and
+/// serves.
 const LINES: u32 = 4;
 
-/// With so small a first tree that there is hardly a moment without a merge.
+/// The first tree is so small that a merge is nearly always under way.
 fn start(data: &Path) -> Process {
     let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
     command
@@ -43,12 +43,12 @@ async fn a_server_that_is_killed_comes_back_with_all_that_it_acknowledged() {
     let (mut kills, mut starting) = (0, 0);
     while kills < wanted {
         let moment = match random.random_range(0..4) {
-            0 => Moment::Built(random.random_range(1..50)),
-            _ => Moment::Acknowledged(random.random_range(1..150)),
+            0 => FaultTime::Built(random.random_range(1..50)),
+            _ => FaultTime::Acknowledged(random.random_range(1..150)),
         };
         clients.work(server, moment).await;
         kills += 1;
-        // Sometimes it is killed again while it starts, after some number of log lines.
+        // Some starts are killed too, after a random number of log lines.
         while kills < wanted && random.random_bool(0.4) {
             start(&data).kill_at_line(random.random_range(0..LINES));
             kills += 1;

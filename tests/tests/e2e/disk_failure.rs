@@ -1,5 +1,5 @@
-//! The disk fails under a running server, and comes back: writes are refused with a clear status and nothing is half
-//! applied, reads go on, and the same process goes on writing once it can.
+//! The disk fails under a running server and comes back. Writes are refused with a clear status, no mutation is half
+//! applied, reads go on, and the same process writes again once the disk works.
 
 mod disk;
 mod operator;
@@ -12,23 +12,23 @@ use wayfold_proto::v1::{CreateIndexRequest, create_index_request::SpaceForm};
 use wayfold_tests::{Refusal, ServerProcess, Signal, Stubs};
 
 use self::disk::Disk;
-use crate::clients::{Clients, Load, Moment};
+use crate::clients::{Clients, FaultTime, Load};
 
 const LOAD: Load = Load {
     rows: 10,
     heavy: 0.05,
     removals: 0.2,
 };
-/// Enough for the store to move points out of its journal within a few hundred calls.
-const HEAVY: Load = Load {
+/// A load that makes the store move points out of its journal within a few hundred calls.
+const HEAVY_LOAD: Load = Load {
     rows: 10,
     heavy: 0.9,
     removals: 0.1,
 };
 const SEED: u64 = 7;
-/// How often the disk fails in each way, unless the environment variable `DISK_FAILURES` says otherwise.
+/// The number of failures of each kind, unless the environment variable `DISK_FAILURES` sets another.
 const FAILURES: u64 = 1;
-/// Reads by each reader while it fails.
+/// The number of reads by each reader during a failure.
 const READS: usize = 40;
 /// The server logs this once it writes again.
 const RECOVERED: &str = "the log is writable again";
@@ -48,7 +48,7 @@ fn check_refusals(refusals: &[Status]) {
     }
 }
 
-/// A server on a disk that will fail, and its clients.
+/// A server on a failing disk, and its clients.
 struct Scene {
     disk: Disk,
     server: ServerProcess,
@@ -69,19 +69,19 @@ impl Scene {
         }
     }
 
-    /// All work; at some moment the disk begins to fail, and is left so once each writer was refused.
+    /// Runs all clients; at some moment the disk begins to fail, and it still fails when each writer was refused.
     async fn fail(&mut self, how: &str) {
-        let moment = Moment::Acknowledged(self.random.random_range(1..150));
+        let moment = FaultTime::Acknowledged(self.random.random_range(1..150));
         let (clients, disk) = (&mut self.clients, &self.disk);
         let refusals = clients.work_until_refused(&self.server, moment, || disk.fail(how));
         let refusals = refusals.await;
         check_refusals(&refusals);
         for status in refusals {
-            let told = status.message();
-            // It answers the latter while it reopens the store.
+            let message = status.message();
+            // The second answer comes while the server reopens the store.
             let says_what_to_do =
-                told.contains("tried again and again") || told.contains("ask again");
-            assert!(says_what_to_do, "{told}");
+                message.contains("tried again and again") || message.contains("ask again");
+            assert!(says_what_to_do, "{message}");
         }
     }
 
@@ -95,7 +95,7 @@ impl Scene {
         assert!(refused.is_empty(), "{refused:?}");
     }
 
-    /// A refused writer receives the words of the disk's error.
+    /// The refusal of a write contains the message of the disk's error.
     async fn check_reason(&self, reason: &str) {
         let mut stubs = Stubs::connect(self.server.uri()).await;
         let request = CreateIndexRequest {
@@ -119,7 +119,7 @@ impl Scene {
         self.clients.check(&self.server).await;
     }
 
-    /// All is there after a restart, too.
+    /// Nothing is missing after a restart either.
     async fn end(mut self) {
         self.server.stop(Signal::Kill);
         self.clients.check(&self.disk.serve()).await;
@@ -140,10 +140,10 @@ async fn a_disk_that_fails_and_comes_back_costs_no_acknowledged_mutation() {
     scene.end().await;
 }
 
-/// The disk has room for a little, but not for the points that the store moves out of its journal.
+/// The disk has some room, but not for the points that the store moves out of its journal.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_disk_without_the_room_that_the_store_needs_is_waited_for() {
-    let mut scene = Scene::new(HEAVY).await;
+    let mut scene = Scene::new(HEAVY_LOAD).await;
     for _ in 0..failures() {
         scene.fail("large 28 8000000").await;
         scene.server.log_until("cannot reopen the log yet");
@@ -154,11 +154,11 @@ async fn a_disk_without_the_room_that_the_store_needs_is_waited_for() {
     scene.end().await;
 }
 
-/// The disk looks well, and the store fails only to write what it moves out of its journal. The server reopens the
-/// store again and again. Searches go on even so.
+/// Probes of the disk succeed, and only the writes out of the journal fail. The server reopens the store repeatedly,
+/// and searches go on.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_store_that_fails_on_a_disk_that_looks_well_recovers_once_it_can() {
-    let mut scene = Scene::new(HEAVY).await;
+    let mut scene = Scene::new(HEAVY_LOAD).await;
     for how in ["full 28 /tables/", "syncs 5 /keyspaces/"] {
         scene.fail(how).await;
         for _ in 0..10 {

@@ -1,4 +1,4 @@
-//! The end-to-end suites: one program, one behaviour a file, a server process of its own for each test.
+//! The end-to-end suites in one program: one behaviour a file, one server process a test.
 
 #![expect(
     clippy::unwrap_used,

@@ -1,4 +1,4 @@
-//! `neighbors`: of any two inserts the later saw the earlier.
+//! `neighbors`: of any two inserts, the later one saw the earlier one.
 
 use std::{
     collections::BTreeSet,
@@ -17,12 +17,12 @@ use wayfold_tests::{States, Stubs, neighbor_rows, number, revision, row_states, 
 
 const WORKERS: u64 = 48;
 const PAIRS: usize = 10_000;
-/// No scheduling needs this many rounds to bring about that many concurrent pairs.
+/// The maximum number of rounds; any scheduling reaches that many concurrent pairs in fewer.
 const ROUNDS: u64 = 60;
 
-/// One insert, and what its worker knows of it.
-struct Told {
-    /// Ticks of one clock that all workers share: just before the call, just after its answer.
+/// One insert, and the answers that its worker received.
+struct InsertRecord {
+    /// The ticks of a clock that all workers share, just before the call and just after its answer.
     called: u64,
     answered: u64,
     revision: u64,
@@ -33,15 +33,15 @@ struct Told {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_inserts_the_later_saw_the_earlier() {
+async fn the_later_of_two_inserts_saw_the_earlier() {
     check(&inserts(false).await);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_read_before_is_told_of_what_arrived_meanwhile() {
-    let told = inserts(true).await;
-    check(&told);
-    let meanwhile = told
+async fn an_insert_reports_points_that_arrived_after_an_earlier_read() {
+    let records = inserts(true).await;
+    check(&records);
+    let meanwhile = records
         .iter()
         .map(|insert| insert.neighbors.len())
         .sum::<usize>();
@@ -53,8 +53,8 @@ async fn a_worker_that_read_before_is_told_of_what_arrived_meanwhile() {
 
 /// Every point is a neighbour of every other. An insert must therefore have returned exactly the ids that were stored
 /// by the revisions before its own.
-fn check(told: &[Told]) {
-    let mut by_revision: Vec<&Told> = told.iter().collect();
+fn check(records: &[InsertRecord]) {
+    let mut by_revision: Vec<&InsertRecord> = records.iter().collect();
     by_revision.sort_by_key(|insert| insert.revision);
     let mut stored = BTreeSet::new();
     for (i, insert) in by_revision.iter().enumerate() {
@@ -69,29 +69,30 @@ fn check(told: &[Told]) {
         assert_eq!(seen, stored, "the insert of revision {}", insert.revision);
         stored.insert(insert.id);
     }
-    let concurrent = concurrent_pairs(told);
+    let concurrent = concurrent_pairs(records);
     assert!(
         concurrent >= PAIRS,
         "only {concurrent} pairs were concurrent"
     );
 }
 
-/// How many pairs of calls were under way at the same time.
-fn concurrent_pairs(told: &[Told]) -> usize {
-    let overlap = |a: &Told, b: &Told| a.called < b.answered && b.called < a.answered;
-    let pairs = told.iter().enumerate();
-    let of_one = pairs.map(|(i, a)| told[..i].iter().filter(|b| overlap(a, b)).count());
+/// The number of pairs of concurrent calls.
+fn concurrent_pairs(records: &[InsertRecord]) -> usize {
+    let overlap =
+        |a: &InsertRecord, b: &InsertRecord| a.called < b.answered && b.called < a.answered;
+    let pairs = records.iter().enumerate();
+    let of_one = pairs.map(|(i, a)| records[..i].iter().filter(|b| overlap(a, b)).count());
     of_one.sum()
 }
 
-/// Workers insert one point each a round, until enough of the calls were concurrent.
-async fn inserts(read_before: bool) -> Vec<Told> {
+/// Lets each worker insert one point a round, until enough calls were concurrent.
+async fn inserts(read_before: bool) -> Vec<InsertRecord> {
     let server = server!();
     let mut stubs = Stubs::connect(server.uri()).await;
     let created = stubs.create("roadmap", "R3*SO3:0.15").await;
     let uid = created.revision.expect("a revision").uid;
     let clock = Arc::new(AtomicU64::new(0));
-    let mut told = Vec::new();
+    let mut records = Vec::new();
     for round in 0..ROUNDS {
         let barrier = Arc::new(Barrier::new(WORKERS as usize));
         let mut workers = JoinSet::new();
@@ -104,12 +105,12 @@ async fn inserts(read_before: bool) -> Vec<Told> {
                 insert(stubs, uid, seed, &clock, read_before).await
             });
         }
-        told.extend(workers.join_all().await);
-        if concurrent_pairs(&told) >= PAIRS {
+        records.extend(workers.join_all().await);
+        if concurrent_pairs(&records) >= PAIRS {
             break;
         }
     }
-    told
+    records
 }
 
 async fn insert(
@@ -118,7 +119,7 @@ async fn insert(
     seed: u64,
     clock: &AtomicU64,
     read_before: bool,
-) -> Told {
+) -> InsertRecord {
     let states = Some(row_states(&States::new(Space::se3(), seed).row(), 7));
     let mut before = None;
     if read_before {
@@ -152,7 +153,7 @@ async fn insert(
     let response = stubs.insert(request).await;
     let answered = clock.fetch_add(1, Ordering::SeqCst);
     let rows = neighbor_rows(&response.neighbors.expect("neighbours"));
-    Told {
+    InsertRecord {
         called,
         answered,
         revision: number(&response.revision),

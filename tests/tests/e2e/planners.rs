@@ -21,7 +21,7 @@ async fn shared(space: &str) {
     stubs.create("roadmap", space).await;
     let space = space.parse().expect("a space");
     let mut model = Model::new(space);
-    // Assigned ids run above this one, those that the planners give below.
+    // Assigned ids are above this one, the planners' own ids below.
     let root = InsertRequest {
         index_name: "roadmap".into(),
         states: Some(row_states(&[5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0], 7)),
@@ -58,7 +58,7 @@ async fn shared(space: &str) {
         assert!(finished.status.success(), "{}", finished.stderr);
     }
 
-    // Mutations first at each revision: they made what the others saw.
+    // At each revision the mutation comes first, because the other answers saw its result.
     let mut entries: Vec<(usize, Entry)> = ledgers
         .iter()
         .enumerate()
@@ -71,7 +71,7 @@ async fn shared(space: &str) {
     }
     model.check_content(&Content::read(&stubs, "roadmap").await.unwrap());
 
-    // They were at it at once: a run of revisions by one planner is short.
+    // The planners ran concurrently: a run of revisions by one planner is short.
     let authors: Vec<usize> = entries
         .iter()
         .filter(|(_, entry)| entry.changed())

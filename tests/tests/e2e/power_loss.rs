@@ -8,23 +8,23 @@ use rand_chacha::ChaCha8Rng;
 use wayfold_tests::{Signal, Stubs};
 
 use self::disk::Disk;
-use crate::clients::{Clients, Load, Moment};
+use crate::clients::{Clients, FaultTime, Load};
 
 const FSYNC: &[(&str, &str)] = &[("WAYFOLD_DATA__DURABILITY", "fsync")];
-/// Enough in a few rounds for the store to move points out of its journal and begin another.
+/// A few rounds of this load make the store move points out of its journal and begin another.
 const LOAD: Load = Load {
     rows: 3,
     heavy: 0.2,
     removals: 0.2,
 };
-/// Losses of power, unless the environment variable `POWER_LOSSES` says otherwise.
+/// The number of losses of power, unless the environment variable `POWER_LOSSES` sets another.
 const LOSSES: u64 = 8;
-/// How often a sync fails before, unless that says otherwise.
+/// The number of failed syncs before a loss, unless that variable is set.
 const FAILED_SYNCS: u64 = 3;
 const SEED: u64 = 3;
-/// Lines that a starting server says at least.
+/// The minimum number of lines that a starting server logs.
 const LINES: u32 = 4;
-/// About as many calls as it makes that change something.
+/// The approximate number of its calls that change something.
 const CALLS: u32 = 40;
 
 fn wanted() -> Option<u64> {
@@ -33,7 +33,7 @@ fn wanted() -> Option<u64> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn nothing_acknowledged_is_lost_when_the_disk_keeps_only_what_was_synced() {
+async fn nothing_acknowledged_is_lost_when_the_disk_keeps_only_synced_data() {
     lose_power(Disk::new(None), SEED).await;
 }
 
@@ -47,18 +47,18 @@ async fn lose_power(mut disk: Disk, seed: u64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut server = disk.serve(FSYNC);
     let mut clients = Clients::new(&server, seed, LOAD).await;
-    // On this disk a sync is under way most of the time, and readers look meanwhile.
+    // On this disk a sync is nearly always under way, and readers read meanwhile.
     clients.tell_of_looks(disk.looked());
     let mut cuts = 0;
     for _ in 0..wanted().unwrap_or(LOSSES) {
         let moment = match random.random_range(0..4) {
-            0 => Moment::Built(random.random_range(1..50)),
-            _ => Moment::Acknowledged(random.random_range(1..200)),
+            0 => FaultTime::Built(random.random_range(1..50)),
+            _ => FaultTime::Acknowledged(random.random_range(1..200)),
         };
         clients.work(server, moment).await;
         disk.cut();
         cuts += 1;
-        // Sometimes again while it starts.
+        // Some starts lose power too.
         while random.random_bool(0.4) {
             let calls = random.random_range(1..CALLS).to_string();
             let cut = [FSYNC, &[("POWER_CUT", &calls)]].concat();
@@ -76,7 +76,7 @@ async fn lose_power(mut disk: Disk, seed: u64) {
 
 /// After a failed sync, the kernel marks the unwritten pages clean, and the next sync succeeds without them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_a_failed_sync_has_left_is_written_before_more_is_acknowledged() {
+async fn data_of_a_failed_sync_is_written_before_more_is_acknowledged() {
     println!("seed {SEED}");
     let mut random = ChaCha8Rng::seed_from_u64(SEED);
     let mut disk = Disk::new(None);
@@ -87,7 +87,7 @@ async fn what_a_failed_sync_has_left_is_written_before_more_is_acknowledged() {
         disk.cut();
         let fails = random.random_range(5..50).to_string();
         server = disk.serve(&[FSYNC, &[("POWER_FAILS", &fails)]].concat());
-        let refused = clients.work_until_refused(&server, Moment::Acknowledged(1), || ());
+        let refused = clients.work_until_refused(&server, FaultTime::Acknowledged(1), || ());
         refused.await;
         server.log_until("the log is writable again");
         clients.check(&server).await;
@@ -99,8 +99,8 @@ async fn what_a_failed_sync_has_left_is_written_before_more_is_acknowledged() {
     println!("{}", clients.tally());
 }
 
-/// A first start that is cut short, before any of the calls that make, write or sync something, leaves nothing that the
-/// next cannot go on with. Each call in the long run, otherwise one in a few.
+/// After a first start that is killed before any call that makes, writes or syncs something, the next start succeeds.
+/// The long run tries each such call, a short run one in a few.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_first_start_may_be_cut_short_anywhere() {
     let mut disk = Disk::new(None);
@@ -136,7 +136,7 @@ async fn a_first_start_may_be_cut_short_anywhere() {
     println!("{cuts} first starts cut short");
 }
 
-/// The control: the disk does lose unsynced writes, and then the index has another uid.
+/// As a control, the disk does lose unsynced writes, and the new index has another uid.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn without_syncs_something_is_lost_and_the_uid_is_new() {
     let settings = [("WAYFOLD_DATA__DURABILITY", "none")];
@@ -145,14 +145,14 @@ async fn without_syncs_something_is_lost_and_the_uid_is_new() {
         ..LOAD
     };
     let mut disk = Disk::new(None);
-    // A server that ends in order leaves all on the disk, so the index is there.
+    // A server that ends in order syncs everything, so the index is stored.
     let server = disk.serve(&settings);
     let mut clients = Clients::new(&server, SEED, load).await;
     server.stop(Signal::Terminate);
     disk.check_shadow();
     disk.cut();
     clients
-        .work(disk.serve(&settings), Moment::Acknowledged(50))
+        .work(disk.serve(&settings), FaultTime::Acknowledged(50))
         .await;
     disk.cut();
     let server = disk.serve(&settings);

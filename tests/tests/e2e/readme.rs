@@ -1,4 +1,4 @@
-//! The README's programs do what it says: they run here, to the letter, against a server on another port.
+//! The README's programs run here verbatim against a server on another port.
 
 use std::error::Error;
 
@@ -44,7 +44,7 @@ fn the_example_is_the_readmes() {
     assert_eq!(letters(here), letters(&readme));
 }
 
-/// The lines of the quick start after the installation, in a shell where `wayfold` is the one that was just built.
+/// Runs the lines of the quick start after the installation, in a shell where `wayfold` is the tested build.
 #[test]
 fn the_quick_start_runs() {
     let server = server!();
@@ -58,8 +58,8 @@ fn the_quick_start_runs() {
     );
     let finished = shell.finish();
     assert!(finished.status.success(), "{}", finished.stderr);
-    let told = finished.stdout.join("\n");
-    assert!(told.contains("2 points"), "{told}");
+    let output = finished.stdout.join("\n");
+    assert!(output.contains("2 points"), "{output}");
 }
 
 fn between<'a>(text: &'a str, start: &str, end: &str) -> &'a str {
@@ -67,7 +67,7 @@ fn between<'a>(text: &'a str, start: &str, end: &str) -> &'a str {
     rest.split_once(end).unwrap().0
 }
 
-/// Code without its comments and its layout.
+/// Code without its comments and whitespace.
 fn letters(code: &str) -> String {
     let lines = code.lines().map(|line| line.split(" //").next().unwrap());
     let code: String = lines.flat_map(str::split_whitespace).collect();

@@ -1,7 +1,7 @@
-//! A replica answers like brute force at the revision that it names, whatever happens to its server and to the
+//! A replica answers like brute force at the revision that it names, despite failures of its server and of the
 //! connection.
 
-mod past;
+mod history;
 mod proxy;
 
 use std::{
@@ -18,12 +18,12 @@ use wayfold::{Code, Error, Include, ReplicaStatus, ResetReason, WatchEvent};
 use wayfold_index::{Linear, Space};
 use wayfold_tests::{Process, ServerProcess, Signal, States, server};
 
-use past::{Answered, Past, client, compare};
+use history::{History, ReplicaAnswer, client, compare};
 use proxy::Proxy;
 
 const SPACE: &str = "R2*SO2*SO3:0.15";
 
-/// A server on disk, with so small a first tree that there is hardly a moment without a merge.
+/// A server on disk whose first tree is so small that a merge is nearly always under way.
 fn start(data: &Path) -> ServerProcess {
     let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
     command
@@ -51,24 +51,24 @@ async fn every_answer_is_brute_forces_through_kills_and_cuts() {
     let stop = Arc::new(AtomicBool::new(false));
     let readers = [0, 1, 2].map(|seed| {
         let (replica, space, stop) = (replica.clone(), space.clone(), stop.clone());
-        std::thread::spawn(move || past::ask(&replica, space, seed, &stop))
+        std::thread::spawn(move || history::ask(&replica, space, seed, &stop))
     });
-    let writers = [1, 2].map(|name| tokio::spawn(past::write(index.clone(), name, CALLS)));
+    let writers = [1, 2].map(|name| tokio::spawn(history::write(index.clone(), name, CALLS)));
     for revision in (25..2 * CALLS).step_by(25) {
         let reached = index.revision_at(revision);
         replica.at_least(&reached).await.unwrap();
         if revision % 200 == 0 {
-            // The one that is killed, and those who are connected to it.
+            // One server is killed, and its clients reconnect.
             server.stop(Signal::Kill);
             server = start(&data);
             steady.lead_to(server.uri());
             shaky.lead_to(server.uri());
         } else {
-            // In the middle of something.
+            // The kill falls into the middle of a call.
             shaky.cut_after(i64::try_from(revision * 37).unwrap());
         }
     }
-    let mut past = Past::new();
+    let mut past = History::new();
     for writer in writers {
         past.extend(writer.await.unwrap());
     }
@@ -77,7 +77,7 @@ async fn every_answer_is_brute_forces_through_kills_and_cuts() {
         .await
         .unwrap();
     stop.store(true, Ordering::Relaxed);
-    let answers: Vec<Answered> = readers
+    let answers: Vec<ReplicaAnswer> = readers
         .into_iter()
         .flat_map(|reader| reader.join().unwrap())
         .collect();
@@ -87,7 +87,7 @@ async fn every_answer_is_brute_forces_through_kills_and_cuts() {
             .iter()
             .all(|answered| &*answered.found.revision().uid == index.uid())
     );
-    let points = past::check(&space, &past, answers);
+    let points = history::check(&space, &past, answers);
     compare(&replica, &points);
 }
 
@@ -116,7 +116,7 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
         .await
         .unwrap();
 
-    // The replica is cut off once, and once connected to a proxy that sends nothing.
+    // The replica loses its connection once, and once its proxy sends nothing.
     for held in [false, true] {
         let from = replica.revision();
         match held {
@@ -126,7 +126,7 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
         index.remove([inserted_id(from.number)]).await.unwrap();
         let large = vec![vec![7_u8; 60_000]; 50];
         for _ in 0..4 {
-            // More than the server holds at hand for its followers, and than it and the network have on the way.
+            // This exceeds the server's window of records and the buffers of the network.
             let rows = states.rows(50);
             let insert = index.insert(rows.chunks(space.coordinates()));
             index_payloads(insert, &large).await;
@@ -160,8 +160,7 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
         compare(&replica, &points);
     }
 
-    // A follower that took nothing for this long gets what was on the way, without a gap. Then a reset reports that
-    // there is more.
+    // A follower that read nothing meanwhile gets the buffered mutations without a gap, and then a reset.
     let mut revision = inserted.revision.number;
     loop {
         match slow.next().await.unwrap().unwrap() {
@@ -178,7 +177,7 @@ async fn a_replica_that_missed_too_much_reads_everything_anew() {
     }
 }
 
-/// One that is stored: the first two inserted.
+/// The first two inserts made this stored revision.
 fn inserted_id(revision: u64) -> u64 {
     u64::from(revision > 1)
 }
@@ -200,7 +199,7 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
     let replica = client(&way.uri).await.replica("arm").await.unwrap();
     assert_eq!(replica.knn([0.9], 1).unwrap().nearest().unwrap().id, 1);
 
-    // Another one, of another space, behind its back.
+    // Another client recreates the index with another space.
     way.close();
     direct.delete_index("arm").await.unwrap();
     let plane = direct
@@ -228,7 +227,7 @@ async fn an_index_made_anew_is_noticed_by_its_uid() {
     let gone = waiting.await.unwrap().unwrap_err();
     assert_eq!(gone.code(), Code::FailedPrecondition, "{gone}");
 
-    // A server without a disk, killed, and given the index again.
+    // A server in memory is killed, and its successor gets the index again.
     way.close();
     server.stop(Signal::Kill);
     let server = server!();

@@ -1,4 +1,4 @@
-//! A restore whose server or client is killed leaves nothing; one that was answered survives a kill to the bit.
+//! A restore whose server or client is killed leaves nothing behind; an acknowledged one survives a kill unchanged.
 
 use std::{
     io::Write,
@@ -20,7 +20,7 @@ use wayfold_tests::{Content, ServerProcess, Signal, States, Stubs, row_states, s
 
 const ROWS: u64 = 20_000;
 
-/// An index with a past: moved, removed and tagged points, payloads, ids that were used and are free.
+/// An index with a history: moved, removed and tagged points, payloads, and ids that were used and freed.
 async fn lived_in(stubs: &mut Stubs, name: &str, seed: u64) {
     stubs.create(name, "R3*SO3:0.15").await;
     let mut states = States::new(Space::se3(), seed);
@@ -111,7 +111,7 @@ async fn a_restore_that_is_cut_anywhere_leaves_nothing_and_one_that_ended_surviv
             sender.send(message).await.unwrap();
         }
     };
-    // The server is killed after it was sent `sent` parts.
+    // The server is killed after it received `sent` parts.
     for sent in 1..=parts.len() {
         let (sender, call) = restoring(&target).await;
         send(&sender, &parts[..sent]).await;
@@ -145,7 +145,7 @@ async fn a_restore_that_is_cut_anywhere_leaves_nothing_and_one_that_ended_surviv
     send(&sender, &parts).await;
     drop(sender);
     call.await.unwrap().unwrap();
-    // Nothing of the others comes back, and all of this one.
+    // Only the acknowledged restore is stored, and it is complete.
     target.stop(Signal::Kill);
     let target = server!("--data", data);
     assert_eq!(names(&target).await, ["arm"]);

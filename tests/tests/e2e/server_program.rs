@@ -1,4 +1,4 @@
-//! The server as a program: what it prints, what signals do to it, and how it exits.
+//! The server as a program: its output, its reaction to signals, and its exit status.
 
 use std::{fs, net::TcpListener};
 
@@ -6,7 +6,7 @@ use tokio_stream::pending;
 use tonic::transport::Channel;
 use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
 use wayfold_proto::v1;
-use wayfold_tests::{Finished, Process, ServerProcess, Signal, Stubs, row_states, server};
+use wayfold_tests::{Process, ProcessOutput, ServerProcess, Signal, Stubs, row_states, server};
 
 async fn reflection(server: &ServerProcess) -> ServerReflectionClient<Channel> {
     let channel = Channel::from_shared(server.uri().to_owned()).unwrap();
@@ -30,7 +30,7 @@ fn it_says_what_to_type_next_and_stops_on_either_signal() {
 async fn a_second_signal_ends_it_at_once() {
     for (signal, expected) in [(Signal::Interrupt, 130), (Signal::Terminate, 143)] {
         let mut server = server!("--log", "info");
-        // A conversation that this side does not end keeps the server from stopping.
+        // A stream that the client does not end keeps the server from stopping.
         let mut client = reflection(&server).await;
         let conversation = client.server_reflection_info(pending()).await.unwrap();
         server.process().signal(signal);
@@ -41,7 +41,7 @@ async fn a_second_signal_ends_it_at_once() {
     }
 }
 
-/// A server that waits for nothing when it stops.
+/// A server without a grace period.
 fn impatient() -> ServerProcess {
     let file = tempfile::NamedTempFile::new().unwrap();
     fs::write(file.path(), "[shutdown]\ngrace_ms = 1\n").unwrap();
@@ -49,11 +49,11 @@ fn impatient() -> ServerProcess {
 }
 
 #[tokio::test]
-async fn what_is_cut_shows_in_the_exit_status() {
+async fn cut_calls_show_in_the_exit_status() {
     let server = impatient();
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("line", "R1").await;
-    // More than fits into the buffers on its way.
+    // The scan exceeds the buffers on its way.
     for _ in 0..8 {
         let request = v1::InsertRequest {
             index_name: "line".into(),
@@ -75,7 +75,7 @@ async fn what_is_cut_shows_in_the_exit_status() {
     parts.message().await.unwrap().unwrap();
 
     // The client reads no further, so the scan cannot end.
-    let Finished { status, stderr, .. } = server.stop(Signal::Terminate);
+    let ProcessOutput { status, stderr, .. } = server.stop(Signal::Terminate);
     assert_eq!(status.code(), Some(1), "{stderr}");
     assert!(stderr.contains("shutdown.grace_ms"), "{stderr}");
     drop(parts);
@@ -91,7 +91,7 @@ async fn a_conversation_that_is_no_call_is_cut_without_a_failure() {
     drop(conversation);
 }
 
-/// Asserts that a server does not start, and says all of this.
+/// Asserts that a server does not start, and that its error contains all of these texts.
 fn refused(arguments: &[&str], parts: &[&str]) {
     let finished = Process::start(env!("CARGO_BIN_EXE_server-process"), arguments).finish();
     assert_eq!(finished.status.code(), Some(1));
@@ -111,31 +111,31 @@ fn an_address_it_cannot_have_is_named_with_what_to_do() {
 }
 
 #[tokio::test]
-async fn a_file_of_marks_that_is_gone_is_told_of_once() {
+async fn a_missing_file_of_marks_is_reported_once() {
     let directory = tempfile::tempdir().unwrap();
     let data = directory.path().to_str().unwrap();
     let marks = directory.path().join("marks");
     let start = || server!("--data", data);
-    let told = |server: ServerProcess| {
+    let warnings = |server: ServerProcess| {
         let finished = server.stop(Signal::Terminate);
         assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
         finished.stderr.matches("no mark says").count()
     };
     // An empty store has no mark.
-    assert_eq!(told(start()), 0);
-    assert_eq!(told(start()), 0);
+    assert_eq!(warnings(start()), 0);
+    assert_eq!(warnings(start()), 0);
     let server = start();
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("line", "R1").await;
-    assert_eq!(told(server), 0);
+    assert_eq!(warnings(server), 0);
     for is_there in [true, false] {
         if is_there {
             fs::write(&marks, "").unwrap();
         } else {
             fs::remove_file(&marks).unwrap();
         }
-        assert_eq!(told(start()), 1);
-        assert_eq!(told(start()), 0);
+        assert_eq!(warnings(start()), 1);
+        assert_eq!(warnings(start()), 0);
     }
 }
 

@@ -71,7 +71,7 @@ async fn stops_gracefully(signal: Signal) {
     let part = parts.message().await.unwrap().unwrap();
     let mut scanned = part.points.unwrap().ids.len();
     assert!(scanned < BATCHES * ROWS);
-    // A batch, and after it on the same connection calls that were answered: meanwhile it has been accepted.
+    // The batch is accepted once later calls on the same connection are answered.
     let batch = knn(&mut states, ROWS);
     let mut other = stubs.clone();
     let batch = tokio::spawn(async move { other.points.knn(batch).await });
@@ -81,14 +81,14 @@ async fn stops_gracefully(signal: Signal) {
     }
 
     server.process().signal(signal);
-    // Health says so before anything is refused.
+    // The health service reports the stop before any call is refused.
     while let Ok(Some(status)) = health.message().await {
         if status.status() != ServingStatus::Serving {
             break;
         }
     }
     let refused = stubs.points.knn(knn(&mut states, 1)).await.unwrap_err();
-    // The server's word is UNAVAILABLE; CANCELLED is this client's, when its connection takes no more calls.
+    // The server answers UNAVAILABLE; the client answers CANCELLED when its connection takes no more calls.
     assert!(
         matches!(refused.code(), Code::Unavailable | Code::Cancelled),
         "{refused:?}"
@@ -111,7 +111,7 @@ async fn an_idle_connection_does_not_keep_the_server() {
     let server = server!();
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("roadmap", "R2").await;
-    // Elsewhere, so that the connection of this one is not deaf to the server's farewell.
+    // This runs on another task, so that the connection can receive the server's GOAWAY.
     let stopped = tokio::task::spawn_blocking(|| server.stop(Signal::Terminate));
     let finished = stopped.await.unwrap();
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);

@@ -1,4 +1,4 @@
-//! Servers and routers are killed and come back: clients go on asking and following, and no answer is wrong.
+//! Servers and routers are killed and restarted: clients go on querying and following, and no answer is wrong.
 
 use serde_json::json;
 use wayfold_proto::v1;
@@ -24,7 +24,7 @@ async fn tokens(robot: &Robot) -> Tokens {
     tokens.history(true).await.unwrap()
 }
 
-/// Waits until the index is served, or is not.
+/// Waits until the index is served, or until it is no longer served.
 async fn until(tokens: &Tokens, kind: SampleKind) {
     while tokens.recv_async().await.unwrap().kind() != kind {}
 }
@@ -50,7 +50,7 @@ async fn a_server_that_is_killed_and_comes_back_is_found_again_with_its_past() {
     for round in 1..4 {
         catch_up(&mut follower, &events, &mut stubs).await;
         compare(&follower, &stubs).await;
-        // Killed in the middle of a batch, or of its publication.
+        // The kill falls into the middle of a batch or of its publication.
         let request = v1::InsertRequest {
             tags: vec![round; 400],
             ..insertion(&(1_000..1_400).collect::<Vec<_>>(), 500)
@@ -92,7 +92,7 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
     for round in 1..4 {
         catch_up(&mut follower, &events, &mut stubs).await;
         compare(&follower, &stubs).await;
-        // Asked, and perhaps never answered: then the same again takes effect once.
+        // The insert may never be answered; then a retry takes effect once.
         let operation = format!("operation-{round}");
         let request =
             json!({ "states": [[round, 7]], "ids": [70 + round], "operation_id": operation });
@@ -111,8 +111,8 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
         let again = insert().await.remove(0).unwrap().json();
         assert_eq!(again["outcomes"], json!(["INSERTED"]));
         // Any other reply is Zenoh's error that there will be no answer.
-        for told in first.into_iter().flatten() {
-            assert_eq!(told.json(), again);
+        for reply in first.into_iter().flatten() {
+            assert_eq!(reply.json(), again);
         }
     }
     catch_up(&mut follower, &events, &mut stubs).await;

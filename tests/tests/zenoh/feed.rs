@@ -89,7 +89,7 @@ async fn events_are_what_a_watch_tells() {
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
     let mut follower = Follower::new(&robot, &uid);
-    // The first says how far the index is, once somebody follows it.
+    // The first publication to a follower names the newest revision of the index.
     follower.take(next(&events).await).await;
     let watched = v1::WatchRequest {
         index_name: "arm".into(),
@@ -108,26 +108,26 @@ async fn events_are_what_a_watch_tells() {
         follower.content,
         Content::read(&stubs, "arm").await.unwrap()
     );
-    let mut told = Vec::new();
-    while told
+    let mut received = Vec::new();
+    while received
         .last()
         .map(|last: &v1::Mutation| number(&last.revision))
         < Some(follower.content.revision)
     {
-        told.extend(watch.message().await.unwrap().unwrap().mutations);
+        received.extend(watch.message().await.unwrap().unwrap().mutations);
     }
-    assert_eq!(whole(told), whole(follower.mutations));
+    assert_eq!(whole(received), whole(follower.mutations));
 }
 
-/// Takes publications until the follower is where the index is. Any may have been dropped, also the last, and it is the
-/// next that shows it: so there is always one more.
+/// Takes publications until the follower has the newest revision. Any publication may be dropped, and only the next one
+/// shows it, so the test always makes one more.
 pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs: &mut Stubs) {
     loop {
         let made = stubs.insert(insertion(&[9_999], 1)).await;
         let made = number(&made.revision);
         while let Ok(Some(sample)) = events.try_recv() {
-            let told = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
-            follower.take(told).await;
+            let received = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
+            follower.take(received).await;
         }
         let removed = v1::RemoveRequest {
             index_name: "arm".into(),
@@ -142,13 +142,13 @@ pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs
     }
 }
 
-/// The same mutations, each in one piece.
+/// Joins the pieces of each mutation.
 fn whole(pieces: Vec<v1::Mutation>) -> Vec<v1::Mutation> {
     let mut whole: Vec<v1::Mutation> = Vec::new();
     for piece in pieces {
         match whole.last_mut().filter(|last| last.continued) {
             Some(last) => {
-                // Fields that are set again are added to: as in the encoding, one after the other.
+                // Merging the encoded pieces appends to repeated fields.
                 let continued = piece.continued;
                 let mut bytes = last.encode_to_vec();
                 let more = piece.stored.clone().unwrap_or_default();
@@ -173,7 +173,7 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
     let (server, locator) = server();
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = uid(stubs.create("arm", "R2").await);
-    // Before anybody follows.
+    // These mutations precede the first follower.
     mutate(&mut stubs, 0, 20).await;
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
@@ -181,11 +181,11 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
     follower.take(next(&events).await).await;
     assert_eq!((follower.content.revision, follower.repairs), (20, 1));
     for round in 0..20 {
-        // One at a time, so that each has a publication of its own; every third is lost.
+        // The mutations are made one at a time, so that each has its own publication; every third is lost.
         mutate(&mut stubs, 20 + round, 1).await;
-        let told = next(&events).await;
+        let received = next(&events).await;
         if round % 3 > 0 {
-            follower.take(told).await;
+            follower.take(received).await;
         }
     }
     // The loss of the last publication shows only once another arrives.
@@ -214,10 +214,13 @@ async fn a_piece_that_is_missing_is_seen() {
         let made = number(&made.revision);
         let mut publications = 0;
         loop {
-            let told = next(&events).await;
-            let is_last = told.mutations.iter().any(|told| !told.continued);
+            let received = next(&events).await;
+            let is_last = received
+                .mutations
+                .iter()
+                .any(|received| !received.continued);
             if publications != lost {
-                follower.take(told).await;
+                follower.take(received).await;
             }
             publications += 1;
             if is_last {
@@ -255,8 +258,8 @@ async fn events_come_in_json_too() {
     );
     let insert = json!({ "states": [[1, 2]], "ids": [7], "tags": [3] });
     robot.json("arm/insert", insert).await.unwrap();
-    let mut told = next().await;
-    let time_ms = told["mutations"][0]["time_ms"].take();
+    let mut received = next().await;
+    let time_ms = received["mutations"][0]["time_ms"].take();
     assert!(time_ms.as_u64().unwrap() > 0);
     let stored = json!({
         "ids": [7], "states": [[1.0, 2.0]], "tags": [3], "revisions": [1], "payloads": [""]
@@ -265,12 +268,12 @@ async fn events_come_in_json_too() {
         "revision": revision(1), "time_ms": null, "stored": stored, "removed_ids": [], "continued": false, "piece": 0
     });
     assert_eq!(
-        told,
+        received,
         json!({ "revision": revision(1), "mutations": [mutation] })
     );
     let selector = format!("arm/log?from=0;uid={}", uid.as_str().unwrap());
-    let told = robot.json(&selector, Value::Null).await.unwrap();
-    assert_eq!(told["mutations"][0]["removed_ids"], json!([]));
+    let received = robot.json(&selector, Value::Null).await.unwrap();
+    assert_eq!(received["mutations"][0]["removed_ids"], json!([]));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -307,14 +310,14 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
     mutate(&mut stubs, 0, 3).await;
     assert_eq!(next_token().await, (SampleKind::Delete, token("arm")));
     assert_eq!(next_token().await, (SampleKind::Put, token("arm")));
-    // The follower knows another past: the publication and the log both say so.
-    let told = next(&events).await;
-    assert_eq!(told.revision.as_ref().unwrap().uid, new);
+    // The follower knows another history; both the publication and the log report it.
+    let received = next(&events).await;
+    assert_eq!(received.revision.as_ref().unwrap().uid, new);
     let reset = follower.log().await;
     assert_eq!(reset.reset(), ResetReason::UidChanged);
     assert_eq!(reset.revision.unwrap().uid, new);
     let mut follower = Follower::new(&robot, &new);
-    follower.take(told).await;
+    follower.take(received).await;
     follower.repair(3).await;
     assert_eq!(
         follower.content,
@@ -322,20 +325,20 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
     );
 }
 
-/// A publication that its link has no room for is dropped; the subscriber hears from the log that it is too late.
+/// A publication is dropped if its link has no room; the subscriber learns from the log that it is too late.
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_anew() {
+async fn a_subscriber_that_does_not_read_costs_no_memory_and_receives_a_reset() {
     const PAYLOAD: usize = 60_000;
     let settings = [("WAYFOLD_INDEX__WINDOW_BYTES", "1000000")];
     let (server, locator) = server_with(&[], &settings);
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = uid(stubs.create("arm", "R2").await);
     let slow = Robot::connect(&locator).await;
-    // Shut for as long as `open` is not dropped.
+    // The link is shut until `open` is dropped.
     let (open, gate) = mpsc::channel::<()>();
     let gate = Mutex::new(gate);
-    let (tell, mut told) = tokio::sync::mpsc::unbounded_channel();
+    let (tell, mut received) = tokio::sync::mpsc::unbounded_channel();
     // Zenoh calls it on the thread that reads the link, and so reads no more.
     let events = slow
         .session
@@ -351,7 +354,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
             let _ = gate.lock().unwrap().recv();
         });
     let events = events.await.unwrap();
-    assert_eq!(told.recv().await, Some(None));
+    assert_eq!(received.recv().await, Some(None));
 
     let resident = || -> u64 {
         let status = fs::read_to_string(format!("/proc/{}/status", server.process().id())).unwrap();
@@ -376,7 +379,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
     let published = WRITES * PAYLOAD as u64 / 1024;
     assert!(grown < published / 2, "{grown} KiB of {published}");
 
-    // Others are answered meanwhile.
+    // Other peers are answered meanwhile.
     let robot = Robot::connect(&locator).await;
     let info = robot.json("arm/info", Value::Null).await.unwrap();
     assert_eq!(info["index"]["revision"]["number"], WRITES + 1);
@@ -391,7 +394,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_is_told_to_start_an
             break;
         }
         stubs.insert(insertion(&[more], 1)).await;
-        while let Ok(revision) = told.try_recv() {
+        while let Ok(revision) = received.try_recv() {
             last = last.max(revision.unwrap_or_default());
         }
     }

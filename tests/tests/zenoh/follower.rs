@@ -22,7 +22,7 @@ pub(crate) struct Follower<'a> {
 }
 
 impl<'a> Follower<'a> {
-    /// One who knows the index from its beginning.
+    /// A follower that knows the index from its beginning.
     pub(crate) fn new(robot: &'a Robot, uid: &str) -> Self {
         let content = Content {
             uid: uid.to_owned(),
@@ -39,15 +39,15 @@ impl<'a> Follower<'a> {
     }
 
     /// Takes a publication, and asks for the mutations that it shows to be missing.
-    pub(crate) async fn take(&mut self, told: v1::WatchResponse) {
-        let newest = told.revision.unwrap();
+    pub(crate) async fn take(&mut self, response: v1::WatchResponse) {
+        let newest = response.revision.unwrap();
         assert_eq!(newest.uid, self.content.uid);
-        assert_eq!(told.reset, None);
+        assert_eq!(response.reset, None);
         let expected = match self.pieces.last() {
             Some(last) => (number(&last.revision), last.piece + 1),
             None => (self.content.revision + 1, 0),
         };
-        let first = told.mutations.first();
+        let first = response.mutations.first();
         match first.map(|first| (number(&first.revision), first.piece)) {
             Some(first) if first > expected => {
                 // The follower missed earlier pieces of this mutation, so it asks for all of it.
@@ -57,7 +57,7 @@ impl<'a> Follower<'a> {
             Some(_) => {}
             None => self.repair(newest.number).await,
         }
-        for mutation in told.mutations {
+        for mutation in response.mutations {
             self.apply(mutation);
         }
     }
@@ -66,11 +66,11 @@ impl<'a> Follower<'a> {
     pub(crate) async fn repair(&mut self, to: u64) {
         self.pieces.clear();
         while self.content.revision < to {
-            let told = self.log().await;
-            assert_eq!(told.reset, None);
-            assert!(!told.mutations.is_empty());
+            let response = self.log().await;
+            assert_eq!(response.reset, None);
+            assert!(!response.mutations.is_empty());
             self.repairs += 1;
-            for mutation in told.mutations {
+            for mutation in response.mutations {
                 self.apply(mutation);
             }
         }
@@ -84,12 +84,12 @@ impl<'a> Follower<'a> {
             ..Default::default()
         };
         let payload = request.encode_to_vec();
-        let told = self.robot.ask(
+        let response = self.robot.ask(
             "wayfold/v1/arm/log",
             payload,
             Encoding::APPLICATION_PROTOBUF,
         );
-        v1::WatchResponse::decode(&*told.await.unwrap().payload).unwrap()
+        v1::WatchResponse::decode(&*response.await.unwrap().payload).unwrap()
     }
 
     fn apply(&mut self, mutation: v1::Mutation) {

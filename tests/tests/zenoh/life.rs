@@ -1,4 +1,4 @@
-//! The face begins and ends with its server.
+//! The Zenoh interface starts and stops with its server.
 
 use std::env;
 
@@ -7,14 +7,14 @@ use tokio::task::JoinSet;
 use wayfold_tests::{Process, Signal};
 use zenoh::{bytes::Encoding, query::ConsolidationMode};
 
-use crate::robot::{PATIENCE, Robot, reason, server, server_with};
+use crate::robot::{MAX_WAIT, Robot, reason, server, server_with};
 
-/// How often a server is stopped; more with `ZENOH_STOPS`.
+/// The number of times that a server is stopped, unless the environment variable `ZENOH_STOPS` sets another.
 fn stops() -> usize {
     env::var("ZENOH_STOPS").map_or(3, |count| count.parse().unwrap())
 }
 
-/// Queries that the server works on for a while.
+/// The number of queries that keep the server busy.
 const ACCEPTED: usize = 12;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -44,30 +44,30 @@ async fn stopped_under_load() {
             .get("wayfold/v1/arm/knn?k=5")
             .payload(payload.clone())
             .consolidation(ConsolidationMode::None)
-            .timeout(PATIENCE)
+            .timeout(MAX_WAIT)
             .await
             .unwrap();
         accepted.spawn(async move {
-            let mut told = Vec::new();
+            let mut results = Vec::new();
             while let Ok(reply) = replies.recv_async().await {
-                told.push(reply.into_result());
+                results.push(reply.into_result());
             }
-            told
+            results
         });
     }
-    // The queries of a session arrive in their order: with the answer to this one, the server has all of them.
+    // The queries of a session arrive in order, so the answer to this one shows that the server has all of them.
     robot.json("arm/info", Value::Null).await.unwrap();
 
     server.process().signal(Signal::Terminate);
     server.log_until("stopping: finishing accepted calls");
-    // A client that goes on asking must not cost another its answer.
+    // A client that goes on querying must not cost another client its answer.
     let mut later = JoinSet::new();
     for _ in 0..200 {
         let replies = robot
             .session
             .get("wayfold/v1/arm/info")
             .consolidation(ConsolidationMode::None)
-            .timeout(PATIENCE)
+            .timeout(MAX_WAIT)
             .await;
         // A session that has lost its only link has no peer to ask.
         let Ok(replies) = replies else { break };
@@ -75,25 +75,25 @@ async fn stopped_under_load() {
     }
 
     let mut finished = 0;
-    while let Some(told) = accepted.join_next().await {
-        let mut told = told.unwrap();
-        assert_eq!(told.len(), 1, "an answer was lost: {told:?}");
-        match told.remove(0) {
-            Ok(told) => {
-                let told: Value = serde_json::from_slice(&told.payload().to_bytes()).unwrap();
-                assert_eq!(told["ids"].as_array().unwrap().len(), 1500);
+    while let Some(results) = accepted.join_next().await {
+        let mut results = results.unwrap();
+        assert_eq!(results.len(), 1, "an answer was lost: {results:?}");
+        match results.remove(0) {
+            Ok(results) => {
+                let results: Value = serde_json::from_slice(&results.payload().to_bytes()).unwrap();
+                assert_eq!(results["ids"].as_array().unwrap().len(), 1500);
                 finished += 1;
             }
-            // Taken, but not begun.
-            Err(told) => {
-                let told = serde_json::from_slice(&told.payload().to_bytes()).unwrap();
-                assert_eq!(reason(&told), (14, "STOPPING"));
+            // The query is accepted but not begun.
+            Err(results) => {
+                let results = serde_json::from_slice(&results.payload().to_bytes()).unwrap();
+                assert_eq!(reason(&results), (14, "STOPPING"));
             }
         }
     }
     println!("{finished} finished");
-    while let Some(told) = later.join_next().await {
-        if let Ok(reply) = told.unwrap() {
+    while let Some(results) = later.join_next().await {
+        if let Ok(reply) = results.unwrap() {
             let refusal = reply.into_result().unwrap_err();
             let refusal = serde_json::from_slice(&refusal.payload().to_bytes()).unwrap();
             assert_eq!(reason(&refusal), (14, "STOPPING"));
@@ -106,7 +106,7 @@ async fn stopped_under_load() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_not_done_in_time_is_cut_and_shows_in_the_exit_status() {
+async fn accepted_calls_beyond_the_grace_period_are_cut_and_show_in_the_exit_status() {
     let (mut server, locator) = server_with(&[], &[("WAYFOLD_SHUTDOWN__GRACE_MS", "1")]);
     let robot = Robot::connect(&locator).await;
     let space = json!({ "name": "arm", "space_text": "R3" });
@@ -118,7 +118,7 @@ async fn what_is_not_done_in_time_is_cut_and_shows_in_the_exit_status() {
         .session
         .get("wayfold/v1/arm/get?timeout_ms=600000")
         .payload(get)
-        .timeout(PATIENCE)
+        .timeout(MAX_WAIT)
         .await
         .unwrap();
     robot.json("arm/info", Value::Null).await.unwrap();
@@ -164,7 +164,7 @@ async fn a_busy_port_is_named_and_off_is_off() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_wrong_with_the_settings_is_named() {
+async fn wrong_settings_are_named() {
     for (name, value, part) in [
         ("WAYFOLD_ZENOH__CONFIG", "{ mode: 'king' }", "zenoh.config"),
         ("WAYFOLD_ZENOH__PREFIX", "robots/*", "zenoh.prefix"),
@@ -197,8 +197,8 @@ async fn two_robots_with_prefixes_of_their_own_share_a_router() {
     for (prefix, _) in &servers {
         let create = json!({ "name": "arm", "space_text": "R1" }).to_string();
         let create_key = format!("{prefix}/create");
-        let told = robot.ask(&create_key, create.into_bytes(), Encoding::APPLICATION_JSON);
-        assert_eq!(told.await.unwrap().json()["created"], true);
+        let results = robot.ask(&create_key, create.into_bytes(), Encoding::APPLICATION_JSON);
+        assert_eq!(results.await.unwrap().json()["created"], true);
     }
     let both = robot
         .all("*/wayfold/arm/info", Vec::new(), Encoding::APPLICATION_JSON)

@@ -1,4 +1,4 @@
-//! The Zenoh face from outside: servers in processes of their own, and sessions over loopback.
+//! The Zenoh interface from outside: servers in processes of their own, and sessions over loopback.
 
 #![expect(
     clippy::unwrap_used,

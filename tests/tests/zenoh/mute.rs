@@ -1,4 +1,4 @@
-//! Peers that ask and take none of their answers: they block no other peer, and are cut off.
+//! Peers that read none of their answers block no other peer and are disconnected.
 
 use serde_json::{Value, json};
 use tokio::{
@@ -10,24 +10,24 @@ use tokio::{
 use wayfold_tests::ServerProcess;
 use zenoh::{Session, Wait};
 
-use crate::robot::{PATIENCE, Robot, reason, server_with, session};
+use crate::robot::{MAX_WAIT, Robot, reason, server_with, session};
 
-/// More than Zenoh has threads that read links.
+/// The number of muted peers, more than Zenoh has threads that read links.
 const PEERS: usize = 3;
-/// Their answers are more than a link with small buffers takes; and so are refusals, which are shorter.
+/// The number of queries whose answers, and even whose refusals, exceed the small buffers of a link.
 const QUERIES: usize = 200;
 const REFUSED: usize = 4_000;
 const SMALL_BUFFER: u32 = 4096;
 
-/// A peer, and what is between it and the server.
-struct Mute {
+/// A peer and the relay between it and the server.
+struct MutedPeer {
     session: Session,
     stop_listening: oneshot::Sender<()>,
-    /// Ends once the server has cut it off.
+    /// Ends once the server has disconnected it.
     relay: JoinHandle<()>,
 }
 
-impl Mute {
+impl MutedPeer {
     async fn connect(server: &str) -> Self {
         let server = server.strip_prefix("tcp/").unwrap().parse().unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -55,8 +55,7 @@ impl Mute {
                 }
             };
             tokio::select! {
-                // If the other side no longer reads, the peer's data comes back as an error: at the latest at its next
-                // sign of life.
+                // If the other side no longer reads, the peer's next write fails, at the latest its next keep-alive.
                 _ = asked => {}
                 () = answered => {}
             }
@@ -68,28 +67,28 @@ impl Mute {
         }
     }
 
-    /// Takes no answer from now on, asks, and inserts a point at last. The relay is given back.
+    /// Reads no answer from now on, sends queries, and finally inserts a point. Returns the relay.
     fn ask(self, queries: usize) -> JoinHandle<()> {
         self.stop_listening.send(()).unwrap();
-        // It blocks while the link is full.
+        // The call blocks while the link is full.
         task::spawn_blocking(move || {
             let send = |selector: &str, payload: &str| {
                 let query = self.session.get(format!("wayfold/v1/{selector}"));
-                // A session that was cut off has no peer to ask.
-                let _ = query.payload(payload).timeout(PATIENCE).wait();
+                // A disconnected session has no peer to query.
+                let _ = query.payload(payload).timeout(MAX_WAIT).wait();
             };
             for _ in 0..queries {
                 send("arm/knn?k=100", "[0.05]");
             }
             send("done/insert", "[[1]]");
-            // Open until its process ends: it does not say goodbye.
+            // The session stays open until its process ends, because it sends no close message.
             std::mem::forget(self.session);
         });
         self.relay
     }
 }
 
-/// Has peers ask that take no answers; another, and the relays of the former.
+/// Starts muted peers, and returns another peer and the relays of the muted ones.
 async fn beside_mutes(locator: &str, queries: usize) -> (Robot, Vec<JoinHandle<()>>) {
     let robot = Robot::connect(locator).await;
     for name in ["arm", "done"] {
@@ -100,7 +99,7 @@ async fn beside_mutes(locator: &str, queries: usize) -> (Robot, Vec<JoinHandle<(
     robot.json("arm/insert", json!(rows)).await.unwrap();
     let mut mutes = Vec::new();
     for _ in 0..PEERS {
-        mutes.push(Mute::connect(locator).await);
+        mutes.push(MutedPeer::connect(locator).await);
     }
     (
         robot,
@@ -108,11 +107,11 @@ async fn beside_mutes(locator: &str, queries: usize) -> (Robot, Vec<JoinHandle<(
     )
 }
 
-/// A server with small buffers. It waits `wait_us` for a peer to take an answer, and works on at most `max_calls` calls
-/// at a time. No peer gives it up before.
+/// A server with small buffers, which waits `wait_us` for a peer to read an answer and works on at most `max_calls`
+/// calls at a time. No peer's lease ends before that.
 fn server(wait_us: u64, max_calls: &str) -> (ServerProcess, String) {
     let tx = json!({
-        // The lease of an hour has 36,000 signs of life, one each 100 ms. Zenoh tries for one such interval to send the
+        // The lease of an hour has 36,000 keep-alives, one each 100 ms. Zenoh tries for one such interval to send the
         // rest.
         "lease": 3_600_000,
         "keep_alive": 36_000,
@@ -128,15 +127,16 @@ fn server(wait_us: u64, max_calls: &str) -> (ServerProcess, String) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn those_who_take_no_answers_hold_up_nobody() {
+async fn peers_that_read_no_answers_delay_nobody() {
     // The wait lasts longer than this test.
     let (_server, locator) = server(3_600_000_000, "1024");
     let (robot, _relays) = beside_mutes(&locator, QUERIES).await;
-    // The queries of a peer are taken in their order, those of one that a thread waits for not to the last.
+    // The queries of a peer are read in order; the server does not read the last ones of a peer for which a thread
+    // waits.
     let mut done = 0;
     while done < PEERS - 1 {
-        let told = robot.json("done/info", Value::Null).await.unwrap();
-        done = told["index"]["point_count"].as_u64().unwrap() as usize;
+        let described = robot.json("done/info", Value::Null).await.unwrap();
+        done = described["index"]["point_count"].as_u64().unwrap() as usize;
     }
     for _ in 0..QUERIES {
         let near = robot.json("arm/knn?k=1", json!([0.0])).await.unwrap();
@@ -145,7 +145,7 @@ async fn those_who_take_no_answers_hold_up_nobody() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn those_who_take_no_answers_are_cut_off() {
+async fn peers_that_read_no_answers_are_disconnected() {
     let (_server, locator) = server(100_000, "1024");
     let (robot, relays) = beside_mutes(&locator, QUERIES).await;
     for relay in relays {
@@ -155,7 +155,7 @@ async fn those_who_take_no_answers_are_cut_off() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn those_who_take_no_refusals_are_cut_off() {
+async fn peers_that_read_no_refusals_are_disconnected() {
     // Most of the queries exceed the capacity.
     let (_server, locator) = server(100_000, "4");
     let (robot, relays) = beside_mutes(&locator, REFUSED).await;

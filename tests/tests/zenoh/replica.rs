@@ -1,8 +1,8 @@
-//! A replica that hears of mutations over Zenoh: its answers are brute force's, whatever happens to the server and to the
+//! A replica that receives mutations over Zenoh answers like brute force, despite failures of the server and of the
 //! router between them.
 
-#[path = "../e2e/replica/past.rs"]
-mod past;
+#[path = "../e2e/replica/history.rs"]
+mod history;
 #[path = "../e2e/replica/proxy.rs"]
 #[expect(dead_code, reason = "the suite over gRPC cuts connections too")]
 mod proxy;
@@ -18,7 +18,7 @@ use wayfold_index::{Linear, Space};
 use wayfold_tests::{Process, ServerProcess, Signal, States, brute_force};
 
 use crate::robot::{Robot, server_with};
-use past::{Answered, Past, client, compare};
+use history::{History, ReplicaAnswer, client, compare};
 use proxy::Proxy;
 
 const SPACE: &str = "R2*SO2*SO3:0.15";
@@ -30,7 +30,7 @@ fn router(at: &str) -> (Process, String) {
     (router, at)
 }
 
-/// A server that reaches others through the router at `at`, and is reached through none else over Zenoh.
+/// A server whose only Zenoh link is to the router at `at`.
 fn server_behind(at: &str, data: &[&str], setting: (&str, &str)) -> ServerProcess {
     let retry = json!({ "period_init_ms": 20, "period_max_ms": 100 });
     let behind = json!({ "mode": "client", "connect": { "endpoints": [at], "retry": retry } });
@@ -64,9 +64,9 @@ async fn every_answer_is_brute_forces_through_kills_of_server_and_router() {
     let stop = Arc::new(AtomicBool::new(false));
     let readers = [0, 1].map(|seed| {
         let (replica, space, stop) = (replica.clone(), space.clone(), stop.clone());
-        std::thread::spawn(move || past::ask(&replica, space, seed, &stop))
+        std::thread::spawn(move || history::ask(&replica, space, seed, &stop))
     });
-    let writers = [1, 2].map(|name| tokio::spawn(past::write(index.clone(), name, CALLS)));
+    let writers = [1, 2].map(|name| tokio::spawn(history::write(index.clone(), name, CALLS)));
     for revision in (25..2 * CALLS).step_by(25) {
         replica
             .at_least(&index.revision_at(revision))
@@ -85,7 +85,7 @@ async fn every_answer_is_brute_forces_through_kills_of_server_and_router() {
             _ => {}
         }
     }
-    let mut past = Past::new();
+    let mut past = History::new();
     for writer in writers {
         past.extend(writer.await.unwrap());
     }
@@ -97,14 +97,14 @@ async fn every_answer_is_brute_forces_through_kills_of_server_and_router() {
     let answers = readers
         .into_iter()
         .flat_map(|reader| reader.join().unwrap());
-    let answers: Vec<Answered> = answers.collect();
+    let answers: Vec<ReplicaAnswer> = answers.collect();
     println!("{} answers", answers.len());
-    let points = past::check(&space, &past, answers);
+    let points = history::check(&space, &past, answers);
     compare(&replica, &points);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_the_log_has_no_more_is_read_anew() {
+async fn an_index_whose_records_are_trimmed_is_read_anew() {
     let (mut router_process, at) = router("tcp/127.0.0.1:0");
     let server = server_behind(&at, &[], ("WAYFOLD_INDEX__WINDOW_BYTES", "1000"));
     let client = client(server.uri()).await;

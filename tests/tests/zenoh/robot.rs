@@ -1,4 +1,4 @@
-//! One who asks over Zenoh.
+//! A client over Zenoh.
 
 use std::{process::Command, time::Duration};
 
@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 use wayfold_tests::{Process, ServerProcess};
 use zenoh::{Config, Session, bytes::Encoding, query::ConsolidationMode};
 
-/// How long an answer may take before a test gives up on it.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+/// The maximum time of an answer, after which a test fails.
+pub(crate) const MAX_WAIT: Duration = Duration::from_secs(60);
 
 /// A server with Zenoh on a free port of loopback, in memory.
 pub(crate) fn server() -> (ServerProcess, String) {
@@ -58,14 +58,14 @@ pub(crate) struct Robot {
 
 /// One answer.
 #[derive(Clone, Debug)]
-pub(crate) struct Told {
+pub(crate) struct Reply {
     /// Its key; that of a refusal is empty.
     pub(crate) key: String,
     pub(crate) encoding: String,
     pub(crate) payload: Vec<u8>,
 }
 
-impl Told {
+impl Reply {
     pub(crate) fn json(&self) -> Value {
         assert_eq!(self.encoding, "application/json");
         serde_json::from_slice(&self.payload).unwrap()
@@ -84,32 +84,32 @@ impl Robot {
         selector: &str,
         payload: Vec<u8>,
         encoding: Encoding,
-    ) -> Vec<Result<Told, Told>> {
+    ) -> Vec<Result<Reply, Reply>> {
         let replies = self
             .session
             .get(selector)
             .payload(payload)
             .encoding(encoding)
             .consolidation(ConsolidationMode::None)
-            .timeout(PATIENCE)
+            .timeout(MAX_WAIT)
             .await
             .unwrap();
-        let mut told = Vec::new();
+        let mut results = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
-            told.push(match reply.into_result() {
-                Ok(sample) => Ok(Told {
+            results.push(match reply.into_result() {
+                Ok(sample) => Ok(Reply {
                     key: sample.key_expr().to_string(),
                     encoding: sample.encoding().to_string(),
                     payload: sample.payload().to_bytes().into_owned(),
                 }),
-                Err(refusal) => Err(Told {
+                Err(refusal) => Err(Reply {
                     key: String::new(),
                     encoding: refusal.encoding().to_string(),
                     payload: refusal.payload().to_bytes().into_owned(),
                 }),
             });
         }
-        told
+        results
     }
 
     /// The one answer to a query.
@@ -118,10 +118,10 @@ impl Robot {
         selector: &str,
         payload: Vec<u8>,
         encoding: Encoding,
-    ) -> Result<Told, Told> {
-        let mut told = self.all(selector, payload, encoding).await;
-        assert_eq!(told.len(), 1, "{selector}: {told:?}");
-        told.remove(0)
+    ) -> Result<Reply, Reply> {
+        let mut results = self.all(selector, payload, encoding).await;
+        assert_eq!(results.len(), 1, "{selector}: {results:?}");
+        results.remove(0)
     }
 
     /// The same in JSON, of a key under the usual prefix; a null is no payload.
@@ -131,10 +131,10 @@ impl Robot {
             body => body.to_string().into_bytes(),
         };
         let selector = format!("wayfold/v1/{selector}");
-        let told = self.ask(&selector, payload, Encoding::APPLICATION_JSON);
-        match told.await {
-            Ok(told) => Ok(told.json()),
-            Err(told) => Err(told.json()),
+        let results = self.ask(&selector, payload, Encoding::APPLICATION_JSON);
+        match results.await {
+            Ok(results) => Ok(results.json()),
+            Err(results) => Err(results.json()),
         }
     }
 }

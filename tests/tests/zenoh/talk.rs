@@ -21,16 +21,16 @@ async fn with_indices(robot: &Robot, names: &[&str]) {
 async fn wildcards_reach_what_tells_of_the_indices_and_change_nothing() {
     let (_server, locator) = server();
     let robot = Robot::connect(&locator).await;
-    // None of the verbs is in the way of an index that has its name.
+    // An index may have the name of a verb.
     let names = ["arm", "leg", "list", "create"];
     with_indices(&robot, &names).await;
     let body = json!({ "states": [[1, 2]], "name": "more", "space_text": "R1", "ids": [0] });
     let keys = async |selector: &str| -> BTreeSet<String> {
         let payload = body.to_string().into_bytes();
-        let told = robot
+        let reply = robot
             .all(selector, payload, Encoding::APPLICATION_JSON)
             .await;
-        let keys: Vec<String> = told.into_iter().map(|it| it.unwrap().key).collect();
+        let keys: Vec<String> = reply.into_iter().map(|it| it.unwrap().key).collect();
         let distinct: BTreeSet<String> = keys.iter().cloned().collect();
         assert_eq!(distinct.len(), keys.len(), "{keys:?}");
         distinct
@@ -146,10 +146,10 @@ async fn answers_come_in_the_form_of_the_question() {
         (Encoding::ZENOH_STRING, "application/json"),
         (Encoding::ZENOH_BYTES, "application/json"),
     ] {
-        let told = robot.ask(info, Vec::new(), encoding.clone()).await.unwrap();
-        assert_eq!((&*told.encoding, &*told.key), (form, info), "{encoding}");
+        let reply = robot.ask(info, Vec::new(), encoding.clone()).await.unwrap();
+        assert_eq!((&*reply.encoding, &*reply.key), (form, info), "{encoding}");
         if form == "application/protobuf" {
-            let index = v1::GetIndexResponse::decode(&*told.payload).unwrap().index;
+            let index = v1::GetIndexResponse::decode(&*reply.payload).unwrap().index;
             assert_eq!(index.unwrap().name, "arm");
         }
         let unknown = robot
@@ -174,7 +174,7 @@ async fn answers_come_in_the_form_of_the_question() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_too_large_or_too_much_is_refused_in_words() {
+async fn oversized_requests_are_refused_with_a_message() {
     let settings = [
         ("WAYFOLD_ZENOH__MAX_MESSAGE_BYTES", "1000"),
         ("WAYFOLD_ZENOH__MAX_CALLS", "1"),
@@ -192,13 +192,13 @@ async fn what_is_too_large_or_too_much_is_refused_in_words() {
             .contains("zenoh.max_message_bytes = 1000")
     );
 
-    // It waits, and keeps the only place, until the insert below has come through.
+    // This call waits and keeps the only place until the insert below takes effect.
     let index = robot.json("arm/info", Value::Null).await.unwrap()["index"].clone();
     let at = json!({ "uid": index["revision"]["uid"], "number": 1 });
     let at = json!({ "ids": [0], "min_revision": at });
     let waiting = robot.json("arm/get?timeout_ms=60000", at);
     let others = async {
-        // Refused as soon as the other has its place.
+        // This call is refused as soon as the other one has the place.
         let refused = loop {
             if let Err(refused) = robot.json("arm/info", Value::Null).await {
                 break refused;
@@ -213,12 +213,12 @@ async fn what_is_too_large_or_too_much_is_refused_in_words() {
         };
         stubs.insert(request).await;
     };
-    let (told, ()) = tokio::join!(waiting, others);
-    assert_eq!(told.unwrap()["points"]["states"], json!([[1.0, 2.0]]));
+    let (reply, ()) = tokio::join!(waiting, others);
+    assert_eq!(reply.unwrap()["points"]["states"], json!([[1.0, 2.0]]));
     robot.json("arm/info", Value::Null).await.unwrap();
 }
 
-/// Neither brings the server down, nor keeps others from being answered; each is refused in words.
+/// Each is refused with a message, and the server goes on answering others.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_of_malformed_queries_is_refused_one_by_one() {
     let (server, locator) = server();
@@ -258,15 +258,15 @@ async fn a_flood_of_malformed_queries_is_refused_one_by_one() {
                 });
             }
         }
-        for told in join_all(asked).await {
-            assert!(told.is_err(), "{told:?}");
+        for reply in join_all(asked).await {
+            assert!(reply.is_err(), "{reply:?}");
             refused += 1;
         }
-        let told = robot.json("arm/insert", json!([[1, 2]])).await.unwrap();
-        assert_eq!(told["outcomes"], json!(["INSERTED"]));
+        let reply = robot.json("arm/insert", json!([[1, 2]])).await.unwrap();
+        assert_eq!(reply["outcomes"], json!(["INSERTED"]));
     }
     assert_eq!(refused, 20 * verbs.len() * payloads.len());
-    let told = robot.json("arm/info", Value::Null).await.unwrap();
-    assert_eq!(told["index"]["point_count"], 20);
+    let reply = robot.json("arm/info", Value::Null).await.unwrap();
+    assert_eq!(reply["index"]["point_count"], 20);
     drop(server);
 }

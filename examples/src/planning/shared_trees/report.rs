@@ -5,11 +5,11 @@ use std::{fmt::Write, time::Duration};
 use super::{
     super::{options::Kind, processes::Times, report::median},
     account::Account,
-    solve::{Solved, WORKERS},
+    solve::{SharedSolution, WORKERS},
 };
 
 /// The account of one solution, worker by worker.
-pub fn table(solved: &Solved) -> String {
+pub fn table(solved: &SharedSolution) -> String {
     let mut text = format!(
         "{:<10} {:>8} {:>9} {:>8} {:>10} {:>8} {:>9} {:>8} {:>8}\n",
         "", "samples", "vertices", "inserts", "checks", "wall s", "search %", "check %", "wait %"
@@ -47,7 +47,7 @@ pub fn table(solved: &Solved) -> String {
 }
 
 /// Medians by source and number of workers, and their speedup over one worker with the same seed.
-pub fn comparison(all: &[Solved]) -> String {
+pub fn comparison(all: &[SharedSolution]) -> String {
     let mut text = format!(
         "{:<8} {:>8} {:>9} {:>26} {:>11} {:>9} {:>8} {:>8} {:>13} {:>10}\n",
         "source",
@@ -64,12 +64,13 @@ pub fn comparison(all: &[Solved]) -> String {
     for source in [Kind::Replica, Kind::Server] {
         for workers in WORKERS {
             let of = |source, workers| {
-                let wanted =
-                    move |one: &&Solved| one.source == source && one.crew.accounts.len() == workers;
+                let wanted = move |one: &&SharedSolution| {
+                    one.source == source && one.crew.accounts.len() == workers
+                };
                 all.iter().filter(wanted)
             };
-            let wall = |one: &Solved| one.crew.wall.as_secs_f64();
-            let rate = |one: &Solved| one.sum().vertices as f64 / wall(one);
+            let wall = |one: &SharedSolution| one.crew.wall.as_secs_f64();
+            let rate = |one: &SharedSolution| one.sum().vertices as f64 / wall(one);
             let mut walls: Vec<f64> = of(source, workers).map(wall).collect();
             walls.sort_by(f64::total_cmp);
             let [Some(least), Some(most)] = [walls.first(), walls.last()] else {

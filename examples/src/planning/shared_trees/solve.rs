@@ -4,9 +4,9 @@ use wayfold::Client;
 
 use super::{
     super::{
-        comparison::Planned,
+        comparison::PlannerOutcome,
         error::PlanningError,
-        figures::{Row, Spent},
+        figures::{Row, RunTimes},
         options::{Kind, Options, seeds},
         path::{self, Verify},
         problem::Problem,
@@ -20,7 +20,7 @@ use super::{
 };
 
 /// The solution of a problem by several workers.
-pub struct Solved {
+pub struct SharedSolution {
     /// The source of their neighbours.
     pub source: Kind,
     /// The seed of the random states.
@@ -35,7 +35,7 @@ pub struct Solved {
     pub checked: usize,
 }
 
-impl Solved {
+impl SharedSolution {
     /// The account of all workers together.
     pub fn sum(&self) -> Account {
         self.crew.accounts.iter().copied().sum()
@@ -50,7 +50,7 @@ impl Solved {
             workers: self.crew.accounts.len(),
             seed: self.seed,
             nodes: self.shared.len() as u64,
-            spent: Spent::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            spent: RunTimes::by_workers(self.crew.wall.as_secs_f64(), sum.times),
             checks: sum.checks as u64,
             path_lengths: vec![path::length(problem, &self.path)],
         }
@@ -65,7 +65,7 @@ pub async fn solve(
     workers: usize,
     source: Kind,
     seed: u64,
-) -> Result<Solved, PlanningError> {
+) -> Result<SharedSolution, PlanningError> {
     let client = Client::connect(uri).await?;
     let (name, layout) = (format!("planning-{}", uuid::Uuid::new_v4()), options.trees);
     let store = Store::create(&client, &name, layout, problem).await?;
@@ -87,7 +87,7 @@ pub async fn solve(
     let read = read(&store).await;
     store.delete(&client).await;
     let (crew, (shared, path)) = (crew?, read?);
-    Ok(Solved {
+    Ok(SharedSolution {
         source,
         seed,
         crew,
@@ -127,7 +127,7 @@ pub async fn compare(
     problem: &impl Verify,
     uri: &str,
     options: &Options,
-) -> Result<Vec<Solved>, PlanningError> {
+) -> Result<Vec<SharedSolution>, PlanningError> {
     let mut all = Vec::new();
     for seed in seeds(options.seed, options.runs) {
         for workers in WORKERS {

@@ -86,8 +86,8 @@ impl Vertices {
         let mut scan = index.scan().include(Include::all()).await?;
         while let Some(part) = scan.next().await? {
             for point in part.iter() {
-                let told = point.payload.and_then(|payload| vertex::parent(payload));
-                if told.is_none() && !ROOTS.contains(&point.id) {
+                let parent_id = point.payload.and_then(|payload| vertex::parent(payload));
+                if parent_id.is_none() && !ROOTS.contains(&point.id) {
                     return Err(wrong(point.id, "its payload tells no parent"));
                 }
                 read.states.push(point.state)?;
@@ -95,7 +95,7 @@ impl Vertices {
                     id: point.id,
                     tag: point.tag,
                     revision: point.revision,
-                    parent: told,
+                    parent: parent_id,
                 });
             }
         }

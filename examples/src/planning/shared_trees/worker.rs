@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use wayfold::{Insert, Neighbor, States};
 
 use super::{
-    super::{error::PlanningError, problem::Problem, rrt, sampling, under_way::UnderWay},
+    super::{error::PlanningError, pending_call::PendingCall, problem::Problem, rrt, sampling},
     account::Account,
     nearest::{Nearest, Source},
     store::Store,
@@ -32,12 +32,12 @@ pub struct Worker<'a, P> {
     batch: usize,
     next_id: u64,
     account: Account,
-    asked: Option<Vec<Asked>>,
+    asked: Option<Vec<SearchRecord>>,
 }
 
 /// A search and its result.
 #[derive(Clone, Debug)]
-pub struct Asked {
+pub struct SearchRecord {
     /// The searched tree.
     pub tree: usize,
     /// The state whose nearest vertex was searched.
@@ -65,7 +65,7 @@ impl Chain {
 }
 
 /// The meeting of the trees.
-struct Met {
+struct TreeConnection {
     state: Vec<f64>,
     vertices: [u64; 2],
 }
@@ -113,7 +113,7 @@ impl<'a, P: Problem> Worker<'a, P> {
     }
 
     /// The remembered searches.
-    pub fn into_asked(self) -> Vec<Asked> {
+    pub fn into_searches(self) -> Vec<SearchRecord> {
         self.asked.unwrap_or_default()
     }
 
@@ -126,7 +126,7 @@ impl<'a, P: Problem> Worker<'a, P> {
     ) -> Result<bool, PlanningError> {
         let started = Instant::now();
         let heard = tokio::spawn(self.store.meeting().clone().heard());
-        let mut inserting = UnderWay::default();
+        let mut inserting = PendingCall::default();
         // Half of the workers begin with the other tree.
         let mut growing = self.number % 2;
         while !heard.is_finished() && self.account.vertices < max_vertices {
@@ -163,7 +163,7 @@ impl<'a, P: Problem> Worker<'a, P> {
     }
 
     /// Waits for the insert that is under way, if there is one.
-    async fn finish(&mut self, inserting: &mut UnderWay<()>) -> Result<(), PlanningError> {
+    async fn finish(&mut self, inserting: &mut PendingCall<()>) -> Result<(), PlanningError> {
         let start = Instant::now();
         inserting.finish().await?;
         self.account.times.waiting += start.elapsed();
@@ -171,7 +171,10 @@ impl<'a, P: Problem> Worker<'a, P> {
     }
 
     /// Connects this tree to random states, and the other one to the ends of these connections. Nothing is stored yet.
-    async fn connect(&mut self, tree: usize) -> Result<(Vec<Chain>, Option<Met>), PlanningError> {
+    async fn connect(
+        &mut self,
+        tree: usize,
+    ) -> Result<(Vec<Chain>, Option<TreeConnection>), PlanningError> {
         let start = Instant::now();
         let (space, bounds) = (self.problem.space(), self.problem.bounds());
         let random = (0..self.batch).map(|_| sampling::uniform(space, bounds, &mut self.rng));
@@ -200,7 +203,7 @@ impl<'a, P: Problem> Worker<'a, P> {
             if let (true, Some((own, _)), Some((end, _))) = (reached, chains[at].end(), chain.end())
             {
                 let vertices = if tree == 0 { [own, end] } else { [end, own] };
-                met.get_or_insert(Met {
+                met.get_or_insert(TreeConnection {
                     state: target,
                     vertices,
                 });
@@ -221,7 +224,7 @@ impl<'a, P: Problem> Worker<'a, P> {
         if let Some(asked) = &mut self.asked {
             let asked_now = states.iter().zip(&near).filter_map(|(state, near)| {
                 let near = near.as_ref()?;
-                Some(Asked {
+                Some(SearchRecord {
                     tree,
                     state: state.clone(),
                     revision: near.revision,

@@ -1,17 +1,17 @@
-//! Reads that are held up, as those of a slow disk are, and that some threads must not make.
+//! A gate that delays reads as a slow disk does, and that forbids them on one thread.
 
 use std::thread::{self, ThreadId};
 
 use parking_lot::{Condvar, Mutex};
 use tokio::sync::watch;
 
-/// Every read passes it.
+/// The gate that every read passes.
 pub(crate) struct Gate {
     /// The thread on which no read may run, if any.
     answering: Mutex<Option<ThreadId>>,
     closed: Mutex<bool>,
     opened: Condvar,
-    /// How many reads wait.
+    /// The number of waiting reads.
     held: watch::Sender<usize>,
 }
 
@@ -27,13 +27,13 @@ impl Default for Gate {
 }
 
 impl Gate {
-    /// Holds up all reads until [`Gate::open`]. From now on this thread answers calls, and a read on it panics.
+    /// Delays all reads until [`Gate::open`]. From now on this thread answers calls, and a read on it panics.
     pub(crate) fn close(&self) {
         *self.answering.lock() = Some(thread::current().id());
         *self.closed.lock() = true;
     }
 
-    /// Lets go of the reads that wait, and holds up no other.
+    /// Releases the waiting reads and delays no other.
     pub(crate) fn open(&self) {
         *self.closed.lock() = false;
         self.opened.notify_all();

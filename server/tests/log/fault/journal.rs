@@ -1,4 +1,4 @@
-//! The journal, and the state that its items add up to.
+//! The journal, and the state that its items produce.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -16,10 +16,10 @@ use wayfold_server::log::{
 pub(super) enum Item {
     Create(Entry, Origin, Points),
     Append(Uid, Arc<Record>),
-    /// The oldest records and operations are forgotten, in these numbers.
+    /// Forgets this many of the oldest records and operations.
     Trim(Uid, usize, usize),
     Delete(Uid),
-    /// A half of something.
+    /// An item of which only half was written.
     Torn,
 }
 
@@ -27,14 +27,14 @@ pub(super) type Points = Arc<BTreeMap<u64, Arc<StoredPoint>>>;
 
 pub(super) struct Journal {
     pub(super) items: Vec<Item>,
-    /// How many of them are on disk for certain.
+    /// The number of items that are certainly on disk.
     pub(super) synced: usize,
-    /// The sum of the items but those of calls that failed.
+    /// The state after the items, without those of failed calls.
     pub(super) indexes: BTreeMap<Uid, Index>,
-    /// The writing call that is to fail: 0 is the next.
+    /// The number of writing calls before the one that fails; 0 means the next.
     pub(super) fails: Option<u64>,
     pub(super) failed: Option<LogError>,
-    /// How often it was opened.
+    /// The number of times it was opened.
     pub(super) opened: u64,
     pub(super) random: ChaCha8Rng,
 }
@@ -42,7 +42,7 @@ pub(super) struct Journal {
 pub(super) struct Index {
     pub(super) entry: Entry,
     pub(super) head: u64,
-    /// The newest revision that is on disk for certain.
+    /// The newest revision that is certainly on disk.
     durable: u64,
     pub(super) next_id: u64,
     pub(super) digest: [u8; 32],
@@ -105,7 +105,7 @@ impl Journal {
         }
     }
 
-    /// Writes an item, which then can be seen; if it fails it cannot, whatever is on the disk.
+    /// Writes an item and makes it visible; after a failure the item is invisible, even if it is on the disk.
     pub(super) fn write(&mut self, item: Item) -> Result<(), LogError> {
         let healthy = self.failed.is_none();
         if let Err(why) = self.called() {
@@ -130,7 +130,7 @@ impl Journal {
         Ok(())
     }
 
-    /// Syncs all there is, unless the revision is on disk already; says which is.
+    /// Syncs everything, unless the revision is already on disk; returns the newest durable revision.
     pub(super) fn sync(&mut self, uid: Uid, revision: u64) -> Result<u64, LogError> {
         if self.index(uid)?.durable < revision {
             self.called()?;
@@ -229,7 +229,7 @@ impl Index {
         self.records.push_back(Arc::clone(record));
     }
 
-    /// How many of the oldest records and operations need not be kept.
+    /// The numbers of the oldest records and operations that need not be kept.
     pub(super) fn outdated(&self, keep: &Retention) -> (usize, usize) {
         let time =
             |record: &Record| SystemTime::UNIX_EPOCH + Duration::from_millis(record.time_ms());

@@ -21,12 +21,12 @@ use wayfold_server::log::{
 use gate::Gate;
 use journal::{Item, Journal, Points};
 
-/// See the module.
+/// A log that fails on demand; see the module.
 #[derive(Clone)]
 pub(crate) struct FaultLog(Arc<Mutex<Journal>>, Arc<Gate>, watch::Sender<()>);
 
 impl FaultLog {
-    /// An empty log; `seed` draws what is left after a failure.
+    /// An empty log; `seed` determines what remains after a failure.
     pub(crate) fn new(seed: u64) -> Self {
         let journal = Arc::new(Mutex::new(Journal::new(seed)));
         Self(journal, Arc::default(), watch::Sender::new(()))
@@ -37,7 +37,7 @@ impl FaultLog {
         &self.1
     }
 
-    /// Lets the writing call after this many others fail.
+    /// Makes the writing call after this many others fail.
     pub(crate) fn fail_after(&self, calls: u64) {
         self.0.lock().fails = Some(calls);
     }
@@ -51,7 +51,7 @@ impl FaultLog {
         self.2.send_replace(());
     }
 
-    /// Closes and opens it in order: nothing is lost.
+    /// Closes and opens it in order, without loss.
     pub(crate) fn close_and_open(&self) {
         let mut journal = self.0.lock();
         let written = journal.items.len();
@@ -61,8 +61,14 @@ impl FaultLog {
 }
 
 impl FaultLog {
-    fn view_of(&self, journal: &Journal, record: &Record, points: Points, next_id: u64) -> Pinned {
-        Pinned {
+    fn view_of(
+        &self,
+        journal: &Journal,
+        record: &Record,
+        points: Points,
+        next_id: u64,
+    ) -> PinnedView {
+        PinnedView {
             log: self.clone(),
             opened: journal.opened,
             tip: record.tip(),
@@ -75,7 +81,7 @@ impl FaultLog {
 impl log::Journal for FaultLog {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
         let effects = record.effects();
-        // It does this like a store that sums up its points: it reads those that go.
+        // Like a store that keeps a sum over its points, it reads the points that it removes.
         let next_id = self.0.lock().index(uid)?.next_id;
         let replaces = effects.stored().iter().any(|point| point.id < next_id);
         if replaces || !effects.removed().is_empty() {
@@ -99,7 +105,7 @@ impl log::Journal for FaultLog {
         Ok(Receipt::Accepted)
     }
 
-    /// Each batch is synced when it is waited for.
+    /// Each batch is synced when a caller waits for it.
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
         let opened = self.0.lock().opened;
         let follower = (self.clone(), self.2.subscribe(), after);
@@ -160,7 +166,7 @@ impl log::Journal for FaultLog {
 }
 
 impl FaultLog {
-    /// The records after `after`, synced; an error if it was opened again.
+    /// The synced records after `after`; an error if the log was reopened.
     fn synced_after(
         &self,
         uid: Uid,
@@ -180,7 +186,7 @@ impl FaultLog {
             .map(|(record, ..)| Arc::clone(record));
         let unapplied = unapplied.filter(|record| record.revision() > after);
         let unapplied: Vec<_> = unapplied.collect();
-        // Records that were trimmed before they were applied are followed all the same.
+        // Records that were trimmed before they were applied are followed too.
         let first = unapplied.first().map(|first| first.revision());
         Ok(match first {
             Some(first) if first == after + 1 => unapplied,
@@ -237,7 +243,7 @@ impl PointStore for FaultLog {
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
         let journal = self.0.lock();
         let index = journal.index(uid)?;
-        Ok(Arc::new(Pinned {
+        Ok(Arc::new(PinnedView {
             log: self.clone(),
             opened: journal.opened,
             tip: Tip {
@@ -255,7 +261,7 @@ impl PointStore for FaultLog {
     }
 
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        Ok(Box::new(Copy {
+        Ok(Box::new(StagedIndex {
             log: self.clone(),
             entry,
             origin,
@@ -302,15 +308,15 @@ impl Catalogue for FaultLog {
     }
 }
 
-/// An index in the making. Each addition to it is a writing call of its own, and no reader sees it.
-struct Copy {
+/// A restored index that no reader sees before it is finished. Each addition is a writing call of its own.
+struct StagedIndex {
     log: FaultLog,
     entry: Entry,
     origin: Origin,
     points: BTreeMap<u64, Arc<StoredPoint>>,
 }
 
-impl Restoring for Copy {
+impl Restoring for StagedIndex {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
         self.log.0.lock().called()?;
         let points = points
@@ -327,7 +333,7 @@ impl Restoring for Copy {
 }
 
 /// A view. It ends when the log is reopened.
-struct Pinned {
+struct PinnedView {
     log: FaultLog,
     opened: u64,
     tip: Tip,
@@ -335,7 +341,7 @@ struct Pinned {
     points: Points,
 }
 
-impl Pinned {
+impl PinnedView {
     fn points(&self) -> Result<&BTreeMap<u64, Arc<StoredPoint>>, LogError> {
         self.log.1.pass();
         match self.log.0.lock().opened == self.opened {
@@ -345,7 +351,7 @@ impl Pinned {
     }
 }
 
-impl View for Pinned {
+impl View for PinnedView {
     fn tip(&self) -> Tip {
         self.tip
     }

@@ -7,26 +7,26 @@ use rand::{RngExt, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold_proto::{snapshot::Header, space, v1};
 
-use super::mutation::{Mutation, Told};
+use super::mutation::{Mutation, Reply};
 use crate::{
     model::Model,
     random::Requests,
     support::revision,
-    support::snapshots::{Held, read},
+    support::snapshots::{SnapshotContent, read},
 };
 
-pub(super) struct World {
+pub(super) struct Expected {
     pub(super) random: ChaCha8Rng,
-    pub(super) indexes: BTreeMap<String, Kept>,
-    pub(super) copies: Vec<Copied>,
-    /// How many indices were made of them.
+    pub(super) indexes: BTreeMap<String, ExpectedIndex>,
+    pub(super) copies: Vec<TakenSnapshot>,
+    /// The number of indices that were restored from copies.
     pub(super) restored: u64,
-    /// All there ever were.
+    /// The uids of all indices that ever existed.
     uids: BTreeSet<String>,
 }
 
-/// An index that is there.
-pub(super) struct Kept {
+/// The expected state of an existing index.
+pub(super) struct ExpectedIndex {
     pub(super) model: Model,
     pub(super) operations: Vec<Operation>,
 }
@@ -36,19 +36,19 @@ pub(super) struct Kept {
 pub(super) struct Operation {
     pub(super) mutation: Mutation,
     /// The answer to a retry; None if a retry is evaluated again.
-    pub(super) told: Option<Told>,
-    /// True if it made a revision: a restart forgets the others.
+    pub(super) reply: Option<Reply>,
+    /// True if it made a revision; a restart forgets the others.
     pub(super) changed: bool,
 }
 
-/// A snapshot that was taken, and what it is of.
+/// A complete snapshot, and the model at its revision.
 #[derive(Clone)]
-pub(super) struct Copied {
+pub(super) struct TakenSnapshot {
     pub(super) parts: Vec<v1::SnapshotPart>,
     pub(super) model: Model,
 }
 
-impl World {
+impl Expected {
     pub(super) fn new(random: ChaCha8Rng) -> Self {
         Self {
             random,
@@ -63,7 +63,7 @@ impl World {
         *of.choose(&mut self.random).unwrap()
     }
 
-    /// The name of an index that is there.
+    /// The name of an existing index.
     pub(super) fn present(&mut self) -> Option<String> {
         let names: Vec<&String> = self.indexes.keys().collect();
         names.choose(&mut self.random).map(|name| (*name).clone())
@@ -74,38 +74,38 @@ impl World {
         Requests::new(self.random.random(), &model.space, &model.uid).named(name)
     }
 
-    /// A new index, under a uid that no other had.
+    /// Adds an index, whose uid must be new.
     pub(super) fn add(&mut self, name: &str, model: Model) {
         assert!(self.uids.insert(model.uid.clone()), "a uid came again");
         let operations = Vec::new();
-        let kept = Kept { model, operations };
+        let kept = ExpectedIndex { model, operations };
         assert!(self.indexes.insert(name.into(), kept).is_none());
     }
 
-    /// Forgets what a server forgets when it ends.
+    /// Forgets the answers that a server forgets when it ends.
     pub(super) fn forget(&mut self) {
         for kept in self.indexes.values_mut() {
             for operation in &mut kept.operations {
                 if !operation.changed {
-                    operation.told = None;
+                    operation.reply = None;
                 }
             }
         }
     }
 }
 
-impl Kept {
+impl ExpectedIndex {
     /// Applies one of its operations, or recalls the answer to it.
-    pub(super) fn apply(&mut self, at: usize) -> Told {
+    pub(super) fn apply(&mut self, at: usize) -> Reply {
         let operation = &mut self.operations[at];
-        if let Some(told) = &operation.told {
-            return told.clone();
+        if let Some(reply) = &operation.reply {
+            return reply.clone();
         }
         let before = self.model.revision;
-        let told = operation.mutation.apply(&mut self.model);
+        let reply = operation.mutation.apply(&mut self.model);
         operation.changed = self.model.revision > before;
-        operation.told = told.is_ok().then(|| told.clone());
-        told
+        operation.reply = reply.is_ok().then(|| reply.clone());
+        reply
     }
 }
 
@@ -123,7 +123,7 @@ pub(super) fn described(name: &str, model: &Model) -> v1::Index {
     }
 }
 
-/// Asserts that a snapshot holds all of the model, and nothing else.
+/// Asserts that a snapshot holds exactly the content of the model.
 pub(super) fn assert_holds(name: &str, parts: &[v1::SnapshotPart], model: &Model) {
     let points = model.points.values().map(|point| {
         let (row, payload) = (point.row.clone(), point.payload.clone());
@@ -137,7 +137,7 @@ pub(super) fn assert_holds(name: &str, parts: &[v1::SnapshotPart], model: &Model
         next_id: model.next_id,
         point_count: model.points.len() as u64,
     };
-    let expected = Held {
+    let expected = SnapshotContent {
         header,
         ids: model.points.keys().copied().collect(),
         points: points.collect(),

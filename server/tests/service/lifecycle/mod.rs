@@ -1,10 +1,10 @@
-//! Lives of a server: indices are created, changed, read, copied, deleted and restored from their copies, from start to
-//! start. All of it agrees with the models.
+//! Runs of a server in which indices are created, changed, read, copied, deleted and restored. All answers agree with
+//! the models.
 
-mod life;
+mod expected;
 mod mutation;
+mod server_run;
 mod store;
-mod world;
 
 use std::{env, ops::Range, sync::Arc};
 
@@ -17,11 +17,11 @@ use wayfold_server::{
 };
 
 use crate::{fault::FaultLog, support::*};
-use life::Life;
+use expected::Expected;
+use server_run::ServerRun;
 use store::{End, Store};
-use world::World;
 
-const LIVES: u64 = 6;
+const SERVER_RUNS: u64 = 6;
 
 /// The seeds of `SEEDS` runs, or the one in `SEED`.
 fn seeds(usual: u64) -> Range<u64> {
@@ -32,24 +32,24 @@ fn seeds(usual: u64) -> Range<u64> {
     }
 }
 
-/// How many indices were restored.
+/// Runs a server several times and returns the number of restored indices.
 fn run(seed: u64, mut store: Store) -> u64 {
-    let mut world = World::new(ChaCha8Rng::seed_from_u64(seed));
-    for life in 0..LIVES {
+    let mut world = Expected::new(ChaCha8Rng::seed_from_u64(seed));
+    for life in 0..SERVER_RUNS {
         let end = world.pick(&[End::Orderly, End::Crash]);
         println!("  start {life}, which ends in {end:?}");
-        // With the runtime all that the server has under way ends.
+        // Dropping the runtime ends all tasks of the server.
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build();
         let left = runtime.unwrap().block_on(async {
             let steps = world.random.random_range(20..80);
-            let mut life = Life::begin(&mut world, started(&store)).await;
+            let mut life = ServerRun::begin(&mut world, started(&store)).await;
             for _ in 0..steps {
                 life.step().await;
             }
             life.is_as_it_must().await;
-            // With snapshots and restores under way.
+            // Snapshots and restores are under way at this point.
             store.left(end)
         });
         world.forget();
@@ -61,7 +61,7 @@ fn run(seed: u64, mut store: Store) -> u64 {
 
 fn started(store: &Store) -> Service {
     let options = RegistryOptions {
-        // So that old records go.
+        // A small window makes the server trim old records.
         window_bytes: 500,
         ..options()
     };
@@ -79,24 +79,24 @@ fn run_all(place: &str, usual: u64, store: impl Fn(u64) -> Store) {
         })
         .sum();
     println!("{restored} indices restored {place}");
-    // Few single runs restore none.
+    // A single run rarely restores no index.
     assert!(restored >= seeds.end - seeds.start || seeds.end - seeds.start == 1);
 }
 
 #[test]
-fn whatever_a_server_lives_through_in_memory_its_indices_are_as_they_must() {
+fn indices_agree_with_their_models_in_memory() {
     run_all("in memory", 40, |_| {
         Store::Memory(Arc::new(MemoryLog::new()))
     });
 }
 
 #[test]
-fn whatever_a_server_lives_through_on_disk_its_indices_are_as_they_must() {
+fn indices_agree_with_their_models_on_disk() {
     run_all("on disk", 10, |_| Store::on_disk());
 }
 
 #[test]
-fn whatever_a_server_lives_through_on_a_disk_without_power_its_indices_are_as_they_must() {
+fn indices_agree_with_their_models_across_losses_of_power() {
     run_all("on a disk that loses its power", 40, |seed| {
         Store::Faulty(FaultLog::new(seed))
     });

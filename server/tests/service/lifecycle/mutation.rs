@@ -20,10 +20,10 @@ pub(super) enum Mutation {
     Remove(v1::RemoveRequest),
 }
 
-/// An answer, in words and to the last bit.
-pub(super) type Told = Result<(String, Vec<u8>), Refused>;
+/// An answer as text and as encoded bytes, so that comparisons are exact to the last bit.
+pub(super) type Reply = Result<(String, Vec<u8>), Refused>;
 
-fn told<M: Message + Debug>(answer: Result<M, Refused>) -> Told {
+fn reply<M: Message + Debug>(answer: Result<M, Refused>) -> Reply {
     answer.map(|answer| (format!("{answer:?}"), answer.encode_to_vec()))
 }
 
@@ -50,19 +50,19 @@ impl Mutation {
         }
     }
 
-    pub(super) async fn send(&self, service: &Service) -> Told {
+    pub(super) async fn send(&self, service: &Service) -> Reply {
         match self.clone() {
-            Self::Insert(request) => told(refused(service.insert(&CALL, request).await)),
-            Self::Update(request) => told(refused(service.update(&CALL, request).await)),
-            Self::Remove(request) => told(refused(service.remove(&CALL, request).await)),
+            Self::Insert(request) => reply(refused(service.insert(&CALL, request).await)),
+            Self::Update(request) => reply(refused(service.update(&CALL, request).await)),
+            Self::Remove(request) => reply(refused(service.remove(&CALL, request).await)),
         }
     }
 
-    pub(super) fn apply(&self, model: &mut Model) -> Told {
+    pub(super) fn apply(&self, model: &mut Model) -> Reply {
         match self {
-            Self::Insert(request) => told(model.insert(request)),
-            Self::Update(request) => told(model.update(request)),
-            Self::Remove(request) => told(Ok(model.remove(request))),
+            Self::Insert(request) => reply(model.insert(request)),
+            Self::Update(request) => reply(model.update(request)),
+            Self::Remove(request) => reply(Ok(model.remove(request))),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! One life of a server, from its start to its end.
+//! One run of a server, from its start to its end.
 
 use rand::{RngExt, seq::IndexedRandom};
 use wayfold_index::Space;
@@ -6,8 +6,8 @@ use wayfold_proto::v1;
 use wayfold_server::service::{Code, Restoring, Service, Snapshot};
 
 use super::{
+    expected::{Expected, Operation, TakenSnapshot, assert_holds, described},
     mutation::Mutation,
-    world::{Copied, Operation, World, assert_holds, described},
 };
 use crate::{
     model::Model,
@@ -19,34 +19,34 @@ use crate::{
 
 const NAMES: [&str; 6] = ["arm", "eye", "hand", "leg", "rail", "wrist"];
 const SPACES: [&str; 5] = ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"];
-/// Copies that are kept; one that is too many takes the place of another.
+/// The maximum number of copies that are kept; a further one replaces another.
 const COPIES: usize = 6;
 
-pub(super) struct Life<'a> {
-    world: &'a mut World,
+pub(super) struct ServerRun<'a> {
+    world: &'a mut Expected,
     service: Service,
-    taking: Vec<Taking>,
-    restoring: Vec<Copying>,
+    taking: Vec<SnapshotUnderWay>,
+    restoring: Vec<RestoreUnderWay>,
 }
 
 /// A snapshot under way.
-struct Taking {
+struct SnapshotUnderWay {
     snapshot: Snapshot,
     name: String,
-    copied: Copied,
+    copied: TakenSnapshot,
 }
 
 /// A restore under way.
-struct Copying {
+struct RestoreUnderWay {
     restoring: Restoring,
     name: String,
-    copied: Copied,
+    copied: TakenSnapshot,
     sent: usize,
 }
 
-impl<'a> Life<'a> {
-    /// A life of `service`, which has just started.
-    pub(super) async fn begin(world: &'a mut World, service: Service) -> Self {
+impl<'a> ServerRun<'a> {
+    /// A run of `service`, which has just started.
+    pub(super) async fn begin(world: &'a mut Expected, service: Service) -> Self {
         let mut life = Self {
             world,
             service,
@@ -140,7 +140,7 @@ impl<'a> Life<'a> {
     async fn mutate(&mut self, name: &str) {
         let mut requests = self.world.requests(name);
         let kept = self.world.indexes.get_mut(name).unwrap();
-        // Ids that copies and other pasts of the index use too.
+        // These ids occur in copies and in former states of the index too.
         let operation_id = format!("op {}", kept.operations.len());
         let mutation = Mutation::draw(
             &mut self.world.random,
@@ -150,7 +150,7 @@ impl<'a> Life<'a> {
         );
         kept.operations.push(Operation {
             mutation,
-            told: None,
+            reply: None,
             changed: false,
         });
         let newest = kept.operations.len() - 1;
@@ -163,11 +163,11 @@ impl<'a> Life<'a> {
             return;
         }
         let at = self.world.random.random_range(0..operations.len());
-        if operations[at].told.is_some() && self.world.random.random_bool(0.2) {
+        if operations[at].reply.is_some() && self.world.random.random_bool(0.2) {
             let other = v1::RemoveRequest {
                 index_name: name.into(),
                 operation_id: format!("op {at}"),
-                // No other request has it.
+                // No other request has this operation id.
                 ..removal(&[1000])
             };
             let refused = refusal(self.service.remove(&CALL, other).await);
@@ -180,8 +180,8 @@ impl<'a> Life<'a> {
     async fn send(&mut self, name: &str, at: usize) {
         let kept = self.world.indexes.get_mut(name).unwrap();
         let mutation = kept.operations[at].mutation.clone();
-        let told = mutation.send(&self.service).await;
-        assert_eq!(told, kept.apply(at), "{mutation:?}");
+        let reply = mutation.send(&self.service).await;
+        assert_eq!(reply, kept.apply(at), "{mutation:?}");
     }
 
     async fn begin_snapshot(&mut self) {
@@ -199,10 +199,10 @@ impl<'a> Life<'a> {
             assert_eq!(refusal(begun.map(drop)).1, "INDEX_NOT_FOUND");
             return;
         };
-        self.taking.push(Taking {
+        self.taking.push(SnapshotUnderWay {
             snapshot: begun.unwrap(),
             name,
-            copied: Copied {
+            copied: TakenSnapshot {
                 parts: Vec::new(),
                 model: kept.model.clone(),
             },
@@ -225,9 +225,9 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// Takes note of a snapshot that is whole.
+    /// Keeps a complete snapshot.
     fn took(&mut self, at: usize) {
-        let Taking { name, copied, .. } = self.taking.swap_remove(at);
+        let SnapshotUnderWay { name, copied, .. } = self.taking.swap_remove(at);
         assert_holds(&name, &copied.parts, &copied.model);
         if self.world.copies.len() < COPIES {
             self.world.copies.push(copied);
@@ -244,9 +244,9 @@ impl<'a> Life<'a> {
             true => self.world.pick(&NAMES),
             false => self.world.pick(&free),
         };
-        let World { copies, random, .. } = &mut *self.world;
+        let Expected { copies, random, .. } = &mut *self.world;
         if let Some(copied) = copies.choose(random) {
-            self.restoring.push(Copying {
+            self.restoring.push(RestoreUnderWay {
                 restoring: self.service.restore_index(&CALL).unwrap(),
                 name: name.into(),
                 copied: copied.clone(),
@@ -285,8 +285,8 @@ impl<'a> Life<'a> {
         }
     }
 
-    async fn finish(&mut self, copying: Copying) {
-        let Copying {
+    async fn finish(&mut self, copying: RestoreUnderWay) {
+        let RestoreUnderWay {
             restoring,
             name,
             copied,
@@ -325,7 +325,7 @@ impl<'a> Life<'a> {
         assert_eq!(report.content_hash, expected);
     }
 
-    /// Asserts that the server holds what it must, and nothing else.
+    /// Asserts that the server holds exactly the expected content.
     pub(super) async fn is_as_it_must(&mut self) {
         let expected = self.world.indexes.iter();
         let expected: Vec<_> = expected
@@ -365,7 +365,7 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// All indices, but for their memory, from pages of two.
+    /// All indices, read in pages of two, without their memory.
     async fn listed(&self) -> Vec<v1::Index> {
         let mut listed = Vec::new();
         let mut page_token = String::new();

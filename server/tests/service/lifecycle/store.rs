@@ -7,14 +7,14 @@ use wayfold_server::log::{Durability, FjallLog, Log, MemoryLog};
 use crate::{copied::copied, fault::FaultLog};
 
 pub(super) enum Store {
-    /// It outlives the servers over it.
+    /// The store on disk outlives the servers over it.
     Memory(Arc<MemoryLog>),
     Disk(tempfile::TempDir),
-    /// A disk that loses its power.
+    /// A log in memory that can lose its power.
     Faulty(FaultLog),
 }
 
-/// How a server ends.
+/// The end of a server.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum End {
     Orderly,
@@ -44,7 +44,7 @@ impl Store {
         }
     }
 
-    /// To be called once the server has ended.
+    /// Closes the store; call it once the server has ended.
     pub(super) fn close(&self, end: End) {
         match (self, end) {
             (Self::Faulty(log), End::Crash) => log.cut(),

@@ -2,280 +2,181 @@
 
 use bytes::Bytes;
 use wayfold_proto::v1;
-use wayfold_server::service::Error;
+use wayfold_server::service::{Error, Service};
 
-use super::{assert_elsewhere, assert_invalid, states::GOOD};
+use super::{Fault, assert_elsewhere, assert_faults, assert_invalid, states::GOOD};
 use crate::support::*;
+
+/// A service with three points, which no refused call changes.
+async fn three_points() -> (Service, v1::ScanResponse) {
+    let (service, _) = arm("R3*SO3:0.15").await;
+    let insert = insertion(&[GOOD; 3], &[]);
+    service.insert(&CALL, insert).await.unwrap();
+    let before = everything(&service).await;
+    (service, before)
+}
+
+/// Neighbours by a filter.
+fn filtered(filter: v1::Filter) -> Option<v1::NeighborSpec> {
+    Some(v1::NeighborSpec {
+        k_form: nearest(1),
+        filter: Some(filter),
+        ..Default::default()
+    })
+}
+
+const BAD_INSERTS: [Fault<v1::InsertRequest>; 16] = [
+    (|r| r.ids = vec![4, 4], "DUPLICATE_ID", "ids[1]"),
+    (|r| r.ids = vec![4, 1 << 63], "ID_TOO_LARGE", "ids[1]"),
+    (|r| r.ids = vec![4], "COUNT", "ids"),
+    (|r| r.tags = vec![1; 3], "COUNT", "tags"),
+    (|r| r.payloads = vec![Bytes::new()], "COUNT", "payloads"),
+    (
+        |r| r.payloads = vec![Bytes::new(), vec![0; 65_537].into()],
+        "PAYLOAD_TOO_LARGE",
+        "payloads[1]",
+    ),
+    (|r| r.on_conflict = 9, "UNKNOWN_VALUE", "on_conflict"),
+    (|r| r.min_separation = -0.1, "NEGATIVE", "min_separation"),
+    (|r| r.min_separation = f64::NAN, "NAN", "min_separation"),
+    (
+        |r| r.min_separation = f64::INFINITY,
+        "INFINITE",
+        "min_separation",
+    ),
+    (
+        |r| r.neighbors = Some(v1::NeighborSpec::default()),
+        "REQUIRED",
+        "neighbors",
+    ),
+    (
+        |r| {
+            r.neighbors = Some(v1::NeighborSpec {
+                k_form: nearest(0),
+                ..Default::default()
+            });
+        },
+        "ZERO",
+        "neighbors.k",
+    ),
+    (
+        |r| {
+            r.neighbors = Some(v1::NeighborSpec {
+                radius_form: within(-1.0),
+                ..Default::default()
+            });
+        },
+        "NEGATIVE",
+        "neighbors.radius",
+    ),
+    (
+        |r| {
+            r.neighbors = filtered(v1::Filter {
+                since_revision: revision("", 1),
+                ..Default::default()
+            });
+        },
+        "REQUIRED",
+        "neighbors.filter.since_revision.uid",
+    ),
+    (
+        |r| {
+            r.neighbors = filtered(v1::Filter {
+                tag_mask: 2,
+                tag_value: 3,
+                since_revision: None,
+            });
+        },
+        "OUTSIDE_MASK",
+        "neighbors.filter.tag_value",
+    ),
+    (
+        |r| r.operation_id = "x".repeat(65),
+        "TOO_LONG",
+        "operation_id",
+    ),
+];
+
+const BAD_UPDATES: [Fault<v1::UpdateRequest>; 7] = [
+    (|r| r.ids = vec![0, 0], "DUPLICATE_ID", "ids[1]"),
+    (|r| r.tags = vec![1, 2], "COUNT", "tags"),
+    (|r| r.payloads = vec![Bytes::new()], "COUNT", "payloads"),
+    (
+        |r| r.if_revision = revision("", 1),
+        "REQUIRED",
+        "if_revision.uid",
+    ),
+    (|r| r.tag_mask = Some(1), "REQUIRED", "tags"),
+    (
+        |r| (r.tags, r.tag_mask) = (vec![0b01, 0b01, 0b10], Some(0b01)),
+        "OUTSIDE_MASK",
+        "tags[2]",
+    ),
+    (
+        |r| r.operation_id = "x".repeat(65),
+        "TOO_LONG",
+        "operation_id",
+    ),
+];
 
 #[tokio::test]
 async fn bad_inserts() {
-    let (service, _) = arm("R3*SO3:0.15").await;
-    service
-        .insert(&CALL, insertion(&[GOOD], &[]))
-        .await
-        .unwrap();
-    let good = || insertion(&[GOOD, GOOD], &[]);
-    let query = |k: Option<u32>, radius: Option<f64>| {
-        Some(v1::NeighborSpec {
-            k_form: k.and_then(nearest),
-            radius_form: radius.and_then(within),
-            ..Default::default()
-        })
-    };
-    let filtered = |filter| {
-        Some(v1::NeighborSpec {
-            k_form: nearest(1),
-            filter: Some(filter),
-            ..Default::default()
-        })
-    };
-    let cases = [
-        (insertion(&[GOOD, GOOD], &[4, 4]), "DUPLICATE_ID", "ids[1]"),
-        (
-            insertion(&[GOOD, GOOD], &[4, 1 << 63]),
-            "ID_TOO_LARGE",
-            "ids[1]",
-        ),
-        (insertion(&[GOOD, GOOD], &[4]), "COUNT", "ids"),
-        (
-            v1::InsertRequest {
-                tags: vec![1; 3],
-                ..good()
-            },
-            "COUNT",
-            "tags",
-        ),
-        (
-            v1::InsertRequest {
-                payloads: vec![Bytes::new()],
-                ..good()
-            },
-            "COUNT",
-            "payloads",
-        ),
-        (
-            v1::InsertRequest {
-                payloads: vec![Bytes::new(), vec![0; 65_537].into()],
-                ..good()
-            },
-            "PAYLOAD_TOO_LARGE",
-            "payloads[1]",
-        ),
-        (
-            v1::InsertRequest {
-                on_conflict: 9,
-                ..good()
-            },
-            "UNKNOWN_VALUE",
-            "on_conflict",
-        ),
-        (
-            v1::InsertRequest {
-                min_separation: -0.1,
-                ..good()
-            },
-            "NEGATIVE",
-            "min_separation",
-        ),
-        (
-            v1::InsertRequest {
-                min_separation: f64::NAN,
-                ..good()
-            },
-            "NAN",
-            "min_separation",
-        ),
-        (
-            v1::InsertRequest {
-                min_separation: f64::INFINITY,
-                ..good()
-            },
-            "INFINITE",
-            "min_separation",
-        ),
-        (
-            v1::InsertRequest {
-                neighbors: query(None, None),
-                ..good()
-            },
-            "REQUIRED",
-            "neighbors",
-        ),
-        (
-            v1::InsertRequest {
-                neighbors: query(Some(0), None),
-                ..good()
-            },
-            "ZERO",
-            "neighbors.k",
-        ),
-        (
-            v1::InsertRequest {
-                neighbors: query(None, Some(-1.0)),
-                ..good()
-            },
-            "NEGATIVE",
-            "neighbors.radius",
-        ),
-        (
-            v1::InsertRequest {
-                neighbors: filtered(v1::Filter {
-                    since_revision: revision("", 1),
-                    ..Default::default()
-                }),
-                ..good()
-            },
-            "REQUIRED",
-            "neighbors.filter.since_revision.uid",
-        ),
-        (
-            v1::InsertRequest {
-                neighbors: filtered(v1::Filter {
-                    tag_mask: 2,
-                    tag_value: 3,
-                    since_revision: None,
-                }),
-                ..good()
-            },
-            "OUTSIDE_MASK",
-            "neighbors.filter.tag_value",
-        ),
-        (
-            v1::InsertRequest {
-                operation_id: "x".repeat(65),
-                ..good()
-            },
-            "TOO_LONG",
-            "operation_id",
-        ),
-    ];
-    let before = everything(&service).await;
-    for (request, reason, field) in cases {
-        assert_invalid(service.insert(&CALL, request).await, reason, field);
-    }
+    let (service, before) = three_points().await;
+    let good = insertion(&[GOOD, GOOD], &[]);
+    let insert = async |request| service.insert(&CALL, request).await;
+    assert_faults(&good, &BAD_INSERTS, insert).await;
     let other = v1::InsertRequest {
         uid: "another".into(),
-        ..good()
+        ..good.clone()
     };
     let unknown = v1::InsertRequest {
         index_name: "leg".into(),
-        ..good()
+        ..good
     };
-    assert_elsewhere(
-        service.insert(&CALL, other).await,
-        service.insert(&CALL, unknown).await,
-    );
+    assert_elsewhere(insert(other).await, insert(unknown).await);
     assert_eq!(everything(&service).await, before);
 }
 
 #[tokio::test]
 async fn the_first_few_of_many_violations_are_named() {
     let (service, _) = arm("R1").await;
-    let error = service
-        .insert(&CALL, insertion(&[[f64::NAN]; 100], &[]))
-        .await
-        .unwrap_err();
+    let insert = insertion(&[[f64::NAN]; 100], &[]);
+    let error = service.insert(&CALL, insert).await.unwrap_err();
     let Error::InvalidArgument { violations } = &error else {
         panic!("{error}");
     };
     assert_eq!(violations.len(), 10);
-    assert!(
-        error
-            .to_string()
-            .starts_with("states[0].coords[0]: NaN; states[1].coords[0]: NaN; ")
-    );
+    let start = "states[0].coords[0]: NaN; states[1].coords[0]: NaN; ";
+    assert!(error.to_string().starts_with(start));
 }
 
 #[tokio::test]
-async fn bad_updates_and_removals() {
-    let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[1.0], [2.0], [3.0]], &[]))
-        .await
-        .unwrap();
-    let good = || v1::UpdateRequest {
+async fn bad_updates() {
+    let (service, before) = three_points().await;
+    let good = v1::UpdateRequest {
         index_name: "arm".into(),
         ids: vec![0, 1, 2],
         ..Default::default()
     };
-    let cases = [
-        (
-            v1::UpdateRequest {
-                ids: vec![0, 0],
-                ..good()
-            },
-            "DUPLICATE_ID",
-            "ids[1]",
-        ),
-        (
-            v1::UpdateRequest {
-                tags: vec![1, 2],
-                ..good()
-            },
-            "COUNT",
-            "tags",
-        ),
-        (
-            v1::UpdateRequest {
-                payloads: vec![Bytes::new()],
-                ..good()
-            },
-            "COUNT",
-            "payloads",
-        ),
-        (
-            v1::UpdateRequest {
-                if_revision: revision("", 1),
-                ..good()
-            },
-            "REQUIRED",
-            "if_revision.uid",
-        ),
-        (
-            v1::UpdateRequest {
-                tag_mask: Some(1),
-                ..good()
-            },
-            "REQUIRED",
-            "tags",
-        ),
-        (
-            v1::UpdateRequest {
-                tags: vec![0b01, 0b01, 0b10],
-                tag_mask: Some(0b01),
-                ..good()
-            },
-            "OUTSIDE_MASK",
-            "tags[2]",
-        ),
-        (
-            v1::UpdateRequest {
-                operation_id: "x".repeat(65),
-                ..good()
-            },
-            "TOO_LONG",
-            "operation_id",
-        ),
-    ];
-    let before = everything(&service).await;
-    for (request, reason, field) in cases {
-        assert_invalid(service.update(&CALL, request).await, reason, field);
-    }
+    let update = async |request| service.update(&CALL, request).await;
+    assert_faults(&good, &BAD_UPDATES, update).await;
     let other = v1::UpdateRequest {
         uid: "another".into(),
-        ..good()
+        ..good.clone()
     };
     let unknown = v1::UpdateRequest {
         index_name: "leg".into(),
-        ..good()
+        ..good
     };
-    assert_elsewhere(
-        service.update(&CALL, other).await,
-        service.update(&CALL, unknown).await,
-    );
+    assert_elsewhere(update(other).await, update(unknown).await);
+    assert_eq!(everything(&service).await, before);
+}
 
-    let twice = service.remove(&CALL, removal(&[1, 2, 1])).await;
-    assert_invalid(twice, "DUPLICATE_ID", "ids[2]");
+#[tokio::test]
+async fn bad_removals() {
+    let (service, before) = three_points().await;
+    let remove = async |request| service.remove(&CALL, request).await;
+    assert_invalid(remove(removal(&[1, 2, 1])).await, "DUPLICATE_ID", "ids[2]");
     let other = v1::RemoveRequest {
         uid: "another".into(),
         ..removal(&[1])
@@ -284,9 +185,6 @@ async fn bad_updates_and_removals() {
         index_name: "leg".into(),
         ..removal(&[1])
     };
-    assert_elsewhere(
-        service.remove(&CALL, other).await,
-        service.remove(&CALL, unknown).await,
-    );
+    assert_elsewhere(remove(other).await, remove(unknown).await);
     assert_eq!(everything(&service).await, before);
 }

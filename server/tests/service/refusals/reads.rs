@@ -2,8 +2,53 @@
 
 use wayfold_proto::v1;
 
-use super::{assert_elsewhere, assert_invalid};
+use super::{Fault, assert_elsewhere, assert_faults, assert_invalid};
 use crate::support::*;
+
+/// Points that changed after the first revision of the index with this uid.
+fn since(uid: &str) -> Option<v1::Filter> {
+    Some(v1::Filter {
+        since_revision: revision(uid, 1),
+        ..Default::default()
+    })
+}
+
+const BAD_SEARCHES: [Fault<v1::KnnRequest>; 8] = [
+    (|r| r.k_form = nearest(0).map(Into::into), "ZERO", "k"),
+    (|r| r.radius_form = within(f64::NAN), "NAN", "radius"),
+    (|r| r.radius_form = within(-1.0), "NEGATIVE", "radius"),
+    (|r| r.epsilon = -1.0, "NEGATIVE", "epsilon"),
+    (|r| r.epsilon = f64::INFINITY, "INFINITE", "epsilon"),
+    (
+        |r| {
+            r.filter = Some(v1::Filter {
+                tag_mask: 1,
+                tag_value: 2,
+                since_revision: None,
+            });
+        },
+        "OUTSIDE_MASK",
+        "filter.tag_value",
+    ),
+    (
+        |r| r.filter = since(""),
+        "REQUIRED",
+        "filter.since_revision.uid",
+    ),
+    (
+        |r| r.min_revision = revision("", 1),
+        "REQUIRED",
+        "min_revision.uid",
+    ),
+];
+
+const BAD_QUERIES: [Fault<v1::QueryRequest>; 4] = [
+    (|r| r.radius_form = within(-1.0), "NEGATIVE", "radius"),
+    (|r| r.radius_form = within(f64::NAN), "NAN", "radius"),
+    (|r| r.epsilon = f64::NAN, "NAN", "epsilon"),
+    // A missing radius is not one of 0.
+    (|r| r.radius_form = None, "REQUIRED", "radius"),
+];
 
 #[tokio::test]
 async fn bad_reads() {
@@ -12,103 +57,16 @@ async fn bad_reads() {
         .insert(&CALL, insertion(&[[0.0; 3]], &[]))
         .await
         .unwrap();
-    let good = || knn(&[[0.0; 3]], 1);
-    let masked = v1::Filter {
-        tag_mask: 1,
-        tag_value: 2,
-        since_revision: None,
-    };
-    let since = |uid| {
-        Some(v1::Filter {
-            since_revision: revision(uid, 1),
-            ..Default::default()
-        })
-    };
-    let cases = [
-        (knn(&[[0.0; 3]], 0), "ZERO", "k"),
-        (
-            v1::KnnRequest {
-                radius_form: within(f64::NAN),
-                ..good()
-            },
-            "NAN",
-            "radius",
-        ),
-        (
-            v1::KnnRequest {
-                radius_form: within(-1.0),
-                ..good()
-            },
-            "NEGATIVE",
-            "radius",
-        ),
-        (
-            v1::KnnRequest {
-                epsilon: -1.0,
-                ..good()
-            },
-            "NEGATIVE",
-            "epsilon",
-        ),
-        (
-            v1::KnnRequest {
-                epsilon: f64::INFINITY,
-                ..good()
-            },
-            "INFINITE",
-            "epsilon",
-        ),
-        (
-            v1::KnnRequest {
-                filter: Some(masked),
-                ..good()
-            },
-            "OUTSIDE_MASK",
-            "filter.tag_value",
-        ),
-        (
-            v1::KnnRequest {
-                filter: since(""),
-                ..good()
-            },
-            "REQUIRED",
-            "filter.since_revision.uid",
-        ),
-        (
-            v1::KnnRequest {
-                min_revision: revision("", 1),
-                ..good()
-            },
-            "REQUIRED",
-            "min_revision.uid",
-        ),
-    ];
-    for (request, reason, field) in cases {
-        assert_invalid(service.knn(&CALL, request).await, reason, field);
-    }
-    let query = |radius, epsilon| v1::QueryRequest {
+    let search = async |request| service.knn(&CALL, request).await;
+    assert_faults(&knn(&[[0.0; 3]], 1), &BAD_SEARCHES, search).await;
+    let query = v1::QueryRequest {
         index_name: "arm".into(),
         states: states(&[[0.0; 3]]),
-        radius_form: within(radius),
-        epsilon,
+        radius_form: within(1.0),
         ..Default::default()
     };
-    for (request, reason, field) in [
-        (query(-1.0, 0.0), "NEGATIVE", "radius"),
-        (query(f64::NAN, 0.0), "NAN", "radius"),
-        (query(1.0, f64::NAN), "NAN", "epsilon"),
-        // A radius that was forgotten is not one of 0.
-        (
-            v1::QueryRequest {
-                radius_form: None,
-                ..query(1.0, 0.0)
-            },
-            "REQUIRED",
-            "radius",
-        ),
-    ] {
-        assert_invalid(service.query(&CALL, request).await, reason, field);
-    }
+    let call = async |request| service.query(&CALL, request).await;
+    assert_faults(&query, &BAD_QUERIES, call).await;
     let twice = service.get(&CALL, getting(&[1, 1])).await;
     assert_invalid(twice, "DUPLICATE_ID", "ids[1]");
     let scan = v1::ScanRequest {
@@ -126,26 +84,23 @@ async fn bad_reads() {
     for other in [
         v1::KnnRequest {
             min_revision: revision("another", 0),
-            ..good()
+            ..knn(&[[0.0; 3]], 1)
         },
         v1::KnnRequest {
             filter: since("another"),
-            ..good()
+            ..knn(&[[0.0; 3]], 1)
         },
     ] {
         let unknown = v1::KnnRequest {
             index_name: "leg".into(),
             ..other.clone()
         };
-        assert_elsewhere(
-            service.knn(&CALL, other).await,
-            service.knn(&CALL, unknown).await,
-        );
+        assert_elsewhere(search(other).await, search(unknown).await);
     }
     let right = v1::KnnRequest {
         min_revision: revision(&uid, 0),
         filter: since(&uid),
-        ..good()
+        ..knn(&[[0.0; 3]], 1)
     };
-    assert!(service.knn(&CALL, right).await.is_ok());
+    assert!(search(right).await.is_ok());
 }

@@ -1,4 +1,4 @@
-//! States that are refused, whichever call carries them.
+//! States that every call refuses.
 
 use wayfold_proto::v1;
 
@@ -33,7 +33,7 @@ fn bad_states() -> Vec<(Option<v1::States>, &'static str, &'static str)> {
         ),
         (with(6, f64::INFINITY), "INFINITE", "states[1].coords[6]"),
         (with(2, 1e151), "TOO_LARGE", "states[1].coords[2]"),
-        // Off by more than 1 %.
+        // The norm is off by more than 1 %.
         (with(6, 1.02), "NORM", "states[1].coords[3]"),
         (with(6, 0.0), "NORM", "states[1].coords[3]"),
         (Some(missing_coordinate), "WIDTH", "states.coordinates"),

@@ -1,4 +1,4 @@
-//! Services to test, and requests in few words.
+//! Services to test, and short constructors of requests.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ pub(crate) mod snapshots;
 /// No deadline.
 pub(crate) const CALL: Call = Call { deadline: None };
 
-/// Small trees and leaves: a few dozen points reach every corner.
+/// Trees and leaves are small, so that a few dozen points reach every branch of the code.
 pub(crate) fn options() -> RegistryOptions {
     RegistryOptions {
         growing_rows: Some(4),
@@ -37,7 +37,7 @@ pub(crate) fn service_with(log: impl Into<Log>, limits: Limits) -> Service {
     service
 }
 
-/// A service over a log that a service before may have left.
+/// A service over a log that an earlier service may have written.
 pub(crate) fn restarted(log: impl Into<Log>) -> Service {
     restarted_with(log, options(), Limits::default())
 }
@@ -196,12 +196,12 @@ pub(crate) fn revision(uid: &str, number: u64) -> Option<v1::Revision> {
 }
 
 /// The parts of the revision that an answer names.
-pub(crate) trait Named {
+pub(crate) trait RevisionParts {
     fn number(&self) -> u64;
     fn uid(&self) -> String;
 }
 
-impl Named for Option<v1::Revision> {
+impl RevisionParts for Option<v1::Revision> {
     fn number(&self) -> u64 {
         self.as_ref().expect("a revision").number
     }

@@ -8,7 +8,7 @@ use crate::random::Requests;
 
 /// The content of a snapshot, with the revision in which each point was last changed.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Held {
+pub(crate) struct SnapshotContent {
     pub(crate) header: Header,
     pub(crate) ids: Vec<u64>,
     pub(crate) points: Vec<(u64, u64, u64, Vec<f64>, Bytes)>,
@@ -28,7 +28,7 @@ pub(crate) async fn snapshot(service: &Service, name: &str) -> Vec<v1::SnapshotP
 }
 
 /// Reads the parts of a sound snapshot.
-pub(crate) fn read(parts: &[v1::SnapshotPart]) -> Held {
+pub(crate) fn read(parts: &[v1::SnapshotPart]) -> SnapshotContent {
     let mut reader = Reader::new();
     let (mut header, mut ids, mut all) = (None, Vec::new(), Vec::new());
     for part in parts {
@@ -48,7 +48,7 @@ pub(crate) fn read(parts: &[v1::SnapshotPart]) -> Held {
         }
     }
     reader.finish().unwrap();
-    Held {
+    SnapshotContent {
         header: header.unwrap(),
         ids,
         points: all,
@@ -112,14 +112,15 @@ pub(crate) fn settled(index: v1::Index) -> v1::Index {
     }
 }
 
-/// An index `arm` with a past: replaced, removed, tagged points, payloads, gaps, ids that were used and are free.
+/// An index `arm` with a history: replaced, removed and tagged points, payloads, gaps, and ids that were used and
+/// freed.
 pub(crate) async fn lived_in(service: &Service, space: &str, seed: u64) -> String {
     let uid = create(service, "arm", space).await;
     let parsed: Space = space.parse().unwrap();
     let mut requests = Requests::new(seed, &parsed, &uid);
     for round in 0..60 {
         let revision = info(service, "arm").await.revision;
-        // Refusals are as good as any.
+        // Refused mutations are part of the history too.
         match round % 4 {
             0 | 1 => drop(
                 service

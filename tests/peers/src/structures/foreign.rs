@@ -11,7 +11,7 @@ use super::Structure;
 use crate::{chart::Chart, data::Rows};
 
 #[repr(C)]
-struct Found {
+struct PeerResult {
     ids: *const u32,
     count: usize,
     reach: f64,
@@ -36,8 +36,8 @@ unsafe extern "C" {
         room: usize,
     ) -> *mut Opaque;
     fn peer_insert(peer: *mut Opaque, row: *const f64);
-    fn peer_nearest(peer: *mut Opaque, query: *const f64, k: usize, more: bool) -> Found;
-    fn peer_within(peer: *mut Opaque, query: *const f64, radius: f64, more: bool) -> Found;
+    fn peer_nearest(peer: *mut Opaque, query: *const f64, k: usize, more: bool) -> PeerResult;
+    fn peer_within(peer: *mut Opaque, query: *const f64, radius: f64, more: bool) -> PeerResult;
     fn peer_free(peer: *mut Opaque);
     #[link_name = "heap_bytes"]
     safe fn peer_heap_bytes() -> usize;
@@ -105,7 +105,7 @@ impl Drop for Handle {
 ///
 /// # Safety
 /// The ids must stay in place for as long as the caller makes the borrow last.
-unsafe fn held<'a>(found: Found) -> (&'a [u32], f64) {
+unsafe fn held<'a>(found: PeerResult) -> (&'a [u32], f64) {
     if found.count == 0 {
         return (&[], found.reach);
     }
@@ -115,13 +115,13 @@ unsafe fn held<'a>(found: Found) -> (&'a [u32], f64) {
 }
 
 /// A tree over Euclidean coordinates, searched from each image of a query.
-pub struct Charted {
+pub struct ChartedTree {
     chart: Chart,
     place: Vec<f64>,
     handle: Handle,
 }
 
-impl Charted {
+impl ChartedTree {
     /// nanoflann's static tree.
     pub fn nanoflann(chart: Chart, rows: &Rows) -> Self {
         Self::built(chart, rows, nanoflann_static)
@@ -144,7 +144,7 @@ impl Charted {
         }
         // SAFETY: it copies n rows of that width.
         let peer = unsafe { make(width, placed.as_ptr(), n) };
-        Charted {
+        ChartedTree {
             place: vec![0.0; width],
             handle: Handle::new(peer, width, n, n),
             chart,
@@ -156,7 +156,7 @@ impl Charted {
         let width = chart.width();
         // SAFETY: it takes numbers alone.
         let peer = unsafe { nanoflann_dynamic(width, room) };
-        Charted {
+        ChartedTree {
             place: vec![0.0; width],
             handle: Handle::new(peer, width, 0, room),
             chart,
@@ -164,9 +164,9 @@ impl Charted {
     }
 }
 
-impl Structure for Charted {
+impl Structure for ChartedTree {
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
-        let Charted {
+        let ChartedTree {
             chart,
             place,
             handle,
@@ -184,7 +184,7 @@ impl Structure for Charted {
     }
 
     fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
-        let Charted {
+        let ChartedTree {
             chart,
             place,
             handle,

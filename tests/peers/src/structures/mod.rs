@@ -12,7 +12,7 @@ use wayfold_index::Space;
 
 use crate::{chart::Chart, data::Rows};
 pub use foreign::heap_bytes;
-use foreign::{Charted, Gnat, Shape};
+use foreign::{ChartedTree, Gnat, Shape};
 
 /// A structure that holds rows under the ids 0, 1, 2, … in the order of their arrival.
 ///
@@ -179,7 +179,7 @@ impl Kind {
         match self {
             Kind::Wayfold => Box::new(wayfold::Growing::new(space)),
             Kind::KiddoMutable => kiddo::growing(chart(space)),
-            Kind::NanoflannDynamic => Box::new(Charted::nanoflann_dynamic(chart(space), room)),
+            Kind::NanoflannDynamic => Box::new(ChartedTree::nanoflann_dynamic(chart(space), room)),
             Kind::OmplGnat => Box::new(Gnat::new(shape(space), space.coordinates(), &[], room)),
             Kind::SimdScan => Box::new(scan::Scan::new(space)),
             Kind::Brute => Box::new(brute::Brute::new(space)),
@@ -203,8 +203,8 @@ impl Kind {
             Kind::WayfoldRest => Box::new(wayfold::Resting::new(space, rows)),
             Kind::Mpnn => Box::new(mpnn::Paper::new(space, rows)),
             Kind::Kiddo => kiddo::built(chart(space), rows),
-            Kind::Nanoflann => Box::new(Charted::nanoflann(chart(space), rows)),
-            Kind::Ann => Box::new(Charted::ann(chart(space), rows)),
+            Kind::Nanoflann => Box::new(ChartedTree::nanoflann(chart(space), rows)),
+            Kind::Ann => Box::new(ChartedTree::ann(chart(space), rows)),
             Kind::OmplGnat => {
                 let width = space.coordinates();
                 Box::new(Gnat::new(shape(space), width, rows.numbers(), rows.len()))

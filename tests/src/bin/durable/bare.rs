@@ -19,13 +19,13 @@ use tokio::{sync::watch, task::JoinSet};
 use crate::{CLIENTS, place::Place, shape::Shape};
 
 /// The distance from an added key to the removed one: the number of records that our window keeps.
-const BEHIND: u64 = 12_000;
+const WINDOW_RECORDS: u64 = 12_000;
 /// Our log uses the same size.
 const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 
 /// A way to share a sync.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Way {
+pub(crate) enum SyncSharing {
     /// 64 threads. A thread that finds no sync in progress calls `persist(SyncData)` for all.
     Leader,
     /// 64 threads, and one more that calls `persist(SyncData)`.
@@ -37,28 +37,33 @@ pub(crate) enum Way {
     Beside,
 }
 
-impl Way {
-    pub(crate) const ALL: [Way; 4] = [Way::Leader, Way::Thread, Way::Tasks, Way::Beside];
+impl SyncSharing {
+    pub(crate) const ALL: [SyncSharing; 4] = [
+        SyncSharing::Leader,
+        SyncSharing::Thread,
+        SyncSharing::Tasks,
+        SyncSharing::Beside,
+    ];
 
     pub(crate) fn name(self) -> &'static str {
         match self {
-            Way::Leader => "64 threads, a leader persists",
-            Way::Thread => "64 threads, a thread persists",
-            Way::Tasks => "64 tasks, a thread persists",
-            Way::Beside => "64 tasks, a thread syncs beside",
+            SyncSharing::Leader => "64 threads, a leader persists",
+            SyncSharing::Thread => "64 threads, a thread persists",
+            SyncSharing::Tasks => "64 tasks, a thread persists",
+            SyncSharing::Beside => "64 tasks, a thread syncs beside",
         }
     }
 }
 
 /// An open store and the state of its syncing.
-pub(crate) struct Bare {
-    writing: Arc<Writing>,
-    way: Way,
+pub(crate) struct BareStore {
+    writing: Arc<WriteState>,
+    way: SyncSharing,
     syncer: Option<thread::JoinHandle<()>>,
     _directory: TempDir,
 }
 
-struct Writing {
+struct WriteState {
     database: Database,
     keyspace: Keyspace,
     path: PathBuf,
@@ -78,8 +83,8 @@ struct Round {
     stop: bool,
 }
 
-impl Bare {
-    pub(crate) fn open(place: &Place, shape: &Shape, way: Way) -> Self {
+impl BareStore {
+    pub(crate) fn open(place: &Place, shape: &Shape, way: SyncSharing) -> Self {
         let directory = place.directory();
         let path = directory.path().join("store");
         let database = Database::builder(&path)
@@ -88,19 +93,19 @@ impl Bare {
             .open()
             .expect("a store");
         let keyspace = database.keyspace("all", KeyspaceCreateOptions::default);
-        let writing = Arc::new(Writing {
+        let writing = Arc::new(WriteState {
             keyspace: keyspace.expect("a keyspace"),
             database,
             path,
             shape: shape.clone(),
-            next: AtomicU64::new(BEHIND),
+            next: AtomicU64::new(WINDOW_RECORDS),
             round: Mutex::default(),
             wake: Condvar::new(),
             done: Condvar::new(),
             synced: watch::Sender::new(0),
         });
         let syncing = Arc::clone(&writing);
-        let syncer = (way != Way::Leader).then(|| thread::spawn(move || syncing.run(way)));
+        let syncer = (way != SyncSharing::Leader).then(|| thread::spawn(move || syncing.run(way)));
         Self {
             writing,
             way,
@@ -112,7 +117,7 @@ impl Bare {
     /// Returns once 64 writers together have `count` acknowledged writes.
     pub(crate) async fn write(&self, count: usize) {
         let each = count / CLIENTS;
-        if matches!(self.way, Way::Leader | Way::Thread) {
+        if matches!(self.way, SyncSharing::Leader | SyncSharing::Thread) {
             let (writing, way) = (Arc::clone(&self.writing), self.way);
             let all = tokio::task::spawn_blocking(move || {
                 thread::scope(|scope| {
@@ -146,7 +151,7 @@ impl Bare {
     }
 }
 
-impl Drop for Bare {
+impl Drop for BareStore {
     fn drop(&mut self) {
         self.writing.round().stop = true;
         self.writing.wake.notify_one();
@@ -156,7 +161,7 @@ impl Drop for Bare {
     }
 }
 
-impl Writing {
+impl WriteState {
     fn round(&self) -> MutexGuard<'_, Round> {
         self.round.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -179,7 +184,7 @@ impl Writing {
             batch.insert(&self.keyspace, key.as_slice(), value.as_slice());
         }
         for key in &self.shape.removed {
-            batch.remove(&self.keyspace, counted(key, number - BEHIND));
+            batch.remove(&self.keyspace, counted(key, number - WINDOW_RECORDS));
         }
         batch.commit().expect("a store that takes it");
     }
@@ -195,11 +200,11 @@ impl Writing {
     }
 
     /// Returns once the writes that this thread has committed are synced.
-    fn settle(&self, way: Way) {
+    fn settle(&self, way: SyncSharing) {
         let mine = self.announce();
         let mut round = self.round();
         while round.synced < mine {
-            if way == Way::Leader && !round.syncing {
+            if way == SyncSharing::Leader && !round.syncing {
                 round.syncing = true;
                 let upto = round.committed;
                 drop(round);
@@ -220,7 +225,7 @@ impl Writing {
     }
 
     /// The thread that syncs.
-    fn run(&self, way: Way) {
+    fn run(&self, way: SyncSharing) {
         let mut journal = None;
         loop {
             let mut round = self.round();
@@ -235,7 +240,7 @@ impl Writing {
             }
             let upto = round.committed;
             drop(round);
-            if way == Way::Beside {
+            if way == SyncSharing::Beside {
                 self.database.persist(PersistMode::Buffer).expect("a sync");
                 self.newest(&mut journal).sync_data().expect("a sync");
             } else {

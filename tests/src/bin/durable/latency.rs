@@ -10,7 +10,7 @@ use wayfold_tests::{
 
 use crate::{
     INDEX, SPACE, WIDTH,
-    place::{Appended, Place},
+    place::{AppendFile, Place},
     report::{Goal, Report},
     service::insertion,
     shape::Shape,
@@ -27,7 +27,7 @@ pub(crate) async fn measure(place: &Place, shape: &Shape, rounds: usize, report:
         Stubs::connect(echo.uri()).await,
     );
     ours.create(INDEX, SPACE).await;
-    let mut file = Appended::new(directory.path());
+    let mut file = AppendFile::new(directory.path());
     let bytes = vec![0; shape.bytes()];
     let mut rounds_of = [Vec::new(), Vec::new(), Vec::new()];
     for round in 0..rounds {

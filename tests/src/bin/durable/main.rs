@@ -19,7 +19,7 @@ use clap::{Parser, ValueEnum};
 use serde_json::json;
 use wayfold_tests::measuring;
 
-use place::{Appended, Place};
+use place::{AppendFile, Place};
 use report::Report;
 use shape::Shape;
 
@@ -85,7 +85,7 @@ async fn measure(arguments: &Arguments) -> Report {
     report.section("the disk", "");
     println!("  {}", place.file_system().unwrap_or_default());
     let directory = place.directory();
-    let mut file = Appended::new(directory.path());
+    let mut file = AppendFile::new(directory.path());
     let mut taken: Vec<_> = (0..1000).map(|_| file.append(&[0; 4096])).collect();
     taken.sort();
     report.note(

@@ -16,7 +16,7 @@ use wayfold_tests::{States, Stubs, figures::quantile_ms, measuring, row_states};
 
 use crate::{
     INDEX, K, SPACE, WIDTH,
-    place::{Appended, Place},
+    place::{AppendFile, Place},
     report::Report,
     service::insertion,
 };
@@ -27,10 +27,10 @@ const PAUSE: Duration = Duration::from_millis(20);
 /// A sync of the witness that takes this long explains a pause at the same time.
 const SLOW_SYNC: Duration = Duration::from_millis(10);
 /// The interval between syncs of the witness.
-const EVERY: Duration = Duration::from_millis(2);
+const SYNC_INTERVAL: Duration = Duration::from_millis(2);
 
 /// The start and the duration of an event.
-type Taken = (Instant, Duration);
+type TimedEvent = (Instant, Duration);
 
 pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
     let title = format!("while {points} points are loaded in batches of {BATCH}, over gRPC");
@@ -90,7 +90,7 @@ pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
     }
 }
 
-fn tell(report: &mut Report, what: &str, taken: &[Taken]) {
+fn tell(report: &mut Report, what: &str, taken: &[TimedEvent]) {
     let mut sorted: Vec<_> = taken.iter().map(|taken| taken.1).collect();
     sorted.sort();
     for (name, q) in [("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0)] {
@@ -98,17 +98,17 @@ fn tell(report: &mut Report, what: &str, taken: &[Taken]) {
     }
 }
 
-fn is_excused(pause: &Taken, syncs: &[Taken]) -> bool {
+fn is_excused(pause: &TimedEvent, syncs: &[TimedEvent]) -> bool {
     syncs
         .iter()
         .any(|sync| sync.1 >= SLOW_SYNC && sync.0 < pause.0 + pause.1 && pause.0 < sync.0 + sync.1)
 }
 
 /// Appends and syncs on the same disk until a message stops it. A slow sync here is due to the disk.
-fn witness(directory: &Path, stopped: &mpsc::Receiver<()>) -> Vec<Taken> {
-    let mut file = Appended::new(directory);
+fn witness(directory: &Path, stopped: &mpsc::Receiver<()>) -> Vec<TimedEvent> {
+    let mut file = AppendFile::new(directory);
     let mut taken = Vec::new();
-    while stopped.recv_timeout(EVERY) == Err(RecvTimeoutError::Timeout) {
+    while stopped.recv_timeout(SYNC_INTERVAL) == Err(RecvTimeoutError::Timeout) {
         let began = Instant::now();
         taken.push((began, file.append(&[0; 4096])));
     }
@@ -129,7 +129,7 @@ async fn load(mut stubs: Stubs, points: usize) -> f64 {
 }
 
 /// Makes calls of one state, one in flight, until the load ends.
-async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<Taken> {
+async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<TimedEvent> {
     let mut states = States::new(SPACE.parse().expect("a space"), 1 + u64::from(queries));
     let mut taken = Vec::new();
     while !loaded.load(Ordering::Relaxed) {

@@ -39,9 +39,9 @@ impl Place {
 }
 
 /// A plain file that is appended to and synced.
-pub(crate) struct Appended(File);
+pub(crate) struct AppendFile(File);
 
-impl Appended {
+impl AppendFile {
     pub(crate) fn new(directory: &Path) -> Self {
         let path = directory.join("appended");
         let file = File::options().append(true).create(true).open(path);

@@ -13,10 +13,10 @@ use wayfold_tests::{
 
 use crate::{
     CLIENTS, INDEX, K, SPACE, WIDTH,
-    bare::{self, Bare},
+    bare::{self, BareStore},
     place::Place,
     report::{Goal, Report},
-    service::{Hosting, WINDOW_BYTES, insertion},
+    service::{DurableService, WINDOW_BYTES, insertion},
     shape::Shape,
 };
 
@@ -39,7 +39,7 @@ struct Round {
 /// A contestant of the measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Contestant {
-    Bare(bare::Way),
+    BareStore(bare::SyncSharing),
     Service(Option<u32>),
     /// The first number is that of the connections.
     Grpc(usize, Option<u32>),
@@ -56,12 +56,12 @@ pub(crate) async fn measure(
     let mut taken = BTreeMap::<Contestant, Vec<Round>>::new();
     for round in 0..rounds {
         // The contestants take turns, so that other load on the machine affects all of them.
-        for way in bare::Way::ALL {
-            let bare = Bare::open(place, shape, way);
+        for way in bare::SyncSharing::ALL {
+            let bare = BareStore::open(place, shape, way);
             let meter = Meter::start(None, count);
             bare.write(count).await;
             taken
-                .entry(Contestant::Bare(way))
+                .entry(Contestant::BareStore(way))
                 .or_default()
                 .push(meter.stop());
         }
@@ -105,14 +105,14 @@ fn tell(medians: &BTreeMap<Contestant, Round>, shape: &Shape, report: &mut Repor
     );
     let of = |contestant| medians.get(&contestant).copied().unwrap_or_default();
     let mut best = 0.0f64;
-    for way in bare::Way::ALL {
-        let round = of(Contestant::Bare(way));
+    for way in bare::SyncSharing::ALL {
+        let round = of(Contestant::BareStore(way));
         report.note(&format!("bare fjall: {}", way.name()), round.rate, "/s");
-        if way != bare::Way::Beside {
+        if way != bare::SyncSharing::Beside {
             best = best.max(round.rate);
         }
     }
-    let beside = of(Contestant::Bare(bare::Way::Beside)).rate;
+    let beside = of(Contestant::BareStore(bare::SyncSharing::Beside)).rate;
     for (k, with) in [(None, ""), (Some(K), ", k = 10")] {
         let service = of(Contestant::Service(k));
         report.ratio(
@@ -212,7 +212,7 @@ fn pool(client: usize, round: usize) -> Vec<f64> {
 
 async fn through_service(place: &Place, round: usize, count: usize, k: Option<u32>) -> Round {
     let directory = place.directory();
-    let hosting = Hosting::open(directory.path(), Durability::Fsync, WINDOW_BYTES);
+    let hosting = DurableService::open(directory.path(), Durability::Fsync, WINDOW_BYTES);
     hosting.create(INDEX).await;
     let pools: Vec<_> = (0..CLIENTS).map(|client| pool(client, round)).collect();
     let meter = Meter::start(None, count);

@@ -19,9 +19,9 @@ pub(crate) const WINDOW_BYTES: usize = 4 * 1024 * 1024;
 
 /// A service over the durable log in a directory.
 #[derive(Clone)]
-pub(crate) struct Hosting(Service);
+pub(crate) struct DurableService(Service);
 
-impl Hosting {
+impl DurableService {
     /// Opens a service with the server's own settings, except the window.
     pub(crate) fn open(directory: &Path, durability: Durability, window_bytes: usize) -> Self {
         let log = FjallLog::open(directory, durability).expect("a data directory");

@@ -15,7 +15,7 @@ use crate::{
     INDEX, SPACE, WIDTH,
     place::{Place, used},
     report::{Goal, Report},
-    service::{Hosting, WINDOW_BYTES, insertion},
+    service::{DurableService, WINDOW_BYTES, insertion},
     shape::{KEYSPACE, STORE},
 };
 
@@ -23,7 +23,7 @@ const BATCH: usize = 1_000;
 /// The numbers of a point: its coordinates, id, tag and revision.
 const POINT_BYTES: usize = 8 * (WIDTH + 3);
 /// The offset of the coordinates in the stored value of a point: after two revisions, the tag and the width.
-const STATE_AT: usize = 26;
+const STATE_OFFSET: usize = 26;
 
 pub(crate) async fn measure(place: &Place, points: usize, rounds: usize, report: &mut Report) {
     let directory = place.directory();
@@ -35,7 +35,7 @@ pub(crate) async fn measure(place: &Place, points: usize, rounds: usize, report:
     for _ in 0..rounds {
         bare.push(scan_and_build(&data.join(STORE), points).as_secs_f64());
         let began = Instant::now();
-        let hosting = Hosting::open(data, Durability::Fsync, WINDOW_BYTES);
+        let hosting = DurableService::open(data, Durability::Fsync, WINDOW_BYTES);
         ours.push(began.elapsed().as_secs_f64());
         drop(hosting);
     }
@@ -150,7 +150,7 @@ fn scan_and_build(store: &Path, points: usize) -> Duration {
         let (key, value) = pair.into_inner().expect("a pair");
         let id = key.last_chunk().map_or(0, |id| u64::from_be_bytes(*id));
         let state: [f64; WIDTH] = std::array::from_fn(|at| {
-            let bytes = value[STATE_AT + 8 * at..].first_chunk();
+            let bytes = value[STATE_OFFSET + 8 * at..].first_chunk();
             f64::from_le_bytes(*bytes.expect("a state"))
         });
         rows.push(id, 0, 1, &state);

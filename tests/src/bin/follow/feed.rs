@@ -18,7 +18,7 @@ pub(crate) struct Inserted {
 }
 
 /// The cost of feeding.
-pub(crate) struct Fed {
+pub(crate) struct FeedCost {
     /// Points inserted per second.
     pub(crate) rate: f64,
     /// The durations of calls to the echo meanwhile, one after the other.
@@ -31,8 +31,8 @@ pub(crate) async fn feed(
     echo: &Stubs,
     setting: &Setting,
     seed: u64,
-    told: mpsc::UnboundedSender<Inserted>,
-) -> Fed {
+    reports: mpsc::UnboundedSender<Inserted>,
+) -> FeedCost {
     let calls = setting.calls_per_second * setting.seconds;
     let mut states = States::new(index.space().clone(), 1_000 + seed);
     let batches: Vec<Vec<f64>> = (0..calls).map(|_| states.rows(setting.batch)).collect();
@@ -59,12 +59,12 @@ pub(crate) async fn feed(
     let mut inserts = JoinSet::new();
     for rows in batches {
         times.tick().await;
-        let (index, told) = (index.clone(), told.clone());
+        let (index, reports) = (index.clone(), reports.clone());
         inserts.spawn(async move {
             let sent = Instant::now();
             let inserted = index.insert(rows.chunks(WIDTH)).await.expect("an insert");
             // The receiver is gone if the inserts are not measured.
-            let _ = told.send(Inserted {
+            let _ = reports.send(Inserted {
                 rows,
                 revision: inserted.revision,
                 sent,
@@ -74,7 +74,7 @@ pub(crate) async fn feed(
     }
     inserts.join_all().await;
     let rate = (calls * setting.batch) as f64 / started.elapsed().as_secs_f64();
-    Fed {
+    FeedCost {
         rate,
         round_trips: round_trips.await.expect("the echo's caller"),
     }

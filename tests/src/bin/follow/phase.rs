@@ -18,7 +18,7 @@ use zenoh::Session;
 
 use crate::{
     K, SPACE, WIDTH,
-    feed::{Fed, Inserted, feed},
+    feed::{FeedCost, Inserted, feed},
 };
 
 /// The number of query states, drawn in advance and used repeatedly.
@@ -38,7 +38,7 @@ pub(crate) struct Setting {
 
 /// The rates at which one thread was answered.
 #[derive(Clone, Copy)]
-pub(crate) struct Asked {
+pub(crate) struct QueryRates {
     /// Queries per second of its processor time.
     pub(crate) by_processor: f64,
     /// Queries per second.
@@ -46,9 +46,9 @@ pub(crate) struct Asked {
 }
 
 /// The result of measuring a replica.
-pub(crate) struct Followed {
-    pub(crate) asked: Asked,
-    pub(crate) fed: Fed,
+pub(crate) struct ReplicaFigures {
+    pub(crate) asked: QueryRates,
+    pub(crate) fed: FeedCost,
     /// The time from the acknowledgement of each insert to its arrival in the replica.
     pub(crate) lags: Vec<Duration>,
     /// The time from the sending of each insert to its arrival in the replica.
@@ -71,7 +71,7 @@ pub(crate) async fn replica(
     echo: &Stubs,
     setting: &Setting,
     round: u64,
-) -> Followed {
+) -> ReplicaFigures {
     let (index, _) = index(client, setting, format!("replica-{round}")).await;
     let mut request = client.replica(index.name());
     if let Some(session) = &setting.session {
@@ -85,8 +85,8 @@ pub(crate) async fn replica(
             found.len()
         }
     };
-    let asking = Asking::start(round, search);
-    let (told, mut inserted) = mpsc::unbounded_channel::<Inserted>();
+    let asking = QueryThread::start(round, search);
+    let (reports, mut inserted) = mpsc::unbounded_channel::<Inserted>();
     let watched = tokio::spawn(async move {
         let mut waits = JoinSet::new();
         while let Some(insert) = inserted.recv().await {
@@ -99,11 +99,11 @@ pub(crate) async fn replica(
         }
         waits.join_all().await
     });
-    let fed = feed(&index, echo, setting, round, told).await;
+    let fed = feed(&index, echo, setting, round, reports).await;
     let asked = asking.stop();
     let (lags, lags_from_sending) = watched.await.expect("the watcher").into_iter().unzip();
     client.delete_index(index.name()).await.expect("a deletion");
-    Followed {
+    ReplicaFigures {
         asked,
         fed,
         lags,
@@ -112,7 +112,12 @@ pub(crate) async fn replica(
 }
 
 /// Queries a forest that receives the same inserts at the same rate, without a replica.
-pub(crate) async fn forest(client: &Client, echo: &Stubs, setting: &Setting, round: u64) -> Asked {
+pub(crate) async fn forest(
+    client: &Client,
+    echo: &Stubs,
+    setting: &Setting,
+    round: u64,
+) -> QueryRates {
     let (index, rows) = index(client, setting, format!("forest-{round}")).await;
     let mut forest = Forest::new(
         index.space().clone(),
@@ -133,11 +138,11 @@ pub(crate) async fn forest(client: &Client, echo: &Stubs, setting: &Setting, rou
             answer.neighbors.len()
         }
     };
-    let asking = Asking::start(round, search);
-    let (told, inserted) = mpsc::unbounded_channel();
+    let asking = QueryThread::start(round, search);
+    let (reports, inserted) = mpsc::unbounded_channel();
     let fed_with = index.clone();
     let applied = tokio::spawn(apply_all(fed_with, forest, published, inserted));
-    feed(&index, echo, setting, round, told).await;
+    feed(&index, echo, setting, round, reports).await;
     let asked = asking.stop();
     applied.await.expect("the applier");
     client.delete_index(index.name()).await.expect("a deletion");
@@ -184,13 +189,13 @@ fn points(index: &IndexHandle, rows: &[f64], first_id: u64, revision: u64) -> Po
 }
 
 /// A thread that queries without pause.
-struct Asking {
+struct QueryThread {
     stop: Arc<AtomicBool>,
-    thread: thread::JoinHandle<Asked>,
+    thread: thread::JoinHandle<QueryRates>,
 }
 
-impl Asking {
-    fn start(seed: u64, search: impl Fn(&[f64]) -> usize + Send + 'static) -> Asking {
+impl QueryThread {
+    fn start(seed: u64, search: impl Fn(&[f64]) -> usize + Send + 'static) -> QueryThread {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let space: wayfold_index::Space = SPACE.parse().expect("a space");
@@ -212,15 +217,15 @@ impl Asking {
             }
             let clock = started.elapsed();
             let processor = thread_time() - processor;
-            Asked {
+            QueryRates {
                 by_processor: asked as f64 / processor.as_secs_f64(),
                 by_clock: asked as f64 / clock.as_secs_f64(),
             }
         });
-        Asking { stop, thread }
+        QueryThread { stop, thread }
     }
 
-    fn stop(self) -> Asked {
+    fn stop(self) -> QueryRates {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.join().expect("the asking thread")
     }

@@ -7,11 +7,11 @@ use wayfold_tests::figures::{median, quantile_ms};
 
 use crate::{
     K, SPACE,
-    phase::{Asked, Followed, Setting},
+    phase::{QueryRates, ReplicaFigures, Setting},
 };
 
 /// One of the rates of a measurement.
-type Rate = fn(&Asked) -> f64;
+type Rate = fn(&QueryRates) -> f64;
 
 /// All measurements, one value per round.
 pub(crate) struct Report {
@@ -20,8 +20,8 @@ pub(crate) struct Report {
     points: usize,
     batch: usize,
     rates: Vec<f64>,
-    replica: Vec<Asked>,
-    forest: Vec<Asked>,
+    replica: Vec<QueryRates>,
+    forest: Vec<QueryRates>,
     lag: Quantiles,
     lag_from_sending: Quantiles,
     round_trip: Quantiles,
@@ -69,7 +69,7 @@ impl Report {
         }
     }
 
-    pub(crate) fn add_replica(&mut self, followed: Followed) {
+    pub(crate) fn add_replica(&mut self, followed: ReplicaFigures) {
         self.rates.push(followed.fed.rate);
         self.replica.push(followed.asked);
         self.lag.add(followed.lags);
@@ -77,12 +77,12 @@ impl Report {
         self.round_trip.add(followed.fed.round_trips);
     }
 
-    pub(crate) fn add_forest(&mut self, asked: Asked) {
+    pub(crate) fn add_forest(&mut self, asked: QueryRates) {
         self.forest.push(asked);
     }
 
     /// The medians of the replica and of the forest, and of the ratios of the rounds.
-    fn rates(&self, of: impl Fn(&Asked) -> f64) -> (f64, f64, f64) {
+    fn rates(&self, of: impl Fn(&QueryRates) -> f64) -> (f64, f64, f64) {
         let pairs = self.replica.iter().zip(&self.forest);
         (
             median(self.replica.iter().map(&of).collect()),

@@ -12,7 +12,10 @@ use indicatif::ProgressBar;
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{States, Stubs, row_states};
 
-use crate::{INDEX, SPACE, WIDTH, asking::Asker, asking::Way};
+use crate::{
+    INDEX, SPACE, WIDTH,
+    searcher::{CallPattern, Searcher},
+};
 
 const BATCH: usize = 1_000;
 
@@ -30,7 +33,7 @@ pub(crate) struct Growth {
 /// Inserts `points` points with one call in flight. A reader has one call in flight meanwhile.
 pub(crate) async fn grow(stubs: &Stubs, points: usize, progress: &ProgressBar) -> Growth {
     let grown = Arc::new(AtomicBool::new(false));
-    let (reading, mut reader) = (stubs.clone(), Asker::new(Way::OneInFlight, 1));
+    let (reading, mut reader) = (stubs.clone(), Searcher::new(CallPattern::OneInFlight, 1));
     let done = grown.clone();
     let reader = tokio::spawn(async move {
         let mut stubs = reading;

@@ -10,15 +10,15 @@ use crate::{K, SPACE, WIDTH};
 /// Points that are applied at a time, as the server gets them.
 const BATCH: usize = 1_000;
 /// The number of query states of one measurement.
-const ASKED: usize = 5_000;
+const QUERIES: usize = 5_000;
 
 /// A forest with the same number of points as the server, merged as far as the server's forest.
-pub(crate) struct Inside {
+pub(crate) struct InProcess {
     space: Space,
     points: Snapshot,
 }
 
-impl Inside {
+impl InProcess {
     pub(crate) fn new(points: usize) -> Self {
         let space: Space = SPACE.parse().expect("a space");
         let mut states = States::new(space.clone(), 0);
@@ -45,7 +45,7 @@ impl Inside {
 
     /// Processor time of one search, in microseconds: the mean of thousands.
     pub(crate) fn search_us(&self, seed: u64) -> f64 {
-        let mut rows = States::new(self.space.clone(), 1_000 + seed).rows(ASKED);
+        let mut rows = States::new(self.space.clone(), 1_000 + seed).rows(QUERIES);
         for row in rows.chunks_mut(WIDTH) {
             self.space.canonicalize(row).expect("a state");
         }
@@ -58,6 +58,6 @@ impl Inside {
             assert_eq!(answer.neighbors.len(), K as usize);
         }
         let taken: Duration = thread_time() - before;
-        taken.as_secs_f64() * 1e6 / ASKED as f64
+        taken.as_secs_f64() * 1e6 / QUERIES as f64
     }
 }

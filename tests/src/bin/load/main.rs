@@ -8,10 +8,10 @@
 //! its rate is the limit that the protocol sets. This process also does the same search: no server can take less time
 //! than the echo and that search together. Finally 64 writers insert without the network, and request neighbours.
 
-mod asking;
 mod growth;
-mod inside;
+mod in_process;
 mod report;
+mod searcher;
 mod writers;
 
 use std::{path::PathBuf, process::ExitCode};
@@ -20,9 +20,9 @@ use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use wayfold_tests::{Stubs, figures::resident_bytes, measuring};
 
-use asking::{Asker, Way};
-use inside::Inside;
+use in_process::InProcess;
 use report::{Report, Round};
+use searcher::{CallPattern, Searcher};
 
 /// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.
 #[global_allocator]
@@ -63,8 +63,8 @@ async fn measure(arguments: &Arguments) -> Report {
     server_stubs.create(INDEX, SPACE).await;
 
     let rounds = arguments.rounds.max(1);
-    let steps =
-        arguments.points + rounds * (Way::ALL.len() + writers::BATCHES.len()) * asking::STEPS;
+    let steps = arguments.points
+        + rounds * (CallPattern::ALL.len() + writers::BATCHES.len()) * searcher::STEPS;
     // Drawn to standard error, and only if that is a terminal.
     let style = ProgressStyle::with_template("{msg:24} {wide_bar} {percent:>3} %  {eta}");
     let progress = ProgressBar::new(steps as u64).with_style(style.expect("a template"));
@@ -85,19 +85,19 @@ async fn measure(arguments: &Arguments) -> Report {
         memory_bytes: described.memory_bytes,
         resident_bytes: resident_before.zip(resident_after),
     };
-    let inside = Inside::new(arguments.points);
-    for way in Way::ALL {
+    let inside = InProcess::new(arguments.points);
+    for way in CallPattern::ALL {
         progress.set_message(way.to_string());
         let mut measured = Vec::new();
         // The contestants take turns, so that other load on the machine affects all of them.
         for round in 0..rounds as u64 {
-            let mut asker = Asker::new(way, round);
+            let mut asker = Searcher::new(way, round);
             measured.push(Round {
                 server: asker.measure(&server_stubs, &server).await,
                 echo: asker.measure(&echo_stubs, &echo).await,
                 search_us: inside.search_us(round),
             });
-            progress.inc(asking::STEPS as u64);
+            progress.inc(searcher::STEPS as u64);
         }
         report.add(way, &measured);
     }
@@ -106,7 +106,7 @@ async fn measure(arguments: &Arguments) -> Report {
         let mut measured = Vec::new();
         for round in 0..rounds as u64 {
             measured.push(writers::write(batch, round).await);
-            progress.inc(asking::STEPS as u64);
+            progress.inc(searcher::STEPS as u64);
         }
         report.add_written(batch, &measured);
     }

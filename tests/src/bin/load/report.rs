@@ -7,15 +7,15 @@ use wayfold_tests::figures::{median, quantile_ms};
 
 use crate::{
     K, SPACE,
-    asking::{Asked, Way},
     growth::Growth,
-    writers::{self, WRITERS, Written},
+    searcher::{CallPattern, SearchRates},
+    writers::{self, WRITERS, WriterRates},
 };
 
 /// The result of one round.
 pub(crate) struct Round {
-    pub(crate) server: Asked,
-    pub(crate) echo: Asked,
+    pub(crate) server: SearchRates,
+    pub(crate) echo: SearchRates,
     /// Processor time of the search alone.
     pub(crate) search_us: f64,
 }
@@ -29,17 +29,17 @@ impl Round {
 
 /// The medians of one way of asking.
 pub(crate) struct Figures {
-    way: Way,
-    server: Asked,
-    echo: Asked,
+    way: CallPattern,
+    server: SearchRates,
+    echo: SearchRates,
     search_us: f64,
     /// The median of [`Round::share`].
     share: f64,
 }
 
-fn middle(asked: impl Iterator<Item = Asked> + Clone) -> Asked {
-    let of = |part: fn(Asked) -> f64| median(asked.clone().map(part).collect());
-    Asked {
+fn middle(asked: impl Iterator<Item = SearchRates> + Clone) -> SearchRates {
+    let of = |part: fn(SearchRates) -> f64| median(asked.clone().map(part).collect());
+    SearchRates {
         rate: of(|asked| asked.rate),
         processor_us: of(|asked| asked.processor_us),
         p50_ms: of(|asked| asked.p50_ms),
@@ -53,7 +53,7 @@ pub(crate) struct Report {
     pub(crate) growth: (Growth, Growth),
     pub(crate) asking: Vec<Figures>,
     /// The medians for each batch size.
-    pub(crate) written: Vec<(usize, Written)>,
+    pub(crate) written: Vec<(usize, WriterRates)>,
     /// The number of points that the server held.
     pub(crate) points: u64,
     /// The memory that the server reports for its points.
@@ -64,7 +64,7 @@ pub(crate) struct Report {
 
 impl Report {
     /// Adds the medians of some measurements.
-    pub(crate) fn add(&mut self, way: Way, rounds: &[Round]) {
+    pub(crate) fn add(&mut self, way: CallPattern, rounds: &[Round]) {
         self.asking.push(Figures {
             way,
             server: middle(rounds.iter().map(|round| round.server)),
@@ -75,9 +75,9 @@ impl Report {
     }
 
     /// Adds the medians of some measurements of one batch size.
-    pub(crate) fn add_written(&mut self, batch: usize, rounds: &[Written]) {
-        let of = |part: fn(&Written) -> f64| median(rounds.iter().map(part).collect());
-        let written = Written {
+    pub(crate) fn add_written(&mut self, batch: usize, rounds: &[WriterRates]) {
+        let of = |part: fn(&WriterRates) -> f64| median(rounds.iter().map(part).collect());
+        let written = WriterRates {
             rate: of(|written| written.rate),
             writer: of(|written| written.writer),
             processors: of(|written| written.processors),
@@ -103,7 +103,7 @@ impl Report {
                 "queries": growth.queries.len(),
             })
         };
-        let asked = |asked: &Asked| {
+        let asked = |asked: &SearchRates| {
             json!({
                 "states_per_second": asked.rate,
                 "processor_us": asked.processor_us,

@@ -31,7 +31,7 @@ pub(crate) const STEPS: usize = 20_000;
 
 /// A way to ask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Way {
+pub(crate) enum CallPattern {
     /// One client, one call of one state in flight.
     OneInFlight,
     /// One connection, 64 calls of one state in flight.
@@ -42,39 +42,39 @@ pub(crate) enum Way {
     Streamed,
 }
 
-impl Way {
-    pub(crate) const ALL: [Way; 4] = [
-        Way::OneInFlight,
-        Way::ManyInFlight,
-        Way::Batches,
-        Way::Streamed,
+impl CallPattern {
+    pub(crate) const ALL: [CallPattern; 4] = [
+        CallPattern::OneInFlight,
+        CallPattern::ManyInFlight,
+        CallPattern::Batches,
+        CallPattern::Streamed,
     ];
 
     /// Its name in JSON.
     pub(crate) fn key(self) -> &'static str {
         match self {
-            Way::OneInFlight => "one_in_flight",
-            Way::ManyInFlight => "many_in_flight",
-            Way::Batches => "batches",
-            Way::Streamed => "streamed",
+            CallPattern::OneInFlight => "one_in_flight",
+            CallPattern::ManyInFlight => "many_in_flight",
+            CallPattern::Batches => "batches",
+            CallPattern::Streamed => "streamed",
         }
     }
 }
 
-impl fmt::Display for Way {
+impl fmt::Display for CallPattern {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
-            Way::OneInFlight => "Knn, 1 in flight",
-            Way::ManyInFlight => "Knn, 64 in flight",
-            Way::Batches => "Knn, batches of 1,000",
-            Way::Streamed => "StreamKnn, 64 under way",
+            CallPattern::OneInFlight => "Knn, 1 in flight",
+            CallPattern::ManyInFlight => "Knn, 64 in flight",
+            CallPattern::Batches => "Knn, batches of 1,000",
+            CallPattern::Streamed => "StreamKnn, 64 under way",
         })
     }
 }
 
 /// The result of one measurement.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Asked {
+pub(crate) struct SearchRates {
     /// States answered per second.
     pub(crate) rate: f64,
     /// Processor time for each, of server and client together, in microseconds.
@@ -86,14 +86,14 @@ pub(crate) struct Asked {
 
 /// Searches in one way, with its own query states.
 #[derive(Clone)]
-pub(crate) struct Asker {
-    way: Way,
+pub(crate) struct Searcher {
+    way: CallPattern,
     states: Vec<f64>,
     next: usize,
 }
 
-impl Asker {
-    pub(crate) fn new(way: Way, seed: u64) -> Self {
+impl Searcher {
+    pub(crate) fn new(way: CallPattern, seed: u64) -> Self {
         let space = SPACE.parse().expect("a space");
         let states = States::new(space, seed).rows(POOL);
         Self {
@@ -104,7 +104,7 @@ impl Asker {
     }
 
     /// Queries a server in the given other process.
-    pub(crate) async fn measure(&mut self, stubs: &Stubs, server: &ServerProcess) -> Asked {
+    pub(crate) async fn measure(&mut self, stubs: &Stubs, server: &ServerProcess) -> SearchRates {
         let processes = [server.process().id(), process::id()];
         let processor = || {
             let taken = processes.map(|process| processor_seconds(process).unwrap_or(f64::NAN));
@@ -114,7 +114,7 @@ impl Asker {
         let (answered, mut taken) = self.ask_on(stubs, started).await;
         let (seconds, processor) = (started.elapsed().as_secs_f64(), processor() - before);
         taken.sort();
-        Asked {
+        SearchRates {
             rate: answered as f64 / seconds,
             processor_us: processor * 1e6 / answered as f64,
             p50_ms: quantile_ms(&taken, 0.5),
@@ -125,9 +125,9 @@ impl Asker {
     /// The number of answered states, and the durations of the calls.
     async fn ask_on(&mut self, stubs: &Stubs, started: Instant) -> (usize, Vec<Duration>) {
         match self.way {
-            Way::OneInFlight => self.ask(stubs.clone(), 1, started).await,
-            Way::Batches => self.ask(stubs.clone(), BATCH, started).await,
-            Way::ManyInFlight => {
+            CallPattern::OneInFlight => self.ask(stubs.clone(), 1, started).await,
+            CallPattern::Batches => self.ask(stubs.clone(), BATCH, started).await,
+            CallPattern::ManyInFlight => {
                 let mut askers = JoinSet::new();
                 for i in 0..IN_FLIGHT {
                     let (mut asker, stubs) = (self.clone(), stubs.clone());
@@ -140,7 +140,7 @@ impl Asker {
                     (sum + answered, all)
                 })
             }
-            Way::Streamed => (self.stream(stubs.clone(), started).await, Vec::new()),
+            CallPattern::Streamed => (self.stream(stubs.clone(), started).await, Vec::new()),
         }
     }
 

@@ -26,7 +26,7 @@ pub(crate) const POINTS: usize = 50_000;
 
 /// The result of one measurement.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Written {
+pub(crate) struct WriterRates {
     /// States inserted per second.
     pub(crate) rate: f64,
     /// The fraction of the time in which one of them held the writer.
@@ -36,7 +36,7 @@ pub(crate) struct Written {
 }
 
 /// Inserts into an index in memory, `batch` states per call. Each call requests the nearest neighbour of each state.
-pub(crate) async fn write(batch: usize, round: u64) -> Written {
+pub(crate) async fn write(batch: usize, round: u64) -> WriterRates {
     let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
     registry.replay().expect("an empty log");
     let registry = Arc::new(registry);
@@ -71,7 +71,7 @@ pub(crate) async fn write(batch: usize, round: u64) -> Written {
     }
     writers.join_all().await;
     let seconds = started.elapsed().as_secs_f64();
-    Written {
+    WriterRates {
         rate: inserted as f64 / seconds,
         writer: (held(&registry).await - held_before).as_secs_f64() / seconds,
         processors: (self::processor() - processor) / seconds,

@@ -6,9 +6,9 @@
 //! state, with one query in flight and with 64. The bare queryable returns a typical answer of the server without
 //! reading the query: its rate is the limit that Zenoh sets. All share one machine.
 
-mod asking;
 mod bare;
 mod report;
+mod searcher;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -17,8 +17,8 @@ use wayfold_index::{Forest, ForestOptions, PointRef, Points, Search, Space};
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{States, Stubs, figures::thread_time, measuring, row_states};
 
-use asking::{Asker, Form};
 use report::{Report, Rounds};
+use searcher::{Form, Searcher};
 
 /// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.
 #[global_allocator]
@@ -87,7 +87,7 @@ async fn measure(arguments: &Arguments) -> Report {
     for form in [Form::Protobuf, Form::Json] {
         let mut measured = Rounds::default();
         for round in 0..rounds {
-            let asker = Asker::new(&space, form, round as u64);
+            let asker = Searcher::new(&space, form, round as u64);
             // The contestants take turns, so that other load on the machine affects both.
             measured.one.0.push(asker.one(&to_server).await);
             measured.one.1.push(asker.one(&to_bare).await);

@@ -7,14 +7,14 @@ use wayfold_tests::figures::{median, quantile_ms};
 
 use crate::{
     K, SPACE,
-    asking::{Form, Many, One},
+    searcher::{Form, Latencies, Throughput},
 };
 
 /// The measurements of the server, and of the bare queryable, round by round.
 #[derive(Default)]
 pub(crate) struct Rounds {
-    pub(crate) one: (Vec<One>, Vec<One>),
-    pub(crate) many: (Vec<Many>, Vec<Many>),
+    pub(crate) one: (Vec<Latencies>, Vec<Latencies>),
+    pub(crate) many: (Vec<Throughput>, Vec<Throughput>),
 }
 
 /// The medians of the server and of the bare queryable.
@@ -23,15 +23,15 @@ type Pair = (f64, f64);
 impl Rounds {
     /// The time of a query with one in flight, in microseconds.
     fn quantile_us(&self, q: f64) -> Pair {
-        let of = |ones: &[One]| {
+        let of = |ones: &[Latencies]| {
             let quantiles = ones.iter().map(|one| quantile_ms(&one.0, q) * 1e3);
             median(quantiles.collect())
         };
         (of(&self.one.0), of(&self.one.1))
     }
 
-    fn many(&self, part: fn(&Many) -> f64) -> Pair {
-        let of = |many: &[Many]| median(many.iter().map(part).collect());
+    fn many(&self, part: fn(&Throughput) -> f64) -> Pair {
+        let of = |many: &[Throughput]| median(many.iter().map(part).collect());
         (of(&self.many.0), of(&self.many.1))
     }
 

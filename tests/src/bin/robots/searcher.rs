@@ -38,10 +38,10 @@ impl Form {
 }
 
 /// The durations of the answers, ascending.
-pub(crate) struct One(pub(crate) Vec<Duration>);
+pub(crate) struct Latencies(pub(crate) Vec<Duration>);
 
 /// The result of many queries in flight.
-pub(crate) struct Many {
+pub(crate) struct Throughput {
     /// Answers per second.
     pub(crate) rate: f64,
     /// Processor time of the process that answers, for each answer.
@@ -50,12 +50,12 @@ pub(crate) struct Many {
 
 /// Queries in one form, with its own states.
 #[derive(Clone)]
-pub(crate) struct Asker {
+pub(crate) struct Searcher {
     form: Form,
     payloads: Vec<Vec<u8>>,
 }
 
-impl Asker {
+impl Searcher {
     pub(crate) fn new(space: &Space, form: Form, seed: u64) -> Self {
         let rows = States::new(space.clone(), 100 + seed).rows(POOL);
         let payloads = rows.chunks(WIDTH).map(|row| match form {
@@ -75,14 +75,14 @@ impl Asker {
     }
 
     /// Queries with one in flight.
-    pub(crate) async fn one(&self, session: &Session) -> One {
+    pub(crate) async fn one(&self, session: &Session) -> Latencies {
         let mut taken = self.ask(session, 0, Instant::now()).await;
         taken.sort();
-        One(taken)
+        Latencies(taken)
     }
 
     /// Queries with 64 in flight; `process` answers.
-    pub(crate) async fn many(&self, session: &Session, process: u32) -> Many {
+    pub(crate) async fn many(&self, session: &Session, process: u32) -> Throughput {
         let before = processor_seconds(process);
         let started = Instant::now();
         let mut askers = JoinSet::new();
@@ -95,7 +95,7 @@ impl Asker {
         let elapsed = started.elapsed().as_secs_f64();
         let taken = processor_seconds(process).zip(before);
         let taken = taken.map_or(f64::NAN, |(after, before)| after - before);
-        Many {
+        Throughput {
             rate: answered as f64 / elapsed,
             processor_us: taken * 1e6 / answered as f64,
         }

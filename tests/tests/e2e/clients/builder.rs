@@ -9,16 +9,16 @@ use wayfold_proto::v1::{
 };
 use wayfold_tests::{Stubs, row_states};
 
-/// A client that creates and deletes indices; of the last one it may not know whether it is there.
+/// A client that creates and deletes indices. The state of the last one may be unknown to it.
 #[derive(Default)]
 pub(crate) struct Builder {
     calls: u64,
-    /// How many points the indices hold that it knows of; none where it deleted one.
+    /// The number of points of each known index; None for a deleted one.
     known: BTreeMap<String, Option<u64>>,
 }
 
 impl Builder {
-    /// Goes on until the server is gone, and says before each call that it begins one.
+    /// Runs until the server is gone, and signals the begin of each call.
     pub(crate) async fn build(mut self, mut stubs: Stubs, began: watch::Sender<u64>) -> Self {
         loop {
             self.calls += 1;
@@ -51,7 +51,7 @@ impl Builder {
         }
     }
 
-    /// Checks that each acknowledged change is there, and each unknown one whole or not at all.
+    /// Checks that each acknowledged change took effect, and each unknown one entirely or not at all.
     pub(crate) async fn check(&mut self, stubs: &mut Stubs) {
         let request = ListIndexesRequest::default();
         let listed = stubs.indexes.list_indexes(request).await.unwrap();

@@ -1,4 +1,4 @@
-//! Reads, and notes the answers bit for bit, each with its revision and index.
+//! A client that reads and keeps the exact answers, each with its revision and index.
 
 use rand::RngExt;
 use tokio::{net::unix::pipe, sync::watch};
@@ -12,32 +12,32 @@ use super::{COORDINATES, SPACE};
 
 /// One read in this many is a scan of everything.
 const SCANS: u32 = 30;
-/// A reader asks for the changes since a revision at most this far before the last that it saw.
-const RECENT: u64 = 2;
+/// The maximum number of revisions before the newest read one from which a reader asks for changes.
+const MAX_REVISIONS_BACK: u64 = 2;
 
-/// An answer that a reader saw.
-pub(crate) enum Seen {
+/// An answer to a reader.
+pub(crate) enum ReaderAnswer {
     Knn(KnnRequest, KnnResponse),
     Get(GetRequest, GetResponse),
     Scan(Content),
 }
 
-impl Seen {
-    /// The index and the revision that it is of.
+impl ReaderAnswer {
+    /// The index and the revision of the answer.
     pub(crate) fn at(&self) -> (&str, u64) {
         match self {
-            Seen::Knn(_, response) => at(&response.revision),
-            Seen::Get(_, response) => at(&response.revision),
-            Seen::Scan(content) => (&content.uid, content.revision),
+            ReaderAnswer::Knn(_, response) => at(&response.revision),
+            ReaderAnswer::Get(_, response) => at(&response.revision),
+            ReaderAnswer::Scan(content) => (&content.uid, content.revision),
         }
     }
 
-    /// Checks that it is what there is to see at the model's revision.
+    /// Checks the answer against the model, which has the answer's revision.
     pub(crate) fn check(&self, model: &Model) {
         match self {
-            Seen::Knn(request, response) => model.knn(request, response),
-            Seen::Get(request, response) => model.get(request, response),
-            Seen::Scan(content) => model.check_content(content),
+            ReaderAnswer::Knn(request, response) => model.knn(request, response),
+            ReaderAnswer::Get(request, response) => model.get(request, response),
+            ReaderAnswer::Scan(content) => model.check_content(content),
         }
     }
 }
@@ -48,11 +48,11 @@ pub(crate) struct Reader {
     ids: Vec<u64>,
     newest: u64,
     uid: String,
-    /// The answers since they were taken away last.
-    pub(crate) seen: Vec<Seen>,
+    /// The answers since they were last taken.
+    pub(crate) seen: Vec<ReaderAnswer>,
     /// The refusals since then.
     pub(crate) refusals: Vec<Status>,
-    /// How many of these were searches, for which nothing needs to be read.
+    /// The number of refused searches, which need no read of the disk.
     pub(crate) searches_refused: usize,
 }
 
@@ -69,8 +69,8 @@ impl Reader {
         }
     }
 
-    /// Reads until it is over, whatever the answers are. Unfinished work of others must not be seen. It signals each
-    /// read.
+    /// Reads until the signal to stop, whatever the answers are, and signals each read. Unfinished mutations of others
+    /// must not be visible.
     pub(crate) async fn read(
         mut self,
         stubs: Stubs,
@@ -80,18 +80,18 @@ impl Reader {
         while !*over.borrow() {
             self.note(stubs.clone()).await;
             if let Some(looked) = &looked {
-                // The pipe is full if the other side has signals enough, and broken if the server was killed.
+                // The pipe is full if the server has not read the last signals, and broken if the server was killed.
                 let _ = looked.try_write(&[1]);
             }
         }
         self
     }
 
-    /// Reads once, and notes the answer or the refusal.
+    /// Reads once and keeps the answer or the refusal.
     pub(crate) async fn note(&mut self, stubs: Stubs) {
         match self.look(stubs).await {
             Ok(seen) => self.seen.push(seen),
-            // It was removed meanwhile.
+            // The point was removed meanwhile.
             Err(status) if status.code() == Code::NotFound => {}
             Err(status) => {
                 assert_ne!(status.code(), Code::InvalidArgument, "{status}");
@@ -101,9 +101,9 @@ impl Reader {
     }
 
     /// One read.
-    pub(crate) async fn look(&mut self, mut stubs: Stubs) -> Result<Seen, Status> {
+    pub(crate) async fn look(&mut self, mut stubs: Stubs) -> Result<ReaderAnswer, Status> {
         if self.states.rng().random_ratio(1, SCANS) {
-            return Content::read(&stubs, "arm").await.map(Seen::Scan);
+            return Content::read(&stubs, "arm").await.map(ReaderAnswer::Scan);
         }
         if let Some(id) = self.ids.pop() {
             let request = GetRequest {
@@ -113,15 +113,15 @@ impl Reader {
                 ..Default::default()
             };
             let response = stubs.points.get(request.clone()).await?;
-            return Ok(Seen::Get(request, response.into_inner()));
+            return Ok(ReaderAnswer::Get(request, response.into_inner()));
         }
         let request = KnnRequest {
             index_name: "arm".into(),
             states: Some(row_states(&self.states.rows(1), COORDINATES)),
             k_form: Some(KForm::K(20)),
-            // All of the newest points, as it is these that might not be there any more.
+            // Reads all of the newest points, because these are the ones that a failure may lose.
             filter: Some(Filter {
-                since_revision: revision(&self.uid, self.newest.saturating_sub(RECENT)),
+                since_revision: revision(&self.uid, self.newest.saturating_sub(MAX_REVISIONS_BACK)),
                 ..Default::default()
             }),
             ..Default::default()
@@ -133,7 +133,7 @@ impl Reader {
         let neighbors = response.neighbors.as_ref();
         let ids = neighbors.into_iter().flat_map(|found| &found.ids);
         self.ids = ids.copied().take(1).collect();
-        Ok(Seen::Knn(request, response))
+        Ok(ReaderAnswer::Knn(request, response))
     }
 }
 

@@ -8,7 +8,7 @@ use std::{
 use prost::bytes::Bytes;
 use wayfold_tests::{Content, ledger::Entry};
 
-/// The count, of mutations. It knows of no order and no revisions; the model does.
+/// The counts of mutations, without order and revisions, which the model checks.
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     pub(crate) acknowledged: u64,
@@ -16,7 +16,7 @@ pub(crate) struct Tally {
     pub(crate) duplicated: u64,
     /// Answers of readers that were compared.
     pub(crate) read: u64,
-    /// By payload, as each is like no other: the calls that stored it and removed it.
+    /// The calls that stored and removed each payload; payloads are unique.
     rows: HashMap<Bytes, Row>,
     ids: HashMap<u64, Bytes>,
     calls: usize,
@@ -29,7 +29,7 @@ struct Row {
 }
 
 impl Tally {
-    /// Notes an acknowledged call. The calls of one client come in its order.
+    /// Adds an acknowledged call. The calls of one client are added in its order.
     pub(crate) fn note(&mut self, entry: &Entry) {
         self.calls += 1;
         self.acknowledged += 1;
@@ -59,7 +59,7 @@ impl Tally {
         }
     }
 
-    /// Compares it with the content. A mutation without its effect counts as lost. Removed rows are forgotten.
+    /// Compares the tally with the content. A mutation without its effect counts as lost. Removed rows are forgotten.
     pub(crate) fn count(&mut self, content: &Content) {
         let mut found: HashMap<&[u8], u64> = HashMap::new();
         for point in content.points.values() {

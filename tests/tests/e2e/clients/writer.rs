@@ -1,4 +1,4 @@
-//! Writes, and keeps a ledger of the acknowledged mutations.
+//! A client that writes and keeps a ledger of the acknowledged mutations.
 
 use prost::bytes::Bytes;
 use rand::{RngExt, SeedableRng};
@@ -13,18 +13,18 @@ use super::{COORDINATES, SPACE};
 /// The calls that a writer sends.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Load {
-    /// The greatest number of rows in one call.
+    /// The maximum number of rows in one call.
     pub(crate) rows: usize,
-    /// How often a call carries large payloads instead.
+    /// One call in this many carries large payloads.
     pub(crate) heavy: f64,
-    /// How often it removes.
+    /// One call in this many removes points.
     pub(crate) removals: f64,
 }
 
-/// Bytes of a large payload: as much as is allowed.
+/// The bytes of a large payload, the maximum that is allowed.
 const HEAVY_BYTES: usize = 64 * 1024;
 
-/// A client that writes one mutation after another, and remembers the one whose outcome it does not know.
+/// A client that makes one mutation after another and remembers the one with an unknown outcome.
 pub(crate) struct Writer {
     pub(crate) name: u64,
     load: Load,
@@ -39,7 +39,7 @@ pub(crate) struct Writer {
     unknown: Option<Request>,
     /// The refusal of that mutation, if it was refused.
     pub(crate) refusal: Option<Status>,
-    /// The mutations acknowledged since they were taken away last.
+    /// The acknowledged mutations since they were last taken.
     pub(crate) ledger: Vec<Entry>,
 }
 
@@ -50,7 +50,7 @@ enum Request {
 }
 
 impl Writer {
-    /// Each name is another client; equal names and seeds write equal calls.
+    /// A client with this name; equal names and seeds make equal calls.
     pub(crate) fn new(name: u64, seed: u64, load: Load) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed + name);
         Self {
@@ -101,7 +101,7 @@ impl Writer {
         }))
     }
 
-    /// The large points, so that they do not pile up, or another.
+    /// Removes the large points, so that they do not pile up, or another point.
     fn outdated(&mut self) -> Vec<u64> {
         if !self.heavy.is_empty() {
             return std::mem::take(&mut self.heavy);
@@ -111,13 +111,13 @@ impl Writer {
         Vec::from_iter(one.map(|at| self.mine.swap_remove(at)))
     }
 
-    /// A payload like no other, of at least `bytes` bytes.
+    /// A unique payload of at least `bytes` bytes.
     fn payload(&self, text: &str, bytes: usize) -> Bytes {
         let noise = &self.noise[text.len().min(bytes)..bytes];
         [text.as_bytes(), noise].concat().into()
     }
 
-    /// Writes until it is refused, or the server is gone. It starts with the mutation whose outcome is unknown.
+    /// Writes until a refusal or the end of the server, beginning with the mutation with the unknown outcome.
     pub(crate) async fn write(
         mut self,
         mut stubs: Stubs,
@@ -135,13 +135,13 @@ impl Writer {
         }
     }
 
-    /// Resolves the unknown mutation by asking again; it takes place once.
+    /// Resolves the unknown mutation by retries; it takes effect once.
     pub(crate) async fn resolve(&mut self, stubs: &mut Stubs) {
         let known = self.ask_again(stubs).await;
         assert!(known, "{:?}", self.refusal);
     }
 
-    /// Asks again for the unknown mutation; false if it is still unknown.
+    /// Retries the unknown mutation; false if its outcome is still unknown.
     pub(crate) async fn ask_again(&mut self, stubs: &mut Stubs) -> bool {
         match self.unknown.take() {
             Some(request) => self.send(stubs, request).await,
@@ -149,7 +149,7 @@ impl Writer {
         }
     }
 
-    /// Returns true if it was acknowledged; it is unknown if not.
+    /// Returns true if the mutation was acknowledged; otherwise its outcome is unknown.
     async fn send(&mut self, stubs: &mut Stubs, request: Request) -> bool {
         let answered = match &request {
             Request::Insert(insert) => {

@@ -6,7 +6,7 @@ use wayfold_tests::{Process, ServerProcess};
 
 use crate::preload::compiled;
 
-/// See the module.
+/// A disk that can be made to fail.
 pub(super) struct Disk {
     directory: tempfile::TempDir,
     library: PathBuf,
@@ -33,14 +33,14 @@ impl Disk {
         self.root().join("control")
     }
 
-    /// From now on it fails as `how` says, in the words of `failing.c`.
+    /// Makes the disk fail; `how` is a line of the control file of `failing.c`.
     pub(super) fn fail(&self, how: &str) {
         let new = self.root().join("control.new");
         fs::write(&new, how).unwrap();
         fs::rename(new, self.control()).unwrap();
     }
 
-    /// It fails no longer.
+    /// Ends the failure.
     pub(super) fn mend(&self) {
         fs::remove_file(self.control()).unwrap();
     }

@@ -1,16 +1,16 @@
 //! The server's report of a failed disk to an operator.
 
 use wayfold_proto::v1::InsertRequest;
-use wayfold_tests::{Finished, Process, Signal, Stubs, row_states};
+use wayfold_tests::{Process, ProcessOutput, Signal, Stubs, row_states};
 
 use super::{RECOVERED, check_refusals, disk::Disk};
 
 /// Refused writes.
 const WRITES: u64 = 50;
-/// The server has several indices, and each could complain.
+/// The server has several indices, and each could log the failure.
 const INDEXES: u64 = 5;
 
-fn insert(uri: &str, row: &str) -> Finished {
+fn insert(uri: &str, row: &str) -> ProcessOutput {
     let command = env!("CARGO_BIN_EXE_cli-process");
     let mut process = Process::start(command, &["--server", uri, "insert", "arm-0", "-"]);
     process.say(row);
@@ -49,6 +49,6 @@ async fn one_line_says_that_it_began_and_one_that_it_ended() {
     assert_eq!(count("ERROR"), 1, "{log}");
     assert_eq!(count("the log has failed"), 1, "{log}");
     assert_eq!(count(RECOVERED), 1, "{log}");
-    // At most one warning says that the store could not go on, however often it tried.
+    // However often the store tried to reopen, at most one warning reports that it could not.
     assert!(count("WARN") <= 1, "{log}");
 }

@@ -1,17 +1,17 @@
 //! A server is started while the disk fails.
 
 use tonic::Code;
-use wayfold_tests::{Finished, Process, Refusal, ServerProcess, Signal, Stubs};
+use wayfold_tests::{Process, ProcessOutput, Refusal, ServerProcess, Signal, Stubs};
 
 use super::{LOAD, RECOVERED, SEED, disk::Disk};
-use crate::clients::{Clients, Moment};
+use crate::clients::{Clients, FaultTime};
 
-/// Ended with a sentence, and by no panic.
-fn check_refused(finished: &Finished) {
+/// The server ended with a message and without a panic.
+fn check_refused(finished: &ProcessOutput) {
     assert_eq!(finished.status.code(), Some(1), "{finished:?}");
     assert_eq!(finished.stderr.lines().count(), 1, "{finished:?}");
-    let told = "see that this user may write there and that the disk has room";
-    assert!(finished.stderr.contains(told), "{finished:?}");
+    let advice = "see that this user may write there and that the disk has room";
+    assert!(finished.stderr.contains(advice), "{finished:?}");
 }
 
 #[test]
@@ -25,8 +25,8 @@ fn no_data_directory_is_begun_on_a_disk_that_fails() {
     }
 }
 
-/// The server, or how it ended.
-fn up(mut process: Process) -> Result<ServerProcess, Finished> {
+/// The server, or the output of a process that did not start.
+fn up(mut process: Process) -> Result<ServerProcess, ProcessOutput> {
     match process.line() {
         Some(line) => Ok(ServerProcess::listening(process, &line)),
         None => Err(process.finish()),
@@ -38,7 +38,7 @@ async fn a_server_that_finds_its_disk_failing_says_so_and_recovers_by_itself() {
     let disk = Disk::new();
     let server = disk.serve();
     let mut clients = Clients::new(&server, SEED, LOAD).await;
-    clients.work(server, Moment::Acknowledged(100)).await;
+    clients.work(server, FaultTime::Acknowledged(100)).await;
     for (how, is_up) in [
         ("full 28", true),
         ("torn 28", true),
@@ -76,7 +76,7 @@ async fn a_server_that_finds_its_disk_failing_says_so_and_recovers_by_itself() {
             }
         };
         clients.check(&server).await;
-        clients.work(server, Moment::Acknowledged(20)).await;
+        clients.work(server, FaultTime::Acknowledged(20)).await;
     }
     clients.check(&disk.serve()).await;
 }

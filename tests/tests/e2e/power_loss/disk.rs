@@ -45,13 +45,13 @@ impl Disk {
         self.directory.path().join(format!("shadow-{}", self.cuts))
     }
 
-    /// The pipe into which readers tell that they have looked: a sync lasts until one has.
+    /// The pipe into which readers write after each read; a sync lasts until one has.
     pub(super) fn looked(&self) -> PathBuf {
         self.directory.path().join("looked")
     }
 
-    /// Starts a server whose data is on it; more of its settings by environment. Once between two cuts: what it finds
-    /// is taken for durable.
+    /// Starts a server whose data is on it, with settings in its environment. Only one start is allowed between two
+    /// cuts, because the files at the start count as durable.
     pub(super) fn start(&self, settings: &[(&str, &str)]) -> Process {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command
@@ -73,7 +73,7 @@ impl Disk {
         ServerProcess::ready(self.start(settings))
     }
 
-    /// Takes everything from it.
+    /// Removes all files from it.
     pub(super) fn erase(&mut self) {
         fs::remove_dir_all(self.files()).unwrap();
         fs::remove_dir_all(self.shadow()).unwrap();
@@ -90,7 +90,7 @@ impl Disk {
             durable(&shadow, 0, true, &self.files());
             fs::remove_dir_all(files).unwrap();
         } else {
-            // The program had not begun.
+            // The program had not begun to write.
             fs::rename(files, self.files()).unwrap();
         }
         fs::remove_dir_all(shadow).unwrap();
@@ -118,7 +118,7 @@ impl Disk {
     }
 }
 
-/// Puts an object of the shadow where it was, with all that is under it.
+/// Restores an object of the shadow, with everything under it.
 fn durable(shadow: &Path, number: u32, directory: bool, to: &Path) {
     let content = shadow.join(number.to_string());
     if !content.exists() {

@@ -1,4 +1,4 @@
-//! Writers, and their mutations at each revision. Every answer of a replica is compared with them.
+//! Writers, and the history of their mutations, with which every answer of a replica is compared.
 
 use std::{
     collections::BTreeMap,
@@ -32,16 +32,16 @@ pub(super) enum Change {
 }
 
 /// The changes, by the revision that each made.
-pub(super) type Past = BTreeMap<u64, Change>;
+pub(super) type History = BTreeMap<u64, Change>;
 
-/// A question, and what a replica answered.
-pub(super) struct Answered {
+/// A search and the answer of a replica.
+pub(super) struct ReplicaAnswer {
     pub(super) state: Vec<f64>,
     pub(super) question: Question,
     pub(super) found: ReplicaNeighbors,
 }
 
-/// A client that waits for its server, however long that is away.
+/// A client that waits for its server without a limit.
 pub(super) async fn client(uri: &str) -> Client {
     let patient = Client::builder()
         .timeout(Duration::from_secs(120))
@@ -50,11 +50,11 @@ pub(super) async fn client(uri: &str) -> Client {
 }
 
 /// Makes `calls` mutations of its own points; each changes something.
-pub(super) async fn write(index: IndexHandle, name: u64, calls: u64) -> Past {
+pub(super) async fn write(index: IndexHandle, name: u64, calls: u64) -> History {
     let mut random = ChaCha8Rng::seed_from_u64(100 + name);
     let mut states = States::new(index.space().clone(), name);
     let mut mine: Vec<u64> = Vec::new();
-    let mut past = Past::new();
+    let mut past = History::new();
     for call in 0..calls {
         // No two mutations give the same tag.
         let tag = call << 8 | name << 4 | random.random_range(0..16);
@@ -71,7 +71,7 @@ pub(super) async fn write(index: IndexHandle, name: u64, calls: u64) -> Past {
                 (updated.revision.number, Change::Tagged { ids, tag })
             }
             kind => {
-                // Sometimes those that are stored already; sometimes more than a message of a feed holds.
+                // Some rows are already stored, and some calls exceed a message of the feed.
                 let count = if call % 50 == 17 {
                     6_000
                 } else {
@@ -97,7 +97,7 @@ pub(super) async fn write(index: IndexHandle, name: u64, calls: u64) -> Past {
     past
 }
 
-/// A search, in words that brute force and a replica both have a form of.
+/// A search that both brute force and a replica can make.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Question {
     /// Without it, all within the radius.
@@ -135,7 +135,7 @@ impl Question {
     }
 }
 
-/// Some search of the kinds that there are, by filters that have something to do.
+/// Draws a search of any kind, with a filter that excludes some points.
 pub(super) fn question(random: &mut ChaCha8Rng, revision: u64) -> Question {
     let (k, radius) = match random.random_range(0..3) {
         0 => (Some(1), f64::INFINITY),
@@ -157,11 +157,16 @@ pub(super) fn question(random: &mut ChaCha8Rng, revision: u64) -> Question {
     Question { k, radius, filter }
 }
 
-/// Asks on until `stop` is set; keeps at most one answer for each revision that it saw.
-pub(super) fn ask(replica: &Replica, space: Space, seed: u64, stop: &AtomicBool) -> Vec<Answered> {
+/// Searches until `stop` is set; keeps at most one answer for each revision.
+pub(super) fn ask(
+    replica: &Replica,
+    space: Space,
+    seed: u64,
+    stop: &AtomicBool,
+) -> Vec<ReplicaAnswer> {
     let mut states = States::new(space, 1_000 + seed);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut answers: Vec<Answered> = Vec::new();
+    let mut answers: Vec<ReplicaAnswer> = Vec::new();
     while !stop.load(Ordering::Relaxed) {
         let state = states.row();
         let question = question(&mut random, replica.revision().number);
@@ -171,7 +176,7 @@ pub(super) fn ask(replica: &Replica, space: Space, seed: u64, stop: &AtomicBool)
         let last = answers.last().map(|last| last.found.revision().number);
         assert!(last <= Some(now), "it went back from {last:?}");
         if last != Some(now) {
-            answers.push(Answered {
+            answers.push(ReplicaAnswer {
                 state,
                 question,
                 found,
@@ -181,7 +186,7 @@ pub(super) fn ask(replica: &Replica, space: Space, seed: u64, stop: &AtomicBool)
     answers
 }
 
-/// A replica has the points that there are, and no others.
+/// Asserts that a replica has exactly the stored points.
 pub(super) fn compare(replica: &Replica, points: &Linear) {
     let view = replica.view().unwrap();
     assert_eq!(view.len(), points.len());
@@ -195,8 +200,8 @@ pub(super) fn compare(replica: &Replica, points: &Linear) {
     }
 }
 
-/// Replays the past and compares each answer with brute force at its revision. Returns the points at the end.
-pub(super) fn check(space: &Space, past: &Past, mut answers: Vec<Answered>) -> Linear {
+/// Replays the history and compares each answer with brute force at its revision. Returns the points at the end.
+pub(super) fn check(space: &Space, past: &History, mut answers: Vec<ReplicaAnswer>) -> Linear {
     answers.sort_by_key(|answered| answered.found.revision().number);
     let mut answers = answers.into_iter().peekable();
     let mut points = Linear::new(space.clone());

@@ -1,4 +1,4 @@
-//! A connection that can be cut, at any byte, held up, or refused.
+//! A proxy that can cut connections at any byte, delay them, or refuse them.
 
 use std::{
     net::SocketAddr,
@@ -14,24 +14,24 @@ use tokio::{
     sync::watch,
 };
 
-/// Stands between clients and a server.
+/// A proxy between clients and a server.
 pub(super) struct Proxy {
     pub(super) uri: String,
-    shared: Arc<Shared>,
+    shared: Arc<ProxyState>,
 }
 
-struct Shared {
-    way: watch::Sender<Way>,
-    /// After this many more bytes to the clients, all connections are cut, once.
+struct ProxyState {
+    way: watch::Sender<Route>,
+    /// The number of further bytes to the clients after which all connections are cut once.
     bytes_left: AtomicI64,
     cuts: watch::Sender<u64>,
 }
 
 /// The destination of connections.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Way {
+enum Route {
     To(SocketAddr),
-    /// To the server, but nothing comes back.
+    /// To the server, without any answer back.
     Held(SocketAddr),
     Closed,
 }
@@ -43,8 +43,8 @@ fn address(uri: &str) -> SocketAddr {
 impl Proxy {
     pub(super) async fn to(uri: &str) -> Proxy {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let shared = Arc::new(Shared {
-            way: watch::Sender::new(Way::To(address(uri))),
+        let shared = Arc::new(ProxyState {
+            way: watch::Sender::new(Route::To(address(uri))),
             bytes_left: AtomicI64::new(i64::MAX),
             cuts: watch::Sender::new(0),
         });
@@ -58,19 +58,19 @@ impl Proxy {
         Proxy { uri, shared }
     }
 
-    /// Leads to a server from now on. Connections that are open stay.
+    /// Forwards new connections to a server. Open connections stay.
     pub(super) fn lead_to(&self, uri: &str) {
-        self.shared.way.send_replace(Way::To(address(uri)));
+        self.shared.way.send_replace(Route::To(address(uri)));
     }
 
-    /// Lets nothing through to the clients.
+    /// Stops all data to the clients.
     pub(super) fn hold(&self, uri: &str) {
-        self.shared.way.send_replace(Way::Held(address(uri)));
+        self.shared.way.send_replace(Route::Held(address(uri)));
     }
 
     /// Cuts all connections, and refuses new ones.
     pub(super) fn close(&self) {
-        self.shared.way.send_replace(Way::Closed);
+        self.shared.way.send_replace(Route::Closed);
         self.shared.cut();
     }
 
@@ -79,23 +79,23 @@ impl Proxy {
         self.shared.bytes_left.store(bytes, Ordering::Relaxed);
     }
 
-    /// How often connections were cut.
+    /// The number of times that connections were cut.
     pub(super) fn cuts(&self) -> u64 {
         *self.shared.cuts.borrow()
     }
 }
 
-impl Shared {
+impl ProxyState {
     fn cut(&self) {
         self.cuts.send_modify(|cuts| *cuts += 1);
     }
 
     async fn carry(self: Arc<Self>, mut client: TcpStream) {
         let mut cuts = self.cuts.subscribe();
-        let (Way::To(server) | Way::Held(server)) = *self.way.borrow() else {
+        let (Route::To(server) | Route::Held(server)) = *self.way.borrow() else {
             return;
         };
-        // A server that is being killed refuses.
+        // A server that is being killed refuses the connection.
         let Ok(mut server) = TcpStream::connect(server).await else {
             return;
         };
@@ -118,7 +118,7 @@ impl Shared {
         let mut way = self.way.subscribe();
         let mut bytes = vec![0; 16 * 1024];
         while let Ok(read @ 1..) = from_server.read(&mut bytes).await {
-            let _ = way.wait_for(|way| !matches!(way, Way::Held(_))).await;
+            let _ = way.wait_for(|way| !matches!(way, Route::Held(_))).await;
             let count = i64::try_from(read).unwrap();
             let left = self.bytes_left.fetch_sub(count, Ordering::Relaxed);
             if left < count {

@@ -1,10 +1,10 @@
-//! Operations written by hand: every way in which one can be wrong.
+//! Operations written by hand, one for each kind of fault.
 
 use wayfold_proto::v1::{self, create_index_request::SpaceForm};
 
 use super::{op::Op, outcome::UID};
 
-/// How many of those by hand come after the random ones.
+/// The number of handwritten operations that come after the random ones.
 pub(crate) const AFTER: usize = 8;
 
 pub(crate) fn by_hand() -> Vec<Op> {
@@ -79,7 +79,7 @@ pub(crate) fn by_hand() -> Vec<Op> {
         insert(&[1 << 63], "", 0),
         insert(&[], "", 65_537),
         insert(&[], &"ä".repeat(33), 0),
-        // From here on after the random ones.
+        // The operations from here on come after the random ones.
         insert(&[(1 << 63) - 1], "", 0),
         insert(&[], "", 0),
         info("arm"),

@@ -1,4 +1,4 @@
-//! Requests in handwritten JSON, and the answers in JSON, read by hand field for field.
+//! Requests in handwritten JSON, and the answers in JSON, read field by field.
 
 use serde_json::{Map, Value, json};
 use wayfold_proto::v1::{self, create_index_request::SpaceForm, neighbor_spec};
@@ -14,7 +14,7 @@ fn float(value: f64) -> Value {
     }
 }
 
-/// Writes it like a program that supports readers with doubles only.
+/// Writes a 64-bit integer as text, like a program whose readers have only doubles.
 fn integer(value: &u64) -> Value {
     match *value {
         large if large >= 1 << 53 => json!(large.to_string()),
@@ -67,7 +67,7 @@ fn revision(it: &v1::Revision) -> Value {
     json!({ "uid": it.uid, "number": integer(&it.number) })
 }
 
-/// The one of its forms that is set, by its name.
+/// The name and value of the field of a oneof that is set.
 fn count(it: neighbor_spec::KForm) -> (&'static str, Option<Value>) {
     match it {
         neighbor_spec::KForm::K(k) => ("k", Some(json!(k))),
@@ -97,7 +97,7 @@ fn object<const N: usize>(fields: [(&str, Option<Value>); N]) -> Value {
     Value::Object(set.collect::<Map<_, _>>())
 }
 
-/// A request without the name of the index, which is in the key, unless it is asked of the server.
+/// A request without the name of the index, which is in the key, unless the operation addresses the server.
 pub(super) fn request(op: &Op) -> Value {
     match op {
         Op::Create(it) => object([

@@ -1,5 +1,5 @@
-//! One script of operations, good and bad, through the service, gRPC, Zenoh with Protocol Buffers and Zenoh with JSON:
-//! the answers are the same to the bit, and the refusals to the word.
+//! One script of good and bad operations runs through the service, gRPC, Zenoh with Protocol Buffers and Zenoh with
+//! JSON. The answers agree to the bit and the refusals to the word.
 
 mod by_hand;
 mod json;
@@ -45,7 +45,7 @@ async fn the_faces_answer_alike() {
     for mut target in [grpc, protobuf, json] {
         let mut outcomes = Vec::new();
         for (at, (op, expected)) in recorded.iter().enumerate() {
-            // A watch is the log's sibling over gRPC.
+            // Over gRPC, a watch takes the place of the log.
             if !target.has(op) {
                 outcomes.push(expected.clone());
                 continue;
@@ -57,7 +57,7 @@ async fn the_faces_answer_alike() {
         }
         said.push(outcomes);
     }
-    // A status adds words and all details to the service's error: these are the same on each face.
+    // A status adds a message and all details to the service's error; these are the same on each interface.
     for (at, (op, _)) in recorded.iter().enumerate() {
         assert_eq!(said[1][at], said[2][at], "{at}: {op:?}");
         if !matches!(op, Op::Log(_)) {

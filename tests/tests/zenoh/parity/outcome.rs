@@ -8,13 +8,13 @@ use tonic_types::pb;
 use wayfold_proto::v1;
 use wayfold_server::service::{Code, Error};
 
-/// Stands for the uid of the index, which differs on each server.
+/// A placeholder for the uid of the index, which differs on each server.
 pub(crate) const UID: &str = "11111111-2222-3333-4444-555555555555";
 
 /// An answer, written so that every bit shows, or a refusal.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Outcome {
-    Told { text: String, revision: u64 },
+    Reply { text: String, revision: u64 },
     Refused(Box<Refused>),
 }
 
@@ -25,27 +25,27 @@ pub(crate) struct Refused {
     reason: String,
     /// The fields and their reasons.
     fields: Vec<(String, String)>,
-    /// The parts that the service's error lacks: the words, and the details but for the above.
+    /// The parts that the service's error lacks: the message and the other details.
     message: String,
     metadata: BTreeMap<String, String>,
     details: Vec<String>,
 }
 
 impl Outcome {
-    pub(crate) fn told(message: &impl Debug, revision: u64) -> Self {
-        Outcome::Told {
+    pub(crate) fn answered(message: &impl Debug, revision: u64) -> Self {
+        Outcome::Reply {
             text: format!("{message:?}"),
             revision,
         }
     }
 
     pub(crate) fn is_ok(&self) -> bool {
-        matches!(self, Outcome::Told { .. })
+        matches!(self, Outcome::Reply { .. })
     }
 
     pub(crate) fn reason(&self) -> Option<String> {
         match self {
-            Outcome::Told { .. } => None,
+            Outcome::Reply { .. } => None,
             Outcome::Refused(refused) => Some(refused.reason.clone()),
         }
     }
@@ -53,7 +53,7 @@ impl Outcome {
     /// The part that the service itself also returns.
     pub(crate) fn core(&self) -> Self {
         match self {
-            Outcome::Told { .. } => self.clone(),
+            Outcome::Reply { .. } => self.clone(),
             Outcome::Refused(refused) => Outcome::Refused(Box::new(Refused {
                 code: refused.code,
                 reason: refused.reason.clone(),
@@ -71,9 +71,9 @@ impl Outcome {
             }
         };
         match self {
-            Outcome::Told { mut text, revision } => {
+            Outcome::Reply { mut text, revision } => {
                 replace(&mut text);
-                Outcome::Told { text, revision }
+                Outcome::Reply { text, revision }
             }
             Outcome::Refused(mut refused) => {
                 replace(&mut refused.message);

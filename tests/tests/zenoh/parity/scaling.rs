@@ -1,4 +1,4 @@
-//! Numbers and radii by the size of the index, right and wrong, in the place of those that operations have.
+//! Scaled numbers and radii, right and wrong, in place of the fixed ones of operations.
 
 use rand::{RngExt, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
@@ -56,7 +56,7 @@ fn draw(random: &mut ChaCha8Rng) -> (Option<f64>, Option<v1::ScaledRadius>) {
     (k_factor, radius)
 }
 
-/// True if it asks for numbers or radii by the size of the index.
+/// True if it asks for scaled numbers or radii.
 pub(super) fn is_scaled(op: &Op) -> bool {
     let (count, radius_form): (
         Option<neighbor_spec::KForm>,

@@ -14,7 +14,7 @@ use super::{
     scaling,
 };
 
-/// The operations, one by one: some depend on the revision that was reached.
+/// The operations, drawn one by one, because some depend on the newest revision.
 pub(crate) struct Script {
     random: ChaCha8Rng,
     by_hand: VecDeque<Op>,
@@ -34,13 +34,13 @@ impl Script {
 
     /// Learns from the outcome of the last operation.
     pub(crate) fn learn(&mut self, outcome: &Outcome) {
-        if let Outcome::Told { revision, .. } = outcome {
+        if let Outcome::Reply { revision, .. } = outcome {
             self.revision = self.revision.max(*revision);
         }
     }
 
     pub(crate) fn next(&mut self) -> Option<Op> {
-        // The index is there first, and deleted last.
+        // The index is created first and deleted last.
         if self.left > 0 && self.by_hand.len() == AFTER {
             self.left -= 1;
             let mut op = self.draw();
@@ -261,7 +261,7 @@ impl Script {
         })
     }
 
-    /// A revision that there is, or one that is about to come, which no read waits for.
+    /// An existing revision, or the next one, for which no read waits.
     fn revision_or_none(&mut self) -> Option<v1::Revision> {
         let most = self.revision + 3;
         self.chance(0.8).then(|| v1::Revision {

@@ -1,4 +1,4 @@
-//! The places where the script is played: the service in this process, and the faces of servers.
+//! The targets of the script: the service in this process and the interfaces of servers.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::robot::{Robot, server};
 
-enum Way {
+enum Transport {
     Service(Service),
     Grpc(Box<Stubs>),
     Zenoh(Robot, Form),
@@ -32,8 +32,8 @@ enum Form {
 }
 
 pub(crate) struct Target {
-    way: Way,
-    /// The uid of the index "arm" here, once there is one.
+    way: Transport,
+    /// The uid of the index "arm" of this target, once it exists.
     uid: String,
     _server: Option<ServerProcess>,
 }
@@ -44,10 +44,10 @@ impl Target {
         let registry = Registry::new(log, RegistryOptions::default());
         let service = Service::new(registry, Limits::default());
         service.set_ready();
-        Self::of(Way::Service(service), None)
+        Self::of(Transport::Service(service), None)
     }
 
-    /// The faces, each of a server of its own.
+    /// The interfaces, each of its own server.
     pub(crate) async fn faces() -> [Self; 3] {
         let (grpc, _) = server();
         let stubs = Box::new(Stubs::connect(grpc.uri()).await);
@@ -56,13 +56,13 @@ impl Target {
         let (json, at_json) = server();
         let other = Robot::connect(&at_json).await;
         [
-            Self::of(Way::Grpc(stubs), Some(grpc)),
-            Self::of(Way::Zenoh(robot, Form::Protobuf), Some(protobuf)),
-            Self::of(Way::Zenoh(other, Form::Json), Some(json)),
+            Self::of(Transport::Grpc(stubs), Some(grpc)),
+            Self::of(Transport::Zenoh(robot, Form::Protobuf), Some(protobuf)),
+            Self::of(Transport::Zenoh(other, Form::Json), Some(json)),
         ]
     }
 
-    fn of(way: Way, server: Option<ServerProcess>) -> Self {
+    fn of(way: Transport, server: Option<ServerProcess>) -> Self {
         Self {
             way,
             uid: String::new(),
@@ -72,15 +72,15 @@ impl Target {
 
     pub(crate) fn name(&self) -> &'static str {
         match &self.way {
-            Way::Service(_) => "service",
-            Way::Grpc(_) => "gRPC",
-            Way::Zenoh(_, Form::Protobuf) => "Zenoh with Protocol Buffers",
-            Way::Zenoh(_, Form::Json) => "Zenoh with JSON",
+            Transport::Service(_) => "service",
+            Transport::Grpc(_) => "gRPC",
+            Transport::Zenoh(_, Form::Protobuf) => "Zenoh with Protocol Buffers",
+            Transport::Zenoh(_, Form::Json) => "Zenoh with JSON",
         }
     }
 
     pub(crate) fn has(&self, op: &Op) -> bool {
-        !matches!((&self.way, op), (Way::Grpc(_), Op::Log(_)))
+        !matches!((&self.way, op), (Transport::Grpc(_), Op::Log(_)))
     }
 
     pub(crate) async fn perform(&mut self, op: &Op) -> Outcome {
@@ -91,9 +91,9 @@ impl Target {
             }
         }
         let answer = match &mut self.way {
-            Way::Service(service) => by_service(service, op).await,
-            Way::Grpc(stubs) => by_grpc(stubs, op).await,
-            Way::Zenoh(robot, form) => by_zenoh(robot, *form, op).await,
+            Transport::Service(service) => by_service(service, op).await,
+            Transport::Grpc(stubs) => by_grpc(stubs, op).await,
+            Transport::Zenoh(robot, form) => by_zenoh(robot, *form, op).await,
         };
         let outcome = match answer {
             Ok(mut answer) => {
@@ -140,12 +140,12 @@ impl Answer {
         match self {
             Answer::Create(mut it) => {
                 it.index = it.index.map(plain);
-                Outcome::told(&it, 0)
+                Outcome::answered(&it, 0)
             }
             Answer::Info(mut it) => {
                 it.index = it.index.map(plain);
                 let revision = it.index.as_ref().unwrap().revision.clone();
-                Outcome::told(&it, number(&revision))
+                Outcome::answered(&it, number(&revision))
             }
             Answer::List(mut it) => {
                 it.indexes = it.indexes.into_iter().map(plain).collect();
@@ -154,20 +154,20 @@ impl Answer {
                         uid(index).clear();
                     }
                 }
-                Outcome::told(&it, 0)
+                Outcome::answered(&it, 0)
             }
-            Answer::Delete(it) => Outcome::told(&it, 0),
-            Answer::Insert(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Update(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Remove(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Get(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Knn(it) => Outcome::told(&it, number(&it.revision)),
-            Answer::Query(it) => Outcome::told(&it, number(&it.revision)),
+            Answer::Delete(it) => Outcome::answered(&it, 0),
+            Answer::Insert(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Update(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Remove(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Get(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Knn(it) => Outcome::answered(&it, number(&it.revision)),
+            Answer::Query(it) => Outcome::answered(&it, number(&it.revision)),
             Answer::Log(mut it) => {
                 for mutation in &mut it.mutations {
                     mutation.time_ms = 0;
                 }
-                Outcome::told(&it, number(&it.revision))
+                Outcome::answered(&it, number(&it.revision))
             }
         }
     }
@@ -228,14 +228,16 @@ async fn by_zenoh(robot: &Robot, form: Form, op: Op) -> Result<Answer, Outcome> 
         ),
     };
     let key = format!("wayfold/v1/{}", op.key());
-    let told = robot.ask(&key, payload, encoding.clone()).await;
-    let (Ok(answer) | Err(answer)) = &told;
+    let answered = robot.ask(&key, payload, encoding.clone()).await;
+    let (Ok(answer) | Err(answer)) = &answered;
     assert_eq!(answer.encoding, encoding.to_string());
-    match (told, form) {
-        (Ok(told), Form::Protobuf) => Ok(decode(&op, &told.payload)),
-        (Err(told), Form::Protobuf) => Err(v1::Status::decode(&*told.payload).unwrap().into()),
-        (Ok(told), Form::Json) => Ok(json::answer(&op, &told.json())),
-        (Err(told), Form::Json) => Err(refused_json(&told.json())),
+    match (answered, form) {
+        (Ok(answered), Form::Protobuf) => Ok(decode(&op, &answered.payload)),
+        (Err(answered), Form::Protobuf) => {
+            Err(v1::Status::decode(&*answered.payload).unwrap().into())
+        }
+        (Ok(answered), Form::Json) => Ok(json::answer(&op, &answered.json())),
+        (Err(answered), Form::Json) => Err(refused_json(&answered.json())),
     }
 }
 
