@@ -40,6 +40,7 @@ pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Effects, Operation, Outcome, Record};
+pub(crate) use retention::Bounded;
 pub use retention::Retention;
 pub use session::{Batch, Block, Session, Sessions};
 pub use uid::Uid;

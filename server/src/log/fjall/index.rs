@@ -21,7 +21,7 @@ use super::{
 };
 use crate::log::{
     Entry, LogError, Operation, Origin, Outcome, Record, Retention, Sessions, View,
-    retention::{Allowance, Window},
+    retention::{Allowance, Bounded},
 };
 
 /// One index of the store.
@@ -38,10 +38,10 @@ pub(super) struct Index {
 
 pub(super) struct State {
     pub(super) head: Head,
-    /// The records after `head.trimmed`, and the operations of `operations`.
-    window: Window,
-    /// The revisions of the kept operations, oldest first.
-    operations: VecDeque<u64>,
+    /// The times of the records after `head.trimmed`.
+    records: Bounded<u64>,
+    /// The revisions of the kept operations.
+    operations: Bounded<u64>,
     /// The writer sessions.
     pub(super) sessions: Sessions,
     /// The revisions of forgotten operations that are still in the store.
@@ -75,8 +75,8 @@ impl State {
     pub(super) fn new(origin: Origin, sum: Sum) -> Self {
         Self {
             head: Head::at(&origin, sum),
-            window: Window::default(),
-            operations: VecDeque::new(),
+            records: Bounded::default(),
+            operations: Bounded::default(),
             sessions: Sessions::default(),
             forgotten: Vec::new(),
             removed: origin.revision,
@@ -87,13 +87,13 @@ impl State {
 
     /// Counts a stored record.
     pub(super) fn held(&mut self, record: &Record) {
-        self.window.hold(record);
+        let bytes = record.effects().bytes();
+        self.records.push(record.time_ms(), bytes);
     }
 
     /// Counts a stored operation.
     pub(super) fn held_operation(&mut self, revision: u64, operation: &Operation) {
-        self.window.hold_operation(operation.bytes());
-        self.operations.push_back(revision);
+        self.operations.push(revision, operation.bytes());
     }
 }
 
@@ -469,9 +469,10 @@ impl Index {
     /// Forgets the oldest records and operations. The next write of a record removes them from the store.
     pub(super) fn trim(&self, keep: &Retention) -> Result<(), LogError> {
         let mut state = self.open()?;
-        let trimmed = state.window.trim(keep);
-        state.head.trimmed += trimmed.records as u64;
-        let forgotten: Vec<u64> = state.operations.drain(..trimmed.operations).collect();
+        let state = &mut *state;
+        let forgotten = keep.forget_records(&mut state.records, |time_ms| *time_ms);
+        state.head.trimmed += forgotten.count() as u64;
+        let forgotten = keep.forget_operations(&mut state.operations);
         state.forgotten.extend(forgotten);
         Ok(())
     }

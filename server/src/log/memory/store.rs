@@ -10,7 +10,7 @@ use super::versions::Versions;
 use crate::log::{
     LogError, Operation, Origin, Record, RecordStream, Retention, Sessions, StoredPoint, Tip, Uid,
     View,
-    retention::{Allowance, Window},
+    retention::{Allowance, Bounded},
 };
 
 /// The number of rows that are stored or dropped during one hold of the lock. It keeps a large record from blocking
@@ -31,10 +31,9 @@ pub(super) struct Store {
 struct Journal {
     head: Head,
     /// The newest records, without a gap up to the head.
-    records: VecDeque<Arc<Record>>,
+    records: Bounded<Arc<Record>>,
     /// The newest operations.
-    operations: VecDeque<Arc<Operation>>,
-    window: Window,
+    operations: Bounded<Arc<Operation>>,
     /// The heads that submitted records made and that are not yet applied, oldest first. Their versions are pinned.
     unapplied: VecDeque<Head>,
 }
@@ -71,9 +70,8 @@ impl Store {
                     next_id: origin.next_id,
                     sessions,
                 },
-                records: VecDeque::new(),
-                operations: VecDeque::new(),
-                window: Window::default(),
+                records: Bounded::default(),
+                operations: Bounded::default(),
                 unapplied: VecDeque::new(),
             }),
             versions: RwLock::new(versions),
@@ -154,11 +152,11 @@ impl Store {
         head.tip = record.tip();
         head.next_id = head.next_id.max(record.effects().next_id());
         head.sessions.apply(record);
-        journal.window.hold(record);
-        journal.records.push_back(Arc::clone(record));
+        let bytes = record.effects().bytes();
+        journal.records.push(Arc::clone(record), bytes);
         if let Some(operation) = record.effects().operation() {
-            journal.window.hold_operation(operation.bytes());
-            journal.operations.push_back(Arc::clone(operation));
+            let bytes = operation.bytes();
+            journal.operations.push(Arc::clone(operation), bytes);
         }
     }
 
@@ -247,7 +245,7 @@ impl Store {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let journal = self.journal.lock();
-        let oldest = journal.head.tip.revision - journal.records.len() as u64;
+        let oldest = journal.head.tip.revision - journal.records.iter().len() as u64;
         let after = after.unwrap_or(oldest);
         if after < oldest {
             return Err(LogError::Trimmed {
@@ -270,10 +268,11 @@ impl Store {
     }
 
     pub(super) fn trim(&self, keep: &Retention) {
-        let mut journal = self.journal.lock();
-        let trimmed = journal.window.trim(keep);
-        journal.records.drain(..trimmed.records);
-        journal.operations.drain(..trimmed.operations);
+        let journal = &mut *self.journal.lock();
+        keep.forget_records(&mut journal.records, |record| record.time_ms())
+            .for_each(drop);
+        keep.forget_operations(&mut journal.operations)
+            .for_each(drop);
     }
 
     pub(super) fn pin(self: Arc<Self>) -> Arc<dyn View> {
