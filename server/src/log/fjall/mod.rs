@@ -55,7 +55,6 @@ use super::{
 };
 use directory::Directory;
 use engine::Engine;
-use failure::is_untold;
 use layout::Number;
 use store::shut;
 use sync_marks::{Mark, Marks};
@@ -179,7 +178,7 @@ impl FjallLog {
     /// read. A damaged store is open for reading only.
     fn open_after(&self, failure: &LogError) -> Result<Engine, LogError> {
         let engine = self.open_engine()?;
-        if is_untold(failure) {
+        if *failure == LogError::StorageStopped {
             let damage = engine.store.handles();
             match damage.and_then(|handles| rebuild::find_damage(&handles)) {
                 Ok(None) => {}

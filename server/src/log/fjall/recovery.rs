@@ -176,6 +176,10 @@ fn open(
         Ok(state) => index.restore(state),
         // This is an error of the disk, not of this index.
         Err(LogError::Storage { what }) => return Err(LogError::Shut { what }),
+        Err(error @ LogError::StorageStopped) => {
+            let what = error.to_string();
+            return Err(LogError::Shut { what });
+        }
         Err(why) => {
             error!(index = index.entry.name, error = %why, "an index is damaged: every call for it fails");
             index.close(why);
