@@ -226,7 +226,7 @@ impl Forest {
         self.head.live += rows.len();
         if rows.len() > (self.options.growing_rows / LARGE_MUTATION).max(1) {
             let space = Arc::clone(&self.head.space);
-            let packed = Packed::unbuilt(space, rows.clone());
+            let packed = Packed::unbuilt(space, rows);
             self.add_level(Level::Packed(Box::new(packed)));
             return;
         }

@@ -19,13 +19,13 @@ const SAMPLE: usize = 256;
 
 impl KdTree {
     /// Acts like [`KdTree::new`], but takes points that were checked, and a space that several trees share.
-    pub(crate) fn build(space: Arc<Space>, points: Points, leaf_rows: usize) -> Self {
+    pub(crate) fn build(space: Arc<Space>, points: &Points, leaf_rows: usize) -> Self {
         debug_assert_eq!(points.check(&space), Ok(()));
         let leaf_rows = leaf_rows.max(1);
         let leaves = points.len().div_ceil(leaf_rows);
         let height = height(leaves);
         let mut build = Build {
-            points: &points,
+            points,
             leaf_rows,
             scales: space.scales(),
             slots: (0..points.len() as u32).collect(),
@@ -45,16 +45,16 @@ impl KdTree {
         } = build;
         nodes.shrink_to_fit();
         boxes.shrink_to_fit();
-        let blocks = blocks(&points, &slots, leaf_rows);
+        let blocks = blocks(points, &slots, leaf_rows);
         // A single leaf must be ready at once, so it gets no codes.
         let quantized = (leaves > 1)
-            .then(|| QuantizedRows::where_they_pay(&space, &points, &blocks))
+            .then(|| QuantizedRows::where_they_pay(&space, points, &blocks))
             .flatten();
         Self {
             labels: points.labels_in_order(&slots),
             quantized,
             blocks,
-            newest: points.iter().map(|point| point.revision).max().unwrap_or(0),
+            newest: points.newest(),
             scale: KeyScale::new(&space),
             space,
             leaf_rows,
@@ -66,9 +66,8 @@ impl KdTree {
     }
 
     /// A tree of one leaf: ready at once, and searched from end to end.
-    pub(crate) fn one_leaf(space: Arc<Space>, points: Points) -> Self {
-        let leaf_rows = points.len();
-        Self::build(space, points, leaf_rows)
+    pub(crate) fn one_leaf(space: Arc<Space>, points: &Points) -> Self {
+        Self::build(space, points, points.len())
     }
 }
 
@@ -140,7 +139,10 @@ impl Build<'_> {
                 let node = first + child;
                 self.node(node, start..end, height - 1);
                 let count = self.nodes[node].count as usize;
-                let ends: Vec<_> = self.boxes.around_children(node, count).collect();
+                let axes = 0..self.scales.len();
+                let ends: Vec<_> = axes
+                    .map(|axis| self.boxes.around_children(node, count, axis))
+                    .collect();
                 self.boxes.set(index, child, ends.into_iter());
             } else {
                 let rows = self.rows(&(start..start + 1));
