@@ -105,17 +105,17 @@ pub(crate) fn extent(numbers: &[f64]) -> (f64, f64) {
     (lo, hi)
 }
 
-/// The ends, in each of `width` coordinates, of the smallest box around some rows.
+/// The lower and the upper ends, in each of `width` coordinates, of the smallest box around some rows. (A build computes many.
+/// Pairs of ends would keep the compiler from comparing several coordinates at once.)
 pub(crate) fn around_rows<'a>(
     width: usize,
     rows: impl Iterator<Item = &'a [f64]>,
-) -> Vec<(f64, f64)> {
-    // (Pairs would keep a compiler from comparing several coordinates at once.)
+) -> (Vec<f64>, Vec<f64>) {
     let (mut lo, mut hi) = (vec![f64::INFINITY; width], vec![f64::NEG_INFINITY; width]);
     for row in rows {
         widen(&mut lo, &mut hi, row);
     }
-    lo.into_iter().zip(hi).collect()
+    (lo, hi)
 }
 
 /// Widens intervals to contain their numbers.

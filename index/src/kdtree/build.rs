@@ -145,9 +145,8 @@ impl Build<'_> {
                     .collect();
                 self.boxes.set(index, child, ends.into_iter());
             } else {
-                let rows = self.rows(&(start..start + 1));
-                let ends = self.around(&self.slots[rows]);
-                self.boxes.set(index, child, ends.into_iter());
+                let (lo, hi) = self.around(self.rows(&(start..start + 1)), 1);
+                self.boxes.set(index, child, lo.into_iter().zip(hi));
             }
             start = end;
         }
@@ -197,20 +196,17 @@ impl Build<'_> {
     /// The coordinate in which the points, or a sample of them, spread most.
     fn widest(&self, rows: Range<usize>) -> usize {
         let step = (rows.len() / SAMPLE).max(1);
-        let slots = self.slots[rows].iter().step_by(step);
-        let ends = around_rows(
-            self.scales.len(),
-            slots.map(|&slot| self.points.row(slot as usize)),
-        );
-        let spread = |axis: usize| self.scales[axis] * (ends[axis].1 - ends[axis].0);
-        (0..ends.len())
+        let (lo, hi) = self.around(rows, step);
+        let spread = |axis: usize| self.scales[axis] * (hi[axis] - lo[axis]);
+        (0..lo.len())
             .max_by(|&a, &b| spread(a).total_cmp(&spread(b)))
             .unwrap_or(0)
     }
 
-    /// The ends of the smallest box around some points.
-    fn around(&self, slots: &[u32]) -> Vec<(f64, f64)> {
-        let rows = slots.iter().map(|&slot| self.points.row(slot as usize));
+    /// The ends of the smallest box around one in `step` of some points.
+    fn around(&self, rows: Range<usize>, step: usize) -> (Vec<f64>, Vec<f64>) {
+        let slots = self.slots[rows].iter().step_by(step);
+        let rows = slots.map(|&slot| self.points.row(slot as usize));
         around_rows(self.scales.len(), rows)
     }
 }
