@@ -39,19 +39,18 @@ impl Overlay {
     pub fn apply(&mut self, stored: &Points, removed: &[u64]) -> Result<(), ApplyError> {
         stored.check(self.few.space())?;
         if self.many.is_none() && self.few.len() + stored.len() > MAX_FEW {
-            self.many = Some(self.forest()?);
+            self.many = Some(self.forest());
         }
         match &mut self.many {
             Some(forest) => {
-                forest.apply(forest.revision() + 1, stored, removed)?;
+                forest.apply_checked(forest.revision() + 1, stored, removed);
             }
             None => {
                 for &id in removed {
                     self.few.remove(id);
                 }
                 for point in stored.iter() {
-                    let inserted = self.few.insert(point);
-                    debug_assert!(inserted.is_ok(), "the rows are checked");
+                    self.few.insert_checked(point);
                 }
             }
         }
@@ -70,13 +69,13 @@ impl Overlay {
     }
 
     /// A forest of the few points.
-    fn forest(&self) -> Result<Forest, ApplyError> {
+    fn forest(&self) -> Forest {
         let space = self.few.space();
         let mut points = Points::with_capacity(space.coordinates(), self.few.len());
         self.few.iter().for_each(|point| points.push_point(point));
         let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
-        forest.apply(1, &points, &[])?;
-        Ok(forest)
+        forest.apply_checked(1, &points, &[]);
+        forest
     }
 
     fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Vec<Neighbor>, SearchError> {

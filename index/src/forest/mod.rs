@@ -185,6 +185,18 @@ impl Forest {
             return Err(ApplyError::Revision { revision, head });
         }
         stored.check(&self.head.space)?;
+        Ok(self.apply_checked(revision, stored, removed))
+    }
+
+    /// Acts like [`Forest::apply`] for a higher revision and points that were checked.
+    pub(crate) fn apply_checked(
+        &mut self,
+        revision: u64,
+        stored: &Points,
+        removed: &[u64],
+    ) -> usize {
+        debug_assert!(revision > self.head.revision);
+        debug_assert_eq!(stored.check(&self.head.space), Ok(()));
         // Set first, so that look-ups of this mutation do not find the points that it has removed.
         self.head.revision = revision;
         let found = removed
@@ -195,7 +207,7 @@ impl Forest {
             self.remove(id, revision);
         }
         self.store(stored);
-        Ok(found)
+        found
     }
 
     /// Removes the point with this id as of `revision`; false if there is none.
@@ -226,7 +238,7 @@ impl Forest {
         self.head.live += rows.len();
         if rows.len() > (self.options.growing_rows / LARGE_MUTATION).max(1) {
             let space = Arc::clone(&self.head.space);
-            let packed = Packed::unbuilt(space, rows.clone());
+            let packed = Packed::unbuilt(space, rows);
             self.add_level(Level::Packed(Box::new(packed)));
             return;
         }

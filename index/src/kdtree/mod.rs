@@ -85,7 +85,7 @@ impl KdTree {
     /// [`KdTree::MAX_POINTS`].
     pub fn new(space: Space, points: Points, leaf_rows: usize) -> Result<Self, PointsError> {
         points.check(&space)?;
-        Ok(Self::build(Arc::new(space), points, leaf_rows))
+        Ok(Self::build(Arc::new(space), &points, leaf_rows))
     }
 
     /// Answers `search` for a canonical `state`.

@@ -19,7 +19,10 @@
 mod query;
 mod validate;
 
-use crate::{Answer, Factor, Points, PointsError, Search, SearchError, Space, kernel::KeyScale};
+use crate::{
+    Answer, Factor, Points, PointsError, Search, SearchError, Space, boxes::around_rows,
+    kernel::KeyScale,
+};
 
 /// Sides count as equally long when they differ by this share of the longest (the tolerance that ANN uses).
 const SIDE_TOLERANCE: f64 = 0.001;
@@ -190,16 +193,8 @@ fn axes(space: &Space) -> Vec<Axis> {
 
 /// The lower and the upper ends of the smallest box around some points.
 fn enclosing_box(points: &Points, slots: &[u32]) -> (Vec<f64>, Vec<f64>) {
-    let width = points.coordinates();
-    let (mut lo, mut hi) = (vec![f64::INFINITY; width], vec![f64::NEG_INFINITY; width]);
-    for &slot in slots {
-        let row = points.row(slot as usize);
-        for ((lo, hi), &x) in lo.iter_mut().zip(&mut hi).zip(row) {
-            *lo = lo.min(x);
-            *hi = hi.max(x);
-        }
-    }
-    (lo, hi)
+    let rows = slots.iter().map(|&slot| points.row(slot as usize));
+    around_rows(points.coordinates(), rows)
 }
 
 /// Splits the points of a cell: reorders `slots`, and returns the axis, the cut and the number of points below it, none if

@@ -132,11 +132,11 @@ struct Span {
 
 /// The spans of all coordinates.
 fn spans(points: &Points) -> Vec<Span> {
-    let ends = around_rows(points.coordinates(), points.iter().map(|point| point.row));
+    let (lo, hi) = around_rows(points.coordinates(), points.iter().map(|point| point.row));
     let sample = points.iter().step_by(points.len().div_ceil(SAMPLE).max(1));
     let sample: Vec<&[f64]> = sample.map(|point| point.row).collect();
     let column = |axis: usize| sample.iter().map(|row| row[axis]).collect();
-    let spans = ends.into_iter().enumerate();
+    let spans = lo.into_iter().zip(hi).enumerate();
     spans
         .map(|(axis, ends)| Span::of(ends, column(axis)))
         .collect()

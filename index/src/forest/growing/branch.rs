@@ -6,7 +6,7 @@ use arrayvec::ArrayVec;
 
 use super::leaf::{Label, Leaf};
 use crate::{
-    boxes::{Boxes, extent},
+    boxes::Boxes,
     forest::{policy::MIN_ROWS, tombstones::Tombstones},
     kernel::MAX_CHILDREN,
 };
@@ -111,14 +111,14 @@ impl Cell {
     }
 
     /// The ends, in each coordinate, of the smallest box around its points.
-    fn bounds(&self, width: usize) -> Vec<(f64, f64)> {
-        match self {
-            Cell::Leaf(leaf) => (0..width).map(|axis| extent(leaf.column(axis))).collect(),
+    fn bounds(&self, width: usize) -> impl Iterator<Item = (f64, f64)> {
+        (0..width).map(move |axis| match self {
+            Cell::Leaf(leaf) => leaf.extent(axis),
             Cell::Branch(branch) => {
                 let count = branch.children.len();
-                branch.boxes.around_children(0, count).collect()
+                branch.boxes.around_children(0, count, axis)
             }
-        }
+        })
     }
 }
 
@@ -127,13 +127,13 @@ impl Cell {
 fn median_cut(leaf: &Leaf, scales: &[f64]) -> Option<(usize, f64)> {
     let width = scales.len();
     let spread = |axis: usize| {
-        let (lo, hi) = extent(leaf.column(axis));
+        let (lo, hi) = leaf.extent(axis);
         (lo < hi).then_some((axis, scales[axis] * (hi - lo), lo))
     };
     let (axis, _, lo) = (0..width)
         .filter_map(spread)
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let mut numbers: Vec<f64> = leaf.column(axis).collect();
+    let mut numbers: Vec<f64> = leaf.columns(axis).flatten().copied().collect();
     numbers.sort_unstable_by(f64::total_cmp);
     let upper = &numbers[numbers.len() / 2..];
     Some((axis, *upper.iter().find(|&&x| x > lo)?))
@@ -232,7 +232,7 @@ impl Branch {
         self.newest[added] = self.newest[child];
         for child in [child, added] {
             let ends = self.children[child].bounds(width);
-            self.boxes.set(0, child, ends.into_iter());
+            self.boxes.set(0, child, ends);
         }
     }
 
