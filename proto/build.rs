@@ -29,6 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .build_server(grpc)
         .bytes(".wayfold.v1.InsertRequest.payloads")
         .bytes(".wayfold.v1.UpdateRequest.payloads")
+        .bytes(".wayfold.v1.WriteRequest.payloads")
         .bytes(".wayfold.v1.Neighbors.payloads")
         .bytes(".wayfold.v1.Points.payloads")
         .bytes(".wayfold.v1.SnapshotPart")

@@ -18,14 +18,14 @@ async fn main() -> Result<(), Box<dyn Error>> {
 pub async fn hello(uri: &str) -> Result<Vec<u64>, Box<dyn Error>> {
     let client = Client::connect(uri).await?;
 
-    // A pose in the plane: a position in metres, and a heading in radians, which wraps around. The weight makes a radian
-    // count as half a metre: d² = dx² + dy² + 0.25·dθ².
+    // A pose in the plane: a position in metres, and a heading in radians, which wraps around. The weight makes a
+    // radian count as half a metre: d² = dx² + dy² + 0.25·dθ².
     let space = "R2*SO2:0.25".parse()?;
     // An index that exists with the same space is opened.
     let docks = client.create_index("docks", &space).await?;
 
-    // One call is one mutation: all of it takes effect, or nothing. The server assigns the ids unless they are given. With
-    // given ids the call can be repeated: the second run of this program finds the points unchanged.
+    // One call is one mutation: all of it takes effect, or nothing. The server assigns the ids unless they are given.
+    // With given ids the call can be repeated: the second run of this program finds the points unchanged.
     let poses = [[1.0, 0.0, 0.0], [4.0, 3.0, 1.57], [0.0, 2.0, 3.1]];
     let inserted = docks.insert(poses).ids([1, 2, 3]).await?;
     println!("{:?}", inserted.outcomes);

@@ -27,7 +27,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Returns how long the searches took by the server, and by the replica.
+/// Returns the time of the searches by the server, and by the replica.
 pub async fn replica(uri: &str) -> Result<[Duration; 2], Box<dyn Error>> {
     let client = Client::connect(uri).await?;
     let name = format!("replica-{}", std::process::id());

@@ -35,7 +35,8 @@ pub async fn rrt(uri: &str, seed: u64) -> Result<Vec<[f64; 2]>, Box<dyn Error>> 
     let name = format!("rrt-{}", std::process::id());
     let tree = client.create_index(&name, &"R2".parse()?).await?;
     tree.insert([START]).ids([0]).await?;
-    // The index holds the states and finds the nearest. The tree's edges are the planner's: point i is the state of node i.
+    // The index holds the states and finds the nearest. The tree's edges are the planner's: point i is the state of
+    // node i.
     let mut nodes = vec![(START, None)];
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     while nodes[nodes.len() - 1].0 != GOAL {

@@ -24,7 +24,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
 
 type Roadmap = BTreeMap<u64, Vec<u64>>;
 
-/// Returns the milestones, each with those before it to which the way is free.
+/// Returns the milestones, each with the earlier ones to which the way is free.
 pub async fn shared_prm(uri: &str) -> Result<Roadmap, Box<dyn Error>> {
     let client = Client::connect(uri).await?;
     let name = format!("prm-{}", std::process::id());
@@ -52,8 +52,8 @@ async fn work(uri: String, name: String, seed: u64) -> Result<Roadmap, wayfold::
         if !is_free_way(state, &state) {
             continue;
         }
-        // One call stores the milestone and finds its k(n) nearest of that moment. Of two milestones the later one finds the
-        // earlier one, so no edge is missed, whoever made which. The server evaluates k(n): it knows n.
+        // One call stores the milestone and finds its k(n) nearest of that moment. The later of two milestones finds
+        // the earlier one, so no edge is missed, even between workers. The server evaluates k(n): it knows n.
         let near = NeighborSpec::k_factor(Scaling::K_FACTOR).include(Include::none().states());
         let inserted = index.insert([state]).neighbors(near).await?;
         let (Some(id), Some(near)) = (inserted.outcomes[0].id(), inserted.neighbors) else {
@@ -68,7 +68,7 @@ async fn work(uri: String, name: String, seed: u64) -> Result<Roadmap, wayfold::
     Ok(own)
 }
 
-/// True if the way from `a` to `b` leads around the obstacle, a disc in the middle.
+/// True if the way from `a` to `b` avoids the obstacle, a disc in the middle.
 fn is_free_way(a: [f64; 2], b: &[f64]) -> bool {
     (0..=100)
         .map(|percent| f64::from(percent) / 100.0)

@@ -7,7 +7,7 @@ use std::{env, error::Error};
 
 use wayfold::{Client, IndexHandle, WatchEvent};
 
-/// Marks a point as invalid. What the bits of a tag mean is up to the planner.
+/// Marks a point as invalid. The planner defines the meaning of the tag's bits.
 const INVALID: u64 = 1;
 
 #[tokio::main]
@@ -17,12 +17,12 @@ async fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Returns the ids of the valid points, as the watch told of them.
+/// Returns the ids of the valid points, as the watch reported them.
 pub async fn watch(uri: &str) -> Result<Vec<u64>, Box<dyn Error>> {
     let client = Client::connect(uri).await?;
     let name = format!("watch-{}", std::process::id());
     let index = client.create_index(&name, &"R2".parse()?).await?;
-    // Everything since the index is empty; without `after`, what comes from now on.
+    // Starts at the empty index; without `after`, the watch starts with the next mutation.
     let mut watch = index.watch().after(index.revision_at(0)).await?;
     // Another connection, as another process would have it.
     let other = Client::connect(uri).await?.index(&name).await?;
@@ -51,7 +51,7 @@ pub async fn watch(uri: &str) -> Result<Vec<u64>, Box<dyn Error>> {
                 }
                 is_last = !mutation.removed_ids.is_empty();
             }
-            // The server cannot tell what came next: a program that goes on reads all points and watches from there.
+            // The server cannot send the next mutations: read all points again, and watch from their revision.
             WatchEvent::Reset(reset) => println!("reset at revision {}", reset.revision.number),
         }
     }

@@ -27,13 +27,13 @@ use crate::{
 
 /// A connection to a Wayfold server. Clones share it; any number of calls can be under way on it at once.
 ///
-/// A connection that breaks is made again when the next call needs it.
+/// The next call restores a broken connection.
 #[derive(Clone)]
 pub struct Client {
     channel: Channel,
     uri: Arc<str>,
     settings: ClientBuilder,
-    /// The limits that requests are divided by, once they are known.
+    /// The limits by which requests are divided; `None` until a request needs them.
     limits: Arc<Mutex<Option<Limits>>>,
 }
 
@@ -74,8 +74,8 @@ impl Client {
         ServerInfo::from_message(call, self.call(call, timeout, attempt).await?)
     }
 
-    /// The server's limits. The client asks for them where it first needs them, and again after the server has named a lower
-    /// one, as a server may that was started again.
+    /// The server's limits. The client requests them when it first needs them, and again after the server has named a
+    /// lower one, for example after a restart.
     pub(crate) async fn limits(
         &self,
         call: &'static str,
@@ -99,7 +99,7 @@ impl Client {
     ///
     /// # Errors
     /// `ALREADY_EXISTS`: the index has another space. `INVALID_ARGUMENT`: the name. `RESOURCE_EXHAUSTED`: the server
-    /// holds as many indices as it may.
+    /// holds its maximum number of indices.
     pub async fn create_index(&self, name: &str, space: &Space) -> Result<IndexHandle, Error> {
         let (info, _created) = self.ensure_index(name, space).await?;
         Ok(IndexHandle::new(self.clone(), info))
@@ -174,8 +174,8 @@ impl Client {
         }
     }
 
-    /// Deletes the index that has this name now, with all its points, and returns the uid it had. A damaged index can be
-    /// deleted too.
+    /// Deletes the index that has this name now, with all its points, and returns the uid it had. A damaged index can
+    /// be deleted too.
     ///
     /// # Errors
     /// `NOT_FOUND`: there is no index of this name. `FAILED_PRECONDITION`: it was created again during the call.
@@ -194,7 +194,7 @@ impl Client {
         };
         let call = |stub: IndexStub, request| async move { { stub }.delete_index(request).await };
         match self.index_call("delete_index", message, call).await {
-            // It was there a moment ago: an earlier attempt, or another caller, deleted it.
+            // The index existed before this call: an earlier attempt or another caller deleted it.
             Err(error) if error.code() == Code::NotFound => Ok(uid),
             deleted => deleted.map(|_| uid),
         }

@@ -12,7 +12,7 @@ use crate::Refusal;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The address given is not one of a server.
+    /// The given address is not that of a server.
     #[error(
         "{uri:?} is not the address of a server ({problem}); one looks like http://127.0.0.1:50051"
     )]
@@ -33,7 +33,7 @@ pub enum Error {
         /// The error that the transport reported.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// There was no answer in time. The effect of a mutation is unknown; the same call again, with the same operation
+    /// No answer arrived in time. The effect of a mutation is unknown; the same call again, with the same operation
     /// id, takes effect once.
     #[error("{call}: no answer within {timeout:?}{}", earlier_attempt(earlier.as_deref()))]
     Timeout {
@@ -44,8 +44,8 @@ pub enum Error {
         /// The error of the attempt before the last one, if there was one.
         earlier: Option<Box<Error>>,
     },
-    /// The server refused the call, and changed nothing; only after a mutation's `DEADLINE_EXCEEDED` or `DATA_LOSS` is the
-    /// effect unknown.
+    /// The server refused the call, and changed nothing; only after a mutation's `DEADLINE_EXCEEDED` or `DATA_LOSS` is
+    /// the effect unknown.
     #[error(transparent)]
     Refused(Box<Refusal>),
     /// A state does not have as many numbers as the space has coordinates.
@@ -88,7 +88,7 @@ pub enum Error {
         /// The error of the next call.
         source: Box<Error>,
     },
-    /// A file is no snapshot, or not a good one, or cannot be read.
+    /// A file is not a snapshot, is damaged, or cannot be read.
     #[error(transparent)]
     Snapshot(SnapshotError),
     /// A replica has not heard from its server for longer than its bound on staleness.
@@ -113,7 +113,7 @@ pub enum Error {
         /// The reason.
         why: Arc<Error>,
     },
-    /// The server answered with what the protocol does not allow.
+    /// The server's answer violates the protocol.
     #[error(
         "{call}: the answer breaks the protocol: {problem}; client and server may be of different versions"
     )]
@@ -164,8 +164,8 @@ impl Error {
         }
     }
 
-    /// The error of an attempt that followed one with the error `earlier`, which tells more than that no time was left. (A
-    /// server's own `DEADLINE_EXCEEDED` stands by itself.)
+    /// The error of an attempt that followed one with the error `earlier`, which explains more than a lack of time
+    /// does. (A server's own `DEADLINE_EXCEEDED` is kept as it is.)
     pub(crate) fn following(self, earlier: Option<Error>) -> Error {
         match self {
             Error::Timeout { call, timeout, .. } => Error::Timeout {

@@ -1,4 +1,4 @@
-//! One index of a server: its requests, and the last revision that it was seen at.
+//! One index of a server: its requests, and the last revision that an answer named.
 
 use std::{
     sync::{
@@ -70,7 +70,7 @@ impl IndexHandle {
         &self.shared.name
     }
 
-    /// The index's uid: names the past to which revisions belong.
+    /// The index's uid, which identifies the history that revisions count.
     pub fn uid(&self) -> &str {
         &self.shared.uid
     }
@@ -95,7 +95,7 @@ impl IndexHandle {
         Revision::new(Arc::clone(&self.shared.uid), number)
     }
 
-    /// Makes the reads from now on see `revision` or a later one: for a revision that another process wrote.
+    /// Makes later reads see `revision` or a later one, for a revision that another process wrote.
     ///
     /// # Errors
     /// `FAILED_PRECONDITION`: it is of another uid.
@@ -105,7 +105,7 @@ impl IndexHandle {
         Ok(())
     }
 
-    /// The index as it stands.
+    /// Describes the index at its newest revision.
     ///
     /// # Errors
     /// `NOT_FOUND`: it was deleted.
@@ -214,7 +214,7 @@ impl IndexHandle {
         Ok(revision)
     }
 
-    /// The server's limits, to divide `rows` rows by. A single row cannot be divided, so the server need not be asked.
+    /// The server's limits, to divide `rows` rows by. A single row cannot be divided and needs no limits.
     pub(crate) async fn limits(&self, call: &'static str, rows: usize) -> Result<Limits, Error> {
         match rows {
             0 | 1 => Ok(Limits::NONE),

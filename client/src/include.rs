@@ -2,7 +2,7 @@
 
 use wayfold_proto::v1;
 
-/// The columns of an answer in addition to ids, and to distances where there are any. The default is none.
+/// The columns of an answer in addition to ids and, in a search, distances. The default is none.
 ///
 /// ```
 /// use wayfold::Include;

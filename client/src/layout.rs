@@ -11,7 +11,7 @@ pub enum Coordinate {
     Real,
     /// An angle in radians.
     Angle,
-    /// A place on a circle of another period than 2π.
+    /// A position on a circle whose period is not 2π.
     Arc,
     /// x of a unit quaternion.
     Qx,
@@ -60,8 +60,8 @@ pub(crate) fn coordinates(space: &Space) -> Vec<Coordinate> {
 /// `theta0, theta1` for a torus.
 ///
 /// A vector of up to three coordinates has x, y, z, a longer one x0, x1 and so on; an angle is theta, a quaternion qx,
-/// qy, qz, qw. Where a space has several of a kind, the name says which: y1 is the second coordinate of the second
-/// vector.
+/// qy, qz, qw. If a space has several factors of a kind, the name ends with the factor's number: y1 is the second
+/// coordinate of the second vector.
 pub fn coordinate_names(space: &Space) -> Vec<String> {
     let vectors = factors(space)
         .filter(|factor| matches!(factor, Factor::RealVector(_)))
@@ -72,7 +72,7 @@ pub fn coordinate_names(space: &Space) -> Vec<String> {
     let rotations = factors(space)
         .filter(|factor| matches!(factor, Factor::SO3))
         .count();
-    // The number of a factor among those of its kind, where there are several.
+    // The number of a factor among those of its kind, if there are several.
     let (mut vector, mut angle, mut rotation) =
         (number(vectors), number(angles), number(rotations));
     let mut names = Vec::with_capacity(space.coordinates());
@@ -102,7 +102,7 @@ pub fn coordinate_names(space: &Space) -> Vec<String> {
     names
 }
 
-/// Counts up from 0, in text, or says nothing where there is one only.
+/// Numbers from 0 as text, or an empty text if there is only one.
 fn number(of: usize) -> impl FnMut() -> String {
     let mut next = 0;
     move || {

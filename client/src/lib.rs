@@ -18,8 +18,8 @@
 //! # }
 //! ```
 //!
-//! A [`Client`] is a connection, an [`IndexHandle`] one index on it. The handle's methods make requests; await a request
-//! to send it:
+//! A [`Client`] is a connection, and an [`IndexHandle`] is one index on it. The handle's methods make requests; await a
+//! request to send it:
 //!
 //! | to | request | answer |
 //! |---|---|---|
@@ -37,18 +37,19 @@
 //!
 //! [`Client::restore`] makes an index of a snapshot. [`Client::server`] describes the server.
 //!
-//! **States** are whatever implements [`State`]: arrays, slices, vectors, with the feature `nalgebra` its types, your own.
+//! **States** are values that implement [`State`]: arrays, slices, vectors, your own types, and with the feature
+//! `nalgebra` its types.
 //!
-//! **Searches** have the same settings everywhere: `k` or `k_factor`, `radius` (a number or a [`ScaledRadius`]), `filter`
-//! ([`Filter`]), `include` ([`Include`]). The scaled ones depend on the size of the index, as PRM\* and RRT\* ask; the
-//! server or the replica evaluates them. The neighbours of one state have the same methods everywhere: `ids`, `distances`,
-//! `nearest`, `iter`.
+//! **Searches** have the same settings everywhere: `k` or `k_factor`, `radius` (a number or a [`ScaledRadius`]),
+//! `filter` ([`Filter`]), `include` ([`Include`]). The scaled ones depend on the size of the index, as PRM\* and RRT\*
+//! need; the server or the replica evaluates them. The neighbours of one state have the same methods everywhere: `ids`,
+//! `distances`, `nearest`, `iter`.
 //!
-//! **Revisions.** Every answer names its [`Revision`]. A handle's reads see at least the last revision that an answer to
-//! the handle named: a caller reads its own writes.
+//! **Revisions.** Every answer names its [`Revision`]. A handle's reads see at least the last revision that an answer
+//! to the handle named: a caller reads its own writes.
 //!
-//! **Limits.** A request that exceeds the server's [`Limits`], or [`READ_ROWS`], is sent in several calls, in order, and the
-//! answers are joined. A mutation that is divided so is atomic by part, not as a whole.
+//! **Limits.** A request that exceeds the server's [`Limits`], or [`READ_ROWS`], is sent in several calls, in order,
+//! and the answers are joined. Each part of a divided mutation is atomic, but not the whole.
 //!
 //! **Retries.** The client retries a call that finds no server, or one that is starting, within the call's timeout
 //! ([`RetryPolicy`]). Mutations carry an operation id, so that they take effect once.
@@ -56,8 +57,8 @@
 //! **Streams** ([`Scan`], [`Watch`], [`Snapshot`], [`KnnAnswers`]) have a method `next`, which returns
 //! `Result<Option<_>, Error>`, and `into_stream`.
 //!
-//! **Replicas.** With the feature `replica`, `Client::replica` makes a copy of an index in this process, which follows the
-//! server's and is searched without the network.
+//! **Replicas.** With the feature `replica`, `Client::replica` makes a copy of an index in this process, which follows
+//! the server's and is searched without the network.
 
 mod client;
 mod error;

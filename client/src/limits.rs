@@ -1,7 +1,7 @@
 //! Divides requests among calls that keep the server's limits.
 //!
-//! The size of an answer is not always known before. Where one is too large, the server refuses the call with
-//! `RESOURCE_EXHAUSTED` and names the limit, and a read is divided further, down to single rows.
+//! The size of an answer is not always known before the call. If an answer is too large, the server refuses the call
+//! with `RESOURCE_EXHAUSTED` and names the limit, and the client divides a read further, down to single rows.
 
 use std::ops::Range;
 
@@ -40,8 +40,8 @@ impl<'a> Division<'a> {
         }
     }
 
-    /// Sends the mutation in parts, in order. Where the server names a lower limit than the client knows, as after a start
-    /// with other settings, the client divides the rest anew.
+    /// Sends the mutation in parts, in order. If the server names a lower limit than the client knows, as after a
+    /// restart with other settings, the client divides the rest again.
     pub(crate) async fn write<Q, A, F, Fut>(
         &self,
         max_rows: impl Fn(&Limits) -> usize,
@@ -128,8 +128,8 @@ impl Limits {
     }
 }
 
-/// Reads rows in calls of at most `max_rows`, one after the other, and halves that where the server or the transport
-/// finds a call or its answer too large. The answers are appended to the first.
+/// Reads rows in calls of at most `max_rows`, one after the other, and halves that if the server or the transport finds
+/// a call or its answer too large. The answers are appended to the first.
 pub(crate) async fn read_in_parts<A, F, Fut>(
     rows: usize,
     max_rows: usize,
@@ -164,7 +164,7 @@ where
     }
 }
 
-/// The limits of a server that a call of fewer rows keeps.
+/// The limits of a server that a call with fewer rows can meet.
 const LIMITS_BY_ROWS: [&str; 4] = [
     "max_answer_bytes",
     "grpc.max_message_bytes",
@@ -205,8 +205,8 @@ pub(crate) fn check_unique(ids: &[u64]) -> Result<(), Error> {
     }
 }
 
-/// The operation ids of the parts of a call: the call's own for the first, and for each other one with its first row. If a
-/// repeated call is divided in another way, an id comes with other rows, and the server refuses it.
+/// The operation ids of the parts of a call: the call's own for the first, and for each other one with its first row.
+/// If a repeated call is divided in another way, an id comes with other rows, and the server refuses it.
 fn operation_ids(id: &str, parts: &[Range<usize>]) -> Result<Vec<String>, Error> {
     const MAX_BYTES: usize = 64;
     let of_part = |part: &Range<usize>| {
@@ -225,7 +225,7 @@ fn operation_ids(id: &str, parts: &[Range<usize>]) -> Result<Vec<String>, Error>
     parts.iter().map(of_part).collect()
 }
 
-/// The error of a part of a mutation of `rows` rows: a later part's says how many rows took effect before it.
+/// The error of a part of a mutation of `rows` rows; that of a later part counts the rows that took effect before it.
 fn partial(part: &Range<usize>, rows: usize, error: Error) -> Error {
     match part.start {
         0 => error,

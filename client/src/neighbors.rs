@@ -9,7 +9,7 @@ use crate::{Error, Include, Revision, States, points::extend, revision::RowRevis
 /// The neighbours of each state of a request, nearest first; at equal distances by id.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Neighbors {
-    /// Where the neighbours of each state end in the columns.
+    /// The end of each state's neighbours in the columns.
     ends: Vec<usize>,
     ids: Vec<u64>,
     distances: Vec<f64>,
@@ -120,7 +120,7 @@ impl Neighbors {
         (0..self.len()).map(|i| self.row(i))
     }
 
-    /// The revision that was read; the oldest one where the request was divided among several calls, so that no row
+    /// The revision that was read. If the request was divided among several calls, it is the oldest one, so that no row
     /// misses a point that was stored up to it.
     pub fn revision(&self) -> Revision {
         self.read_at.oldest()

@@ -32,7 +32,7 @@ pub struct Point<'a> {
 }
 
 impl Point<'_> {
-    /// The state as a type that has as many numbers; `None` if it has another number of them.
+    /// The state as a type of the same number of coordinates; `None` if the numbers differ.
     pub fn state_as<S: FromState>(&self) -> Option<S> {
         S::from_state(self.state)
     }
@@ -63,7 +63,7 @@ impl Points {
         }
     }
 
-    /// All of them, in order.
+    /// All points, in order.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = Point<'_>> {
         (0..self.len()).map(|i| self.point(i))
     }
@@ -78,7 +78,7 @@ impl Points {
         self.states.as_ref()
     }
 
-    /// The revision that was read; the oldest one where the request was divided among several calls.
+    /// The revision that was read; the oldest one if the request was divided among several calls.
     pub fn revision(&self) -> Revision {
         self.read_at.oldest()
     }

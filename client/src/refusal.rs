@@ -61,9 +61,9 @@ impl Refusal {
         }
     }
 
-    /// The refusal of one request on a stream, which carries what the status of a call would.
+    /// The refusal of one request on a stream. It has the same content as the status of a call.
     pub(crate) fn from_message(status: &v1::Status) -> Refusal {
-        // Field for field a google.rpc.Status, which is what the details of a call's status are encoded as.
+        // The message equals a google.rpc.Status field for field, and that is the encoding of a status's details.
         let details = prost::Message::encode_to_vec(status).into();
         let code = Code::from_i32(status.code);
         Self::from_status(&tonic::Status::with_details(

@@ -1,4 +1,4 @@
-//! One request a file: its settings, its division among calls, and its answer.
+//! The requests, one a file: settings, division among calls, and answer.
 
 mod get;
 mod insert;

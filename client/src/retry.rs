@@ -1,4 +1,4 @@
-//! When a call is retried, and after which pause.
+//! The retries of calls, and the pauses between them.
 
 use std::time::Duration;
 
@@ -9,8 +9,9 @@ use crate::Error;
 
 /// The number of retries, and the pauses before them, of a call that failed with `UNAVAILABLE` or lost its connection.
 ///
-/// The client retries only calls that take effect once: reads, and mutations, which carry an operation id. The n-th pause
-/// is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. No attempt begins after the call's deadline.
+/// The client retries only calls that take effect once: reads, and mutations, which carry an operation id. The n-th
+/// pause is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. No attempt begins after the call's
+/// deadline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryPolicy {
     /// The most attempts, the first included.
@@ -49,8 +50,8 @@ impl RetryPolicy {
         }
     }
 
-    /// The pause before attempt number `attempt` + 1, at a point within its range that `chance` in [0, 1] chooses; `None`
-    /// if there is no such attempt.
+    /// The pause before attempt number `attempt` + 1, at a point within its range that `chance` in [0, 1] chooses;
+    /// `None` if there is no such attempt.
     fn pause(&self, attempt: u32, chance: f64) -> Option<Duration> {
         if attempt >= self.attempts {
             return None;
@@ -96,7 +97,7 @@ impl RetryPolicy {
     }
 }
 
-/// A random number in [0, 1]. Its only purpose is that two clients draw different numbers.
+/// A random number in [0, 1], different in each client.
 fn chance() -> f64 {
     let (high, _) = Uuid::new_v4().as_u64_pair();
     high as f64 / u64::MAX as f64
@@ -146,10 +147,10 @@ mod tests {
         };
         let error = POLICY.run(deadline, attempt).await.unwrap_err();
         assert_eq!((tries, error.code()), (2, tonic::Code::DeadlineExceeded));
-        let told = error.to_string();
+        let message = error.to_string();
         assert!(
-            told.starts_with("knn: no answer within 150ms; the try before: starting"),
-            "{told}"
+            message.starts_with("knn: no answer within 150ms; the try before: starting"),
+            "{message}"
         );
     }
 

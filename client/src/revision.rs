@@ -6,7 +6,7 @@ use wayfold_proto::v1;
 
 use crate::{Code, Error, Refusal};
 
-/// A revision of an index: how many records its log had. The number means something only with the uid.
+/// A revision of an index: the number of records that its log had. The number means something only with the uid.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Revision {
     /// Identifies the history that the number counts. The server makes a new uid when the history may differ: the index
@@ -17,7 +17,7 @@ pub struct Revision {
 }
 
 impl Revision {
-    /// Revision `number` of the past that `uid` names.
+    /// Revision `number` of the history that `uid` identifies.
     pub fn new(uid: impl Into<Arc<str>>, number: u64) -> Revision {
         Revision {
             uid: uid.into(),
@@ -54,7 +54,7 @@ impl Revision {
         if *self.uid == *found {
             return Ok(());
         }
-        let metadata = [("asked", &*self.uid), ("found", found)];
+        let metadata = [("requested", &*self.uid), ("found", found)];
         let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned()));
         Err(Error::Refused(Box::new(Refusal {
             code: Code::FailedPrecondition,

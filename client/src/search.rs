@@ -1,4 +1,4 @@
-//! The options of every search, under the same names: how many neighbours, how far, and among which points.
+//! The options that all searches share: k, radius and filter.
 
 use wayfold_index::Scaling;
 use wayfold_proto::v1::{self, neighbor_spec};
@@ -64,8 +64,7 @@ impl From<ScaledRadius> for Radius {
 }
 
 /// The radius of PRM* and RRT*: r(n) = min(max, factor · (ln n / n)^(1/d)), for an index of n points in a space of
-/// dimension d. The server or the replica evaluates it, so that workers
-/// need not agree on n.
+/// dimension d. The server or the replica evaluates it, so that workers need not agree on n.
 ///
 /// n counts all points, also those that a filter leaves out. [`Scaling::prm_star_bound`] and
 /// [`Scaling::rrt_star_bound`] are the literature's least factors.
@@ -119,8 +118,8 @@ impl Bounds {
 
     /// The most neighbours that a row can have, for dividing rows among calls; `None` if it has no limit.
     pub(crate) fn max_neighbors(&self) -> Option<usize> {
-        // The client does not know how many points the server has, but hardly more than this. Should that be wrong, the
-        // server refuses what is too large.
+        // The client does not know the number of points, and assumes at most this many. If there are more, the server
+        // refuses a call that is too large.
         const POINTS: usize = u32::MAX as usize;
         match self.k? {
             K::Fixed(k) => Some(k as usize),
@@ -227,7 +226,7 @@ impl NeighborSpec {
     }
 }
 
-/// A search of a [`Replica`](crate::Replica): how many neighbours, how far, and among which points.
+/// A search of a [`Replica`](crate::Replica): k, radius and filter.
 ///
 /// ```
 /// use wayfold::{Filter, ScaledRadius, Search};
@@ -258,8 +257,8 @@ impl Search {
         }
     }
 
-    /// Answers may be farther than the true ones by a factor of 1 + epsilon, and points beyond radius / (1 + epsilon) may
-    /// be missing; 0, exact, unless set.
+    /// Answers may be farther than the true ones by a factor of 1 + epsilon, and points beyond radius / (1 + epsilon)
+    /// may be missing; 0, exact, unless set.
     pub fn epsilon(mut self, epsilon: f64) -> Search {
         self.epsilon = epsilon;
         self

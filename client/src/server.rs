@@ -4,7 +4,7 @@ use wayfold_proto::v1;
 
 use crate::Error;
 
-/// A server: its version, what an acknowledged mutation survives, and its limits.
+/// A server: its version, its durability and its limits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ServerInfo {
@@ -24,11 +24,11 @@ pub enum Durability {
     Memory,
     /// An orderly stop of the server.
     None,
-    /// The end of the server, whatever ends it.
+    /// Any end of the server process.
     Os,
     /// A loss of power.
     Fsync,
-    /// Something that this client does not know.
+    /// A value that this client does not know.
     Other(i32),
 }
 
@@ -37,19 +37,19 @@ pub enum Durability {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {
-    /// States of one insert or search.
+    /// The most states of one insert or search.
     pub max_rows_per_call: usize,
-    /// Ids of one get, update or remove.
+    /// The most ids of one get, update or remove.
     pub max_ids_per_call: usize,
-    /// Neighbours of one state.
+    /// The most neighbours of one state.
     pub max_k: u64,
-    /// Bytes of one request message.
+    /// The most bytes of one request message.
     pub max_request_bytes: usize,
-    /// Bytes of one answer message.
+    /// The most bytes of one answer message.
     pub max_answer_bytes: usize,
-    /// Bytes of one payload.
+    /// The most bytes of one payload.
     pub max_payload_bytes: usize,
-    /// Indices of the server.
+    /// The most indices of the server.
     pub max_indexes: u64,
 }
 

@@ -37,7 +37,7 @@ impl SnapshotPart {
     }
 }
 
-/// Writes a snapshot into a file, or whatever else takes bytes.
+/// Writes a snapshot into a file or another writer.
 ///
 /// ```no_run
 /// use std::fs::File;
@@ -83,8 +83,8 @@ impl<W: Write> SnapshotWriter<W> {
     }
 }
 
-/// Reads a snapshot from a file, and checks it: an iterator of its parts. The snapshot is whole only if the iterator ends
-/// without an error.
+/// Reads a snapshot from a file, and checks it: an iterator of its parts. The snapshot is whole only if the iterator
+/// ends without an error.
 ///
 /// ```no_run
 /// use std::fs::File;

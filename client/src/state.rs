@@ -9,9 +9,9 @@ use crate::layout::{self, Coordinate};
 
 /// One state, as a row of numbers in the order of its space.
 ///
-/// Implemented for arrays, vectors and slices of `f64`, and, with the feature `nalgebra`, for its types that are states:
-/// `Isometry2` (x, y, θ), `Isometry3` (x, y, z, qx, qy, qz, qw), `UnitComplex` (θ), `UnitQuaternion` (qx, qy, qz, qw),
-/// `Point` and vectors.
+/// Implemented for arrays, vectors and slices of `f64`, and, with the feature `nalgebra`, for its types that are
+/// states: `Isometry2` (x, y, θ), `Isometry3` (x, y, z, qx, qy, qz, qw), `UnitComplex` (θ), `UnitQuaternion` (qx, qy,
+/// qz, qw), `Point` and vectors.
 ///
 /// ```
 /// use wayfold::State;

@@ -1,5 +1,5 @@
-//! The `wayfold.v1` protocol: messages, gRPC stubs, conversions to and from the types of `wayfold-index`, and the format
-//! of snapshots.
+//! The `wayfold.v1` protocol: messages, gRPC stubs, conversions to and from the types of `wayfold-index`, and the
+//! format of snapshots.
 //!
 //! The gRPC stubs, and tonic with them, are the feature `grpc`, on by default.
 

@@ -1,5 +1,5 @@
-//! The number and the distance of neighbours: three requests ask for them in the same words, each in a `oneof` of its own.
-//! [`NeighborSpec`](crate::v1::NeighborSpec)'s stand for all of them.
+//! Conversions between the forms of k and radius: three requests have the same `oneof`s, each as a Rust type of its
+//! own. The types of [`NeighborSpec`](crate::v1::NeighborSpec) are the common ones.
 
 use crate::v1::{knn_request, neighbor_spec, query_request};
 

@@ -6,7 +6,8 @@ use std::f64::consts::TAU;
 use thiserror::Error;
 use wayfold_index::{Factor, Group, Space, SpaceError, Term};
 
-/// The error of a message that is not a space. Its text begins with the path of the field, as in `product.terms[2].space: not set`.
+/// The error of a message that is not a space. Its text begins with the path of the field, as in
+/// `product.terms[2].space: not set`.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("{path}: {problem}")]
 pub struct SpaceMessageError {
@@ -48,7 +49,7 @@ impl SpaceMessageError {
         SpaceMessageError { path, problem }
     }
 
-    /// The same error, said of the message in which the term of this index has the space it speaks of.
+    /// The same error with a longer path: the erroneous space is that of the term `index` of a product.
     fn in_term(self, term: usize) -> SpaceMessageError {
         SpaceMessageError {
             path: format!("product.terms[{term}].space.{}", self.path),

@@ -1,4 +1,4 @@
-//! Snapshots: what is written is read, every cut and every flipped bit is noticed, and no bytes make a reader panic.
+//! Snapshots: a reader returns the written parts, detects every cut and every flipped bit, and never panics.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
 
@@ -123,7 +123,7 @@ fn what_is_written_is_read() {
     assert_eq!(contents, expected);
 }
 
-/// As another program would read it: the line, and delimited messages.
+/// Another program reads the file as one line and delimited messages.
 #[test]
 fn a_file_is_a_line_and_delimited_messages() {
     let bytes = whole();
@@ -198,7 +198,7 @@ fn parts_that_are_missing_moved_or_doubled_are_noticed() {
     }
 }
 
-/// Each with a number that fits, so that only the digest tells.
+/// The numbers of the parts fit, so only the digest shows the exchange.
 #[test]
 fn a_part_of_another_snapshot_is_noticed() {
     let (mut parts, others) = (parts(&[vec![1], vec![2]]), parts(&[vec![8], vec![2]]));
@@ -226,7 +226,7 @@ fn other_files_and_other_versions_are_told_apart() {
         assert!(error.to_string().contains(&expected), "{error}");
     }
 
-    // On a stream the header says it.
+    // On a stream, the header holds the version.
     let content = v1::SnapshotContent {
         kind: Some(v1::snapshot_content::Kind::Header(v1::SnapshotHeader {
             format_version: 3,
@@ -261,7 +261,8 @@ fn digests_are_as_documented() {
 
 #[test]
 fn points_that_no_index_holds_are_refused_with_their_place() {
-    let cases: [(fn(&mut v1::SnapshotPoints), &str); 10] = [
+    type Change = fn(&mut v1::SnapshotPoints);
+    let cases: [(Change, &str); 10] = [
         (|p| columns(p).ids[1] = 1, "NotAscending"),
         (|p| columns(p).ids[2] = 2, "NotAscending"),
         (|p| columns(p).ids[2] = 1 << 63, "Id"),
@@ -354,7 +355,7 @@ proptest! {
         prop_assert!(check(&[line, &bytes].concat()[..]).is_err());
     }
 
-    /// With a good digest, so that all of what follows it is reached.
+    /// The digest is good, so the reader decodes the content.
     #[test]
     fn arbitrary_contents_do_not_make_a_reader_panic(
         content in prop::collection::vec(any::<u8>(), 0..300),
@@ -379,7 +380,7 @@ proptest! {
         content.truncate(content.len() - cut);
         let mut reader = Reader::new();
         reader.read(&first).unwrap();
-        // Some such parts are good ones: with another tag, or another payload.
+        // Some of these parts are valid: they differ in a tag or a payload.
         let _ = reader.read(&signed(&first.digest, 2, content));
     }
 

@@ -218,7 +218,7 @@ fn refusals_name_the_field() {
     }
 }
 
-/// Refused before they are expanded, also where products within products multiply the terms.
+/// The messages are refused before they are expanded, even if nested products multiply the terms.
 #[test]
 fn messages_of_too_many_terms_are_refused() {
     let many = l2(&vec![(so3(), None); 257]);

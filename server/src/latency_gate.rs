@@ -31,7 +31,8 @@ impl LatencyGate {
         }
     }
 
-    /// Polls `answering` once if the gate is open. If it is pending, await it on any thread: the next poll sets its waker.
+    /// Polls `answering` once if the gate is open. If it is pending, await it on any thread: the next poll sets its
+    /// waker.
     pub(crate) fn attempt<F: Future + ?Sized>(&self, answering: Pin<&mut F>) -> Poll<F::Output> {
         if !self.is_open() {
             return Poll::Pending;

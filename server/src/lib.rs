@@ -1,7 +1,8 @@
 //! The Wayfold server: shared nearest-neighbour indices for motion planners.
 //!
-//! Dependencies point one way: `log ← registry ← service ← grpc, zenoh ← run ← cli`. The [`service`] knows no transport.
-//! `grpc` and `zenoh` translate and hold no policy. The mutation [`log`] is the only record of an index's past.
+//! Dependencies point one way: `log ← registry ← service ← grpc, zenoh ← run ← cli`. The [`service`] knows no
+//! transport. `grpc` and `zenoh` translate and hold no policy. The mutation [`log`] is the only record of an index's
+//! past.
 
 pub mod config;
 pub mod log;

@@ -21,8 +21,8 @@ use crate::{
     zenoh::{ZenohError, ZenohFace},
 };
 
-/// A stopping server waits this long for connections without calls to close. A live peer closes at once, after it has read
-/// the rest of its last answer. A frozen peer, or one that never spoke, does not close.
+/// A stopping server waits this long for connections without calls to close. A live peer closes at once, after it has
+/// read the rest of its last answer. A frozen peer, or one that never spoke, does not close.
 const IDLE_WAIT: Duration = Duration::from_secs(5);
 
 /// Aborted connections may take this long to close.
@@ -69,8 +69,8 @@ pub(crate) struct Addresses {
     pub(crate) zenoh: Vec<String>,
 }
 
-/// Serves gRPC on `listener`, and Zenoh as configured, until `shutdown` resolves. Then it finishes the accepted calls and
-/// returns.
+/// Serves gRPC on `listener`, and Zenoh as configured, until `shutdown` resolves. Then it finishes the accepted calls
+/// and returns.
 pub async fn run(
     config: Config,
     listener: TcpListener,

@@ -123,7 +123,32 @@ impl Status {
             Error::IndexNotFound { name } | Error::NameTaken { name } => {
                 Detail::Resource("wayfold.v1.Index", name.clone())
             }
-            Error::PointsNotFound { index, ids } | Error::PointsExist { index, ids } => {
+            Error::BatchMismatch { session, batch } => {
+                self.set("session", session);
+                self.set("batch", batch);
+                Detail::Fields(vec![Violation {
+                    field: "batch".to_owned(),
+                    reason: error.reason(),
+                    description: error.to_string(),
+                }])
+            }
+            Error::SessionRefused {
+                index,
+                session,
+                batch,
+                newest,
+            } => {
+                self.set("index", index);
+                self.set("session", session);
+                self.set("batch", batch);
+                if let Some(newest) = newest {
+                    self.set("newest_batch", newest);
+                }
+                Detail::Precondition(index.clone())
+            }
+            Error::PointsNotFound { index, ids }
+            | Error::PointsExist { index, ids }
+            | Error::IdsReserved { index, ids } => {
                 self.set("index", index);
                 self.set_ids(ids);
                 let name = ids.first().map_or(String::new(), u64::to_string);
@@ -132,19 +157,19 @@ impl Status {
             Error::IndexExists {
                 name,
                 existing,
-                asked,
+                requested,
             } => {
                 self.set("existing", existing);
-                self.set("asked", asked);
+                self.set("requested", requested);
                 Detail::Resource("wayfold.v1.Index", name.clone())
             }
             Error::UidMismatch {
                 index,
-                asked,
+                requested,
                 found,
             } => {
                 self.set("index", index);
-                self.set("asked", asked);
+                self.set("requested", requested);
                 self.set("found", found);
                 Detail::Precondition(index.clone())
             }
@@ -161,12 +186,12 @@ impl Status {
             Error::LimitExceeded {
                 limit,
                 value,
-                asked,
+                requested,
                 advice: _,
             } => {
                 self.set("limit", limit);
                 self.set("value", value);
-                self.set("asked", asked);
+                self.set("requested", requested);
                 Detail::Quota(limit, *value)
             }
             Error::IdsExhausted { index } => {

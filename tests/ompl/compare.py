@@ -35,7 +35,7 @@ class Client:
         self.indexes.CreateIndex(self.indexes_pb.CreateIndexRequest(name=name, space_text=space_text))
 
     def count(self, name: str) -> int:
-        return self.indexes.GetIndex(self.indexes_pb.GetIndexRequest(index=name)).index.point_count
+        return self.indexes.GetIndex(self.indexes_pb.GetIndexRequest(index_name=name)).index.point_count
 
     def insert(self, index: str, rows: np.ndarray, first_id: int):
         """Inserts rows under ids from `first_id` up; yields each row's neighbours at that moment."""
@@ -44,7 +44,7 @@ class Client:
             batch = rows[at : at + BATCH]
             answer = self.points.Insert(
                 pb.InsertRequest(
-                    index=index,
+                    index_name=index,
                     states=self._states(batch),
                     ids=range(first_id + at, first_id + at + len(batch)),
                     neighbors=pb.NeighborSpec(k=K),
@@ -57,17 +57,18 @@ class Client:
     def knn(self, index: str, rows: np.ndarray, k: int):
         """Yields (ids, distances) of each row."""
         for at in range(0, len(rows), BATCH):
-            request = self.points_pb.KnnRequest(index=index, states=self._states(rows[at : at + BATCH]), k=k)
+            request = self.points_pb.KnnRequest(index_name=index, states=self._states(rows[at : at + BATCH]), k=k)
             yield from _rows(self.points.Knn(request).neighbors)
 
     def query(self, index: str, rows: np.ndarray, radius: float):
         """Yields (ids, distances) of each row."""
         for at in range(0, len(rows), BATCH):
-            request = self.points_pb.QueryRequest(index=index, states=self._states(rows[at : at + BATCH]), radius=radius)
+            states = self._states(rows[at : at + BATCH])
+            request = self.points_pb.QueryRequest(index_name=index, states=states, radius=radius)
             yield from _rows(self.points.Query(request).neighbors)
 
     def _states(self, rows: np.ndarray):
-        return self.types_pb.States(rows=len(rows), coordinates=rows.ravel())
+        return self.types_pb.States(row_count=len(rows), coordinates=rows.ravel())
 
 
 def _rows(neighbors):

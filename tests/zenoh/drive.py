@@ -55,9 +55,9 @@ def drive(face, index_pb, pb, types):
 
     expect(event().revision, types.Revision(uid=uid, number=0))
 
-    states = types.States(rows=3, coordinates=[number for row in ROWS for number in row])
+    states = types.States(row_count=3, coordinates=[number for row in ROWS for number in row])
     insert = pb.InsertRequest(
-        index=name,
+        index_name=name,
         states=states,
         ids=[1, 2, 2**60],
         tags=[0, 1, 2**64 - 1],
@@ -75,44 +75,44 @@ def drive(face, index_pb, pb, types):
     expect([list(mutation.stored.ids) for mutation in published], [[1, 2, 2**60]])
     expect(list(published[0].stored.payloads), [b"", b"\x00\xff", b"x"])
 
-    update = pb.UpdateRequest(index=name, ids=[1, 2], tags=[7], tag_mask=7)
+    update = pb.UpdateRequest(index_name=name, ids=[1, 2], tags=[7], tag_mask=7)
     updated = face.ask(f"{name}/update", update, pb.UpdateResponse)
     expect((updated.updated_count, updated.revision.number), (2, 2))
     columns = types.Include(states=True, tags=True, payloads=True)
-    get = face.ask(f"{name}/get", pb.GetRequest(index=name, ids=[2, 2**60], include=columns), pb.GetResponse)
+    get = face.ask(f"{name}/get", pb.GetRequest(index_name=name, ids=[2, 2**60], include=columns), pb.GetResponse)
     expect(list(get.points.revisions), [])
     expect(list(get.points.tags), [7, 2**64 - 1])
     expect(list(get.points.payloads), [b"\x00\xff", b"x"])
     expect(list(get.points.states.coordinates), [3.0, 4.0, 6.0, 8.0])
 
-    knn = pb.KnnRequest(index=name, states=states, k=2, filter=types.Filter(tag_mask=1, tag_value=1))
+    knn = pb.KnnRequest(index_name=name, states=states, k=2, filter=types.Filter(tag_mask=1, tag_value=1))
     nearest = face.ask(f"{name}/knn", knn, pb.KnnResponse)
     expect(list(nearest.neighbors.counts), [2, 2, 2])
     expect(list(nearest.neighbors.ids), [1, 2, 2, 1, 2**60, 2])
-    near = face.ask(f"{name}/query", pb.QueryRequest(index=name, states=states, radius=5.0), pb.QueryResponse)
+    near = face.ask(f"{name}/query", pb.QueryRequest(index_name=name, states=states, radius=5.0), pb.QueryResponse)
     expect(list(near.neighbors.ids), [1, 2, 2, 1, 2**60, 2**60, 2])
 
-    removed = face.ask(f"{name}/remove", pb.RemoveRequest(index=name, ids=[1, 99]), pb.RemoveResponse)
+    removed = face.ask(f"{name}/remove", pb.RemoveRequest(index_name=name, ids=[1, 99]), pb.RemoveResponse)
     expect((removed.removed_count, removed.missing_count, removed.revision.number), (1, 1, 3))
-    first = pb.WatchRequest(index=name, after_revision=types.Revision(uid=uid, number=1))
+    first = pb.WatchRequest(index_name=name, after_revision=types.Revision(uid=uid, number=1))
     log = face.ask(f"{name}/log", first, pb.WatchResponse)
     expect([mutation.revision.number for mutation in log.mutations], [2, 3])
     expect(list(log.mutations[1].removed_ids), [1])
-    described = face.ask(f"{name}/info", index_pb.GetIndexRequest(index=name), index_pb.GetIndexResponse)
+    described = face.ask(f"{name}/info", index_pb.GetIndexRequest(index_name=name), index_pb.GetIndexResponse)
     expect((described.index.point_count, described.index.revision.number), (2, 3))
     listed = face.ask("list", index_pb.ListIndexesRequest(), index_pb.ListIndexesResponse)
     expect(name in [index.name for index in listed.indexes], True)
 
-    wrong = pb.KnnRequest(index=name, states=types.States(rows=1, coordinates=[1.0, 2.0, 3.0]), k=1)
+    wrong = pb.KnnRequest(index_name=name, states=types.States(row_count=1, coordinates=[1.0, 2.0, 3.0]), k=1)
     refused(3, "WIDTH", lambda: face.ask(f"{name}/knn", wrong, pb.KnnResponse))
     refused(5, "INDEX_NOT_FOUND", lambda: face.ask("nobody/info", index_pb.GetIndexRequest(), None))
     refused(3, "CONFLICT", lambda: face.ask(f"{name}/knn?k=9", knn, pb.KnnResponse))
-    other = pb.RemoveRequest(index=name, ids=[2], uid="another")
+    other = pb.RemoveRequest(index_name=name, ids=[2], uid="another")
     refused(9, "UID_MISMATCH", lambda: face.ask(f"{name}/remove", other, pb.RemoveResponse))
 
     tokens = face.session.liveliness().get(f"{PREFIX}/{name}/@alive", timeout=MAX_WAIT_S)
     expect([str(token.ok.key_expr) for token in tokens], [f"{PREFIX}/{name}/@alive"])
-    deleted = face.ask("delete", index_pb.DeleteIndexRequest(index=name, uid=uid), index_pb.DeleteIndexResponse)
+    deleted = face.ask("delete", index_pb.DeleteIndexRequest(index_name=name, uid=uid), index_pb.DeleteIndexResponse)
     expect(deleted.uid, uid)
     events.undeclare()
     print(f"every operation, {name}: as expected")
@@ -151,8 +151,8 @@ def share(server: Server, programs: Path, directory: str, face: Protobuf, pb, ty
     """Two planners over Zenoh and two over gRPC share an index; each of their answers equals brute force."""
     only(face.session, "create", payload=json.dumps({"name": "roadmap", "space_text": "R3*SO3:0.15"}))
     # Assigned ids are above this one, the planners' own ids below.
-    pose = types.States(rows=1, coordinates=[5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0])
-    root = pb.InsertRequest(index="roadmap", states=pose, ids=[1 << 48])
+    pose = types.States(row_count=1, coordinates=[5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0])
+    root = pb.InsertRequest(index_name="roadmap", states=pose, ids=[1 << 48])
     rooted = face.ask("roadmap/insert", root, pb.InsertResponse)
     Path(directory, "root.ledger").write_bytes(entry(0, root, rooted))
     ledgers = [f"{directory}/{planner}.ledger" for planner in range(4)]

@@ -84,7 +84,7 @@ class Json:
         fields = to_json(request)
         # The key names the index, except in a deletion.
         if key != "delete":
-            fields.pop("index", None)
+            fields.pop("index_name", None)
         reply = only(self.session, key, payload=json.dumps(fields), encoding=zenoh.Encoding.APPLICATION_JSON)
         if reply.ok is not None:
             return self.read(reply.ok, answer)
@@ -100,8 +100,8 @@ class Json:
 def to_json(message):
     """A request as JSON."""
     if message.DESCRIPTOR.name == "States":
-        width = len(message.coordinates) // max(message.rows, 1)
-        return [list(message.coordinates[row * width : (row + 1) * width]) for row in range(message.rows)]
+        width = len(message.coordinates) // max(message.row_count, 1)
+        return [list(message.coordinates[row * width : (row + 1) * width]) for row in range(message.row_count)]
     fields = {}
     for field, value in message.ListFields():
         if field.is_repeated:
@@ -131,7 +131,7 @@ def from_json(fields, message):
     """An answer in JSON, as the message."""
     kind = message.DESCRIPTOR.name
     if kind == "States":
-        message.rows = len(fields)
+        message.row_count = len(fields)
         message.coordinates.extend(number for row in fields for number in row)
         return message
     if kind in ("KnnResponse", "QueryResponse"):

@@ -32,7 +32,7 @@ class Planner:
     def insert(self):
         rows = self.random.randint(1, 8)
         request = self.pb.InsertRequest(
-            index=self.index,
+            index_name=self.index,
             states=self.states(rows),
             ids=range(self.next_id, self.next_id + rows),
             tags=[self.random.randrange(4) for _ in range(rows)],
@@ -48,18 +48,18 @@ class Planner:
 
     def remove(self):
         gone = [self.own.pop() for _ in range(min(3, len(self.own)))]
-        request = self.pb.RemoveRequest(index=self.index, ids=[*gone, 0])
+        request = self.pb.RemoveRequest(index_name=self.index, ids=[*gone, 0])
         return 1, request, self.face.ask(f"{self.index}/remove", request, self.pb.RemoveResponse)
 
     def knn(self):
         request = self.pb.KnnRequest(
-            index=self.index, states=self.states(self.random.randint(1, 4)), k=self.random.randint(1, 20)
+            index_name=self.index, states=self.states(self.random.randint(1, 4)), k=self.random.randint(1, 20)
         )
         return 2, request, self.face.ask(f"{self.index}/knn", request, self.pb.KnnResponse)
 
     def query(self):
         request = self.pb.QueryRequest(
-            index=self.index, states=self.states(2), radius=self.random.uniform(0.0, 3.0)
+            index_name=self.index, states=self.states(2), radius=self.random.uniform(0.0, 3.0)
         )
         return 3, request, self.face.ask(f"{self.index}/query", request, self.pb.QueryResponse)
 
@@ -71,7 +71,7 @@ class Planner:
             q = [self.random.gauss(0.0, 1.0) for _ in range(4)]
             norm = math.sqrt(sum(x * x for x in q))
             coordinates += [x / norm for x in q]
-        return self.types.States(rows=rows, coordinates=coordinates)
+        return self.types.States(row_count=rows, coordinates=coordinates)
 
 
 def entry(kind: int, request, answer) -> bytes:

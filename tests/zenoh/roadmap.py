@@ -80,7 +80,7 @@ class Worker:
             include=self.types.Include(states=True),
         )
         request = self.pb.InsertRequest(
-            index=self.index,
+            index_name=self.index,
             states=self.one(checked.state),
             tags=[self.number << 1 | PENDING],
             payloads=[payload(checked.edges)],
@@ -107,7 +107,7 @@ class Worker:
         known.sort(key=lambda candidate: (candidate.distance, candidate.id))
         edges = self.check(checked.state, known[:k])
         request = self.pb.UpdateRequest(
-            index=self.index,
+            index_name=self.index,
             ids=[id],
             tags=[0],
             tag_mask=PENDING,
@@ -139,7 +139,7 @@ class Worker:
 
     def nearest(self, state: list[float], **wanted):
         request = self.pb.KnnRequest(
-            index=self.index,
+            index_name=self.index,
             states=self.one(state),
             include=self.types.Include(states=True),
             min_revision=self.revision,
@@ -155,7 +155,7 @@ class Worker:
         return [Candidate(*near) for near in zip(neighbors.ids, neighbors.distances, rows, strict=True)]
 
     def one(self, state: list[float]):
-        return self.types.States(rows=1, coordinates=state)
+        return self.types.States(row_count=1, coordinates=state)
 
 
 def payload(edges: list[int]) -> bytes:
@@ -172,7 +172,7 @@ def main():
     index_pb, pb, types = load_stubs(stubs)
     session = connect(locator)
     face = Json(session) if form == "json" else Protobuf(session, types.Status)
-    described = face.ask(f"{index}/info", index_pb.GetIndexRequest(index=index), index_pb.GetIndexResponse)
+    described = face.ask(f"{index}/info", index_pb.GetIndexRequest(index_name=index), index_pb.GetIndexResponse)
     worker = Worker(face, pb, types, index, described.index.revision, Scene(Path(programs)), int(number), int(seed))
     checked = worker.look(worker.sample())
     tell("ready")

@@ -89,10 +89,10 @@ pub(super) enum Command {
     Verify(verb::VerifyArgs),
     /// Prints the version, the durability and the limits of the server
     Server,
-    /// Asks the server whether it serves calls
+    /// Checks that the server serves calls
     ///
-    /// It calls grpc.health.v1.Health. The exit status is 0 if the server serves, 1 if it is starting or stopping, and 4
-    /// if there is no answer.
+    /// It calls grpc.health.v1.Health. The exit status is 0 if the server serves, 1 if it is starting or stopping, and
+    /// 4 if there is no answer.
     Health,
     Completions(verb::CompletionsArgs),
     Man(verb::ManArgs),

@@ -49,7 +49,7 @@ pub(super) enum Failure {
     NoServer,
     #[error("the process cannot start its threads: {0}")]
     Runtime(io::Error),
-    /// `done` says how far the command came before `source`.
+    /// `done` describes the progress of the command before the error `source`.
     #[error("{done}; then: {source}")]
     Stopped { done: String, source: Box<Failure> },
     #[error(
@@ -71,7 +71,7 @@ impl Failure {
     /// Adds the remedy to an error of the client.
     pub(super) fn explained(self, timeout: Duration) -> Failure {
         match self {
-            // The try before the last one knows why there was no connection.
+            // The attempt before the last one has the cause of the missing connection.
             Failure::Client(Error::Timeout {
                 earlier: Some(earlier),
                 ..

@@ -49,7 +49,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Prints why the arguments make no command. Help and version come this way too, and are no errors.
+/// Prints the error of the arguments. Help and version take this way too, and are no errors.
 fn refuse(error: &clap::Error) -> Status {
     let is_error = error.use_stderr();
     // The error cannot be reported if the output is closed.

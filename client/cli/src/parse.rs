@@ -18,14 +18,14 @@ pub(super) fn duration(text: &str) -> Result<Duration, String> {
     };
     let number: f64 = number.parse().map_err(|_| EXPECTED.to_owned())?;
     match Duration::try_from_secs_f64(number * seconds) {
-        Ok(duration) if !duration.is_zero() && duration <= LONGEST => Ok(duration),
-        Ok(duration) if duration > LONGEST => Err("the longest is 10000h".to_owned()),
+        Ok(duration) if !duration.is_zero() && duration <= MAX_DURATION => Ok(duration),
+        Ok(duration) if duration > MAX_DURATION => Err("the longest is 10000h".to_owned()),
         _ => Err(EXPECTED.to_owned()),
     }
 }
 
 /// The header `grpc-timeout` holds more than this.
-const LONGEST: Duration = Duration::from_secs(10_000 * 3600);
+const MAX_DURATION: Duration = Duration::from_secs(10_000 * 3600);
 
 /// A distance: a number, at least 0, or `inf`.
 pub(super) fn distance(text: &str) -> Result<f64, String> {

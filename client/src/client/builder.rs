@@ -1,4 +1,4 @@
-//! The settings of a connection, and how it is made.
+//! The settings of a connection, and the attempts to make it.
 
 use std::{sync::Arc, time::Duration};
 
@@ -27,7 +27,8 @@ impl Default for ClientBuilder {
 }
 
 impl ClientBuilder {
-    /// The longest time of a call, attempts and pauses included: 30 s unless set. The server gives up then too.
+    /// The longest time of a call, attempts and pauses included: 30 s unless set. The server also stops work on the
+    /// call then.
     pub fn timeout(mut self, timeout: Duration) -> ClientBuilder {
         self.timeout = timeout;
         self
@@ -40,7 +41,7 @@ impl ClientBuilder {
         self
     }
 
-    /// When the client retries a call that found no server.
+    /// The policy by which the client retries a call that found no server.
     pub fn retry(mut self, policy: RetryPolicy) -> ClientBuilder {
         self.retry = policy;
         self

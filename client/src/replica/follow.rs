@@ -18,9 +18,9 @@ pub(super) struct Follower {
     source: Source,
     heartbeat: Duration,
     missing_for: Duration,
-    /// When the connection was lost.
+    /// The time at which the connection was lost.
     lost: Option<Instant>,
-    /// Since when no index has the name.
+    /// The time since which no index has the name.
     missing: Option<Instant>,
     /// The number of attempts that failed in a row.
     failures: u32,
@@ -40,7 +40,7 @@ impl From<Error> for Stop {
     }
 }
 
-/// At the time `at`, the server had published nothing newer than `revision`.
+/// A proof of freshness: at the time `at`, the server had published nothing newer than `revision`.
 struct FreshnessProof {
     at: Instant,
     revision: u64,
@@ -90,7 +90,7 @@ impl Follower {
         }
     }
 
-    /// Applies the server's mutations until it cannot go on.
+    /// Applies the server's mutations until an error or a reset stops it.
     async fn follow(&mut self) -> Stop {
         match self.follow_watch().await {
             Ok(never) => match never {},
@@ -103,7 +103,7 @@ impl Follower {
         let after = self.index.revision_at(self.forest.revision());
         let watch = self.source.watch(&self.index, after, self.heartbeat);
         let mut watch = watch.await?;
-        // A reset may be the only event, and mutations may be there already.
+        // A reset may be the only event, and mutations may have arrived already.
         while let Some(event) = watch.ready() {
             self.apply(event)?;
         }
@@ -136,7 +136,7 @@ impl Follower {
         }
     }
 
-    /// Notes that the connection stands, and how fresh the points are.
+    /// Records that the connection stands, and the freshness of the points.
     fn note_following(&mut self, watch: &Watch, proof: &mut Option<FreshnessProof>) {
         (self.lost, self.missing, self.failures) = (None, None, 0);
         let number = self.forest.revision();
@@ -156,14 +156,14 @@ impl Follower {
                 Ok(())
             }
             WatchEvent::Reset(reset) => {
-                // The mutations before it are good.
+                // The mutations before the error are good.
                 self.publish();
                 Err(Stop::Reset(reset))
             }
         }
     }
 
-    /// Lets readers see the forest as it is.
+    /// Publishes the forest to readers.
     fn publish(&self) {
         let view = ReplicaView::new(self.index.clone(), self.forest.snapshot());
         self.shared.publish(view);
@@ -183,7 +183,7 @@ impl Follower {
         })
     }
 
-    /// Reads all points again into a second forest, and publishes it in the place of the first.
+    /// Reads all points into a second forest, and publishes it in the place of the first.
     async fn reload(&mut self, reset: &Reset) -> Result<(), Error> {
         self.set_catching_up();
         let at = Instant::now();
@@ -208,7 +208,7 @@ impl Follower {
             .set_status(ReplicaStatus::CatchingUp { revision });
     }
 
-    /// Waits before the next attempt, or returns why there is to be none.
+    /// Waits before the next attempt, or returns the reason to make none.
     async fn recover(&mut self, error: Error) -> Result<(), Arc<Error>> {
         let (code, now) = (error.code(), Instant::now());
         let why = Arc::new(error);
@@ -238,7 +238,7 @@ impl Follower {
 }
 
 impl Drop for Follower {
-    /// Reads fail also where the task does not come to its end: its runtime is shut down, or it panicked.
+    /// Reads also fail if the task is dropped before its end, by a shutdown of its runtime or by a panic.
     fn drop(&mut self) {
         self.shared.end(|| Error::Connection {
             call: "replica",

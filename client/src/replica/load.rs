@@ -1,4 +1,4 @@
-//! Reading all points into a forest.
+//! Reads all points into a forest.
 
 use wayfold_index::{Forest, ForestOptions, PointRef, Points};
 

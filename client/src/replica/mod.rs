@@ -1,8 +1,8 @@
 //! An index followed and searched in this process: see [`Replica`].
 //!
-//! One task follows the server (`follow`): it loads all points at a revision (`load`), applies mutations (from `source`: a
-//! watch, or `publications` over Zenoh) to a forest of its own (`merging_forest`), and publishes frozen revisions of it
-//! (`view`). Readers search these and never wait for the task. `status` is the task's state.
+//! One task follows the server (`follow`): it loads all points at a revision (`load`), applies mutations (from
+//! `source`: a watch, or `publications` over Zenoh) to a forest of its own (`merging_forest`), and publishes frozen
+//! revisions of it (`view`). Readers search these and never wait for the task. `status` is the task's state.
 
 mod follow;
 mod load;
@@ -31,9 +31,9 @@ use shared::Shared;
 
 /// A copy of an index in this process, which follows the server's and answers from its own memory.
 ///
-/// Its answers equal those of the server at the same revision, in ids and in the bits of the distances. Clones share the
-/// copy, which follows the index until the last of them is dropped. Reads take `&self` on any number of threads, and wait
-/// neither for the server nor for mutations that are being applied.
+/// Its answers equal those of the server at the same revision, in ids and in the bits of the distances. Clones share
+/// the copy, which follows the index until the last of them is dropped. Reads take `&self` on any number of threads,
+/// and wait neither for the server nor for mutations that are being applied.
 ///
 /// ```no_run
 /// use std::time::Duration;
@@ -54,16 +54,15 @@ use shared::Shared;
 /// # }
 /// ```
 ///
-/// **Lost connections.** When the connection breaks or the server stops, the replica goes on answering from the last
-/// revision that it had whole, and retries without an end, after the pauses of the client's
-/// [`RetryPolicy`](crate::RetryPolicy); then it goes on where it stopped. Where the server no longer keeps the missing
-/// mutations, the replica reads all points again, and answers from the old ones meanwhile.
-/// [`Replica::status`] shows all of this.
+/// **Lost connections.** When the connection breaks or the server stops, the replica keeps answering from its last
+/// whole revision and retries without end, after the pauses of the client's [`RetryPolicy`](crate::RetryPolicy). Then
+/// it continues where it stopped. If the server no longer keeps the missing mutations, the replica reads all points
+/// again, and answers from the old ones meanwhile. [`Replica::status`] shows all of this.
 ///
-/// **Another index of the same name.** An index that was deleted and created again, was restored, or lost mutations that
-/// were not synced has another uid. The replica reads the new one, and the uid of its revisions changes, maybe with the
-/// space and to a lower number. An index that is missing for longer than [`ReplicaRequest::missing_for`] ends the replica:
-/// then reads fail with [`Error::Ended`].
+/// **Another index of the same name.** An index that was deleted and created again, was restored, or lost mutations
+/// that were not synced has another uid. The replica reads the new one, and the uid of its revisions changes, maybe
+/// with the space and to a lower number. An index that is missing for longer than [`ReplicaRequest::missing_for`] ends
+/// the replica: then reads fail with [`Error::Ended`].
 ///
 /// **Memory.** It holds ids, states, tags and revisions, but no payloads: read those from the server
 /// ([`IndexHandle::get`]).
@@ -72,7 +71,7 @@ pub struct Replica {
     owner: Arc<Owner>,
 }
 
-/// Ends the task when the last replica goes.
+/// Ends the task when the last clone of the replica is dropped.
 #[derive(Debug)]
 struct Owner {
     shared: Arc<Shared>,
@@ -106,7 +105,7 @@ impl Replica {
         self.shared().published().revision()
     }
 
-    /// One revision, frozen: for several reads of the same. It holds the memory of its points while it is held.
+    /// One frozen revision, for several reads of the same points. It keeps their memory until it is dropped.
     ///
     /// # Errors
     /// [`Error::Stale`] and [`Error::Ended`].
@@ -123,7 +122,8 @@ impl Replica {
         self.search(state, &Search::k(k))
     }
 
-    /// All points at distance `radius` or nearer, the closed ball: a number, or a [`ScaledRadius`](crate::ScaledRadius).
+    /// All points at distance `radius` or nearer, the closed ball: a number, or a
+    /// [`ScaledRadius`](crate::ScaledRadius).
     ///
     /// # Errors
     /// The errors of [`Replica::search`].
@@ -148,7 +148,8 @@ impl Replica {
         self.shared().published().search(state, search)
     }
 
-    /// Waits until reads see `revision` or a later one, within the client's timeout. Returns the view that they see then.
+    /// Waits until reads see `revision` or a later one, within the client's timeout. Returns the view that they see
+    /// then.
     ///
     /// # Errors
     /// [`Error::Timeout`]. `FAILED_PRECONDITION`: the index has another uid. [`Error::Ended`].

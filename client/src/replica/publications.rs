@@ -1,7 +1,8 @@
 //! The publications of an index over Zenoh in the form of a watch: in order, without a gap and without a repeat.
 //!
-//! A publication may be lost. The next one shows the gap, and the index's log fills it. Where nothing is published for a
-//! while the feed asks the log too, since the last publication, or the way to the server, may be lost.
+//! A publication may be lost. The next one shows the gap, and the index's log fills it. After a
+//! while without publications the feed reads the log too, because the last publication or the link to the server may be
+//! lost.
 
 use std::{cmp::Ordering, sync::Arc, time::Duration};
 
@@ -39,7 +40,7 @@ impl Publications {
         }
     }
 
-    /// Watches an index after a revision. `quiet`: how long nothing is published before the feed asks the log.
+    /// Watches an index after a revision. The feed reads the log after the time `quiet` without a publication.
     pub(super) async fn watch(
         &self,
         index: &IndexHandle,
@@ -77,11 +78,11 @@ struct Feed {
     key: String,
     index: IndexHandle,
     quiet: Duration,
-    /// The number of the newest revision that came whole.
+    /// The number of the newest revision that arrived whole.
     after: u64,
     /// The number of the next piece of the mutation after it.
     piece: u32,
-    /// The log has mutations that did not come.
+    /// True if the log has mutations that did not arrive.
     is_behind: bool,
 }
 
@@ -97,11 +98,11 @@ impl Feed {
         }
     }
 
-    /// The news of a publication.
+    /// The event of a publication.
     async fn take(&mut self, sample: &Sample) -> Result<v1::WatchResponse, Error> {
         let mut message = decode::<v1::WatchResponse>(&sample.payload().to_bytes())?;
         let revision = message.revision.clone().unwrap_or_default();
-        // The log says what this means for the caller's revision.
+        // The log decides whether the caller's revision is still valid.
         if revision.uid != self.index.uid() || message.reset.is_some() {
             return self.read_log().await;
         }

@@ -33,9 +33,10 @@ impl ReplicaRequest {
         }
     }
 
-    /// Gets mutations over Zenoh instead: from the index's publications at `PREFIX/NAME/events`, and from its log where
-    /// publications were lost. The session must reach the server, directly or through routers; `wayfold/v1` is the default
-    /// prefix of a server. The client's server still sends all points at the start, and says how fresh they are.
+    /// Gets mutations over Zenoh instead: from the index's publications at `PREFIX/NAME/events`, and from its log if
+    /// publications were lost. The session must reach the server, directly or through routers; `wayfold/v1` is the
+    /// default prefix of a server. The client's server still sends all points at the start, and the revision that shows
+    /// their freshness.
     #[cfg(feature = "zenoh")]
     pub fn over_zenoh(mut self, session: zenoh::Session, prefix: &str) -> ReplicaRequest {
         let publications = super::publications::Publications::new(session, prefix);
@@ -43,16 +44,17 @@ impl ReplicaRequest {
         self
     }
 
-    /// Reads fail with [`Error::Stale`] where the server may have published a mutation longer ago than this that the replica
-    /// does not have. The replica asks the server several times within this time, also where nothing is mutated. Unless set,
-    /// reads always answer.
+    /// Makes reads fail with [`Error::Stale`] if the server may have published a mutation longer ago than this that the
+    /// replica does not have. The replica asks the server for its revision several times within this time, even without
+    /// mutations. Unless set, reads never fail for this reason.
     pub fn max_staleness(mut self, bound: Duration) -> ReplicaRequest {
         self.max_staleness = Some(bound);
         self
     }
 
-    /// The time for which no index may have the name before the replica ends: 5 s unless set. The replica goes on with an
-    /// index that is deleted and created again within this time, also after a restart of a server without a disk.
+    /// The time for which no index may have the name before the replica ends: 5 s unless set. The replica continues
+    /// with an index that is deleted and created again within this time, also after a restart of a server without a
+    /// disk.
     pub fn missing_for(mut self, time: Duration) -> ReplicaRequest {
         self.missing_for = time;
         self

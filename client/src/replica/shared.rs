@@ -90,7 +90,7 @@ impl Shared {
         }
     }
 
-    /// Notes that `published` has everything that the server had published at `at`.
+    /// Records that `published` has everything that the server had published at `at`.
     pub(super) fn fresh_at(&self, at: Instant) {
         let nanos = at.saturating_duration_since(self.start).as_nanos();
         let nanos = u64::try_from(nanos).unwrap_or(u64::MAX);

@@ -1,4 +1,4 @@
-//! Where a replica gets mutations from.
+//! The sources of a replica's mutations.
 
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// Watches an index after a revision. `_quiet`: how long nothing comes before the source checks for losses.
+    /// Watches an index after a revision. After the time `_quiet` without a message, the source checks for losses.
     pub(super) async fn watch(
         &self,
         index: &IndexHandle,

@@ -10,27 +10,27 @@ use crate::{Error, Revision};
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum ReplicaStatus {
-    /// It applies mutations as they come.
+    /// The replica applies mutations as they arrive.
     Following {
         /// The revision that reads see.
         revision: Revision,
         /// The number of revisions by which the server was ahead when it last sent something.
         behind: u64,
     },
-    /// It has read all points and does not follow yet; or it reads them again, since the server no longer keeps the
-    /// mutations that it missed, and reads see the old ones.
+    /// The replica has read all points and does not follow yet; or it reads them again, because the server no longer
+    /// keeps the mutations that it missed, and reads see the old points.
     CatchingUp {
         /// The revision that reads see.
         revision: Revision,
     },
-    /// It has no connection, and tries to get one. Reads see the last revision that it had.
+    /// The replica has no connection, and tries to get one. Reads see its last revision.
     Disconnected {
-        /// When the connection broke.
+        /// The time at which the connection broke.
         since: Instant,
         /// The error that broke the connection, or that ended the last attempt.
         why: Arc<Error>,
     },
-    /// It no longer follows the index, and reads fail.
+    /// The replica no longer follows the index, and reads fail.
     Ended {
         /// The cause.
         why: Arc<Error>,

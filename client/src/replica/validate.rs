@@ -1,4 +1,4 @@
-//! Validates searches as the server does, in its words.
+//! Validates searches as the server does, with the same messages.
 
 use wayfold_index::{Space, StateProblem};
 

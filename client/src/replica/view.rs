@@ -1,4 +1,4 @@
-//! One frozen revision, and searching it.
+//! One frozen revision, and its searches.
 
 use std::time::Instant;
 
@@ -105,7 +105,8 @@ impl ReplicaView {
         self.search(state, &Search::k(k))
     }
 
-    /// All points at distance `radius` or nearer, the closed ball: a number, or a [`ScaledRadius`](crate::ScaledRadius).
+    /// All points at distance `radius` or nearer, the closed ball: a number, or a
+    /// [`ScaledRadius`](crate::ScaledRadius).
     ///
     /// # Errors
     /// The errors of [`ReplicaView::search`].

@@ -13,8 +13,8 @@ use crate::{
 /// Inserts states; await it to send it.
 ///
 /// An insert within the server's [`Limits`] is one call, which is atomic: all of it takes effect, or nothing does. More
-/// rows or bytes, or more `neighbors` than an answer holds, are divided among several calls, in order, each atomic of its
-/// own; if one fails, [`Error::Partial`] says how many rows took effect before it.
+/// rows or bytes, or more `neighbors` than an answer holds, are divided among several calls, in order, each atomic of
+/// its own; if one fails, [`Error::Partial`] says how many rows took effect before it.
 #[derive(Debug)]
 #[must_use = "a request does nothing until it is awaited"]
 pub struct Insert {

@@ -50,8 +50,8 @@ impl Knn {
         self
     }
 
-    /// At most ⌈factor · ln n⌉ neighbours, at least 1, for an index of n points; in the place of `k`. The server evaluates
-    /// it, so that workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`](crate::Scaling::K_FACTOR).
+    /// At most ⌈factor · ln n⌉ neighbours, at least 1, for an index of n points; in the place of `k`. The server
+    /// evaluates it, so that workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`](crate::Scaling::K_FACTOR).
     pub fn k_factor(mut self, factor: f64) -> Knn {
         self.bounds.k = Some(K::Scaled(factor));
         self

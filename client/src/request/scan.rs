@@ -21,7 +21,7 @@ pub struct ScanRequest {
 /// A scan under way, a stream of parts. The handle's timeout bounds the wait for each part, not the whole.
 ///
 /// The server holds the points of the revision for the scan, for as long as it allows: then the scan ends with
-/// `RESOURCE_EXHAUSTED`, and a new one can go on [after](ScanRequest::after_id) the last id, at a newer revision.
+/// `RESOURCE_EXHAUSTED`, and a new one can continue [after](ScanRequest::after_id) the last id, at a newer revision.
 #[derive(Debug)]
 pub struct Scan {
     index: IndexHandle,

@@ -18,8 +18,8 @@ pub struct SnapshotRequest {
     index: IndexHandle,
 }
 
-/// A snapshot under way, a stream of parts, each checked as it comes. The handle's timeout bounds the wait for each, not
-/// the whole.
+/// A snapshot under way, a stream of parts, each checked as it comes. The handle's timeout bounds the wait for each,
+/// not the whole.
 ///
 /// The snapshot is whole only if the stream ends without an error. [`SnapshotWriter`](crate::SnapshotWriter) writes it
 /// into a file; [`Client::restore`](crate::Client::restore) makes an index of it, on this server or another:

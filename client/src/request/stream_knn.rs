@@ -13,8 +13,8 @@ use crate::{Error, Include, IndexHandle, Knn, Neighbors, Refusal, States};
 
 /// The sending half of a stream of [`Knn`] requests, which are answered in their order.
 ///
-/// Dropping it ends the stream once all requests are answered. Requests wait while the caller takes no answers: send and
-/// take in two tasks, or keep a bounded number under way.
+/// Dropping it ends the stream once all requests are answered. Requests wait while the caller takes no answers: send
+/// and take in two tasks, or keep a bounded number under way.
 ///
 /// ```no_run
 /// # async fn example(index: wayfold::IndexHandle, states: Vec<[f64; 7]>) -> Result<(), wayfold::Error> {
@@ -41,9 +41,9 @@ pub struct KnnRequests {
     pending: mpsc::UnboundedSender<Pending>,
 }
 
-/// The receiving half of a stream of [`Knn`] requests: one answer each, in their order. A request that fails has its
-/// error, and the stream goes on; after an error of the stream itself it ends. There is no timeout: bound the wait
-/// with `tokio::time::timeout` where that is needed.
+/// The receiving half of a stream of [`Knn`] requests: one answer each, in their order. A failed request is answered
+/// with its error, and the stream continues; an error of the stream itself ends it. There is no timeout: bound the wait
+/// with `tokio::time::timeout` if necessary.
 #[derive(Debug)]
 pub struct KnnAnswers {
     uri: String,
@@ -95,7 +95,8 @@ pub(crate) async fn open_stream(index: &IndexHandle) -> Result<(KnnRequests, Knn
 }
 
 impl KnnRequests {
-    /// Sends a request. It is not divided: the answer to one that exceeds a limit of the server is `RESOURCE_EXHAUSTED`.
+    /// Sends a request. It is not divided: the answer to one that exceeds a limit of the server is
+    /// `RESOURCE_EXHAUSTED`.
     ///
     /// # Errors
     /// [`Error::Width`] and [`Error::Layout`], with which nothing is sent, and [`Error::Connection`] if the stream is
@@ -103,7 +104,7 @@ impl KnnRequests {
     pub async fn send(&mut self, mut request: Knn) -> Result<(), Error> {
         let states = std::mem::replace(&mut request.states, Ok(States::new(0)))?;
         let knn = Some(request.message(&states, 0..states.len()));
-        // Both are sent, or, where this future is dropped while it waits, neither.
+        // Both are sent, or neither if this future is dropped while it waits.
         let message = self.messages.reserve().await.map_err(|_| over(&self.uri))?;
         let pending = Pending {
             rows: states.len(),
@@ -128,7 +129,7 @@ impl KnnAnswers {
     /// The answer to the next request; `None` once all are answered and the sending half is dropped.
     ///
     /// # Errors
-    /// That of the request, after which the stream goes on, or that of the stream, after which it is over.
+    /// The error of the request, after which the stream continues, or the error of the stream, which ends it.
     pub async fn next(&mut self) -> Result<Option<Neighbors>, Error> {
         if self.over {
             return Ok(None);

@@ -7,8 +7,8 @@ use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
 use super::{awaitable, receive};
 use crate::{Error, IndexHandle, IndexInfo};
 
-/// Compares the searched points with the stored ones, at one revision, and the answers to sampled queries with brute force
-/// over the stored points. Await it for the report, or follow its progress ([`Verify::with_progress`]).
+/// Compares the searched points with the stored ones, at one revision, and the answers to sampled queries with brute
+/// force over the stored points. Await it for the report, or follow its progress ([`Verify::with_progress`]).
 ///
 /// ```no_run
 /// # async fn example(index: wayfold::IndexHandle) -> Result<(), wayfold::Error> {
@@ -34,8 +34,8 @@ pub struct Verified {
     pub index: IndexInfo,
     /// The number of stored points; `index.point_count` is the number of searched ones.
     pub stored_point_count: u64,
-    /// SHA-256 of the space and the stored points, whatever their revisions: indices of equal content have equal
-    /// hashes, on any server.
+    /// SHA-256 of the space and the stored points, without their revisions: indices of equal content have equal hashes,
+    /// on any server.
     pub content_hash: [u8; 32],
     /// The number of sampled states.
     pub query_count: u64,
@@ -88,8 +88,9 @@ impl Verify {
         self.with_progress(|_, _| ()).await
     }
 
-    /// Sends the request, and calls `progress` from time to time with how many points the server has read, and how many it
-    /// will have read at the end. The handle's timeout bounds the wait for each message, not the whole.
+    /// Sends the request, and calls `progress` from time to time with the number of points that the server has read and
+    /// the number that it will have read at the end. The handle's timeout bounds the wait for each message, not the
+    /// whole.
     ///
     /// # Errors
     /// Those of every call. `DATA_LOSS`: stored points cannot be read. A disagreement is no error.

@@ -43,8 +43,8 @@ pub struct WatchRequest {
     include: Include,
 }
 
-/// A watch under way, a stream of events. It ends after a reset and after an error; to go on after an error, watch again
-/// from the newest revision that came.
+/// A watch under way, a stream of events. It ends after a reset and after an error; after an error, watch again from
+/// the newest revision that arrived.
 ///
 /// The server sends no faster than the caller takes the events. It sends a reset to a caller that is so slow that the
 /// server no longer keeps the next mutations.
@@ -102,10 +102,10 @@ pub struct Reset {
 /// The reason for which a watch ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetReason {
-    /// The index has another uid: it was deleted and created again, restored, or lost mutations that were not synced. Go on
-    /// with a new handle, [`Client::index`](crate::Client::index).
+    /// The index has another uid: it was deleted and created again, restored, or lost mutations that were not synced.
+    /// Continue with a new handle, [`Client::index`](crate::Client::index).
     UidChanged,
-    /// The server does not keep the next mutations any more.
+    /// The server no longer keeps the next mutations.
     WindowPassed,
     /// A reason that this client does not know.
     Other(i32),
@@ -190,7 +190,7 @@ impl Watch {
         Ok(watch)
     }
 
-    /// The newest revision that can be read. Its distance from the last mutation is how far behind the caller is.
+    /// The newest readable revision. The caller lags behind it by its distance from the last mutation.
     pub fn newest(&self) -> &Revision {
         &self.newest
     }
@@ -241,7 +241,7 @@ impl Watch {
         });
         if let Some(reason) = reason {
             self.over = true;
-            // The rest of it never comes.
+            // The rest of the mutation cannot arrive.
             self.unfinished = None;
             let reset = Reset { reason, revision };
             self.ready.push_back(WatchEvent::Reset(reset));
@@ -259,7 +259,7 @@ impl Watch {
 
     fn take_piece(&mut self, message: v1::Mutation) -> Result<(), Error> {
         let revision = self.index.answered(CALL, message.revision)?;
-        // Past the greatest number nothing comes.
+        // No revision follows the greatest number.
         let expected = self.after.checked_add(1);
         if *revision.uid != *self.index.uid() || Some(revision.number) != expected {
             let after = self.index.revision_at(self.after);

@@ -99,7 +99,7 @@ async fn a_file_is_written_and_read() {
     let read: Result<Vec<_>, _> = reader.collect();
     assert_eq!(read.unwrap(), parts);
 
-    // The reader returns an error once, and then ends.
+    // The reader returns the error once, and then ends.
     let mut reader = SnapshotReader::new(&bytes[..bytes.len() - 1]).unwrap();
     assert!(reader.by_ref().take(2).all(|part| part.is_ok()));
     let cut = reader.next().unwrap().unwrap_err();
@@ -120,7 +120,7 @@ async fn parts_that_end_with_an_error_restore_nothing() {
     let server = Server::start();
     let parts = line(&server).await;
     let client = server.client().await;
-    // Also where all of it was sent before.
+    // The call fails even if the client has sent everything before.
     for sent in 0..=parts.len() {
         let failed = Error::Argument {
             field: "source",
@@ -176,7 +176,7 @@ async fn a_server_that_takes_nothing_is_not_waited_for() {
     fake.unavailable(1);
     let whole = || stream::iter(parts.clone().into_iter().map(Ok));
     let error = fake.client().await.restore("copy", whole()).await;
-    // It was starting, and then took everything.
+    // The server was starting at first, and then took all parts.
     assert_eq!(error.unwrap_err().code(), Code::Unimplemented);
     let client = wayfold::Client::builder().timeout(Duration::from_secs(2));
     let client = client.connect(&fake.uri).await.unwrap();

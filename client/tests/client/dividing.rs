@@ -11,7 +11,7 @@ use crate::{
     server::Server,
 };
 
-/// Different numbers without a pattern that an error could hide in.
+/// Distinct numbers without a pattern that could hide an error.
 fn scattered(rows: usize, width: usize) -> States {
     let mut states = States::new(width);
     for row in 0..rows {
@@ -146,9 +146,9 @@ async fn a_divided_insert_is_atomic_by_part() {
     });
     let error = index.insert(&states).await.unwrap_err();
     assert_eq!(error.code(), Code::InvalidArgument);
-    let told =
+    let message =
         "rows 0 to 19999 of 25000 took effect; then: states[3].coords[0]: NaN (INVALID_ARGUMENT)";
-    assert_eq!(error.to_string(), told);
+    assert_eq!(error.to_string(), message);
     assert!(matches!(
         error,
         Error::Partial {
@@ -241,7 +241,7 @@ async fn the_server_is_asked_once_for_its_limits_and_only_where_they_matter() {
     );
 }
 
-/// A server that was started again may have lower limits than the client was told.
+/// A server that was started again may have lower limits than the client knows.
 #[tokio::test]
 async fn after_a_refusal_that_names_a_lower_limit_the_rest_is_divided_anew() {
     let fake = Fake::start().await;
@@ -330,11 +330,11 @@ async fn what_was_divided_and_joined_equals_brute_force() {
         oracle.insert(point).unwrap();
     }
 
-    let asked = scattered(1500, 3);
-    let nearest = index.knn(&asked).k(20).include(include).await.unwrap();
-    let around = index.query(&asked, 0.05).include(include).await.unwrap();
+    let queries = scattered(1500, 3);
+    let nearest = index.knn(&queries).k(20).include(include).await.unwrap();
+    let around = index.query(&queries, 0.05).include(include).await.unwrap();
     assert_eq!((nearest.len(), around.len()), (1500, 1500));
-    for (i, state) in asked.iter().enumerate() {
+    for (i, state) in queries.iter().enumerate() {
         let mut state = state.to_vec();
         space.canonicalize(&mut state).unwrap();
         for (row, search) in [
@@ -371,11 +371,11 @@ async fn a_client_that_takes_little_asks_for_little() {
         .await
         .unwrap();
     let small = client.index("line").await.unwrap();
-    let asked = scattered(50, 1);
-    // All points of a radius: how many there are cannot be known before.
-    let all = small.query(&asked, 0.1).await.unwrap();
-    assert!(all == index.query(&asked, 0.1).await.unwrap());
+    let queries = scattered(50, 1);
+    // All points within a radius: the number of neighbours is not known before.
+    let all = small.query(&queries, 0.1).await.unwrap();
+    assert!(all == index.query(&queries, 0.1).await.unwrap());
     assert!(all.rows().all(|row| row.len() > 200));
-    let error = small.query(&asked, f64::INFINITY).await.unwrap_err();
+    let error = small.query(&queries, f64::INFINITY).await.unwrap_err();
     assert_eq!(error.code(), Code::OutOfRange, "{error}");
 }

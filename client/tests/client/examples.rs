@@ -1,4 +1,4 @@
-//! The examples do what they say.
+//! The examples run, and return correct results.
 
 #![expect(dead_code, reason = "the tests call what each `main` calls")]
 
@@ -48,7 +48,7 @@ async fn rrt_finds_a_way_around_the_discs() {
     );
 }
 
-/// How far a point is from a segment.
+/// The distance of a point from a segment.
 fn to_segment(point: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     let along = [b[0] - a[0], b[1] - a[1]];
     let to = [point[0] - a[0], point[1] - a[1]];

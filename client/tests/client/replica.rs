@@ -52,9 +52,9 @@ fn revision(number: u64) -> Revision {
 }
 
 /// The `after_revision` of each of the first `watches` requests to watch.
-fn asked_after(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
-    let asked = fake.watch_requests().into_iter().take(watches);
-    asked
+fn after_revisions(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
+    let requests = fake.watch_requests().into_iter().take(watches);
+    requests
         .map(|request| request.after_revision.map(|revision| revision.number))
         .collect()
 }
@@ -77,7 +77,7 @@ async fn a_stream_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
     let replica = request(&fake).await.await.unwrap();
     assert_eq!(replica.at_least(&revision(5)).await.unwrap().len(), 3);
     assert_eq!(nearest(&replica, 5.0), (4, 5));
-    assert_eq!(asked_after(&fake, 2), [Some(3), Some(4)]);
+    assert_eq!(after_revisions(&fake, 2), [Some(3), Some(4)]);
     let status = replica.status();
     assert!(
         matches!(
@@ -110,7 +110,7 @@ async fn a_gap_and_a_repeat_are_not_applied_but_asked_for_again() {
     let found = view.query([4.5], 100.0).unwrap();
     let ids: Vec<u64> = found.iter().map(|neighbor| neighbor.id).collect();
     assert_eq!(ids, [4, 5, 1]);
-    assert_eq!(asked_after(&fake, 3), [Some(3), Some(3), Some(4)]);
+    assert_eq!(after_revisions(&fake, 3), [Some(3), Some(3), Some(4)]);
 }
 
 #[tokio::test]
@@ -137,7 +137,7 @@ async fn after_a_reset_all_points_are_read_anew() {
             matches!(status, ReplicaStatus::Following { revision: at, .. } if *at == revision(9))
         })
         .await;
-    assert_eq!(asked_after(&fake, 3), [Some(3), Some(3), Some(9)]);
+    assert_eq!(after_revisions(&fake, 3), [Some(3), Some(3), Some(9)]);
 }
 
 #[tokio::test]
@@ -202,17 +202,17 @@ async fn what_the_server_refuses_the_replica_refuses_in_the_same_words() {
         [0.0, 1.0, 0.0, 0.0, 1.0],
     ];
     let outside = Filter::default().tag(1, 6);
-    let mut asked: Vec<([f64; 5], u32, f64, f64, Filter)> = bad
+    let mut requests: Vec<([f64; 5], u32, f64, f64, Filter)> = bad
         .map(|state| (state, 1, 1.0, 0.0, Filter::default()))
         .into();
-    asked.extend([
+    requests.extend([
         (good, 0, 1.0, 0.0, Filter::default()),
         (good, 1, -1.0, 0.0, Filter::default()),
         (good, 1, f64::NAN, 0.0, Filter::default()),
         (good, 1, 1.0, f64::INFINITY, Filter::default()),
         (bad[0], 1, 1.0, -0.5, outside),
     ]);
-    for (state, k, radius, epsilon, filter) in asked {
+    for (state, k, radius, epsilon, filter) in requests {
         let request = index.knn([state]).k(k).radius(radius).epsilon(epsilon);
         let theirs = request.filter(filter.clone()).await.unwrap_err();
         let search = Search::k(k).radius(radius).epsilon(epsilon).filter(filter);

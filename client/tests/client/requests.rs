@@ -196,10 +196,10 @@ async fn refusals_name_the_fields() {
         (Code::InvalidArgument, Some("NAN"))
     );
     assert_eq!(refusal.fields[0].field, "states[1].coords[1]");
-    let told = error.to_string();
+    let message = error.to_string();
     assert!(
-        told.contains("states[1].coords[1]") && told.ends_with("(INVALID_ARGUMENT)"),
-        "{told}"
+        message.contains("states[1].coords[1]") && message.ends_with("(INVALID_ARGUMENT)"),
+        "{message}"
     );
     assert_eq!(
         index.knn([[0.0, 0.0]]).k(0).await.unwrap_err().code(),

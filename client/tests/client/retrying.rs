@@ -167,10 +167,10 @@ async fn a_server_that_is_not_reached_in_time_is_named() {
             .retry(RetryPolicy::until_deadline());
         let error = client.connect("127.0.0.1:0").await.err().unwrap();
         assert_eq!(error.code(), Code::Unavailable, "{error}");
-        let told = error.to_string();
+        let message = error.to_string();
         assert!(
-            told.starts_with("connect: no connection to http://127.0.0.1:0: "),
-            "{told}"
+            message.starts_with("connect: no connection to http://127.0.0.1:0: "),
+            "{message}"
         );
     }
 }
@@ -212,13 +212,13 @@ async fn a_call_on_a_connection_that_is_going_away_is_made_again() {
             let (mut socket, _) = listener.accept().await.unwrap();
             socket.write_all(SETTINGS).await.unwrap();
             if waits_for_a_call {
-                let mut asked = Vec::new();
+                let mut received = Vec::new();
                 // HEADERS of the first stream.
-                while !asked
+                while !received
                     .windows(9)
                     .any(|bytes| bytes[3] == 1 && bytes[5..] == [0, 0, 0, 1])
                 {
-                    assert_ne!(socket.read_buf(&mut asked).await.unwrap(), 0);
+                    assert_ne!(socket.read_buf(&mut received).await.unwrap(), 0);
                 }
             }
             socket.write_all(GOAWAY).await.unwrap();
@@ -253,10 +253,10 @@ async fn where_no_server_is_the_address_is_named() {
         .await
         .unwrap_err();
     assert_eq!(error.code(), Code::Unavailable);
-    let told = error.to_string();
+    let message = error.to_string();
     assert!(
-        told.starts_with("connect: no connection to http://127.0.0.1:0: Connection refused"),
-        "{told}"
+        message.starts_with("connect: no connection to http://127.0.0.1:0: Connection refused"),
+        "{message}"
     );
     for wrong in ["", "http://", "ftp://127.0.0.1:0", "http://a b"] {
         let error = Client::connect(wrong).await.unwrap_err();

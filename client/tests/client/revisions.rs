@@ -26,13 +26,13 @@ async fn reads_ask_for_the_last_revision_that_was_told() {
     clone.knn([[0.0]]).await.unwrap();
     index.see_revision(&index.revision_at(9)).unwrap();
     clone.knn([[0.0]]).await.unwrap();
-    let asked = fake
+    let revisions = fake
         .knn_requests()
         .into_iter()
         .map(|request| request.min_revision.unwrap());
-    let asked: Vec<(String, u64)> = asked.map(|at| (at.uid, at.number)).collect();
+    let revisions: Vec<(String, u64)> = revisions.map(|at| (at.uid, at.number)).collect();
     assert_eq!(
-        asked,
+        revisions,
         [0, 7, 7, 9].map(|revision| (UID.to_owned(), revision))
     );
     assert_eq!(index.revision(), Revision::new(UID, 9));
@@ -112,7 +112,7 @@ async fn planners_read_what_they_wrote() {
                 let Outcome::Inserted { id } = inserted.outcomes[0] else {
                     panic!("{inserted:?}");
                 };
-                // On whichever revision the read sees, the point is there, and nothing is nearer to itself.
+                // The read sees a revision that has the point, and no other point is as near.
                 let found = roadmap.knn([row]).k(1).await.unwrap();
                 let itself = found.row(0).nearest().unwrap();
                 assert_eq!((itself.id, itself.distance), (id, 0.0));

@@ -55,26 +55,26 @@ async fn the_server_evaluates_it_at_the_size_of_its_index() {
     }
     let points = before;
 
-    let asked = rows(500, 10);
-    let by_k = index.knn(&asked).k_factor(2.0).radius(0.4).await.unwrap();
+    let queries = rows(500, 10);
+    let by_k = index.knn(&queries).k_factor(2.0).radius(0.4).await.unwrap();
     let by_radius = index
-        .knn(&asked)
+        .knn(&queries)
         .k(7)
         .radius(ScaledRadius::new(1.1).max(0.9))
         .await
         .unwrap();
     let scaled_to = |max| ScaledRadius::new(1.1).max(max);
-    let all = index.query(&asked, scaled_to(0.9)).await.unwrap();
-    let bounded = index.query(&asked, scaled_to(0.1)).await.unwrap();
-    // Whichever was set last.
+    let all = index.query(&queries, scaled_to(0.9)).await.unwrap();
+    let bounded = index.query(&queries, scaled_to(0.1)).await.unwrap();
+    // The last setting counts.
     let fixed = index
-        .knn(&asked)
+        .knn(&queries)
         .k_factor(2.0)
         .k(3)
         .radius(ScaledRadius::new(1.1))
         .radius(0.5);
     let fixed = fixed.await.unwrap();
-    for (at, state) in asked.iter().enumerate() {
+    for (at, state) in queries.iter().enumerate() {
         let within = |k, radius| Search {
             radius,
             ..Search::nearest_k(k)

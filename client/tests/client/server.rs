@@ -32,7 +32,7 @@ impl Server {
             runtime.block_on(async {
                 let listener = tokio::net::TcpListener::from_std(listener).unwrap();
                 let stopped = async { drop(stopped.await) };
-                // How it ends is not what is tested here.
+                // No test here depends on the result of the server.
                 let _ = wayfold_server::run(config, listener, stopped).await;
             });
         });

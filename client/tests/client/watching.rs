@@ -88,8 +88,8 @@ async fn pieces_are_put_together() {
     assert_eq!(whole.stored.states().unwrap().coordinates(), [1.0, 2.0]);
     assert_eq!(whole.removed_ids, [7, 8, 9]);
     assert_eq!(watch.newest().number, 6);
-    let asked = &fake.watch_requests()[0];
-    assert_eq!(asked.after_revision, revision(3));
+    let request = &fake.watch_requests()[0];
+    assert_eq!(request.after_revision, revision(3));
 }
 
 #[tokio::test]

@@ -14,7 +14,7 @@ pub enum SnapshotError {
     /// The file cannot be read or written.
     #[error(transparent)]
     Io(io::Error),
-    /// The file is of another program.
+    /// The file is not a snapshot.
     #[error("not a snapshot: it does not begin with the line `wayfold snapshot {FORMAT_VERSION}`")]
     NotSnapshot,
     /// The snapshot has another version of the format.
@@ -57,7 +57,7 @@ pub enum SnapshotError {
         /// The one that is there.
         found: u64,
     },
-    /// A part is not what was written.
+    /// A part is damaged: its digest does not match its content.
     #[error(
         "part {part} does not match its checksum: the snapshot is damaged there; copy it or take it again"
     )]
@@ -65,7 +65,7 @@ pub enum SnapshotError {
         /// The part.
         part: u64,
     },
-    /// A part is not the encoding of what belongs there.
+    /// The content of a part does not decode, or is of another kind than its place requires.
     #[error("part {part} cannot be understood: {problem}")]
     Malformed {
         /// The part.
@@ -96,7 +96,7 @@ pub enum SnapshotError {
     /// A point that no index holds.
     #[error("{place}: {problem}")]
     Point {
-        /// Where it is.
+        /// The place of the point.
         place: Place,
         /// The problem with it.
         problem: Box<PointProblem>,
@@ -110,12 +110,12 @@ pub enum SnapshotError {
         found: u64,
         /// The number expected.
         expected: u64,
-        /// Where that is said.
+        /// The part that announces the number.
         said_by: &'static str,
     },
 }
 
-/// Where a point is in a snapshot.
+/// The place of a point in a snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// The part.
@@ -161,7 +161,7 @@ pub enum PointProblem {
         /// The revision of the header.
         revision: u64,
     },
-    /// No state of the space.
+    /// A state that is not one of the space.
     #[error("its state is none of the space: {0}")]
     State(StateError),
     /// A state that is not in canonical form, so that no server stored it.

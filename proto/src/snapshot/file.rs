@@ -1,4 +1,4 @@
-//! Snapshots in files: a line that says what the file is, and the parts, each after its length.
+//! Snapshot files: a first line with the format version, and the parts, each after its length.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 
@@ -11,7 +11,7 @@ use crate::v1;
 /// The beginning of the first line; a version follows.
 const NAME: &str = "wayfold snapshot ";
 
-/// No first line has more bytes.
+/// The most bytes of the first line.
 const MAX_LINE: u64 = 64;
 
 /// The most bytes of an encoded part: its content, and 256 bytes for the other fields.
@@ -68,7 +68,7 @@ impl<R: Read> FileReader<R> {
     /// Begins to read a file.
     ///
     /// # Errors
-    /// It is not a snapshot, or of another version, or cannot be read.
+    /// The file is not a snapshot, has another version, or cannot be read.
     pub fn new(file: R) -> Result<FileReader<R>, SnapshotError> {
         let mut file = BufReader::new(file);
         let mut line = Vec::new();
@@ -87,10 +87,11 @@ impl<R: Read> FileReader<R> {
         })
     }
 
-    /// The next part, and what is in it; none after the trailer, at the end of the file.
+    /// Reads the next part and its content; `None` at the end of the file, after the trailer.
     ///
     /// # Errors
-    /// The file ends before its trailer, goes on after it, is damaged, holds what no index does, or cannot be read.
+    /// The file ends before its trailer, continues after it, is damaged, holds points that no index can hold, or cannot
+    /// be read.
     pub fn next_part(&mut self) -> Result<Option<(v1::SnapshotPart, Content)>, SnapshotError> {
         let part = self.reader.parts() + 1;
         if self.file.fill_buf()?.is_empty() {
@@ -122,7 +123,7 @@ impl<R: Read> FileReader<R> {
                 return Err(SnapshotError::CutShort { parts: part - 1 });
             };
             self.file.consume(1);
-            // Whatever the tenth byte adds, it is too much already.
+            // A tenth byte exceeds every allowed length.
             length |= u64::from(byte & 0x7f) << (7 * place).min(57);
             if byte & 0x80 == 0 {
                 return Ok(length);

@@ -1,5 +1,5 @@
-//! Snapshots of indices: how the parts are made ([`Writer`]), checked ([`Reader`]) and kept in files ([`FileWriter`],
-//! [`FileReader`]).
+//! Snapshots of indices: [`Writer`] makes the parts, [`Reader`] checks them, and [`FileWriter`] and [`FileReader`] keep
+//! them in files.
 //!
 //! The format is documented in `wayfold/v1/snapshot.proto`. Each program that takes, keeps or restores a snapshot
 //! checks all of it here, and does not rely on the checks of the program before it.
@@ -54,7 +54,7 @@ pub struct Header {
 /// Reads a file from its first byte to its last, checks all of it, and returns its header.
 ///
 /// # Errors
-/// It is not a whole snapshot of a known version, or cannot be read.
+/// The file is not a whole snapshot of a known version, or cannot be read.
 pub fn check(file: impl Read) -> Result<Header, SnapshotError> {
     let mut file = FileReader::new(file)?;
     let mut header = None;

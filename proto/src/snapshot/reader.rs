@@ -24,7 +24,7 @@ pub enum Content {
     Trailer,
 }
 
-/// Checks the parts of one snapshot as they come. After an error, what comes is of no use.
+/// Checks the parts of one snapshot in order. After an error, the reader must not be used.
 #[derive(Debug, Default)]
 pub struct Reader {
     parts: u64,
@@ -48,10 +48,10 @@ impl Reader {
         &self.digest
     }
 
-    /// The next part.
+    /// Checks and decodes the next part.
     ///
     /// # Errors
-    /// It is not the part that was written next, or holds what no index does.
+    /// It is not the part that was written next, or holds points that no index can hold.
     pub fn read(&mut self, part: &v1::SnapshotPart) -> Result<Content, SnapshotError> {
         if self.done {
             return Err(SnapshotError::Trailing { part: self.parts });
@@ -102,7 +102,7 @@ impl Reader {
         self.done
     }
 
-    /// Says that no part follows.
+    /// Checks that the snapshot is whole; no part follows.
     ///
     /// # Errors
     /// There was no trailer.
@@ -122,7 +122,8 @@ impl Reader {
                 bytes: part.content.len() as u64,
             });
         }
-        // A wrong digest under the expected number is damage; another number is an error of order, whatever the digest.
+        // A wrong digest under the expected number is damage; a wrong number is an error of order, even with a wrong
+        // digest.
         let found = digest(&self.digest, number, &part.content);
         if found[..] == part.digest[..] && part.number == number {
             self.digest = found;

@@ -1,4 +1,4 @@
-//! Parts from what is in them.
+//! Encodes the parts of a snapshot.
 
 use prost::Message;
 

@@ -24,8 +24,8 @@ Settings:
   settings with their defaults and explanations. Flags override the environment,
   the environment overrides the file:
     in the file          [limits]
-                         k = 500
-    in the environment   WAYFOLD_LIMITS__K=500
+                         max_k = 500
+    in the environment   WAYFOLD_LIMITS__MAX_K=500
 
 Examples:
   wayfold-server                             this machine only, port 50051

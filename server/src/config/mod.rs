@@ -152,8 +152,8 @@ impl DataConfig {
 }
 
 impl Config {
-    /// Loads the settings from all layers: the defaults, the `file` if given, the `environment`, and the `flags`, which are
-    /// pairs of a key such as `grpc.listen` and its value. A later layer overrides an earlier one.
+    /// Loads the settings from all layers: the defaults, the `file` if given, the `environment`, and the `flags`, which
+    /// are pairs of a key such as `grpc.listen` and its value. A later layer overrides an earlier one.
     pub fn load(
         file: Option<&Path>,
         environment: &BTreeMap<String, String>,

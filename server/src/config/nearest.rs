@@ -1,7 +1,7 @@
 //! Finds the known name closest to a misspelt one.
 
-/// The name in `known` closest to `written`, the first one on a tie. The last parts are compared too, for a key that was
-/// written outside its section.
+/// The name in `known` closest to `written`, the first one on a tie. The last parts are compared too, for a key that
+/// was written outside its section.
 pub(super) fn nearest<'a>(written: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     known.min_by_key(|candidate| {
         let whole = distance(written, candidate);

@@ -44,6 +44,19 @@ impl PointService for PointFace {
         respond(self.service.remove(&call, message).await)
     }
 
+    async fn open_session(
+        &self,
+        request: Request<v1::OpenSessionRequest>,
+    ) -> Answer<v1::OpenSessionResponse> {
+        let (call, message) = open(request);
+        respond(self.service.open_session(&call, message).await)
+    }
+
+    async fn write(&self, request: Request<v1::WriteRequest>) -> Answer<v1::WriteResponse> {
+        let (call, message) = open(request);
+        respond(self.service.write(&call, message).await)
+    }
+
     async fn get(&self, request: Request<v1::GetRequest>) -> Answer<v1::GetResponse> {
         let (call, message) = open(request);
         respond(self.service.get(&call, message).await)

@@ -112,7 +112,7 @@ mod tests {
         let status = from_error(&Error::LimitExceeded {
             limit: "max_k",
             value: 10,
-            asked: 11,
+            requested: 11,
             advice: "ask for fewer",
         });
         assert_eq!(status.code(), Code::ResourceExhausted);
@@ -146,7 +146,7 @@ mod tests {
             Error::IndexExists {
                 name: long.clone(),
                 existing: long.clone(),
-                asked: long.clone(),
+                requested: long.clone(),
             },
         ] {
             let mut headers = http::HeaderMap::new();

@@ -25,6 +25,7 @@ mod fjall;
 mod memory;
 mod record;
 mod retention;
+mod session;
 mod uid;
 
 use std::sync::Arc;
@@ -40,6 +41,7 @@ pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Effects, Operation, Outcome, Record};
 pub use retention::Retention;
+pub use session::{Batch, Block, Session, Sessions};
 pub use uid::Uid;
 
 /// An index of the catalogue. The registry keeps names unique.
@@ -69,7 +71,7 @@ pub struct Lost {
 pub struct Origin {
     /// Its first revision: that of its first points.
     pub revision: u64,
-    /// The least id above every id that was ever stored.
+    /// The least id above every id that was ever stored or reserved.
     pub next_id: u64,
     /// The previous digest that its first record carries.
     pub digest: Digest,
@@ -208,8 +210,8 @@ pub trait Restoring: Send {
     /// Adds the next points, by ascending id.
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError>;
 
-    /// Adds the index to the catalogue, durably.
-    fn finish(self: Box<Self>) -> Result<(), LogError>;
+    /// Adds the index to the catalogue with these writer sessions, durably.
+    fn finish(self: Box<Self>, sessions: Sessions) -> Result<(), LogError>;
 }
 
 /// The points of one index as of one revision: the sum of the records up to that revision. They do not change while the
@@ -220,8 +222,11 @@ pub trait View: Send + Sync {
         self.tip().revision
     }
 
-    /// The least id above every id that was ever stored, by this revision or an earlier one.
+    /// The least id above every id that was ever stored or reserved, by this revision or an earlier one.
     fn next_id(&self) -> u64;
+
+    /// The writer sessions.
+    fn sessions(&self) -> &Sessions;
 
     /// The newest record in the sum.
     fn tip(&self) -> Tip;

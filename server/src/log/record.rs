@@ -6,7 +6,7 @@ use bytes::Bytes;
 use sha2::{Digest as _, Sha256};
 use wayfold_index::{PointRef, Points};
 
-use super::{Tip, cursor::Cursor};
+use super::{Tip, cursor::Cursor, session::Batch};
 
 mod encoding;
 
@@ -65,6 +65,7 @@ pub struct Effects {
     payloads: Vec<Bytes>,
     removed: Vec<u64>,
     operation: Option<Arc<Operation>>,
+    batch: Option<Arc<Batch>>,
 }
 
 impl Effects {
@@ -76,6 +77,7 @@ impl Effects {
             payloads: Vec::new(),
             removed: Vec::new(),
             operation: None,
+            batch: None,
         }
     }
 
@@ -102,9 +104,14 @@ impl Effects {
         self.operation = operation;
     }
 
-    /// True if nothing changed; the operation does not count.
+    /// Sets the session's batch that is this mutation.
+    pub fn set_batch(&mut self, batch: Option<Arc<Batch>>) {
+        self.batch = batch;
+    }
+
+    /// True if nothing changed, and no session has to remember it; the operation does not count.
     pub fn is_empty(&self) -> bool {
-        self.stored.is_empty() && self.removed.is_empty()
+        self.stored.is_empty() && self.removed.is_empty() && self.batch.is_none()
     }
 
     /// True if it only stores new points.
@@ -151,6 +158,18 @@ impl Effects {
         self.operation.as_ref()
     }
 
+    /// The session's batch that it is.
+    pub fn batch(&self) -> Option<&Arc<Batch>> {
+        self.batch.as_ref()
+    }
+
+    /// The least id above the ids that it stores or reserves; 0 if there are none.
+    pub fn next_id(&self) -> u64 {
+        let highest = self.stored.ids().iter().max();
+        let reserved = self.batch.as_ref().map_or(0, |batch| batch.reserved.end);
+        highest.map_or(0, |id| id + 1).max(reserved)
+    }
+
     /// Its approximate size in bytes.
     pub fn bytes(&self) -> usize {
         let row = 8 * self.stored.coordinates() + 3 * 8 + 1;
@@ -159,7 +178,8 @@ impl Effects {
             .operation
             .as_ref()
             .map_or(0, |operation| operation.bytes());
-        self.stored.len() * row + payloads + 8 * self.removed.len() + operation + 256
+        let batch = self.batch.as_ref().map_or(0, |batch| batch.bytes());
+        self.stored.len() * row + payloads + 8 * self.removed.len() + operation + batch + 256
     }
 }
 
@@ -167,10 +187,12 @@ impl Effects {
 /// the previous record.
 ///
 /// The digest is the record's checksum and its link in the chain. Numbers are little-endian, and the length of a
-/// sequence precedes it as u64. The digest covers, in this order: the text `wayfold record 2`; the digest of the
+/// sequence precedes it as u64. The digest covers, in this order: the text `wayfold record 2`, or `3` for a session's batch; the digest of the
 /// previous record, the revision, the time, and the width of the rows; the stored points, each as id, tag, revision,
 /// outcome (a byte: 0 inserted, 1 replaced, 2 updated), the bits of the state, and the payload; the removed ids; the
-/// number of operations, and the id, fingerprint and response of each.
+/// number of operations, and the id, fingerprint and response of each. A record of a session's batch has form 3: after
+/// these, the session, the batch's number, the first reserved id and the id after the last one, the fingerprint, the
+/// response, and the sessions that end.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     revision: u64,
@@ -310,6 +332,17 @@ mod tests {
         effects
     }
 
+    pub(super) fn batch() -> Batch {
+        Batch {
+            session: 3,
+            number: 4,
+            fingerprint: [2; 32],
+            response: Bytes::from_static(b"written"),
+            reserved: 20..30,
+            ended: vec![1, 2],
+        }
+    }
+
     #[test]
     fn payloads_stay_with_their_rows() {
         let effects = effects();
@@ -344,6 +377,21 @@ mod tests {
         bytes.extend_from_slice(b"done");
         let expected: Digest = Sha256::digest(&bytes).into();
         assert_eq!(*Record::new(5, [9; 32], 77, effects()).digest(), expected);
+
+        bytes[15] = b'3';
+        for number in [3u64, 4, 20, 30] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(&[2; 32]);
+        bytes.extend_from_slice(&7u64.to_le_bytes());
+        bytes.extend_from_slice(b"written");
+        for number in [2u64, 1, 2] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        let expected: Digest = Sha256::digest(&bytes).into();
+        let mut effects = effects();
+        effects.set_batch(Some(Arc::new(batch())));
+        assert_eq!(*Record::new(5, [9; 32], 77, effects).digest(), expected);
     }
 
     #[test]

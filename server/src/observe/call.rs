@@ -1,4 +1,4 @@
-//! One call's span, its line at the end, and what a request says of itself.
+//! The span of a call, its log line at the end, and the fields of its request.
 
 use std::{fmt, time::Instant};
 
@@ -16,7 +16,7 @@ pub(crate) enum Ending {
     Failed(Code),
     /// The caller left, or its connection was cut: the status had no reader.
     Left,
-    /// The transport ended it with a status of its own, by gRPC's number.
+    /// The transport ended it with this status, by gRPC's number.
     Transport(i32),
 }
 
@@ -65,7 +65,7 @@ impl CallRecord {
         }
     }
 
-    /// The name of what is called.
+    /// The name of the called method.
     pub(crate) fn rpc(&self) -> &str {
         &self.rpc
     }
@@ -75,7 +75,7 @@ impl CallRecord {
         &self.span
     }
 
-    /// Says how the call ended.
+    /// Sets the outcome of the call.
     pub(crate) fn end(&mut self, ending: Ending) {
         self.ending = ending;
     }
@@ -93,7 +93,7 @@ impl Drop for CallRecord {
     }
 }
 
-/// A request that says which index it concerns, and how much of it.
+/// A request that names its index and counts its rows or ids.
 pub(crate) trait Request {
     /// The name of the index; empty for none.
     fn index(&self) -> &str {
@@ -106,7 +106,7 @@ pub(crate) trait Request {
     }
 }
 
-/// Notes in the current call's span what a request says of itself.
+/// Records the index and the rows of a request in the current call's span.
 pub(crate) fn request(request: &impl Request) {
     let span = Span::current();
     if !request.index().is_empty() {
@@ -136,6 +136,8 @@ requests! {
     InsertRequest: index_name, this => rows(this.states.as_ref());
     UpdateRequest: index_name, this => this.ids.len();
     RemoveRequest: index_name, this => this.ids.len();
+    OpenSessionRequest: index_name;
+    WriteRequest: index_name, this => this.kinds.len();
     GetRequest: index_name, this => this.ids.len();
     KnnRequest: index_name, this => rows(this.states.as_ref());
     QueryRequest: index_name, this => rows(this.states.as_ref());

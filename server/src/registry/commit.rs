@@ -34,10 +34,7 @@ impl Hosted {
         self.operations.lock().set_window(window);
         let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
         // The log reads a point before it replaces or removes it.
-        let next_id = writer.next_id();
-        let is_new =
-            effects.removed().is_empty() && effects.stored().ids().iter().all(|&id| id >= next_id);
-        let submitted = if is_small && is_new && !self.host.log.journal.is_busy() {
+        let submitted = if is_small && effects.only_adds() && !self.host.log.journal.is_busy() {
             self.submit(writer, effects)
         } else {
             let hosted = Arc::clone(self);

@@ -6,7 +6,7 @@ use tracing::info;
 use wayfold_index::{PointRef, Points, Space};
 
 use super::{Host, Hosted, IndexState, Registry, RegistryError, operations::Operations};
-use crate::log::{Entry, Origin, Restoring, StoredPoint, Uid};
+use crate::log::{Entry, Origin, Restoring, Sessions, StoredPoint, Uid};
 
 /// An index that is being restored. If it is dropped before [`Registry::host`], nothing is left behind.
 pub struct Restore {
@@ -45,8 +45,9 @@ impl Registry {
         })
     }
 
-    /// Hosts a restored index that has all its points. Blocks on the log and on building the forest.
-    pub fn host(&self, restore: Restore) -> Result<Arc<Hosted>, RegistryError> {
+    /// Hosts a restored index that has all its points, with these writer sessions. Blocks on the log and on building the
+    /// forest.
+    pub fn host(&self, restore: Restore, sessions: Sessions) -> Result<Arc<Hosted>, RegistryError> {
         let Restore {
             host,
             entry,
@@ -64,7 +65,7 @@ impl Registry {
         }
         let _change = self.change_lock.lock();
         self.room_for(&entry.name, limit)?;
-        stored.finish()?;
+        stored.finish(sessions)?;
         let view = host.log.points.view(entry.uid)?;
         let hosted = Hosted::new(&host, &entry, forest, view, Operations::new());
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points = points.len(), "restored an index");

@@ -11,7 +11,7 @@ use tokio::sync::OwnedMutexGuard;
 use wayfold_index::{Overlay, Point, Space};
 
 use super::Published;
-use crate::log::{Operation, Record, Tip};
+use crate::log::{Operation, Record, Sessions, Tip};
 
 /// Exclusive access to an index's writer.
 pub struct WriteGuard {
@@ -65,8 +65,10 @@ pub struct Writer {
 
 struct Pending {
     record: Arc<Record>,
-    /// The least id above every id that was ever stored, by this record or an earlier one.
+    /// The least id above every id that was ever stored or reserved, by this record or an earlier one.
     next_id: u64,
+    /// The writer sessions after this record.
+    sessions: Sessions,
     /// The number of points after this record.
     points: usize,
 }
@@ -121,7 +123,13 @@ impl Writer {
         self.tip().revision
     }
 
-    /// The least id above every id that was ever stored.
+    /// The writer sessions.
+    pub fn sessions(&self) -> &Sessions {
+        let last = self.pending.back();
+        last.map_or_else(|| self.base.view.sessions(), |last| &last.sessions)
+    }
+
+    /// The least id above every id that was ever stored or reserved.
     pub fn next_id(&self) -> u64 {
         let last = self.pending.back();
         last.map_or_else(|| self.base.view.next_id(), |last| last.next_id)
@@ -196,10 +204,12 @@ impl Writer {
     /// Adds a record that was submitted.
     pub(super) fn push(&mut self, record: Arc<Record>) {
         let effects = record.effects();
-        let highest = effects.stored().ids().iter().max();
         let removed = effects.removed().len();
+        let mut sessions = self.sessions().clone();
+        sessions.apply(&record);
         self.pending.push_back(Pending {
-            next_id: self.next_id().max(highest.map_or(0, |id| id + 1)),
+            next_id: self.next_id().max(effects.next_id()),
+            sessions,
             points: self.points() + effects.inserted() - removed,
             record,
         });

@@ -44,7 +44,7 @@ impl Room {
             None => Err(Error::LimitExceeded {
                 limit: "max_answer_bytes",
                 value: self.limit as u64,
-                asked: (self.limit - self.left + bytes) as u64,
+                requested: (self.limit - self.left + bytes) as u64,
                 advice: "ask for less in one call: fewer states or ids, a smaller k or radius, fewer columns",
             }),
         }

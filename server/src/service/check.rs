@@ -17,7 +17,7 @@ pub(super) const END_OF_IDS: u64 = 1 << 63;
 pub(super) struct Violations(Vec<Violation>);
 
 impl Violations {
-    const MOST: usize = 10;
+    const MAX: usize = 10;
 
     pub(super) fn add(
         &mut self,
@@ -36,7 +36,7 @@ impl Violations {
 
     /// True if no further violation would be kept.
     pub(super) fn are_enough(&self) -> bool {
-        self.0.len() >= Self::MOST
+        self.0.len() >= Self::MAX
     }
 
     pub(super) fn finish(self) -> Result<(), Error> {
@@ -57,6 +57,11 @@ pub(super) struct Rows {
 impl Rows {
     pub(super) fn iter(&self) -> impl ExactSizeIterator<Item = &[f64]> {
         self.coordinates.chunks_exact(self.width)
+    }
+
+    /// The row with this number, which is below [`Rows::len`].
+    pub(super) fn row(&self, at: usize) -> &[f64] {
+        &self.coordinates[at * self.width..(at + 1) * self.width]
     }
 
     pub(super) fn len(&self) -> usize {
@@ -86,7 +91,7 @@ pub(super) async fn states(
         return Err(Error::LimitExceeded {
             limit: "max_rows_per_call",
             value: limits.max_rows_per_call as u64,
-            asked: rows as u64,
+            requested: rows as u64,
             advice: "split the states over several calls",
         });
     }
@@ -174,7 +179,7 @@ pub(super) fn id_count(ids: &[u64], limits: &Limits) -> Result<(), Error> {
     Err(Error::LimitExceeded {
         limit: "max_ids_per_call",
         value: limits.max_ids_per_call as u64,
-        asked: ids.len() as u64,
+        requested: ids.len() as u64,
         advice: "split the ids over several calls",
     })
 }
@@ -254,7 +259,7 @@ pub(super) fn k_limit(k: usize, limit: usize) -> Result<(), Error> {
     Err(Error::LimitExceeded {
         limit: "max_k",
         value: limit as u64,
-        asked: k as u64,
+        requested: k as u64,
         advice: "ask for fewer neighbours, or for all within a radius",
     })
 }

@@ -84,7 +84,7 @@ pub enum Error {
     },
     /// An index of this name exists, with another space.
     #[error(
-        "index \"{name}\" exists with the space {existing}, not {asked}: take another name, or delete it first"
+        "index \"{name}\" exists with the space {existing}, not {requested}: take another name, or delete it first"
     )]
     IndexExists {
         /// The name.
@@ -92,9 +92,9 @@ pub enum Error {
         /// Its space, as text.
         existing: String,
         /// The requested space, as text.
-        asked: String,
+        requested: String,
     },
-    /// The name for a restored index is taken, whatever its space.
+    /// The name for a restored index is taken.
     #[error(
         "an index is named \"{name}\" already: restore under another name, or delete that one first"
     )]
@@ -113,16 +113,57 @@ pub enum Error {
         /// The ids, all of them.
         ids: Vec<u64>,
     },
+    /// New points have ids that a writer session reserved.
+    #[error(
+        "index \"{index}\": another writer session reserved {}: take ids that your session reserved, or let the server \
+         assign them",
+        Ids(ids)
+    )]
+    IdsReserved {
+        /// The index.
+        index: String,
+        /// The ids, all of them.
+        ids: Vec<u64>,
+    },
+    /// A session does not take this batch.
+    #[error(
+        "index \"{index}\": writer session {session} does not take batch {batch}: {}",
+        match newest {
+            Some(newest) => format!("its newest batch is {newest}, and one batch is under way at a time"),
+            None => "it has ended, or was never opened; open a new session".into(),
+        }
+    )]
+    SessionRefused {
+        /// The index.
+        index: String,
+        /// The session.
+        session: u64,
+        /// The number of the batch.
+        batch: u64,
+        /// The number of the session's newest batch; None if there is no such session.
+        newest: Option<u64>,
+    },
+    /// A batch number came back with another request.
+    #[error(
+        "batch: batch {batch} of writer session {session} was another request: a retry repeats the request to the \
+         letter, and a new request is the next batch"
+    )]
+    BatchMismatch {
+        /// The session.
+        session: u64,
+        /// The number of the batch.
+        batch: u64,
+    },
     /// The index has another uid: it was deleted and created again, or restored.
     #[error(
-        "index \"{index}\" has the uid {found}, not {asked}: its past is another one, so revisions and ids known of \
-         the old one mean nothing here"
+        "index \"{index}\" has the uid {found}, not {requested}: it has another history, so revisions and ids of the old \
+         one mean nothing here"
     )]
     UidMismatch {
         /// The index.
         index: String,
         /// The requested uid.
-        asked: String,
+        requested: String,
         /// The index's uid.
         found: String,
     },
@@ -140,14 +181,14 @@ pub enum Error {
         ids: Vec<u64>,
     },
     /// The call exceeds a limit of the server.
-    #[error("{asked} exceed the limit {limit} = {value}: {advice}")]
+    #[error("{requested} exceed the limit {limit} = {value}: {advice}")]
     LimitExceeded {
         /// The limit's name in the settings.
         limit: &'static str,
         /// Its value.
         value: u64,
-        /// The requested amount; for `max_answer_bytes` the size at which the answer was given up.
-        asked: u64,
+        /// The requested amount; for `max_answer_bytes` the size at which the server stopped building the answer.
+        requested: u64,
         /// The remedy.
         advice: &'static str,
     },
@@ -203,7 +244,7 @@ pub enum Error {
         /// The activity: "while searching".
         doing: &'static str,
     },
-    /// An operation id came back with another request.
+    /// An operation id was used again with another request.
     #[error(
         "operation_id: \"{operation_id}\" was used for another request: a retry repeats the request to the letter, \
          and a new request needs a new id"
@@ -250,14 +291,17 @@ impl Error {
     /// The kind of failure.
     pub fn code(&self) -> Code {
         match self {
-            Error::InvalidArgument { .. } | Error::OperationMismatch { .. } => {
-                Code::InvalidArgument
-            }
+            Error::InvalidArgument { .. }
+            | Error::OperationMismatch { .. }
+            | Error::BatchMismatch { .. } => Code::InvalidArgument,
             Error::IndexNotFound { .. } | Error::PointsNotFound { .. } => Code::NotFound,
-            Error::IndexExists { .. } | Error::NameTaken { .. } | Error::PointsExist { .. } => {
-                Code::AlreadyExists
-            }
-            Error::UidMismatch { .. } | Error::RevisionConflict { .. } => Code::FailedPrecondition,
+            Error::IndexExists { .. }
+            | Error::NameTaken { .. }
+            | Error::PointsExist { .. }
+            | Error::IdsReserved { .. } => Code::AlreadyExists,
+            Error::UidMismatch { .. }
+            | Error::RevisionConflict { .. }
+            | Error::SessionRefused { .. } => Code::FailedPrecondition,
             Error::LimitExceeded { .. }
             | Error::IdsExhausted { .. }
             | Error::ScanTooLong { .. }
@@ -279,6 +323,10 @@ impl Error {
             Error::PointsNotFound { .. } => "POINTS_NOT_FOUND",
             Error::IndexExists { .. } | Error::NameTaken { .. } => "INDEX_EXISTS",
             Error::PointsExist { .. } => "POINTS_EXIST",
+            Error::IdsReserved { .. } => "IDS_RESERVED",
+            Error::SessionRefused { newest: None, .. } => "SESSION_ENDED",
+            Error::SessionRefused { .. } => "BATCH_OUT_OF_ORDER",
+            Error::BatchMismatch { .. } => "BATCH_MISMATCH",
             Error::UidMismatch { .. } => "UID_MISMATCH",
             Error::RevisionConflict { .. } => "REVISION_CONFLICT",
             Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",

@@ -63,19 +63,19 @@ impl Service {
                 what: "a space that was refused without a reason".into(),
             });
         };
-        let asked = space.to_string();
+        let requested = space.to_string();
         let (name, limit) = (request.name.clone(), self.limits().max_indexes);
         let created = self.blocking(move |registry| registry.create(&name, space, limit));
         let (hosted, created) = created.await?.map_err(|error| match error {
             RegistryError::Exists { space } => Error::IndexExists {
                 name: request.name.clone(),
                 existing: space.to_string(),
-                asked,
+                requested,
             },
             RegistryError::Full { limit } => Error::LimitExceeded {
                 limit: "max_indexes",
                 value: limit as u64,
-                asked: limit as u64 + 1,
+                requested: limit as u64 + 1,
                 advice: "delete an index first",
             },
             error => registry_error(&request.name, error),
@@ -168,7 +168,7 @@ impl Service {
         let uid = deleted.await?.map_err(|error| match error {
             RegistryError::OtherUid { found } => Error::UidMismatch {
                 index: request.index_name.clone(),
-                asked: request.uid.clone(),
+                requested: request.uid.clone(),
                 found: found.to_string(),
             },
             error => registry_error(&request.index_name, error),
@@ -227,7 +227,7 @@ pub(super) fn check_name(name: &str, violations: &mut Violations) {
     }
 }
 
-/// The space in whichever form it was given; None after a violation.
+/// The space, from either form; `None` after a violation.
 fn read_space(form: Option<SpaceForm>, violations: &mut Violations) -> Option<Space> {
     let (field, problem) = match form {
         None => {

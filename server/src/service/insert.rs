@@ -28,11 +28,11 @@ const DOING: &str = "while evaluating the rows; nothing was changed";
 /// A checked request.
 struct Insertion {
     rows: Rows,
-    /// One a row, or none: then they are assigned.
+    /// The ids, one a row; if empty, the server assigns them.
     ids: Vec<u64>,
-    /// One a row, or none.
+    /// The tags, one a row, or none.
     tags: Vec<u64>,
-    /// One a row, or none.
+    /// The payloads, one a row, or none.
     payloads: Vec<Bytes>,
     replace: bool,
     min_separation: f64,
@@ -112,7 +112,8 @@ impl Service {
                 continue;
             }
             drop(evaluation);
-            // Other writers changed the index: read the rest, without the writer if possible, then evaluate the rows again.
+            // Other writers changed the index: read the rest, without the writer if possible, then evaluate the rows
+            // again.
             if reads < MAX_READS_AHEAD {
                 drop(writer);
             } else {
@@ -121,7 +122,8 @@ impl Service {
             reads += 1;
             let is_compared = unread.compared.is_empty();
             let read = payloads.read(call, &hosted, &base, unread, most).await?;
-            // The answer has all of these payloads, and maybe more; but a row may still replace what it is compared with.
+            // The answer has all of these payloads, and maybe more; but a row may still replace what it is compared
+            // with.
             if is_compared {
                 Room::new(self.limits()).take(read)?;
             }

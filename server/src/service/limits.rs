@@ -8,24 +8,31 @@ use serde::Deserialize;
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
-    /// Most states of one `Insert`, `Knn` or `Query`.
+    /// The most states of one `Insert`, `Knn` or `Query`, and most steps of one `Write`.
     pub max_rows_per_call: usize,
-    /// Most ids of one `Get`, `Update` or `Remove`.
+    /// The most ids of one `Get`, `Update` or `Remove`.
     pub max_ids_per_call: usize,
-    /// Most neighbours of a state.
+    /// The most neighbours of a state.
     pub max_k: usize,
-    /// Most bytes of one encoded answer. Stock gRPC clients refuse messages above 4 MiB, so the default stays below.
+    /// The most bytes of one encoded answer. Stock gRPC clients refuse messages above 4 MiB, so the default stays
+    /// below.
     pub max_answer_bytes: usize,
-    /// Most indices on the server.
+    /// The most indices on the server.
     pub max_indexes: usize,
-    /// Most seconds that a scan, a snapshot or a verification holds its revision.
+    /// The most seconds that a scan, a snapshot or a verification holds its revision.
     pub max_scan_seconds: u64,
-    /// Most operations (calls with an `operation_id`) that an index remembers for their retries. The window ends at this
-    /// limit or at `max_operation_bytes`, the one reached first.
+    /// The most operations (calls with an `operation_id`) that an index remembers for their retries. The window ends at
+    /// this limit or at `max_operation_bytes`, the one reached first.
     pub max_operations: usize,
-    /// Most bytes of remembered operations, their responses included, for each index.
+    /// The most bytes of remembered operations, their responses included, for each index.
     pub max_operation_bytes: usize,
-    /// Most bytes of one payload. Fixed by the contract, no setting.
+    /// The most writer sessions of an index.
+    pub max_sessions: usize,
+    /// The most seconds between two batches of a writer session. A session that is idle for longer is ended.
+    pub max_session_idle_seconds: u64,
+    /// The most ids that one `OpenSession` or `Write` reserves.
+    pub max_reserved_ids: u64,
+    /// The most bytes of one payload. Fixed by the contract, no setting.
     #[serde(skip)]
     pub max_payload_bytes: usize,
     /// Time that a read without a deadline waits for its `min_revision`. Fixed by the contract, no setting.
@@ -44,6 +51,9 @@ impl Default for Limits {
             max_scan_seconds: 300,
             max_operations: 10_000,
             max_operation_bytes: 16 * 1024 * 1024,
+            max_sessions: 65_536,
+            max_session_idle_seconds: 7 * 24 * 3600,
+            max_reserved_ids: 1 << 20,
             max_payload_bytes: 64 * 1024,
             min_revision_wait: Duration::from_secs(5),
         }

@@ -30,7 +30,7 @@ impl Service {
             return Err(Error::LimitExceeded {
                 limit: "max_answer_bytes",
                 value,
-                asked: value + 1,
+                requested: value + 1,
                 advice: "follow the index with Watch, which tells a large mutation in pieces, or start from its points",
             });
         }
@@ -48,7 +48,7 @@ fn message_bytes(limits: &Limits) -> usize {
 
 async fn next_message(watch: &mut Watch) -> Result<v1::WatchResponse, Error> {
     let message = watch.next().await.ok_or_else(|| Error::Internal {
-        what: "a watch ended before it told anything".into(),
+        what: "a watch ended without a message".into(),
     });
     message?
 }

@@ -1,4 +1,4 @@
-//! The use cases of the contract, and the limits that protect the server. No transport is known here.
+//! The use cases of the contract, and the limits that protect the server. The service knows no transport.
 //!
 //! Requests and responses are the messages of `wayfold.v1`: they are the contract on every transport. A face translates
 //! its calls into these and holds no policy of its own.
@@ -37,12 +37,14 @@ mod restore;
 mod revision_pin;
 mod scan;
 mod server;
+mod session;
 mod snapshot;
 mod staging;
 mod stored;
 mod update;
 mod verify;
 mod watch;
+mod write;
 
 use std::sync::{
     Arc, OnceLock,

@@ -1,13 +1,20 @@
 //! The frame of every mutation: it recognises a retry, waits for the writer, commits the effects and acknowledges them.
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
+use bytes::Bytes;
 use prost::Message;
 use sha2::{Digest as _, Sha256};
+use wayfold_proto::v1;
 
-use super::{Call, Error, Service, call::Pace, error_map::registry_error};
+use super::{
+    Call, Error, Service,
+    call::Pace,
+    error_map::registry_error,
+    stored::{MAX_READS_AHEAD, ReadAhead},
+};
 use crate::{
-    log::{Digest, Effects, Operation},
+    log::{Batch, Digest, Effects, Operation, StoredPoint},
     registry::{Committed, Hosted, OperationWindow, WriteGuard},
 };
 
@@ -16,8 +23,15 @@ const STRETCH: usize = 64 * 1024;
 
 /// A call's claim to take effect once.
 pub(super) struct Claim {
-    id: String,
+    name: Name,
     fingerprint: Digest,
+}
+
+/// The name by which a retry is recognised.
+enum Name {
+    Operation(String),
+    /// A batch of a session, and the ids that it reserves.
+    Batch(u64, u64, Range<u64>),
 }
 
 impl Claim {
@@ -32,17 +46,60 @@ impl Claim {
         if operation_id.is_empty() {
             return Ok(None);
         }
-        let mut hash = Sha256::new();
-        hash.update(verb.as_bytes());
-        for stretch in request.encode_to_vec().chunks(STRETCH) {
-            hash.update(stretch);
-            pace.step().await?;
-        }
         Ok(Some(Self {
-            id: operation_id.into(),
-            fingerprint: hash.finalize().into(),
+            name: Name::Operation(operation_id.into()),
+            fingerprint: fingerprint(verb, request, pace).await?,
         }))
     }
+
+    /// The claim of a batch of a session.
+    pub(super) async fn of_batch(
+        request: &v1::WriteRequest,
+        pace: &mut Pace,
+    ) -> Result<Self, Error> {
+        Ok(Self {
+            name: Name::Batch(request.session, request.batch, 0..0),
+            fingerprint: fingerprint("Write", request, pace).await?,
+        })
+    }
+
+    /// Sets the ids that the batch reserves.
+    pub(super) fn reserve(&mut self, ids: Range<u64>) {
+        if let Name::Batch(_, _, reserved) = &mut self.name {
+            *reserved = ids;
+        }
+    }
+
+    /// Adds the claim to the effects of its mutation.
+    fn mark(&self, effects: &mut Effects, response: Bytes) {
+        let fingerprint = self.fingerprint;
+        match &self.name {
+            Name::Operation(id) => effects.set_operation(Some(Arc::new(Operation {
+                id: id.clone(),
+                fingerprint,
+                response,
+            }))),
+            Name::Batch(session, number, reserved) => effects.set_batch(Some(Arc::new(Batch {
+                session: *session,
+                number: *number,
+                fingerprint,
+                response,
+                reserved: reserved.clone(),
+                ended: Vec::new(),
+            }))),
+        }
+    }
+}
+
+/// The digest of a call.
+async fn fingerprint(verb: &str, request: &impl Message, pace: &mut Pace) -> Result<Digest, Error> {
+    let mut hash = Sha256::new();
+    hash.update(verb.as_bytes());
+    for stretch in request.encode_to_vec().chunks(STRETCH) {
+        hash.update(stretch);
+        pace.step().await?;
+    }
+    Ok(hash.finalize().into())
 }
 
 /// The start of a mutation.
@@ -78,8 +135,40 @@ impl Service {
         }
     }
 
-    /// Commits a mutation that was evaluated under `writer`; returns [`Committed::Done`] once it may be acknowledged with
-    /// `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
+    /// Like [`Service::begin`], with the stored points of `ids` read, as of the writer's newest record.
+    pub(super) async fn begin_with<R: Message + Default>(
+        &self,
+        call: &Call,
+        hosted: &Hosted,
+        claim: Option<&Claim>,
+        stored: &mut ReadAhead<Arc<StoredPoint>>,
+        ids: &[u64],
+    ) -> Result<Start<R>, Error> {
+        const DOING: &str = "while reading the points; nothing was changed";
+        let mut base = hosted.published();
+        let mut reads = 0;
+        loop {
+            stored.read(call, DOING, hosted, &base, ids).await?;
+            let writer = match self.begin(call, hosted, claim).await? {
+                Start::Writing(writer) => writer,
+                remembered @ Start::Remembered(_) => return Ok(remembered),
+            };
+            base = Arc::clone(writer.base());
+            reads += 1;
+            // It fails only if others have written a great deal meanwhile.
+            if stored.catch_up(hosted, &writer) {
+                return Ok(Start::Writing(writer));
+            }
+            if reads == MAX_READS_AHEAD {
+                stored.read(call, DOING, hosted, &base, ids).await?;
+                stored.catch_up(hosted, &writer);
+                return Ok(Start::Writing(writer));
+            }
+        }
+    }
+
+    /// Commits a mutation that was evaluated under `writer`; returns [`Committed::Done`] once it may be acknowledged
+    /// with `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
     pub(super) async fn commit(
         &self,
         call: &Call,
@@ -94,25 +183,21 @@ impl Service {
             count: self.limits().max_operations,
             bytes: self.limits().max_operation_bytes,
         };
-        let operation = claim.map(|claim| {
-            Arc::new(Operation {
-                id: claim.id.clone(),
-                fingerprint: claim.fingerprint,
-                response: response.encode_to_vec().into(),
-            })
-        });
+        if let Some(claim) = claim {
+            claim.mark(&mut effects, response.encode_to_vec().into());
+        }
         if effects.is_empty() {
-            // A twin that is under way finds it, and waits for the same records.
+            // A concurrent retry finds the operation, and waits for the same records.
+            let operation = effects.operation();
             if let Some(operation) = operation {
-                hosted.remember(operation, window);
+                hosted.remember(Arc::clone(operation), window);
             }
             let committed = settled(call, hosted, writer).await?;
-            if let (Committed::Refused, Some(claim)) = (committed, claim) {
-                hosted.forget(&claim.id);
+            if let (Committed::Refused, Some(operation)) = (committed, operation) {
+                hosted.forget(&operation.id);
             }
             return Ok(committed);
         }
-        effects.set_operation(operation);
         call.bound(
             "after the mutation was logged; it takes place",
             hosted.commit(writer, effects, window),
@@ -122,7 +207,7 @@ impl Service {
     }
 }
 
-/// The response that the claimed operation was given, if it took effect already.
+/// The response that the claimed mutation was given, if it took effect already.
 fn recalled<R: Message + Default>(
     hosted: &Hosted,
     writer: &WriteGuard,
@@ -131,19 +216,36 @@ fn recalled<R: Message + Default>(
     let Some(claim) = claim else {
         return Ok(None);
     };
-    let Some(operation) = hosted.recall(writer, &claim.id) else {
-        return Ok(None);
+    let (fingerprint, response) = match &claim.name {
+        Name::Operation(id) => match hosted.recall(writer, id) {
+            Some(operation) => (operation.fingerprint, operation.response.clone()),
+            None => return Ok(None),
+        },
+        &Name::Batch(id, batch, _) => match writer.sessions().get(id) {
+            Some(session) if batch > 0 && session.batch == batch => {
+                (session.fingerprint, session.response.clone())
+            }
+            Some(session) if session.batch.checked_add(1) == Some(batch) => return Ok(None),
+            session => {
+                return Err(Error::SessionRefused {
+                    index: hosted.name().into(),
+                    session: id,
+                    batch,
+                    newest: session.map(|session| session.batch),
+                });
+            }
+        },
     };
-    if operation.fingerprint != claim.fingerprint {
-        return Err(Error::OperationMismatch {
-            operation_id: claim.id.clone(),
+    if fingerprint != claim.fingerprint {
+        return Err(match &claim.name {
+            Name::Operation(id) => Error::OperationMismatch {
+                operation_id: id.clone(),
+            },
+            &Name::Batch(session, batch, _) => Error::BatchMismatch { session, batch },
         });
     }
-    let response = R::decode(operation.response.clone()).map_err(|error| Error::Internal {
-        what: format!(
-            "operation \"{}\": its response does not decode: {error}",
-            claim.id
-        ),
+    let response = R::decode(response).map_err(|error| Error::Internal {
+        what: format!("a remembered response does not decode: {error}"),
     })?;
     Ok(Some(response))
 }

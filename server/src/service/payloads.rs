@@ -40,7 +40,7 @@ impl Unread {
 }
 
 impl Payloads {
-    /// Nothing read; `answers` is set if the answer has payloads of neighbours.
+    /// No payloads yet; `answers` is true if the answer has payloads of neighbours.
     pub(super) fn new(answers: bool) -> Self {
         let neighbors = || ReadAhead::new(true, |point| point.payload.clone());
         Self {

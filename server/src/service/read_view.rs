@@ -74,7 +74,7 @@ fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
     }
     Err(Error::UidMismatch {
         index: hosted.name().into(),
-        asked: uid.into(),
+        requested: uid.into(),
         found: hosted.uid_text().into(),
     })
 }

@@ -14,7 +14,7 @@ use super::{
     indexes::{check_name, describe},
 };
 use crate::{
-    log::{Origin, StoredPoint},
+    log::{Origin, Sessions, StoredPoint},
     registry::{RegistryError, Restore},
 };
 
@@ -81,7 +81,7 @@ impl Restoring {
         };
         let service = self.service;
         let finished = tokio::task::spawn_blocking(move || {
-            let hosted = service.registry()?.host(restore);
+            let hosted = service.registry()?.host(restore, Sessions::default());
             hosted.map_err(|error| not_restored(&name, error))
         });
         let hosted = finished.await.map_err(stopped)??;
@@ -194,7 +194,7 @@ fn not_restored(name: &str, error: RegistryError) -> Error {
         RegistryError::Full { limit } => Error::LimitExceeded {
             limit: "max_indexes",
             value: limit as u64,
-            asked: limit as u64 + 1,
+            requested: limit as u64 + 1,
             advice: "delete an index first",
         },
         error => registry_error(name, error),

@@ -32,6 +32,7 @@ impl Service {
                 max_answer_bytes: limits.max_answer_bytes as u64,
                 max_payload_bytes: limits.max_payload_bytes as u64,
                 max_indexes: limits.max_indexes as u64,
+                max_reserved_ids: limits.max_reserved_ids,
             }),
         })
     }

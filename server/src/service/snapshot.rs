@@ -182,7 +182,7 @@ impl Rows {
         self.states.coordinates.extend_from_slice(&point.state);
     }
 
-    /// None if there are none.
+    /// The next part; `None` if it has no points.
     fn finish(mut self) -> Option<v1::SnapshotPoints> {
         if self.modified.is_empty() {
             return None;

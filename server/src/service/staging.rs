@@ -66,6 +66,11 @@ impl<'a> Staging<'a> {
         self.writer.get(id)
     }
 
+    /// True if a writer session reserved this id.
+    pub(super) fn is_reserved(&self, id: u64) -> bool {
+        self.writer.sessions().owner(id).is_some()
+    }
+
     /// The payload of an accepted row.
     pub(super) fn accepted_payload(&self, id: u64) -> Option<Bytes> {
         let slot = *self.searched.as_ref()?.slots.get(&id)?;

@@ -1,5 +1,6 @@
-//! Reads of stored points, possibly from a disk. They run on threads that may block, never on those that answer calls. A
-//! mutation reads before it takes the index's writer ([`ReadAhead`]), and with it only after [`MAX_READS_AHEAD`] reads.
+//! Reads of stored points, possibly from a disk. They run on threads that may block, never on those that answer calls.
+//! A mutation reads before it takes the index's writer ([`ReadAhead`]), and with it only after [`MAX_READS_AHEAD`]
+//! reads.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -101,8 +102,8 @@ impl<T: Send + 'static> ReadAhead<T> {
         Ok(())
     }
 
-    /// Catches up to the writer's newest record from the recent and pending records. If these do not reach back far enough, it
-    /// forgets all values and returns false.
+    /// Catches up to the writer's newest record from the recent and pending records. If these do not reach back far
+    /// enough, it forgets all values and returns false.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) -> bool {
         let before = std::mem::replace(&mut self.revision, writer.revision());
         if self.points.is_empty() && !self.takes_new {

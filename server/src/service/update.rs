@@ -12,7 +12,7 @@ use super::{
     check::{self, Violations},
     mutation::{Claim, Start},
     read_view::{revision, revision_number},
-    stored::{MAX_READS_AHEAD, ReadAhead},
+    stored::ReadAhead,
 };
 use crate::{
     log::{Effects, Outcome, StoredPoint},
@@ -37,7 +37,7 @@ impl Service {
         let mut stored = ReadAhead::new(false, Arc::clone);
         loop {
             let writer = match self
-                .read_for_update(call, &hosted, claim.as_ref(), &mut stored, &request.ids)
+                .begin_with(call, &hosted, claim.as_ref(), &mut stored, &request.ids)
                 .await?
             {
                 Start::Remembered(response) => return Ok(response),
@@ -54,37 +54,6 @@ impl Service {
             let committed = self.commit(call, &hosted, writer, effects, claim.as_ref(), &response);
             if committed.await? == Committed::Done {
                 return Ok(response);
-            }
-        }
-    }
-
-    /// Takes the writer with the stored points read, as of the newest record.
-    async fn read_for_update(
-        &self,
-        call: &Call,
-        hosted: &Hosted,
-        claim: Option<&Claim>,
-        stored: &mut ReadAhead<Arc<StoredPoint>>,
-        ids: &[u64],
-    ) -> Result<Start<v1::UpdateResponse>, Error> {
-        let mut base = hosted.published();
-        let mut reads = 0;
-        loop {
-            stored.read(call, DOING, hosted, &base, ids).await?;
-            let writer = match self.begin(call, hosted, claim).await? {
-                Start::Writing(writer) => writer,
-                remembered @ Start::Remembered(_) => return Ok(remembered),
-            };
-            base = Arc::clone(writer.base());
-            reads += 1;
-            // It fails only if others have written a great deal meanwhile.
-            if stored.catch_up(hosted, &writer) {
-                return Ok(Start::Writing(writer));
-            }
-            if reads == MAX_READS_AHEAD {
-                stored.read(call, DOING, hosted, &base, ids).await?;
-                stored.catch_up(hosted, &writer);
-                return Ok(Start::Writing(writer));
             }
         }
     }

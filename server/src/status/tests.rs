@@ -55,7 +55,7 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
             Error::IndexExists {
                 name: index.clone(),
                 existing: "R3".into(),
-                asked: "SO2".into(),
+                requested: "SO2".into(),
             },
             Code::AlreadyExists,
             Some("ResourceInfo"),
@@ -86,7 +86,7 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
         (
             Error::UidMismatch {
                 index: index.clone(),
-                asked: "a".into(),
+                requested: "a".into(),
                 found: "b".into(),
             },
             Code::FailedPrecondition,
@@ -105,7 +105,7 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
             Error::LimitExceeded {
                 limit: "max_k",
                 value: 10,
-                asked: 11,
+                requested: 11,
                 advice: "ask for fewer",
             },
             Code::ResourceExhausted,
@@ -201,7 +201,7 @@ fn fields_ids_and_limits_can_be_read_by_a_program() {
     let status = from_error(&Error::LimitExceeded {
         limit: "max_k",
         value: 10,
-        asked: 11,
+        requested: 11,
         advice: "ask for fewer",
     });
     let violations = decoded::<pb::QuotaFailure>(&status, "QuotaFailure").violations;

@@ -17,7 +17,7 @@ pub(super) struct Response {
     pub(super) query: Query,
     pub(super) form: Form,
     pub(super) result: Result<Replies, Status>,
-    /// None for a refusal that found no room.
+    /// The slot of the call; `None` for a refusal for lack of one.
     pub(super) place: Option<OwnedSemaphorePermit>,
     pub(super) under_way: TaskTrackerToken,
 }

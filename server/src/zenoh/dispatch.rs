@@ -36,6 +36,14 @@ pub(super) async fn dispatch(
                 request,
                 boxed(service.remove(call, request.decode_for_index()?)).await,
             ),
+            PointVerb::Session => encoded(
+                request,
+                boxed(service.open_session(call, request.decode_for_index()?)).await,
+            ),
+            PointVerb::Write => encoded(
+                request,
+                boxed(service.write(call, request.decode_for_index()?)).await,
+            ),
             PointVerb::Get => encoded(
                 request,
                 boxed(service.get(call, request.decode_for_index()?)).await,

@@ -39,7 +39,7 @@ impl ServerWatch {
                     warn!(
                         prefix = under,
                         other,
-                        "another server answers under this prefix: both take what is asked, and each insert is made \
+                        "another server answers under this prefix: both take every query, and each insert is made \
                          twice; set a zenoh.prefix for each server that shares routers with another"
                     );
                 }

@@ -70,7 +70,7 @@ impl<'a> Request<'a> {
     /// Refuses a mutation without a payload.
     pub(super) fn check(&self, verb: Verb) -> Result<(), Error> {
         if verb.is_mutation() && self.payload.is_empty() {
-            let text = format!("{} is asked with a payload, be it {{}}", verb.name());
+            let text = format!("{} needs a payload, at least {{}}", verb.name());
             return Err(invalid("payload", "REQUIRED", text));
         }
         Ok(())

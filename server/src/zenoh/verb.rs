@@ -13,6 +13,8 @@ pub(super) enum PointVerb {
     Insert,
     Update,
     Remove,
+    Session,
+    Write,
     Get,
     Info,
     Log,
@@ -35,12 +37,14 @@ pub(super) enum Verb {
 }
 
 impl PointVerb {
-    const ALL: [(&str, Self); 8] = [
+    const ALL: [(&str, Self); 10] = [
         ("knn", Self::Knn),
         ("query", Self::Query),
         ("insert", Self::Insert),
         ("update", Self::Update),
         ("remove", Self::Remove),
+        ("session", Self::Session),
+        ("write", Self::Write),
         ("get", Self::Get),
         ("info", Self::Info),
         ("log", Self::Log),
@@ -61,7 +65,11 @@ impl Verb {
     pub(super) fn is_mutation(self) -> bool {
         match self {
             Verb::OfIndex(verb) => match verb {
-                PointVerb::Insert | PointVerb::Update | PointVerb::Remove => true,
+                PointVerb::Insert
+                | PointVerb::Update
+                | PointVerb::Remove
+                | PointVerb::Session
+                | PointVerb::Write => true,
                 PointVerb::Knn
                 | PointVerb::Query
                 | PointVerb::Get
@@ -121,7 +129,7 @@ impl<'a> Target<'a> {
 fn unknown(prefix: &str, key: &keyexpr) -> Error {
     let names = |all: &[&str]| all.join(", ");
     let text = format!(
-        "nothing is asked under {key}: under {prefix}/INDEX/ there are {}, and under {prefix}/ {}",
+        "no verb has the key {key}: under {prefix}/INDEX/ there are {}, and under {prefix}/ {}",
         names(&PointVerb::ALL.map(|(name, _)| name)),
         names(&IndexVerb::ALL.map(|(name, _)| name)),
     );

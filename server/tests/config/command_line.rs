@@ -33,7 +33,7 @@ fn help_is_a_page_that_answers() {
         "--log <FILTER>",
         "--log-format <FORMAT>",
         "--print-config",
-        "WAYFOLD_LIMITS__K=500",
+        "WAYFOLD_LIMITS__MAX_K=500",
         "Examples:",
         "wayfold create arm --space 'R3*SO3:0.15'",
         "Exit status:",

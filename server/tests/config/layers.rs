@@ -105,8 +105,8 @@ fn an_unknown_variable_is_named_with_the_nearest_one() {
         ("WAYFOLD_GRPC__LISTNE", "WAYFOLD_GRPC__LISTEN"),
         ("WAYFOLD_GRPC_LISTEN", "WAYFOLD_GRPC__LISTEN"),
         (
-            "WAYFOLD_LIMIT__ROWS_PER_CALL",
-            "WAYFOLD_LIMITS__ROWS_PER_CALL",
+            "WAYFOLD_LIMIT__MAX_ROWS_PER_CALL",
+            "WAYFOLD_LIMITS__MAX_ROWS_PER_CALL",
         ),
     ] {
         let message = load_variable(name, "1").unwrap_err().to_string();

@@ -84,7 +84,7 @@ async fn a_limit_is_named_with_its_value() {
     let quota = status.get_details_quota_failure().unwrap();
     assert_eq!(quota.violations[0].quota_value, 5);
     let metadata = status.get_details_error_info().unwrap().metadata;
-    assert_eq!((&*metadata["value"], &*metadata["asked"]), ("5", "6"));
+    assert_eq!((&*metadata["value"], &*metadata["requested"]), ("5", "6"));
     server.stop().await.unwrap().unwrap();
 }
 

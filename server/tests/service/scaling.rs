@@ -214,9 +214,9 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_scaled_searches() {
         Error::LimitExceeded {
             limit,
             value,
-            asked,
+            requested,
             ..
-        } => (limit, value, asked),
+        } => (limit, value, requested),
         other => panic!("{other}"),
     };
     for start in [0, 50] {

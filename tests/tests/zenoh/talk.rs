@@ -96,7 +96,7 @@ async fn states_parameters_and_payloads_say_one_thing() {
         ),
         (
             "arm/knn?k=1",
-            json!({ "states": [[0, 1]], "index": "leg" }),
+            json!({ "states": [[0, 1]], "index_name": "leg" }),
             (3, "CONFLICT"),
         ),
         ("arm/knn?k=1;kk=2", json!([0, 1]), (3, "UNKNOWN_PARAMETER")),

@@ -70,15 +70,15 @@ pub(super) fn number(text: &str, place: impl Fn() -> String) -> Result<f64, Inpu
 }
 
 fn shortened(text: &str) -> String {
-    const MOST: usize = 40;
-    match text.char_indices().nth(MOST) {
+    const MAX_CHARS: usize = 40;
+    match text.char_indices().nth(MAX_CHARS) {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text.to_owned(),
     }
 }
 
-/// A first line is a header if none of its fields is a number. (`nan` counts as a number, so that a file whose first row
-/// is bad has no header.)
+/// A first line is a header if none of its fields is a number. (`nan` counts as a number, so that a file whose first
+/// row is bad has no header.)
 fn is_header(record: &StringRecord) -> bool {
     record.iter().all(|field| field.parse::<f64>().is_err())
 }

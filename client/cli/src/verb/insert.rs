@@ -113,7 +113,7 @@ impl NeighborArgs {
     }
 }
 
-/// Rows a call: enough to be fast, and few enough not to delay other callers or exceed a deadline.
+/// The rows of a call: enough to be fast, and few enough not to delay other callers or exceed a deadline.
 const CALL_ROWS: usize = 1000;
 
 pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<(), Failure> {
@@ -184,7 +184,7 @@ async fn send(
     Ok(insert.await?)
 }
 
-/// Adds how many rows the calls before the failed one inserted.
+/// Adds the number of rows that the calls before the failed one inserted.
 fn stopped(done: usize, rows: usize, failure: Failure) -> Failure {
     match done {
         0 => failure,
@@ -197,7 +197,7 @@ fn stopped(done: usize, rows: usize, failure: Failure) -> Failure {
 
 #[derive(Serialize)]
 struct RowLine<'a> {
-    /// Null for a row that was left out and had no id of its own.
+    /// Null for a row that was left out and had no given id.
     id: Option<JsonId>,
     outcome: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]

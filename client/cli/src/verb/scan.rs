@@ -179,7 +179,7 @@ impl Writer<'_> {
         Ok(points)
     }
 
-    /// Adds that the printed points are not all of them; a file that fails is not left behind.
+    /// Adds to an error that the printed points are incomplete; a failed scan leaves no file.
     fn stopped(&self, points: u64, failure: Failure) -> Failure {
         match self.prints {
             false => failure,

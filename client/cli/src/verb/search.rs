@@ -157,7 +157,7 @@ pub(crate) async fn query(args: QueryArgs, session: &mut Session) -> Result<(), 
     .await
 }
 
-/// States a call: as many as wait, up to this.
+/// The most states of a call; it takes those that wait.
 const CALL_ROWS: usize = 250;
 
 /// Concurrent calls. Their answers are printed in the order of the states.
@@ -214,7 +214,7 @@ async fn run(
     Ok(())
 }
 
-/// The states before the first wrong row, and what is wrong with that row.
+/// The states before the first wrong row, and the error of that row.
 fn split(rows: Vec<Result<Row, InputError>>, width: usize) -> (States, Option<InputError>) {
     let mut states = States::new(width);
     for row in rows {

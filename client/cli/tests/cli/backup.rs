@@ -119,7 +119,7 @@ async fn servers_are_verified_and_compared() {
         let insert = index.insert([pose(number)]).ids([id]).replace();
         insert.await.unwrap();
     };
-    // The content is the same whatever became of it meanwhile.
+    // The contents are equal, although the revisions differ.
     put(&original, 7, 10_001).await;
     put(&original, 7, 10_002).await;
     put(&copy, 7, 10_002).await;
@@ -143,8 +143,8 @@ async fn servers_are_verified_and_compared() {
     copy.update([7]).tags([1]).await.unwrap();
     let tagged = differ(&["content: "]);
     assert!(!tagged.stdout.contains("same points"), "{}", tagged.stdout);
-    let told = &tagged.stderr;
-    assert!(!told.contains("stored points: "), "{told}");
+    let message = &tagged.stderr;
+    assert!(!message.contains("stored points: "), "{message}");
     put(&copy, 7, 10_003).await;
     put(&copy, 9, 10_004).await;
     differ(&["stored points: ", &source.server.uri, &target.uri]);
@@ -152,7 +152,7 @@ async fn servers_are_verified_and_compared() {
     target.json(&["create", "arm", "--space", "R3"]).line();
     differ(&["space: R3*SO3:0.15 on"]);
 
-    // No other verb takes two, and none is passed over, wherever they stand.
+    // No other verb takes two servers, wherever the options stand.
     both(&["info", "arm"]).error(2);
     run_alone(&[&servers[..2], &["verify", "arm"], &servers[2..]].concat()).error(2);
 }
@@ -165,9 +165,9 @@ async fn a_damaged_file_is_named_with_its_damage_and_leaves_no_index() {
     let refused = |bytes: &[u8], words: &str| {
         fs::write(&damaged, bytes).unwrap();
         let run = target.run(&["restore", "arm", &damaged]);
-        let told = run.error(3);
-        assert!(told.contains(&damaged), "{told}");
-        assert!(told.contains(words), "{words}: {told}");
+        let message = run.error(3);
+        assert!(message.contains(&damaged), "{message}");
+        assert!(message.contains(words), "{words}: {message}");
         assert!(target.json(&["list"]).lines().is_empty());
     };
     for share in 1..8 {

@@ -1,4 +1,4 @@
-//! States from files, and answers in JSON, of thousands of points: they equal brute force.
+//! Answers in JSON to thousands of states from files: they equal brute force.
 
 use std::fs;
 
@@ -31,7 +31,7 @@ fn canonical(space: &Space, pose: &[f64; 7]) -> [f64; 7] {
     row
 }
 
-/// Reading a text costs a last digit, and this text the same.
+/// The value as a parser of JSON reads it, which may round the last digit.
 fn as_read(value: Value) -> Value {
     serde_json::from_str(&value.to_string()).unwrap()
 }
@@ -98,26 +98,26 @@ fn answers_of_thousands_of_points_equal_brute_force() {
         let distances: Vec<f64> = found.neighbors.iter().map(|n| n.distance).collect();
         as_read(json!({"ids": ids, "distances": distances, "revision": revision}))
     };
-    let asked: Vec<[f64; 7]> = (9_000..9_030).map(pose).collect();
+    let queries: Vec<[f64; 7]> = (9_000..9_030).map(pose).collect();
     let all = |search: &Search<'_>| -> Vec<Value> {
-        asked.iter().map(|pose| expected(pose, search)).collect()
+        queries.iter().map(|pose| expected(pose, search)).collect()
     };
-    let text = file("asked.csv", csv(&asked).as_bytes());
+    let text = file("queries.csv", csv(&queries).as_bytes());
     let nearest = server.json(&["knn", "arm", &text, "-k", "7"]).lines();
     assert_eq!(nearest, all(&Search::nearest_k(7)));
-    let binary = file("asked.npy", &npy_of(&asked));
+    let binary = file("queries.npy", &npy_of(&queries));
     let within = server.json(&["query", "arm", &binary, "--radius", "0.3"]);
     let within = within.lines();
     assert!(within.iter().any(|line| line["ids"][1].is_u64()));
     assert_eq!(within, all(&Search::nearest_r(0.3)));
-    let one = csv(&asked[..1]);
+    let one = csv(&queries[..1]);
     let near = ["-k", "3", "--radius", "0.2", "--state", one.trim()];
     let nearest = server.json(&[&["knn", "arm"], &near[..]].concat()).line();
     let search = Search {
         radius: 0.2,
         ..Search::nearest_k(3)
     };
-    assert_eq!(nearest, expected(&asked[0], &search));
+    assert_eq!(nearest, expected(&queries[0], &search));
     let stored = points.get(1_234).unwrap().row;
     let got = server.json(&["get", "arm", "1234"]).line();
     assert_eq!(got["state"], as_read(json!(stored)));

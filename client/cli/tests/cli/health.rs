@@ -13,7 +13,7 @@ use crate::{
 #[test]
 fn a_server_that_serves_is_healthy() {
     let server = Server::start();
-    // Ready, once a call is answered.
+    // The server is ready once it has answered a call.
     server.json(&["list"]).lines();
     let health = server.json(&["health"]);
     assert_eq!(

@@ -29,7 +29,7 @@ async fn an_interrupted_snapshot_leaves_no_file() {
         next_id: 1,
         point_count: 1,
     };
-    // The rest never comes.
+    // The rest of the scan never arrives.
     fake.snapshots(&[Writer::new().header(&header)], false);
     for signal in ["INT", "TERM"] {
         let directory = tempfile::tempdir().unwrap();

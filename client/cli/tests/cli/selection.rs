@@ -5,8 +5,8 @@ use wayfold::{Scaling, Space};
 
 use crate::{process::run_alone, server::Server};
 
-/// The index `line` with the points 0, 1 and 2 at 0, 10 and 20, tagged 0x11 by revision 1, and the point 3 at 30, tagged
-/// 2 by revision 2.
+/// The index `line` with the points 0, 1 and 2 at 0, 10 and 20, tagged 0x11 by revision 1, and the point 3 at 30,
+/// tagged 2 by revision 2.
 fn tagged_line() -> Server {
     let server = Server::start();
     server.run(&["create", "line", "--space", "R1"]);

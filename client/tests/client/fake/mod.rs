@@ -44,7 +44,7 @@ const LIMITS: v1::Limits = v1::Limits {
     max_indexes: 1_000,
 };
 
-/// Decides by its number, from 0, and its rows whether a call fails.
+/// Returns the failure of a call, by its number, from 0, and its rows; `None` if it succeeds.
 type Script = Box<dyn Fn(usize, usize) -> Option<Status> + Send>;
 
 #[derive(Default)]
@@ -55,7 +55,7 @@ struct Inner {
     insert: Vec<v1::InsertRequest>,
     remove: Vec<v1::RemoveRequest>,
     timeouts: Vec<Option<String>>,
-    /// How often it was asked for its limits; these calls are counted nowhere else.
+    /// The number of calls for its limits, which no other count includes.
     described: usize,
     /// Its limits, if they are not [`LIMITS`].
     limits: Option<v1::Limits>,
@@ -167,7 +167,7 @@ impl Fake {
         self.inner.lock().unwrap().described
     }
 
-    /// How many calls came since failures were last set.
+    /// The number of calls since failures were last set.
     pub(crate) fn calls(&self) -> usize {
         self.inner.lock().unwrap().calls
     }

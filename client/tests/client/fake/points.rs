@@ -28,8 +28,8 @@ impl PointService for Fake {
         request: Request<v1::InsertRequest>,
     ) -> Result<Response<v1::InsertResponse>, Status> {
         let rows = rows(&request.get_ref().states);
-        let asked = request.get_ref().clone();
-        self.inner.lock().unwrap().insert.push(asked);
+        let received = request.get_ref().clone();
+        self.inner.lock().unwrap().insert.push(received);
         let number = self.enter(&request, rows).await?;
         Ok(Response::new(v1::InsertResponse {
             outcomes: vec![v1::Outcome::Inserted.into(); rows],
@@ -55,8 +55,8 @@ impl PointService for Fake {
         &self,
         request: Request<v1::RemoveRequest>,
     ) -> Result<Response<v1::RemoveResponse>, Status> {
-        let asked = request.get_ref().clone();
-        self.inner.lock().unwrap().remove.push(asked);
+        let received = request.get_ref().clone();
+        self.inner.lock().unwrap().remove.push(received);
         let number = self.enter(&request, request.get_ref().ids.len()).await?;
         Ok(Response::new(v1::RemoveResponse {
             removed_count: request.into_inner().ids.len() as u64,
@@ -78,8 +78,8 @@ impl PointService for Fake {
         request: Request<v1::KnnRequest>,
     ) -> Result<Response<v1::KnnResponse>, Status> {
         let rows = rows(&request.get_ref().states);
-        let asked = request.get_ref().clone();
-        self.inner.lock().unwrap().knn.push(asked);
+        let received = request.get_ref().clone();
+        self.inner.lock().unwrap().knn.push(received);
         let number = self.enter(&request, rows).await?;
         Ok(Response::new(v1::KnnResponse {
             neighbors: numbered(rows),

@@ -14,7 +14,7 @@
 
 use std::{
     fs::{self, File, TryLockError},
-    io::{self, Read, Write},
+    io::{self, Read, Seek, Write},
     path::{Path, PathBuf},
 };
 
@@ -24,7 +24,10 @@ use super::{MARKS, STORE};
 
 const MARKER: &str = "wayfold-data";
 const FORM: &str = "wayfold-server data, version ";
-const VERSION: &str = "3";
+const VERSION: &str = "4";
+
+/// The version that this one reads. Its length is the same, so that one byte makes it the newer one.
+const READ_VERSION: &str = "3";
 
 const PROBE: &str = "probe";
 /// Enough room for a reopened store to begin with, in addition to the bytes that it has yet to move out of its journal.
@@ -55,7 +58,7 @@ pub enum OpenError {
     },
     /// Another version of this program wrote it.
     #[error(
-        "{} is of version \"{found}\", and this server knows version {VERSION} only: start the server that wrote it, or \
+        "{} is of version \"{found}\", and this server knows the versions {READ_VERSION} and {VERSION} only: start the server that wrote it, or \
          name another directory with --data",
         directory.display()
     )]
@@ -182,6 +185,14 @@ fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
     file.take(1000).read_to_end(&mut found).map_err(failed)?;
     let found = String::from_utf8_lossy(&found).into_owned();
     if found == line {
+        return Ok(());
+    }
+    if found == format!("{FORM}{READ_VERSION}\n") {
+        // A server of that version would lose the writer sessions that this one adds.
+        file.seek(io::SeekFrom::Start(FORM.len() as u64))
+            .and_then(|_| file.write_all(VERSION.as_bytes()))
+            .and_then(|()| file.sync_all())
+            .map_err(failed)?;
         return Ok(());
     }
     if line.starts_with(&found) && only_the_marker(path).map_err(failed)? {

@@ -14,12 +14,13 @@ use super::{
         Head, Number, Sum, head_key, last_of, operation_key, point_key, record_key, seal, unseal,
     },
     point::PointForm,
+    session,
     store::{Handles, Store, storage, unreadable},
     sync_marks::Mark,
     view::PointsView,
 };
 use crate::log::{
-    Entry, LogError, Operation, Origin, Record, Retention, View,
+    Entry, LogError, Operation, Origin, Outcome, Record, Retention, Sessions, View,
     retention::{Allowance, Window},
 };
 
@@ -41,6 +42,8 @@ pub(super) struct State {
     window: Window,
     /// The revisions of the kept operations, oldest first.
     operations: VecDeque<u64>,
+    /// The writer sessions.
+    pub(super) sessions: Sessions,
     /// The revisions of forgotten operations that are still in the store.
     forgotten: Vec<u64>,
     /// The records up to this revision are removed from the store.
@@ -74,6 +77,7 @@ impl State {
             head: Head::at(&origin, sum),
             window: Window::default(),
             operations: VecDeque::new(),
+            sessions: Sessions::default(),
             forgotten: Vec::new(),
             removed: origin.revision,
             closed: None,
@@ -264,14 +268,16 @@ impl Index {
 
     /// Writes the record after the head, and its points, in one batch.
     fn write(&self, handles: &Handles, state: &mut State, record: &Record) -> Result<(), LogError> {
-        let highest = record.effects().stored().iter().map(|point| point.id).max();
         handles.wait_for_room()?;
         let Handles { database, keyspace } = handles;
         let mut batch = database.batch();
-        let sum = self.put(handles, &mut batch, record, &state.head)?;
+        let mut sum = self.put(handles, &mut batch, record, state.head.sum)?;
+        for change in state.sessions.changes(record) {
+            session::put(&change, self.number, (&mut batch, keyspace), &mut sum);
+        }
         let head = Head {
             revision: record.revision(),
-            next_id: state.head.next_id.max(highest.map_or(0, |id| id + 1)),
+            next_id: state.head.next_id.max(record.effects().next_id()),
             trimmed: state.head.trimmed,
             digest: *record.digest(),
             sum,
@@ -289,6 +295,7 @@ impl Index {
         batch.commit().map_err(storage)?;
         state.removed = head.trimmed;
         state.forgotten.clear();
+        state.sessions.apply(record);
         state.held(record);
         if let Some(operation) = record.effects().operation() {
             state.held_operation(record.revision(), operation);
@@ -314,26 +321,25 @@ impl Index {
         handles: &Handles,
         batch: &mut OwnedWriteBatch,
         record: &Record,
-        before: &Head,
+        mut sum: Sum,
     ) -> Result<Sum, LogError> {
         let effects = record.effects();
         let keyspace = &handles.keyspace;
-        let mut sum = before.sum;
         let mut forget = |id| {
-            // Most ids are new, and a new id has no stored point to look up.
-            if id < before.next_id {
-                let old = keyspace.get(point_key(self.number, id));
-                let old = old.map_err(|error| unreadable(self.entry.uid, error))?;
-                old.iter().for_each(|old| sum.subtract(old));
-            }
+            let old = keyspace.get(point_key(self.number, id));
+            let old = old.map_err(|error| unreadable(self.entry.uid, error))?;
+            old.iter().for_each(|old| sum.subtract(old));
             Ok::<_, LogError>(())
         };
         for &id in effects.removed() {
             forget(id)?;
             batch.remove(keyspace, point_key(self.number, id));
         }
-        for point in effects.stored().iter() {
-            forget(point.id)?;
+        for (point, outcome) in effects.stored().iter().zip(effects.outcomes()) {
+            // Most points are new, and under a new id there is no stored point to look up.
+            if *outcome != Outcome::Inserted {
+                forget(point.id)?;
+            }
         }
         for (slot, point) in effects.stored().iter().enumerate() {
             let form = PointForm {
@@ -454,6 +460,7 @@ impl Index {
             uid: self.entry.uid,
             tip: state.head.tip(),
             next_id: state.head.next_id,
+            sessions: state.sessions.clone(),
         });
         state.view = Arc::downgrade(&view);
         view

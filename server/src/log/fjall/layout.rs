@@ -8,6 +8,8 @@
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
 //! | `o`, index, revision | a second copy of the record's operation, kept for a longer or shorter time than the record |
+//! | `s`, index, session | the writer session: see [`session`](super::session) |
+//! | `b`, index, first id | the block of ids that a session reserved |
 //!
 //! *index* is a u32, the number of an index in this directory. A number is never used again.
 //!
@@ -55,6 +57,16 @@ pub(super) fn record_key(number: Number, revision: u64) -> [u8; 13] {
 /// The key of an operation.
 pub(super) fn operation_key(number: Number, revision: u64) -> [u8; 13] {
     key(b'o', number, revision)
+}
+
+/// The key of a writer session.
+pub(super) fn session_key(number: Number, session: u64) -> [u8; 13] {
+    key(b's', number, session)
+}
+
+/// The key of a block of reserved ids.
+pub(super) fn block_key(number: Number, first: u64) -> [u8; 13] {
+    key(b'b', number, first)
 }
 
 /// The keys of all points of an index.
@@ -151,8 +163,8 @@ impl Named {
     }
 }
 
-/// The number of points of an index, and the sum of their checksums. It detects points that are missing and deleted
-/// points that have reappeared.
+/// The number of points, sessions and blocks of an index, and the sum of their checksums. It detects entries that are
+/// missing and deleted ones that have reappeared.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Sum {
     count: u64,
@@ -160,13 +172,13 @@ pub(super) struct Sum {
 }
 
 impl Sum {
-    /// Adds a point in its stored form.
+    /// Adds an entry in its stored form.
     pub(super) fn add(&mut self, sealed: &[u8]) {
         self.count = self.count.wrapping_add(1);
         self.checksums = self.checksums.wrapping_add(checksum_of(sealed));
     }
 
-    /// Subtracts a point that was added.
+    /// Subtracts an entry that was added.
     pub(super) fn subtract(&mut self, sealed: &[u8]) {
         self.count = self.count.wrapping_sub(1);
         self.checksums = self.checksums.wrapping_sub(checksum_of(sealed));
@@ -188,7 +200,7 @@ pub(super) struct Head {
     pub(super) trimmed: u64,
     /// The digest of the record of `revision`.
     pub(super) digest: Digest,
-    /// The sum of the points.
+    /// The sum of the points, sessions and blocks.
     pub(super) sum: Sum,
 }
 

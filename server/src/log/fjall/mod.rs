@@ -31,6 +31,7 @@ mod point;
 mod rebuild;
 mod recovery;
 mod restoring;
+mod session;
 mod store;
 mod sweeper;
 mod sync_marks;

@@ -24,7 +24,8 @@ use super::{
     directory::{Directory, sync_directories, sync_directory},
     journal::{self, Journal},
     layout::{
-        Head, Named, Number, Stage, entry_key, head_key, operation_key, point_keys, record_key,
+        Head, Named, Number, Stage, block_key, entry_key, head_key, operation_key, point_key,
+        record_key, session_key,
     },
     manifest, manifest_copy,
     recovery::{self, read_one, stored_entries},
@@ -294,8 +295,8 @@ fn all_of(handles: &Handles, number: Number) -> impl Iterator<Item = fjall::Resu
         .flat_map(|head| head.trimmed + 1..=head.revision);
     let records =
         records.filter_map(move |revision| read_one(handles, &record_key(number, revision)));
-    let operations = operation_key(number, 0)..=operation_key(number, u64::MAX);
-    let ranges = [point_keys(number), operations].into_iter();
+    let ranges = [point_key, operation_key, session_key, block_key].into_iter();
+    let ranges = ranges.map(move |key| key(number, 0)..=key(number, u64::MAX));
     let ranges = ranges.flat_map(|range| handles.keyspace.range(range).map(Guard::into_inner));
     head.into_iter().chain(ranges).chain(records)
 }

@@ -12,6 +12,7 @@ use super::{
         Head, Named, Number, Stage, Sum, entry_key, head_key, number_of_entry, point_keys,
         record_key,
     },
+    session,
     store::{Handles, damage, damaged_index, unopened, unreadable},
     sync_marks::Mark,
 };
@@ -252,6 +253,7 @@ fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, 
     // fjall skips an unreadable part of its journal without an error. That part may have held points that no other
     // check covers.
     let mut sum = Sum::default();
+    state.sessions = session::read(handles, number, uid, &mut sum)?;
     for point in handles.keyspace.range(point_keys(number)) {
         let value = point.value().map_err(|error| unreadable(uid, error))?;
         sum.add(&value);
@@ -286,7 +288,11 @@ mod tests {
                 revision: head + 1,
                 row: &[0.5],
             };
-            effects.store(point, Outcome::Inserted, Bytes::from_static(b"grasp"));
+            let outcome = match id == 1 && head > 0 {
+                true => Outcome::Replaced,
+                false => Outcome::Inserted,
+            };
+            effects.store(point, outcome, Bytes::from_static(b"grasp"));
         }
         if head > 0 {
             effects.remove(2 * (head - 1));

@@ -11,9 +11,10 @@ use super::{
     index::{Index, State},
     layout::{Head, Named, Number, Stage, Sum, entry_key, head_key, point_key},
     point::PointForm,
+    session,
     store::storage,
 };
-use crate::log::{Entry, LogError, Origin, Restoring, StoredPoint};
+use crate::log::{Entry, LogError, Origin, Restoring, Sessions, StoredPoint};
 
 /// An index that is being restored.
 pub(super) struct Copy {
@@ -42,17 +43,25 @@ impl Copy {
             sum: Sum::default(),
             finished: false,
         };
-        copy.write(&[], false)?;
+        copy.write(&[], None)?;
         Ok(copy)
     }
 
-    fn write(&mut self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
+    fn write(
+        &mut self,
+        points: &[StoredPoint],
+        finished: Option<&Sessions>,
+    ) -> Result<(), LogError> {
         let result = self.try_write(points, finished);
         result.map_err(|error| self.engine.note(error))
     }
 
-    /// Writes points and the entry in one batch, and the head of the index if it is `finished`.
-    fn try_write(&mut self, points: &[StoredPoint], finished: bool) -> Result<(), LogError> {
+    /// Writes points and the entry in one batch, and the sessions and the head of the index if it is `finished`.
+    fn try_write(
+        &mut self,
+        points: &[StoredPoint],
+        finished: Option<&Sessions>,
+    ) -> Result<(), LogError> {
         let number = self.number;
         let mut sum = self.sum;
         let handles = self.engine.store.handles()?;
@@ -71,15 +80,16 @@ impl Copy {
             sum.add(&value);
             batch.insert(keyspace, point_key(number, point.id), value);
         }
-        if finished {
+        if let Some(sessions) = finished {
+            session::put_all(sessions, number, (&mut batch, keyspace), &mut sum);
             let head = Head::at(&self.origin, sum);
             batch.insert(keyspace, head_key(number), head.encode(number));
         }
         let named = Named {
             entry: self.entry.clone(),
             stage: match finished {
-                true => Stage::Whole,
-                false => Stage::Copied,
+                Some(_) => Stage::Whole,
+                None => Stage::Copied,
             },
         };
         batch.insert(keyspace, entry_key(number), named.encode(number));
@@ -91,18 +101,16 @@ impl Copy {
 
 impl Restoring for Copy {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
-        self.write(points, false)
+        self.write(points, None)
     }
 
-    fn finish(mut self: Box<Self>) -> Result<(), LogError> {
-        self.write(&[], true)?;
+    fn finish(mut self: Box<Self>, sessions: Sessions) -> Result<(), LogError> {
+        self.write(&[], Some(&sessions))?;
         // From here on the index may exist: if the next step fails, the next start decides.
         self.finished = true;
-        let index = Index::new(
-            self.number,
-            self.entry.clone(),
-            State::new(self.origin, self.sum),
-        );
+        let mut state = State::new(self.origin, self.sum);
+        state.sessions = sessions;
+        let index = Index::new(self.number, self.entry.clone(), state);
         self.engine.add(index)
     }
 }

@@ -17,7 +17,9 @@ use tracing::warn;
 
 use super::{
     failure::Failure,
-    layout::{Number, entry_key, head_key, operation_key, point_key, record_key},
+    layout::{
+        Number, block_key, entry_key, head_key, operation_key, point_key, record_key, session_key,
+    },
     store::{Store, storage},
     sync_marks::Marks,
 };
@@ -26,7 +28,7 @@ use crate::log::LogError;
 /// The number of keys that are removed in one batch. Other writers write between the batches.
 const CHUNK: usize = 1024;
 
-/// A range of keys of points, records or operations.
+/// A range of keys of one kind.
 type Range = (Bound<[u8; 13]>, Bound<[u8; 13]>);
 
 /// The thread that removes deleted indices.
@@ -96,7 +98,7 @@ fn sweep(
     marks: &mut Marks,
     stop: &AtomicBool,
 ) -> Result<(), String> {
-    for key in [point_key, record_key, operation_key] {
+    for key in [point_key, record_key, operation_key, session_key, block_key] {
         let mut after = Bound::Included(key(number, 0));
         let last = Bound::Included(key(number, u64::MAX));
         while let Some(removed) = remove_some((store, failure), (after, last)).map_err(text)? {

@@ -9,7 +9,7 @@ use super::{
     point,
     store::{Handles, Store, unreadable},
 };
-use crate::log::{LogError, StoredPoint, Tip, Uid, View};
+use crate::log::{LogError, Sessions, StoredPoint, Tip, Uid, View};
 
 /// The points of one revision. While this is the newest revision, the view reads the current store and holds no
 /// snapshot: a snapshot makes fjall keep all data that is overwritten in any index.
@@ -21,6 +21,7 @@ pub(super) struct PointsView {
     pub(super) uid: Uid,
     pub(super) tip: Tip,
     pub(super) next_id: u64,
+    pub(super) sessions: Sessions,
 }
 
 impl PointsView {
@@ -54,6 +55,10 @@ impl View for PointsView {
 
     fn next_id(&self) -> u64 {
         self.next_id
+    }
+
+    fn sessions(&self) -> &Sessions {
+        &self.sessions
     }
 
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {

@@ -13,7 +13,7 @@ use parking_lot::RwLock;
 
 use super::{
     Catalogue, Entry, Journal, LogError, Operation, Origin, PointStore, Receipt, Record,
-    RecordStream, Restoring, Retention, StoredPoint, Uid, View,
+    RecordStream, Restoring, Retention, Sessions, StoredPoint, Uid, View,
 };
 use store::Store;
 
@@ -105,7 +105,13 @@ impl Catalogue for MemoryLog {
     }
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
-        add(&self.indexes, entry, Origin::START, Vec::new())
+        add(
+            &self.indexes,
+            entry,
+            Origin::START,
+            Vec::new(),
+            Sessions::default(),
+        )
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
@@ -124,8 +130,9 @@ fn add(
     entry: Entry,
     origin: Origin,
     points: Vec<Arc<StoredPoint>>,
+    sessions: Sessions,
 ) -> Result<(), LogError> {
-    let store = Arc::new(Store::new(entry.uid, origin, points));
+    let store = Arc::new(Store::new(entry.uid, origin, points, sessions));
     match indexes.write().entry(entry.uid) {
         btree_map::Entry::Occupied(_) => Err(LogError::UidTaken { uid: entry.uid }),
         btree_map::Entry::Vacant(place) => {
@@ -149,7 +156,13 @@ impl Restoring for Copy {
         Ok(())
     }
 
-    fn finish(self: Box<Self>) -> Result<(), LogError> {
-        add(&self.indexes, self.entry, self.origin, self.points)
+    fn finish(self: Box<Self>, sessions: Sessions) -> Result<(), LogError> {
+        add(
+            &self.indexes,
+            self.entry,
+            self.origin,
+            self.points,
+            sessions,
+        )
     }
 }

@@ -8,7 +8,7 @@ use tokio::sync::watch;
 
 use super::versions::Versions;
 use crate::log::{
-    Digest, LogError, Operation, Origin, Record, RecordStream, Retention, StoredPoint, Tip, Uid,
+    LogError, Operation, Origin, Record, RecordStream, Retention, Sessions, StoredPoint, Tip, Uid,
     View,
     retention::{Allowance, Window},
 };
@@ -29,31 +29,32 @@ pub(super) struct Store {
 }
 
 struct Journal {
-    head: u64,
-    digest: Digest,
-    next_id: u64,
+    head: Head,
     /// The newest records, without a gap up to the head.
     records: VecDeque<Arc<Record>>,
     /// The newest operations.
     operations: VecDeque<Arc<Operation>>,
     window: Window,
-    /// The submitted records that are not yet applied, oldest first, each with the next id after it. Their versions are
-    /// pinned.
-    unapplied: VecDeque<(Arc<Record>, u64)>,
+    /// The heads that submitted records made and that are not yet applied, oldest first. Their versions are pinned.
+    unapplied: VecDeque<Head>,
 }
 
-impl Journal {
-    fn tip(&self) -> Tip {
-        Tip {
-            revision: self.head,
-            digest: self.digest,
-        }
-    }
+/// The newest record, and what results from all records beside the points.
+#[derive(Clone)]
+struct Head {
+    tip: Tip,
+    next_id: u64,
+    sessions: Sessions,
 }
 
 impl Store {
     /// A store that begins with these points.
-    pub(super) fn new(uid: Uid, origin: Origin, points: Vec<Arc<StoredPoint>>) -> Self {
+    pub(super) fn new(
+        uid: Uid,
+        origin: Origin,
+        points: Vec<Arc<StoredPoint>>,
+        sessions: Sessions,
+    ) -> Self {
         let mut versions = Versions::default();
         for point in points {
             versions.insert_new(point);
@@ -62,9 +63,14 @@ impl Store {
         Self {
             uid,
             journal: Mutex::new(Journal {
-                head: origin.revision,
-                digest: origin.digest,
-                next_id: origin.next_id,
+                head: Head {
+                    tip: Tip {
+                        revision: origin.revision,
+                        digest: origin.digest,
+                    },
+                    next_id: origin.next_id,
+                    sessions,
+                },
                 records: VecDeque::new(),
                 operations: VecDeque::new(),
                 window: Window::default(),
@@ -77,13 +83,13 @@ impl Store {
 
     pub(super) fn submit(&self, record: Arc<Record>) -> Result<(), LogError> {
         let mut journal = self.journal.lock();
-        if !record.follows(journal.tip()) {
+        if !record.follows(journal.head.tip) {
             return Err(self.fenced(record.revision() - 1, &journal));
         }
         self.write(&record, &mut journal);
         self.versions.write().pin(record.revision());
-        let next_id = journal.next_id;
-        journal.unapplied.push_back((Arc::clone(&record), next_id));
+        let head = journal.head.clone();
+        journal.unapplied.push_back(head);
         drop(journal);
         self.announce(record.revision());
         Ok(())
@@ -100,21 +106,21 @@ impl Store {
             drop(journal);
             return Ok(Arc::clone(self).pin());
         };
-        while let Some((record, next_id)) = journal.unapplied.pop_front() {
-            if record.revision() == last.revision() {
-                return Ok(Arc::new(self.pinned(&record, next_id)));
+        while let Some(head) = journal.unapplied.pop_front() {
+            if head.tip.revision == last.revision() {
+                return Ok(Arc::new(self.pinned(head)));
             }
-            if record.revision() > last.revision() {
-                journal.unapplied.push_front((record, next_id));
+            if head.tip.revision > last.revision() {
+                journal.unapplied.push_front(head);
                 break;
             }
-            self.versions.write().unpin(record.revision());
+            self.versions.write().unpin(head.tip.revision);
         }
         for record in records {
-            if record.revision() <= journal.head {
+            if record.revision() <= journal.head.tip.revision {
                 continue;
             }
-            if !record.follows(journal.tip()) {
+            if !record.follows(journal.head.tip) {
                 return Err(LogError::Damaged {
                     uid: self.uid,
                     revision: record.revision(),
@@ -123,11 +129,11 @@ impl Store {
             }
             self.write(record, &mut journal);
         }
-        if journal.head != last.revision() {
+        if journal.head.tip.revision != last.revision() {
             return Err(self.fenced(last.revision(), &journal));
         }
-        self.versions.write().pin(journal.head);
-        let view = self.pinned(last, journal.next_id);
+        self.versions.write().pin(last.revision());
+        let view = self.pinned(journal.head.clone());
         drop(journal);
         self.announce(last.revision());
         Ok(Arc::new(view))
@@ -137,15 +143,17 @@ impl Store {
         LogError::Fenced {
             uid: self.uid,
             expected,
-            head: journal.head,
+            head: journal.head.tip.revision,
         }
     }
 
     /// Writes the record after the head.
     fn write(&self, record: &Arc<Record>, journal: &mut Journal) {
-        self.store(record, &mut journal.next_id);
-        journal.head = record.revision();
-        journal.digest = *record.digest();
+        let head = &mut journal.head;
+        self.store(record, head.next_id);
+        head.tip = record.tip();
+        head.next_id = head.next_id.max(record.effects().next_id());
+        head.sessions.apply(record);
         journal.window.hold(record);
         journal.records.push_back(Arc::clone(record));
         if let Some(operation) = record.effects().operation() {
@@ -192,7 +200,7 @@ impl Store {
     }
 
     /// Adds the versions that `record` makes. Views see them only after the head has moved.
-    fn store(&self, record: &Record, next_id: &mut u64) {
+    fn store(&self, record: &Record, next_id: u64) {
         let effects = record.effects();
         for ids in effects.removed().chunks(ROWS_PER_HOLD) {
             let mut versions = self.versions.write();
@@ -213,8 +221,7 @@ impl Store {
                     state: point.row.into(),
                     payload: effects.payload(slot),
                 });
-                if point.id >= *next_id {
-                    *next_id = point.id + 1;
+                if point.id >= next_id {
                     versions.insert_new(version);
                 } else {
                     versions.insert(version);
@@ -240,7 +247,7 @@ impl Store {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let journal = self.journal.lock();
-        let oldest = journal.head - journal.records.len() as u64;
+        let oldest = journal.head.tip.revision - journal.records.len() as u64;
         let after = after.unwrap_or(oldest);
         if after < oldest {
             return Err(LogError::Trimmed {
@@ -271,22 +278,17 @@ impl Store {
 
     pub(super) fn pin(self: Arc<Self>) -> Arc<dyn View> {
         let journal = self.journal.lock();
-        let (tip, next_id) = (journal.tip(), journal.next_id);
-        self.versions.write().pin(tip.revision);
+        let head = journal.head.clone();
+        self.versions.write().pin(head.tip.revision);
         drop(journal);
-        Arc::new(Pinned {
-            store: self,
-            tip,
-            next_id,
-        })
+        Arc::new(self.pinned(head))
     }
 
     /// A view of a pinned revision; it takes over the pin.
-    fn pinned(self: &Arc<Self>, record: &Record, next_id: u64) -> Pinned {
+    fn pinned(self: &Arc<Self>, head: Head) -> Pinned {
         Pinned {
             store: Arc::clone(self),
-            tip: record.tip(),
-            next_id,
+            head,
         }
     }
 }
@@ -294,17 +296,20 @@ impl Store {
 /// A view. The versions it sees stay while it is held.
 struct Pinned {
     store: Arc<Store>,
-    tip: Tip,
-    next_id: u64,
+    head: Head,
 }
 
 impl View for Pinned {
     fn tip(&self) -> Tip {
-        self.tip
+        self.head.tip
     }
 
     fn next_id(&self) -> u64 {
-        self.next_id
+        self.head.next_id
+    }
+
+    fn sessions(&self) -> &Sessions {
+        &self.head.sessions
     }
 
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
@@ -312,19 +317,19 @@ impl View for Pinned {
             .store
             .versions
             .read()
-            .get(id, self.tip.revision)
+            .get(id, self.head.tip.revision)
             .cloned())
     }
 
     fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
         let versions = self.store.versions.read();
-        Ok(versions.page(after, limit, self.tip.revision))
+        Ok(versions.page(after, limit, self.head.tip.revision))
     }
 }
 
 impl Drop for Pinned {
     fn drop(&mut self) {
-        self.store.versions.write().unpin(self.tip.revision);
+        self.store.versions.write().unpin(self.head.tip.revision);
         self.store.collect();
     }
 }
@@ -352,7 +357,7 @@ mod tests {
     }
 
     fn append(store: &Arc<Store>, effects: Effects) {
-        let tip = store.journal.lock().tip();
+        let tip = store.journal.lock().head.tip;
         let record = Arc::new(Record::after(tip, effects));
         store.submit(Arc::clone(&record)).unwrap();
         drop(store.apply(&[record]).unwrap());
@@ -360,7 +365,12 @@ mod tests {
 
     #[test]
     fn only_what_a_view_sees_is_kept_beside_the_points() {
-        let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
+        let store = Arc::new(Store::new(
+            Uid::unique(),
+            Origin::START,
+            Vec::new(),
+            Sessions::default(),
+        ));
         let versions = || store.versions.read().len();
         for revision in 1..=3 {
             append(&store, storing(0..2000, revision));
@@ -381,7 +391,12 @@ mod tests {
 
     #[test]
     fn an_old_view_keeps_no_version_that_it_does_not_see() {
-        let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
+        let store = Arc::new(Store::new(
+            Uid::unique(),
+            Origin::START,
+            Vec::new(),
+            Sessions::default(),
+        ));
         let versions = || store.versions.read().len();
         append(&store, storing(0..2000, 1));
         let old = Arc::clone(&store).pin();
@@ -400,7 +415,12 @@ mod tests {
 
     #[test]
     fn letting_go_of_a_view_leaves_most_of_the_work_to_later_records() {
-        let store = Arc::new(Store::new(Uid::unique(), Origin::START, Vec::new()));
+        let store = Arc::new(Store::new(
+            Uid::unique(),
+            Origin::START,
+            Vec::new(),
+            Sessions::default(),
+        ));
         let versions = || store.versions.read().len();
         append(&store, storing(0..20_000, 1));
         let old = Arc::clone(&store).pin();

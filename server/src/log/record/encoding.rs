@@ -7,16 +7,22 @@ use bytes::Bytes;
 use wayfold_index::{PointRef, Space};
 
 use super::{Digest, Effects, Operation, Outcome, Record};
-use crate::log::cursor::Cursor;
+use crate::log::{cursor::Cursor, session::Batch};
 
-/// Names the form of the encoding. A changed form needs a new text.
+/// The form of a record without a session's batch. A changed form needs a new text.
 const FORM: &[u8; 16] = b"wayfold record 2";
+
+/// The form of a record with a session's batch.
+const BATCH_FORM: &[u8; 16] = b"wayfold record 3";
 
 /// Passes the bytes of a record to `take`, part by part.
 pub(super) fn write(record: &Record, mut take: impl FnMut(&[u8])) {
     let effects = &record.effects;
     let mut part = Vec::new();
-    part.extend_from_slice(FORM);
+    part.extend_from_slice(match effects.batch {
+        None => FORM,
+        Some(_) => BATCH_FORM,
+    });
     part.extend_from_slice(&record.previous);
     for number in [
         record.revision,
@@ -54,7 +60,42 @@ pub(super) fn write(record: &Record, mut take: impl FnMut(&[u8])) {
     if let Some(operation) = &effects.operation {
         push_operation(&mut part, operation);
     }
+    if let Some(batch) = &effects.batch {
+        push_batch(&mut part, batch);
+    }
     take(&part);
+}
+
+fn push_batch(part: &mut Vec<u8>, batch: &Batch) {
+    for number in [
+        batch.session,
+        batch.number,
+        batch.reserved.start,
+        batch.reserved.end,
+    ] {
+        part.extend_from_slice(&number.to_le_bytes());
+    }
+    part.extend_from_slice(&batch.fingerprint);
+    push_sequence(part, &batch.response);
+    part.extend_from_slice(&(batch.ended.len() as u64).to_le_bytes());
+    for session in &batch.ended {
+        part.extend_from_slice(&session.to_le_bytes());
+    }
+}
+
+fn read_batch(cursor: &mut Cursor<'_>) -> Option<Batch> {
+    let mut batch = Batch {
+        session: cursor.u64()?,
+        number: cursor.u64()?,
+        reserved: cursor.u64()?..cursor.u64()?,
+        fingerprint: cursor.array()?,
+        response: Bytes::copy_from_slice(sequence(cursor)?),
+        ended: Vec::new(),
+    };
+    for _ in 0..cursor.length()? {
+        batch.ended.push(cursor.u64()?);
+    }
+    Some(batch)
 }
 
 /// Appends the bytes of an operation.
@@ -72,7 +113,8 @@ fn push_sequence(part: &mut Vec<u8>, bytes: &[u8]) {
 /// Decodes a record from the bytes that `digest` covers; None if they have another form.
 pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
     let mut cursor = Cursor::new(bytes);
-    if cursor.array()? != *FORM {
+    let form = cursor.array()?;
+    if form != *FORM && form != *BATCH_FORM {
         return None;
     }
     let (previous, revision, time_ms) = (cursor.array()?, cursor.u64()?, cursor.u64()?);
@@ -115,6 +157,9 @@ pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
         1 => effects.set_operation(Some(Arc::new(read_operation(&mut cursor)?))),
         _ => return None,
     }
+    if form == *BATCH_FORM {
+        effects.set_batch(Some(Arc::new(read_batch(&mut cursor)?)));
+    }
     cursor.is_empty().then_some(Record {
         revision,
         previous,
@@ -143,11 +188,20 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::log::{Record, record::tests::effects};
+    use crate::log::{
+        Record,
+        record::tests::{batch, effects},
+    };
+
+    fn with_batch() -> Effects {
+        let mut effects = effects();
+        effects.set_batch(Some(Arc::new(batch())));
+        effects
+    }
 
     #[test]
     fn what_is_stored_is_read_again() {
-        for effects in [effects(), Effects::new(7)] {
+        for effects in [effects(), with_batch(), Effects::new(7)] {
             let record = Record::new(5, [9; 32], 77, effects);
             assert_eq!(Record::decode(&record.encode()), Ok(record));
         }
@@ -155,7 +209,7 @@ mod tests {
 
     #[test]
     fn every_flipped_bit_and_every_cut_is_noticed() {
-        let bytes = Record::new(5, [9; 32], 77, effects()).encode();
+        let bytes = Record::new(5, [9; 32], 77, with_batch()).encode();
         for bit in 0..8 * bytes.len() {
             let mut flipped = bytes.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
@@ -190,10 +244,11 @@ mod tests {
             value: u64,
         ) {
             let _ = Record::decode(&bytes);
-            let mut odd = FORM.to_vec();
-            odd.extend_from_slice(&bytes);
-            let _ = read(&odd, [0; 32]);
-            let mut changed = Record::new(5, [9; 32], 77, effects()).encode();
+            for form in [FORM, BATCH_FORM] {
+                let odd = [form, &bytes[..]].concat();
+                let _ = read(&odd, [0; 32]);
+            }
+            let mut changed = Record::new(5, [9; 32], 77, with_batch()).encode();
             changed[at..at + 8].copy_from_slice(&value.to_le_bytes());
             let _ = read(&changed[..changed.len() - 32], [0; 32]);
         }

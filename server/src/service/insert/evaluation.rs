@@ -33,6 +33,8 @@ pub(super) struct Evaluation<'a> {
     response: v1::InsertResponse,
     /// Ids that hold another point. After the first, only further conflicts are collected.
     conflicts: Vec<u64>,
+    /// New ids that a writer session reserved.
+    reserved: Vec<u64>,
 }
 
 impl<'a> Evaluation<'a> {
@@ -60,6 +62,7 @@ impl<'a> Evaluation<'a> {
                 .map(|(_, include)| NeighborColumns::new(include, space.coordinates(), room)),
             response: v1::InsertResponse::default(),
             conflicts: Vec::new(),
+            reserved: Vec::new(),
         })
     }
 
@@ -83,10 +86,13 @@ impl<'a> Evaluation<'a> {
             },
             _ => false,
         };
+        if !is_held && given.is_some_and(|id| self.staging.is_reserved(id)) {
+            self.reserved.push(id);
+        }
         if is_held && !is_unchanged && !insertion.replace {
             self.conflicts.push(id);
         }
-        if !self.conflicts.is_empty() {
+        if !self.conflicts.is_empty() || !self.reserved.is_empty() {
             return Ok(());
         }
         if is_held {
@@ -167,6 +173,12 @@ impl<'a> Evaluation<'a> {
             return Err(Error::PointsExist {
                 index: self.index.into(),
                 ids: self.conflicts,
+            });
+        }
+        if !self.reserved.is_empty() {
+            return Err(Error::IdsReserved {
+                index: self.index.into(),
+                ids: self.reserved,
             });
         }
         let response = v1::InsertResponse {

@@ -58,5 +58,6 @@ pub(super) mod special {
     /// A message of any type.
     pub(crate) const ANY: &str = "google.protobuf.Any";
     /// Answers whose JSON merges the fields of `neighbors` with their own.
-    pub(crate) const FOUND: [&str; 2] = ["wayfold.v1.KnnResponse", "wayfold.v1.QueryResponse"];
+    pub(crate) const SEARCH_RESPONSES: [&str; 2] =
+        ["wayfold.v1.KnnResponse", "wayfold.v1.QueryResponse"];
 }

@@ -42,7 +42,7 @@ impl Writer {
         }
         for field in descriptor.fields() {
             let value = message.get_field(&field);
-            if special::FOUND.contains(&name) && field.name() == "neighbors" {
+            if special::SEARCH_RESPONSES.contains(&name) && field.name() == "neighbors" {
                 if let Value::Message(neighbors) = &*value {
                     self.fields(neighbors);
                 }

@@ -1,4 +1,4 @@
-//! Whatever integers a query holds, in its payload or in its parameters, it is answered or refused.
+//! Any integers in the payload or the parameters of a query get an answer or a refusal.
 
 use std::{sync::Arc, time::Duration};
 
@@ -20,13 +20,15 @@ mod extremes;
 use extremes::{EXTREMES, requests, variants};
 
 /// The verb and the message of each request.
-const VERBS: [(&str, &str); 12] = [
+const VERBS: [(&str, &str); 14] = [
     ("server", "GetServerRequest"),
     ("arm/knn", "KnnRequest"),
     ("arm/query", "QueryRequest"),
     ("arm/insert", "InsertRequest"),
     ("arm/update", "UpdateRequest"),
     ("arm/remove", "RemoveRequest"),
+    ("arm/session", "OpenSessionRequest"),
+    ("arm/write", "WriteRequest"),
     ("arm/get", "GetRequest"),
     ("arm/info", "GetIndexRequest"),
     ("arm/log", "WatchRequest"),
@@ -97,7 +99,7 @@ fn count_rows(message: &mut DynamicMessage) {
     }
 }
 
-/// The names of what can be said in a parameter.
+/// The names of the fields that a parameter can set.
 fn parameters(message: &DynamicMessage) -> Vec<String> {
     let fields = message.descriptor();
     let fields = fields.fields();

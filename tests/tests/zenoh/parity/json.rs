@@ -40,7 +40,7 @@ fn states(states: &v1::States) -> Value {
         return json!([]);
     }
     if rows == 0 || !numbers.len().is_multiple_of(rows) || numbers.is_empty() {
-        return json!({ "rows": rows, "coordinates": numbers });
+        return json!({ "row_count": rows, "coordinates": numbers });
     }
     numbers
         .chunks(numbers.len() / rows)
@@ -110,7 +110,7 @@ pub(super) fn request(op: &Op) -> Value {
         ]),
         Op::Info(_) => json!({}),
         Op::List(it) => json!({ "page_size": it.page_size, "page_token": it.page_token }),
-        Op::Delete(it) => json!({ "index": it.index_name, "uid": it.uid }),
+        Op::Delete(it) => json!({ "index_name": it.index_name, "uid": it.uid }),
         Op::Insert(it) => object([
             ("states", it.states.as_ref().map(states)),
             ("ids", Some(integers(&it.ids))),

@@ -1,0 +1,111 @@
+//! `OpenSession`: a writer session, and ids reserved for it.
+
+use std::{
+    ops::Range,
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use bytes::Bytes;
+use wayfold_proto::v1;
+
+use super::{
+    Call, Error, Limits, Service, check::END_OF_IDS, mutation::Start, read_view::revision,
+};
+use crate::{
+    log::{Batch, Effects},
+    registry::{Committed, Hosted, Writer},
+};
+
+impl Service {
+    /// Opens a writer session. Sessions that are idle for too long end in the same mutation.
+    pub async fn open_session(
+        &self,
+        call: &Call,
+        request: v1::OpenSessionRequest,
+    ) -> Result<v1::OpenSessionResponse, Error> {
+        self.accept(call)?;
+        let hosted = self.index(&request.index_name, &request.uid)?;
+        let limits = self.limits();
+        loop {
+            let writer = match self.begin(call, &hosted, None).await? {
+                Start::Remembered(response) => return Ok(response),
+                Start::Writing(writer) => writer,
+            };
+            let ended = ended(&writer, limits)?;
+            let session = writer.revision() + 1;
+            let mut effects = Effects::new(hosted.space().coordinates());
+            let reserved = reserve(&hosted, &writer, &effects, request.reserve_count, limits)?;
+            let response = v1::OpenSessionResponse {
+                session,
+                reserved: Some(block(&reserved)),
+                idle_seconds: limits.max_session_idle_seconds,
+                revision: Some(revision(&hosted, session)),
+            };
+            effects.set_batch(Some(Arc::new(Batch {
+                session,
+                number: 0,
+                fingerprint: [0; 32],
+                response: Bytes::new(),
+                reserved,
+                ended,
+            })));
+            let committed = self.commit(call, &hosted, writer, effects, None, &response);
+            if committed.await? == Committed::Done {
+                return Ok(response);
+            }
+        }
+    }
+}
+
+/// The sessions that have been idle for too long; an error if the others are as many as an index may have.
+fn ended(writer: &Writer, limits: &Limits) -> Result<Vec<u64>, Error> {
+    let idle = Duration::from_secs(limits.max_session_idle_seconds);
+    let since = SystemTime::now().checked_sub(idle);
+    let ended = since.map_or_else(Vec::new, |since| writer.sessions().unused_since(since));
+    let open = writer.sessions().len() - ended.len();
+    if open >= limits.max_sessions {
+        return Err(Error::LimitExceeded {
+            limit: "max_sessions",
+            value: limits.max_sessions as u64,
+            requested: open as u64 + 1,
+            advice: "open one session a process, or wait until idle ones end",
+        });
+    }
+    Ok(ended)
+}
+
+/// The next `count` ids above all that were used or reserved, and above those that `effects` stores.
+pub(super) fn reserve(
+    hosted: &Hosted,
+    writer: &Writer,
+    effects: &Effects,
+    count: u64,
+    limits: &Limits,
+) -> Result<Range<u64>, Error> {
+    if count == 0 {
+        return Ok(0..0);
+    }
+    if count > limits.max_reserved_ids {
+        return Err(Error::LimitExceeded {
+            limit: "max_reserved_ids",
+            value: limits.max_reserved_ids,
+            requested: count,
+            advice: "reserve fewer ids at a time",
+        });
+    }
+    let first = writer.next_id().max(effects.next_id());
+    let end = first.checked_add(count).filter(|end| *end <= END_OF_IDS);
+    let end = end.ok_or_else(|| Error::IdsExhausted {
+        index: hosted.name().into(),
+    })?;
+    Ok(first..end)
+}
+
+/// The contract's form of reserved ids.
+pub(super) fn block(ids: &Range<u64>) -> v1::IdBlock {
+    v1::IdBlock {
+        first_id: ids.start,
+        count: ids.end - ids.start,
+    }
+}

@@ -1,0 +1,264 @@
+//! `Write`: the net effect of a session's batch of steps.
+
+use std::collections::{HashMap, hash_map};
+use std::sync::Arc;
+
+use bytes::Bytes;
+use wayfold_index::PointRef;
+use wayfold_proto::v1::{self, StepKind};
+
+use super::{
+    Call, Error, Limits, Service,
+    call::Pace,
+    check::{self, END_OF_IDS, Rows, Violations},
+    mutation::{Claim, Start},
+    read_view::revision,
+    session::{block, reserve},
+    stored::ReadAhead,
+};
+use crate::{
+    log::{Effects, Outcome, StoredPoint},
+    registry::{Committed, Hosted, Writer},
+};
+
+const DOING: &str = "while evaluating the steps; nothing was changed";
+
+/// A checked batch.
+struct Steps {
+    session: u64,
+    steps: Vec<(StepKind, u64)>,
+    /// One a step, or none.
+    tags: Vec<u64>,
+    /// One a put.
+    rows: Rows,
+    /// One a put, or none.
+    payloads: Vec<Bytes>,
+}
+
+/// What a batch makes of the point under an id.
+enum Net {
+    /// The put with this number stores it, with this tag.
+    Put(usize, u64),
+    /// It gets this tag.
+    Tagged(u64),
+    Removed,
+}
+
+impl Service {
+    /// Applies the next batch of a writer session.
+    pub async fn write(
+        &self,
+        call: &Call,
+        request: v1::WriteRequest,
+    ) -> Result<v1::WriteResponse, Error> {
+        self.accept(call)?;
+        let hosted = self.index(&request.index_name, &request.uid)?;
+        let mut pace = call.pace(DOING);
+        let mut claim = Claim::of_batch(&request, &mut pace).await?;
+        let reserve_count = request.reserve_count;
+        let steps = Steps::check(request, &hosted, self.limits(), &mut pace).await?;
+
+        let mut stored = ReadAhead::new(false, Arc::clone);
+        let tagged = steps.tagged();
+        loop {
+            let begun = self.begin_with(call, &hosted, Some(&claim), &mut stored, &tagged);
+            let mut writer = match begun.await? {
+                Start::Remembered(response) => return Ok(response),
+                Start::Writing(writer) => writer,
+            };
+            writer.index_pending();
+            let (effects, missing) = steps.net(&hosted, &writer, &stored, &mut pace).await?;
+            let reserved = reserve(&hosted, &writer, &effects, reserve_count, self.limits())?;
+            let response = v1::WriteResponse {
+                reserved: Some(block(&reserved)),
+                missing_count: missing,
+                revision: Some(revision(&hosted, writer.revision() + 1)),
+            };
+            claim.reserve(reserved);
+            let committed = self.commit(call, &hosted, writer, effects, Some(&claim), &response);
+            if committed.await? == Committed::Done {
+                return Ok(response);
+            }
+        }
+    }
+}
+
+impl Steps {
+    async fn check(
+        request: v1::WriteRequest,
+        hosted: &Hosted,
+        limits: &Limits,
+        pace: &mut Pace,
+    ) -> Result<Self, Error> {
+        let count = request.kinds.len();
+        if count > limits.max_rows_per_call {
+            return Err(Error::LimitExceeded {
+                limit: "max_rows_per_call",
+                value: limits.max_rows_per_call as u64,
+                requested: count as u64,
+                advice: "split the steps over several batches",
+            });
+        }
+        let mut violations = Violations::default();
+        if request.uid.is_empty() {
+            let text = "a session belongs to one uid: give the one that OpenSession returned";
+            violations.add("uid", "REQUIRED", text);
+        }
+        if request.ids.len() != count {
+            let text = format!(
+                "{} entries for {count} steps: one a step",
+                request.ids.len()
+            );
+            violations.add("ids", "COUNT", text);
+        }
+        let mut steps = Vec::with_capacity(count);
+        let mut puts = 0;
+        for (at, (&kind, &id)) in request.kinds.iter().zip(&request.ids).enumerate() {
+            let kind = StepKind::try_from(kind).unwrap_or_default();
+            if kind == StepKind::Unspecified {
+                let text = "it is none of PUT, REMOVE and SET_TAG";
+                violations.add(format!("kinds[{at}]"), "UNKNOWN_VALUE", text);
+            }
+            if id >= END_OF_IDS {
+                let text = format!("{id}: ids are below 2^63");
+                violations.add(format!("ids[{at}]"), "ID_TOO_LARGE", text);
+            }
+            if violations.are_enough() {
+                break;
+            }
+            puts += usize::from(kind == StepKind::Put);
+            steps.push((kind, id));
+            if at % 1024 == 1023 {
+                pace.step().await?;
+            }
+        }
+        check::column("tags", &request.tags, count, &mut violations);
+        check::column("payloads", &request.payloads, puts, &mut violations);
+        check::payloads(&request.payloads, limits, &mut violations);
+        let states = request.states.unwrap_or_default();
+        if states.row_count as usize != puts {
+            let text = format!("{} rows for {puts} puts: one a put", states.row_count);
+            violations.add("states.row_count", "COUNT", text);
+        }
+        let rows = check::states(hosted.space(), Some(states), limits, pace, &mut violations);
+        let rows = rows.await?;
+        violations.finish()?;
+        Ok(Self {
+            session: request.session,
+            steps,
+            tags: request.tags,
+            rows,
+            payloads: request.payloads,
+        })
+    }
+
+    /// The ids of points that get a tag, each once.
+    fn tagged(&self) -> Vec<u64> {
+        let tagged = self
+            .steps
+            .iter()
+            .filter(|(kind, _)| *kind == StepKind::SetTag);
+        let mut ids: Vec<u64> = tagged.map(|(_, id)| *id).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+
+    /// The effects on the writer's newest state, and the number of removals and tags of ids that were not stored.
+    /// `stored` has the points that get a tag.
+    async fn net(
+        &self,
+        hosted: &Hosted,
+        writer: &Writer,
+        stored: &ReadAhead<Arc<StoredPoint>>,
+        pace: &mut Pace,
+    ) -> Result<(Effects, u64), Error> {
+        let (mut nets, mut order) = (HashMap::new(), Vec::new());
+        let (mut missing, mut puts) = (0, 0);
+        for (at, &(kind, id)) in self.steps.iter().enumerate() {
+            pace.step().await?;
+            let tag = self.tags.get(at).copied().unwrap_or_default();
+            let (is_held, net) = match nets.entry(id) {
+                hash_map::Entry::Occupied(entry) => entry.into_mut(),
+                hash_map::Entry::Vacant(entry) => {
+                    order.push(id);
+                    entry.insert((writer.get(id).is_some(), None))
+                }
+            };
+            let exists = match net {
+                Some(Net::Put(..) | Net::Tagged(_)) => true,
+                Some(Net::Removed) => false,
+                None => *is_held,
+            };
+            match (kind, &net) {
+                (StepKind::Put, _) => {
+                    *net = Some(Net::Put(puts, tag));
+                    puts += 1;
+                }
+                (StepKind::Remove, _) if exists => *net = Some(Net::Removed),
+                (StepKind::SetTag, Some(Net::Put(put, _))) => *net = Some(Net::Put(*put, tag)),
+                (StepKind::SetTag, _) if exists => *net = Some(Net::Tagged(tag)),
+                (StepKind::Remove | StepKind::SetTag | StepKind::Unspecified, _) => missing += 1,
+            }
+        }
+        let mut effects = Effects::new(hosted.space().coordinates());
+        let mut reserved = Vec::new();
+        for id in order {
+            pace.step().await?;
+            match nets.remove(&id) {
+                Some((is_held, Some(Net::Put(put, tag)))) => {
+                    let owner = writer.sessions().owner(id);
+                    if !is_held && owner.is_some_and(|owner| owner != self.session) {
+                        reserved.push(id);
+                    }
+                    let outcome = match is_held {
+                        true => Outcome::Replaced,
+                        false => Outcome::Inserted,
+                    };
+                    self.put(&mut effects, put, (id, tag, writer.revision() + 1), outcome);
+                }
+                Some((_, Some(Net::Tagged(tag)))) => {
+                    if let Some(point) = stored.get(id).filter(|point| point.tag != tag) {
+                        let payload = point.payload.clone();
+                        let point = PointRef {
+                            id,
+                            tag,
+                            revision: point.revision,
+                            row: &point.state,
+                        };
+                        effects.store(point, Outcome::Updated, payload);
+                    }
+                }
+                Some((true, Some(Net::Removed))) => effects.remove(id),
+                Some((false, Some(Net::Removed)) | (_, None)) | None => {}
+            }
+        }
+        match reserved.is_empty() {
+            true => Ok((effects, missing)),
+            false => Err(Error::IdsReserved {
+                index: hosted.name().into(),
+                ids: reserved,
+            }),
+        }
+    }
+
+    /// Adds the put with this number to the effects.
+    fn put(
+        &self,
+        effects: &mut Effects,
+        put: usize,
+        (id, tag, revision): (u64, u64, u64),
+        outcome: Outcome,
+    ) {
+        let point = PointRef {
+            id,
+            tag,
+            revision,
+            row: self.rows.row(put),
+        };
+        let payload = self.payloads.get(put);
+        // A copy: the request's payloads are slices that keep the whole message alive.
+        let payload = payload.map_or_else(Bytes::new, |it| Bytes::copy_from_slice(it));
+        effects.store(point, outcome, payload);
+    }
+}
