@@ -1,10 +1,10 @@
 //! Scan or descend: the choice for the next search of a tree, by the leaves that earlier searches had to visit.
 //!
-//! In many dimensions all points are about equally far away. A search then visits most leaves, and reading all of them in
-//! memory order, without their boxes, takes less time.
+//! In many dimensions all points are about equally far away. A search then visits most leaves, and reading all of them
+//! in memory order, without their boxes, takes less time.
 //!
-//! Measured without scans, as a multiple of the time with them, in a tree of 50,000 points with codes and in a growing tree of
-//! 8,000 points; data, method and machine as in [`quantize`](crate::quantize).
+//! Measured without scans, as a multiple of the time with them, in a tree of 50,000 points with codes and in a growing
+//! tree of 8,000 points; data, method and machine as in [`quantize`](crate::quantize).
 //!
 //! | | R12 | SE3² | SE3⁴ | R30 |
 //! |---|---|---|---|---|
@@ -24,8 +24,8 @@ const SCANS: u32 = 64;
 /// The policy of one tree.
 #[derive(Debug, Default)]
 pub(crate) struct ScanPolicy {
-    /// Up to `TRIES`, the searches in a row that a scan was cheaper for; above it, `TRIES` plus the scans to come. A race
-    /// between threads may lose a step, which does no harm.
+    /// Up to `TRIES`, the searches in a row that a scan was cheaper for; above it, `TRIES` plus the scans to come. A
+    /// race between threads may lose a step, which does no harm.
     state: AtomicU32,
     /// The number of scans so far, for tests.
     scans: AtomicUsize,
