@@ -59,3 +59,8 @@ pub use points::{Point, PointRef, Points};
 pub use scaling::Scaling;
 pub use search::{Answer, Filter, Search};
 pub use space::{Factor, Group, Space, SpaceError, StateError, StateProblem, Term};
+
+/// Compiles the example of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
