@@ -11,9 +11,10 @@ use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
 use tonic::{Request, Response, Status, Streaming, transport::Server};
 use wayfold_proto::v1::{
     GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse, Neighbors,
-    Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, Revision, ScanRequest,
-    ScanResponse, States, StreamKnnRequest, StreamKnnResponse, UpdateRequest, UpdateResponse,
-    WatchRequest, WatchResponse, knn_request, neighbor_spec,
+    OpenSessionRequest, OpenSessionResponse, Outcome, QueryRequest, QueryResponse, RemoveRequest,
+    RemoveResponse, Revision, ScanRequest, ScanResponse, States, StreamKnnRequest,
+    StreamKnnResponse, UpdateRequest, UpdateResponse, WatchRequest, WatchResponse, WriteRequest,
+    WriteResponse, knn_request, neighbor_spec,
     point_service_server::{PointService, PointServiceServer},
     stream_knn_response::Result as StreamedAnswer,
 };
@@ -155,6 +156,14 @@ impl PointService for Echo {
     }
 
     async fn remove(&self, _: Request<RemoveRequest>) -> Answer<RemoveResponse> {
+        Err(not_measured())
+    }
+
+    async fn open_session(&self, _: Request<OpenSessionRequest>) -> Answer<OpenSessionResponse> {
+        Err(not_measured())
+    }
+
+    async fn write(&self, _: Request<WriteRequest>) -> Answer<WriteResponse> {
         Err(not_measured())
     }
 

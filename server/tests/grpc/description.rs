@@ -18,6 +18,7 @@ async fn it_names_its_version_and_its_limits() {
         config.limits.max_k = 13;
         config.limits.max_answer_bytes = 14_000;
         config.limits.max_indexes = 15;
+        config.limits.max_reserved_ids = 16;
         config.grpc.max_message_bytes = 16_000;
         config.zenoh.max_message_bytes = 17_000;
     })
@@ -33,6 +34,7 @@ async fn it_names_its_version_and_its_limits() {
         max_answer_bytes: 14_000,
         max_payload_bytes: 65_536,
         max_indexes: 15,
+        max_reserved_ids: 16,
     };
     assert_eq!(answer.limits, Some(expected));
     server.stop().await.unwrap().unwrap();

@@ -87,7 +87,8 @@ fn effects(revision: u64, stored: &[u64], removed: &[u64]) -> Effects {
             row: &[revision as f64],
         };
         let payload = Bytes::from(format!("{id} at {revision}"));
-        effects.store(point, Outcome::Inserted, payload);
+        // The store looks for a point that it replaces, and there may be none.
+        effects.store(point, Outcome::Replaced, payload);
     }
     for &id in removed {
         effects.remove(id);

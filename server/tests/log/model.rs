@@ -8,19 +8,40 @@ use std::{
 
 use bytes::Bytes;
 use wayfold_server::log::{
-    Effects, LogError, Operation, Origin, Record, Retention, StoredPoint, Uid, View,
+    Batch, Block, Effects, LogError, Operation, Origin, Record, Retention, Session, Sessions,
+    StoredPoint, Uid, View,
 };
 
 use crate::{Engine, all_points, effects};
 
 pub(crate) type Points = BTreeMap<u64, Arc<StoredPoint>>;
 
+/// A batch of the session with this place among the open ones; of a new session if there is none.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct NextBatch {
+    pub(crate) of: usize,
+    pub(crate) reserve: u64,
+    /// Ends another session.
+    pub(crate) end: bool,
+}
+
+/// What an index holds after a record.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Sum {
+    pub(crate) points: Points,
+    pub(crate) next_id: u64,
+    /// The newest batch of each session, and the time of its record.
+    sessions: BTreeMap<u64, (Arc<Batch>, u64)>,
+    /// The session that reserved an id.
+    owners: BTreeMap<u64, u64>,
+}
+
 /// The expected state of an index: its points after each of its records, and the records that are kept.
 pub(crate) struct Model {
     origin: Origin,
     pub(crate) records: Vec<Arc<Record>>,
-    /// The points after the origin and after each record.
-    points: Vec<(Points, u64)>,
+    /// The sums after the origin and after each record.
+    sums: Vec<Sum>,
     pub(crate) trimmed: usize,
     pub(crate) operations_trimmed: usize,
     /// The number of records that are certainly durable.
@@ -28,33 +49,33 @@ pub(crate) struct Model {
 }
 
 impl Model {
-    pub(crate) fn new(origin: Origin, points: Points) -> Self {
+    pub(crate) fn new(origin: Origin, sum: Sum) -> Self {
         Self {
             origin,
             records: Vec::new(),
-            points: vec![(points, origin.next_id)],
+            sums: vec![sum],
             trimmed: 0,
             operations_trimmed: 0,
             synced: 0,
         }
     }
 
-    /// The tip and the points of the index at its origin.
-    pub(crate) fn origin(&self) -> (Origin, &Points) {
-        (self.origin, &self.points[0].0)
+    /// The tip and the sum of the index at its origin.
+    pub(crate) fn origin(&self) -> (Origin, &Sum) {
+        (self.origin, &self.sums[0])
     }
 
-    /// The points after this many records.
-    pub(crate) fn points_after(&self, records: usize) -> &Points {
-        &self.points[records].0
+    /// The sum after this many records.
+    pub(crate) fn sum_after(&self, records: usize) -> &Sum {
+        &self.sums[records]
     }
 
     pub(crate) fn head(&self) -> u64 {
         self.origin.revision + self.records.len() as u64
     }
 
-    pub(crate) fn newest(&self) -> &(Points, u64) {
-        self.points.last().unwrap()
+    pub(crate) fn newest(&self) -> &Sum {
+        self.sums.last().unwrap()
     }
 
     pub(crate) fn digest(&self) -> [u8; 32] {
@@ -64,9 +85,15 @@ impl Model {
     }
 
     /// The effects of the next record.
-    pub(crate) fn next(&self, store: &[u64], remove: &[u64], operation: usize) -> Effects {
+    pub(crate) fn next(
+        &self,
+        store: &[u64],
+        remove: &[u64],
+        operation: usize,
+        batch: Option<NextBatch>,
+    ) -> Effects {
         let revision = self.head() + 1;
-        let present = |id: &u64| self.newest().0.contains_key(id);
+        let present = |id: &u64| self.newest().points.contains_key(id);
         let remove: Vec<u64> = remove.iter().copied().filter(present).collect();
         let mut effects = effects(revision, store, &remove);
         effects.set_operation((operation > 0).then(|| {
@@ -76,7 +103,30 @@ impl Model {
                 response: vec![7; operation].into(),
             })
         }));
+        effects.set_batch(batch.map(|next| Arc::new(self.batch(next, effects.next_id()))));
         effects
+    }
+
+    fn batch(&self, next: NextBatch, stored: u64) -> Batch {
+        let NextBatch { of, reserve, end } = next;
+        let sum = self.newest();
+        let revision = self.head() + 1;
+        let of = sum.sessions.values().map(|(batch, _)| batch).nth(of);
+        let (session, number) = of.map_or((revision, 0), |batch| (batch.session, batch.number + 1));
+        let ended = sum.sessions.keys().copied().find(|&id| id != session);
+        let first = sum.next_id.max(stored);
+        Batch {
+            session,
+            number,
+            fingerprint: [revision as u8; 32],
+            response: Bytes::from(format!("batch {number}")),
+            reserved: if reserve == 0 {
+                0..0
+            } else {
+                first..first + reserve
+            },
+            ended: ended.into_iter().filter(|_| end).collect(),
+        }
     }
 
     /// Adds the next record, which must have these effects.
@@ -85,9 +135,9 @@ impl Model {
         assert_eq!(record.effects(), effects);
         assert_eq!(*record.previous(), self.digest());
         assert!(record.is_intact());
-        let (mut points, mut next_id) = self.newest().clone();
+        let mut sum = self.newest().clone();
         for id in effects.removed() {
-            points.remove(id);
+            sum.points.remove(id);
         }
         for point in effects.stored().iter() {
             let revision = record.revision();
@@ -99,10 +149,22 @@ impl Model {
                 state: Box::new([revision as f64]),
                 payload: Bytes::from(format!("{} at {revision}", point.id)),
             };
-            points.insert(point.id, Arc::new(stored));
-            next_id = next_id.max(point.id + 1);
+            sum.points.insert(point.id, Arc::new(stored));
+            sum.next_id = sum.next_id.max(point.id + 1);
         }
-        self.points.push((points, next_id));
+        if let Some(batch) = effects.batch() {
+            for ended in &batch.ended {
+                sum.sessions.remove(ended);
+                sum.owners.retain(|_, owner| owner != ended);
+            }
+            let newest = (Arc::clone(batch), record.time_ms());
+            sum.sessions.insert(batch.session, newest);
+            for id in batch.reserved.clone() {
+                sum.owners.insert(id, batch.session);
+                sum.next_id = sum.next_id.max(id + 1);
+            }
+        }
+        self.sums.push(sum);
         self.records.push(record);
     }
 
@@ -150,7 +212,7 @@ impl Model {
         let left = (revision - self.origin.revision) as usize;
         assert!((self.synced..=self.records.len()).contains(&left), "{left}");
         self.records.truncate(left);
-        self.points.truncate(left + 1);
+        self.sums.truncate(left + 1);
         self.synced = left;
         let trimmed = left - held.len();
         assert!(trimmed <= self.trimmed, "{trimmed} of {}", self.trimmed);
@@ -165,8 +227,7 @@ impl Model {
     pub(crate) fn check(&self, log: &dyn Engine, uid: Uid) {
         let view = log.view(uid).unwrap();
         assert_eq!(view.revision(), self.head());
-        assert_eq!(view.next_id(), self.newest().1);
-        check_view(&*view, &self.newest().0);
+        check_view(&*view, self.newest());
         assert_eq!(
             log.read(uid, None, usize::MAX).unwrap(),
             self.records[self.trimmed..]
@@ -200,9 +261,49 @@ impl Model {
     }
 }
 
-pub(crate) fn check_view(view: &dyn View, points: &Points) {
-    assert_eq!(all_points(view), *points);
+impl Sum {
+    /// The sessions, to restore them: each id is a block of its own.
+    pub(crate) fn sessions(&self) -> Sessions {
+        let mut sessions = Sessions::default();
+        for (&id, (batch, used_ms)) in &self.sessions {
+            sessions.insert(id, session(batch, *used_ms));
+        }
+        for (&id, &session) in &self.owners {
+            sessions.insert_block(
+                id,
+                Block {
+                    end: id + 1,
+                    session,
+                },
+            );
+        }
+        sessions
+    }
+}
+
+fn session(batch: &Batch, used_ms: u64) -> Session {
+    Session {
+        batch: batch.number,
+        fingerprint: batch.fingerprint,
+        response: batch.response.clone(),
+        used_ms,
+    }
+}
+
+pub(crate) fn check_view(view: &dyn View, sum: &Sum) {
+    assert_eq!(view.next_id(), sum.next_id);
+    assert_eq!(all_points(view), sum.points);
     for id in 0..13 {
-        assert_eq!(view.get(id).unwrap().as_ref(), points.get(&id));
+        assert_eq!(view.get(id).unwrap().as_ref(), sum.points.get(&id));
+    }
+    let sessions = view.sessions().iter();
+    let sessions: Vec<_> = sessions
+        .map(|(id, session)| (id, (**session).clone()))
+        .collect();
+    let expected = sum.sessions.iter();
+    let expected = expected.map(|(&id, (batch, used_ms))| (id, session(batch, *used_ms)));
+    assert_eq!(sessions, expected.collect::<Vec<_>>());
+    for id in 0..=sum.next_id {
+        assert_eq!(view.sessions().owner(id), sum.owners.get(&id).copied());
     }
 }

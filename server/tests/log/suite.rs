@@ -10,7 +10,7 @@ use wayfold_server::log::{Effects, Entry, LogError, Origin, Record, Retention, S
 
 use crate::{
     all_points, cases, effects, entry,
-    model::{Model, Points, check_view},
+    model::{Model, NextBatch, Sum, check_view},
     submit, synced,
     test_log::TestLog,
 };
@@ -22,6 +22,7 @@ enum Step {
         store: Vec<u64>,
         remove: Vec<u64>,
         operation: usize,
+        batch: Option<NextBatch>,
     },
     Stale {
         behind: u64,
@@ -50,13 +51,18 @@ enum Step {
 
 fn step() -> impl Strategy<Value = Step> {
     let ids = || prop::collection::btree_set(0..12u64, 0..4);
+    let batch = (0..4usize, 0..4u64, prop::bool::weighted(0.2))
+        .prop_map(|(of, reserve, end)| NextBatch { of, reserve, end });
     let some = |most: usize| prop_oneof![Just(usize::MAX), 0..most];
     prop_oneof![
-        8 => (ids(), ids(), 0..40usize).prop_map(|(store, remove, bytes)| Step::Append {
-            remove: remove.difference(&store).copied().collect(),
-            store: store.into_iter().collect(),
-            operation: bytes.saturating_sub(20),
-        }),
+        8 => (ids(), ids(), 0..40usize, prop::option::of(batch)).prop_map(
+            |(store, remove, bytes, batch)| Step::Append {
+                remove: remove.difference(&store).copied().collect(),
+                store: store.into_iter().collect(),
+                operation: bytes.saturating_sub(20),
+                batch,
+            }
+        ),
         1 => (1..3u64).prop_map(|behind| Step::Stale { behind }),
         2 => Just(Step::Hold),
         1 => (0..100usize).prop_map(Step::Release),
@@ -79,7 +85,7 @@ struct Run {
     ours: Entry,
     other: Entry,
     model: Model,
-    views: Vec<(Arc<dyn View>, Points)>,
+    views: Vec<(Arc<dyn View>, Sum)>,
 }
 
 impl Run {
@@ -88,7 +94,7 @@ impl Run {
         for entry in [&ours, &other] {
             kept.log().create(entry.clone()).unwrap();
         }
-        let model = Model::new(Origin::START, Points::new());
+        let model = Model::new(Origin::START, Sum::default());
         let views = Vec::new();
         Self {
             kept,
@@ -106,8 +112,9 @@ impl Run {
                 store,
                 remove,
                 operation,
+                batch,
             } => {
-                let effects = self.model.next(&store, &remove, operation);
+                let effects = self.model.next(&store, &remove, operation, batch);
                 match submit(log, uid, head, effects.clone()) {
                     Ok(record) => self.model.append(record, &effects),
                     Err(why) => self.recover(&why, Some(&effects)),
@@ -126,7 +133,7 @@ impl Run {
             Step::Stale { .. } => {}
             Step::Hold => {
                 let view = log.view(uid).unwrap();
-                self.views.push((view, self.model.newest().0.clone()));
+                self.views.push((view, self.model.newest().clone()));
             }
             Step::Release(at) if !self.views.is_empty() => {
                 let at = at % self.views.len();
@@ -192,8 +199,8 @@ impl Run {
         let log = self.kept.log();
         self.model.check(log, self.ours.uid);
         assert_eq!(log.view(self.other.uid).unwrap().revision(), 0);
-        for (view, points) in &self.views {
-            check_view(&**view, points);
+        for (view, sum) in &self.views {
+            check_view(&**view, sum);
         }
     }
 
@@ -241,20 +248,23 @@ impl Run {
     /// Copies the index under another uid, in parts; a finished copy replaces it.
     fn copy(&mut self, finished: bool) {
         let log = self.kept.log();
-        let (points, next_id) = self.model.newest().clone();
+        let sum = self.model.newest().clone();
         let origin = Origin {
             revision: self.model.head(),
-            next_id,
+            next_id: sum.next_id,
             digest: self.model.digest(),
         };
         let copy = entry("copy");
-        let stored: Vec<StoredPoint> = points.values().map(|point| (**point).clone()).collect();
+        let stored: Vec<StoredPoint> = sum.points.values().map(|point| (**point).clone()).collect();
         let copied = log.restore(copy.clone(), origin).and_then(|mut copying| {
             for part in stored.chunks(3) {
                 copying.add(part)?;
                 assert!(log.view(copy.uid).is_err(), "it is not there yet");
             }
-            if finished { copying.finish() } else { Ok(()) }
+            match finished {
+                true => copying.finish(sum.sessions()),
+                false => Ok(()),
+            }
         });
         let made = match copied {
             Ok(()) => finished,
@@ -270,7 +280,7 @@ impl Run {
         if made {
             let before = std::mem::replace(&mut self.ours, copy);
             self.views.clear();
-            self.model = Model::new(origin, points);
+            self.model = Model::new(origin, sum);
             self.check();
             if let Err(why) = log.delete(before.uid) {
                 self.recover(&why, None);
@@ -287,16 +297,16 @@ impl Run {
 /// A store that applies the records of another becomes equal to it and serves the same records to followers.
 fn check_applied(kept: &TestLog, model: &Model) {
     let (log, entry) = (kept.log(), entry("applied"));
-    let (origin, points) = model.origin();
+    let (origin, sum) = model.origin();
     let mut copying = log.restore(entry.clone(), origin).unwrap();
-    for point in points.values() {
+    for point in sum.points.values() {
         copying.add(std::slice::from_ref(&**point)).unwrap();
     }
-    copying.finish().unwrap();
+    copying.finish(sum.sessions()).unwrap();
     for (at, records) in model.records.chunks(3).enumerate() {
         let view = log.apply(entry.uid, records).unwrap();
         assert_eq!(view.tip(), records.last().unwrap().tip());
-        let applied = model.points_after(3 * at + records.len());
+        let applied = model.sum_after(3 * at + records.len());
         check_view(&*view, applied);
         // Applied records are not applied again, and none is skipped.
         assert_eq!(log.apply(entry.uid, records).unwrap().tip(), view.tip());
@@ -330,8 +340,8 @@ fn check_log(kept: TestLog, steps: Vec<Step>) {
         return;
     }
     assert_eq!(log.indexes().unwrap(), [run.other]);
-    for (view, points) in &run.views {
-        assert_eq!(all_points(&**view), *points);
+    for (view, sum) in &run.views {
+        assert_eq!(all_points(&**view), sum.points);
     }
 }
 

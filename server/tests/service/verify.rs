@@ -5,7 +5,7 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{LogError, MemoryLog, PointStore, Record, StoredPoint, Tip, Uid, View},
+    log::{LogError, MemoryLog, PointStore, Record, Sessions, StoredPoint, Tip, Uid, View},
     service::{Code, Service},
 };
 
@@ -148,6 +148,10 @@ impl View for FaultyView {
 
     fn next_id(&self) -> u64 {
         self.0.next_id()
+    }
+
+    fn sessions(&self) -> &Sessions {
+        self.0.sessions()
     }
 
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {

@@ -42,6 +42,7 @@ const LIMITS: v1::Limits = v1::Limits {
     max_answer_bytes: 4 * 1024 * 1024,
     max_payload_bytes: 64 * 1024,
     max_indexes: 1_000,
+    max_reserved_ids: 1_000,
 };
 
 /// Returns the failure of a call, by its number, from 0, and its rows; `None` if it succeeds.

@@ -51,6 +51,20 @@ impl PointService for Fake {
         }))
     }
 
+    async fn open_session(
+        &self,
+        _: Request<v1::OpenSessionRequest>,
+    ) -> Result<Response<v1::OpenSessionResponse>, Status> {
+        Err(Status::unimplemented("the client opens no sessions"))
+    }
+
+    async fn write(
+        &self,
+        _: Request<v1::WriteRequest>,
+    ) -> Result<Response<v1::WriteResponse>, Status> {
+        Err(Status::unimplemented("the client opens no sessions"))
+    }
+
     async fn remove(
         &self,
         request: Request<v1::RemoveRequest>,

@@ -9,12 +9,13 @@ use std::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_server::log::{
-    Entry, LogError, Operation, Origin, Record, Retention, StoredPoint, Uid,
+    Batch, Block, Entry, LogError, Operation, Origin, Record, Retention, Session, Sessions,
+    StoredPoint, Uid,
 };
 
 /// One write to the journal.
 pub(super) enum Item {
-    Create(Entry, Origin, Points),
+    Create(Entry, Origin, Arc<Sum>),
     Append(Uid, Arc<Record>),
     /// Forgets this many of the oldest records and operations.
     Trim(Uid, usize, usize),
@@ -23,7 +24,13 @@ pub(super) enum Item {
     Torn,
 }
 
-pub(super) type Points = Arc<BTreeMap<u64, Arc<StoredPoint>>>;
+/// What results from the records.
+#[derive(Clone, Default)]
+pub(super) struct Sum {
+    pub(super) next_id: u64,
+    pub(super) points: BTreeMap<u64, Arc<StoredPoint>>,
+    pub(super) sessions: Sessions,
+}
 
 pub(super) struct Journal {
     pub(super) items: Vec<Item>,
@@ -44,13 +51,12 @@ pub(super) struct Index {
     pub(super) head: u64,
     /// The newest revision that is certainly on disk.
     durable: u64,
-    pub(super) next_id: u64,
     pub(super) digest: [u8; 32],
-    pub(super) points: Points,
+    pub(super) sum: Arc<Sum>,
     pub(super) records: VecDeque<Arc<Record>>,
     pub(super) operations: VecDeque<Arc<Operation>>,
-    /// The records that were submitted and not yet applied, oldest first, with the points and the next id after each.
-    pub(super) unapplied: VecDeque<(Arc<Record>, Points, u64)>,
+    /// The records that were submitted and not yet applied, oldest first, with the sum after each.
+    pub(super) unapplied: VecDeque<(Arc<Record>, Arc<Sum>)>,
 }
 
 impl Journal {
@@ -148,14 +154,13 @@ impl Journal {
 
     fn apply(&mut self, item: &Item) {
         match item {
-            Item::Create(entry, origin, points) => {
+            Item::Create(entry, origin, sum) => {
                 let index = Index {
                     entry: entry.clone(),
                     head: origin.revision,
                     durable: origin.revision,
-                    next_id: origin.next_id,
                     digest: origin.digest,
-                    points: Arc::clone(points),
+                    sum: Arc::clone(sum),
                     records: VecDeque::new(),
                     operations: VecDeque::new(),
                     unapplied: VecDeque::new(),
@@ -188,12 +193,12 @@ impl Journal {
         &mut self,
         entry: Entry,
         origin: Origin,
-        points: Points,
+        sum: Sum,
     ) -> Result<(), LogError> {
         if self.indexes.contains_key(&entry.uid) {
             return Err(LogError::UidTaken { uid: entry.uid });
         }
-        self.write_and_sync(Item::Create(entry, origin, points))
+        self.write_and_sync(Item::Create(entry, origin, Arc::new(sum)))
     }
 }
 
@@ -207,9 +212,9 @@ impl Index {
 
     fn apply(&mut self, record: &Arc<Record>) {
         let effects = record.effects();
-        let points = Arc::make_mut(&mut self.points);
+        let sum = Arc::make_mut(&mut self.sum);
         for id in effects.removed() {
-            points.remove(id);
+            sum.points.remove(id);
         }
         for (slot, point) in effects.stored().iter().enumerate() {
             let stored = StoredPoint {
@@ -220,8 +225,12 @@ impl Index {
                 state: point.row.into(),
                 payload: effects.payload(slot),
             };
-            self.next_id = self.next_id.max(point.id + 1);
-            points.insert(point.id, Arc::new(stored));
+            sum.next_id = sum.next_id.max(point.id + 1);
+            sum.points.insert(point.id, Arc::new(stored));
+        }
+        if let Some(batch) = effects.batch() {
+            sum.next_id = sum.next_id.max(batch.reserved.end);
+            sum.sessions = sessions_after(&sum.sessions, batch, record.time_ms());
         }
         self.head = record.revision();
         self.digest = *record.digest();
@@ -257,4 +266,31 @@ impl Index {
         }
         (records, operations)
     }
+}
+
+/// All sessions and blocks anew, with those of a batch and without those that it ends.
+fn sessions_after(before: &Sessions, batch: &Batch, used_ms: u64) -> Sessions {
+    let mut after = Sessions::default();
+    let is_open = |session: u64| !batch.ended.contains(&session);
+    for (id, session) in before.iter().filter(|(id, _)| is_open(*id)) {
+        after.insert(id, (**session).clone());
+    }
+    for (first, block) in before.blocks().filter(|(_, block)| is_open(block.session)) {
+        after.insert_block(first, block);
+    }
+    let session = Session {
+        batch: batch.number,
+        fingerprint: batch.fingerprint,
+        response: batch.response.clone(),
+        used_ms,
+    };
+    after.insert(batch.session, session);
+    if !batch.reserved.is_empty() {
+        let block = Block {
+            end: batch.reserved.end,
+            session: batch.session,
+        };
+        after.insert_block(batch.reserved.start, block);
+    }
+    after
 }

@@ -15,11 +15,11 @@ use rand::RngExt;
 use tokio::sync::watch;
 use wayfold_server::log::{
     self, Catalogue, Entry, LogError, Operation, Origin, PointStore, Receipt, Record, RecordStream,
-    Restoring, Retention, StoredPoint, Tip, Uid, View,
+    Restoring, Retention, Sessions, StoredPoint, Tip, Uid, View,
 };
 
 use gate::Gate;
-use journal::{Item, Journal, Points};
+use journal::{Item, Journal, Sum};
 
 /// A log that fails on demand; see the module.
 #[derive(Clone)]
@@ -61,19 +61,12 @@ impl FaultLog {
 }
 
 impl FaultLog {
-    fn view_of(
-        &self,
-        journal: &Journal,
-        record: &Record,
-        points: Points,
-        next_id: u64,
-    ) -> PinnedView {
+    fn view_of(&self, journal: &Journal, record: &Record, sum: Arc<Sum>) -> PinnedView {
         PinnedView {
             log: self.clone(),
             opened: journal.opened,
             tip: record.tip(),
-            next_id,
-            points,
+            sum,
         }
     }
 }
@@ -82,7 +75,7 @@ impl log::Journal for FaultLog {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
         let effects = record.effects();
         // Like a store that keeps a sum over its points, it reads the points that it removes.
-        let next_id = self.0.lock().index(uid)?.next_id;
+        let next_id = self.0.lock().index(uid)?.sum.next_id;
         let replaces = effects.stored().iter().any(|point| point.id < next_id);
         if replaces || !effects.removed().is_empty() {
             self.1.pass();
@@ -98,7 +91,7 @@ impl log::Journal for FaultLog {
         }
         journal.write(Item::Append(uid, Arc::clone(&record)))?;
         let index = journal.indexes.get_mut(&uid).unwrap();
-        let unapplied = (record, Arc::clone(&index.points), index.next_id);
+        let unapplied = (record, Arc::clone(&index.sum));
         index.unapplied.push_back(unapplied);
         drop(journal);
         self.2.send_replace(());
@@ -201,12 +194,12 @@ impl PointStore for FaultLog {
         journal.index(uid)?;
         let last = records.last().unwrap();
         let index = journal.indexes.get_mut(&uid).unwrap();
-        while let Some((record, points, next_id)) = index.unapplied.pop_front() {
+        while let Some((record, sum)) = index.unapplied.pop_front() {
             if record.revision() == last.revision() {
-                return Ok(Arc::new(self.view_of(&journal, &record, points, next_id)));
+                return Ok(Arc::new(self.view_of(&journal, &record, sum)));
             }
             if record.revision() > last.revision() {
-                index.unapplied.push_front((record, points, next_id));
+                index.unapplied.push_front((record, sum));
                 break;
             }
         }
@@ -233,8 +226,7 @@ impl PointStore for FaultLog {
                 head,
             });
         }
-        let (points, next_id) = (Arc::clone(&index.points), index.next_id);
-        let view = self.view_of(&journal, last, points, next_id);
+        let view = self.view_of(&journal, last, Arc::clone(&index.sum));
         drop(journal);
         self.2.send_replace(());
         Ok(Arc::new(view))
@@ -250,8 +242,7 @@ impl PointStore for FaultLog {
                 revision: index.head,
                 digest: index.digest,
             },
-            next_id: index.next_id,
-            points: Arc::clone(&index.points),
+            sum: Arc::clone(&index.sum),
         }))
     }
 
@@ -293,9 +284,7 @@ impl Catalogue for FaultLog {
     }
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
-        self.0
-            .lock()
-            .create(entry, Origin::START, Points::default())
+        self.0.lock().create(entry, Origin::START, Sum::default())
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
@@ -326,9 +315,14 @@ impl Restoring for StagedIndex {
         Ok(())
     }
 
-    fn finish(self: Box<Self>) -> Result<(), LogError> {
+    fn finish(self: Box<Self>, sessions: Sessions) -> Result<(), LogError> {
+        let sum = Sum {
+            next_id: self.origin.next_id,
+            points: self.points,
+            sessions,
+        };
         let mut journal = self.log.0.lock();
-        journal.create(self.entry, self.origin, Arc::new(self.points))
+        journal.create(self.entry, self.origin, sum)
     }
 }
 
@@ -337,15 +331,14 @@ struct PinnedView {
     log: FaultLog,
     opened: u64,
     tip: Tip,
-    next_id: u64,
-    points: Points,
+    sum: Arc<Sum>,
 }
 
 impl PinnedView {
     fn points(&self) -> Result<&BTreeMap<u64, Arc<StoredPoint>>, LogError> {
         self.log.1.pass();
         match self.log.0.lock().opened == self.opened {
-            true => Ok(&self.points),
+            true => Ok(&self.sum.points),
             false => Err(LogError::Closed),
         }
     }
@@ -357,7 +350,11 @@ impl View for PinnedView {
     }
 
     fn next_id(&self) -> u64 {
-        self.next_id
+        self.sum.next_id
+    }
+
+    fn sessions(&self) -> &Sessions {
+        &self.sum.sessions
     }
 
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
