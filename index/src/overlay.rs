@@ -8,7 +8,7 @@ use crate::{
 };
 
 /// The maximum number of points of an overlay that are scanned one by one.
-const MAX_SCANNED: usize = 64;
+const MAX_FEW: usize = 64;
 
 /// Changes to some of the points below it, which are those of a [`Snapshot`] and of earlier overlays: points that it
 /// stores, and ids that it removes.
@@ -38,7 +38,7 @@ impl Overlay {
     /// The errors of [`Forest::apply`]; nothing is changed then.
     pub fn apply(&mut self, stored: &Points, removed: &[u64]) -> Result<(), ApplyError> {
         stored.check(self.few.space())?;
-        if self.many.is_none() && self.few.len() + stored.len() > MAX_SCANNED {
+        if self.many.is_none() && self.few.len() + stored.len() > MAX_FEW {
             self.many = Some(self.forest()?);
         }
         match &mut self.many {

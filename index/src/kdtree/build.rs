@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// The number of points sampled to find the coordinate in which a larger set spreads most.
-const SAMPLE_POINTS: usize = 256;
+const SAMPLE: usize = 256;
 
 impl KdTree {
     /// Acts like [`KdTree::new`], but takes points that were checked, and a space that several trees share.
@@ -195,7 +195,7 @@ impl Build<'_> {
 
     /// The coordinate in which the points, or a sample of them, spread most.
     fn widest(&self, rows: Range<usize>) -> usize {
-        let step = (rows.len() / SAMPLE_POINTS).max(1);
+        let step = (rows.len() / SAMPLE).max(1);
         let slots = self.slots[rows].iter().step_by(step);
         let ends = around_rows(
             self.scales.len(),

@@ -27,7 +27,7 @@ const UNITS: std::ops::Range<f64> = 1e-200..1e200;
 
 /// The number of points sampled to find where most points lie: between the ends that remain without a share of
 /// 1 / [`TAIL`] on either side ...
-const SAMPLE_POINTS: usize = 512;
+const SAMPLE: usize = 512;
 const TAIL: usize = 50;
 
 /// ... and beyond them by this multiple of the distance between those ends.
@@ -133,9 +133,7 @@ struct Span {
 /// The spans of all coordinates.
 fn spans(points: &Points) -> Vec<Span> {
     let ends = around_rows(points.coordinates(), points.iter().map(|point| point.row));
-    let sample = points
-        .iter()
-        .step_by(points.len().div_ceil(SAMPLE_POINTS).max(1));
+    let sample = points.iter().step_by(points.len().div_ceil(SAMPLE).max(1));
     let sample: Vec<&[f64]> = sample.map(|point| point.row).collect();
     let column = |axis: usize| sample.iter().map(|row| row[axis]).collect();
     let spans = ends.into_iter().enumerate();
