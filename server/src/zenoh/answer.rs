@@ -17,7 +17,7 @@ pub(super) struct Response {
     pub(super) query: Query,
     pub(super) form: Form,
     pub(super) result: Result<Replies, Status>,
-    /// The slot of the call; `None` for a refusal for lack of one.
+    /// The permit of the query or of its refusal; `None` for a refusal beyond the limit of those.
     pub(super) place: Option<OwnedSemaphorePermit>,
     pub(super) under_way: TaskTrackerToken,
 }

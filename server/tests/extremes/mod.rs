@@ -34,8 +34,8 @@ pub(crate) fn pool() -> DescriptorPool {
     DescriptorPool::decode(v1::FILE_DESCRIPTOR_SET).unwrap()
 }
 
-/// A good request for each verb, by the name of its message. Its index is `arm` in R1, which has this uid, two points
-/// and two revisions.
+/// A good request for each verb, by the name of its message. Its index is `arm` in R1, which has this uid, two points,
+/// two revisions, and a writer session that the third one opened.
 pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
     let (index, uid) = ("arm".to_owned(), uid.to_owned());
     let states = Some(v1::States {
@@ -115,6 +115,29 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                     number: 2,
                 }),
                 ..Default::default()
+            },
+        ),
+        dynamic(
+            "OpenSessionRequest",
+            &v1::OpenSessionRequest {
+                index_name: index.clone(),
+                uid: uid.clone(),
+                reserve_count: 2,
+            },
+        ),
+        dynamic(
+            "WriteRequest",
+            &v1::WriteRequest {
+                index_name: index.clone(),
+                uid: uid.clone(),
+                session: 3,
+                batch: 1,
+                kinds: vec![v1::StepKind::Put.into(), v1::StepKind::SetTag.into()],
+                ids: vec![7, 0],
+                states: states.clone(),
+                tags: vec![1, 2],
+                payloads: vec![b"payload".as_slice().into()],
+                reserve_count: 2,
             },
         ),
         dynamic(

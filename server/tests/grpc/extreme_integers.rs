@@ -6,6 +6,7 @@ use futures_util::stream;
 use prost::Message;
 use prost_reflect::{DynamicMessage, MethodDescriptor, ReflectMessage};
 use tonic::{Code, Request, Status, client::Grpc, transport::Channel};
+use wayfold_proto::v1;
 
 use crate::{
     extremes::{pool, requests, variants},
@@ -47,6 +48,11 @@ async fn every_method_answers_or_refuses_extreme_integers() {
         let request = insert("arm", &[coordinate]);
         server.points().insert(request).await.unwrap();
     }
+    let session = v1::OpenSessionRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    server.points().open_session(session).await.unwrap();
     let requests = requests(&uid);
     let services = pool().services().collect::<Vec<_>>();
     for method in services.iter().flat_map(|service| service.methods()) {

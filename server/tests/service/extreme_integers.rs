@@ -26,7 +26,7 @@ use crate::{
 /// The maximum number of polls of a call about two points; a call that spins exceeds it.
 const MAX_POLLS: usize = 300;
 
-/// `arm` with two points and two revisions.
+/// `arm` with two points and a writer session, each made by a revision.
 async fn two_points() -> (Service, String) {
     let (service, uid) = arm("R1").await;
     for id in 0..2 {
@@ -36,6 +36,11 @@ async fn two_points() -> (Service, String) {
         };
         service.insert(&CALL, insert).await.unwrap();
     }
+    let session = v1::OpenSessionRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    service.open_session(&CALL, session).await.unwrap();
     (service, uid)
 }
 
@@ -61,6 +66,8 @@ async fn ask(service: &Service, call: &Call, request: &DynamicMessage) -> Result
         "InsertRequest" => service.insert(call, read!()).await.map(drop),
         "UpdateRequest" => service.update(call, read!()).await.map(drop),
         "RemoveRequest" => service.remove(call, read!()).await.map(drop),
+        "OpenSessionRequest" => service.open_session(call, read!()).await.map(drop),
+        "WriteRequest" => service.write(call, read!()).await.map(drop),
         "GetRequest" => service.get(call, read!()).await.map(drop),
         "GetServerRequest" => service.get_server(call, read!(), 1 << 20).await.map(drop),
         "CreateIndexRequest" => service.create_index(call, read!()).await.map(drop),

@@ -37,7 +37,7 @@ const VERBS: [(&str, &str); 14] = [
     ("delete", "DeleteIndexRequest"),
 ];
 
-/// A service with `arm`, which has two points and two revisions, and that index's uid.
+/// A service with `arm`, which has two points and a writer session, each made by a revision, and that index's uid.
 async fn two_points() -> (Service, String) {
     let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
     let service = Service::new(registry, Limits::default());
@@ -61,6 +61,11 @@ async fn two_points() -> (Service, String) {
         };
         service.insert(&call, request).await.unwrap();
     }
+    let session = v1::OpenSessionRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    service.open_session(&call, session).await.unwrap();
     (service, created.index.unwrap().revision.unwrap().uid)
 }
 

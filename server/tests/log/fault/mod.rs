@@ -74,10 +74,8 @@ impl FaultLog {
 impl log::Journal for FaultLog {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
         let effects = record.effects();
-        // Like a store that keeps a sum over its points, it reads the points that it removes.
-        let next_id = self.0.lock().index(uid)?.sum.next_id;
-        let replaces = effects.stored().iter().any(|point| point.id < next_id);
-        if replaces || !effects.removed().is_empty() {
+        // Like a store that keeps a sum over its points, it reads the points that it replaces and removes.
+        if !effects.only_adds() {
             self.1.pass();
         }
         let mut journal = self.0.lock();
