@@ -1,8 +1,8 @@
-//! Rows as the kernels read them: in blocks, with the numbers of one coordinate side by side.
+//! Rows in blocks, with the numbers of one coordinate side by side, in the form that the kernels read.
 
 use crate::kernel::BLOCK_ROWS;
 
-/// A table of rows in blocks of [`BLOCK_ROWS`], coordinate by coordinate. A place that no row was written to holds zeros.
+/// A table of rows in blocks of [`BLOCK_ROWS`], coordinate by coordinate. An unwritten place holds zeros.
 #[derive(Clone, Debug)]
 pub(crate) struct Blocks {
     width: usize,

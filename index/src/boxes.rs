@@ -1,9 +1,10 @@
-//! The bounding boxes of the children of a node, as the kernels read them: side by side, coordinate by coordinate.
+//! The bounding boxes of the children of a node, side by side, coordinate by coordinate, in the form that the kernels
+//! read.
 
 use crate::kernel::MAX_CHILDREN;
 
-/// The boxes of the children of some nodes. A node has, for each coordinate, the lower ends of [`MAX_CHILDREN`] boxes and
-/// then their upper ends.
+/// The boxes of the children of some nodes. A node has, for each coordinate, the lower ends of [`MAX_CHILDREN`] boxes
+/// and then their upper ends.
 #[derive(Clone, Debug)]
 pub(crate) struct Boxes {
     width: usize,
@@ -82,7 +83,7 @@ impl Boxes {
         self.ends[node * len..][..len].chunks_exact_mut(2 * MAX_CHILDREN)
     }
 
-    /// Gives back the room that no node takes.
+    /// Frees the unused capacity.
     pub(crate) fn shrink_to_fit(&mut self) {
         self.ends.shrink_to_fit();
     }

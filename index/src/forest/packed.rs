@@ -145,8 +145,8 @@ impl Packed {
     }
 }
 
-/// The mean distance between ids from which on they are sorted. Denser ids, such as those that the server assigns, are put
-/// into a table by their value.
+/// The mean distance between ids from which on they are sorted. Denser ids, such as those that the server assigns, are
+/// put into a table by their value.
 const SPARSE: u64 = 4;
 
 /// The slots of distinct `ids`, in the order of the ids.

@@ -1,7 +1,8 @@
 //! Construction: cuts at medians that leave every leaf full.
 //!
-//! All leaves are equally deep, and nodes are full at the bottom, where a search visits most of them; the remainder of the
-//! division by sixteen goes to the top. A cut crosses the coordinate in which the points spread most, in the metric.
+//! All leaves are equally deep, and nodes are full at the bottom, where a search visits most of them; the remainder of
+//! the division by sixteen goes to the top. A cut crosses the coordinate in which the points spread most, in the
+//! metric.
 
 use std::{ops::Range, sync::Arc};
 

@@ -8,8 +8,8 @@
 //! `RealVector(n)`, the shorter arc for `SO2`, half the angle of the relative rotation for `SO3`. One group is the
 //! weighted product metric of Yershova and LaValle; every factor a group of its own is OMPL's `CompoundStateSpace`.
 //!
-//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and functions that
-//! IEEE 754 does not round correctly come from `libm`. Every reported distance has these bits.
+//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and
+//! functions that IEEE 754 does not round correctly come from `libm`. Every reported distance has these bits.
 
 mod error;
 mod factor;
@@ -70,7 +70,7 @@ pub struct Space {
 }
 
 impl Space {
-    /// The most coordinates that a space can have.
+    /// The maximum number of coordinates of a space.
     pub const MAX_COORDINATES: usize = 256;
 
     /// The space of these groups.

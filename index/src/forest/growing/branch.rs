@@ -33,8 +33,8 @@ enum Side {
     Child(u8),
 }
 
-/// A node of up to sixteen children. A small kd-tree of cuts routes a new point to one of them, and searches read their boxes.
-/// A node that a snapshot shares is copied before it changes.
+/// A node of up to sixteen children. A small kd-tree of cuts routes a new point to one of them, and searches read their
+/// boxes. A node that a snapshot shares is copied before it changes.
 #[derive(Clone, Debug)]
 pub(super) struct Branch {
     /// The boxes of one node, this one.
@@ -61,8 +61,8 @@ pub(super) struct Insertion<'a> {
     pub(super) overflows: bool,
 }
 
-/// The size of a leaf of points that coincide, in full leaves, above which the tree grows no further; [`MIN_ROWS`] points if
-/// that is more.
+/// The size of a leaf of points that coincide, in full leaves, above which the tree grows no further; [`MIN_ROWS`]
+/// points if that is more.
 const MAX_COINCIDING_LEAVES: usize = 8;
 
 /// The split of a full cell: the cell keeps the points below a plane, and `above` has the others.
@@ -122,8 +122,8 @@ impl Cell {
     }
 }
 
-/// The cut of a leaf: across the coordinate in which its points spread most in the metric, at the median or else the next number
-/// that leaves points on both sides. None if all points coincide.
+/// The cut of a leaf across the coordinate in which its points spread most in the metric: at the median, or at the next
+/// number that leaves points on both sides. None if all points coincide.
 fn median_cut(leaf: &Leaf, scales: &[f64]) -> Option<(usize, f64)> {
     let width = scales.len();
     let spread = |axis: usize| {

@@ -22,8 +22,9 @@ pub(super) struct Leaf {
     rows: usize,
     /// The number of coordinates.
     width: usize,
-    /// Blocks of points as the kernels read them, coordinate by coordinate. Each block has two more columns, with the bits of the
-    /// ids and of the slots: one allocation for a leaf, since copies under a snapshot cost by the allocation.
+    /// Blocks of points as the kernels read them, coordinate by coordinate. Each block has two more columns, with the
+    /// bits of the ids and of the slots: one allocation for a leaf, since copies under a snapshot cost by the
+    /// allocation.
     columns: Arc<[f64]>,
 }
 
@@ -90,7 +91,7 @@ impl Leaf {
         self.rows += 1;
     }
 
-    /// Lets go of the points that are dead at the head; snapshots that see them have copies of their own.
+    /// Drops the points that are dead at the head; snapshots that see them have their own copies.
     pub(super) fn drop_dead(&mut self, tombstones: &Tombstones) {
         let is_alive = |label: Label| tombstones.is_visible(label.slot as usize, LATEST);
         let lanes = |block: LeafBlock<'_>| (0..block.lanes).all(|lane| is_alive(block.label(lane)));
