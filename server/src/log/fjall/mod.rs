@@ -50,8 +50,8 @@ pub use directory::OpenError;
 pub use rebuild::{RepairError, RepairReport, repair};
 
 use super::{
-    Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, Receipt, Record,
-    RecordStream, Restoring, Retention, Uid, View,
+    Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, PointVisitor,
+    Receipt, Record, RecordStream, Restoring, Retention, Uid, View,
 };
 use directory::Directory;
 use engine::Engine;
@@ -238,6 +238,13 @@ impl PointStore for FjallLog {
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
         let engine = self.engine()?;
         engine.index(uid)?.pin(&engine.store)
+    }
+
+    fn load(&self, uid: Uid, visit: &mut PointVisitor<'_>) -> Result<Arc<dyn View>, LogError> {
+        let engine = self.engine()?;
+        let loaded = engine.index(uid)?.load(&engine.store, visit);
+        // A disk that fails while an index is loaded has failed: the store is reopened, and the index loaded again.
+        loaded.map_err(|error| engine.note(error))
     }
 
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
