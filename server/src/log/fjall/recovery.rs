@@ -355,25 +355,24 @@ mod tests {
     #[test]
     fn points_that_are_missing_or_back_or_older_are_noticed() {
         type Damage = fn(&Handles);
+        // As the first record stored a point.
+        fn store(handles: &Handles, id: u64) {
+            let form = PointForm {
+                revision: 1,
+                modified: 1,
+                tag: 0,
+                state: &[0.5],
+                payload: b"grasp",
+            };
+            let value = form.encode(0, id);
+            handles.keyspace.insert(point_key(0, id), value).unwrap();
+        }
         let damages: [(&str, Damage); 3] = [
             ("missing", |handles| {
                 handles.keyspace.remove(point_key(0, 1)).unwrap();
             }),
-            ("back", |handles| {
-                let point = handles.keyspace.get(point_key(0, 1)).unwrap().unwrap();
-                handles.keyspace.insert(point_key(0, 0), point).unwrap();
-            }),
-            ("older", |handles| {
-                let form = PointForm {
-                    revision: 1,
-                    modified: 1,
-                    tag: 0,
-                    state: &[0.5],
-                    payload: b"grasp",
-                };
-                let value = form.encode(0, 1);
-                handles.keyspace.insert(point_key(0, 1), value).unwrap();
-            }),
+            ("back", |handles| store(handles, 0)),
+            ("older", |handles| store(handles, 1)),
         ];
         for (what, damage) in damages {
             let told = found(|handles, _| damage(handles));
