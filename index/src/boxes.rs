@@ -106,8 +106,8 @@ pub(crate) fn extent(numbers: &[f64]) -> (f64, f64) {
     (lo, hi)
 }
 
-/// The lower and the upper ends, in each of `width` coordinates, of the smallest box around some rows. (A build computes many.
-/// Pairs of ends would keep the compiler from comparing several coordinates at once.)
+/// The lower and the upper ends, in each of `width` coordinates, of the smallest box around some rows. (A build
+/// computes many. Pairs of ends would keep the compiler from comparing several coordinates at once.)
 pub(crate) fn around_rows<'a>(
     width: usize,
     rows: impl Iterator<Item = &'a [f64]>,

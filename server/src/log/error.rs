@@ -153,7 +153,8 @@ pub enum LogError {
         /// The error of the store.
         what: String,
     },
-    /// As [`LogError::Storage`], but a thread of the store failed earlier, and the store does not say why.
+    /// A thread of the store failed earlier, and the store does not say why. The consequence is that of
+    /// [`LogError::Storage`].
     #[error("the store failed (an earlier failure to write): {STORE_FAILED}")]
     StorageStopped,
     /// The store met a damaged block and writes nothing more.

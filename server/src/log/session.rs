@@ -136,7 +136,7 @@ impl Sessions {
         }
     }
 
-    /// What the next record changes.
+    /// The changes of the next record.
     pub(super) fn changes(&self, record: &Record) -> Vec<Change> {
         let Some(batch) = record.effects().batch() else {
             return Vec::new();
@@ -166,7 +166,8 @@ impl Sessions {
         changes
     }
 
-    /// A block that follows the session's last one extends it: a lone writer has one block, however many ids it reserves.
+    /// A block that follows the session's last one extends it: a lone writer has one block, however many ids it
+    /// reserves.
     fn reservation(&self, batch: &Batch) -> Change {
         let Range { start, end } = batch.reserved;
         let block = Block {
@@ -233,7 +234,7 @@ mod tests {
         assert_eq!(earlier.owner(10), Some(2));
     }
 
-    /// What a store writes change by change is what it has after a restart.
+    /// A store subtracts the old entry from its sum.
     #[test]
     fn changes_name_what_stood_before() {
         let mut sessions = Sessions::default();

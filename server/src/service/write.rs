@@ -35,7 +35,7 @@ struct Steps {
     payloads: Vec<Bytes>,
 }
 
-/// What a batch makes of the point under an id.
+/// The net effect of a batch on the point under an id.
 enum Net {
     /// The put with this number stores it, with this tag.
     Put(usize, u64),

@@ -1,18 +1,19 @@
-//! The level that grows by single points: a kd-tree that splits as Robinson's does ("The K-D-B-Tree: A Search Structure for
-//! Large Multidimensional Dynamic Indexes", SIGMOD 1981).
+//! The level that grows by single points: a kd-tree that splits as Robinson's does ("The K-D-B-Tree: A Search Structure
+//! for Large Multidimensional Dynamic Indexes", SIGMOD 1981).
 //!
-//! A point goes to the leaf whose region contains it, and the boxes above are widened to contain it. A full leaf is split at
-//! a median, and a full node along its own first cut, so that regions never overlap and no split reaches downwards. All
-//! leaves are equally deep. Points in sorted order make such a tree higher than it should be, and points that coincide make a
-//! leaf larger. Then, or once it has its greatest number of points, the tree is *full*: a merge packs it into a static tree (see
-//! [`KdTree`](crate::KdTree)), and another one grows.
+//! A point goes to the leaf whose region contains it, and the boxes above are widened to contain it. A full leaf is
+//! split at a median, and a full node along its own first cut, so that regions never overlap and no split reaches
+//! downwards. All leaves are equally deep. Points in sorted order make such a tree higher than it should be, and points
+//! that coincide make a leaf larger. Then, or once it has its greatest number of points, the tree is *full*: a merge
+//! packs it into a static tree (see [`KdTree`](crate::KdTree)), and another one grows.
 //!
-//! Copies share everything that has not changed since. A point that is added under a snapshot costs a copy of the nodes on its
-//! way, of its leaf, and of up to 64 rows of the log.
+//! Copies share everything that has not changed since. A point that is added under a snapshot costs a copy of the nodes
+//! on its way, of its leaf, and of up to 64 rows of the log.
 //!
-//! A row is stored twice: in its leaf, and in the log, which finds it by its slot and is scanned in memory order. One copy saves
-//! a sixth to a third of the growing level and slows searches. With rows in the log alone a leaf gathers them; with rows in the
-//! leaves alone a scan reads leaves that are two thirds full. Ratios to two copies (8,000 points; Intel Xeon with AVX-512):
+//! A row is stored twice: in its leaf, and in the log, which finds it by its slot and is scanned in memory order. One
+//! copy saves a sixth to a third of the growing level and slows searches. With rows in the log alone a leaf gathers
+//! them; with rows in the leaves alone a scan reads leaves that are two thirds full. Ratios to two copies (8,000
+//! points; Intel Xeon with AVX-512):
 //!
 //! | rows in | space | insert | random tree | k = 1 | k = 10 | radius | bytes |
 //! |---|---|---|---|---|---|---|---|

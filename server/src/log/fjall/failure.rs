@@ -28,8 +28,8 @@ impl Failure {
         self.0.subscribe()
     }
 
-    /// Notes an error; after the first one of the store, nothing is written. Returns the error to report: for errors of the
-    /// store the first, since the others follow from it.
+    /// Notes an error; after the first one of the store, nothing is written. Returns the error to report: for errors of
+    /// the store the first, since the others follow from it.
     pub(super) fn note(&self, error: LogError) -> LogError {
         if !matches!(
             error,

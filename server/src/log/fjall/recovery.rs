@@ -355,7 +355,7 @@ mod tests {
     #[test]
     fn points_that_are_missing_or_back_or_older_are_noticed() {
         type Damage = fn(&Handles);
-        // As the first record stored a point.
+        // The form in which the first record stored a point.
         fn store(handles: &Handles, id: u64) {
             let form = PointForm {
                 revision: 1,

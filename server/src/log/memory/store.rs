@@ -6,7 +6,7 @@ use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::watch;
 
-use super::versions::Versions;
+use super::{versions::Versions, view::PinnedView};
 use crate::log::{
     LogError, Operation, Origin, Record, RecordStream, Retention, Sessions, StoredPoint, Tip, Uid,
     View,
@@ -23,7 +23,7 @@ const ROWS_PER_HOLD: usize = 512;
 pub(super) struct Store {
     uid: Uid,
     journal: Mutex<Journal>,
-    versions: RwLock<Versions>,
+    pub(super) versions: RwLock<Versions>,
     /// The newest revision, or the error after which no further record comes.
     newest: watch::Sender<Result<u64, LogError>>,
 }
@@ -40,10 +40,10 @@ struct Journal {
 
 /// The newest record, and what results from all records beside the points.
 #[derive(Clone)]
-struct Head {
-    tip: Tip,
-    next_id: u64,
-    sessions: Sessions,
+pub(super) struct Head {
+    pub(super) tip: Tip,
+    pub(super) next_id: u64,
+    pub(super) sessions: Sessions,
 }
 
 impl Store {
@@ -235,7 +235,7 @@ impl Store {
     }
 
     /// Drops some of the versions that no revision sees any more; false if none is left.
-    fn collect(&self) -> bool {
+    pub(super) fn collect(&self) -> bool {
         self.versions.write().collect(ROWS_PER_HOLD)
     }
 
@@ -284,52 +284,11 @@ impl Store {
     }
 
     /// A view of a pinned revision; it takes over the pin.
-    fn pinned(self: &Arc<Self>, head: Head) -> Pinned {
-        Pinned {
+    fn pinned(self: &Arc<Self>, head: Head) -> PinnedView {
+        PinnedView {
             store: Arc::clone(self),
             head,
         }
-    }
-}
-
-/// A view. The versions it sees stay while it is held.
-struct Pinned {
-    store: Arc<Store>,
-    head: Head,
-}
-
-impl View for Pinned {
-    fn tip(&self) -> Tip {
-        self.head.tip
-    }
-
-    fn next_id(&self) -> u64 {
-        self.head.next_id
-    }
-
-    fn sessions(&self) -> &Sessions {
-        &self.head.sessions
-    }
-
-    fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
-        Ok(self
-            .store
-            .versions
-            .read()
-            .get(id, self.head.tip.revision)
-            .cloned())
-    }
-
-    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
-        let versions = self.store.versions.read();
-        Ok(versions.page(after, limit, self.head.tip.revision))
-    }
-}
-
-impl Drop for Pinned {
-    fn drop(&mut self) {
-        self.store.versions.write().unpin(self.head.tip.revision);
-        self.store.collect();
     }
 }
 
