@@ -93,7 +93,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
             "QueryRequest",
             &v1::QueryRequest {
                 index_name: index.clone(),
-                states,
+                states: states.clone(),
                 radius_form: Some(v1::query_request::RadiusForm::Radius(f64::INFINITY)),
                 filter: filter.clone(),
                 include,
@@ -134,7 +134,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 batch: 1,
                 kinds: vec![v1::StepKind::Put.into(), v1::StepKind::SetTag.into()],
                 ids: vec![7, 0],
-                states: states.clone(),
+                states,
                 tags: vec![1, 2],
                 payloads: vec![b"payload".as_slice().into()],
                 reserve_count: 2,

@@ -79,9 +79,12 @@ pub(super) fn read(
         {
             let (key, value) = entry.into_inner().map_err(|error| unreadable(uid, error))?;
             sum.add(&value);
-            let added = last_of(&key).and_then(|of| match key.first()? {
-                b's' => Some(sessions.insert(of, decode_session(&key, &value)?)),
-                _ => Some(sessions.insert_block(of, decode_block(&key, &value)?)),
+            let added = last_of(&key).and_then(|of| {
+                match key.first()? {
+                    b's' => sessions.insert(of, decode_session(&key, &value)?),
+                    _ => sessions.insert_block(of, decode_block(&key, &value)?),
+                }
+                Some(())
             });
             added.ok_or_else(|| LogError::Unreadable {
                 uid,
