@@ -93,12 +93,24 @@ impl Sessions {
 
     /// All sessions, by id.
     pub fn iter(&self) -> impl Iterator<Item = (u64, &Arc<Session>)> {
-        self.by_id.iter().map(|(id, session)| (*id, session))
+        self.iter_from(0)
+    }
+
+    /// The sessions from this id on, by id.
+    pub fn iter_from(&self, id: u64) -> impl Iterator<Item = (u64, &Arc<Session>)> {
+        let sessions = self.by_id.range(id..);
+        sessions.map(|(id, session)| (*id, session))
     }
 
     /// All blocks, each with its first id.
     pub fn blocks(&self) -> impl Iterator<Item = (u64, Block)> {
-        self.blocks.iter().map(|(first, block)| (*first, *block))
+        self.blocks_from(0)
+    }
+
+    /// The blocks whose first id is this one or a higher one, each with its first id.
+    pub fn blocks_from(&self, first: u64) -> impl Iterator<Item = (u64, Block)> {
+        let blocks = self.blocks.range(first..);
+        blocks.map(|(first, block)| (*first, *block))
     }
 
     /// The sessions whose newest record is older than this time.
