@@ -99,6 +99,12 @@ pub struct Tip {
 /// A stream of batches of consecutive records. It waits for new records at the end of the log, and ends after an error.
 pub type RecordStream = BoxStream<'static, Result<Vec<Arc<Record>>, LogError>>;
 
+/// Takes the points of an index one by one.
+pub type PointVisitor<'a> = dyn FnMut(&StoredPoint) -> Result<(), LogError> + 'a;
+
+/// The number of points that one read of a view returns while an index is loaded.
+const PAGE_POINTS: usize = 4096;
+
 /// The answer of a [`Journal`] to a submitted record.
 pub enum Receipt {
     /// The journal cannot refuse the record any more. [`Journal::follow`] yields it once it is durable, or an error.
@@ -147,6 +153,20 @@ pub trait PointStore: Send + Sync {
 
     /// The points as they are stored now, pinned.
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;
+
+    /// Passes all points, by ascending id, to `visit`, and returns their view; an error of `visit` ends it. Blocks.
+    fn load(&self, uid: Uid, visit: &mut PointVisitor<'_>) -> Result<Arc<dyn View>, LogError> {
+        let view = self.view(uid)?;
+        let mut after = None;
+        loop {
+            let page = view.page(after, PAGE_POINTS)?;
+            let Some(last) = page.last() else {
+                return Ok(view);
+            };
+            after = Some(last.id);
+            page.iter().try_for_each(|point| visit(point))?;
+        }
+    }
 
     /// The newest operations, oldest first. Operations of trimmed records are included.
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError>;

@@ -8,19 +8,21 @@ use std::{
 use fjall::{OwnedWriteBatch, Readable};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
+use tracing::error;
 
 use super::{
     layout::{
-        Head, Number, Sum, head_key, last_of, operation_key, point_key, record_key, seal, unseal,
+        Head, Number, Sum, head_key, last_of, operation_key, point_key, point_keys, record_key,
+        seal, unseal,
     },
-    point::PointForm,
+    point::{self, PointForm},
     session,
     store::{Handles, Store, storage, unreadable},
     sync_marks::Mark,
     view::PointsView,
 };
 use crate::log::{
-    Entry, LogError, Operation, Origin, Outcome, Record, Retention, Sessions, View,
+    Entry, LogError, Operation, Origin, Outcome, PointVisitor, Record, Retention, Sessions, View,
     retention::{Allowance, Bounded},
 };
 
@@ -49,6 +51,8 @@ pub(super) struct State {
     /// The records up to this revision are removed from the store.
     pub(super) removed: u64,
 
+    /// False until the stored points were compared with their sum.
+    is_checked: bool,
     /// The error that forbids reading and writing.
     closed: Option<LogError>,
     /// The view of the head, while it is held.
@@ -80,8 +84,17 @@ impl State {
             sessions: Sessions::default(),
             forgotten: Vec::new(),
             removed: origin.revision,
+            is_checked: true,
             closed: None,
             view: Weak::new(),
+        }
+    }
+
+    /// The state that recovery begins with.
+    pub(super) fn unchecked() -> Self {
+        Self {
+            is_checked: false,
+            ..Self::new(Origin::START, Sum::default())
         }
     }
 
@@ -445,7 +458,57 @@ impl Index {
 
     pub(super) fn pin(&self, store: &Arc<Store>) -> Result<Arc<dyn View>, LogError> {
         let mut state = self.open()?;
-        Ok(self.view_of_head(store, &mut state))
+        if state.is_checked {
+            return Ok(self.view_of_head(store, &mut state));
+        }
+        drop(state);
+        self.load(store, &mut |_| Ok(()))
+    }
+
+    /// Passes all points to `visit`. The first time after a start they are also compared with their sum: fjall skips an
+    /// unreadable part of its journal without an error, and that part may have held points that no other check covers.
+    pub(super) fn load(
+        &self,
+        store: &Arc<Store>,
+        visit: &mut PointVisitor<'_>,
+    ) -> Result<Arc<dyn View>, LogError> {
+        let mut state = self.open()?;
+        match self.read_all(&*store.handles()?, &state.head, visit) {
+            Ok(()) => {
+                state.is_checked = true;
+                Ok(self.view_of_head(store, &mut state))
+            }
+            Err(why @ (LogError::Unreadable { .. } | LogError::Incomplete { .. })) => {
+                drop(state);
+                error!(index = self.entry.name, error = %why, "an index is damaged: every call for it fails");
+                self.close(why.clone());
+                Err(why)
+            }
+            Err(why) => Err(why),
+        }
+    }
+
+    fn read_all(
+        &self,
+        handles: &Handles,
+        head: &Head,
+        visit: &mut PointVisitor<'_>,
+    ) -> Result<(), LogError> {
+        let (number, uid) = (self.number, self.entry.uid);
+        let mut sum = Sum::default();
+        session::read(handles, number, uid, &mut sum)?;
+        for point in handles.keyspace.range(point_keys(number)) {
+            let (key, value) = point.into_inner().map_err(|error| unreadable(uid, error))?;
+            sum.add(&value);
+            visit(&point::read_entry(number, uid, (&key, &value))?)?;
+        }
+        match sum == head.sum {
+            true => Ok(()),
+            false => Err(LogError::Incomplete {
+                uid,
+                revision: head.revision,
+            }),
+        }
     }
 
     /// The view of the head. It reads the current store until the next write freezes it.
