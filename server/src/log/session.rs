@@ -1,7 +1,7 @@
 //! Writer sessions: the outcome of each session's newest batch, so that a retry is recognised after any pause, and the
 //! blocks of ids that the sessions reserved. Both are sums of the records, like the points.
 
-use std::{ops::Range, sync::Arc, time::SystemTime};
+use std::{collections::HashSet, ops::Range, sync::Arc, time::SystemTime};
 
 use bytes::Bytes;
 use rpds::RedBlackTreeMapSync;
@@ -171,8 +171,10 @@ impl Sessions {
             changes.push(Change::Session(*id, [Some(Arc::clone(session)), None]));
         }
         if !batch.ended.is_empty() {
-            let ended = |block: &Block| batch.ended.contains(&block.session);
-            let blocks = self.blocks().filter(|(_, block)| ended(block));
+            // All sessions of an index may end in one record, and each has blocks.
+            let ended: HashSet<u64> = batch.ended.iter().copied().collect();
+            let blocks = self.blocks();
+            let blocks = blocks.filter(|(_, block)| ended.contains(&block.session));
             changes.extend(blocks.map(|(first, block)| Change::Block(first, [Some(block), None])));
         }
         changes
