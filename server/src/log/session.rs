@@ -1,7 +1,7 @@
 //! Writer sessions: the outcome of each session's newest batch, so that a retry is recognised after any pause, and the
 //! blocks of ids that the sessions reserved. Both are sums of the records, like the points.
 
-use std::{ops::Range, sync::Arc, time::SystemTime};
+use std::{collections::HashSet, ops::Range, sync::Arc, time::SystemTime};
 
 use bytes::Bytes;
 use rpds::RedBlackTreeMapSync;
@@ -93,12 +93,24 @@ impl Sessions {
 
     /// All sessions, by id.
     pub fn iter(&self) -> impl Iterator<Item = (u64, &Arc<Session>)> {
-        self.by_id.iter().map(|(id, session)| (*id, session))
+        self.iter_from(0)
+    }
+
+    /// The sessions from this id on, by id.
+    pub fn iter_from(&self, id: u64) -> impl Iterator<Item = (u64, &Arc<Session>)> {
+        let sessions = self.by_id.range(id..);
+        sessions.map(|(id, session)| (*id, session))
     }
 
     /// All blocks, each with its first id.
     pub fn blocks(&self) -> impl Iterator<Item = (u64, Block)> {
-        self.blocks.iter().map(|(first, block)| (*first, *block))
+        self.blocks_from(0)
+    }
+
+    /// The blocks whose first id is this one or a higher one, each with its first id.
+    pub fn blocks_from(&self, first: u64) -> impl Iterator<Item = (u64, Block)> {
+        let blocks = self.blocks.range(first..);
+        blocks.map(|(first, block)| (*first, *block))
     }
 
     /// The sessions whose newest record is older than this time.
@@ -159,8 +171,10 @@ impl Sessions {
             changes.push(Change::Session(*id, [Some(Arc::clone(session)), None]));
         }
         if !batch.ended.is_empty() {
-            let ended = |block: &Block| batch.ended.contains(&block.session);
-            let blocks = self.blocks().filter(|(_, block)| ended(block));
+            // All sessions of an index may end in one record, and each has blocks.
+            let ended: HashSet<u64> = batch.ended.iter().copied().collect();
+            let blocks = self.blocks();
+            let blocks = blocks.filter(|(_, block)| ended.contains(&block.session));
             changes.extend(blocks.map(|(first, block)| Change::Block(first, [Some(block), None])));
         }
         changes

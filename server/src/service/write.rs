@@ -49,12 +49,12 @@ impl Service {
     pub async fn write(
         &self,
         call: &Call,
-        request: v1::WriteRequest,
+        mut request: v1::WriteRequest,
     ) -> Result<v1::WriteResponse, Error> {
         self.accept(call)?;
         let hosted = self.index(&request.index_name, &request.uid)?;
         let mut pace = call.pace(DOING);
-        let mut claim = Claim::of_batch(&request, &mut pace).await?;
+        let mut claim = Claim::of_batch(&mut request, &mut pace).await?;
         let reserve_count = request.reserve_count;
         let steps = Steps::check(request, &hosted, self.limits(), &mut pace).await?;
 

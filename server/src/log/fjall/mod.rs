@@ -118,6 +118,7 @@ impl FjallLog {
     /// call fails with the cause, and [`Catalogue::lost`] names the indices.
     pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
+        directory.upgrade()?;
         let failed = |path: &Path, source| OpenError::Io {
             path: path.into(),
             source,
