@@ -93,7 +93,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
             "QueryRequest",
             &v1::QueryRequest {
                 index_name: index.clone(),
-                states,
+                states: states.clone(),
                 radius_form: Some(v1::query_request::RadiusForm::Radius(f64::INFINITY)),
                 filter: filter.clone(),
                 include,
