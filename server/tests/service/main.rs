@@ -34,6 +34,7 @@ mod replay;
 mod restore;
 mod scaling;
 mod scan;
+mod sessions;
 mod slow_disk;
 mod snapshot;
 mod storage_failure;
