@@ -51,7 +51,11 @@ fn the_defaults_protect() {
 
 #[test]
 fn the_limits_of_sessions_are_settings() {
-    let names = ["max_sessions", "max_session_idle_seconds", "max_reserved_ids"];
+    let names = [
+        "max_sessions",
+        "max_session_idle_seconds",
+        "max_reserved_ids",
+    ];
     let text = names.map(|name| format!("{name} = 9\n")).concat();
     let limits = load_file(&format!("[limits]\n{text}")).unwrap().limits;
     let found = (

@@ -160,7 +160,8 @@ impl Writer {
             (StepKind::SetTag, Vec::from_iter(tagged)),
         ];
         let steps = steps.into_iter();
-        let steps = steps.flat_map(|(kind, ids)| ids.into_iter().map(move |id| (i32::from(kind), id)));
+        let steps =
+            steps.flat_map(|(kind, ids)| ids.into_iter().map(move |id| (i32::from(kind), id)));
         let (kinds, ids): (Vec<i32>, Vec<u64>) = steps.unzip();
         Request::Write(Box::new(WriteRequest {
             index_name: "arm".into(),
