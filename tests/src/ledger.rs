@@ -7,8 +7,9 @@ use std::{fs, io::Write, path::Path};
 
 use prost::{DecodeError, Message, bytes::Buf};
 use wayfold_proto::v1::{
-    InsertRequest, InsertResponse, KnnRequest, KnnResponse, QueryRequest, QueryResponse,
-    RemoveRequest, RemoveResponse,
+    InsertRequest, InsertResponse, KnnRequest, KnnResponse, OpenSessionRequest,
+    OpenSessionResponse, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, WriteRequest,
+    WriteResponse,
 };
 
 use crate::number;
@@ -20,6 +21,10 @@ pub enum Entry {
     Insert(InsertRequest, InsertResponse),
     /// A removal.
     Remove(RemoveRequest, RemoveResponse),
+    /// The opening of a writer session.
+    OpenSession(OpenSessionRequest, OpenSessionResponse),
+    /// A batch of a session.
+    Write(WriteRequest, WriteResponse),
     /// A search for the nearest.
     Knn(KnnRequest, KnnResponse),
     /// A search for all within a radius.
@@ -32,6 +37,8 @@ impl Entry {
         match self {
             Entry::Insert(_, response) => number(&response.revision),
             Entry::Remove(_, response) => number(&response.revision),
+            Entry::OpenSession(_, response) => number(&response.revision),
+            Entry::Write(_, response) => number(&response.revision),
             Entry::Knn(_, response) => number(&response.revision),
             Entry::Query(_, response) => number(&response.revision),
         }
@@ -45,6 +52,7 @@ impl Entry {
                 .outcomes()
                 .any(|outcome| matches!(outcome, Inserted | Replaced)),
             Entry::Remove(_, response) => response.removed_count > 0,
+            Entry::OpenSession(..) | Entry::Write(..) => true,
             Entry::Knn(..) | Entry::Query(..) => false,
         }
     }
@@ -55,6 +63,8 @@ impl Entry {
             Entry::Remove(a, b) => (1, encoded(a), encoded(b)),
             Entry::Knn(a, b) => (2, encoded(a), encoded(b)),
             Entry::Query(a, b) => (3, encoded(a), encoded(b)),
+            Entry::OpenSession(a, b) => (4, encoded(a), encoded(b)),
+            Entry::Write(a, b) => (5, encoded(a), encoded(b)),
         };
         [vec![kind], request, response].concat()
     }
@@ -66,6 +76,8 @@ impl Entry {
             1 => Entry::Remove(decoded(ledger)?, decoded(ledger)?),
             2 => Entry::Knn(decoded(ledger)?, decoded(ledger)?),
             3 => Entry::Query(decoded(ledger)?, decoded(ledger)?),
+            4 => Entry::OpenSession(decoded(ledger)?, decoded(ledger)?),
+            5 => Entry::Write(decoded(ledger)?, decoded(ledger)?),
             other => panic!("an entry of kind {other}"),
         })
     }

@@ -7,7 +7,7 @@ use wayfold_index::{Linear, PointRef, Search, Space};
 use wayfold_proto::v1::{
     self, GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse,
     NeighborSpec, Neighbors, OnConflict, Outcome, QueryRequest, QueryResponse, RemoveRequest,
-    RemoveResponse, neighbor_spec,
+    RemoveResponse, StepKind, WriteRequest, WriteResponse, neighbor_spec,
 };
 
 use crate::{Content, StoredPoint, bits, brute_force::pairs, ledger::Entry, neighbor_rows, number};
@@ -48,6 +48,13 @@ impl Model {
         match entry {
             Entry::Insert(request, response) => self.insert(request, response),
             Entry::Remove(request, response) => self.remove(request, response),
+            Entry::OpenSession(_, response) => {
+                self.revision += 1;
+                assert_eq!(response.session, self.revision);
+                self.reserve(response.reserved);
+                assert_eq!(number(&response.revision), self.revision);
+            }
+            Entry::Write(request, response) => self.write(request, response),
             Entry::Knn(request, response) => self.knn(request, response),
             Entry::Query(request, response) => self.query(request, response),
         }
@@ -115,6 +122,64 @@ impl Model {
             "{request:?}"
         );
         assert_eq!(number(&response.revision), self.revision, "{request:?}");
+    }
+
+    /// Applies the steps of a batch one by one, and checks the answer.
+    ///
+    /// # Panics
+    /// Panics where [`Model::check`] does.
+    pub fn write(&mut self, request: &WriteRequest, response: &WriteResponse) {
+        self.revision += 1;
+        let mut rows = self.canonical(request.states.as_ref()).into_iter();
+        let mut payloads = request.payloads.iter();
+        let mut missing = 0;
+        for (at, (kind, &id)) in request.kinds().zip(&request.ids).enumerate() {
+            let stored = self.points.get(id);
+            let old = stored.map(|point| (point.row.to_vec(), point.revision));
+            let stored = match (kind, old) {
+                (StepKind::Put, _) => {
+                    let payload = payloads.next().cloned().unwrap_or_default();
+                    self.payloads.insert(id, payload);
+                    self.highest_id = self.highest_id.max(Some(id));
+                    Some((rows.next().expect("a state a put"), self.revision))
+                }
+                (StepKind::SetTag, Some(old)) => Some(old),
+                (StepKind::Remove, Some(_)) => {
+                    self.points.remove(id);
+                    self.payloads.remove(&id);
+                    None
+                }
+                (StepKind::SetTag | StepKind::Remove, None) => {
+                    missing += 1;
+                    None
+                }
+                (StepKind::Unspecified, _) => panic!("{request:?}"),
+            };
+            if let Some((row, revision)) = stored {
+                let point = PointRef {
+                    id,
+                    tag: request.tags.get(at).copied().unwrap_or_default(),
+                    revision,
+                    row: &row,
+                };
+                self.points.insert(point).expect("a canonical row");
+            }
+        }
+        self.reserve(response.reserved);
+        assert_eq!(
+            (response.missing_count, number(&response.revision)),
+            (missing, self.revision),
+            "{request:?}"
+        );
+    }
+
+    /// Checks that reserved ids were never used, and uses them.
+    fn reserve(&mut self, ids: Option<v1::IdBlock>) {
+        let ids = ids.expect("a block");
+        if let Some(last) = ids.count.checked_sub(1) {
+            assert!(Some(ids.first_id) > self.highest_id, "{ids:?} was used");
+            self.highest_id = Some(ids.first_id + last);
+        }
     }
 
     /// Checks the answer to a Knn.

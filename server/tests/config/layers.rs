@@ -50,6 +50,23 @@ fn the_defaults_protect() {
 }
 
 #[test]
+fn the_limits_of_sessions_are_settings() {
+    let names = [
+        "max_sessions",
+        "max_session_idle_seconds",
+        "max_reserved_ids",
+    ];
+    let text = names.map(|name| format!("{name} = 9\n")).concat();
+    let limits = load_file(&format!("[limits]\n{text}")).unwrap().limits;
+    let found = (
+        limits.max_sessions,
+        limits.max_session_idle_seconds,
+        limits.max_reserved_ids,
+    );
+    assert_eq!(found, (9, 9, 9));
+}
+
+#[test]
 fn each_layer_wins_over_the_one_before() {
     let file =
         file("[grpc]\nlisten = 'file'\nmax_calls = 7\nstream_window = 7\n[log]\nfilter = 'warn'\n");

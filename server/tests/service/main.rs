@@ -35,6 +35,7 @@ mod restore;
 mod restored_sessions;
 mod scaling;
 mod scan;
+mod sessions;
 mod slow_disk;
 mod snapshot;
 mod storage_failure;

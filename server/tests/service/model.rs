@@ -12,7 +12,7 @@ use wayfold_proto::v1::{
 
 use crate::support::{canonical, revision};
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Point {
     pub(crate) row: Vec<f64>,
     pub(crate) tag: u64,

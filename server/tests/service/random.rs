@@ -18,7 +18,7 @@ use crate::{
 
 /// Requests from few values, so that duplicates, ties and conflicts are common.
 pub(crate) struct Requests {
-    random: ChaCha8Rng,
+    pub(crate) random: ChaCha8Rng,
     space: Space,
     name: String,
     uid: String,
@@ -68,7 +68,7 @@ impl Requests {
         row
     }
 
-    fn states(&mut self, rows: u32) -> Option<v1::States> {
+    pub(crate) fn states(&mut self, rows: u32) -> Option<v1::States> {
         let coordinates = (0..rows).flat_map(|_| self.row()).collect();
         Some(v1::States {
             row_count: rows,
@@ -86,11 +86,11 @@ impl Requests {
         ids
     }
 
-    fn tags(&mut self, count: usize) -> Vec<u64> {
+    pub(crate) fn tags(&mut self, count: usize) -> Vec<u64> {
         (0..count).map(|_| self.random.random_range(0..4)).collect()
     }
 
-    fn payloads(&mut self, count: usize) -> Vec<Bytes> {
+    pub(crate) fn payloads(&mut self, count: usize) -> Vec<Bytes> {
         let payloads = [&b""[..], b"a", b"bb"];
         (0..count)
             .map(|_| Bytes::from_static(self.pick(&payloads)))

@@ -32,7 +32,7 @@ use wayfold_server::{
 use crate::support::*;
 
 /// The messages of all indices in the order of their arrival, and the chance that a request or its answer is lost.
-struct Stream {
+pub(crate) struct Stream {
     messages: Mutex<Vec<(Uid, Arc<Record>)>>,
     length: watch::Sender<usize>,
     random: Mutex<ChaCha8Rng>,
@@ -42,7 +42,7 @@ struct Stream {
 }
 
 impl Stream {
-    fn new(seed: u64, loses: f64) -> Arc<Self> {
+    pub(crate) fn new(seed: u64, loses: f64) -> Arc<Self> {
         Arc::new(Self {
             messages: Mutex::default(),
             length: watch::Sender::new(0),
@@ -52,7 +52,7 @@ impl Stream {
         })
     }
 
-    fn records(&self, uid: Uid) -> Vec<Arc<Record>> {
+    pub(crate) fn records(&self, uid: Uid) -> Vec<Arc<Record>> {
         let messages = self.messages.lock();
         let records = messages.iter().filter(|(of, _)| *of == uid);
         records.map(|(_, record)| Arc::clone(record)).collect()
@@ -100,7 +100,7 @@ const START: Tip = Tip {
 type Submission = (Uid, Arc<Record>, oneshot::Sender<Result<(), LogError>>);
 
 /// A server's connection to the stream. It publishes records one by one, each after a message of a foreign index.
-struct Remote {
+pub(crate) struct Remote {
     stream: Arc<Stream>,
     submissions: mpsc::UnboundedSender<Submission>,
     /// One permit a record that may be published; a test delays the server by taking permits.
@@ -176,7 +176,7 @@ impl Journal for Remote {
 }
 
 /// A server over the stream that serves the index of this entry from a point store of its own.
-fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, Arc<Remote>) {
+pub(crate) fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, Arc<Remote>) {
     let points = Arc::new(MemoryLog::new());
     points.create(entry.clone()).unwrap();
     let journal = Remote::connect(stream);
@@ -199,7 +199,7 @@ fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, Arc<R
     (service, registry, journal)
 }
 
-fn arm() -> Entry {
+pub(crate) fn named_arm() -> Entry {
     Entry {
         uid: Uid::unique(),
         name: "arm".into(),
@@ -218,7 +218,7 @@ async fn points_at(service: &Service, uid: Uid, number: u64) -> v1::Points {
 }
 
 /// Asserts that the records form one chain and that all servers store the points of the records. Returns these points.
-async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Points {
+pub(crate) async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Points {
     let records = stream.records(entry.uid);
     let (mut tip, mut expected) = (START, BTreeMap::new());
     for record in &records {
@@ -259,7 +259,7 @@ async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Po
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn servers_that_share_a_journal_agree_and_apply_each_mutation_once() {
     for (seed, loses) in [(1, 0.0), (2, 0.1), (3, 0.3), (4, 0.3)] {
-        let (stream, entry) = (Stream::new(seed, loses), arm());
+        let (stream, entry) = (Stream::new(seed, loses), named_arm());
         let (one, ..) = server(&stream, &entry);
         let (other, ..) = server(&stream, &entry);
         let writers = (0..6u64).map(|writer| {
@@ -305,7 +305,7 @@ async fn servers_that_share_a_journal_agree_and_apply_each_mutation_once() {
 /// A refused row is evaluated again against the record that took its place.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn no_two_points_are_too_close_across_servers() {
-    let (stream, entry) = (Stream::new(5, 0.2), arm());
+    let (stream, entry) = (Stream::new(5, 0.2), named_arm());
     let (one, ..) = server(&stream, &entry);
     let (other, ..) = server(&stream, &entry);
     let writers = (0..8u64).map(|writer| {
@@ -334,7 +334,7 @@ async fn no_two_points_are_too_close_across_servers() {
 /// A writer evaluates against its records under way, and a server that starts later reads them all.
 #[tokio::test]
 async fn records_under_way_are_seen_by_the_next_mutation_and_by_no_reader() {
-    let (stream, entry) = (Stream::new(6, 0.0), arm());
+    let (stream, entry) = (Stream::new(6, 0.0), named_arm());
     let (one, _, held) = server(&stream, &entry);
     let turns = held.turns.acquire_many(u32::MAX >> 3).await.unwrap();
     let every = held.turns.available_permits();
@@ -366,7 +366,7 @@ async fn records_under_way_are_seen_by_the_next_mutation_and_by_no_reader() {
 /// The clock jumps ahead whenever no task can run.
 #[tokio::test(start_paused = true)]
 async fn an_unsettled_mutation_makes_the_index_unavailable_until_the_journal_answers() {
-    let (stream, entry) = (Stream::new(7, 0.0), arm());
+    let (stream, entry) = (Stream::new(7, 0.0), named_arm());
     let (service, registry, _) = server(&stream, &entry);
     let maintaining = tokio::spawn(registry.maintain(|| ()));
     let insert = |state: f64| {

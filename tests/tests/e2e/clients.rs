@@ -41,7 +41,7 @@ pub(crate) enum FaultTime {
     Built(u64),
 }
 
-/// Eight writers, two readers, one client that creates and deletes indices, and a model of the expected content.
+/// Eight writers, four of them with a session, two readers, one client that creates and deletes indices, and a model of the expected content.
 pub(crate) struct Clients {
     writers: Vec<Writer>,
     readers: Vec<Reader>,
@@ -87,10 +87,14 @@ impl Clients {
         let writers = Self::WRITERS as u64;
         let readers = (0..READERS).map(|reader| Reader::new(seed + writers + reader, &uid));
         let readers = readers.collect();
+        let mut clients: Vec<Writer> = (0..writers)
+            .map(|name| Writer::new(name, seed, load))
+            .collect();
+        for writer in clients.iter_mut().skip(1).step_by(2) {
+            writer.open_session(&mut stubs, &uid).await;
+        }
         Self {
-            writers: (0..writers)
-                .map(|name| Writer::new(name, seed, load))
-                .collect(),
+            writers: clients,
             readers,
             builder: Builder::default(),
             uid,

@@ -6,6 +6,7 @@ use std::{
 };
 
 use prost::bytes::Bytes;
+use wayfold_proto::v1::StepKind;
 use wayfold_tests::{Content, ledger::Entry};
 
 /// The counts of mutations, without order and revisions, which the model checks.
@@ -36,26 +37,41 @@ impl Tally {
         match entry {
             Entry::Insert(request, response) => {
                 for (payload, &id) in request.payloads.iter().zip(&response.ids) {
-                    let row = Row {
-                        stored_by: self.calls,
-                        removed_by: None,
-                    };
-                    self.rows.insert(payload.clone(), row);
-                    self.ids.insert(id, payload.clone());
+                    self.store(id, payload);
                 }
             }
             Entry::Remove(request, _) => {
-                for id in &request.ids {
-                    let row = self
-                        .ids
-                        .remove(id)
-                        .and_then(|payload| self.rows.get_mut(&payload));
-                    if let Some(row) = row {
-                        row.removed_by = Some(self.calls);
+                for &id in &request.ids {
+                    self.remove(id);
+                }
+            }
+            Entry::Write(request, _) => {
+                let mut payloads = request.payloads.iter();
+                for (kind, &id) in request.kinds().zip(&request.ids) {
+                    match kind {
+                        StepKind::Put => self.store(id, payloads.next().expect("a payload a put")),
+                        StepKind::Remove => self.remove(id),
+                        StepKind::SetTag | StepKind::Unspecified => {}
                     }
                 }
             }
-            Entry::Knn(..) | Entry::Query(..) => {}
+            Entry::OpenSession(..) | Entry::Knn(..) | Entry::Query(..) => {}
+        }
+    }
+
+    fn store(&mut self, id: u64, payload: &Bytes) {
+        let row = Row {
+            stored_by: self.calls,
+            removed_by: None,
+        };
+        self.rows.insert(payload.clone(), row);
+        self.ids.insert(id, payload.clone());
+    }
+
+    fn remove(&mut self, id: u64) {
+        let payload = self.ids.remove(&id);
+        if let Some(row) = payload.and_then(|payload| self.rows.get_mut(&payload)) {
+            row.removed_by = Some(self.calls);
         }
     }
 

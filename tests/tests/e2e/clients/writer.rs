@@ -5,7 +5,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::watch;
 use tonic::Status;
-use wayfold_proto::v1::{InsertRequest, RemoveRequest};
+use wayfold_proto::v1::{
+    IdBlock, InsertRequest, OpenSessionRequest, RemoveRequest, StepKind, WriteRequest,
+};
 use wayfold_tests::{States, Stubs, k_nearest, ledger::Entry, row_states};
 
 use super::{COORDINATES, SPACE};
@@ -20,6 +22,9 @@ pub(crate) struct Load {
     /// One call in this many removes points.
     pub(crate) removals: f64,
 }
+
+/// The ids that a session reserves when it opens, and again whenever it has fewer.
+const RESERVED_IDS: u64 = 64;
 
 /// The bytes of a large payload, the maximum that is allowed.
 const HEAVY_BYTES: usize = 64 * 1024;
@@ -36,6 +41,8 @@ pub(crate) struct Writer {
     mine: Vec<u64>,
     /// The ids of points with large payloads.
     heavy: Vec<u64>,
+    /// The session in which it writes, if it has one.
+    session: Option<Session>,
     unknown: Option<Request>,
     /// The refusal of that mutation, if it was refused.
     pub(crate) refusal: Option<Status>,
@@ -47,6 +54,23 @@ pub(crate) struct Writer {
 enum Request {
     Insert(Box<InsertRequest>),
     Remove(RemoveRequest),
+    Write(Box<WriteRequest>),
+}
+
+/// A writer session.
+struct Session {
+    uid: String,
+    id: u64,
+    batch: u64,
+    /// The reserved ids that were not used yet.
+    ids: Vec<u64>,
+}
+
+impl Session {
+    fn take_over(&mut self, block: Option<IdBlock>) {
+        let IdBlock { first_id, count } = block.expect("a block");
+        self.ids.extend((0..count).map(|at| first_id + at));
+    }
 }
 
 impl Writer {
@@ -62,14 +86,37 @@ impl Writer {
             calls: 0,
             mine: Vec::new(),
             heavy: Vec::new(),
+            session: None,
             unknown: None,
             refusal: None,
             ledger: Vec::new(),
         }
     }
 
+    /// Opens a session, in which it writes from now on.
+    pub(crate) async fn open_session(&mut self, stubs: &mut Stubs, uid: &str) {
+        let request = OpenSessionRequest {
+            index_name: "arm".into(),
+            uid: uid.into(),
+            reserve_count: RESERVED_IDS,
+        };
+        let opened = stubs.points.open_session(request.clone()).await;
+        let response = opened.unwrap().into_inner();
+        let session = self.session.insert(Session {
+            uid: uid.into(),
+            id: response.session,
+            batch: 0,
+            ids: Vec::new(),
+        });
+        session.take_over(response.reserved);
+        self.ledger.push(Entry::OpenSession(request, response));
+    }
+
     fn next(&mut self) -> Request {
         self.calls += 1;
+        if self.session.is_some() {
+            return self.next_batch();
+        }
         let operation_id = format!("{}-{}", self.name, self.calls);
         if self.random.random_bool(self.load.removals) {
             let ids = self.outdated();
@@ -82,14 +129,8 @@ impl Writer {
                 });
             }
         }
-        let heavy = self.random.random_bool(self.load.heavy);
-        let (rows, bytes) = if heavy {
-            (4, HEAVY_BYTES)
-        } else {
-            (self.random.random_range(1..=self.load.rows), 0)
-        };
-        let payloads = (0..rows).map(|row| self.payload(&format!("{operation_id}/{row}"), bytes));
-        let payloads = payloads.collect();
+        let payloads = self.payloads();
+        let (rows, heavy) = (payloads.len(), payloads[0].len() == HEAVY_BYTES);
         Request::Insert(Box::new(InsertRequest {
             index_name: "arm".into(),
             states: Some(row_states(&self.states.rows(rows), COORDINATES)),
@@ -99,6 +140,56 @@ impl Writer {
             operation_id,
             ..Default::default()
         }))
+    }
+
+    /// The next batch of the session: puts, removals and a tag.
+    fn next_batch(&mut self) -> Request {
+        let payloads = self.payloads();
+        let mut removed = Vec::new();
+        if self.random.random_bool(self.load.removals) {
+            removed = self.outdated();
+        }
+        let tagged = self.mine.last().copied();
+        let rows = self.states.rows(payloads.len());
+        let session = self.session.as_mut().expect("a session");
+        session.batch += 1;
+        let puts = session.ids.split_off(session.ids.len() - payloads.len());
+        let steps = [
+            (StepKind::Remove, removed),
+            (StepKind::Put, puts),
+            (StepKind::SetTag, Vec::from_iter(tagged)),
+        ];
+        let steps = steps.into_iter();
+        let steps =
+            steps.flat_map(|(kind, ids)| ids.into_iter().map(move |id| (i32::from(kind), id)));
+        let (kinds, ids): (Vec<i32>, Vec<u64>) = steps.unzip();
+        Request::Write(Box::new(WriteRequest {
+            index_name: "arm".into(),
+            uid: session.uid.clone(),
+            session: session.id,
+            batch: session.batch,
+            states: Some(row_states(&rows, COORDINATES)),
+            tags: vec![self.calls; ids.len()],
+            payloads,
+            reserve_count: match (session.ids.len() as u64) < RESERVED_IDS {
+                true => RESERVED_IDS,
+                false => 0,
+            },
+            kinds,
+            ids,
+        }))
+    }
+
+    /// The payloads of the next rows. One call in some has large ones.
+    fn payloads(&mut self) -> Vec<Bytes> {
+        let heavy = self.random.random_bool(self.load.heavy);
+        let (rows, bytes) = if heavy {
+            (4, HEAVY_BYTES)
+        } else {
+            (self.random.random_range(1..=self.load.rows), 0)
+        };
+        let payload = |row| self.payload(&format!("{}-{}/{row}", self.name, self.calls), bytes);
+        (0..rows).map(payload).collect()
     }
 
     /// Removes the large points, so that they do not pile up, or another point.
@@ -162,6 +253,11 @@ impl Writer {
                 let answered = stubs.points.remove(remove.clone()).await;
                 answered.map(|response| Entry::Remove(remove.clone(), response.into_inner()))
             }
+            Request::Write(write) => {
+                let answered = stubs.points.write(WriteRequest::clone(write)).await;
+                answered
+                    .map(|response| Entry::Write(WriteRequest::clone(write), response.into_inner()))
+            }
         };
         let entry = match answered {
             Ok(entry) => entry,
@@ -172,16 +268,31 @@ impl Writer {
             }
         };
         self.refusal = None;
-        if let Entry::Insert(insert, response) = &entry {
-            let heavy = insert.payloads[0].len() == HEAVY_BYTES;
-            let ids = if heavy {
-                &mut self.heavy
-            } else {
-                &mut self.mine
-            };
-            ids.extend(&response.ids);
+        match &entry {
+            Entry::Insert(insert, response) => self.stored(&insert.payloads, &response.ids),
+            Entry::Write(write, response) => {
+                let steps = write.kinds().zip(&write.ids);
+                let puts = steps.filter(|(kind, _)| *kind == StepKind::Put);
+                let puts: Vec<u64> = puts.map(|(_, id)| *id).collect();
+                self.stored(&write.payloads, &puts);
+                if let Some(session) = &mut self.session {
+                    session.take_over(response.reserved);
+                }
+            }
+            _ => {}
         }
         self.ledger.push(entry);
         true
+    }
+
+    /// Remembers the ids of points that were stored.
+    fn stored(&mut self, payloads: &[Bytes], ids: &[u64]) {
+        let heavy = payloads[0].len() == HEAVY_BYTES;
+        let stored = if heavy {
+            &mut self.heavy
+        } else {
+            &mut self.mine
+        };
+        stored.extend(ids);
     }
 }

@@ -2,7 +2,7 @@
 
 use wayfold_proto::v1::{self, create_index_request::SpaceForm};
 
-use super::{op::Op, outcome::UID};
+use super::{op::Op, outcome::UID, sessions};
 
 /// The number of handwritten operations that come after the random ones.
 pub(crate) const AFTER: usize = 8;
@@ -56,7 +56,7 @@ pub(crate) fn by_hand() -> Vec<Op> {
             ..Default::default()
         })
     };
-    vec![
+    let mut ops = vec![
         info("arm"),
         list(0, ""),
         create("arm", "R1*SO2*R3:0.5"),
@@ -79,7 +79,10 @@ pub(crate) fn by_hand() -> Vec<Op> {
         insert(&[1 << 63], "", 0),
         insert(&[], "", 65_537),
         insert(&[], &"ä".repeat(33), 0),
-        // The operations from here on come after the random ones.
+    ];
+    ops.extend(sessions::by_hand());
+    // These come after the random ones.
+    ops.extend([
         insert(&[(1 << 63) - 1], "", 0),
         insert(&[], "", 0),
         info("arm"),
@@ -88,5 +91,6 @@ pub(crate) fn by_hand() -> Vec<Op> {
         delete("hand", ""),
         delete("arm", UID),
         delete("arm", UID),
-    ]
+    ]);
+    ops
 }

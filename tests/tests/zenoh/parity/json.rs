@@ -3,7 +3,7 @@
 use serde_json::{Map, Value, json};
 use wayfold_proto::v1::{self, create_index_request::SpaceForm, neighbor_spec};
 
-use super::{op::Op, target::Answer};
+use super::{op::Op, sessions, target::Answer};
 
 fn float(value: f64) -> Value {
     match value {
@@ -15,25 +15,25 @@ fn float(value: f64) -> Value {
 }
 
 /// Writes a 64-bit integer as text, like a program whose readers have only doubles.
-fn integer(value: &u64) -> Value {
+pub(super) fn integer(value: &u64) -> Value {
     match *value {
         large if large >= 1 << 53 => json!(large.to_string()),
         value => json!(value),
     }
 }
 
-fn integers(values: &[u64]) -> Value {
+pub(super) fn integers(values: &[u64]) -> Value {
     values.iter().map(integer).collect()
 }
 
-fn payloads<B: AsRef<[u8]>>(values: &[B]) -> Value {
+pub(super) fn payloads<B: AsRef<[u8]>>(values: &[B]) -> Value {
     values
         .iter()
         .map(|bytes| json!(to_base64(bytes.as_ref())))
         .collect()
 }
 
-fn states(states: &v1::States) -> Value {
+pub(super) fn states(states: &v1::States) -> Value {
     let numbers: Vec<Value> = states.coordinates.iter().copied().map(float).collect();
     let rows = states.row_count as usize;
     if rows == 0 && numbers.is_empty() {
@@ -91,7 +91,7 @@ fn radius_form(it: neighbor_spec::RadiusForm) -> (&'static str, Option<Value>) {
 const UNSET: (&str, Option<Value>) = ("", None);
 
 /// The fields that are set.
-fn object<const N: usize>(fields: [(&str, Option<Value>); N]) -> Value {
+pub(super) fn object<const N: usize>(fields: [(&str, Option<Value>); N]) -> Value {
     let set = fields.into_iter();
     let set = set.filter_map(|(name, value)| Some((name.to_owned(), value?)));
     Value::Object(set.collect::<Map<_, _>>())
@@ -151,6 +151,8 @@ pub(super) fn request(op: &Op) -> Value {
         Op::Remove(it) => json!({
             "ids": integers(&it.ids), "operation_id": it.operation_id, "uid": it.uid
         }),
+        Op::OpenSession(it) => sessions::opening(it),
+        Op::Write(it) => sessions::batch(it),
         Op::Get(it) => object([
             ("ids", Some(integers(&it.ids))),
             ("include", it.include.as_ref().map(include)),
@@ -180,7 +182,7 @@ pub(super) fn request(op: &Op) -> Value {
     }
 }
 
-fn read_integer(value: &Value) -> u64 {
+pub(super) fn read_integer(value: &Value) -> u64 {
     let number = value.as_u64();
     let number = number.inspect(|number| assert!(*number < 1 << 53, "{number} loses bits"));
     number.unwrap_or_else(|| value.as_str().unwrap().parse().unwrap())
@@ -251,7 +253,7 @@ fn read_points(it: &Value) -> v1::Points {
     }
 }
 
-fn read_revision(it: &Value) -> Option<v1::Revision> {
+pub(super) fn read_revision(it: &Value) -> Option<v1::Revision> {
     Some(v1::Revision {
         uid: text(&it["uid"]),
         number: read_integer(&it["number"]),
@@ -312,6 +314,8 @@ pub(super) fn answer(op: &Op, it: &Value) -> Answer {
             missing_count: read_integer(&it["missing_count"]),
             revision: revision(),
         }),
+        Op::OpenSession(_) => sessions::opened(it),
+        Op::Write(_) => sessions::written(it),
         Op::Get(_) => Answer::Get(v1::GetResponse {
             points: Some(read_points(&it["points"])),
             revision: revision(),

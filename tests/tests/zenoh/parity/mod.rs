@@ -7,6 +7,7 @@ mod op;
 mod outcome;
 mod scaling;
 mod script;
+mod sessions;
 mod target;
 
 use op::Op;

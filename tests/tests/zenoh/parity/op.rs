@@ -13,6 +13,8 @@ pub(crate) enum Op {
     Insert(v1::InsertRequest),
     Update(v1::UpdateRequest),
     Remove(v1::RemoveRequest),
+    OpenSession(v1::OpenSessionRequest),
+    Write(v1::WriteRequest),
     Get(v1::GetRequest),
     Knn(v1::KnnRequest),
     Query(v1::QueryRequest),
@@ -30,6 +32,8 @@ impl Op {
             Op::Insert(it) => format!("{}/insert", it.index_name),
             Op::Update(it) => format!("{}/update", it.index_name),
             Op::Remove(it) => format!("{}/remove", it.index_name),
+            Op::OpenSession(it) => format!("{}/session", it.index_name),
+            Op::Write(it) => format!("{}/write", it.index_name),
             Op::Get(it) => format!("{}/get", it.index_name),
             Op::Knn(it) => format!("{}/knn", it.index_name),
             Op::Query(it) => format!("{}/query", it.index_name),
@@ -46,6 +50,8 @@ impl Op {
             Op::Insert(it) => it.encode_to_vec(),
             Op::Update(it) => it.encode_to_vec(),
             Op::Remove(it) => it.encode_to_vec(),
+            Op::OpenSession(it) => it.encode_to_vec(),
+            Op::Write(it) => it.encode_to_vec(),
             Op::Get(it) => it.encode_to_vec(),
             Op::Knn(it) => it.encode_to_vec(),
             Op::Query(it) => it.encode_to_vec(),
@@ -68,6 +74,8 @@ impl Op {
                 revision.chain([&mut it.uid]).collect()
             }
             Op::Remove(it) => vec![&mut it.uid],
+            Op::OpenSession(it) => vec![&mut it.uid],
+            Op::Write(it) => vec![&mut it.uid],
             Op::Get(it) => it.min_revision.iter_mut().map(|it| &mut it.uid).collect(),
             Op::Knn(it) => {
                 let min = it.min_revision.iter_mut().map(|it| &mut it.uid);

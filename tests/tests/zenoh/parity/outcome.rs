@@ -97,6 +97,9 @@ impl From<Error> for Outcome {
             Error::OperationMismatch { .. } => {
                 vec![("operation_id".to_owned(), "OPERATION_MISMATCH".to_owned())]
             }
+            Error::BatchMismatch { .. } => {
+                vec![("batch".to_owned(), "BATCH_MISMATCH".to_owned())]
+            }
             _ => Vec::new(),
         };
         Outcome::Refused(Box::new(Refused {

@@ -1,0 +1,298 @@
+//! Random batches of several sessions beside plain calls, each answer, read and mutation of the feed compared with the
+//! model's. Batches are retried, and the server restarts meanwhile.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use rand::RngExt;
+use wayfold_index::Space;
+use wayfold_proto::v1::{self, StepKind};
+use wayfold_server::{
+    log::{Durability, FjallLog, Log, MemoryLog},
+    service::{Code, Error, Limits, Service},
+};
+
+use super::{Opened, batch, model::SessionModel, open, refused_batch};
+use crate::{
+    copied::copied,
+    model::{Model, Point},
+    random::{Requests, assert_same, compare},
+    support::*,
+};
+
+/// Plain calls name ids below this, so they name none that a session reserved.
+const FIRST_RESERVED: u64 = 64;
+
+/// A session, with its newest batch.
+struct Writer {
+    opened: Opened,
+    newest: Option<(v1::WriteRequest, v1::WriteResponse)>,
+}
+
+impl Writer {
+    fn newest(&self) -> u64 {
+        self.newest.as_ref().map_or(0, |(request, _)| request.batch)
+    }
+}
+
+/// The points after each revision.
+type History = Vec<BTreeMap<u64, Point>>;
+
+fn next_batch(requests: &mut Requests, model: &SessionModel, writer: &Writer) -> v1::WriteRequest {
+    let count = requests.random.random_range(0..12);
+    let reserved: Vec<u64> = model.owners.keys().copied().collect();
+    let own: Vec<u64> = reserved
+        .iter()
+        .copied()
+        .filter(|id| model.owners[id] == writer.opened.id)
+        .collect();
+    let (mut kinds, mut ids) = (Vec::new(), Vec::new());
+    for _ in 0..count {
+        let among = match requests.random.random_range(0..30) {
+            0 => &reserved,
+            1..=12 => &own,
+            _ => &Vec::new(),
+        };
+        // Few ids, so that a batch names the same one again.
+        ids.push(match among.len() {
+            0 => requests.random.random_range(0..12),
+            some => among[requests.random.random_range(0..some)],
+        });
+        let kinds_of_steps = [StepKind::Put, StepKind::Remove, StepKind::SetTag];
+        kinds.push(i32::from(
+            kinds_of_steps[requests.random.random_range(0..3)],
+        ));
+    }
+    let puts = kinds
+        .iter()
+        .filter(|kind| **kind == i32::from(StepKind::Put))
+        .count();
+    let tagged = requests.random.random_bool(0.7);
+    let loaded = requests.random.random_bool(0.5);
+    v1::WriteRequest {
+        kinds,
+        tags: if tagged {
+            requests.tags(count)
+        } else {
+            Vec::new()
+        },
+        payloads: if loaded {
+            requests.payloads(puts)
+        } else {
+            Vec::new()
+        },
+        states: requests.states(puts as u32),
+        ids,
+        reserve_count: requests.random.random_range(0..3),
+        ..batch(&writer.opened, writer.newest() + 1, &[])
+    }
+}
+
+/// Compares the feed with the history: each revision once, with the points that changed and no others.
+async fn compare_feed(service: &Service, uid: &str, history: &History) {
+    let mut fed = 0;
+    let mut points = BTreeMap::new();
+    while fed + 1 < history.len() {
+        let request = v1::WatchRequest {
+            index_name: "arm".into(),
+            after_revision: revision(uid, fed as u64),
+            include: ALL,
+        };
+        for mutation in service.log(&CALL, request).await.unwrap().mutations {
+            fed += 1;
+            assert!(!mutation.continued);
+            assert_eq!(mutation.revision, revision(uid, fed as u64));
+            for id in &mutation.removed_ids {
+                assert!(points.remove(id).is_some(), "{id} is not stored");
+            }
+            let stored = mutation.stored.unwrap_or_default();
+            let rows = stored.states.unwrap_or_default().coordinates;
+            let width = rows.len() / stored.ids.len().max(1);
+            for (at, &id) in stored.ids.iter().enumerate() {
+                assert!(!mutation.removed_ids.contains(&id));
+                let point = Point {
+                    row: rows[at * width..][..width].to_vec(),
+                    tag: stored.tags[at],
+                    payload: stored.payloads[at].clone(),
+                    stored: stored.revisions[at],
+                    modified: fed as u64,
+                };
+                points.insert(id, point);
+            }
+            // A point that is fed without a change has the wrong `modified`.
+            assert_eq!(points, history[fed], "revision {fed}");
+        }
+    }
+}
+
+/// A service over a log, and what its restart needs.
+struct Store {
+    log: Log,
+    /// The directories of the log and of its predecessors, which their services still have open.
+    directories: Vec<tempfile::TempDir>,
+    on_disk: bool,
+}
+
+impl Store {
+    fn new(on_disk: bool) -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let log = match on_disk {
+            true => open_log(&directory),
+            false => Arc::new(MemoryLog::new()).into(),
+        };
+        let directories = vec![directory];
+        Self {
+            log,
+            directories,
+            on_disk,
+        }
+    }
+
+    /// A service over the records that the last one left, as a crash leaves them.
+    fn restart(&mut self) -> Service {
+        if self.on_disk
+            && let Some(newest) = self.directories.last()
+        {
+            let copy = copied(newest.path());
+            self.log = open_log(&copy);
+            self.directories.push(copy);
+        }
+        restarted(self.log.clone())
+    }
+}
+
+fn open_log(directory: &tempfile::TempDir) -> Log {
+    Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap()).into()
+}
+
+async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
+    let mut store = Store::new(on_disk);
+    let mut service = service_with(store.log.clone(), Limits::default());
+    let uid = create(&service, "arm", space).await;
+    let space: Space = space.parse().unwrap();
+    let mut requests = Requests::new(seed, &space, &uid);
+    let mut model = SessionModel {
+        model: Model::new(space, uid.clone()),
+        owners: BTreeMap::new(),
+        idle_seconds: Limits::default().max_session_idle_seconds,
+    };
+    let mut history: History = vec![BTreeMap::new()];
+    let first = v1::InsertRequest {
+        index_name: "arm".into(),
+        states: requests.states(1),
+        ids: vec![FIRST_RESERVED - 1],
+        ..Default::default()
+    };
+    service.insert(&CALL, first.clone()).await.unwrap();
+    model.model.insert(&first).unwrap();
+    history.push(model.model.points.clone());
+    let mut writers: Vec<Writer> = Vec::new();
+    for _ in 0..steps {
+        let revision = model.model.revision;
+        let at = requests.random.random_range(0..writers.len().max(1));
+        match requests.random.random_range(0..16) {
+            0 => {
+                let reserve_count = requests.random.random_range(0..5);
+                let (opened, response) = open(&service, &uid, reserve_count).await;
+                assert_eq!(response, model.open(reserve_count));
+                writers.push(Writer {
+                    opened,
+                    newest: None,
+                });
+            }
+            1..=8 if !writers.is_empty() => {
+                let request = next_batch(&mut requests, &model, &writers[at]);
+                let answer = service.write(&CALL, request.clone()).await;
+                match (answer, model.write(&request)) {
+                    (Ok(response), Ok(expected)) => {
+                        assert_eq!(response, expected, "{request:?}");
+                        writers[at].newest = Some((request, response));
+                    }
+                    (Err(Error::IdsReserved { mut ids, .. }), Err(expected)) => {
+                        ids.sort_unstable();
+                        assert_eq!(ids, expected, "{request:?}");
+                    }
+                    (answer, expected) => panic!("{answer:?}, {expected:?}: {request:?}"),
+                }
+            }
+            9 | 10 if !writers.is_empty() => {
+                if let Some((request, response)) = &writers[at].newest {
+                    let retry = service.write(&CALL, request.clone()).await;
+                    assert_eq!(retry.unwrap(), *response);
+                    let other = v1::WriteRequest {
+                        reserve_count: request.reserve_count + 1,
+                        ..request.clone()
+                    };
+                    let mismatch = (Code::InvalidArgument, "BATCH_MISMATCH");
+                    assert_eq!(refused_batch(&service, other).await, mismatch);
+                }
+                let newest = writers[at].newest();
+                for number in [0, newest.saturating_sub(1), newest + 2, u64::MAX] {
+                    if number == newest && number > 0 {
+                        continue;
+                    }
+                    let refused =
+                        refused_batch(&service, batch(&writers[at].opened, number, &[])).await;
+                    assert_eq!(refused, (Code::FailedPrecondition, "BATCH_OUT_OF_ORDER"));
+                }
+            }
+            11 | 12 => {
+                let request = requests.insert(revision);
+                let answer = service.insert(&CALL, request.clone()).await;
+                assert_same(
+                    answer,
+                    model.model.insert(&request),
+                    &format!("{request:?}"),
+                );
+            }
+            13 => {
+                let request = requests.update(revision);
+                let answer = service.update(&CALL, request.clone()).await;
+                assert_same(
+                    answer,
+                    model.model.update(&request),
+                    &format!("{request:?}"),
+                );
+            }
+            14 => {
+                let request = requests.remove();
+                let answer = service.remove(&CALL, request.clone()).await;
+                assert_same(
+                    answer,
+                    Ok(model.model.remove(&request)),
+                    &format!("{request:?}"),
+                );
+            }
+            _ if requests.random.random_bool(0.3) => service = store.restart(),
+            _ => {}
+        }
+        if model.model.revision > revision {
+            history.push(model.model.points.clone());
+        }
+        compare(&service, &model.model, &mut requests).await;
+    }
+    assert_same(
+        Ok(everything(&service).await),
+        Ok(model.model.scan(&scanning())),
+        "a scan",
+    );
+    compare_feed(&service, &uid, &history).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_answer_to_a_session_is_the_models() {
+    for space in ["R1", "R2*SO2", "sum(R2, SO3)"] {
+        for seed in 0..40 {
+            // The output is shown only if the test fails.
+            println!("space {space}, seed {seed}");
+            run(space, seed, false, 80).await;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_answer_is_the_models_on_a_disk_too() {
+    for seed in 0..4 {
+        println!("seed {seed}");
+        run("R2*SO2", seed, true, 80).await;
+    }
+}

@@ -1,0 +1,183 @@
+//! The newest batch of a session is recognised, and no other batch than the next one is taken.
+
+use std::sync::Arc;
+
+use futures_util::poll;
+use tokio::task::JoinSet;
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{Durability, FjallLog, Log, MemoryLog},
+    service::{Code, Limits},
+};
+
+use super::*;
+use crate::copied::copied;
+
+/// The index remembers two operations.
+fn forgetful() -> Limits {
+    Limits {
+        max_operations: 2,
+        max_operation_bytes: 300,
+        ..Limits::default()
+    }
+}
+
+/// A late retry of a put, whose point was removed, would bring the point back.
+#[tokio::test]
+async fn a_retry_is_recognised_after_a_flood_and_after_a_restart() {
+    for on_disk in [false, true] {
+        let directory = tempfile::tempdir().unwrap();
+        let open_log = |path| -> Log {
+            match on_disk {
+                true => Arc::new(FjallLog::open(path, Durability::Fsync).unwrap()).into(),
+                false => Arc::new(MemoryLog::new()).into(),
+            }
+        };
+        let log = open_log(directory.path());
+        let service = service_with(log.clone(), forgetful());
+        let uid = create(&service, "arm", "R1").await;
+        let (session, _) = open(&service, &uid, 4).await;
+        let steps = [Put(session.first, 0.5), Tag(session.first, 7), Remove(99)];
+        let newest = v1::WriteRequest {
+            reserve_count: 3,
+            ..batch(&session, 1, &steps)
+        };
+        let response = write(&service, newest.clone()).await;
+        assert_eq!((response.missing_count, response.revision.number()), (1, 2));
+        service
+            .remove(&CALL, removal(&[session.first]))
+            .await
+            .unwrap();
+        for number in 0..50 {
+            let request = v1::InsertRequest {
+                operation_id: format!("{number}"),
+                ..insertion(&[[f64::from(number)]], &[])
+            };
+            service.insert(&CALL, request).await.unwrap();
+        }
+        let (other, _) = open(&service, &uid, 0).await;
+        for number in 1..50 {
+            write(&service, batch(&other, number, &[])).await;
+        }
+        let before = everything(&service).await;
+        assert_eq!(write(&service, newest.clone()).await, response);
+        assert_eq!(everything(&service).await, before);
+
+        let crashed = on_disk.then(|| copied(directory.path()));
+        let log = match &crashed {
+            Some(crashed) => open_log(crashed.path()),
+            None => log,
+        };
+        let restarted = restarted_with(log, options(), forgetful());
+        assert_eq!(everything(&restarted).await, before);
+        assert_eq!(write(&restarted, newest.clone()).await, response);
+        assert_eq!(everything(&restarted).await, before);
+        let mut other_content = newest.clone();
+        other_content.tags[1] = 8;
+        let mismatch = (Code::InvalidArgument, "BATCH_MISMATCH");
+        assert_eq!(refused_batch(&restarted, other_content).await, mismatch);
+        let next = write(&restarted, batch(&session, 2, &[])).await;
+        assert_eq!(next.revision.number(), before.revision.number() + 1);
+        let late = (Code::FailedPrecondition, "BATCH_OUT_OF_ORDER");
+        assert_eq!(refused_batch(&restarted, newest).await, late);
+    }
+}
+
+#[tokio::test]
+async fn every_batch_makes_a_revision_also_without_a_change() {
+    let (service, uid) = arm("R1").await;
+    service
+        .insert(&CALL, insertion(&[[0.0]], &[7]))
+        .await
+        .unwrap();
+    let (session, _) = open(&service, &uid, 0).await;
+    let before = everything(&service).await;
+    let batches: [(&[Step], u64); 4] = [
+        (&[], 0),
+        (&[Remove(8), Tag(8, 1)], 2),
+        (&[Put(8, 0.5), Tag(8, 2), Remove(8), Remove(8)], 1),
+        (&[Tag(7, 5), Tag(7, 0)], 0),
+    ];
+    for (number, (steps, missing)) in (1..).zip(batches) {
+        let response = write(&service, batch(&session, number, steps)).await;
+        assert_eq!(response.missing_count, missing);
+        assert_eq!(response.revision, revision(&uid, 2 + number));
+    }
+    let after = everything(&service).await;
+    assert_eq!(after.points, before.points);
+    assert_eq!(after.revision.number(), 6);
+    // Nothing changed after revision 2.
+    let update = v1::UpdateRequest {
+        index_name: "arm".into(),
+        ids: vec![7],
+        tags: vec![1],
+        if_revision: revision(&uid, 2),
+        ..Default::default()
+    };
+    service.update(&CALL, update).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn twins_in_flight_take_effect_once() {
+    let (service, uid) = arm("R1").await;
+    let (session, _) = open(&service, &uid, 1).await;
+    for number in 1..50 {
+        let mut twins = JoinSet::new();
+        for _ in 0..32 {
+            let steps = [Remove(session.first), Put(session.first, number as f64)];
+            let (service, request) = (service.clone(), batch(&session, number, &steps));
+            twins.spawn(async move { write(&service, request).await });
+        }
+        let responses = twins.join_all().await;
+        assert!(responses.iter().all(|response| *response == responses[0]));
+        assert_eq!(responses[0].revision.number(), number + 1);
+        assert_eq!(info(&service, "arm").await.revision.number(), number + 1);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn of_different_requests_under_one_number_one_is_taken() {
+    let (service, uid) = arm("R1").await;
+    let (session, _) = open(&service, &uid, 1).await;
+    for number in 1..20 {
+        let mut rivals = JoinSet::new();
+        for rival in 0..16u64 {
+            let steps = [Put(session.first, rival as f64)];
+            let (service, request) = (service.clone(), batch(&session, number, &steps));
+            rivals.spawn(async move { (rival, service.write(&CALL, request).await) });
+        }
+        let mut taken = Vec::new();
+        for (rival, answer) in rivals.join_all().await {
+            match answer {
+                Ok(_) => taken.push(rival as f64),
+                Err(error) => assert_eq!(error.reason(), "BATCH_MISMATCH"),
+            }
+        }
+        assert_eq!(taken.len(), 1);
+        let points = everything(&service).await.points.unwrap();
+        assert_eq!(points.states.unwrap().coordinates, taken);
+    }
+}
+
+/// A caller that leaves does not know the outcome; its retry does.
+#[tokio::test]
+async fn a_batch_whose_caller_left_is_settled_by_its_retry() {
+    let (service, uid) = arm("R1").await;
+    let (session, _) = open(&service, &uid, 1).await;
+    for number in 1..40u64 {
+        let request = batch(&session, number, &[Put(session.first, number as f64)]);
+        let mut left = Box::pin(service.write(&CALL, request.clone()));
+        for _ in 0..number % 8 {
+            if poll!(&mut left).is_ready() {
+                break;
+            }
+            tokio::task::yield_now().await;
+        }
+        drop(left);
+        let response = write(&service, request).await;
+        assert_eq!(response.revision, revision(&uid, number + 1));
+        let points = everything(&service).await.points.unwrap();
+        assert_eq!(points.states.unwrap().coordinates, [number as f64]);
+        assert_eq!(points.revisions, [number + 1]);
+    }
+}

@@ -1,0 +1,147 @@
+//! Sessions write through two servers that share a journal, which loses requests and answers.
+
+use std::collections::BTreeMap;
+
+use futures_util::future::join_all;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::remote::{Stream, named_arm, server, settled};
+
+/// A batch, and the response that the writer was given.
+type Acknowledged = (v1::WriteRequest, v1::WriteResponse);
+
+/// Waits until the server has this revision. A server without the session's newest record would refuse the next batch.
+async fn catch_up(server: &Service, newest: &Option<v1::Revision>) {
+    let request = v1::GetRequest {
+        min_revision: newest.clone(),
+        ..getting(&[])
+    };
+    server.get(&CALL, request).await.unwrap();
+}
+
+/// Writes each batch through either server and repeats it, at the same server while it is under way, and at either
+/// afterwards. Returns the batches in their order, and the points that the writer expects under its own ids.
+async fn batches(
+    servers: [Service; 2],
+    uid: String,
+    seed: u64,
+) -> (u64, Vec<Acknowledged>, BTreeMap<u64, f64>) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (session, opened) = open(&servers[random.random_range(0..2)], &uid, 5).await;
+    let mut newest = opened.revision;
+    let (mut ids, mut points) = (
+        Vec::from_iter((0..5).map(|at| session.first + at)),
+        BTreeMap::new(),
+    );
+    let mut acknowledged: Vec<Acknowledged> = Vec::new();
+    for number in 1..=30 {
+        let steps: Vec<Step> = (0..random.random_range(0..6))
+            .map(|_| {
+                let id = ids[random.random_range(0..ids.len())];
+                match random.random_range(0..3) {
+                    0 => Remove(id),
+                    1 => Tag(id, number),
+                    _ => Put(id, random.random()),
+                }
+            })
+            .collect();
+        let mut request = batch(&session, number, &steps);
+        request.reserve_count = random.random_range(0..3);
+        let mut missing = 0;
+        for step in steps {
+            match step {
+                Put(id, row) => drop(points.insert(id, row)),
+                Remove(id) => missing += u64::from(points.remove(&id).is_none()),
+                Tag(id, _) => missing += u64::from(!points.contains_key(&id)),
+            }
+        }
+        let server = &servers[random.random_range(0..2)];
+        catch_up(server, &newest).await;
+        let twins = [(); 2].map(|()| write(server, request.clone()));
+        let responses = join_all(twins).await;
+        assert_eq!(responses[0], responses[1]);
+        let response = responses[0].clone();
+        assert_eq!(response.missing_count, missing);
+        let block = response.reserved.unwrap();
+        assert_eq!(block.count, request.reserve_count);
+        ids.extend((0..block.count).map(|at| block.first_id + at));
+        newest = response.revision.clone();
+        let server = &servers[random.random_range(0..2)];
+        catch_up(server, &newest).await;
+        assert_eq!(write(server, request.clone()).await, response);
+        acknowledged.push((request, response));
+    }
+    (session.id, acknowledged, points)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn each_batch_takes_effect_once_across_servers() {
+    for (seed, loses) in [(1, 0.0), (2, 0.1), (3, 0.3), (4, 0.3)] {
+        let (stream, entry) = (Stream::new(seed, loses), named_arm());
+        let (one, ..) = server(&stream, &entry);
+        let (other, ..) = server(&stream, &entry);
+        let uid = entry.uid.to_string();
+        let writers = (0..5u64).map(|writer| {
+            let servers = [one.clone(), other.clone()];
+            tokio::spawn(batches(servers, uid.clone(), seed << 8 | writer))
+        });
+        let writers: Vec<_> = writers.collect();
+        let mut expected = BTreeMap::new();
+        let mut acknowledged = BTreeMap::new();
+        for writer in writers {
+            let (session, batches, points) = writer.await.unwrap();
+            for (id, state) in points {
+                assert_eq!(expected.insert(id, state), None, "id {id} was given twice");
+            }
+            acknowledged.insert(session, batches);
+        }
+        let found = settled(&stream, &entry, &[&one, &other]).await;
+        let rows = found.states.unwrap().coordinates;
+        assert_eq!(
+            found.ids.into_iter().zip(rows).collect::<BTreeMap<_, _>>(),
+            expected
+        );
+
+        // The records have each session's batches once, in their order, at the revisions of the responses.
+        let mut recorded: BTreeMap<u64, u64> = BTreeMap::new();
+        for record in stream.records(entry.uid) {
+            let Some(batch) = record.effects().batch() else {
+                continue;
+            };
+            assert_eq!(
+                batch.number,
+                recorded.get(&batch.session).map_or(0, |newest| newest + 1)
+            );
+            recorded.insert(batch.session, batch.number);
+            if let Some(at) = batch.number.checked_sub(1) {
+                let (_, response) = &acknowledged[&batch.session][at as usize];
+                assert_eq!(response.revision.number(), record.revision());
+            }
+        }
+        // A session whose opening was repeated after a lost answer would have no writer.
+        let written = acknowledged
+            .iter()
+            .map(|(id, batches)| (*id, batches.len() as u64));
+        assert_eq!(recorded, written.collect());
+    }
+}
+
+/// The records of two such calls may differ in nothing but their origin.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_servers_never_open_the_same_session() {
+    let (stream, entry) = (Stream::new(5, 0.0), named_arm());
+    let (one, ..) = server(&stream, &entry);
+    let (other, ..) = server(&stream, &entry);
+    let uid = entry.uid.to_string();
+    let mut ids = BTreeMap::new();
+    for _ in 0..50 {
+        let (one, other) = tokio::join!(open(&one, &uid, 2), open(&other, &uid, 2));
+        for (session, _) in [one, other] {
+            assert_eq!(ids.insert(session.id, session.first), None);
+        }
+    }
+    let blocks: Vec<u64> = ids.into_values().collect();
+    assert_eq!(blocks, Vec::from_iter((0..200).step_by(2)));
+}
