@@ -85,6 +85,11 @@ impl Sessions {
         self.by_id.is_empty()
     }
 
+    /// The number of blocks of reserved ids.
+    pub fn block_count(&self) -> usize {
+        self.blocks.size()
+    }
+
     /// The session that reserved an id.
     pub fn owner(&self, id: u64) -> Option<u64> {
         let (_, block) = self.blocks.range(..=id).next_back()?;

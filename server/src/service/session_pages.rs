@@ -2,7 +2,7 @@
 
 use wayfold_proto::v1;
 
-use super::{Error, Limits};
+use super::{Error, Limits, session::block_count};
 use crate::log::{Block, Session, Sessions};
 
 /// Approximate bytes of a session in a snapshot, without its response.
@@ -64,6 +64,7 @@ pub(super) fn add_restored(
     page: v1::SnapshotSessions,
     limits: &Limits,
 ) -> Result<(), Error> {
+    block_count(sessions.block_count() + page.blocks.len())?;
     let count = sessions.len() + page.sessions.len();
     if count > limits.max_sessions {
         return Err(Error::LimitExceeded {
