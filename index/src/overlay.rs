@@ -99,7 +99,8 @@ pub struct Known<'a> {
 }
 
 /// Answers `search` over a snapshot as `overlays` change it, the oldest first. With `known`, only the snapshot's points
-/// after that revision are searched: until `snapshot` only points were added, and no overlay changes a known neighbour.
+/// after that revision are searched: since that revision points were only added. An overlay may have changes from
+/// before it.
 ///
 /// # Errors
 /// The errors of [`Snapshot::search`].
@@ -112,11 +113,14 @@ pub fn search_overlaid(
 ) -> Result<Vec<Neighbor>, SearchError> {
     let mut hidden: Vec<&HashSet<u64>> = search.excluded.to_vec();
     let mut neighbors = Vec::new();
-    // The known neighbours come first: their distances bound all later searches.
+    // The known neighbours come first: their distances bound all later searches. An overlay finds the points that it
+    // stores itself.
     if let Some(known) = known {
-        let is_within = |neighbor: &Neighbor| neighbor.distance <= search.radius;
-        let within = known.neighbors.partition_point(is_within);
-        merge(&mut neighbors, &known.neighbors[..within], search.k);
+        let within = known.neighbors.iter();
+        let within = within.take_while(|neighbor| neighbor.distance <= search.radius);
+        let is_changed = |id| overlays.iter().any(|overlay| overlay.changed.contains(id));
+        let unchanged = within.filter(|neighbor| !is_changed(&neighbor.id));
+        neighbors.extend(unchanged.take(search.k));
     }
     for overlay in overlays.iter().rev() {
         if overlay.changed.is_empty() {

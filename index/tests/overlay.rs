@@ -78,7 +78,7 @@ proptest! {
             prop_assert_eq!(found.as_ref(), expected.get(&id));
         }
 
-        let mut linear = Linear::new(space);
+        let mut linear = Linear::new(space.clone());
         for Point { id, tag, revision, row } in expected.values() {
             let point = PointRef { id: *id, tag: *tag, revision: *revision, row };
             linear.insert(point).unwrap();
@@ -100,11 +100,14 @@ proptest! {
         let truth = linear.search(&asked, &search).unwrap().neighbors;
         prop_assert_eq!(&found, &truth);
 
-        // With the neighbours of the snapshot, or of an earlier one, where no overlay changes them.
+        // With the neighbours of the snapshot, or of an earlier one. The oldest overlay has points of the snapshot.
         let only_new = overlays.iter().all(|overlay| {
             (0..170).all(|id| forest.get(id).is_none() || overlay.get(id).is_none())
         });
         if only_new {
+            let mut oldest = Overlay::new(&space);
+            oldest.apply(&rows(&added, 2).0, &[]).unwrap();
+            let overlays: Vec<&Overlay> = [&oldest].into_iter().chain(overlays).collect();
             let wider = Search { k: k.saturating_add(1), ..search };
             for known in [&earlier, &snapshot] {
                 let neighbors = known.search(&asked, &wider).unwrap().neighbors;

@@ -18,6 +18,7 @@ mod fault;
 mod faults;
 mod forward;
 mod idle_index;
+mod in_flight;
 mod indexes;
 mod insert;
 mod lifecycle;

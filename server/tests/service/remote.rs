@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::{
-    sync::{Semaphore, mpsc, oneshot, watch},
+    sync::{Semaphore, SemaphorePermit, mpsc, oneshot, watch},
     time::timeout,
 };
 use wayfold_proto::v1;
@@ -127,6 +127,21 @@ impl Remote {
             }
         });
         remote
+    }
+}
+
+impl Remote {
+    /// Holds all records back until the permit is dropped, except those that are let pass.
+    pub(crate) async fn hold(&self) -> SemaphorePermit<'_> {
+        let permit = self.turns.acquire_many(u32::MAX >> 3).await.unwrap();
+        let every = self.turns.available_permits();
+        self.turns.forget_permits(every);
+        permit
+    }
+
+    /// Lets this many records pass.
+    pub(crate) fn let_pass(&self, records: usize) {
+        self.turns.add_permits(records);
     }
 }
 
@@ -329,38 +344,6 @@ async fn no_two_points_are_too_close_across_servers() {
     rows.sort_by(f64::total_cmp);
     assert!(rows.len() > 10);
     assert!(rows.array_windows().all(|[a, b]| b - a >= 0.5), "{rows:?}");
-}
-
-/// A writer evaluates against its records under way, and a server that starts later reads them all.
-#[tokio::test]
-async fn records_under_way_are_seen_by_the_next_mutation_and_by_no_reader() {
-    let (stream, entry) = (Stream::new(6, 0.0), named_arm());
-    let (one, _, held) = server(&stream, &entry);
-    let turns = held.turns.acquire_many(u32::MAX >> 3).await.unwrap();
-    let every = held.turns.available_permits();
-    held.turns.forget_permits(every);
-    let calls = (0..3u64).map(|at| {
-        let service = one.clone();
-        let request = v1::InsertRequest {
-            min_separation: 0.5,
-            ..insertion(&[[0.1 * at as f64]], &[])
-        };
-        tokio::spawn(async move { service.insert(&CALL, request).await.unwrap() })
-    });
-    let calls: Vec<_> = calls.collect();
-    for _ in 0..100 {
-        tokio::task::yield_now().await;
-    }
-    assert_eq!(everything(&one).await.point_count, 0);
-    drop(turns);
-    let mut outcomes = Vec::new();
-    for call in calls {
-        outcomes.push(call.await.unwrap().outcomes[0]);
-    }
-    let close = v1::Outcome::TooClose as i32;
-    assert_eq!(outcomes, [v1::Outcome::Inserted as i32, close, close]);
-    let (late, ..) = server(&stream, &entry);
-    settled(&stream, &entry, &[&one, &late]).await;
 }
 
 /// The clock jumps ahead whenever no task can run.
