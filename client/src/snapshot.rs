@@ -22,12 +22,12 @@ impl SnapshotPart {
     pub(crate) fn new(message: v1::SnapshotPart, content: &Content) -> SnapshotPart {
         let points = match content {
             Content::Points(points, _) => points.ids.len(),
-            Content::Header(_) | Content::Trailer => 0,
+            Content::Header(_) | Content::Sessions(_) | Content::Trailer => 0,
         };
         SnapshotPart { message, points }
     }
 
-    /// The number of its points; the first part and the last hold none.
+    /// The number of its points; the first part, the last, and parts of writer sessions hold none.
     pub fn points(&self) -> usize {
         self.points
     }
@@ -46,7 +46,7 @@ impl SnapshotPart {
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;
 /// let mut snapshot = client.index("arm").await?.snapshot().await?;
-/// let mut file = SnapshotWriter::new(File::create("arm.snapshot")?)?;
+/// let mut file = SnapshotWriter::new(File::create("arm.snapshot")?);
 /// while let Some(part) = snapshot.next().await? {
 ///     file.write(&part)?;
 /// }
@@ -58,12 +58,9 @@ impl SnapshotPart {
 pub struct SnapshotWriter<W>(FileWriter<W>);
 
 impl<W: Write> SnapshotWriter<W> {
-    /// Begins the file.
-    ///
-    /// # Errors
-    /// It cannot be written.
-    pub fn new(file: W) -> io::Result<SnapshotWriter<W>> {
-        FileWriter::new(file).map(SnapshotWriter)
+    /// Begins the file. Nothing is written before the first part.
+    pub fn new(file: W) -> SnapshotWriter<W> {
+        SnapshotWriter(FileWriter::new(file))
     }
 
     /// Writes the next part.

@@ -1,8 +1,8 @@
-//! Rows as the kernels read them: in blocks, with the numbers of one coordinate side by side.
+//! Rows in blocks, with the numbers of one coordinate side by side, in the form that the kernels read.
 
 use crate::kernel::BLOCK_ROWS;
 
-/// A table of rows in blocks of [`BLOCK_ROWS`], coordinate by coordinate. A place that no row was written to holds zeros.
+/// A table of rows in blocks of [`BLOCK_ROWS`], coordinate by coordinate. An unwritten place holds zeros.
 #[derive(Clone, Debug)]
 pub(crate) struct Blocks {
     width: usize,
@@ -33,7 +33,8 @@ impl Blocks {
     /// The row in a place.
     pub(crate) fn row(&self, place: usize) -> impl Iterator<Item = f64> {
         let block = &self.block(place / BLOCK_ROWS)[place % BLOCK_ROWS..];
-        block.iter().step_by(BLOCK_ROWS).copied()
+        // (Not `step_by`, whose length a table that takes the numbers does not trust.)
+        (0..self.width).map(|axis| block[axis * BLOCK_ROWS])
     }
 
     /// The block at an index: `BLOCK_ROWS` numbers for each coordinate.

@@ -1,9 +1,10 @@
-//! The bounding boxes of the children of a node, as the kernels read them: side by side, coordinate by coordinate.
+//! The bounding boxes of the children of a node, side by side, coordinate by coordinate, in the form that the kernels
+//! read.
 
 use crate::kernel::MAX_CHILDREN;
 
-/// The boxes of the children of some nodes. A node has, for each coordinate, the lower ends of [`MAX_CHILDREN`] boxes and
-/// then their upper ends.
+/// The boxes of the children of some nodes. A node has, for each coordinate, the lower ends of [`MAX_CHILDREN`] boxes
+/// and then their upper ends.
 #[derive(Clone, Debug)]
 pub(crate) struct Boxes {
     width: usize,
@@ -42,18 +43,12 @@ impl Boxes {
         axes.map(move |ends| (ends[child], ends[MAX_CHILDREN + child]))
     }
 
-    /// The ends of the smallest box around the first `count` children, in each coordinate.
-    pub(crate) fn around_children(
-        &self,
-        node: usize,
-        count: usize,
-    ) -> impl Iterator<Item = (f64, f64)> {
-        let axes = self.node(node).chunks_exact(2 * MAX_CHILDREN);
-        axes.map(move |ends| {
-            let (lo, _) = extent(ends[..count].iter().copied());
-            let (_, hi) = extent(ends[MAX_CHILDREN..][..count].iter().copied());
-            (lo, hi)
-        })
+    /// The ends of the smallest box around the first `count` children, in a coordinate.
+    pub(crate) fn around_children(&self, node: usize, count: usize, axis: usize) -> (f64, f64) {
+        let ends = &self.node(node)[axis * 2 * MAX_CHILDREN..][..2 * MAX_CHILDREN];
+        let (lo, _) = extent(&ends[..count]);
+        let (_, hi) = extent(&ends[MAX_CHILDREN..][..count]);
+        (lo, hi)
     }
 
     /// Sets the box of a child.
@@ -72,8 +67,8 @@ impl Boxes {
     /// Widens the box of a child to contain a row.
     pub(crate) fn widen(&mut self, node: usize, child: usize, row: &[f64]) {
         for (axis, &x) in self.axes_mut(node).zip(row) {
-            axis[child] = axis[child].min(x);
-            axis[MAX_CHILDREN + child] = axis[MAX_CHILDREN + child].max(x);
+            axis[child] = least(axis[child], &x);
+            axis[MAX_CHILDREN + child] = greatest(axis[MAX_CHILDREN + child], &x);
         }
     }
 
@@ -88,7 +83,7 @@ impl Boxes {
         self.ends[node * len..][..len].chunks_exact_mut(2 * MAX_CHILDREN)
     }
 
-    /// Gives back the room that no node takes.
+    /// Frees the unused capacity.
     pub(crate) fn shrink_to_fit(&mut self) {
         self.ends.shrink_to_fit();
     }
@@ -100,22 +95,45 @@ impl Boxes {
 }
 
 /// The least and the greatest of some numbers.
-pub(crate) fn extent(numbers: impl Iterator<Item = f64>) -> (f64, f64) {
-    numbers.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), x| {
-        (lo.min(x), hi.max(x))
-    })
+pub(crate) fn extent(numbers: &[f64]) -> (f64, f64) {
+    let (fours, rest) = numbers.as_chunks::<4>();
+    let (mut lo, mut hi) = ([f64::INFINITY; 4], [f64::NEG_INFINITY; 4]);
+    for four in fours {
+        widen(&mut lo, &mut hi, four);
+    }
+    let lo = lo.iter().chain(rest).fold(f64::INFINITY, least);
+    let hi = hi.iter().chain(rest).fold(f64::NEG_INFINITY, greatest);
+    (lo, hi)
 }
 
-/// The ends, in each of `width` coordinates, of the smallest box around some rows.
+/// The lower and the upper ends, in each of `width` coordinates, of the smallest box around some rows. (A build
+/// computes many. Pairs of ends would keep the compiler from comparing several coordinates at once.)
 pub(crate) fn around_rows<'a>(
     width: usize,
     rows: impl Iterator<Item = &'a [f64]>,
-) -> Vec<(f64, f64)> {
-    let mut ends = vec![(f64::INFINITY, f64::NEG_INFINITY); width];
+) -> (Vec<f64>, Vec<f64>) {
+    let (mut lo, mut hi) = (vec![f64::INFINITY; width], vec![f64::NEG_INFINITY; width]);
     for row in rows {
-        for ((lo, hi), &x) in ends.iter_mut().zip(row) {
-            (*lo, *hi) = (lo.min(x), hi.max(x));
-        }
+        widen(&mut lo, &mut hi, row);
     }
-    ends
+    (lo, hi)
+}
+
+/// Widens intervals to contain their numbers.
+#[inline(always)]
+fn widen(lo: &mut [f64], hi: &mut [f64], numbers: &[f64]) {
+    for ((lo, hi), x) in lo.iter_mut().zip(hi).zip(numbers) {
+        (*lo, *hi) = (least(*lo, x), greatest(*hi, x));
+    }
+}
+
+// (Not `min` and `max` of `f64`, which take three instructions instead of one because of NaN, which no row has.)
+#[inline(always)]
+fn least(a: f64, b: &f64) -> f64 {
+    if *b < a { *b } else { a }
+}
+
+#[inline(always)]
+fn greatest(a: f64, b: &f64) -> f64 {
+    if *b > a { *b } else { a }
 }

@@ -1,10 +1,10 @@
 //! The points that may be answers, held by bounds of their distances until a search ends.
 //!
-//! A distance that includes a rotation costs more than bounding a whole block of points. So points are compared by their
-//! *upper bound*: the greatest key that any point as near or nearer can have, which follows from their own key. Only the
-//! candidates that are left at the end are measured. A point whose key exceeds the k-th least upper bound is farther than k
-//! others, and no answer. A point whose key does not, but whose upper bound does, is held as *undecided*; keys are good
-//! bounds, so there are usually none.
+//! A distance that includes a rotation costs more than bounding a whole block of points. So points are compared by
+//! their *upper bound*: the greatest key that any point as near or nearer can have, which follows from their own key.
+//! Only the candidates that are left at the end are measured. A point whose key exceeds the k-th least upper bound is
+//! farther than k others, and no answer. A point whose key does not, but whose upper bound does, is held as
+//! *undecided*; keys are good bounds, so there are usually none.
 
 use std::{cmp::Ordering, collections::BinaryHeap};
 
@@ -22,8 +22,8 @@ pub(crate) struct Candidate<'a> {
     pub(crate) distance: f64,
 }
 
-/// The greatest `k` whose candidates are kept in a sorted list. That is cheaper than a heap, which moves an entry along its
-/// whole depth at every change.
+/// The greatest `k` whose candidates are kept in a sorted list. That is cheaper than a heap, which moves an entry along
+/// its whole depth at every change.
 const MAX_SORTED: usize = 48;
 
 /// The number of undecided points, in addition to one for each of the `k`, at which all are measured. Points at equal
@@ -130,7 +130,8 @@ impl<'a> Candidates<'a> {
     }
 }
 
-/// Adds a candidate to the `k` with the least upper bounds. Returns the one that is left over, and the `k`-th upper bound.
+/// Adds a candidate to the `k` with the least upper bounds. Returns the one that is left over, and the `k`-th upper
+/// bound.
 fn push_heap<'a>(
     least: &mut BinaryHeap<ByUpperBound<'a>>,
     is_full: bool,

@@ -21,7 +21,7 @@ pub enum PointsError {
     /// A row is not a canonical state of the space.
     #[error("states[{row}].{error}")]
     State {
-        /// The row's place in the table.
+        /// The index of the row in the table.
         row: usize,
         /// The problem of the row.
         error: StateError,

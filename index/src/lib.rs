@@ -9,10 +9,10 @@
 //! - [`KdTree`], static, built once;
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
-//! Nothing here does I/O, waits, or starts a thread. Reading order: `space` (the metric), `points` and `neighbor` (points
-//! stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `kernel` and `quantize` (bounds of
-//! many boxes or points at once), `kdtree`, `forest`, `overlay` (changes
-//! that a snapshot does not have yet).
+//! Nothing here does I/O, waits, or starts a thread. Reading order: `space` (the metric), `points` and `neighbor`
+//! (points stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `kernel` and
+//! `quantize` (bounds of many boxes or points at once), `kdtree`, `forest`, `overlay` (changes that a snapshot does not
+//! have yet).
 //!
 //! ```
 //! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
@@ -59,3 +59,8 @@ pub use points::{Point, PointRef, Points};
 pub use scaling::Scaling;
 pub use search::{Answer, Filter, Search};
 pub use space::{Factor, Group, Space, SpaceError, StateError, StateProblem, Term};
+
+/// Compiles the example of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -7,16 +7,16 @@ use crate::{
     SearchError, Snapshot, Space,
 };
 
-/// The most points of an overlay that are scanned one after the other.
+/// The maximum number of points of an overlay that are scanned one by one.
 const MAX_FEW: usize = 64;
 
-/// Changes to some of the points below it, which are those of a [`Snapshot`] and of earlier overlays: points that it stores,
-/// and ids that it removes.
+/// Changes to some of the points below it, which are those of a [`Snapshot`] and of earlier overlays: points that it
+/// stores, and ids that it removes.
 #[derive(Debug)]
 pub struct Overlay {
-    /// The points that it stores, while they are few: a new forest costs more than it saves then.
+    /// The stored points while they are few, for which a forest would cost more than it saves.
     few: Linear,
-    /// The points that it stores, once they are many. Its revisions count changes; the points carry their own.
+    /// The stored points once they are many. The forest's revisions count changes; the points carry their own.
     many: Option<Forest>,
     /// The ids that it stores or removes. It hides the points below that have them.
     changed: HashSet<u64>,
@@ -39,19 +39,18 @@ impl Overlay {
     pub fn apply(&mut self, stored: &Points, removed: &[u64]) -> Result<(), ApplyError> {
         stored.check(self.few.space())?;
         if self.many.is_none() && self.few.len() + stored.len() > MAX_FEW {
-            self.many = Some(self.forest()?);
+            self.many = Some(self.forest());
         }
         match &mut self.many {
             Some(forest) => {
-                forest.apply(forest.revision() + 1, stored, removed)?;
+                forest.apply_checked(forest.revision() + 1, stored, removed);
             }
             None => {
                 for &id in removed {
                     self.few.remove(id);
                 }
                 for point in stored.iter() {
-                    let inserted = self.few.insert(point);
-                    debug_assert!(inserted.is_ok(), "the rows are checked");
+                    self.few.insert_checked(point);
                 }
             }
         }
@@ -60,7 +59,8 @@ impl Overlay {
         Ok(())
     }
 
-    /// The point that it stores under an id, or None inside if it removes the id; None outside if it does not change the id.
+    /// The point that it stores under an id, or None inside if it removes the id; None outside if it does not change
+    /// the id.
     pub fn get(&self, id: u64) -> Option<Option<Point>> {
         let is_changed = self.changed.contains(&id);
         is_changed.then(|| match &self.many {
@@ -70,13 +70,13 @@ impl Overlay {
     }
 
     /// A forest of the few points.
-    fn forest(&self) -> Result<Forest, ApplyError> {
+    fn forest(&self) -> Forest {
         let space = self.few.space();
         let mut points = Points::with_capacity(space.coordinates(), self.few.len());
         self.few.iter().for_each(|point| points.push_point(point));
         let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
-        forest.apply(1, &points, &[])?;
-        Ok(forest)
+        forest.apply_checked(1, &points, &[]);
+        forest
     }
 
     fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Vec<Neighbor>, SearchError> {
@@ -93,12 +93,14 @@ impl Overlay {
 pub struct Known<'a> {
     /// The revision of the searched snapshot.
     pub revision: u64,
-    /// The nearest points of that revision, nearest first: at least as many and as far as the search to answer asks for.
+    /// The nearest points of that revision, nearest first: at least as many and as far as the search to answer asks
+    /// for.
     pub neighbors: &'a [Neighbor],
 }
 
-/// Answers `search` over a snapshot as `overlays` change it, the oldest first. With `known`, only the snapshot's points after
-/// that revision are searched: since that revision points were only added. An overlay may have changes from before it.
+/// Answers `search` over a snapshot as `overlays` change it, the oldest first. With `known`, only the snapshot's points
+/// after that revision are searched: since that revision points were only added. An overlay may have changes from before
+/// it.
 ///
 /// # Errors
 /// The errors of [`Snapshot::search`].
@@ -140,8 +142,8 @@ pub fn search_overlaid(
     Ok(neighbors)
 }
 
-/// The search for what can still be among the nearest. The ball is closed: at equal distance a point precedes the farthest
-/// one found if its id is smaller.
+/// The search for what can still be among the nearest. The ball is closed: at equal distance a point precedes the
+/// farthest one found if its id is smaller.
 fn narrowed<'a>(
     search: &Search<'a>,
     found: &[Neighbor],

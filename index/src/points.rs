@@ -200,11 +200,9 @@ impl Points {
         if self.len() > KdTree::MAX_POINTS {
             return Err(PointsError::TooMany(self.len()));
         }
-        for (row, point) in self.iter().enumerate() {
-            space
-                .check_canonical(point.row)
-                .map_err(|error| PointsError::State { row, error })?;
-        }
+        space
+            .check_all_canonical(&self.rows)
+            .map_err(|(row, error)| PointsError::State { row, error })?;
         if self.ids.is_sorted_by(|a, b| a < b) {
             return Ok(());
         }
@@ -218,14 +216,19 @@ impl Points {
 
     /// The ids, tags and revisions in the order of `slots`, without rows.
     pub(crate) fn labels_in_order(&self, slots: &[u32]) -> Self {
-        let mut ordered = Self::with_capacity(0, slots.len());
-        for &slot in slots {
-            ordered.push_point(PointRef {
-                row: &[],
-                ..self.get(slot as usize)
-            });
+        let ordered = |column: &[u64]| slots.iter().map(|&slot| column[slot as usize]).collect();
+        Self {
+            coordinates: 0,
+            ids: ordered(&self.ids),
+            tags: ordered(&self.tags),
+            revisions: ordered(&self.revisions),
+            rows: Vec::new(),
         }
-        ordered
+    }
+
+    /// The newest revision; 0 without points.
+    pub(crate) fn newest(&self) -> u64 {
+        self.revisions.iter().copied().max().unwrap_or(0)
     }
 
     /// The bytes that the columns hold.

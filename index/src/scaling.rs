@@ -9,14 +9,15 @@ use crate::Search;
 
 /// Makes the number of neighbours or the radius of a search depend on n, the number of points searched.
 ///
-/// k(n) = ⌈k_factor · ln n⌉ and r(n) = min(radius_max, radius_factor · (ln n / n)^(1/d)), where d is the dimension of the
-/// space as a manifold ([`Space::dimension`](crate::Space::dimension)). The default scales neither. n counts all points,
-/// also those that a filter excludes.
+/// k(n) = ⌈k_factor · ln n⌉ and r(n) = min(radius_max, radius_factor · (ln n / n)^(1/d)), where d is the dimension of
+/// the space as a manifold ([`Space::dimension`](crate::Space::dimension)). The default scales neither. n counts all
+/// points, also those that a filter excludes.
 ///
 /// The literature's factors are [`Scaling::K_FACTOR`], [`Scaling::k_bound`], [`Scaling::prm_star_bound`] and
-/// [`Scaling::rrt_star_bound`]. They are proven for the Euclidean metric. In a product with weights (one group), measure
-/// the free space in the metric: the volume is multiplied by μ^(dᵢ/2) for each factor of weight μ and dimension dᵢ, and
-/// all of `SO3` has the volume π². In a `sum` of groups a ball is smaller than ζ_d, and the radius has to be larger.
+/// [`Scaling::rrt_star_bound`]. They are proven for the Euclidean metric. In a product with weights (one group),
+/// measure the free space in the metric: the volume is multiplied by μ^(dᵢ/2) for each factor of weight μ and dimension
+/// dᵢ, and all of `SO3` has the volume π². In a `sum` of groups a ball is smaller than ζ_d, and the radius has to be
+/// larger.
 ///
 /// ```
 /// use wayfold_index::{Scaling, Search};
@@ -38,8 +39,8 @@ pub struct Scaling {
 }
 
 impl Scaling {
-    /// 2e: more than [`Scaling::k_bound`] in every dimension above 1, and the bound itself in one dimension. The paper's
-    /// choice for all problems.
+    /// 2e: more than [`Scaling::k_bound`] in every dimension above 1, and the bound itself in one dimension. The
+    /// paper's choice for all problems.
     pub const K_FACTOR: f64 = 2.0 * E;
 
     /// True if it scales neither.
@@ -94,7 +95,8 @@ impl Scaling {
         E * (1.0 + 1.0 / dimension as f64)
     }
 
-    /// 2(1 + 1/d)^(1/d) · (μ/ζ_d)^(1/d) for a free space of volume μ: above this PRM* and RRG are asymptotically optimal.
+    /// 2(1 + 1/d)^(1/d) · (μ/ζ_d)^(1/d) for a free space of volume μ: above this PRM* and RRG are asymptotically
+    /// optimal.
     ///
     /// ```
     /// use wayfold_index::Scaling;
@@ -112,8 +114,8 @@ impl Scaling {
 
     /// (2(1 + 1/d))^(1/d) · (μ/ζ_d)^(1/d) for a free space of volume μ: above this RRT* is asymptotically optimal.
     ///
-    /// K. Solovey and others, "Revisiting the asymptotic optimality of RRT*", ICRA 2020, found a gap in the proof, and prove
-    /// it for a radius with the exponent 1/(d + 1), which shrinks more slowly and is not offered here.
+    /// K. Solovey and others, "Revisiting the asymptotic optimality of RRT*", ICRA 2020, found a gap in the proof, and
+    /// prove it for a radius with the exponent 1/(d + 1), which shrinks more slowly and is not offered here.
     ///
     /// ```
     /// use wayfold_index::Scaling;

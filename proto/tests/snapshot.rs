@@ -56,7 +56,7 @@ fn three_parts(header: &Header, points: v1::SnapshotPoints) -> [v1::SnapshotPart
 }
 
 fn file(parts: &[v1::SnapshotPart]) -> Vec<u8> {
-    let mut file = FileWriter::new(Vec::new()).unwrap();
+    let mut file = FileWriter::new(Vec::new());
     for part in parts {
         file.write(part).unwrap();
     }
@@ -127,7 +127,7 @@ fn what_is_written_is_read() {
 #[test]
 fn a_file_is_a_line_and_delimited_messages() {
     let bytes = whole();
-    let mut rest = bytes.strip_prefix(b"wayfold snapshot 2\n").unwrap();
+    let mut rest = bytes.strip_prefix(b"wayfold snapshot 3\n").unwrap();
     for written in parts(&[vec![1, 5, 6], vec![70, 999]]) {
         let part = v1::SnapshotPart::decode_length_delimited(&mut rest).unwrap();
         assert_eq!(part, written);
@@ -140,7 +140,7 @@ fn every_cut_is_noticed() {
     let bytes = whole();
     for end in 0..bytes.len() {
         let error = check(&bytes[..end]).unwrap_err();
-        if end < "wayfold snapshot 2\n".len() {
+        if end < "wayfold snapshot 3\n".len() {
             assert_error!(error, NotSnapshot);
         } else {
             assert_error!(error, CutShort { .. });
@@ -219,7 +219,7 @@ fn other_files_and_other_versions_are_told_apart() {
     ] {
         assert_error!(check(other).unwrap_err(), NotSnapshot);
     }
-    for version in [1, 3] {
+    for version in [1, 4] {
         let file = format!("wayfold snapshot {version}\nwhatever");
         let error = check(file.as_bytes()).unwrap_err();
         let expected = format!("format version {version}");
@@ -229,13 +229,13 @@ fn other_files_and_other_versions_are_told_apart() {
     // On a stream, the header holds the version.
     let content = v1::SnapshotContent {
         kind: Some(v1::snapshot_content::Kind::Header(v1::SnapshotHeader {
-            format_version: 3,
+            format_version: 4,
             ..Default::default()
         })),
     };
     // The header of version 1: `format_version`, `uid` and the number of its revision.
     let first = b"\x0a\x0a\x08\x01\x1a\x04fe1a\x30\x09".to_vec();
-    for (version, content) in [(3, content.encode_to_vec()), (1, first)] {
+    for (version, content) in [(4, content.encode_to_vec()), (1, first)] {
         let part = signed(&[0; 32], 1, content);
         let error = Reader::new().read(&part).unwrap_err();
         let expected = format!("format version {version}");
@@ -331,10 +331,10 @@ fn a_length_beyond_any_part_is_not_believed() {
         &b"\xff\xff\xff\xff\x0f"[..],
         b"\xff\xff\xff\xff\xff\xff\xff\xff\xff\x7f",
     ] {
-        let bytes = [b"wayfold snapshot 2\n", length].concat();
+        let bytes = [b"wayfold snapshot 3\n", length].concat();
         assert_error!(check(&bytes[..]).unwrap_err(), TooLarge { part: 1, .. });
     }
-    let endless = [b"wayfold snapshot 2\n", &[0xff; 11][..]].concat();
+    let endless = [b"wayfold snapshot 3\n", &[0xff; 11][..]].concat();
     assert_error!(check(&endless[..]).unwrap_err(), Malformed { .. });
 }
 
@@ -351,7 +351,7 @@ proptest! {
         bytes in prop::collection::vec(any::<u8>(), 0..300),
         begins in any::<bool>(),
     ) {
-        let line: &[u8] = if begins { b"wayfold snapshot 2\n" } else { b"" };
+        let line: &[u8] = if begins { b"wayfold snapshot 3\n" } else { b"" };
         prop_assert!(check(&[line, &bytes].concat()[..]).is_err());
     }
 

@@ -1,4 +1,4 @@
-"""The comparison: `tests/ompl/run` is the way to start it."""
+"""The comparison of the server with OMPL; `tests/ompl/run` starts it."""
 
 import argparse
 import os

@@ -1,8 +1,8 @@
 """Compares answers with OMPL's own distance() over all vertices.
 
-OMPL takes rotations within 1e-4 rad of each other for equal, where the server computes the small angle. So a distance
-may differ by that much where OMPL's rotations collapsed, and by rounding elsewhere; ids must be the same in the same
-order, unless the two distances are tied within what they may differ by.
+OMPL takes rotations within 1e-4 rad of each other for equal; the server computes the small angle. A distance may therefore
+differ by that much where OMPL's rotations collapsed, and by rounding elsewhere. The ids must have the same order, unless two
+distances are tied within that difference.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Mismatch(AssertionError):
 
 @dataclass
 class Figures:
-    """What was compared."""
+    """The counts of the comparison."""
 
     queries: int = 0
     neighbors: int = 0
@@ -45,7 +45,7 @@ class Oracle:
         self.roadmap = roadmap
 
     def distances(self, query, vertices: int) -> np.ndarray:
-        """OMPL's distance from a state to each of the first so many vertices."""
+        """OMPL's distance from a state to each of the first vertices."""
         distance = self.roadmap.space.distance
         return np.fromiter((distance(query, v) for v in self.roadmap.vertices[:vertices]), float, vertices)
 

@@ -1,9 +1,9 @@
 """OMPL's planners in the scene of the program `rigid`: its bounds, its questions and its collision checks.
 
-OMPL's SE3StateSpace adds up what R3 and SO3 contribute, d = |p - q| + w * angle, where ours is the root of the sum of
-squares, d = sqrt(|p - q|^2 + 0.15 * angle^2), both with half the rotation's angle. With w = sqrt(0.15) they are the same for
-a motion that only goes and for one that only turns, and OMPL's is larger by up to sqrt(2) between. So its planners may
-choose other neighbours; a motion is checked at the same states, by the same code.
+OMPL's SE3StateSpace adds the distances in R3 and SO3, d = |p - q| + w * angle; ours is the root of the sum of squares,
+d = sqrt(|p - q|^2 + 0.15 * angle^2), both with half the rotation's angle. With w = sqrt(0.15) they agree for a pure
+translation and for a pure rotation, and OMPL's is larger by a factor of up to sqrt(2) otherwise. So its planners may choose
+other neighbours; a motion is checked at the same states, by the same code.
 """
 
 import math
@@ -29,7 +29,7 @@ PLANNERS = {
 
 @dataclass
 class Run:
-    """What a planner did."""
+    """The figures of one run of a planner."""
 
     seconds: float
     nodes: int
@@ -42,7 +42,7 @@ class Run:
 
 
 class Motions(base.MotionValidator):
-    """Checks a motion in one call, with its second end, as OMPL wants it."""
+    """Checks a motion and its second end in one call, as OMPL requires."""
 
     def __init__(self, information, problem):
         super().__init__(information)
@@ -57,7 +57,7 @@ class Motions(base.MotionValidator):
 
 
 class Problem:
-    """A new state space, with a count of what is asked of the scene."""
+    """A new state space that counts the calls of the scene."""
 
     def __init__(self, scene: Scene):
         self.scene, self.checks_before = scene, scene.checks
@@ -102,7 +102,7 @@ class Problem:
 
 
 def row(state) -> tuple:
-    """A state as a row of ours."""
+    """A state as a row of Wayfold."""
     turn = state.rotation()
     return (state.getX(), state.getY(), state.getZ(), turn.x, turn.y, turn.z, turn.w)
 
@@ -144,7 +144,7 @@ def vertices(problem: Problem, planner) -> int:
 
 
 def grow(scene: Scene, milestones: int) -> Run:
-    """A roadmap of PRM* with so many milestones."""
+    """A roadmap of PRM* with this many milestones."""
     problem = Problem(scene)
     planner = PLANNERS["PRM*"](problem.information)
     definition = problem.definition(scene.tasks[0])
@@ -156,9 +156,9 @@ def grow(scene: Scene, milestones: int) -> Run:
 
 
 def calls_us(scene: Scene, calls: int = 20_000) -> tuple[float, float]:
-    """What OMPL's calls of Python cost where there is nothing to check, for a state and for a motion, in microseconds:
-    states are made rows, and the library is called as often as for a motion that is free. The way from here to OMPL and
-    back is in it too."""
+    """The cost of OMPL's calls of Python without any check, for a state and for a motion, in microseconds:
+    states become rows, and the library is called as often as for a free motion. The way from here to OMPL and
+    back is included."""
     problem = Problem(scene)
     state = problem.state(scene.tasks[0]["start"])
     problem.scene = Idle(scene)
@@ -173,7 +173,7 @@ def calls_us(scene: Scene, calls: int = 20_000) -> tuple[float, float]:
 
 
 class Idle:
-    """A scene that is called as the other, and checks nothing."""
+    """A scene with the same calls that checks nothing."""
 
     def __init__(self, scene: Scene):
         self.row, self.is_free = scene.row, scene.nothing

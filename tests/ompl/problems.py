@@ -11,7 +11,7 @@ SEED = 20_090_401
 
 @dataclass
 class Roadmap:
-    """Vertices that a planner made, and how to speak of them to both sides."""
+    """The vertices of a planner, and their forms for OMPL and for the server."""
 
     planner: str
     space_text: str
@@ -52,7 +52,7 @@ class Roadmap:
 
 
 def seed():
-    """Call before anything of OMPL's draws a random number."""
+    """Seeds OMPL; call it before OMPL draws a random number."""
     util.setLogLevel(util.LOG_WARN)
     util.RNG.setSeed(SEED)
 

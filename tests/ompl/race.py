@@ -1,4 +1,4 @@
-"""OMPL's planners beside the program `rigid`: `tests/ompl/rigid` is the way to start it."""
+"""Runs OMPL's planners and the program `rigid` in turns; `tests/ompl/rigid` starts it."""
 
 import argparse
 import json
@@ -17,15 +17,14 @@ from planners import PLANNERS, Run, Scene, answer, calls_us, grow
 HEAD = f"{'':<34}{'time, s (least .. most)':>30}{'nodes':>9}{'checks':>11}{'ns a check':>12}{'calls of Python':>17}"
 NOTE = """\
 Medians of {runs} runs, each with states of its own. OMPL runs in one thread; its collision checks are the library's,
-called from Python. What these calls cost by themselves is told beside, as a share of the time: {state:.1f} µs for a state
-and {motion:.1f} µs for a motion where there is nothing to check. A check is one state; one takes a worker of rigid
-{check:.0f} ns.
-rigid: a process for each worker, a server for all, and the time includes what the network costs; what its workers have
-checked for the milestone at which they are ended, is not counted."""
+called from Python. The last column is the share of these calls in the time: {state:.1f} µs for a state and {motion:.1f} µs
+for a motion without anything to check. A check is one state and takes a worker of rigid {check:.0f} ns.
+rigid: a process for each worker and a server for all; the time includes the network. The checks of a worker for the
+milestone at which it is ended are not counted."""
 
 
 def ours(programs: Path, arguments: list, directory: str) -> list[tuple[dict, Run]]:
-    """What the program says of one run with each number of workers, in each of its rows."""
+    """The rows of the program for one run with each number of workers."""
     figures = Path(directory, "figures.json")
     command = [programs / "rigid", *map(str, arguments), "--scaling", "--runs", "1", "--json", figures]
     subprocess.run(command, check=True, stdout=subprocess.PIPE, cwd=directory)
@@ -46,8 +45,8 @@ def line(name: str, runs: list[Run], calls: tuple) -> str:
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--programs", type=Path, required=True, help="the directory of `rigid`")
-    parser.add_argument("--runs", type=int, default=21, help="how often each planner runs; medians are told")
-    growing = "how many milestones the roadmaps have whose growth is compared too, by --runs / 4 runs; 0 for none"
+    parser.add_argument("--runs", type=int, default=21, help="the runs of each planner; the table shows medians")
+    growing = "the milestones of the roadmaps whose growth is compared too, by --runs / 4 runs; 0 for none"
     parser.add_argument("--milestones", type=int, default=1500, help=growing)
     parser.add_argument("--json", type=Path, help="writes all figures to a file")
     arguments = parser.parse_args()

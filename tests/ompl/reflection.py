@@ -1,4 +1,4 @@
-"""Drives the server with grpcurl, which knows of it only what reflection says."""
+"""Drives the server with grpcurl, which knows the server only by reflection."""
 
 import json
 import subprocess
@@ -9,7 +9,7 @@ GRPCURL = Path(sys.executable).parent / "grpcurl"
 
 
 def drive(address: str) -> str:
-    """Lists, describes, creates, inserts, asks and errs; returns a summary."""
+    """Lists, describes, creates, inserts, searches and makes errors; returns a summary."""
     services = _grpcurl(address, "list").split()
     expected = ["wayfold.v1.IndexService", "wayfold.v1.PointService", "grpc.health.v1.Health"]
     missing = [service for service in expected if service not in services]

@@ -17,7 +17,7 @@ MAX_WAIT_S = 60
 
 
 def generate_stubs(directory: str):
-    """Generates the stubs; returns the modules of both services' messages and stubs, and of the messages that both share."""
+    """Generates the stubs; returns the modules of both services' messages and stubs, and of the shared messages."""
     files = sorted(str(path.relative_to(PROTO)) for path in PROTO.glob("wayfold/v1/*.proto"))
     well_known = str(Path(grpc_tools.__file__).parent / "_proto")
     outputs = [f"--python_out={directory}", f"--grpc_python_out={directory}"]

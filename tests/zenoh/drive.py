@@ -1,4 +1,4 @@
-"""Drives the server over Zenoh: `tests/zenoh/run` is the way to start it."""
+"""Drives the server over Zenoh; `tests/zenoh/run` starts it."""
 
 import argparse
 import json
@@ -119,7 +119,7 @@ def drive(face, index_pb, pb, types):
 
 
 def by_hand(session: zenoh.Session):
-    """JSON as people write it."""
+    """Handwritten JSON."""
 
     def ask(key: str, body=None):
         payload = None if body is None else json.dumps(body)
@@ -138,7 +138,7 @@ def by_hand(session: zenoh.Session):
 
 
 def readme(session: zenoh.Session, server: Server):
-    """The example of the README does what it says."""
+    """The example of the README runs."""
     text = README.read_text()
     example = text.split("```python\n")[1].split("```")[0]
     expect(example.count(README_ADDRESS), 1)

@@ -1,4 +1,4 @@
-"""One request, asked in Protocol Buffers or in JSON: what the message says is written, and read, field by field."""
+"""One request in Protocol Buffers or in JSON, written and read field by field."""
 
 import base64
 import json
@@ -25,7 +25,7 @@ class Refused(Exception):
 
 
 def connect(locator: str) -> zenoh.Session:
-    """A session with the server at `locator`, which looks for nobody else."""
+    """A session whose only peer is the server at `locator`."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([locator]))
@@ -42,7 +42,7 @@ def only(session: zenoh.Session, key: str, **arguments):
 
 
 class Protobuf:
-    """Asks with the messages as they are."""
+    """Sends the encoded messages."""
 
     name = "protobuf"
     events = "events"
@@ -71,7 +71,7 @@ class Protobuf:
 
 
 class Json:
-    """Asks in JSON, and reads the answers into messages."""
+    """Sends JSON, and reads the answers into messages."""
 
     name = "json"
     events = "events/json"
@@ -80,7 +80,7 @@ class Json:
         self.session = session
 
     def ask(self, key: str, request, answer):
-        """As Protobuf.ask."""
+        """Acts like Protobuf.ask."""
         fields = to_json(request)
         # The key names the index, except in a deletion.
         if key != "delete":

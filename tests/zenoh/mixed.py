@@ -1,4 +1,4 @@
-"""Planners over gRPC and over Zenoh, in Rust and in Python, build one roadmap: that of a serial replay."""
+"""Planners over gRPC and over Zenoh, in Rust and in Python, build one roadmap, which equals a serial replay."""
 
 import json
 import queue
@@ -19,7 +19,7 @@ MIN_MILESTONES = 15
 
 
 class Planner:
-    """A worker's process, and the lines that it tells."""
+    """A worker's process, and the lines of its output."""
 
     def __init__(self, command):
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
@@ -43,7 +43,7 @@ class Planner:
         self.process.stdin.flush()
 
     def account(self, milestones: int):
-        """What it told first with so many milestones of its own, or at its end."""
+        """Its first account with this many milestones of its own, or its last one."""
         while True:
             line = self.next()
             told = line.get("progress", {"milestones": 0})

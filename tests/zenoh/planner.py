@@ -1,7 +1,7 @@
 """A planner that shares an index: planner.py LOCATOR INDEX FORM SEED ROUNDS LEDGER STUBS.
 
-It says "ready", waits for a line, and then inserts, removes and asks in an order drawn from its seed. What it was told it
-writes to the ledger, which ledger-check reads.
+It prints "ready", waits for a line, and then inserts, removes and searches in an order drawn from its seed. It writes the
+answers to the ledger, which ledger-check reads.
 """
 
 import math

@@ -1,9 +1,9 @@
 """A worker of the program `rigid` in Python, over Zenoh:
 roadmap.py LOCATOR INDEX FORM NUMBER SEED MILESTONES MIN_MILESTONES PROGRAMS STUBS.
 
-It keeps what `examples/src/rigid/milestone.rs` says of milestones, and makes those that `worker.rs` would make. It looks
-at its first state, says that it is ready, and waits for a line; then it extends the roadmap until there are so many
-milestones, at least MIN_MILESTONES of them its own. It tells its progress as the program's own workers do.
+It stores milestones in the form of `examples/src/rigid/milestone.rs`, and makes the same ones as `worker.rs`. It searches
+for its first state, reports that it is ready, and waits for a line. Then it extends the roadmap to MILESTONES milestones, at
+least MIN_MILESTONES of them its own. It reports its progress like the program's own workers.
 """
 
 import json
@@ -37,8 +37,8 @@ class Candidate:
 
 
 @dataclass
-class Checked:
-    """A free state whose ways to what was there are checked; not stored yet."""
+class CheckedState:
+    """A free state that is not stored yet; its motions to the existing milestones are checked."""
 
     state: list[float]
     earlier: list[Candidate]
@@ -67,13 +67,13 @@ class Worker:
                 return state
         raise RuntimeError(f"none of {MAX_DRAWS} states is free")
 
-    def look(self, state: list[float]) -> Checked:
-        """The first step: checks the ways to the k(n) nearest that are there."""
+    def look(self, state: list[float]) -> CheckedState:
+        """The first step: checks the motions to the k(n) nearest existing milestones."""
         earlier, seen = self.nearest(state, k_factor=K_FACTOR)
-        return Checked(state, earlier, seen, self.check(state, earlier))
+        return CheckedState(state, earlier, seen, self.check(state, earlier))
 
-    def insert(self, checked: Checked):
-        """The second step: stores the state with these edges, and is told of what arrived meanwhile: its id, and that."""
+    def insert(self, checked: CheckedState):
+        """The second step: stores the state with these edges; returns its id and the milestones that arrived meanwhile."""
         around = self.pb.NeighborSpec(
             k_factor=K_FACTOR,
             filter=self.types.Filter(since_revision=checked.seen),
@@ -92,8 +92,8 @@ class Worker:
         self.revision = answer.revision
         return answer.ids[0], self.candidates(answer.neighbors)
 
-    def complete(self, id: int, checked: Checked, meanwhile: list[Candidate]):
-        """The last step: checks the ways to what arrived meanwhile, and says that nothing is missing now."""
+    def complete(self, id: int, checked: CheckedState, meanwhile: list[Candidate]):
+        """The last step: checks the motions to the milestones that arrived meanwhile, and marks the milestone as complete."""
         self.account["meanwhile"] += len(meanwhile)
         # Ids are assigned from 0 on and nothing is ever removed, so the first id is the number of earlier milestones.
         k = max(1, math.ceil(K_FACTOR * math.log(id))) if id > 1 else 1
@@ -120,14 +120,14 @@ class Worker:
         self.account["edges"] += len(edges)
 
     def check(self, state: list[float], candidates: list[Candidate]) -> list[int]:
-        """Checks the ways that are not checked yet; returns where the free ones lead, ascending."""
+        """Checks the unchecked motions; returns the ids at the ends of the free ones, ascending."""
         for candidate in candidates:
             if candidate.free is None:
                 candidate.free = self.scene.is_free_way(state, candidate.state)
         return sorted(candidate.id for candidate in candidates if candidate.free)
 
     def nearest_before(self, state: list[float], id: int, k: int) -> list[Candidate]:
-        """The k nearest of those that were stored before a milestone; there are so many."""
+        """The k nearest of the milestones stored before the given one."""
         asked = 2 * k
         # The whole roadmap always suffices.
         while True:
@@ -149,7 +149,7 @@ class Worker:
         return self.candidates(answer.neighbors), answer.revision
 
     def candidates(self, neighbors) -> list[Candidate]:
-        """Those in the answer about one state."""
+        """The candidates in the answer about one state."""
         width, numbers = self.scene.coordinates, list(neighbors.states.coordinates)
         rows = [numbers[at : at + width] for at in range(0, len(numbers), width)]
         return [Candidate(*near) for near in zip(neighbors.ids, neighbors.distances, rows, strict=True)]

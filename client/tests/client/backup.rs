@@ -89,7 +89,7 @@ async fn an_index_goes_from_server_to_server() {
 async fn a_file_is_written_and_read() {
     let server = Server::start();
     let parts = line(&server).await;
-    let mut file = SnapshotWriter::new(Vec::new()).unwrap();
+    let mut file = SnapshotWriter::new(Vec::new());
     for part in &parts {
         file.write(part).unwrap();
     }

@@ -302,7 +302,7 @@ pub struct Process {
 }
 
 impl Process {
-    /// Starts a worker, and forwards its messages as long as `told` accepts them.
+    /// Starts a worker, and forwards its messages as long as `events` accepts them.
     pub fn start<J: Job>(
         job: &J,
         events: impl Fn(WorkerEvent<J::Account>) -> bool + Send + 'static,

@@ -52,8 +52,7 @@ pub extern "C" fn rigid_problem() -> *const c_char {
 
 /// Makes a row canonical, as the server does. Returns [`FREE`], or [`NO_STATE`] if the row has no canonical form.
 ///
-/// # Safety
-/// `row` is null or the address of `length` numbers that nobody else uses during the call.
+/// # Safety `row` is null or the address of `length` numbers that no other thread uses during the call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rigid_canonicalize(row: *mut f64, length: usize) -> i32 {
     // Safety: as this function's.
@@ -84,9 +83,8 @@ pub unsafe extern "C" fn rigid_is_free(row: *const f64, length: usize) -> i32 {
 /// Returns whether the motion between two free states is free; the ends are not checked. Adds the number of checked
 /// states to `checks`, unless `checks` is null.
 ///
-/// # Safety
-/// `a` and `b` are null or the addresses of `length` numbers, and `checks` is null or the address of a number that
-/// nobody else uses during the call.
+/// # Safety `a` and `b` are null or the addresses of `length` numbers, and `checks` is null or the address of a number
+/// that no other thread uses during the call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rigid_is_free_way(
     a: *const f64,

@@ -39,7 +39,7 @@ impl Merge {
             }
         }
         let level = (!points.is_empty()).then(|| {
-            let packed = Packed::built(self.space, points, self.leaf_rows);
+            let packed = Packed::built(self.space, &points, self.leaf_rows);
             Level::Packed(Box::new(packed))
         });
         Merged {

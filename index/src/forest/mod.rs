@@ -1,14 +1,15 @@
 //! The dynamic structure: a forest of static trees, by the logarithmic method.
 //!
-//! The smallest *level* is a tree that grows by single points ([`growing`]). Once it is full, another one grows. Merges pack
-//! levels into ones of doubling size, and into a few when writes pause ([`policy`]); they drop dead points. Removing a point marks
-//! it with a *tombstone*; replacing one removes it and stores the new one.
+//! The smallest *level* is a tree that grows by single points ([`growing`]). Once it is full, another one grows. Merges
+//! pack levels into ones of doubling size, and into a few when writes pause ([`policy`]); they drop dead points.
+//! Removing a point marks it with a *tombstone*; replacing one removes it and stores the new one.
 //!
-//! One owner writes, and any number of [`Snapshot`]s read, each at its own revision; neither waits for the other. Levels are
-//! immutable and shared by count, a tombstone hides a point from its revision on, and the parts of the growing level that a snapshot
-//! holds are copied before they change. The owner chooses the thread of a merge: [`Forest::begin_merge`] returns the next
-//! one, [`Merge::run`] does the work, and [`Forest::finish_merge`] swaps the result in, while mutations and searches
-//! continue. No method of the forest except [`Forest::settle`] runs merges itself.
+//! One owner writes, and any number of [`Snapshot`]s read, each at its own revision; neither waits for the other.
+//! Levels are immutable and shared by count, a tombstone hides a point from its revision on, and the parts of the
+//! growing level that a snapshot holds are copied before they change. The owner chooses the thread of a merge:
+//! [`Forest::begin_merge`] returns the next one, [`Merge::run`] does the work, and [`Forest::finish_merge`] swaps the
+//! result in, while mutations and searches continue. No method of the forest except [`Forest::settle`] runs merges
+//! itself.
 
 mod growing;
 mod level;
@@ -168,8 +169,8 @@ impl Forest {
         self.head.memory_bytes()
     }
 
-    /// Applies one mutation as `revision`: removes the points with the ids `removed`, then stores `stored`, replacing points with
-    /// the same ids. Returns the number of points removed for `removed`.
+    /// Applies one mutation as `revision`: removes the points with the ids `removed`, then stores `stored`, replacing
+    /// points with the same ids. Returns the number of points removed for `removed`.
     ///
     /// # Errors
     /// `revision` is not above the forest's, the rows are not canonical states of the space, two have the same id, or
@@ -185,6 +186,18 @@ impl Forest {
             return Err(ApplyError::Revision { revision, head });
         }
         stored.check(&self.head.space)?;
+        Ok(self.apply_checked(revision, stored, removed))
+    }
+
+    /// Acts like [`Forest::apply`] for a higher revision and points that were checked.
+    pub(crate) fn apply_checked(
+        &mut self,
+        revision: u64,
+        stored: &Points,
+        removed: &[u64],
+    ) -> usize {
+        debug_assert!(revision > self.head.revision);
+        debug_assert_eq!(stored.check(&self.head.space), Ok(()));
         // Set first, so that look-ups of this mutation do not find the points that it has removed.
         self.head.revision = revision;
         let found = removed
@@ -195,7 +208,7 @@ impl Forest {
             self.remove(id, revision);
         }
         self.store(stored);
-        Ok(found)
+        found
     }
 
     /// Removes the point with this id as of `revision`; false if there is none.
@@ -226,7 +239,7 @@ impl Forest {
         self.head.live += rows.len();
         if rows.len() > (self.options.growing_rows / LARGE_MUTATION).max(1) {
             let space = Arc::clone(&self.head.space);
-            let packed = Packed::unbuilt(space, rows.clone());
+            let packed = Packed::unbuilt(space, rows);
             self.add_level(Level::Packed(Box::new(packed)));
             return;
         }
@@ -303,8 +316,8 @@ impl Forest {
         }
     }
 
-    /// Replaces the sources of a merge by the merged level, in time proportional to the points removed from them meanwhile.
-    /// A merge that another forest began is ignored.
+    /// Replaces the sources of a merge by the merged level, in time proportional to the points removed from them
+    /// meanwhile. A merge that another forest began is ignored.
     pub fn finish_merge(&mut self, merged: Merged) {
         let Some(at) = self
             .running

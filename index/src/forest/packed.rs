@@ -23,12 +23,12 @@ pub(super) struct Packed {
 
 impl Packed {
     /// A level of one leaf, which is scanned until a merge builds its tree.
-    pub(super) fn unbuilt(space: Arc<Space>, points: Points) -> Self {
+    pub(super) fn unbuilt(space: Arc<Space>, points: &Points) -> Self {
         Self::over(KdTree::one_leaf(space, points), false)
     }
 
     /// A level with its tree.
-    pub(super) fn built(space: Arc<Space>, points: Points, leaf_rows: usize) -> Self {
+    pub(super) fn built(space: Arc<Space>, points: &Points, leaf_rows: usize) -> Self {
         Self::over(KdTree::build(space, points, leaf_rows), true)
     }
 
@@ -145,8 +145,8 @@ impl Packed {
     }
 }
 
-/// The mean distance between ids from which on they are sorted. Denser ids, such as those that the server assigns, are put
-/// into a table by their value.
+/// The mean distance between ids from which on they are sorted. Denser ids, such as those that the server assigns, are
+/// put into a table by their value.
 const SPARSE: u64 = 4;
 
 /// The slots of distinct `ids`, in the order of the ids.

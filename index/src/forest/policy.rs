@@ -1,10 +1,11 @@
 //! The merge policy: a pure function of the sizes of the levels.
 //!
-//! The logarithmic method (Bentley and Saxe): levels double in size, and two of a size carry into a larger one like digits. A
-//! level is in the tier ⌊log₂(live rows / [`MIN_ROWS`])⌋, and at rest each tier holds at most one level. A carry includes levels
-//! up to [`MAX_CARRY_RATIO`] times as large as itself, because a full growing level is large already. With 8,192 points in a new
-//! level, a point is rebuilt 8 times in a million and 12 times in ten million, and a search visits 2.2 and 3.0 levels on
-//! average. With a ratio of three these would be 6 and 9 times, and 2.5 and 3.6 levels.
+//! The logarithmic method (Bentley and Saxe): levels double in size, and two of a size carry into a larger one like
+//! digits. A level is in the tier ⌊log₂(live rows / [`MIN_ROWS`])⌋, and at rest each tier holds at most one level. A
+//! carry includes levels up to [`MAX_CARRY_RATIO`] times as large as itself, because a full growing level is large
+//! already. With 8,192 points in a new level, a point is rebuilt 8 times in a million and 12 times in ten million, and
+//! a search visits 2.2 and 3.0 levels on average. With a ratio of three these would be 6 and 9 times, and 2.5 and 3.6
+//! levels.
 
 /// Levels of fewer rows count as equally small: searching one costs as much as scanning it.
 pub(super) const MIN_ROWS: usize = 128;
@@ -32,9 +33,9 @@ impl Shape {
     }
 }
 
-/// The next merge, as indices into `shapes`, or None if no merge is due. In this order: the lowest tier that holds two levels,
-/// with its carry; a level without its tree; a level that is more than half dead. No merge makes a level of more than
-/// `max_rows`.
+/// The next merge, as indices into `shapes`, or None if no merge is due. In this order: the lowest tier that holds two
+/// levels, with its carry; a level without its tree; a level that is more than half dead. No merge makes a level of
+/// more than `max_rows`.
 pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let idle = idle(shapes);
     carry(shapes, &idle, max_rows).or_else(|| {
@@ -45,9 +46,9 @@ pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>
     })
 }
 
-/// The next merge while writes pause and none is due, on the way to one level: the two smallest levels, with those not much
-/// larger. The steps are small, so that little is undone when writes resume. A level is rebuilt only for a share of
-/// 1 / [`MIN_GAIN`] of it, or each pause after a few points would rebuild all levels.
+/// The next merge while writes pause and none is due, on the way to one level: the two smallest levels, with those not
+/// much larger. The steps are small, so that little is undone when writes resume. A level is rebuilt only for a share
+/// of 1 / [`MIN_GAIN`] of it, or each pause after a few points would rebuild all levels.
 pub(super) fn next_while_paused(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let mut idle = idle(shapes);
     while let Some((&largest, others)) = idle.split_last() {
@@ -60,8 +61,8 @@ pub(super) fn next_while_paused(shapes: &[Shape], max_rows: usize) -> Option<Vec
     gather(shapes, &idle, 2, max_rows)
 }
 
-/// A pause rebuilds a level if the points that join it, and its dead ones, are at least one in this many of it. A merge only saves
-/// the search of a much smaller level, which begins with the bound found in the larger one.
+/// A pause rebuilds a level if the points that join it, and its dead ones, are at least one in this many of it. A merge
+/// only saves the search of a much smaller level, which begins with the bound found in the larger one.
 const MIN_GAIN: usize = 16;
 
 /// The levels without a running merge, by ascending size.
@@ -83,8 +84,8 @@ fn carry(shapes: &[Shape], idle: &[usize], max_rows: usize) -> Option<Vec<usize>
 /// The greatest ratio of a level to the carry that includes it.
 const MAX_CARRY_RATIO: usize = 6;
 
-/// The `first` levels of `idle`, and each next one of at most [`MAX_CARRY_RATIO`] times their sum. None if these are fewer than
-/// two. `idle` is by ascending size.
+/// The `first` levels of `idle`, and each next one of at most [`MAX_CARRY_RATIO`] times their sum. None if these are
+/// fewer than two. `idle` is by ascending size.
 fn gather(shapes: &[Shape], idle: &[usize], first: usize, max_rows: usize) -> Option<Vec<usize>> {
     let mut total = 0;
     let mut taken = Vec::new();

@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
-/// The number of references checked at every change. It is more than a change adds, so all are checked before their number has
-/// doubled.
+/// The number of references checked at every change. It is more than a change adds, so all are checked before their
+/// number has doubled.
 const CHECKS_PER_CHANGE: usize = 2;
 
 /// References of the forest to values that it replaced while snapshots shared them.
 ///
-/// The thread that drops the last reference frees the value, and an allocator may make a thread wait that frees the memory of
-/// another one: with glibc's, readers next to a writer reached half of their rate. With these references the last one is the
-/// forest's, so the writer frees. At most about as many are held in vain as readers held at the last change; a pause drops all
-/// of them.
+/// The thread that drops the last reference frees the value, and an allocator may make a thread wait that frees the
+/// memory of another one: with glibc's, readers next to a writer reached half of their rate. With these references the
+/// last one is the forest's, so the writer frees. At most about as many are held in vain as readers held at the last
+/// change; a pause drops all of them.
 #[derive(Debug)]
 pub(super) struct Retired<T> {
     held: Vec<Arc<T>>,

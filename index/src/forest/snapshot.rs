@@ -11,9 +11,10 @@ use crate::{
 
 /// A forest as of one revision.
 ///
-/// A snapshot shares the levels of the forest, so holding one costs nothing until merges replace those levels; from then on it
-/// keeps up to a whole copy of its revision alive. In the growing level the writer copies the parts that it changes under a
-/// snapshot, and frees them at some write after the snapshot is dropped. Any number of threads may call its methods.
+/// A snapshot shares the levels of the forest, so holding one costs nothing until merges replace those levels; from
+/// then on it keeps up to a whole copy of its revision alive. In the growing level the writer copies the parts that it
+/// changes under a snapshot, and frees them at some write after the snapshot is dropped. Any number of threads may call
+/// its methods.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     pub(super) space: Arc<Space>,
@@ -50,8 +51,8 @@ impl Snapshot {
     /// Answers `search` for a canonical `state`.
     ///
     /// # Errors
-    /// The state is not a canonical state of the space ([`Space::canonicalize`]), or a number of the search is out of its
-    /// range.
+    /// The state is not a canonical state of the space ([`Space::canonicalize`]), or a number of the search is out of
+    /// its range.
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         self.search_with(&Kernels::default(), state, search)
     }

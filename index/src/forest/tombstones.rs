@@ -7,10 +7,10 @@ use std::sync::{
 
 /// One tombstone for each slot, allocated by the chunk when its first point dies: most levels never need them.
 ///
-/// The writer marks points while readers look. A reader at revision r sees a point unless it died at r or before, and the writer
-/// only writes revisions that no reader has yet. So a reader decides the same with the old mark and with the new one. Publishing a
-/// revision, through the lock or channel that passes a snapshot on, orders its marks before it, so relaxed accesses are
-/// enough.
+/// The writer marks points while readers look. A reader at revision r sees a point unless it died at r or before, and
+/// the writer only writes revisions that no reader has yet. So a reader decides the same with the old mark and with the
+/// new one. Publishing a revision, through the lock or channel that passes a snapshot on, orders its marks before it,
+/// so relaxed accesses are enough.
 #[derive(Debug, Default)]
 pub(super) struct Tombstones {
     chunks: OnceLock<Box<[Chunk]>>,

@@ -15,8 +15,8 @@ pub struct ForestReport {
 }
 
 impl Forest {
-    /// Checks every level and tree, that each id is alive at most once, that the counts agree, and that running merges hold
-    /// levels of the forest.
+    /// Checks every level and tree, that each id is alive at most once, that the counts agree, and that running merges
+    /// hold levels of the forest.
     ///
     /// # Errors
     /// The first invariant found broken.

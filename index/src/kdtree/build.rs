@@ -1,7 +1,8 @@
 //! Construction: cuts at medians that leave every leaf full.
 //!
-//! All leaves are equally deep, and nodes are full at the bottom, where a search visits most of them; the remainder of the
-//! division by sixteen goes to the top. A cut crosses the coordinate in which the points spread most, in the metric.
+//! All leaves are equally deep, and nodes are full at the bottom, where a search visits most of them; the remainder of
+//! the division by sixteen goes to the top. A cut crosses the coordinate in which the points spread most, in the
+//! metric.
 
 use std::{ops::Range, sync::Arc};
 
@@ -19,13 +20,13 @@ const SAMPLE: usize = 256;
 
 impl KdTree {
     /// Acts like [`KdTree::new`], but takes points that were checked, and a space that several trees share.
-    pub(crate) fn build(space: Arc<Space>, points: Points, leaf_rows: usize) -> Self {
+    pub(crate) fn build(space: Arc<Space>, points: &Points, leaf_rows: usize) -> Self {
         debug_assert_eq!(points.check(&space), Ok(()));
         let leaf_rows = leaf_rows.max(1);
         let leaves = points.len().div_ceil(leaf_rows);
         let height = height(leaves);
         let mut build = Build {
-            points: &points,
+            points,
             leaf_rows,
             scales: space.scales(),
             slots: (0..points.len() as u32).collect(),
@@ -45,16 +46,16 @@ impl KdTree {
         } = build;
         nodes.shrink_to_fit();
         boxes.shrink_to_fit();
-        let blocks = blocks(&points, &slots, leaf_rows);
+        let blocks = blocks(points, &slots, leaf_rows);
         // A single leaf must be ready at once, so it gets no codes.
         let quantized = (leaves > 1)
-            .then(|| QuantizedRows::where_they_pay(&space, &points, &blocks))
+            .then(|| QuantizedRows::where_they_pay(&space, points, &blocks))
             .flatten();
         Self {
             labels: points.labels_in_order(&slots),
             quantized,
             blocks,
-            newest: points.iter().map(|point| point.revision).max().unwrap_or(0),
+            newest: points.newest(),
             scale: KeyScale::new(&space),
             space,
             leaf_rows,
@@ -66,9 +67,8 @@ impl KdTree {
     }
 
     /// A tree of one leaf: ready at once, and searched from end to end.
-    pub(crate) fn one_leaf(space: Arc<Space>, points: Points) -> Self {
-        let leaf_rows = points.len();
-        Self::build(space, points, leaf_rows)
+    pub(crate) fn one_leaf(space: Arc<Space>, points: &Points) -> Self {
+        Self::build(space, points, points.len())
     }
 }
 
@@ -140,12 +140,14 @@ impl Build<'_> {
                 let node = first + child;
                 self.node(node, start..end, height - 1);
                 let count = self.nodes[node].count as usize;
-                let ends: Vec<_> = self.boxes.around_children(node, count).collect();
+                let axes = 0..self.scales.len();
+                let ends: Vec<_> = axes
+                    .map(|axis| self.boxes.around_children(node, count, axis))
+                    .collect();
                 self.boxes.set(index, child, ends.into_iter());
             } else {
-                let rows = self.rows(&(start..start + 1));
-                let ends = self.around(&self.slots[rows]);
-                self.boxes.set(index, child, ends.into_iter());
+                let (lo, hi) = self.around(self.rows(&(start..start + 1)), 1);
+                self.boxes.set(index, child, lo.into_iter().zip(hi));
             }
             start = end;
         }
@@ -195,20 +197,17 @@ impl Build<'_> {
     /// The coordinate in which the points, or a sample of them, spread most.
     fn widest(&self, rows: Range<usize>) -> usize {
         let step = (rows.len() / SAMPLE).max(1);
-        let slots = self.slots[rows].iter().step_by(step);
-        let ends = around_rows(
-            self.scales.len(),
-            slots.map(|&slot| self.points.row(slot as usize)),
-        );
-        let spread = |axis: usize| self.scales[axis] * (ends[axis].1 - ends[axis].0);
-        (0..ends.len())
+        let (lo, hi) = self.around(rows, step);
+        let spread = |axis: usize| self.scales[axis] * (hi[axis] - lo[axis]);
+        (0..lo.len())
             .max_by(|&a, &b| spread(a).total_cmp(&spread(b)))
             .unwrap_or(0)
     }
 
-    /// The ends of the smallest box around some points.
-    fn around(&self, slots: &[u32]) -> Vec<(f64, f64)> {
-        let rows = slots.iter().map(|&slot| self.points.row(slot as usize));
+    /// The ends of the smallest box around one in `step` of some points.
+    fn around(&self, rows: Range<usize>, step: usize) -> (Vec<f64>, Vec<f64>) {
+        let slots = self.slots[rows].iter().step_by(step);
+        let rows = slots.map(|&slot| self.points.row(slot as usize));
         around_rows(self.scales.len(), rows)
     }
 }

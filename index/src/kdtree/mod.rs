@@ -1,14 +1,16 @@
 //! The static kd-tree, built once over a table of points.
 //!
 //! The method is that of Yershova and LaValle ("Improving Motion Planning Algorithms by Efficient Nearest-Neighbor
-//! Searching", IEEE Transactions on Robotics): the tree is built in the un-identified space, an interval for each circle
-//! and R⁴ for each rotation. That opposite ends of the interval, or q and −q, are one state enters only in the query, in
-//! the lower bound of the distance from a state to a box. The tree itself is not theirs; it is made for wide registers:
+//! Searching", IEEE Transactions on Robotics): the tree is built in the un-identified space, an interval for each
+//! circle and R⁴ for each rotation. That opposite ends of the interval, or q and −q, are one state enters only in the
+//! query, in the lower bound of the distance from a state to a box. The tree itself is not theirs; it is made for wide
+//! registers:
 //!
 //! - A cut is at a median, rounded to full leaves; theirs is a sliding midpoint.
-//! - A node has up to sixteen children, where theirs has two. The children's boxes are tight in every coordinate and lie
-//!   side by side, so that one pass bounds them all (see [`kernel`](crate::kernel)).
-//! - The bound of a box is computed from all of its coordinates; theirs is updated by the one factor that a cut touches.
+//! - A node has up to sixteen children, where theirs has two. The children's boxes are tight in every coordinate and
+//!   lie side by side, so that one pass bounds them all (see [`kernel`](crate::kernel)).
+//! - The bound of a box is computed from all of its coordinates; theirs is updated by the one factor that a cut
+//!   touches.
 //! - A leaf keeps its points coordinate by coordinate.
 //!
 //! A tree does not change after its build, and any number of threads may search it.
@@ -85,7 +87,7 @@ impl KdTree {
     /// [`KdTree::MAX_POINTS`].
     pub fn new(space: Space, points: Points, leaf_rows: usize) -> Result<Self, PointsError> {
         points.check(&space)?;
-        Ok(Self::build(Arc::new(space), points, leaf_rows))
+        Ok(Self::build(Arc::new(space), &points, leaf_rows))
     }
 
     /// Answers `search` for a canonical `state`.

@@ -16,8 +16,8 @@ pub(crate) struct Cell {
     height: u32,
 }
 
-/// The size of a tree that stays in the cache. A larger one gains a tenth from prefetching (at a million points of R3 and
-/// R3*SO3), and a smaller one loses some hundredths.
+/// The size of a tree that stays in the cache. A larger one gains a tenth from prefetching (at a million points of R3
+/// and R3*SO3), and a smaller one loses some hundredths.
 const CACHED_BYTES: usize = 4 << 20;
 
 /// The bits of a block of rows.

@@ -1,10 +1,10 @@
 //! Scan or descend: the choice for the next search of a tree, by the leaves that earlier searches had to visit.
 //!
-//! In many dimensions all points are about equally far away. A search then visits most leaves, and reading all of them in
-//! memory order, without their boxes, takes less time.
+//! In many dimensions all points are about equally far away. A search then visits most leaves, and reading all of them
+//! in memory order, without their boxes, takes less time.
 //!
-//! Measured without scans, as a multiple of the time with them, in a tree of 50,000 points with codes and in a growing tree of
-//! 8,000 points; data, method and machine as in [`quantize`](crate::quantize).
+//! Measured without scans, as a multiple of the time with them, in a tree of 50,000 points with codes and in a growing
+//! tree of 8,000 points; data, method and machine as in [`quantize`](crate::quantize).
 //!
 //! | | R12 | SE3² | SE3⁴ | R30 |
 //! |---|---|---|---|---|
@@ -16,7 +16,7 @@
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering::Relaxed};
 
 /// The number of consecutive searches that a scan must have been cheaper for: a single query may lie far outside.
-const TRIES: u32 = 4;
+const MIN_CHEAPER_SCANS: u32 = 4;
 
 /// The number of searches that then scan, before the next one descends.
 const SCANS: u32 = 64;
@@ -24,8 +24,8 @@ const SCANS: u32 = 64;
 /// The policy of one tree.
 #[derive(Debug, Default)]
 pub(crate) struct ScanPolicy {
-    /// Up to `TRIES`, the searches in a row that a scan was cheaper for; above it, `TRIES` plus the scans to come. A race
-    /// between threads may lose a step, which does no harm.
+    /// Up to `MIN_CHEAPER_SCANS`, the searches in a row that a scan was cheaper for; above it, `MIN_CHEAPER_SCANS` plus
+    /// the scans to come. A race between threads may lose a step, which does no harm.
     state: AtomicU32,
     /// The number of scans so far, for tests.
     scans: AtomicUsize,
@@ -35,11 +35,11 @@ impl ScanPolicy {
     /// True if the next search scans.
     pub(crate) fn next_scans(&self) -> bool {
         let state = self.state.load(Relaxed);
-        if state > TRIES {
+        if state > MIN_CHEAPER_SCANS {
             self.state.store(state - 1, Relaxed);
             self.scans.fetch_add(1, Relaxed);
         }
-        state > TRIES
+        state > MIN_CHEAPER_SCANS
     }
 
     /// The number of scans so far.
@@ -51,10 +51,10 @@ impl ScanPolicy {
     pub(crate) fn observe(&self, scan_is_cheaper: bool) {
         let state = self.state.load(Relaxed);
         if scan_is_cheaper {
-            let next = if state + 1 < TRIES {
+            let next = if state + 1 < MIN_CHEAPER_SCANS {
                 state + 1
             } else {
-                TRIES + SCANS
+                MIN_CHEAPER_SCANS + SCANS
             };
             self.state.store(next, Relaxed);
         } else if state > 0 {
@@ -76,7 +76,7 @@ mod tests {
     #[test]
     fn a_tree_is_scanned_after_searches_visited_most_of_it_and_descended_again_later() {
         let policy = ScanPolicy::default();
-        for _ in 1..TRIES {
+        for _ in 1..MIN_CHEAPER_SCANS {
             policy.observe(true);
             assert!(!policy.next_scans());
         }

@@ -16,8 +16,8 @@ pub struct TreeReport {
 }
 
 impl KdTree {
-    /// Checks that the leaves are reached in order, each once and equally deep, and that every point is within the boxes above
-    /// it.
+    /// Checks that the leaves are reached in order, each once and equally deep, and that every point is within the
+    /// boxes above it.
     ///
     /// # Errors
     /// The first invariant found broken.

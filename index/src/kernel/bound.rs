@@ -1,11 +1,11 @@
 //! Lower bounds of the distance from a state to the boxes of a node, or to a block of points, as keys of the space (see
 //! `key`).
 //!
-//! The space is read at run time: a loop over groups and factors around the lanes. The arithmetic of a factor is in its
-//! file in `space`. **Rounding:** every term is computed by the operations of [`Space::distance`], in their order, on equal
-//! operands (of a point) or no greater ones (of a box), and rounding is monotone. So no term exceeds its counterpart, except
-//! that of a rotation, which may by 1e-14. (For quantised points, see `quantize`.) No key is NaN: coordinates are small enough
-//! for their squares to have a finite sum, and weights for one another.
+//! The space is read at run time: a loop over groups and factors around the lanes. The arithmetic of a factor is in the
+//! factor's file in `space`. **Rounding:** every term is computed by the operations of [`Space::distance`], in their
+//! order, on equal operands (of a point) or no greater ones (of a box), and rounding is monotone. So no term exceeds
+//! its counterpart, except that of a rotation, which may by 1e-14. (For quantised points, see `quantize`.) No key is
+//! NaN: coordinates are small enough for their squares to have a finite sum, and weights for one another.
 
 use super::{
     isa::Isa,
@@ -16,15 +16,15 @@ use crate::{
     space::{Part, real_vector, so2, so3},
 };
 
-/// The greatest number of children of a node: the lanes of a box kernel, two registers of eight. A search waits for one node
-/// after another more than it computes; with eight children it took 1.05 to 1.2 times as long.
+/// The greatest number of children of a node: the lanes of a box kernel, two registers of eight. A search waits for one
+/// node after another more than it computes; with eight children it took 1.05 to 1.2 times as long.
 pub(crate) const MAX_CHILDREN: usize = 16;
 
 /// The number of points in a block: the lanes of a point kernel.
 pub(crate) const BLOCK_ROWS: usize = 16;
 
-/// Lower bounds of the squared distances in one factor, to `N` boxes or points. (Traits, not closures: a closure called from
-/// two places would be compiled by itself, for the oldest processor.)
+/// Lower bounds of the squared distances in one factor, to `N` boxes or points. (These are traits, because a closure
+/// called from two places would be compiled separately, for the oldest processor.)
 pub(crate) trait Terms<T: Number, const N: usize> {
     /// The bounds in the factor at `place` among the parts of the space.
     fn term<I: Isa + Operations<T>>(&self, place: usize, part: &Part) -> Lanes<I, T, N>;
@@ -47,7 +47,7 @@ pub(crate) trait Rows<T: Number, const N: usize> {
     /// A number of a column.
     type Stored;
 
-    /// Twice what the cosine of two equal rotations may fall short of 1.
+    /// Twice the maximum amount by which the cosine of two equal rotations is below 1.
     const CHORD_SLACK: f64;
 
     /// The query's numbers.
@@ -129,9 +129,9 @@ impl<T: Number, const N: usize, R: Rows<T, N>> Terms<T, N> for R {
 impl Rows<f64, BLOCK_ROWS> for PointRows<'_> {
     type Stored = f64;
 
-    /// The squared chord min(|x − y|², |x + y|²) may lie this far below 2 − 2·|x·y| as computed: squared norms are off from
-    /// 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all. Rotations nearer
-    /// than 1e-7 to each other are not pruned; half of the kernel is saved.
+    /// The squared chord min(|x − y|², |x + y|²) may lie this far below 2 − 2·|x·y| as computed: squared norms are off
+    /// from 1 by 20u each, the sum of four products by 4u, u = ε/2, and 2 − 2·|x·y| by another 2u: 50u in all.
+    /// Rotations nearer than 1e-7 to each other are not pruned; half of the kernel is saved.
     const CHORD_SLACK: f64 = 32.0 * f64::EPSILON;
 
     #[inline(always)]
@@ -160,7 +160,7 @@ impl Rows<f64, BLOCK_ROWS> for PointRows<'_> {
     }
 }
 
-/// The keys that the bounds in all factors make.
+/// The keys composed of the bounds in all factors.
 #[inline(always)]
 pub(crate) fn keys<I, T: Number, const N: usize>(
     space: &Space,

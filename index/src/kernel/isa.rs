@@ -18,7 +18,7 @@ pub(crate) trait Isa: Operations<f64> + Operations<f32> {
     /// 16-bit codes as numbers.
     #[inline(always)]
     fn from_codes<const N: usize>(codes: &[u16; N]) -> [f32; N] {
-        // (Not `map`: a part of it would be compiled by itself, for the oldest processor.)
+        // (`map` is not used, because a part of it would be compiled separately, for the oldest processor.)
         let mut numbers = [0.0; N];
         for (number, &code) in numbers.iter_mut().zip(codes) {
             *number = f32::from(code);
@@ -45,8 +45,8 @@ pub(crate) trait Isa: Operations<f64> + Operations<f32> {
 
 /// Work that is compiled once for each instruction set.
 ///
-/// `run`, and all that it calls and that should gain by that, must be `inline(always)`: a function that is called is compiled
-/// for every processor.
+/// `run`, and all that it calls and that should gain by that, must be `inline(always)`: a function that is called is
+/// compiled for every processor.
 pub(crate) trait Task {
     type Output;
 
@@ -85,7 +85,8 @@ impl Operations<f64> for Portable {}
 impl Operations<f32> for Portable {}
 impl Isa for Portable {}
 
-/// Fetches the beginning of `numbers` into the cache. The processor fetches the rest by itself once it is read in order.
+/// Fetches the beginning of `numbers` into the cache. The processor fetches the rest by itself once it is read in
+/// order.
 #[inline]
 pub(crate) fn prefetch<T>(numbers: &[T]) {
     #[cfg(target_arch = "x86_64")]

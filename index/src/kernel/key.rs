@@ -2,9 +2,9 @@
 
 use crate::{Factor, Space};
 
-/// Maps distances of a space to limits on its *keys*, and back. In a space of one group a key is the weighted sum of squares
-/// Σ_i μ_i·d_i², which is ordered as the distances are; in a sum of several groups it is the distance
-/// Σ_g w_g·√(Σ_i μ_i·d_i²) itself.
+/// Maps distances of a space to limits on its *keys*, and back. In a space of one group a key is the weighted sum of
+/// squares Σ_i μ_i·d_i², which is ordered as the distances are; in a sum of several groups it is the distance Σ_g
+/// w_g·√(Σ_i μ_i·d_i²) itself.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct KeyScale {
     /// 1/w of a single group.
@@ -20,16 +20,17 @@ pub(crate) struct KeyScale {
     overflow: f64,
 }
 
-/// The relative rounding of a key. The bound of a rotation may be too high by 1e-14 of it, and the limit has roundings of its
-/// own; all else is monotone (see `bound`). Points moved by quantisation add up to 5.8e-14, for as many coordinates as a space
-/// may have.
+/// The relative rounding of a key. The bound of a rotation may be too high by 1e-14 of it, and the limit has roundings
+/// of its own; all else is monotone (see `bound`). Points moved by quantisation add up to 5.8e-14, for as many
+/// coordinates as a space may have.
 const MARGIN: f64 = 1.0 + 1e-13;
 
-/// The most by which the key of a point may fall short of the key that its distance would make, apart from rounding: the bound
-/// of a rotation leaves out the rest of a series.
+/// The most by which the key of a point may fall short of the key that its distance would make, apart from rounding:
+/// the bound of a rotation leaves out the rest of a series.
 #[derive(Clone, Copy, Debug, Default)]
 struct Shortfall {
-    /// The rest is at most the key, times this, times the eighth power of the largest angle that such a distance can be ...
+    /// The rest is at most the key, times this, times the eighth power of the largest angle that such a distance can be
+    /// ...
     rest: f64,
     /// ... which is the key times this or, in a space of one group, the root of that, ...
     per_weight: f64,
@@ -39,15 +40,15 @@ struct Shortfall {
     slack: f64,
 }
 
-/// The series of a squared angle continues with s⁵/3150 after the computed terms, and all that follows is worth less than 0.65
-/// of that, since s ≤ 2.
+/// The series of a squared angle continues with s⁵/3150 after the computed terms, and all that follows is worth less
+/// than 0.65 of that, since s ≤ 2.
 const REST: f64 = 1.7 / 3150.0;
 
 /// The greatest rest as a share of the computed terms: at s = 2.
 const MAX_REST_SHARE: f64 = 0.0069;
 
-/// The most by which a squared angle may exceed that of its cosine less the slack: 57ε, times π/2, the greatest slope of the
-/// angle.
+/// The most by which a squared angle may exceed that of its cosine less the slack: 57ε, times π/2, the greatest slope
+/// of the angle.
 const COSINE_SHORTFALL: f64 = 4e-14;
 
 /// The margin of an upper bound: the roundings of a distance, and three margins.
@@ -126,8 +127,8 @@ impl KeyScale {
         }
     }
 
-    /// The upper bound for a point with this key: a point with a key above the bound is farther than this one. It is no less
-    /// than [`limit`](Self::limit) of the point's distance, which need not be known.
+    /// The upper bound for a point with this key: a point with a key above the bound is farther than this one. It is no
+    /// less than [`limit`](Self::limit) of the point's distance, which need not be known.
     #[inline]
     pub(crate) fn upper_bound(&self, key: f64) -> f64 {
         if key >= self.overflow {
@@ -148,8 +149,8 @@ impl KeyScale {
         (key + rest + self.shortfall.slack) * BOUND_MARGIN
     }
 
-    /// The limit for points that quantisation has moved by up to `error`, a distance: by the triangle inequality no point with a
-    /// key up to `limit` exceeds it after the move.
+    /// The limit for points that quantisation has moved by up to `error`, a distance: by the triangle inequality no
+    /// point with a key up to `limit` exceeds it after the move.
     #[inline]
     pub(crate) fn expanded(&self, limit: f64, error: f64) -> f64 {
         match self.per_weight {
@@ -171,8 +172,8 @@ impl KeyScale {
         }
     }
 
-    /// The distance of a point with this key, as [`Space::distance`] computes it. Known where no rotation has a weight: all
-    /// other terms are those of the distance, computed by the same operations in the same order.
+    /// The distance of a point with this key, as [`Space::distance`] computes it. Known where no rotation has a weight:
+    /// all other terms are those of the distance, computed by the same operations in the same order.
     #[inline]
     pub(crate) fn distance(&self, key: f64) -> Option<f64> {
         self.exact.then(|| match self.weight {

@@ -1,5 +1,5 @@
-//! Numbers side by side: plain arrays with the operations that the kernels need. In a function compiled for wide registers
-//! each operation is one instruction for a register.
+//! Numbers side by side: plain arrays with the operations that the kernels need. In a function compiled for wide
+//! registers each operation is one instruction for a register.
 
 use std::{
     marker::PhantomData,
@@ -44,8 +44,8 @@ macro_rules! operations {
     ($($name:ident: |$x:ident $(, $y:ident)?| $result:expr;)*) => {
         /// Operations on numbers side by side, lane by lane, rounding as their type does.
         ///
-        /// The defaults are loops, which the compiler turns into the instructions that the function around them is compiled
-        /// for. An instruction set may name its own.
+        /// The defaults are loops, which the compiler turns into the instructions that the function around them is
+        /// compiled for. An instruction set may name its own.
         pub(crate) trait Operations<T: Number> {
             $(
                 #[inline(always)]

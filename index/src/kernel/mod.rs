@@ -1,9 +1,9 @@
-//! The kernels of a search: bounds of many boxes or points at once, compiled for several instruction sets. The best set that
-//! the processor has is chosen when the program runs.
+//! The kernels of a search: bounds of many boxes or points at once, compiled for several instruction sets. The best set
+//! that the processor has is chosen when the program runs.
 //!
-//! A whole search is compiled once for each set, with its kernels inlined: calls would spend more on passing operands than
-//! on the arithmetic. A kernel only bounds a distance that includes a rotation or quantised numbers; any other distance it
-//! computes by the operations of [`Space::distance`]. So every set gives the same answers, to the bit.
+//! A whole search is compiled once for each set, with its kernels inlined: calls would spend more on passing operands
+//! than on the arithmetic. A kernel only bounds a distance that includes a rotation or quantised numbers; any other
+//! distance it computes by the operations of [`Space::distance`]. So every set gives the same answers, to the bit.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

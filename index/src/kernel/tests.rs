@@ -182,8 +182,8 @@ proptest! {
 proptest! {
     #![proptest_config(cases(50_000))]
 
-    /// No key is beyond its distance, also where a weight makes the sum a few units of the least number, whose errors are not
-    /// relative: here about half a unit decides.
+    /// No key is beyond its distance, also where a weight makes the sum a few units of the least number, whose errors
+    /// are not relative: here about half a unit decides.
     #[test]
     fn no_point_is_beyond_its_distance_among_the_least_numbers(
         units in 1..20u32,

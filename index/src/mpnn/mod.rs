@@ -1,30 +1,35 @@
 //! The kd-tree of Yershova and LaValle as their paper describes it, for comparison with [`KdTree`](crate::KdTree).
 //!
-//! Source: A. Yershova, S. M. LaValle, "Improving Motion Planning Algorithms by Efficient Nearest-Neighbor Searching", IEEE
-//! Transactions on Robotics 23(1), 2007. Its library MPNN extends ANN, by Mount and Arya, to products of R, S¹ and RP³.
+//! Source: A. Yershova, S. M. LaValle, "Improving Motion Planning Algorithms by Efficient Nearest-Neighbor Searching",
+//! IEEE Transactions on Robotics 23(1), 2007. Its library MPNN extends ANN, by Mount and Arya, to products of R, S¹ and
+//! RP³.
 //!
-//! - **Construction.** The tree is built in the un-identified space: an interval for each circle, R⁴ for each rotation. The
-//!   root cell encloses the points. A *sliding midpoint* splits a cell: the plane cuts the longest side at its middle, and
-//!   slides to the first point when one half would be empty. Among equal sides, it cuts the one with the largest point
-//!   spread.
+//! - **Construction.** The tree is built in the un-identified space: an interval for each circle, R⁴ for each rotation.
+//!   The root cell encloses the points. A *sliding midpoint* splits a cell: the plane cuts the longest side at its
+//!   middle, and slides to the first point when one half would be empty. Among equal sides, it cuts the one with the
+//!   largest point spread.
 //! - **Query.** Identifications enter only here. With p the state and R a cell, the distance in the factor K is
-//!   d_R(p, \[a, b\]), dist_S¹(p, \[a, b\]) = min over both ways around the circle, or the smaller angle to R from p and −p.
-//!   A split changes the distance of one factor, so a cell R₂ within R₁ is bounded *incrementally*:
+//!   d_R(p, \[a, b\]), dist_S¹(p, \[a, b\]) = min over both ways around the circle, or the smaller angle to R from p
+//!   and −p. A split changes the distance of one factor, so a cell R₂ within R₁ is bounded *incrementally*:
 //!
 //! > d²(R₂) = d²(R₁) + μ_K · (d²_K(R₂) − d²_K(R₁))
 //!
-//! The paper's formula leaves out the weight μ_K, and a weight below 1 would then prune true neighbours. In a sum of groups
-//! the same step updates the squared sum of the group g, and the bound grows by w_g · (√d²_g(R₂) − √d²_g(R₁)).
+//! The paper's formula leaves out the weight μ_K, and a weight below 1 would then prune true neighbours. In a sum of
+//! groups the same step updates the squared sum of the group g, and the bound grows by w_g · (√d²_g(R₂) − √d²_g(R₁)).
 
 mod query;
 mod validate;
 
-use crate::{Answer, Factor, Points, PointsError, Search, SearchError, Space, kernel::KeyScale};
+use crate::{
+    Answer, Factor, Points, PointsError, Search, SearchError, Space, boxes::around_rows,
+    kernel::KeyScale,
+};
 
 /// Sides count as equally long when they differ by this share of the longest (the tolerance that ANN uses).
 const SIDE_TOLERANCE: f64 = 0.001;
 
-/// One coordinate of a row, and the factor K whose distance a cut across it changes. Each coordinate of R^n is a factor R.
+/// One coordinate of a row, and the factor K whose distance a cut across it changes. Each coordinate of R^n is a factor
+/// R.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     factor: Factor,
@@ -50,8 +55,9 @@ enum Node {
 /// It answers every [`Search`] as [`Linear`](crate::Linear) does, in ids and in the bits of the distances. Use
 /// [`KdTree`](crate::KdTree) or [`Forest`](crate::Forest) for speed.
 ///
-/// Construction takes O(d·n) for each level of the tree, O(d·n·log n) unless the points crowd towards a corner; the tree takes
-/// O(d·n) space. A query takes O(1) for each node in R^n and S¹, and for each rotation four coordinates of p and −p.
+/// Construction takes O(d·n) for each level of the tree, O(d·n·log n) unless the points crowd towards a corner; the
+/// tree takes O(d·n) space. A query takes O(1) for each node in R^n and S¹, and for each rotation four coordinates of p
+/// and −p.
 ///
 /// ```
 /// use wayfold_index::{Mpnn, Points, Search, Space};
@@ -86,8 +92,8 @@ pub struct Mpnn {
 impl Mpnn {
     /// Builds the tree over n canonical rows of [`Space::coordinates`] numbers each.
     ///
-    /// A leaf holds at most `leaf_rows` points, at least 1: fewer than m = `leaf_rows` + 1 in the paper's words. A leaf holds
-    /// more only where no cut separates them, as they agree in every coordinate of positive weight.
+    /// A leaf holds at most `leaf_rows` points, at least 1: fewer than m = `leaf_rows` + 1 in the paper's words. A leaf
+    /// holds more only where no cut separates them, as they agree in every coordinate of positive weight.
     ///
     /// # Errors
     /// The rows are not canonical states of the space, two have the same id, or there are more than
@@ -190,20 +196,12 @@ fn axes(space: &Space) -> Vec<Axis> {
 
 /// The lower and the upper ends of the smallest box around some points.
 fn enclosing_box(points: &Points, slots: &[u32]) -> (Vec<f64>, Vec<f64>) {
-    let width = points.coordinates();
-    let (mut lo, mut hi) = (vec![f64::INFINITY; width], vec![f64::NEG_INFINITY; width]);
-    for &slot in slots {
-        let row = points.row(slot as usize);
-        for ((lo, hi), &x) in lo.iter_mut().zip(&mut hi).zip(row) {
-            *lo = lo.min(x);
-            *hi = hi.max(x);
-        }
-    }
-    (lo, hi)
+    let rows = slots.iter().map(|&slot| points.row(slot as usize));
+    around_rows(points.coordinates(), rows)
 }
 
-/// Splits the points of a cell: reorders `slots`, and returns the axis, the cut and the number of points below it, none if
-/// no cut separates the points. Sides are measured in the metric, and a side in which all points agree is not cut.
+/// Splits the points of a cell: reorders `slots`, and returns the axis, the cut and the number of points below it, none
+/// if no cut separates the points. Sides are measured in the metric, and a side in which all points agree is not cut.
 fn sliding_midpoint(
     axes: &[Axis],
     points: &Points,

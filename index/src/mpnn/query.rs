@@ -1,9 +1,9 @@
 //! The query: depth first, the nearer child first, with incremental bounds.
 //!
-//! **Rounding.** A coordinate's distance to an interval uses the operations of the distance to a point, which are monotone.
-//! Increments are at least 0 and telescope, and [`sum_down`] rounds each sum down, so a bound exceeds the exact sum by no
-//! more than the margin that [`KeyScale::limit`](crate::kernel::KeyScale::limit) leaves. A cell whose bound equals the worst
-//! distance is visited: one of its points may have a smaller id.
+//! **Rounding.** A coordinate's distance to an interval uses the operations of the distance to a point, which are
+//! monotone. Increments are at least 0 and telescope, and [`sum_down`] rounds each sum down, so a bound exceeds the
+//! exact sum by no more than the margin that [`KeyScale::limit`](crate::kernel::KeyScale::limit) leaves. A cell whose
+//! bound equals the worst distance is visited: one of its points may have a smaller id.
 
 use std::{collections::BinaryHeap, ops::Range, time::Instant};
 
@@ -176,7 +176,8 @@ impl<'a> Query<'a> {
         self.key = side.key;
     }
 
-    /// d²_K to the current cell cut down to one side, a lower bound of the factor's squared distance to every point in it.
+    /// d²_K to the current cell cut down to one side, a lower bound of the factor's squared distance to every point in
+    /// it.
     fn factor_2(&self, axis: usize, lo: f64, hi: f64) -> f64 {
         let Axis { factor, first, .. } = self.tree.axes[axis];
         let x = self.state[axis];

@@ -5,8 +5,8 @@ use std::ops::Range;
 use super::{Mpnn, Node, enclosing_box};
 
 impl Mpnn {
-    /// Checks that cells lie within their parents, that leaves hold each point once, within its cell, and that no leaf is
-    /// larger than it has to be.
+    /// Checks that cells lie within their parents, that leaves hold each point once, within its cell, and that no leaf
+    /// is larger than it has to be.
     ///
     /// # Errors
     /// The first invariant found broken.

@@ -1,13 +1,13 @@
-//! Rows quantised to 16 bits a coordinate, which rule out most blocks of rows in a quarter of the memory traffic. Such a
-//! table is the VA-file of Weber, Schek and Blott ("A Quantitative Analysis and Performance Study for Similarity-Search
-//! Methods in High-Dimensional Spaces", VLDB 1998).
+//! Rows quantised to 16 bits a coordinate, which rule out most blocks of rows in a quarter of the memory traffic. Such
+//! a table is the VA-file of Weber, Schek and Blott ("A Quantitative Analysis and Performance Study for
+//! Similarity-Search Methods in High-Dimensional Spaces", VLDB 1998).
 //!
-//! In many dimensions all points are about equally far away, and a search that has its neighbours still reads most rows, only
-//! to find that they are farther. The codes show that: a block is read only if one of its points, moved by as much as
-//! rounding may have moved it, is near enough.
+//! In many dimensions all points are about equally far away, and a search that has its neighbours still reads most
+//! rows, only to find that they are farther. The codes show that: a block is read only if one of its points, moved by
+//! as much as rounding may have moved it, is near enough.
 //!
-//! Measured without codes, as a multiple of the time with them: one tree of 50,000 uniform points, medians of single searches,
-//! interleaved in one process, on an Intel Xeon (family 6, model 207, AVX-512, 2 MiB of L2) in November 2026.
+//! Measured without codes, as a multiple of the time with them: one tree of 50,000 uniform points, medians of single
+//! searches, interleaved in one process, on an Intel Xeon (family 6, model 207, AVX-512, 2 MiB of L2) in November 2026.
 //!
 //! | | R12 | SE3² | SE3⁴ | R30 |
 //! |---|---|---|---|---|
@@ -37,7 +37,7 @@ const MIN_DIMENSION: usize = 9;
 /// `f64` can tell.
 const MAX_WEIGHT: f64 = 1e200;
 
-/// A bit for each point of a block of codes whose key may be up to `limit` once the point has moved by
+/// A bit for each row of a block of codes whose key may be up to `limit` before quantisation moved it by
 /// [`QuantizedQuery::error`].
 #[inline(always)]
 pub(crate) fn codes<I: Isa>(
@@ -60,8 +60,8 @@ pub(crate) struct QuantizedRows {
 }
 
 impl QuantizedRows {
-    /// The codes of these points; None in spaces and on processors where they do not pay, and where
-    /// [`Quantizer::of`] has none.
+    /// The codes of these points; None in spaces and on processors where codes do not save time, and where
+    /// [`Quantizer::of`] returns None.
     pub(crate) fn where_they_pay(space: &Space, points: &Points, blocks: &Blocks) -> Option<Self> {
         let is_heavy = space.parts().iter().any(|part| part.weight > MAX_WEIGHT);
         // Without wide registers, reading codes costs more than reading rows.

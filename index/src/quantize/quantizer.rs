@@ -1,7 +1,7 @@
 //! The 16-bit codes of some points: for each coordinate, the number of steps above a low.
 //!
-//! A few points may lie far from all others. So codes end near the others, and points beyond an end have its code. No point
-//! gets farther from a query by that, since a query beyond the same end is moved to it too.
+//! A few points may lie far from all others. So codes end near the others, and points beyond an end have its code. No
+//! point gets farther from a query by that, since a query beyond the same end is moved to it too.
 
 use crate::{Factor, Points, Space, boxes::around_rows, space::Part};
 
@@ -11,12 +11,12 @@ pub(super) const MAX_CODE: f64 = u16::MAX as f64;
 /// The steps by which a coordinate may have moved: half of one, and the error of a difference (see `query`).
 const MAX_MOVED: f64 = 0.52;
 
-/// The farthest step outside the codes at which a query may lie; a query farther out is moved there, which is nearer. The
-/// square of that many steps is in range.
+/// The farthest step outside the codes at which a query may lie; a query farther out is moved there, which is nearer.
+/// The square of that many steps is in range.
 const FARTHEST: f64 = (1_u64 << 50) as f64;
 
-/// The least length of a step in the metric, as a share of the longest step. A finer one tells points apart no better, and
-/// would put the other points out of reach where all points coincide in a factor.
+/// The least length of a step in the metric, as a share of the longest step. A finer one tells points apart no better,
+/// and would put the other points out of reach where all points coincide in a factor.
 const MIN_STEP_SHARE: f64 = 1e-3;
 
 /// A factor whose squared step has less than this share of the heaviest one is left out.
@@ -132,11 +132,11 @@ struct Span {
 
 /// The spans of all coordinates.
 fn spans(points: &Points) -> Vec<Span> {
-    let ends = around_rows(points.coordinates(), points.iter().map(|point| point.row));
+    let (lo, hi) = around_rows(points.coordinates(), points.iter().map(|point| point.row));
     let sample = points.iter().step_by(points.len().div_ceil(SAMPLE).max(1));
     let sample: Vec<&[f64]> = sample.map(|point| point.row).collect();
     let column = |axis: usize| sample.iter().map(|row| row[axis]).collect();
-    let spans = ends.into_iter().enumerate();
+    let spans = lo.into_iter().zip(hi).enumerate();
     spans
         .map(|(axis, ends)| Span::of(ends, column(axis)))
         .collect()
@@ -158,8 +158,9 @@ impl Span {
         Self { low, high, beyond }
     }
 
-    /// The steps between which a query may lie. If no point lies beyond an end, no point has its code for another number,
-    /// because all lie within `MAX_CODE` steps, also of wider ones; if some do, they and the query get the same code.
+    /// The steps between which a query may lie. If no point lies beyond an end, no point has its code for another
+    /// number, because all lie within `MAX_CODE` steps, also of wider ones; if some do, they and the query get the same
+    /// code.
     fn query_range(&self) -> [f64; 2] {
         let [below, above] = self.beyond;
         [
@@ -182,8 +183,8 @@ fn step(part: &Part, spans: &[Span]) -> f64 {
     span / MAX_CODE
 }
 
-/// The distance that a state moves if its coordinates, apart from rotations, move by [`MAX_MOVED`], and the loss of squares
-/// that are out of range.
+/// The distance that a state moves if its coordinates, apart from rotations, move by [`MAX_MOVED`], and the loss of
+/// squares that are out of range.
 fn error(space: &Space, steps: &[f64], weights: &[f32]) -> f64 {
     let (mut total, mut sum_2) = (0.0, 0.0);
     for (place, part) in space.parts().iter().enumerate() {

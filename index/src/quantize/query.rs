@@ -1,11 +1,11 @@
-//! A query in the steps of a quantizer, and lower bounds of its distance to a block of coded points.
+//! A query in the steps of a quantizer, and lower bounds of its distance to a block of quantised rows.
 //!
-//! All is computed in steps, as `f32`. **Rounding:** codes are of points that have moved by at most
-//! [`QuantizedQuery::error`], a distance (or to an end from beyond it: see `quantizer`); the bound of a rotation, which is of
-//! cosines, allows for that itself. With u = 2⁻²⁴, a query in steps is off by u of itself, and so is its difference from a
-//! code: together by less than 0.012 steps for a difference up to 2¹⁶ steps, and by at most 3u of a greater one. Another 0.02
-//! steps count as moved. All other errors are relative, since no sum of squares cancels: u for each coordinate that is
-//! added, 2u for each factor, and less than 32u for the rest.
+//! All computations are in steps, as `f32`. **Rounding:** quantisation has moved each point by at most the distance
+//! [`QuantizedQuery::error`] (or to an end from beyond it: see `quantizer`); the bound of a rotation, computed from
+//! cosines, allows for that itself. With u = 2⁻²⁴, a query in steps is off by u of itself, and so is its difference
+//! from a code: together by less than 0.012 steps for a difference up to 2¹⁶ steps, and by at most 3u of a greater one.
+//! Another 0.02 steps count as moved. All other errors are relative, since no sum of squares cancels: u for each
+//! coordinate that is added, 2u for each factor, and less than 32u for the rest.
 
 use super::quantizer::{MAX_CODE, Quantizer};
 use crate::{
@@ -14,11 +14,11 @@ use crate::{
     space::Part,
 };
 
-/// The number of points in a block of codes: two blocks of rows, which take about as long as one, and a cache line for each
-/// coordinate.
+/// The number of points in a block of codes: two blocks of rows, which take about as long as one, and a cache line for
+/// each coordinate.
 pub(crate) const CODE_ROWS: usize = 32;
 
-/// More than sums of `f32` lose to underflow. (The root of that is far less than a hundredth of a step.)
+/// A bound on the loss of sums of `f32` to underflow. (The root of that is far less than a hundredth of a step.)
 const MIN_KEY: f32 = 1e-36;
 
 /// A state in the steps of a quantizer.
@@ -77,7 +77,7 @@ pub(super) struct Codes<'a> {
 impl Rows<f32, CODE_ROWS> for Codes<'_> {
     type Stored = u16;
 
-    /// Twice what a cosine loses: by codes the length of half a step in each of four coordinates, 3.06e-5, and by
+    /// Twice the error of a cosine: by codes the length of half a step in each of four coordinates, 3.06e-5, and by
     /// roundings 34u, 2.1e-6. Rotations nearer than 9e-3 to each other are not pruned.
     const CHORD_SLACK: f64 = 8e-5;
 

@@ -76,7 +76,8 @@ impl Factor {
         }
     }
 
-    /// The coordinates at the share `t`, strictly between 0 and 1, of the way from `a` to `b`; canonical except for wrapping.
+    /// The coordinates at the share `t`, strictly between 0 and 1, of the way from `a` to `b`; canonical except for
+    /// wrapping.
     pub(super) fn interpolate(&self, a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
         match *self {
             Factor::RealVector(_) => real_vector::interpolate(a, b, t, between),

@@ -3,8 +3,8 @@
 use super::Space;
 
 impl Space {
-    /// The state the share `t` of the way from `a` to `b` along a shortest path, written to `between` in canonical form:
-    /// the segment in `RealVector`, the shorter arc in `SO2`, rotation about a fixed axis in `SO3`, all at once.
+    /// The state the share `t` of the way from `a` to `b` along a shortest path, written to `between` in canonical
+    /// form: the segment in `RealVector`, the shorter arc in `SO2`, rotation about a fixed axis in `SO3`, all at once.
     ///
     /// Its distance to `a` is `t` times that of `b`, apart from rounding. With `t` at or below 0 it is `a`, and at or
     /// above 1 it is `b`, to the bit. If two paths are equally short, as between opposite angles, it is always on the

@@ -8,8 +8,8 @@
 //! `RealVector(n)`, the shorter arc for `SO2`, half the angle of the relative rotation for `SO3`. One group is the
 //! weighted product metric of Yershova and LaValle; every factor a group of its own is OMPL's `CompoundStateSpace`.
 //!
-//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and functions that
-//! IEEE 754 does not round correctly come from `libm`. Every reported distance has these bits.
+//! [`Space::distance`] defines a distance bit for bit: the order of the operations is fixed, none is fused, and
+//! functions that IEEE 754 does not round correctly come from `libm`. Every reported distance has these bits.
 
 mod error;
 mod factor;
@@ -28,6 +28,9 @@ pub use factor::{Factor, Group, Term};
 
 use std::fmt;
 use std::str::FromStr;
+
+/// The number of rows of a table that are checked at once.
+const ROWS_AT_ONCE: usize = 8;
 
 /// The bits of −0.0, which no canonical row has.
 const NEGATIVE_ZERO: u64 = 1 << 63;
@@ -67,7 +70,7 @@ pub struct Space {
 }
 
 impl Space {
-    /// The most coordinates that a space can have.
+    /// The maximum number of coordinates of a space.
     pub const MAX_COORDINATES: usize = 256;
 
     /// The space of these groups.
@@ -208,16 +211,41 @@ impl Space {
         Err(self.canonical_problem(row))
     }
 
+    /// Acts like [`Space::check_canonical`] for all rows of a table, one after the other; names the row of an error.
+    pub(crate) fn check_all_canonical(&self, rows: &[f64]) -> Result<(), (usize, StateError)> {
+        if rows.len() > ROWS_AT_ONCE * self.coordinates && self.are_canonical(rows) {
+            return Ok(());
+        }
+        let mut rows = rows.chunks(self.coordinates).enumerate();
+        rows.try_for_each(|(at, row)| self.check_canonical(row).map_err(|error| (at, error)))
+    }
+
+    fn are_canonical(&self, rows: &[f64]) -> bool {
+        // No comparison decides about the next one, so that registers of any width are filled.
+        let ends = self.ends.repeat(ROWS_AT_ONCE);
+        let in_range = rows.chunks(ends.len()).all(|rows| {
+            let ended = rows.iter().zip(&ends);
+            ended.fold(true, |all, (x, [lo, hi])| {
+                all & (lo <= x) & (x <= hi) & (x.to_bits() != NEGATIVE_ZERO)
+            })
+        });
+        let mut rows = rows.chunks(self.coordinates);
+        in_range && (self.rotations.is_empty() || rows.all(|row| self.has_canonical_rotations(row)))
+    }
+
+    #[inline]
+    fn has_canonical_rotations(&self, row: &[f64]) -> bool {
+        let mut rotations = self.rotations.iter();
+        rotations.all(|&at| so3::is_canonical(&row[at..at + 4]))
+    }
+
     #[inline]
     fn is_canonical(&self, row: &[f64]) -> bool {
         // (One pass over all coordinates: made factor by factor, the check cost 4 % of a search in R3.)
         let mut ended = row.iter().zip(&self.ends);
         row.len() == self.coordinates
             && ended.all(|(x, [lo, hi])| lo <= x && x <= hi && x.to_bits() != NEGATIVE_ZERO)
-            && self
-                .rotations
-                .iter()
-                .all(|&at| so3::is_canonical(&row[at..at + 4]))
+            && self.has_canonical_rotations(row)
     }
 
     /// The problem of a row that is not canonical.

@@ -1,8 +1,8 @@
-//! Spaces by name, where a whole space is typed.
+//! Named spaces, accepted in place of a whole space.
 
 use super::{Factor, Group, Space, SpaceError};
 
-/// Names of spaces that other software uses, and their text.
+/// The names of spaces in other software, and their text.
 const PRESETS: [(&str, &str); 4] = [
     // Yershova and LaValle's library MPNN, with the weights of their experiments.
     ("mpnn-se3", "R3*RP3:0.15"),

@@ -34,8 +34,8 @@ pub(crate) fn to_boxes_2<I: Isa>(
 ) -> Lanes<I, f64, MAX_CHILDREN> {
     let (x, zero) = (Lanes::splat(angle), Lanes::splat(0.0));
     let (lo, hi) = (Lanes::load(ends), Lanes::load(&ends[MAX_CHILDREN..]));
-    // Outside the interval the nearer end bounds the direct arc, and the farther end the arc across the seam: of hi − x and
-    // x − lo the one that is not negative is the arc to it.
+    // Outside the interval the nearer end bounds the direct arc, and the farther end the arc across the seam: of hi − x
+    // and x − lo the one that is not negative is the arc to it.
     let direct = (lo - x).max(x - hi).max(zero);
     let across = (Lanes::splat(period) - (hi - x).max(x - lo)).max(zero);
     let d = direct.min(across);
@@ -60,8 +60,8 @@ where
     d * d
 }
 
-/// The shorter arc from `a` to `b`; the one that does not cross the seam if both are equally long. It may end beyond the seam,
-/// and [`canonicalize`] wraps it.
+/// The shorter arc from `a` to `b`; the one that does not cross the seam if both are equally long. It may end beyond
+/// the seam, and [`canonicalize`] wraps it.
 pub(super) fn interpolate(a: f64, b: f64, period: f64, t: f64, between: &mut [f64]) {
     let half = period / 2.0;
     let b = match b - a {

@@ -80,8 +80,8 @@ where
     s * ((Lanes::splat(T::near(1.0)) + s * c1) + (s * s) * (c2 + s * c3))
 }
 
-/// The shorter great arc from `a` to `b` or −b (slerp): rotation about a fixed axis at a constant rate; to `b` if both are
-/// equally long.
+/// The shorter great arc from `a` to `b` or −b (slerp): rotation about a fixed axis at a constant rate; to `b` if both
+/// are equally long.
 pub(super) fn interpolate(a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
     /// Below this the sines equal their angles to the last bit, and their quotients are `1 − t` and `t`.
     const STRAIGHT: f64 = 1e-8;
@@ -105,8 +105,8 @@ pub(super) fn interpolate(a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
 /// > θ² = s·(1 + s/12 + s²/90 + s³/560 + …)
 ///
 /// has only positive terms, so that leaving out the rest bounds it from below. These are the coefficients after 1.
-/// Such a bound may exceed a computed angle by some units in the last place (less than 1e-14 of it); pruning leaves that
-/// margin.
+/// Such a bound may exceed a computed angle by some units in the last place (less than 1e-14 of it); pruning leaves
+/// that margin.
 pub(crate) const SERIES: [f64; 3] = [1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0];
 
 /// The ends of a coordinate of a canonical quaternion.

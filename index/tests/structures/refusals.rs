@@ -53,21 +53,26 @@ fn points(rows: &[(u64, &[f64])]) -> Points {
 fn rows_that_are_not_canonical_states_are_not_stored() {
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     let mut linear = Linear::new(space());
+    let good = good_row();
     for (bad, coordinate, reason) in bad_rows() {
-        let stored = points(&[(1, &good_row()), (2, &bad)]);
-        let is_expected = |error: &PointsError| match error {
-            PointsError::State { row, error } => {
-                *row == 1 && error.coordinate == coordinate && error.reason == reason
+        // Few rows are checked one by one, and more at once.
+        for (rows, at) in [(2, 1), (21, 0), (21, 7), (21, 8), (21, 20)] {
+            let row = |id| if id == at { &bad[..] } else { &good };
+            let stored = points(&(0..rows).map(|id| (id, row(id))).collect::<Vec<_>>());
+            let is_expected = |error: &PointsError| match error {
+                PointsError::State { row, error } => {
+                    *row as u64 == at && error.coordinate == coordinate && error.reason == reason
+                }
+                _ => false,
+            };
+            let error = KdTree::new(space(), stored.clone(), 8).unwrap_err();
+            assert!(is_expected(&error), "{bad:?} {error}");
+            let error = Mpnn::new(space(), stored.clone(), 8).unwrap_err();
+            assert!(is_expected(&error), "{bad:?} {error}");
+            match forest.apply(1, &stored, &[]) {
+                Err(ApplyError::Points(error)) => assert!(is_expected(&error), "{bad:?} {error}"),
+                other => panic!("{bad:?} {other:?}"),
             }
-            _ => false,
-        };
-        let error = KdTree::new(space(), stored.clone(), 8).unwrap_err();
-        assert!(is_expected(&error), "{bad:?} {error}");
-        let error = Mpnn::new(space(), stored.clone(), 8).unwrap_err();
-        assert!(is_expected(&error), "{bad:?} {error}");
-        match forest.apply(1, &stored, &[]) {
-            Err(ApplyError::Points(error)) => assert!(is_expected(&error), "{bad:?} {error}"),
-            other => panic!("{bad:?} {other:?}"),
         }
         let point = PointRef {
             id: 2,

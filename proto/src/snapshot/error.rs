@@ -5,7 +5,9 @@ use std::{fmt, io};
 use thiserror::Error;
 use wayfold_index::StateError;
 
-use super::{END_OF_IDS, FORMAT_VERSION, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES};
+use super::{
+    END_OF_IDS, FORMAT_VERSION, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES, OLDEST_FORMAT_VERSION,
+};
 use crate::space::SpaceMessageError;
 
 /// The error of a snapshot, or of a file that is none.
@@ -19,7 +21,8 @@ pub enum SnapshotError {
     NotSnapshot,
     /// The snapshot has another version of the format.
     #[error(
-        "a snapshot of format version {found}, and this program reads version {FORMAT_VERSION} only: use the release that wrote it"
+        "a snapshot of format version {found}, and this program reads versions {OLDEST_FORMAT_VERSION} to \
+         {FORMAT_VERSION}: use the release that wrote it"
     )]
     Version {
         /// The version.
@@ -101,12 +104,34 @@ pub enum SnapshotError {
         /// The problem with it.
         problem: Box<PointProblem>,
     },
-    /// There are more or fewer points than were announced.
-    #[error("part {part}: {found} points so far, where the {said_by} says {expected}")]
+    /// A writer session that no index holds.
+    #[error("part {part}, session {session}: {problem}")]
+    Session {
+        /// The part.
+        part: u64,
+        /// The session.
+        session: u64,
+        /// The problem with it.
+        problem: SessionProblem,
+    },
+    /// A block of reserved ids that no index holds.
+    #[error("part {part}, block of ids from {first_id}: {problem}")]
+    Block {
+        /// The part.
+        part: u64,
+        /// The first id.
+        first_id: u64,
+        /// The problem with it.
+        problem: BlockProblem,
+    },
+    /// There are more or fewer points, writer sessions or blocks than were announced.
+    #[error("part {part}: {found} {counted} so far, where the {said_by} says {expected}")]
     Count {
         /// The part.
         part: u64,
-        /// The number of points.
+        /// The things that are counted.
+        counted: &'static str,
+        /// Their number.
         found: u64,
         /// The number expected.
         expected: u64,
@@ -175,6 +200,58 @@ pub enum PointProblem {
     },
 }
 
+/// A problem with a writer session.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum SessionProblem {
+    /// The ids do not ascend.
+    #[error("it follows session {before}, and sessions ascend")]
+    NotAscending {
+        /// The session before.
+        before: u64,
+    },
+    /// No revision of the snapshot opened it.
+    #[error("a session is the number of a revision, from 1 to {revision}, the snapshot's")]
+    Id {
+        /// The revision of the header.
+        revision: u64,
+    },
+    /// A fingerprint that is not a SHA-256.
+    #[error("its fingerprint has {bytes} bytes, where a SHA-256 has 32")]
+    Fingerprint {
+        /// The number of bytes.
+        bytes: usize,
+    },
+    /// A response that does not decode.
+    #[error("its response is not a WriteResponse")]
+    Response,
+}
+
+/// A problem with a block of reserved ids.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum BlockProblem {
+    /// It holds no id.
+    #[error("it holds no id")]
+    Empty,
+    /// It overlaps the block before, or the blocks do not ascend.
+    #[error("the block before ends before id {end}, and blocks ascend without an overlap")]
+    Overlap {
+        /// The id after the block before.
+        end: u64,
+    },
+    /// Ids that the header excludes.
+    #[error("reserved ids are below next_id, which is {next_id}")]
+    Id {
+        /// The `next_id` of the header.
+        next_id: u64,
+    },
+    /// The session is not in the snapshot.
+    #[error("session {session} reserved it, and the snapshot has no such session")]
+    UnknownSession {
+        /// The session.
+        session: u64,
+    },
+}
+
 impl SnapshotError {
     /// The kind of problem in UPPER_SNAKE_CASE.
     pub fn reason(&self) -> &'static str {
@@ -191,6 +268,8 @@ impl SnapshotError {
             | SnapshotError::Space { .. }
             | SnapshotError::Column { .. }
             | SnapshotError::Point { .. }
+            | SnapshotError::Session { .. }
+            | SnapshotError::Block { .. }
             | SnapshotError::Count { .. } => "SNAPSHOT_INVALID",
         }
     }

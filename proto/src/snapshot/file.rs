@@ -5,8 +5,10 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use bytes::Bytes;
 use prost::Message;
 
-use super::{Content, FORMAT_VERSION, MAX_CONTENT_BYTES, Reader, SnapshotError};
-use crate::v1;
+use super::{
+    Content, FORMAT_VERSION, MAX_CONTENT_BYTES, OLDEST_FORMAT_VERSION, Reader, SnapshotError,
+};
+use crate::v1::{self, snapshot_content::Kind};
 
 /// The beginning of the first line; a version follows.
 const NAME: &str = "wayfold snapshot ";
@@ -23,25 +25,29 @@ const MAX_PART_BYTES: u64 = MAX_CONTENT_BYTES as u64 + 256;
 pub struct FileWriter<W> {
     file: W,
     buffer: Vec<u8>,
+    begun: bool,
 }
 
 impl<W: Write> FileWriter<W> {
-    /// Begins the file.
-    ///
-    /// # Errors
-    /// It cannot be written.
-    pub fn new(mut file: W) -> io::Result<FileWriter<W>> {
-        writeln!(file, "{NAME}{FORMAT_VERSION}")?;
-        let buffer = Vec::new();
-        Ok(FileWriter { file, buffer })
+    /// Begins the file. Nothing is written before the first part.
+    pub fn new(file: W) -> FileWriter<W> {
+        FileWriter {
+            file,
+            buffer: Vec::new(),
+            begun: false,
+        }
     }
 
-    /// Writes the next part.
+    /// Writes the next part, and before the first part the line with its version.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn write(&mut self, part: &v1::SnapshotPart) -> io::Result<()> {
         self.buffer.clear();
+        if !self.begun {
+            writeln!(self.buffer, "{NAME}{}", version_of(part))?;
+            self.begun = true;
+        }
         part.encode_length_delimited(&mut self.buffer)
             .map_err(io::Error::other)?;
         self.file.write_all(&self.buffer)
@@ -54,6 +60,16 @@ impl<W: Write> FileWriter<W> {
     pub fn finish(mut self) -> io::Result<W> {
         self.file.flush()?;
         Ok(self.file)
+    }
+}
+
+/// The format version of the header in a part. A part without a header gets the newest: a reader refuses it anyway.
+fn version_of(part: &v1::SnapshotPart) -> u32 {
+    match v1::SnapshotContent::decode(part.content.clone()) {
+        Ok(v1::SnapshotContent {
+            kind: Some(Kind::Header(header)),
+        }) => header.format_version,
+        _ => FORMAT_VERSION,
     }
 }
 
@@ -78,12 +94,14 @@ impl<R: Read> FileReader<R> {
             .strip_prefix(NAME)
             .and_then(|rest| rest.strip_suffix('\n'))
             .ok_or(SnapshotError::NotSnapshot)?;
-        if version != FORMAT_VERSION.to_string() {
-            return Err(SnapshotError::version(version.escape_debug()));
-        }
+        let known = OLDEST_FORMAT_VERSION..=FORMAT_VERSION;
+        let version = known
+            .into_iter()
+            .find(|known| known.to_string() == version)
+            .ok_or_else(|| SnapshotError::version(version.escape_debug()))?;
         Ok(FileReader {
             file,
-            reader: Reader::new(),
+            reader: Reader::of_version(version),
         })
     }
 

@@ -7,6 +7,7 @@
 mod error;
 mod file;
 mod reader;
+mod sessions;
 mod writer;
 
 use std::io::Read;
@@ -14,13 +15,16 @@ use std::io::Read;
 use sha2::{Digest as _, Sha256};
 use wayfold_index::Space;
 
-pub use error::{Place, PointProblem, SnapshotError};
+pub use error::{BlockProblem, Place, PointProblem, SessionProblem, SnapshotError};
 pub use file::{FileReader, FileWriter};
 pub use reader::{Content, Reader};
 pub use writer::Writer;
 
 /// The version of the format.
-pub const FORMAT_VERSION: u32 = 2;
+pub const FORMAT_VERSION: u32 = 3;
+
+/// The oldest version that is read. It has no writer sessions.
+pub const OLDEST_FORMAT_VERSION: u32 = 2;
 
 /// The most bytes of a part's content.
 pub const MAX_CONTENT_BYTES: usize = 4 * 1024 * 1024;
@@ -45,7 +49,7 @@ pub struct Header {
     pub space: Space,
     /// The revision that was read.
     pub revision: u64,
-    /// The least id above every id that the index ever used.
+    /// The least id above every id that the index ever used or reserved.
     pub next_id: u64,
     /// The number of points that follow.
     pub point_count: u64,

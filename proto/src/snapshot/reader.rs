@@ -4,8 +4,8 @@ use prost::Message;
 use wayfold_index::Space;
 
 use super::{
-    Digest, END_OF_IDS, FORMAT_VERSION, Header, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES, Place,
-    PointProblem, SnapshotError, digest,
+    Digest, END_OF_IDS, FORMAT_VERSION, Header, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES,
+    OLDEST_FORMAT_VERSION, Place, PointProblem, SnapshotError, digest, sessions::CheckedSessions,
 };
 use crate::{
     space,
@@ -20,6 +20,9 @@ pub enum Content {
     /// Points in the form in which an index holds them. Every column is as long as the ids, except that there may be no
     /// payloads. The points meet every guarantee that an index gives about its points.
     Points(v1::Points, Vec<u64>),
+    /// Writer sessions and blocks of reserved ids in the form in which an index holds them. The session of every block
+    /// was read before it.
+    Sessions(v1::SnapshotSessions),
     /// The last part.
     Trailer,
 }
@@ -29,9 +32,12 @@ pub enum Content {
 pub struct Reader {
     parts: u64,
     digest: Digest,
+    /// The version of the format, once it is known.
+    version: Option<u32>,
     header: Option<Header>,
     points: u64,
     last_id: Option<u64>,
+    sessions: CheckedSessions,
     done: bool,
     /// The row that is compared with its canonical form.
     row: Vec<f64>,
@@ -41,6 +47,14 @@ impl Reader {
     /// Begins to read a snapshot.
     pub fn new() -> Reader {
         Reader::default()
+    }
+
+    /// Begins to read a snapshot whose header must have this version of the format.
+    pub(super) fn of_version(version: u32) -> Reader {
+        Reader {
+            version: Some(version),
+            ..Reader::default()
+        }
     }
 
     /// The digest of the last part, which covers all parts so far.
@@ -62,6 +76,7 @@ impl Reader {
             .map_err(|error| SnapshotError::malformed(number, error))?;
         let content = match (content.kind, &self.header) {
             (Some(snapshot_content::Kind::Header(header)), None) => {
+                self.check_version(number, header.format_version)?;
                 let header = read_header(number, header)?;
                 self.header = Some(header.clone());
                 Content::Header(header)
@@ -69,9 +84,22 @@ impl Reader {
             (Some(snapshot_content::Kind::Points(points)), Some(_)) => {
                 self.read_points(number, points)?
             }
+            (Some(snapshot_content::Kind::Sessions(sessions)), Some(header)) => {
+                if self.version < Some(3) {
+                    let problem = "a snapshot of version 2 has no writer sessions";
+                    return Err(SnapshotError::malformed(number, problem));
+                }
+                self.sessions.add(number, header, &sessions)?;
+                Content::Sessions(sessions)
+            }
             (Some(snapshot_content::Kind::Trailer(trailer)), Some(header)) => {
-                self.check_count(number, header.point_count, "header")?;
-                self.check_count(number, trailer.point_count, "trailer")?;
+                let points = ("points", self.points);
+                check_count(number, points, ("header", header.point_count))?;
+                check_count(number, points, ("trailer", trailer.point_count))?;
+                let expected = [trailer.session_count, trailer.block_count];
+                for (counted, expected) in self.sessions.counts().into_iter().zip(expected) {
+                    check_count(number, counted, ("trailer", expected))?;
+                }
                 self.done = true;
                 Content::Trailer
             }
@@ -139,6 +167,20 @@ impl Reader {
         })
     }
 
+    fn check_version(&mut self, number: u64, found: u32) -> Result<(), SnapshotError> {
+        if !(OLDEST_FORMAT_VERSION..=FORMAT_VERSION).contains(&found) {
+            return Err(SnapshotError::version(found));
+        }
+        match self.version.replace(found) {
+            Some(expected) if expected != found => {
+                let problem =
+                    format!("format version {found}, where the first line says {expected}");
+                Err(SnapshotError::malformed(number, problem))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn read_points(
         &mut self,
         number: u64,
@@ -148,12 +190,20 @@ impl Reader {
             let problem = "a snapshot begins with its header";
             return Err(SnapshotError::malformed(number, problem));
         };
+        if !self.sessions.is_empty() {
+            let problem = "points after the writer sessions";
+            return Err(SnapshotError::malformed(number, problem));
+        }
         let points = message.points.unwrap_or_default();
         let modified = message.modified_revisions;
         check_columns(number, &header.space, &points, &modified)?;
         self.points += points.ids.len() as u64;
         if self.points > header.point_count {
-            self.check_count(number, header.point_count, "header")?;
+            check_count(
+                number,
+                ("points", self.points),
+                ("header", header.point_count),
+            )?;
         }
         for row in 0..points.ids.len() {
             self.check_point(&header, &points, &modified, row)
@@ -218,29 +268,26 @@ impl Reader {
             Err(PointProblem::NotCanonical)
         }
     }
+}
 
-    fn check_count(
-        &self,
-        number: u64,
-        expected: u64,
-        said_by: &'static str,
-    ) -> Result<(), SnapshotError> {
-        if self.points == expected {
-            return Ok(());
-        }
-        Err(SnapshotError::Count {
-            part: number,
-            found: self.points,
-            expected,
-            said_by,
-        })
+fn check_count(
+    part: u64,
+    (counted, found): (&'static str, u64),
+    (said_by, expected): (&'static str, u64),
+) -> Result<(), SnapshotError> {
+    if found == expected {
+        return Ok(());
     }
+    Err(SnapshotError::Count {
+        part,
+        counted,
+        found,
+        expected,
+        said_by,
+    })
 }
 
 fn read_header(number: u64, header: v1::SnapshotHeader) -> Result<Header, SnapshotError> {
-    if header.format_version != FORMAT_VERSION {
-        return Err(SnapshotError::version(header.format_version));
-    }
     let space = space::from_message(&header.space.unwrap_or_default()).map_err(|problem| {
         SnapshotError::Space {
             part: number,

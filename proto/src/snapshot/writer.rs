@@ -14,7 +14,7 @@ use crate::{
 #[derive(Clone, Debug, Default)]
 pub struct Writer {
     parts: u64,
-    points: u64,
+    trailer: v1::SnapshotTrailer,
     digest: Digest,
 }
 
@@ -42,7 +42,7 @@ impl Writer {
 
     /// A part of points, with ids above all before.
     pub fn points(&mut self, points: v1::SnapshotPoints) -> v1::SnapshotPart {
-        self.points += points
+        self.trailer.point_count += points
             .points
             .as_ref()
             .map_or(0, |points| points.ids.len() as u64);
@@ -51,13 +51,19 @@ impl Writer {
 
     /// The number of points.
     pub fn points_written(&self) -> u64 {
-        self.points
+        self.trailer.point_count
+    }
+
+    /// A part of writer sessions and blocks of reserved ids, after all points.
+    pub fn sessions(&mut self, sessions: v1::SnapshotSessions) -> v1::SnapshotPart {
+        self.trailer.session_count += sessions.sessions.len() as u64;
+        self.trailer.block_count += sessions.blocks.len() as u64;
+        self.part(Kind::Sessions(sessions))
     }
 
     /// The last part.
     pub fn trailer(&mut self) -> v1::SnapshotPart {
-        let point_count = self.points;
-        self.part(Kind::Trailer(v1::SnapshotTrailer { point_count }))
+        self.part(Kind::Trailer(self.trailer))
     }
 
     fn part(&mut self, kind: Kind) -> v1::SnapshotPart {

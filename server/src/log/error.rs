@@ -4,6 +4,10 @@ use thiserror::Error;
 
 use super::Uid;
 
+/// The consequence of a failure of the store.
+const STORE_FAILED: &str = "whether the mutations under way are stored is unknown, and none is taken until the disk can be \
+                            written again, which is tried again and again; meanwhile reads go on";
+
 /// The error of a call of the log.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum LogError {
@@ -144,14 +148,15 @@ pub enum LogError {
         last: u64,
     },
     /// The store failed: nothing more is written until it is reopened.
-    #[error(
-        "the store failed ({what}): whether the mutations under way are stored is unknown, and none is taken until the \
-         disk can be written again, which is tried again and again; meanwhile reads go on"
-    )]
+    #[error("the store failed ({what}): {STORE_FAILED}")]
     Storage {
         /// The error of the store.
         what: String,
     },
+    /// A thread of the store failed earlier, and the store does not say why. The consequence is that of
+    /// [`LogError::Storage`].
+    #[error("the store failed (an earlier failure to write): {STORE_FAILED}")]
+    StorageStopped,
     /// The store met a damaged block and writes nothing more.
     #[error(
         "the store is damaged ({what}): nothing is written any more, and reads go on; stop the server and run \

@@ -1,25 +1,26 @@
 //! The mutation log: the server's only source of state.
 //!
-//! The server is one state machine, *mutation log → forest*. A mutation is evaluated, its [`Effects`] are submitted to the
-//! [`Journal`] as one [`Record`], and the apply loop of the index (`registry`) takes the record from the journal and applies
-//! it to the [`PointStore`] and the forest. A restart, a feed and a replica read the same records. A record holds the effects
-//! of a mutation, never the request, so applying one decides nothing.
+//! The server is one state machine, *mutation log → forest*. A mutation is evaluated, its [`Effects`] are submitted to
+//! the [`Journal`] as one [`Record`], and the apply loop of the index (`registry`) takes the record from the journal
+//! and applies it to the [`PointStore`] and the forest. A restart, a feed and a replica read the same records. A record
+//! holds the effects of a mutation, never the request, so applying one decides nothing.
 //!
-//! The point store holds the sum of the records ([`View`]): the checkpoint from which a restart goes on, and the place where
-//! payloads live. The [`Catalogue`] holds the names and uids of the indices.
+//! The point store holds the sum of the records ([`View`]): the checkpoint from which a restart goes on, and the place
+//! where payloads live. The [`Catalogue`] holds the names and uids of the indices.
 //!
-//! Two engines implement all three: `fjall` in a directory, where a record and the points that it changes are one batch, and
-//! `memory` in the process. One conformance suite runs over these, over an engine that fails on purpose, and over a journal
-//! that behaves like one on another machine.
+//! Two engines implement all three: `fjall` in a directory, where a record and the points that it changes are one
+//! batch, and `memory` in the process. One conformance suite runs over these, over an engine that fails on purpose, and
+//! over a journal that behaves like one on another machine.
 //!
 //! Invariants:
-//! - The revisions of an index start at 1 and have no gaps; record `n` carries the digest of record `n - 1`. Every record
-//!   takes a revision, also one without points.
+//! - The revisions of an index start at 1 and have no gaps; record `n` carries the digest of record `n - 1`. Every
+//!   record takes a revision, also one without points.
 //! - Of two writers that submit after the same revision one wins, and the other is refused ([`LogError::Fenced`]).
 //! - A view never changes, whatever is applied, trimmed or deleted while it is held.
 //! - A uid is never used again.
 
 mod cursor;
+mod effects;
 mod error;
 mod fjall;
 mod memory;
@@ -37,9 +38,11 @@ use wayfold_index::Space;
 #[cfg(fuzzing)]
 pub use self::fjall::fuzzing;
 pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport, repair};
+pub use effects::{Effects, Operation, Outcome};
 pub use error::LogError;
 pub use memory::MemoryLog;
-pub use record::{Digest, Effects, Operation, Outcome, Record};
+pub use record::{Digest, Record};
+pub(crate) use retention::Bounded;
 pub use retention::Retention;
 pub use session::{Batch, Block, Session, Sessions};
 pub use uid::Uid;
@@ -86,7 +89,8 @@ impl Origin {
     };
 }
 
-/// A record's place in the log of its index. Two writers may give their records the same revision, but not the same digest.
+/// A record's place in the log of its index. Two writers may give their records the same revision, but not the same
+/// digest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tip {
     /// Its revision.
@@ -98,12 +102,18 @@ pub struct Tip {
 /// A stream of batches of consecutive records. It waits for new records at the end of the log, and ends after an error.
 pub type RecordStream = BoxStream<'static, Result<Vec<Arc<Record>>, LogError>>;
 
+/// Takes the points of an index one by one.
+pub type PointVisitor<'a> = dyn FnMut(&StoredPoint) -> Result<(), LogError> + 'a;
+
+/// The number of points that one read of a view returns while an index is loaded.
+const PAGE_POINTS: usize = 4096;
+
 /// The answer of a [`Journal`] to a submitted record.
 pub enum Receipt {
     /// The journal cannot refuse the record any more. [`Journal::follow`] yields it once it is durable, or an error.
     Accepted,
-    /// Resolves once the journal has accepted or refused the record: [`LogError::Fenced`] if another writer has its revision,
-    /// [`LogError::Unconfirmed`] if the answer was lost, so that the record may be in the journal or not.
+    /// Resolves once the journal has accepted or refused the record: [`LogError::Fenced`] if another writer has its
+    /// revision, [`LogError::Unconfirmed`] if the answer was lost, so that the record may be in the journal or not.
     Awaited(BoxFuture<'static, Result<(), LogError>>),
 }
 
@@ -146,6 +156,20 @@ pub trait PointStore: Send + Sync {
 
     /// The points as they are stored now, pinned.
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;
+
+    /// Passes all points, by ascending id, to `visit`, and returns their view; an error of `visit` ends it. Blocks.
+    fn load(&self, uid: Uid, visit: &mut PointVisitor<'_>) -> Result<Arc<dyn View>, LogError> {
+        let view = self.view(uid)?;
+        let mut after = None;
+        loop {
+            let page = view.page(after, PAGE_POINTS)?;
+            let Some(last) = page.last() else {
+                return Ok(view);
+            };
+            after = Some(last.id);
+            page.iter().try_for_each(|point| visit(point))?;
+        }
+    }
 
     /// The newest operations, oldest first. Operations of trimmed records are included.
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError>;

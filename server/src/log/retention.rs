@@ -18,26 +18,84 @@ pub struct Retention {
     pub operation_bytes: usize,
 }
 
-/// The sizes of the records and operations that are held. The newest record and the newest operation always stay, at
-/// any size and age, so a follower that reads record by record always gets the next one.
-#[derive(Default)]
-pub(super) struct Window {
-    records: VecDeque<Held>,
-    record_bytes: usize,
-    operations: VecDeque<usize>,
-    operation_bytes: usize,
+impl Retention {
+    /// Forgets the records that need not be kept, oldest first. `time_of` is the time of a record in milliseconds
+    /// since 1970.
+    pub(super) fn forget_records<'a, T>(
+        &'a self,
+        records: &'a mut Bounded<T>,
+        time_of: impl Fn(&T) -> u64 + 'a,
+    ) -> impl Iterator<Item = T> + 'a {
+        let since = time_ms(self.since);
+        std::iter::from_fn(move || {
+            records.forget(usize::MAX, self.record_bytes, |record| {
+                time_of(record) < since
+            })
+        })
+    }
+
+    /// Forgets the operations that need not be kept, oldest first.
+    pub(super) fn forget_operations<'a, T>(
+        &'a self,
+        operations: &'a mut Bounded<T>,
+    ) -> impl Iterator<Item = T> + 'a {
+        std::iter::from_fn(move || {
+            operations.forget(self.operations, self.operation_bytes, |_| false)
+        })
+    }
 }
 
-struct Held {
+/// A queue that forgets its oldest items. The newest item always stays, at any size and age, so that a follower that
+/// reads one record at a time always gets the next one.
+pub(crate) struct Bounded<T> {
+    /// The items with their bytes, oldest first.
+    items: VecDeque<(T, usize)>,
     bytes: usize,
-    time_ms: u64,
 }
 
-/// The numbers of oldest records and operations to forget.
-#[derive(Default)]
-pub(super) struct Trimmed {
-    pub(super) records: usize,
-    pub(super) operations: usize,
+impl<T> Default for Bounded<T> {
+    fn default() -> Self {
+        Self {
+            items: VecDeque::new(),
+            bytes: 0,
+        }
+    }
+}
+
+impl<T> Bounded<T> {
+    /// Adds the newest item.
+    pub(crate) fn push(&mut self, item: T, bytes: usize) {
+        self.bytes += bytes;
+        self.items.push_back((item, bytes));
+    }
+
+    /// Removes the oldest item if the items exceed a bound, or if it is too old; None if it stays.
+    pub(crate) fn forget(
+        &mut self,
+        max_count: usize,
+        max_bytes: usize,
+        is_old: impl FnOnce(&T) -> bool,
+    ) -> Option<T> {
+        let (oldest, _) = self.items.front()?;
+        let is_outside = self.items.len() > max_count || self.bytes > max_bytes || is_old(oldest);
+        if self.items.len() == 1 || !is_outside {
+            return None;
+        }
+        let (oldest, bytes) = self.items.pop_front()?;
+        self.bytes -= bytes;
+        Some(oldest)
+    }
+
+    /// Removes the items that are not to be kept, wherever they are.
+    pub(crate) fn retain(&mut self, keep: impl Fn(&T) -> bool) {
+        self.items.retain(|(item, _)| keep(item));
+        self.bytes = self.items.iter().map(|(_, bytes)| bytes).sum();
+    }
+
+    /// The items, oldest first.
+    pub(crate) fn iter(&self) -> impl ExactSizeIterator<Item = &T> {
+        self.items.iter().map(|(item, _)| item)
+    }
 }
 
 /// The bytes of records that may still be read. The first record may always be read.
@@ -59,45 +117,5 @@ impl Allowance {
         let left = self.left.checked_sub(record.effects().bytes());
         self.left = left.unwrap_or(0);
         std::mem::replace(&mut self.is_first, false) || left.is_some()
-    }
-}
-
-impl Window {
-    /// Adds the next record.
-    pub(super) fn hold(&mut self, record: &Record) {
-        let bytes = record.effects().bytes();
-        self.record_bytes += bytes;
-        let time_ms = record.time_ms();
-        self.records.push_back(Held { bytes, time_ms });
-    }
-
-    /// Adds the next operation.
-    pub(super) fn hold_operation(&mut self, bytes: usize) {
-        self.operation_bytes += bytes;
-        self.operations.push_back(bytes);
-    }
-
-    /// Drops the records and operations outside the bounds.
-    pub(super) fn trim(&mut self, keep: &Retention) -> Trimmed {
-        let mut trimmed = Trimmed::default();
-        let since = time_ms(keep.since);
-        while self.records.len() > 1
-            && let Some(oldest) = self.records.front()
-            && (self.record_bytes > keep.record_bytes || oldest.time_ms < since)
-        {
-            self.record_bytes -= oldest.bytes;
-            self.records.pop_front();
-            trimmed.records += 1;
-        }
-        while self.operations.len() > 1
-            && let Some(oldest) = self.operations.front()
-            && (self.operations.len() > keep.operations
-                || self.operation_bytes > keep.operation_bytes)
-        {
-            self.operation_bytes -= oldest;
-            self.operations.pop_front();
-            trimmed.operations += 1;
-        }
-        trimmed
     }
 }

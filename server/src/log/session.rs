@@ -1,7 +1,7 @@
 //! Writer sessions: the outcome of each session's newest batch, so that a retry is recognised after any pause, and the
 //! blocks of ids that the sessions reserved. Both are sums of the records, like the points.
 
-use std::{ops::Range, sync::Arc, time::SystemTime};
+use std::{collections::HashSet, ops::Range, sync::Arc, time::SystemTime};
 
 use bytes::Bytes;
 use rpds::RedBlackTreeMapSync;
@@ -85,6 +85,11 @@ impl Sessions {
         self.by_id.is_empty()
     }
 
+    /// The number of blocks of reserved ids.
+    pub fn block_count(&self) -> usize {
+        self.blocks.size()
+    }
+
     /// The session that reserved an id.
     pub fn owner(&self, id: u64) -> Option<u64> {
         let (_, block) = self.blocks.range(..=id).next_back()?;
@@ -93,12 +98,24 @@ impl Sessions {
 
     /// All sessions, by id.
     pub fn iter(&self) -> impl Iterator<Item = (u64, &Arc<Session>)> {
-        self.by_id.iter().map(|(id, session)| (*id, session))
+        self.iter_from(0)
+    }
+
+    /// The sessions from this id on, by id.
+    pub fn iter_from(&self, id: u64) -> impl Iterator<Item = (u64, &Arc<Session>)> {
+        let sessions = self.by_id.range(id..);
+        sessions.map(|(id, session)| (*id, session))
     }
 
     /// All blocks, each with its first id.
     pub fn blocks(&self) -> impl Iterator<Item = (u64, Block)> {
-        self.blocks.iter().map(|(first, block)| (*first, *block))
+        self.blocks_from(0)
+    }
+
+    /// The blocks whose first id is this one or a higher one, each with its first id.
+    pub fn blocks_from(&self, first: u64) -> impl Iterator<Item = (u64, Block)> {
+        let blocks = self.blocks.range(first..);
+        blocks.map(|(first, block)| (*first, *block))
     }
 
     /// The sessions whose newest record is older than this time.
@@ -136,7 +153,7 @@ impl Sessions {
         }
     }
 
-    /// What the next record changes.
+    /// The changes of the next record.
     pub(super) fn changes(&self, record: &Record) -> Vec<Change> {
         let Some(batch) = record.effects().batch() else {
             return Vec::new();
@@ -159,14 +176,17 @@ impl Sessions {
             changes.push(Change::Session(*id, [Some(Arc::clone(session)), None]));
         }
         if !batch.ended.is_empty() {
-            let ended = |block: &Block| batch.ended.contains(&block.session);
-            let blocks = self.blocks().filter(|(_, block)| ended(block));
+            // All sessions of an index may end in one record, and each has blocks.
+            let ended: HashSet<u64> = batch.ended.iter().copied().collect();
+            let blocks = self.blocks();
+            let blocks = blocks.filter(|(_, block)| ended.contains(&block.session));
             changes.extend(blocks.map(|(first, block)| Change::Block(first, [Some(block), None])));
         }
         changes
     }
 
-    /// A block that follows the session's last one extends it: a lone writer has one block, however many ids it reserves.
+    /// A block that follows the session's last one extends it: a lone writer has one block, however many ids it
+    /// reserves.
     fn reservation(&self, batch: &Batch) -> Change {
         let Range { start, end } = batch.reserved;
         let block = Block {
@@ -233,7 +253,7 @@ mod tests {
         assert_eq!(earlier.owner(10), Some(2));
     }
 
-    /// What a store writes change by change is what it has after a restart.
+    /// A store subtracts the old entry from its sum.
     #[test]
     fn changes_name_what_stood_before() {
         let mut sessions = Sessions::default();

@@ -7,8 +7,8 @@ use tokio::sync::oneshot;
 use super::{Hosted, OperationWindow, RegistryError, WriteGuard, apply::Awaited, in_flight::Fate};
 use crate::log::{Effects, LogError, Operation, Receipt, Record};
 
-/// A mutation above these sizes, or one that changes existing points, is submitted on a blocking thread. A batch above them
-/// is applied on one. Inline it would delay the calls that share the thread.
+/// A mutation above these sizes, or one that changes existing points, is submitted on a blocking thread. A batch above
+/// them is applied on one. Inline it would delay the calls that share the thread.
 pub(super) const MAX_INLINE_POINTS: usize = 1024;
 pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 

@@ -56,6 +56,7 @@ impl From<LogError> for RegistryError {
             | LogError::Unopened { .. }
             | LogError::Shut { .. }
             | LogError::Storage { .. }
+            | LogError::StorageStopped
             | LogError::DamagedStore { .. }
             | LogError::Closed) => Self::Log(error),
         }

@@ -159,8 +159,8 @@ impl Hosted {
     }
 
     /// The published records after the revision `after`: the first ones that fit into `max_bytes` (see
-    /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. [`LogError::Trimmed`] if the log no
-    /// longer holds them.
+    /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. [`LogError::Trimmed`] if the
+    /// log no longer holds them.
     pub async fn mutations(
         self: &Arc<Self>,
         after: u64,
@@ -233,8 +233,8 @@ impl Hosted {
         self.host.log.journal.trim(self.uid, &retention)
     }
 
-    /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points with
-    /// all later records applied. Blocks.
+    /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points
+    /// with all later records applied. Blocks.
     pub(super) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
         let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
         let applied = Arc::clone(&self.applied).blocking_lock_owned();

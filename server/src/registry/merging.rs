@@ -42,8 +42,8 @@ impl Hosted {
         }
     }
 
-    /// Waits for a merge permit, runs the merge on a blocking thread, and swaps it in between two mutations. It continues
-    /// after the index is closed.
+    /// Waits for a merge permit, runs the merge on a blocking thread, and swaps it in between two mutations. It
+    /// continues after the index is closed.
     async fn merge(self: Arc<Self>, merge: Merge) {
         let turn = self.host.merges.acquire().await;
         let rows = merge.rows();

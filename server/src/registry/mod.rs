@@ -82,7 +82,8 @@ impl RegistryOptions {
 pub struct Registry {
     host: Arc<Host>,
     indexes: RwLock<BTreeMap<String, IndexState>>,
-    /// Serialises creating, deleting, restoring and recovering indices. Readers do not take it and never wait for the log.
+    /// Serialises creating, deleting, restoring and recovering indices. Readers do not take it and never wait for the
+    /// log.
     change_lock: Mutex<()>,
     /// Notified of every change of `indexes`.
     changed: watch::Sender<()>,
@@ -198,8 +199,8 @@ impl Registry {
         why.map(RegistryError::Log)
     }
 
-    /// Up to `limit` indices with names after `after` (from the first if None), by name. Damaged indices are listed too.
-    /// Fails if no index is known and the log is not open.
+    /// Up to `limit` indices with names after `after` (from the first if None), by name. Damaged indices are listed
+    /// too. Fails if no index is known and the log is not open.
     pub fn page(&self, after: Option<&str>, limit: usize) -> Result<Vec<Listed>, RegistryError> {
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
         let indexes = self.indexes.read();

@@ -1,11 +1,8 @@
 //! The operations that an index remembers, so that a retry has no second effect.
 
-use std::{
-    collections::{HashMap, VecDeque},
-    sync::Arc,
-};
+use std::{collections::HashMap, sync::Arc};
 
-use crate::log::Operation;
+use crate::log::{Bounded, Operation};
 
 /// The bounds on the operations that an index remembers. The newest operation is always remembered.
 #[derive(Clone, Copy, Debug)]
@@ -28,8 +25,7 @@ impl OperationWindow {
 pub(super) struct Operations {
     window: OperationWindow,
     by_id: HashMap<String, Arc<Operation>>,
-    oldest_first: VecDeque<Arc<Operation>>,
-    bytes: usize,
+    newest: Bounded<Arc<Operation>>,
 }
 
 impl Operations {
@@ -38,8 +34,7 @@ impl Operations {
         Self {
             window: OperationWindow::UNBOUNDED,
             by_id: HashMap::new(),
-            oldest_first: VecDeque::new(),
-            bytes: 0,
+            newest: Bounded::default(),
         }
     }
 
@@ -55,9 +50,8 @@ impl Operations {
 
     /// Forgets the operation with this id.
     pub(super) fn forget(&mut self, id: &str) {
-        if let Some(forgotten) = self.by_id.remove(id) {
-            self.bytes -= forgotten.bytes();
-            self.oldest_first.retain(|operation| operation.id != id);
+        if self.by_id.remove(id).is_some() {
+            self.newest.retain(|operation| operation.id != id);
         }
     }
 
@@ -67,17 +61,12 @@ impl Operations {
 
     /// Adds an operation with a new id and forgets the oldest ones outside the bounds.
     pub(super) fn remember(&mut self, operation: Arc<Operation>) {
-        self.bytes += operation.bytes();
+        let bytes = operation.bytes();
         self.by_id
             .insert(operation.id.clone(), Arc::clone(&operation));
-        self.oldest_first.push_back(operation);
-        while self.oldest_first.len() > 1
-            && (self.oldest_first.len() > self.window.count || self.bytes > self.window.bytes)
-        {
-            let Some(forgotten) = self.oldest_first.pop_front() else {
-                break;
-            };
-            self.bytes -= forgotten.bytes();
+        self.newest.push(operation, bytes);
+        let OperationWindow { count, bytes } = self.window;
+        while let Some(forgotten) = self.newest.forget(count, bytes, |_| false) {
             self.by_id.remove(&forgotten.id);
         }
     }

@@ -1,8 +1,8 @@
 //! The newest records of an index, cached in memory for its subscribers.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::sync::Arc;
 
-use crate::log::Record;
+use crate::log::{Bounded, Record};
 
 /// The maximum bytes of cached records. The newest record is always cached. A subscriber further behind reads the log.
 const MAX_BYTES: usize = 4 * 1024 * 1024;
@@ -10,8 +10,7 @@ const MAX_BYTES: usize = 4 * 1024 * 1024;
 /// A cache of the newest records.
 pub(super) struct RecentRecords {
     /// Consecutive revisions up to the newest.
-    records: VecDeque<Arc<Record>>,
-    bytes: usize,
+    records: Bounded<Arc<Record>>,
     max_bytes: usize,
 }
 
@@ -19,22 +18,17 @@ impl RecentRecords {
     /// A cache of at most `window_bytes`, the bytes of records that the log keeps.
     pub(super) fn new(window_bytes: usize) -> Self {
         Self {
-            records: VecDeque::new(),
-            bytes: 0,
+            records: Bounded::default(),
             max_bytes: window_bytes.min(MAX_BYTES),
         }
     }
 
     /// Adds the next record.
     pub(super) fn push(&mut self, record: Arc<Record>) {
-        self.bytes += record.effects().bytes();
-        self.records.push_back(record);
-        while self.records.len() > 1
-            && self.bytes > self.max_bytes
-            && let Some(oldest) = self.records.pop_front()
-        {
-            self.bytes -= oldest.effects().bytes();
-        }
+        let bytes = record.effects().bytes();
+        self.records.push(record, bytes);
+        let forget = || self.records.forget(usize::MAX, self.max_bytes, |_| false);
+        std::iter::from_fn(forget).for_each(drop);
     }
 
     /// The records after the revision `after` up to `last`: the first ones that fit into `max_bytes`, but at least one.
@@ -45,7 +39,7 @@ impl RecentRecords {
         last: u64,
         max_bytes: usize,
     ) -> Option<Vec<Arc<Record>>> {
-        let first = self.records.front()?.revision();
+        let first = self.records.iter().next()?.revision();
         let skipped = after.checked_add(1)?.checked_sub(first)? as usize;
         let mut page = Vec::new();
         let mut bytes = 0;

@@ -6,13 +6,10 @@ use tracing::{error, info};
 use wayfold_index::{ApplyError, PointRef, Points, PointsError};
 
 use super::{Host, Hosted, IndexState, RegistryError, operations::Operations};
-use crate::log::{Entry, LogError, View};
-
-/// The number of points that one read of the log returns.
-const PAGE_POINTS: usize = 4096;
+use crate::log::{Entry, LogError, StoredPoint};
 
 /// Replay logs its progress once per this many points.
-const PROGRESS_POINTS: usize = 250 * PAGE_POINTS;
+const PROGRESS_POINTS: usize = 1_000_000;
 
 /// Replays the index of an entry. A failed replay marks it as damaged.
 pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
@@ -28,10 +25,11 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
 /// Builds an index from its points and from the operations that the log remembers. The log does not remember a call
 /// that changed nothing: the server evaluates its retry as a new call, with the same outcome.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
-    let view = host.log.points.view(entry.uid)?;
+    let mut points = Points::new(entry.space.coordinates());
+    let mut visit = |point: &StoredPoint| push(&mut points, entry, point);
+    let view = host.log.points.load(entry.uid, &mut visit)?;
     let mut forest = host.options.forest(&entry.space);
     if view.revision() > 0 {
-        let points = load(&*view, entry)?;
         forest
             .apply(view.revision(), &points, &[])
             .map_err(|error| damaged(entry, view.revision(), &points, &error))?;
@@ -74,32 +72,23 @@ fn damaged(entry: &Entry, revision: u64, points: &Points, error: &ApplyError) ->
     }
 }
 
-fn load(view: &dyn View, entry: &Entry) -> Result<Points, LogError> {
-    let mut points = Points::new(entry.space.coordinates());
-    let mut after = None;
-    loop {
-        let page = view.page(after, PAGE_POINTS)?;
-        let Some(last) = page.last() else {
-            return Ok(points);
-        };
-        after = Some(last.id);
-        for point in &page {
-            if point.state.len() != entry.space.coordinates() {
-                return Err(LogError::Damaged {
-                    uid: entry.uid,
-                    revision: point.modified,
-                    what: "a state has not the width of the space",
-                });
-            }
-            points.push_point(PointRef {
-                id: point.id,
-                tag: point.tag,
-                revision: point.revision,
-                row: &point.state,
-            });
-        }
-        if points.len() >= PROGRESS_POINTS && points.len() % PROGRESS_POINTS < page.len() {
-            info!(index = entry.name, points = points.len(), "reading points");
-        }
+/// Adds a stored point to those of a forest.
+fn push(points: &mut Points, entry: &Entry, point: &StoredPoint) -> Result<(), LogError> {
+    if point.state.len() != entry.space.coordinates() {
+        return Err(LogError::Damaged {
+            uid: entry.uid,
+            revision: point.modified,
+            what: "a state has not the width of the space",
+        });
     }
+    points.push_point(PointRef {
+        id: point.id,
+        tag: point.tag,
+        revision: point.revision,
+        row: &point.state,
+    });
+    if points.len().is_multiple_of(PROGRESS_POINTS) {
+        info!(index = entry.name, points = points.len(), "reading points");
+    }
+    Ok(())
 }

@@ -20,8 +20,8 @@ pub struct Restore {
 
 impl Registry {
     /// Begins to restore an index as a copy of another, under a new uid. [`RegistryError::Taken`] if the name is taken,
-    /// [`RegistryError::Full`] if the registry holds `limit` indices; [`Registry::host`] checks both again. Blocks on the
-    /// log.
+    /// [`RegistryError::Full`] if the registry holds `limit` indices; [`Registry::host`] checks both again. Blocks on
+    /// the log.
     pub fn restore(
         &self,
         name: &str,
@@ -45,8 +45,8 @@ impl Registry {
         })
     }
 
-    /// Hosts a restored index that has all its points, with these writer sessions. Blocks on the log and on building the
-    /// forest.
+    /// Hosts a restored index that has all its points, with these writer sessions. Blocks on the log and on building
+    /// the forest.
     pub fn host(&self, restore: Restore, sessions: Sessions) -> Result<Arc<Hosted>, RegistryError> {
         let Restore {
             host,
@@ -87,8 +87,8 @@ impl Registry {
 }
 
 impl Restore {
-    /// Adds the next points, by ascending id: canonical rows of the space with ids below the origin's next id. Blocks on
-    /// the log.
+    /// Adds the next points, by ascending id: canonical rows of the space with ids below the origin's next id. Blocks
+    /// on the log.
     pub fn add(&mut self, points: &[StoredPoint]) -> Result<(), RegistryError> {
         self.stored.add(points)?;
         for point in points {

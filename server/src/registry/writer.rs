@@ -52,8 +52,8 @@ pub struct Writer {
     base: Arc<Published>,
     /// Consecutive records after `base`.
     pending: VecDeque<Pending>,
-    /// The changes of the pending records, for searches; the older part first. A part is dropped once all its records are
-    /// published, so a record is indexed once.
+    /// The changes of the pending records, for searches; the older part first. A part is dropped once all its records
+    /// are published, so a record is indexed once.
     overlays: [Part; 2],
     /// The count of refusals at which the pending records were submitted.
     refusals: u64,

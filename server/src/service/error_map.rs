@@ -47,6 +47,7 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::Unopened { .. }
         | LogError::Trimmed { .. } => Error::DataLoss { what },
         LogError::Storage { .. }
+        | LogError::StorageStopped
         | LogError::DamagedStore { .. }
         | LogError::Shut { .. }
         | LogError::Unconfirmed { .. }

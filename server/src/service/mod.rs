@@ -38,6 +38,7 @@ mod revision_pin;
 mod scan;
 mod server;
 mod session;
+mod session_pages;
 mod snapshot;
 mod staging;
 mod stored;

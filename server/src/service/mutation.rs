@@ -1,6 +1,6 @@
 //! The frame of every mutation: it recognises a retry, waits for the writer, commits the effects and acknowledges them.
 
-use std::{ops::Range, sync::Arc};
+use std::{mem::take, ops::Range, sync::Arc};
 
 use bytes::Bytes;
 use prost::Message;
@@ -52,14 +52,18 @@ impl Claim {
         }))
     }
 
-    /// The claim of a batch of a session.
+    /// The claim of a batch of a session. The fingerprint leaves out the name and the uid of the index: a restored index
+    /// has others, and recognises the retry.
     pub(super) async fn of_batch(
-        request: &v1::WriteRequest,
+        request: &mut v1::WriteRequest,
         pace: &mut Pace,
     ) -> Result<Self, Error> {
+        let index = (take(&mut request.index_name), take(&mut request.uid));
+        let fingerprint = fingerprint("Write", request, pace).await;
+        (request.index_name, request.uid) = index;
         Ok(Self {
             name: Name::Batch(request.session, request.batch, 0..0),
-            fingerprint: fingerprint("Write", request, pace).await?,
+            fingerprint: fingerprint?,
         })
     }
 

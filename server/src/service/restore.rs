@@ -12,6 +12,7 @@ use super::{
     check::Violations,
     error_map::registry_error,
     indexes::{check_name, describe},
+    session_pages::add_restored,
 };
 use crate::{
     log::{Origin, Sessions, StoredPoint},
@@ -37,6 +38,7 @@ struct Draft {
     reader: Reader,
     /// Set by the header.
     restore: Option<Restore>,
+    sessions: Sessions,
 }
 
 impl Service {
@@ -74,14 +76,15 @@ impl Restoring {
     /// Ends the parts. If the snapshot is whole, the index is visible from now on.
     pub async fn finish(mut self) -> Result<v1::RestoreIndexResponse, Error> {
         self.call.check("while restoring")?;
-        let Draft { reader, restore } = self.draft.take().ok_or_else(out_of_order)?;
+        let draft = self.draft.take().ok_or_else(out_of_order)?;
+        let (reader, restore, sessions) = (draft.reader, draft.restore, draft.sessions);
         reader.finish().map_err(bad)?;
         let (Some(name), Some(restore)) = (self.name, restore) else {
             return Err(out_of_order());
         };
         let service = self.service;
         let finished = tokio::task::spawn_blocking(move || {
-            let hosted = service.registry()?.host(restore, Sessions::default());
+            let hosted = service.registry()?.host(restore, sessions);
             hosted.map_err(|error| not_restored(&name, error))
         });
         let hosted = finished.await.map_err(stopped)??;
@@ -142,9 +145,14 @@ impl Draft {
                     .add(&stored(points, &modified))
                     .map_err(|error| not_restored(name, error))?;
             }
+            (Content::Sessions(sessions), Some(_)) => {
+                add_restored(&mut self.sessions, sessions, service.limits())?;
+            }
             (Content::Trailer, Some(_)) => {}
-            // The reader refuses points before the header.
-            (Content::Points(..) | Content::Trailer, None) => return Err(out_of_order()),
+            // The reader refuses these before the header.
+            (Content::Points(..) | Content::Sessions(_) | Content::Trailer, None) => {
+                return Err(out_of_order());
+            }
         }
         Ok(())
     }

@@ -78,6 +78,23 @@ fn ended(writer: &Writer, limits: &Limits) -> Result<Vec<u64>, Error> {
     Ok(ended)
 }
 
+/// The most blocks of reserved ids that an index keeps for all sessions. Two sessions that reserve in turns get a block
+/// each time, and each block takes about a hundred bytes of memory.
+const MAX_BLOCKS: usize = 1 << 20;
+
+/// Fails if an index may not have as many blocks.
+pub(super) fn block_count(count: usize) -> Result<(), Error> {
+    if count <= MAX_BLOCKS {
+        return Ok(());
+    }
+    Err(Error::LimitExceeded {
+        limit: "max_blocks",
+        value: MAX_BLOCKS as u64,
+        requested: count as u64,
+        advice: "reserve more ids at a time, or wait until idle sessions end",
+    })
+}
+
 /// The next `count` ids above all that were used or reserved, and above those that `effects` stores.
 pub(super) fn reserve(
     hosted: &Hosted,
@@ -97,6 +114,7 @@ pub(super) fn reserve(
             advice: "reserve fewer ids at a time",
         });
     }
+    block_count(writer.sessions().block_count() + 1)?;
     let first = writer.next_id().max(effects.next_id());
     let end = first.checked_add(count).filter(|end| *end <= END_OF_IDS);
     let end = end.ok_or_else(|| Error::IdsExhausted {

@@ -9,7 +9,7 @@ use wayfold_proto::{
 
 use super::{
     Call, Error, Service, check::Violations, read_view::revision_number, revision_pin::RevisionPin,
-    stored,
+    session_pages::SessionPages, stored,
 };
 use crate::{
     log::{LogError, StoredPoint, View},
@@ -30,6 +30,7 @@ pub struct Snapshot {
     part_bytes: usize,
     writer: Writer,
     after: Option<u64>,
+    sessions: SessionPages,
     next: Next,
 }
 
@@ -38,6 +39,8 @@ pub struct Snapshot {
 enum Next {
     Header,
     Points,
+    /// Writer sessions, or the trailer.
+    Sessions,
     Nothing,
 }
 
@@ -64,6 +67,7 @@ impl Service {
             part_bytes: PART_BYTES.min(limits.max_answer_bytes / 2),
             writer: Writer::new(),
             after: None,
+            sessions: SessionPages::default(),
             next: Next::Header,
         })
     }
@@ -75,6 +79,7 @@ impl Snapshot {
         let part = match self.next {
             Next::Header => self.header(),
             Next::Points => self.points().await,
+            Next::Sessions => self.sessions(),
             Next::Nothing => return None,
         };
         if part.is_err() {
@@ -100,7 +105,7 @@ impl Snapshot {
         }))
     }
 
-    /// The next points, or the trailer.
+    /// The next points, or what follows them.
     async fn points(&mut self) -> Result<v1::SnapshotPart, Error> {
         let published = self.published()?;
         let (index, view) = (self.hosted.name(), &published.view);
@@ -113,7 +118,6 @@ impl Snapshot {
         if let Some(points) = rows.finish() {
             return Ok(self.writer.points(points));
         }
-        self.next = Next::Nothing;
         let (stored, searched) = (
             self.writer.points_written(),
             published.snapshot.len() as u64,
@@ -126,7 +130,23 @@ impl Snapshot {
                 ),
             });
         }
-        Ok(self.writer.trailer())
+        self.next = Next::Sessions;
+        self.sessions()
+    }
+
+    /// The next writer sessions and blocks of reserved ids, or the trailer.
+    fn sessions(&mut self) -> Result<v1::SnapshotPart, Error> {
+        let published = self.published()?;
+        let page = self
+            .sessions
+            .next(published.view.sessions(), self.part_bytes);
+        Ok(match page {
+            Some(sessions) => self.writer.sessions(sessions),
+            None => {
+                self.next = Next::Nothing;
+                self.writer.trailer()
+            }
+        })
     }
 
     fn published(&self) -> Result<Arc<Published>, Error> {

@@ -77,8 +77,8 @@ impl<'a> Staging<'a> {
         Some(self.effects.payload(slot))
     }
 
-    /// Keeps the stored point of this id out of searches for the current row: a row is neither in its own way nor its own
-    /// neighbour.
+    /// Keeps the stored point of this id out of searches for the current row: a row is neither in its own way nor its
+    /// own neighbour.
     pub(super) fn hide(&mut self, id: u64) {
         if let Some(searched) = &mut self.searched {
             searched.hidden.insert(id);
@@ -92,8 +92,8 @@ impl<'a> Staging<'a> {
         }
     }
 
-    /// The neighbours of a row in the newest state and in the rows before it. `known` answers this search or a wider one at an
-    /// earlier published revision; since that revision points were only added.
+    /// The neighbours of a row in the newest state and in the rows before it. `known` answers this search or a wider
+    /// one at an earlier published revision; since that revision points were only added.
     pub(super) fn search(
         &self,
         row: &[f64],
@@ -195,8 +195,8 @@ mod tests {
     proptest! {
         #![proptest_config(crate::testing::cases(256))]
 
-        /// On a grid most distances are ties. A search answers as over one set of published, pending and accepted rows, with
-        /// or without a known answer of an earlier published revision, which may be wider than the search.
+        /// On a grid most distances are ties. A search answers as over one set of published, pending and accepted rows,
+        /// with or without a known answer of an earlier published revision, which may be wider than the search.
         #[test]
         fn a_row_finds_the_nearest_of_the_newest_state_and_the_rows_before_it(
             stored in prop::collection::btree_map(0..60u64, 0..8u8, 0..30),

@@ -35,7 +35,7 @@ struct Steps {
     payloads: Vec<Bytes>,
 }
 
-/// What a batch makes of the point under an id.
+/// The net effect of a batch on the point under an id.
 enum Net {
     /// The put with this number stores it, with this tag.
     Put(usize, u64),
@@ -49,12 +49,12 @@ impl Service {
     pub async fn write(
         &self,
         call: &Call,
-        request: v1::WriteRequest,
+        mut request: v1::WriteRequest,
     ) -> Result<v1::WriteResponse, Error> {
         self.accept(call)?;
         let hosted = self.index(&request.index_name, &request.uid)?;
         let mut pace = call.pace(DOING);
-        let mut claim = Claim::of_batch(&request, &mut pace).await?;
+        let mut claim = Claim::of_batch(&mut request, &mut pace).await?;
         let reserve_count = request.reserve_count;
         let steps = Steps::check(request, &hosted, self.limits(), &mut pace).await?;
 

@@ -134,7 +134,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 batch: 1,
                 kinds: vec![v1::StepKind::Put.into(), v1::StepKind::SetTag.into()],
                 ids: vec![7, 0],
-                states: states.clone(),
+                states,
                 tags: vec![1, 2],
                 payloads: vec![b"payload".as_slice().into()],
                 reserve_count: 2,

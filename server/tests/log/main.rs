@@ -19,6 +19,7 @@ mod rebuilt;
 mod shared_files;
 mod suite;
 mod test_log;
+mod version_3;
 
 use std::{collections::BTreeMap, sync::Arc, time::SystemTime};
 

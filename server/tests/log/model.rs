@@ -25,7 +25,7 @@ pub(crate) struct NextBatch {
     pub(crate) end: bool,
 }
 
-/// What an index holds after a record.
+/// The content of an index after a record.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Sum {
     pub(crate) points: Points,

@@ -213,7 +213,7 @@ impl Run {
     }
 
     /// Checks the log after a call that failed. The call has changed nothing visible, the log refuses further writes,
-    /// and reads go on. After the log is reopened, the unknown mutation is there whole or not at all.
+    /// and reads go on. After the log is reopened, the unknown mutation is stored whole or not at all.
     fn recover(&mut self, why: &LogError, unknown: Option<&Effects>) {
         let may = (self.model.trimmed, self.model.operations_trimmed);
         self.failed(why);

@@ -1,5 +1,5 @@
-//! Any call of the log fails: an acknowledged mutation is there afterwards, a refused one is there whole or not at all,
-//! and reads go on.
+//! Any call of the log may fail. Afterwards an acknowledged mutation is stored, a refused one is stored whole or not at
+//! all, and reads go on.
 
 use std::{collections::BTreeMap, sync::Arc};
 

@@ -33,6 +33,7 @@ mod refusals;
 mod remote;
 mod replay;
 mod restore;
+mod restored_sessions;
 mod scaling;
 mod scan;
 mod sessions;

@@ -123,7 +123,7 @@ async fn a_restore_that_is_cut_anywhere_leaves_nothing_and_one_that_ended_surviv
     }
 
     // The client is killed when it has read half of the file.
-    let mut file = FileWriter::new(Vec::new()).unwrap();
+    let mut file = FileWriter::new(Vec::new());
     for part in &parts {
         file.write(part).unwrap();
     }

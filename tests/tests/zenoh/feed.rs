@@ -108,12 +108,8 @@ async fn events_are_what_a_watch_tells() {
         follower.content,
         Content::read(&stubs, "arm").await.unwrap()
     );
-    let mut received = Vec::new();
-    while received
-        .last()
-        .map(|last: &v1::Mutation| number(&last.revision))
-        < Some(follower.content.revision)
-    {
+    let mut received: Vec<v1::Mutation> = Vec::new();
+    while received.last().map(|last| number(&last.revision)) < Some(follower.content.revision) {
         received.extend(watch.message().await.unwrap().unwrap().mutations);
     }
     assert_eq!(whole(received), whole(follower.mutations));

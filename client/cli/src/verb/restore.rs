@@ -17,9 +17,9 @@ Examples:
   wayfold restore arm arm.snapshot
   wayfold --server far:50051 restore arm-2 arm.snapshot
 
-The index has the points, ids, tags, payloads and revisions of the snapshot, and a uid of its own. The
-server checks the file while it reads it, and creates the index at the end: a command that fails or is
-interrupted leaves nothing.";
+The index has the points, ids, tags, payloads, revisions and writer sessions of the snapshot, and a uid
+of its own. The server checks the file while it reads it, and creates the index at the end: a command
+that fails or is interrupted leaves nothing.";
 
 /// Creates an index from a snapshot
 #[derive(Debug, clap::Args)]

@@ -22,7 +22,7 @@ Examples:
   wayfold snapshot arm - | ssh far wayfold restore arm -
 
 The file holds the space, every point of one revision with its id, state, tag, payload and revision,
-and checksums over all of it. Reads and writes of the index continue meanwhile. The file gets its
+the writer sessions, and checksums over all of it. Reads and writes of the index continue meanwhile. The file gets its
 name once it is whole and on disk; `wayfold restore NAME FILE` creates an index from it.";
 
 /// Writes a whole index at one revision to a file, as a backup or for another server
@@ -89,7 +89,7 @@ async fn write(
     failed: &impl Fn(io::Error) -> Failure,
 ) -> Result<(), Failure> {
     let bar = progress::bar(Some(snapshot.header().point_count), "reading", false);
-    let mut file = SnapshotWriter::new(io::BufWriter::new(to)).map_err(failed)?;
+    let mut file = SnapshotWriter::new(io::BufWriter::new(to));
     while let Some(part) = snapshot.next().await? {
         file.write(&part).map_err(failed)?;
         bar.inc(part.points() as u64);

@@ -6,7 +6,7 @@ use arrayvec::ArrayVec;
 
 use super::leaf::{Label, Leaf};
 use crate::{
-    boxes::{Boxes, extent},
+    boxes::Boxes,
     forest::{policy::MIN_ROWS, tombstones::Tombstones},
     kernel::MAX_CHILDREN,
 };
@@ -33,8 +33,8 @@ enum Side {
     Child(u8),
 }
 
-/// A node of up to sixteen children. A small kd-tree of cuts routes a new point to one of them, and searches read their boxes.
-/// A node that a snapshot shares is copied before it changes.
+/// A node of up to sixteen children. A small kd-tree of cuts routes a new point to one of them, and searches read their
+/// boxes. A node that a snapshot shares is copied before it changes.
 #[derive(Clone, Debug)]
 pub(super) struct Branch {
     /// The boxes of one node, this one.
@@ -61,8 +61,8 @@ pub(super) struct Insertion<'a> {
     pub(super) overflows: bool,
 }
 
-/// The size of a leaf of points that coincide, in full leaves, above which the tree grows no further; [`MIN_ROWS`] points if
-/// that is more.
+/// The size of a leaf of points that coincide, in full leaves, above which the tree grows no further; [`MIN_ROWS`]
+/// points if that is more.
 const MAX_COINCIDING_LEAVES: usize = 8;
 
 /// The split of a full cell: the cell keeps the points below a plane, and `above` has the others.
@@ -111,29 +111,29 @@ impl Cell {
     }
 
     /// The ends, in each coordinate, of the smallest box around its points.
-    fn bounds(&self, width: usize) -> Vec<(f64, f64)> {
-        match self {
-            Cell::Leaf(leaf) => (0..width).map(|axis| extent(leaf.column(axis))).collect(),
+    fn bounds(&self, width: usize) -> impl Iterator<Item = (f64, f64)> {
+        (0..width).map(move |axis| match self {
+            Cell::Leaf(leaf) => leaf.extent(axis),
             Cell::Branch(branch) => {
                 let count = branch.children.len();
-                branch.boxes.around_children(0, count).collect()
+                branch.boxes.around_children(0, count, axis)
             }
-        }
+        })
     }
 }
 
-/// The cut of a leaf: across the coordinate in which its points spread most in the metric, at the median or else the next number
-/// that leaves points on both sides. None if all points coincide.
+/// The cut of a leaf across the coordinate in which its points spread most in the metric: at the median, or at the next
+/// number that leaves points on both sides. None if all points coincide.
 fn median_cut(leaf: &Leaf, scales: &[f64]) -> Option<(usize, f64)> {
     let width = scales.len();
     let spread = |axis: usize| {
-        let (lo, hi) = extent(leaf.column(axis));
+        let (lo, hi) = leaf.extent(axis);
         (lo < hi).then_some((axis, scales[axis] * (hi - lo), lo))
     };
     let (axis, _, lo) = (0..width)
         .filter_map(spread)
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let mut numbers: Vec<f64> = leaf.column(axis).collect();
+    let mut numbers: Vec<f64> = leaf.columns(axis).flatten().copied().collect();
     numbers.sort_unstable_by(f64::total_cmp);
     let upper = &numbers[numbers.len() / 2..];
     Some((axis, *upper.iter().find(|&&x| x > lo)?))
@@ -232,7 +232,7 @@ impl Branch {
         self.newest[added] = self.newest[child];
         for child in [child, added] {
             let ends = self.children[child].bounds(width);
-            self.boxes.set(0, child, ends.into_iter());
+            self.boxes.set(0, child, ends);
         }
     }
 

@@ -9,7 +9,7 @@ use crate::{
     traversal::{Labels, Traversal},
 };
 
-/// The number of points in a chunk, and the most that a push copies of a log that a snapshot shares.
+/// The number of points in a chunk, and the maximum number that a push copies of a log that a snapshot shares.
 const CHUNK_ROWS: usize = 64;
 
 /// A table that points are only appended to; copies share its full chunks.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::{
+    boxes::extent,
     forest::tombstones::{LATEST, Tombstones},
     kernel::BLOCK_ROWS,
 };
@@ -21,8 +22,9 @@ pub(super) struct Leaf {
     rows: usize,
     /// The number of coordinates.
     width: usize,
-    /// Blocks of points as the kernels read them, coordinate by coordinate. Each block has two more columns, with the bits of the
-    /// ids and of the slots: one allocation for a leaf, since copies under a snapshot cost by the allocation.
+    /// Blocks of points as the kernels read them, coordinate by coordinate. Each block has two more columns, with the
+    /// bits of the ids and of the slots: one allocation for a leaf, since copies under a snapshot cost by the
+    /// allocation.
     columns: Arc<[f64]>,
 }
 
@@ -58,9 +60,18 @@ impl Leaf {
         })
     }
 
-    /// The numbers of the points in a coordinate.
-    pub(super) fn column(&self, axis: usize) -> impl Iterator<Item = f64> {
-        self.blocks().flat_map(move |block| block.column(axis))
+    /// The numbers of the points in a coordinate, by block.
+    pub(super) fn columns(&self, axis: usize) -> impl Iterator<Item = &[f64]> {
+        self.blocks()
+            .map(move |block| &block.columns[axis * BLOCK_ROWS..][..block.lanes])
+    }
+
+    /// The least and the greatest number of the points in a coordinate.
+    pub(super) fn extent(&self, axis: usize) -> (f64, f64) {
+        let extents = self.columns(axis).map(extent);
+        extents.fold((f64::INFINITY, f64::NEG_INFINITY), |a, b| {
+            (a.0.min(b.0), a.1.max(b.1))
+        })
     }
 
     /// Adds a point.
@@ -80,7 +91,7 @@ impl Leaf {
         self.rows += 1;
     }
 
-    /// Lets go of the points that are dead at the head; snapshots that see them have copies of their own.
+    /// Drops the points that are dead at the head; snapshots that see them have their own copies.
     pub(super) fn drop_dead(&mut self, tombstones: &Tombstones) {
         let is_alive = |label: Label| tombstones.is_visible(label.slot as usize, LATEST);
         let lanes = |block: LeafBlock<'_>| (0..block.lanes).all(|lane| is_alive(block.label(lane)));
@@ -130,12 +141,6 @@ impl<'a> LeafBlock<'a> {
             id: self.labels[lane].to_bits(),
             slot: self.labels[BLOCK_ROWS + lane].to_bits() as u32,
         }
-    }
-
-    fn column(&self, axis: usize) -> impl Iterator<Item = f64> + use<'a> {
-        self.columns[axis * BLOCK_ROWS..][..self.lanes]
-            .iter()
-            .copied()
     }
 
     pub(super) fn row(&self, lane: usize) -> impl Iterator<Item = f64> + use<'a> {

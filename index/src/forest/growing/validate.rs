@@ -8,8 +8,8 @@ use super::{
 use crate::{TreeReport, forest::tombstones::LATEST};
 
 impl Growing {
-    /// Checks that every living point is in the one leaf that its row leads to, within all boxes above it, that all leaves are
-    /// equally deep, and that ids and counts agree.
+    /// Checks that every living point is in the one leaf that its row leads to, within all boxes above it, that all
+    /// leaves are equally deep, and that ids and counts agree.
     ///
     /// # Errors
     /// The first invariant found broken.

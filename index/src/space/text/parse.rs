@@ -1,4 +1,4 @@
-//! Reads the text form, by recursive descent; what it reads is bounded before it is made.
+//! Reads the text form by recursive descent, and checks its size before it allocates.
 
 use crate::space::{Factor, Group, Space, SpaceError, Term, is_weight, presets, so2};
 
@@ -219,7 +219,7 @@ impl<'a> Parser<'a> {
         &self.text[self.at..]
     }
 
-    /// The error that something else was expected than what comes next.
+    /// The error of an unexpected token.
     fn expected(&mut self, expected: &str) -> SpaceError {
         let found = match (self.peek(), self.numeral(), self.word()) {
             (None, _, _) => "the end".to_owned(),

@@ -26,8 +26,8 @@ const MARKER: &str = "wayfold-data";
 const FORM: &str = "wayfold-server data, version ";
 const VERSION: &str = "4";
 
-/// The version that this one reads. Its length is the same, so that one byte makes it the newer one.
-const READ_VERSION: &str = "3";
+/// The older version that is read: it has no writer sessions, and is the same otherwise.
+const OLDER_VERSION: &str = "3";
 
 const PROBE: &str = "probe";
 /// Enough room for a reopened store to begin with, in addition to the bytes that it has yet to move out of its journal.
@@ -58,8 +58,8 @@ pub enum OpenError {
     },
     /// Another version of this program wrote it.
     #[error(
-        "{} is of version \"{found}\", and this server knows the versions {READ_VERSION} and {VERSION} only: start the server that wrote it, or \
-         name another directory with --data",
+        "{} is of version \"{found}\", and this server reads the versions {OLDER_VERSION} and {VERSION} only: start the \
+         server that wrote it, or name another directory with --data",
         directory.display()
     )]
     Version {
@@ -132,6 +132,29 @@ impl Directory {
         })
     }
 
+    /// Makes the marker that of this version, durably, before anything is written that the older version does not know.
+    /// From then on a server of that version, which would lose the writer sessions, refuses the directory.
+    pub(super) fn upgrade(&self) -> Result<(), OpenError> {
+        let written = || {
+            let (mut file, this) = (&self.locked, format!("{VERSION}\n"));
+            let start = io::SeekFrom::Start(FORM.len() as u64);
+            let mut found = String::new();
+            file.seek(start)?;
+            file.read_to_string(&mut found)?;
+            if found == this {
+                return Ok(());
+            }
+            // The lengths are the same, so an interruption leaves one version or the other.
+            file.seek(start)?;
+            file.write_all(this.as_bytes())?;
+            file.sync_all()
+        };
+        written().map_err(|source| OpenError::Io {
+            path: self.join(MARKER),
+            source,
+        })
+    }
+
     /// Fails if the disk cannot be written, if it has no room for `bytes` and some more, or if `name` is missing.
     pub(super) fn probe(&self, name: &str, bytes: u64) -> io::Result<()> {
         fs::metadata(self.join(name))?;
@@ -184,15 +207,9 @@ fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
     let mut found = Vec::new();
     file.take(1000).read_to_end(&mut found).map_err(failed)?;
     let found = String::from_utf8_lossy(&found).into_owned();
-    if found == line {
-        return Ok(());
-    }
-    if found == format!("{FORM}{READ_VERSION}\n") {
-        // A server of that version would lose the writer sessions that this one adds.
-        file.seek(io::SeekFrom::Start(FORM.len() as u64))
-            .and_then(|_| file.write_all(VERSION.as_bytes()))
-            .and_then(|()| file.sync_all())
-            .map_err(failed)?;
+    let version = found.strip_prefix(FORM);
+    let version = version.map(|rest| rest.strip_suffix('\n').unwrap_or(rest));
+    if let Some(VERSION | OLDER_VERSION) = version {
         return Ok(());
     }
     if line.starts_with(&found) && only_the_marker(path).map_err(failed)? {
@@ -202,10 +219,10 @@ fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
             .map_err(failed)?;
         return Ok(());
     }
-    match found.strip_prefix(FORM) {
+    match version {
         Some(version) => Err(OpenError::Version {
             directory: path.into(),
-            found: version.trim_end().into(),
+            found: version.into(),
         }),
         None => Err(foreign(path)),
     }

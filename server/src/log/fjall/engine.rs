@@ -15,7 +15,7 @@ use super::{
     layout::{Named, Number, Stage, Sum, entry_key},
     manifest, manifest_copy, recovery,
     restoring::Copy,
-    store::{Store, UNTOLD, not_readable, shut, storage, unopened},
+    store::{Store, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
     sync_marks::{Mark, Marks},
     syncer::Syncer,
@@ -72,12 +72,13 @@ impl Engine {
         let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
         let failure = Arc::new(Failure::default());
         match journal.sync() {
-            Err(what) if what != UNTOLD => return Err(LogError::Shut { what }),
-            // fjall has already met a damaged block. Everything found was synced above, so it can be read.
-            Err(what) => {
-                failure.note(LogError::Storage { what });
-            }
             Ok(()) => {}
+            // fjall has already met a damaged block. Everything found was synced above, so it can be read.
+            Err(error @ LogError::StorageStopped) => {
+                failure.note(error);
+            }
+            Err(LogError::Storage { what }) => return Err(LogError::Shut { what }),
+            Err(error) => return Err(error),
         }
         unclean_marker::begin(directory.path(), durability).map_err(shut)?;
         save_manifest(directory);
@@ -289,13 +290,13 @@ impl Engine {
     }
 
     /// Syncs everything and writes the sync marks.
-    fn settle(&self) -> Result<(), String> {
+    fn settle(&self) -> Result<(), LogError> {
         Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
         let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
         let settled = Marks::open(&self.directory.join(MARKS))
             .and_then(|(mut marks, _)| write_marks(&mut marks, &indexes))
             .and_then(|()| unclean_marker::end(self.directory.path()));
-        settled.map_err(|error| error.to_string())
+        settled.map_err(shut)
     }
 }
 
@@ -311,7 +312,7 @@ impl Engine {
         };
         if let Err(error) = &settled {
             warn!(
-                error,
+                %error,
                 "could not sync the log; the next start takes mutations for lost"
             );
         }

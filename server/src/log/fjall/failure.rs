@@ -6,7 +6,6 @@
 use tokio::sync::watch;
 use tracing::error;
 
-use super::store::UNTOLD;
 use crate::log::LogError;
 
 /// The first failure of a store, observable by its watchers.
@@ -29,12 +28,12 @@ impl Failure {
         self.0.subscribe()
     }
 
-    /// Notes an error; after the first one of the store, nothing is written. Returns the error to report: for errors of the
-    /// store the first, since the others follow from it.
+    /// Notes an error; after the first one of the store, nothing is written. Returns the error to report: for errors of
+    /// the store the first, since the others follow from it.
     pub(super) fn note(&self, error: LogError) -> LogError {
         if !matches!(
             error,
-            LogError::Storage { .. } | LogError::DamagedStore { .. }
+            LogError::Storage { .. } | LogError::StorageStopped | LogError::DamagedStore { .. }
         ) {
             return error;
         }
@@ -53,18 +52,13 @@ impl Failure {
     /// Replaces the failure by the disk's error, if the store gave no cause.
     pub(super) fn explain(&self, why: &LogError) {
         self.0.send_if_modified(|first| {
-            let explained = first.as_ref().is_some_and(is_untold);
+            let explained = *first == Some(LogError::StorageStopped);
             if explained {
                 *first = Some(why.clone());
             }
             explained
         });
     }
-}
-
-/// True if fjall reported a failure without its cause.
-pub(super) fn is_untold(error: &LogError) -> bool {
-    matches!(error, LogError::Storage { what } if what == UNTOLD)
 }
 
 #[cfg(test)]
@@ -83,7 +77,7 @@ mod tests {
         failure.explain(&broken);
         assert_eq!(failure.get(), None);
         assert_eq!(failure.note(full.clone()), full);
-        for later in [broken.clone(), storage(UNTOLD)] {
+        for later in [broken.clone(), LogError::StorageStopped] {
             assert_eq!(failure.note(later.clone()), full);
             failure.explain(&later);
         }
@@ -91,7 +85,8 @@ mod tests {
         assert_eq!(failure.get(), Some(full.clone()));
 
         let failure = Failure::default();
-        assert_eq!(failure.note(storage(UNTOLD)), storage(UNTOLD));
+        let stopped = LogError::StorageStopped;
+        assert_eq!(failure.note(stopped.clone()), stopped);
         for why in [&full, &broken] {
             failure.explain(why);
             assert_eq!(failure.get(), Some(full.clone()));

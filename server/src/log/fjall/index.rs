@@ -1,18 +1,18 @@
 //! One index of the store: the state of its log, and the writes to it.
 
+mod reading;
+
 use std::{
     collections::VecDeque,
     sync::{Arc, OnceLock, Weak},
 };
 
-use fjall::{OwnedWriteBatch, Readable};
+use fjall::OwnedWriteBatch;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
 
 use super::{
-    layout::{
-        Head, Number, Sum, head_key, last_of, operation_key, point_key, record_key, seal, unseal,
-    },
+    layout::{Head, Number, Sum, head_key, operation_key, point_key, record_key, seal},
     point::PointForm,
     session,
     store::{Handles, Store, storage, unreadable},
@@ -21,7 +21,7 @@ use super::{
 };
 use crate::log::{
     Entry, LogError, Operation, Origin, Outcome, Record, Retention, Sessions, View,
-    retention::{Allowance, Window},
+    retention::Bounded,
 };
 
 /// One index of the store.
@@ -38,10 +38,10 @@ pub(super) struct Index {
 
 pub(super) struct State {
     pub(super) head: Head,
-    /// The records after `head.trimmed`, and the operations of `operations`.
-    window: Window,
-    /// The revisions of the kept operations, oldest first.
-    operations: VecDeque<u64>,
+    /// The times of the records after `head.trimmed`.
+    records: Bounded<u64>,
+    /// The revisions of the kept operations.
+    operations: Bounded<u64>,
     /// The writer sessions.
     pub(super) sessions: Sessions,
     /// The revisions of forgotten operations that are still in the store.
@@ -49,6 +49,8 @@ pub(super) struct State {
     /// The records up to this revision are removed from the store.
     pub(super) removed: u64,
 
+    /// False until the stored points were compared with their sum.
+    is_checked: bool,
     /// The error that forbids reading and writing.
     closed: Option<LogError>,
     /// The view of the head, while it is held.
@@ -75,25 +77,34 @@ impl State {
     pub(super) fn new(origin: Origin, sum: Sum) -> Self {
         Self {
             head: Head::at(&origin, sum),
-            window: Window::default(),
-            operations: VecDeque::new(),
+            records: Bounded::default(),
+            operations: Bounded::default(),
             sessions: Sessions::default(),
             forgotten: Vec::new(),
             removed: origin.revision,
+            is_checked: true,
             closed: None,
             view: Weak::new(),
         }
     }
 
+    /// The state that recovery begins with.
+    pub(super) fn unchecked() -> Self {
+        Self {
+            is_checked: false,
+            ..Self::new(Origin::START, Sum::default())
+        }
+    }
+
     /// Counts a stored record.
     pub(super) fn held(&mut self, record: &Record) {
-        self.window.hold(record);
+        let bytes = record.effects().bytes();
+        self.records.push(record.time_ms(), bytes);
     }
 
     /// Counts a stored operation.
     pub(super) fn held_operation(&mut self, revision: u64, operation: &Operation) {
-        self.window.hold_operation(operation.bytes());
-        self.operations.push_back(revision);
+        self.operations.push(revision, operation.bytes());
     }
 }
 
@@ -304,17 +315,6 @@ impl Index {
         Ok(())
     }
 
-    /// The submitted records after `after` up to `last`; None if the first of them is already applied.
-    pub(super) fn unapplied(&self, after: u64, last: u64) -> Option<Vec<Arc<Record>>> {
-        let unapplied = self.unapplied.lock();
-        let first = unapplied.front()?.record.revision();
-        let skipped = (after + 1).checked_sub(first)?;
-        let records = unapplied.iter().skip(skipped as usize);
-        let records = records.map(|unapplied| &unapplied.record);
-        let records = records.take_while(|record| record.revision() <= last);
-        Some(records.cloned().collect())
-    }
-
     /// Adds a record and its effects to a batch; returns the new sum of the points.
     fn put(
         &self,
@@ -365,89 +365,6 @@ impl Index {
         Ok(sum)
     }
 
-    pub(super) fn read(
-        &self,
-        store: &Store,
-        after: Option<u64>,
-        max_bytes: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        let state = self.open()?;
-        let (oldest, head) = (state.head.trimmed, state.head.revision);
-        let handles = store.handles()?;
-        let snapshot = handles.database.snapshot();
-        drop(state);
-        let after = after.unwrap_or(oldest);
-        if after < oldest {
-            let uid = self.entry.uid;
-            return Err(LogError::Trimmed { uid, after, oldest });
-        }
-        let mut left = Allowance::of(max_bytes);
-        let mut records = Vec::new();
-        for revision in after.saturating_add(1)..=head {
-            let value = snapshot.get(&handles.keyspace, record_key(self.number, revision));
-            let value = value.map_err(|error| unreadable(self.entry.uid, error))?;
-            let record = self.record(revision, value.as_deref())?;
-            if !left.take(&record) {
-                break;
-            }
-            records.push(Arc::new(record));
-        }
-        Ok(records)
-    }
-
-    /// Decodes the record of a stored value.
-    pub(super) fn record(&self, revision: u64, value: Option<&[u8]>) -> Result<Record, LogError> {
-        let damaged = |what| LogError::Damaged {
-            uid: self.entry.uid,
-            revision,
-            what,
-        };
-        let record = Record::decode(value.ok_or_else(|| damaged("it is missing"))?);
-        let record = record.map_err(damaged)?;
-        if record.revision() != revision {
-            return Err(damaged("it is of another revision"));
-        }
-        Ok(record)
-    }
-
-    /// The stored operations, by revision.
-    pub(super) fn stored_operations(
-        &self,
-        handles: &Handles,
-    ) -> Result<Vec<(u64, Arc<Operation>)>, LogError> {
-        let uid = self.entry.uid;
-        let range = operation_key(self.number, 0)..=operation_key(self.number, u64::MAX);
-        let operations = handles.keyspace.range(range).map(|operation| {
-            let (key, value) = operation
-                .into_inner()
-                .map_err(|error| unreadable(uid, error))?;
-            let revision = last_of(&key).unwrap_or_default();
-            let operation = unseal(&key, &value).and_then(Operation::decode);
-            let operation = operation.ok_or(LogError::Damaged {
-                uid,
-                revision,
-                what: "its operation does not match its checksum",
-            })?;
-            Ok((revision, Arc::new(operation)))
-        });
-        operations.collect()
-    }
-
-    pub(super) fn operations(&self, store: &Store) -> Result<Vec<Arc<Operation>>, LogError> {
-        // The lock prevents appends and trims meanwhile.
-        let state = self.open()?;
-        let stored = self.stored_operations(&*store.handles()?)?;
-        let held = stored
-            .into_iter()
-            .filter(|(revision, _)| !state.forgotten.contains(revision));
-        Ok(held.map(|(_, operation)| operation).collect())
-    }
-
-    pub(super) fn pin(&self, store: &Arc<Store>) -> Result<Arc<dyn View>, LogError> {
-        let mut state = self.open()?;
-        Ok(self.view_of_head(store, &mut state))
-    }
-
     /// The view of the head. It reads the current store until the next write freezes it.
     fn view_of_head(&self, store: &Arc<Store>, state: &mut State) -> Arc<PointsView> {
         if let Some(view) = state.view.upgrade() {
@@ -469,9 +386,10 @@ impl Index {
     /// Forgets the oldest records and operations. The next write of a record removes them from the store.
     pub(super) fn trim(&self, keep: &Retention) -> Result<(), LogError> {
         let mut state = self.open()?;
-        let trimmed = state.window.trim(keep);
-        state.head.trimmed += trimmed.records as u64;
-        let forgotten: Vec<u64> = state.operations.drain(..trimmed.operations).collect();
+        let state = &mut *state;
+        let forgotten = keep.forget_records(&mut state.records, |time_ms| *time_ms);
+        state.head.trimmed += forgotten.count() as u64;
+        let forgotten = keep.forget_operations(&mut state.operations);
         state.forgotten.extend(forgotten);
         Ok(())
     }

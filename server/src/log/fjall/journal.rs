@@ -22,8 +22,9 @@ use fjall::PersistMode;
 use super::{
     STORE,
     directory::{Directory, sync_directory},
-    store::{Store, told},
+    store::{Store, storage},
 };
+use crate::log::LogError;
 
 /// The suffix of its files' names.
 const ENDING: &str = ".jnl";
@@ -54,13 +55,14 @@ impl Journal {
     }
 
     /// Returns once every earlier commit is on disk, or returns the error.
-    pub(super) fn sync(&mut self) -> Result<(), String> {
-        let handles = self.store.handles().map_err(|error| error.to_string())?;
+    pub(super) fn sync(&mut self) -> Result<(), LogError> {
+        let handles = self.store.handles()?;
         let handed_on = handles.database.persist(PersistMode::Buffer);
         drop(handles);
-        handed_on.map_err(told)?;
-        self.sync_newest()
-            .map_err(|error| format!("cannot sync the journal: {error}"))
+        handed_on.map_err(storage)?;
+        self.sync_newest().map_err(|error| LogError::Storage {
+            what: format!("cannot sync the journal: {error}"),
+        })
     }
 
     fn sync_newest(&mut self) -> io::Result<()> {

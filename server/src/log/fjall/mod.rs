@@ -50,12 +50,11 @@ pub use directory::OpenError;
 pub use rebuild::{RepairError, RepairReport, repair};
 
 use super::{
-    Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, Receipt, Record,
-    RecordStream, Restoring, Retention, Uid, View,
+    Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, PointVisitor,
+    Receipt, Record, RecordStream, Restoring, Retention, Uid, View,
 };
 use directory::Directory;
 use engine::Engine;
-use failure::is_untold;
 use layout::Number;
 use store::shut;
 use sync_marks::{Mark, Marks};
@@ -119,6 +118,7 @@ impl FjallLog {
     /// call fails with the cause, and [`Catalogue::lost`] names the indices.
     pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
+        directory.upgrade()?;
         let failed = |path: &Path, source| OpenError::Io {
             path: path.into(),
             source,
@@ -179,7 +179,7 @@ impl FjallLog {
     /// read. A damaged store is open for reading only.
     fn open_after(&self, failure: &LogError) -> Result<Engine, LogError> {
         let engine = self.open_engine()?;
-        if is_untold(failure) {
+        if *failure == LogError::StorageStopped {
             let damage = engine.store.handles();
             match damage.and_then(|handles| rebuild::find_damage(&handles)) {
                 Ok(None) => {}
@@ -239,6 +239,13 @@ impl PointStore for FjallLog {
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
         let engine = self.engine()?;
         engine.index(uid)?.pin(&engine.store)
+    }
+
+    fn load(&self, uid: Uid, visit: &mut PointVisitor<'_>) -> Result<Arc<dyn View>, LogError> {
+        let engine = self.engine()?;
+        let loaded = engine.index(uid)?.load(&engine.store, visit);
+        // A disk that fails while an index is loaded has failed: the store is reopened, and the index loaded again.
+        loaded.map_err(|error| engine.note(error))
     }
 
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {

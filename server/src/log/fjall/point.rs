@@ -3,8 +3,8 @@
 
 use bytes::Bytes;
 
-use super::layout::{Number, point_key, seal, unseal};
-use crate::log::{StoredPoint, cursor::Cursor};
+use super::layout::{Number, last_of, point_key, seal, unseal};
+use crate::log::{LogError, StoredPoint, Uid, cursor::Cursor};
 
 /// The stored form of a point, without its checksum.
 pub(super) struct PointForm<'a> {
@@ -31,8 +31,35 @@ impl PointForm<'_> {
     }
 }
 
+/// The point of a key and its value.
+pub(super) fn read_entry(
+    number: Number,
+    uid: Uid,
+    (key, value): (&[u8], &[u8]),
+) -> Result<StoredPoint, LogError> {
+    let id = last_of(key).ok_or_else(|| LogError::Unreadable {
+        uid,
+        what: "a key of no known form".into(),
+    })?;
+    read(number, uid, id, value)
+}
+
+/// The point with this id.
+pub(super) fn read(
+    number: Number,
+    uid: Uid,
+    id: u64,
+    value: &[u8],
+) -> Result<StoredPoint, LogError> {
+    decode(number, id, value).ok_or(LogError::DamagedPoint {
+        uid,
+        id,
+        what: "it does not match its checksum",
+    })
+}
+
 /// Decodes a stored point; None if it is damaged.
-pub(super) fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoint> {
+fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoint> {
     let mut cursor = Cursor::new(unseal(&point_key(number, id), value)?);
     let (revision, modified, tag) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);
     let coordinates = u16::from_le_bytes(cursor.array()?);

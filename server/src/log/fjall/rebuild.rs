@@ -120,8 +120,7 @@ fn make(
     }
     let made = Arc::new(Store::open(&new, Durability::Fsync).map_err(unopened)?);
     fill(&*made.handles()?)?;
-    let synced = Journal::new(Arc::clone(&made), new.clone()).sync();
-    synced.map_err(|what| LogError::Storage { what })?;
+    Journal::new(Arc::clone(&made), new.clone()).sync()?;
     made.close();
     // fjall does not sync the names in its directories.
     sync_directories(&new).map_err(shut)

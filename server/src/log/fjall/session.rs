@@ -72,24 +72,30 @@ pub(super) fn read(
     sum: &mut Sum,
 ) -> Result<Sessions, LogError> {
     let mut sessions = Sessions::default();
-    for key in [session_key, block_key] {
+    for keys in [session_key, block_key] {
         for entry in handles
             .keyspace
-            .range(key(number, 0)..=key(number, u64::MAX))
+            .range(keys(number, 0)..=keys(number, u64::MAX))
         {
             let (key, value) = entry.into_inner().map_err(|error| unreadable(uid, error))?;
             sum.add(&value);
-            let added = last_of(&key).and_then(|of| match key.first()? {
-                b's' => Some(sessions.insert(of, decode_session(&key, &value)?)),
-                _ => Some(sessions.insert_block(of, decode_block(&key, &value)?)),
-            });
-            added.ok_or_else(|| LogError::Unreadable {
+            add(&mut sessions, &key, &value).ok_or_else(|| LogError::Unreadable {
                 uid,
                 what: "a writer session does not match its checksum".into(),
             })?;
         }
     }
     Ok(sessions)
+}
+
+/// Adds a stored session or block; None if it is damaged.
+fn add(sessions: &mut Sessions, key: &[u8], value: &[u8]) -> Option<()> {
+    let of = last_of(key)?;
+    match key.first()? {
+        b's' => sessions.insert(of, decode_session(key, value)?),
+        _ => sessions.insert_block(of, decode_block(key, value)?),
+    }
+    Some(())
 }
 
 fn encode_session(key: &[u8], session: &Session) -> Vec<u8> {

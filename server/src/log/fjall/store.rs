@@ -23,9 +23,6 @@ const RUNS_THAT_STALL: usize = 20;
 /// An upper bound on the size of a nearly empty store.
 const SMALL_FILES: u64 = 1024 * 1024;
 
-/// The reported cause of a failure for which fjall gives none.
-pub(super) const UNTOLD: &str = "an earlier failure to write";
-
 /// The interval at which the store is polled until it has caught up; it gives no signal.
 const CATCHING_UP: Duration = Duration::from_millis(2);
 
@@ -108,7 +105,10 @@ impl Handles {
 
 /// The error of a failed write or a failed disk.
 pub(super) fn storage(error: fjall::Error) -> LogError {
-    LogError::Storage { what: told(error) }
+    match error {
+        fjall::Error::Poisoned => LogError::StorageStopped,
+        error => LogError::Storage { what: text(error) },
+    }
 }
 
 /// The error of a failed read of an index's data: the disk failed, or its bytes differ from the stored ones.
@@ -131,7 +131,7 @@ pub(super) fn damage(error: fjall::Error) -> Result<String, LogError> {
         fjall::Error::Io(_) | fjall::Error::Poisoned | fjall::Error::Storage(LsmError::Io(_)) => {
             Err(storage(error))
         }
-        error => Ok(told(error)),
+        error => Ok(text(error)),
     }
 }
 
@@ -139,8 +139,8 @@ pub(super) fn damage(error: fjall::Error) -> Result<String, LogError> {
 pub(super) fn unopened(error: fjall::Error) -> LogError {
     match error {
         fjall::Error::Io(error) | fjall::Error::Storage(LsmError::Io(error)) => shut(error),
-        fjall::Error::Poisoned => LogError::Shut { what: told(error) },
-        error => not_readable(told(error)),
+        error @ fjall::Error::Poisoned => LogError::Shut { what: text(error) },
+        error => not_readable(text(error)),
     }
 }
 
@@ -170,10 +170,9 @@ pub(super) fn not_readable(what: String) -> LogError {
 }
 
 /// The store's error as a short text.
-pub(super) fn told(error: fjall::Error) -> String {
+fn text(error: fjall::Error) -> String {
     match error {
         fjall::Error::Io(error) | fjall::Error::Storage(LsmError::Io(error)) => error.to_string(),
-        fjall::Error::Poisoned => UNTOLD.into(),
         error => error.to_string(),
     }
 }

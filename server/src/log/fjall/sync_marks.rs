@@ -80,8 +80,8 @@ impl Marks {
         Ok(())
     }
 
-    /// Marks an index as deleted, durably. A mark is never removed: without it, a journal that is cut short would bring the
-    /// index back unnoticed.
+    /// Marks an index as deleted, durably. A mark is never removed: without it, a journal that is cut short would bring
+    /// the index back unnoticed.
     pub(super) fn delete(&mut self, number: Number) -> io::Result<()> {
         self.put(number, &encode(number, &Mark::of_deleted()))?;
         self.0.sync_data()

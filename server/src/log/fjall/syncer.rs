@@ -139,12 +139,15 @@ impl Shared {
             last = reached.len();
             let synced = journal.sync().and_then(|()| {
                 let reached = reached.iter().map(|(index, mark)| (index.number, mark));
-                marks.write(reached).map_err(|error| error.to_string())
+                let written = marks.write(reached);
+                written.map_err(|error| LogError::Storage {
+                    what: error.to_string(),
+                })
             });
             let failed = match synced {
                 Ok(()) => None,
                 // Noted before the writers are woken, so that none of them continues to write.
-                Err(what) => Some(self.failure.note(LogError::Storage { what })),
+                Err(error) => Some(self.failure.note(error)),
             };
             if failed.is_none() {
                 for (index, mark) in &reached {

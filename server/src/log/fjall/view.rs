@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use fjall::{Readable, Snapshot};
 
 use super::{
-    layout::{Number, last_of, point_key},
+    layout::{Number, point_key},
     point,
     store::{Handles, Store, unreadable},
 };
@@ -36,16 +36,6 @@ impl PointsView {
         let newest = handles.database.snapshot();
         self.frozen.get().cloned().unwrap_or(newest)
     }
-
-    fn decode(&self, id: u64, value: &[u8]) -> Result<Arc<StoredPoint>, LogError> {
-        point::decode(self.number, id, value)
-            .map(Arc::new)
-            .ok_or(LogError::DamagedPoint {
-                uid: self.uid,
-                id,
-                what: "it does not match its checksum",
-            })
-    }
 }
 
 impl View for PointsView {
@@ -66,7 +56,8 @@ impl View for PointsView {
         let key = point_key(self.number, id);
         let value = self.snapshot(&handles).get(&handles.keyspace, key);
         let value = value.map_err(|error| unreadable(self.uid, error))?;
-        value.map(|value| self.decode(id, &value)).transpose()
+        let point = value.map(|value| point::read(self.number, self.uid, id, &value));
+        Ok(point.transpose()?.map(Arc::new))
     }
 
     fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
@@ -82,11 +73,7 @@ impl View for PointsView {
             let (key, value) = point
                 .into_inner()
                 .map_err(|error| unreadable(self.uid, error))?;
-            let id = last_of(&key).ok_or_else(|| LogError::Unreadable {
-                uid: self.uid,
-                what: "a key of no known form".into(),
-            })?;
-            self.decode(id, &value)
+            point::read_entry(self.number, self.uid, (&key, &value)).map(Arc::new)
         });
         page.collect()
     }

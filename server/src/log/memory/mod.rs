@@ -2,6 +2,7 @@
 
 mod store;
 mod versions;
+mod view;
 
 use std::{
     collections::{BTreeMap, btree_map},

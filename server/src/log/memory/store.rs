@@ -6,11 +6,11 @@ use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::watch;
 
-use super::versions::Versions;
+use super::{versions::Versions, view::PinnedView};
 use crate::log::{
     LogError, Operation, Origin, Record, RecordStream, Retention, Sessions, StoredPoint, Tip, Uid,
     View,
-    retention::{Allowance, Window},
+    retention::{Allowance, Bounded},
 };
 
 /// The number of rows that are stored or dropped during one hold of the lock. It keeps a large record from blocking
@@ -23,7 +23,7 @@ const ROWS_PER_HOLD: usize = 512;
 pub(super) struct Store {
     uid: Uid,
     journal: Mutex<Journal>,
-    versions: RwLock<Versions>,
+    pub(super) versions: RwLock<Versions>,
     /// The newest revision, or the error after which no further record comes.
     newest: watch::Sender<Result<u64, LogError>>,
 }
@@ -31,20 +31,19 @@ pub(super) struct Store {
 struct Journal {
     head: Head,
     /// The newest records, without a gap up to the head.
-    records: VecDeque<Arc<Record>>,
+    records: Bounded<Arc<Record>>,
     /// The newest operations.
-    operations: VecDeque<Arc<Operation>>,
-    window: Window,
+    operations: Bounded<Arc<Operation>>,
     /// The heads that submitted records made and that are not yet applied, oldest first. Their versions are pinned.
     unapplied: VecDeque<Head>,
 }
 
 /// The newest record, and what results from all records beside the points.
 #[derive(Clone)]
-struct Head {
-    tip: Tip,
-    next_id: u64,
-    sessions: Sessions,
+pub(super) struct Head {
+    pub(super) tip: Tip,
+    pub(super) next_id: u64,
+    pub(super) sessions: Sessions,
 }
 
 impl Store {
@@ -71,9 +70,8 @@ impl Store {
                     next_id: origin.next_id,
                     sessions,
                 },
-                records: VecDeque::new(),
-                operations: VecDeque::new(),
-                window: Window::default(),
+                records: Bounded::default(),
+                operations: Bounded::default(),
                 unapplied: VecDeque::new(),
             }),
             versions: RwLock::new(versions),
@@ -154,11 +152,11 @@ impl Store {
         head.tip = record.tip();
         head.next_id = head.next_id.max(record.effects().next_id());
         head.sessions.apply(record);
-        journal.window.hold(record);
-        journal.records.push_back(Arc::clone(record));
+        let bytes = record.effects().bytes();
+        journal.records.push(Arc::clone(record), bytes);
         if let Some(operation) = record.effects().operation() {
-            journal.window.hold_operation(operation.bytes());
-            journal.operations.push_back(Arc::clone(operation));
+            let bytes = operation.bytes();
+            journal.operations.push(Arc::clone(operation), bytes);
         }
     }
 
@@ -237,7 +235,7 @@ impl Store {
     }
 
     /// Drops some of the versions that no revision sees any more; false if none is left.
-    fn collect(&self) -> bool {
+    pub(super) fn collect(&self) -> bool {
         self.versions.write().collect(ROWS_PER_HOLD)
     }
 
@@ -247,7 +245,7 @@ impl Store {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let journal = self.journal.lock();
-        let oldest = journal.head.tip.revision - journal.records.len() as u64;
+        let oldest = journal.head.tip.revision - journal.records.iter().len() as u64;
         let after = after.unwrap_or(oldest);
         if after < oldest {
             return Err(LogError::Trimmed {
@@ -270,10 +268,11 @@ impl Store {
     }
 
     pub(super) fn trim(&self, keep: &Retention) {
-        let mut journal = self.journal.lock();
-        let trimmed = journal.window.trim(keep);
-        journal.records.drain(..trimmed.records);
-        journal.operations.drain(..trimmed.operations);
+        let journal = &mut *self.journal.lock();
+        keep.forget_records(&mut journal.records, |record| record.time_ms())
+            .for_each(drop);
+        keep.forget_operations(&mut journal.operations)
+            .for_each(drop);
     }
 
     pub(super) fn pin(self: Arc<Self>) -> Arc<dyn View> {
@@ -285,52 +284,11 @@ impl Store {
     }
 
     /// A view of a pinned revision; it takes over the pin.
-    fn pinned(self: &Arc<Self>, head: Head) -> Pinned {
-        Pinned {
+    fn pinned(self: &Arc<Self>, head: Head) -> PinnedView {
+        PinnedView {
             store: Arc::clone(self),
             head,
         }
-    }
-}
-
-/// A view. The versions it sees stay while it is held.
-struct Pinned {
-    store: Arc<Store>,
-    head: Head,
-}
-
-impl View for Pinned {
-    fn tip(&self) -> Tip {
-        self.head.tip
-    }
-
-    fn next_id(&self) -> u64 {
-        self.head.next_id
-    }
-
-    fn sessions(&self) -> &Sessions {
-        &self.head.sessions
-    }
-
-    fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
-        Ok(self
-            .store
-            .versions
-            .read()
-            .get(id, self.head.tip.revision)
-            .cloned())
-    }
-
-    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
-        let versions = self.store.versions.read();
-        Ok(versions.page(after, limit, self.head.tip.revision))
-    }
-}
-
-impl Drop for Pinned {
-    fn drop(&mut self) {
-        self.store.versions.write().unpin(self.head.tip.revision);
-        self.store.collect();
     }
 }
 

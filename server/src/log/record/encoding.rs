@@ -6,8 +6,8 @@ use std::sync::Arc;
 use bytes::Bytes;
 use wayfold_index::{PointRef, Space};
 
-use super::{Digest, Effects, Operation, Outcome, Record};
-use crate::log::{cursor::Cursor, session::Batch};
+use super::{Digest, Record};
+use crate::log::{Batch, Effects, Operation, Outcome, cursor::Cursor};
 
 /// The form of a record without a session's batch. A changed form needs a new text.
 const FORM: &[u8; 16] = b"wayfold record 2";
@@ -99,7 +99,7 @@ fn read_batch(cursor: &mut Cursor<'_>) -> Option<Batch> {
 }
 
 /// Appends the bytes of an operation.
-pub(super) fn push_operation(part: &mut Vec<u8>, operation: &Operation) {
+pub(in crate::log) fn push_operation(part: &mut Vec<u8>, operation: &Operation) {
     push_sequence(part, operation.id.as_bytes());
     part.extend_from_slice(&operation.fingerprint);
     push_sequence(part, &operation.response);
@@ -170,7 +170,7 @@ pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
 }
 
 /// Reads the operation at the cursor.
-pub(super) fn read_operation(cursor: &mut Cursor<'_>) -> Option<Operation> {
+pub(in crate::log) fn read_operation(cursor: &mut Cursor<'_>) -> Option<Operation> {
     Some(Operation {
         id: str::from_utf8(sequence(cursor)?).ok()?.to_owned(),
         fingerprint: cursor.array()?,

@@ -24,7 +24,7 @@ pub(super) enum Item {
     Torn,
 }
 
-/// What results from the records.
+/// The sum of the records.
 #[derive(Clone, Default)]
 pub(super) struct Sum {
     pub(super) next_id: u64,

@@ -141,6 +141,7 @@ pub(super) fn assert_holds(name: &str, parts: &[v1::SnapshotPart], model: &Model
         header,
         ids: model.points.keys().copied().collect(),
         points: points.collect(),
+        sessions: v1::SnapshotSessions::default(),
     };
     assert_eq!(read(parts), expected);
 }

@@ -12,6 +12,7 @@ pub(crate) struct SnapshotContent {
     pub(crate) header: Header,
     pub(crate) ids: Vec<u64>,
     pub(crate) points: Vec<(u64, u64, u64, Vec<f64>, Bytes)>,
+    pub(crate) sessions: v1::SnapshotSessions,
 }
 
 pub(crate) async fn snapshot(service: &Service, name: &str) -> Vec<v1::SnapshotPart> {
@@ -31,6 +32,7 @@ pub(crate) async fn snapshot(service: &Service, name: &str) -> Vec<v1::SnapshotP
 pub(crate) fn read(parts: &[v1::SnapshotPart]) -> SnapshotContent {
     let mut reader = Reader::new();
     let (mut header, mut ids, mut all) = (None, Vec::new(), Vec::new());
+    let mut sessions = v1::SnapshotSessions::default();
     for part in parts {
         match reader.read(part).unwrap() {
             Content::Header(found) => header = Some(found),
@@ -44,6 +46,10 @@ pub(crate) fn read(parts: &[v1::SnapshotPart]) -> SnapshotContent {
                     all.push((revisions.0, revisions.1, revisions.2, row.to_vec(), payload));
                 }
             }
+            Content::Sessions(page) => {
+                sessions.sessions.extend(page.sessions);
+                sessions.blocks.extend(page.blocks);
+            }
             Content::Trailer => {}
         }
     }
@@ -52,6 +58,7 @@ pub(crate) fn read(parts: &[v1::SnapshotPart]) -> SnapshotContent {
         header: header.unwrap(),
         ids,
         points: all,
+        sessions,
     }
 }
 

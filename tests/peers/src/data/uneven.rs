@@ -77,7 +77,7 @@ pub(super) fn trees(space: &Space, rows: usize, rng: &mut ChaCha8Rng) -> Vec<Vec
     let mut all: Vec<Vec<f64>> = Vec::with_capacity(rows);
     for tree in 1..=TREES {
         let last = rows * tree / TREES;
-        let mut grown = Forest::new(space.clone(), ForestOptions::for_space(&space));
+        let mut grown = Forest::new(space.clone(), ForestOptions::for_space(space));
         let mut edge = vec![canonical(uniform(space, rng))];
         loop {
             for row in edge.drain(..) {

@@ -1,0 +1,186 @@
+//! A directory of version 3, from before there were writer sessions, is opened with everything in it and becomes one of
+//! version 4.
+//!
+//! `version-3/` is such a directory as a server left it. In `arm` the operation `first` inserted the points 0 to 2,
+//! another call point 10, an update changed point 1, and the operation `second` removed the points 2 and 10. In `leg`
+//! the operation `third` inserted the points 0 and 1, and another call removed point 1.
+
+use std::{fs, path::Path, sync::Arc};
+
+use bytes::Bytes;
+use tempfile::TempDir;
+use wayfold_server::log::{
+    Batch, Catalogue, Effects, Entry, FjallLog, Journal, PointStore, StoredPoint, View, repair,
+};
+
+use super::{all_points, copied::copied, disk::open, effects, submit, synced};
+
+const VERSION_3: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/log/version-3");
+
+/// A copy of the directory.
+fn directory() -> TempDir {
+    let copy = copied(Path::new(VERSION_3));
+    // git keeps no empty directory.
+    fs::create_dir_all(copy.path().join("store/keyspaces/1/tables")).unwrap();
+    assert_eq!(marker(copy.path()), "wayfold-server data, version 3\n");
+    copy
+}
+
+fn marker(directory: &Path) -> String {
+    fs::read_to_string(directory.join("wayfold-data")).unwrap()
+}
+
+fn index(log: &FjallLog, name: &str) -> Entry {
+    let indexes = log.indexes().unwrap();
+    let mut named = indexes.into_iter().filter(|entry| entry.name == name);
+    named.next().unwrap()
+}
+
+fn point(
+    id: u64,
+    (revision, modified, tag): (u64, u64, u64),
+    state: &[f64],
+    payload: &'static [u8],
+) -> StoredPoint {
+    StoredPoint {
+        id,
+        revision,
+        modified,
+        tag,
+        state: state.into(),
+        payload: Bytes::from_static(payload),
+    }
+}
+
+fn stored(view: &dyn View) -> Vec<StoredPoint> {
+    let points = all_points(view);
+    points.values().map(|point| (**point).clone()).collect()
+}
+
+/// Asserts that the log holds what the directory held, and takes the next batches of a session.
+fn check_old(log: &FjallLog) {
+    assert_eq!((log.lost(), log.failure()), (Vec::new(), None));
+    let [arm, leg] = ["arm", "leg"].map(|name| index(log, name));
+    assert_eq!(arm.uid.to_string(), "55349b88-959c-4294-8a1b-0be428d1628c");
+    assert_eq!(leg.uid.to_string(), "8db82d44-94df-4080-93e6-dd9f9c23a3b1");
+    assert_eq!(arm.space, "R2*SO2".parse().unwrap());
+    assert_eq!(leg.space, "R1".parse().unwrap());
+    assert_eq!(log.indexes().unwrap().len(), 2);
+    let views = [&arm, &leg].map(|entry| log.view(entry.uid).unwrap());
+    let ends = views
+        .each_ref()
+        .map(|view| (view.revision(), view.next_id()));
+    assert_eq!(ends, [(4, 11), (2, 2)]);
+    assert!(views.iter().all(|view| view.sessions().is_empty()));
+    let points = [
+        point(0, (1, 1, 1), &[0.0, 0.0, 0.0], b"grasp"),
+        point(1, (1, 3, 7), &[1.0, 0.5, -1.0], b"retract"),
+    ];
+    assert_eq!(stored(&*views[0]), points);
+    assert_eq!(stored(&*views[1]), [point(0, (1, 1, 4), &[0.5], b"")]);
+
+    let operations = [&arm, &leg].map(|entry| {
+        let operations = log.operations(entry.uid).unwrap();
+        let ids = operations.iter().map(|operation| operation.id.clone());
+        ids.collect::<Vec<_>>().join(" ")
+    });
+    assert_eq!(operations, ["first second", "third"]);
+    let records = log.read(arm.uid, None, usize::MAX).unwrap();
+    let revisions: Vec<u64> = records.iter().map(|record| record.revision()).collect();
+    assert_eq!(revisions, [1, 2, 3, 4]);
+    assert!(
+        records
+            .windows(2)
+            .all(|pair| pair[1].follows(pair[0].tip()))
+    );
+    assert_eq!(records[0].effects().stored().ids(), [0, 1, 2]);
+    assert_eq!(records[2].effects().payload(0), Bytes::from("retract"));
+    assert_eq!(records[3].effects().removed(), [2, 10]);
+}
+
+/// The batch of session 3 of `leg` that reserves three ids.
+fn batch(mut effects: Effects, number: u64, first: u64) -> Effects {
+    effects.set_batch(Some(Arc::new(Batch {
+        session: 3,
+        number,
+        fingerprint: [7; 32],
+        response: Bytes::from(format!("batch {number}")),
+        reserved: first..first + 3,
+        ended: Vec::new(),
+    })));
+    effects
+}
+
+/// Opens session 3 of `leg` and writes its first batch.
+fn write_batches(log: &FjallLog) {
+    let leg = index(log, "leg");
+    submit(log, leg.uid, 2, batch(Effects::new(1), 0, 2)).unwrap();
+    submit(log, leg.uid, 3, batch(effects(4, &[3], &[]), 1, 5)).unwrap();
+    synced(log, leg.uid, 4).unwrap();
+}
+
+/// Asserts that the batches and all that was stored before them are there.
+fn check_batches(log: &FjallLog) {
+    assert_eq!((log.lost(), log.failure()), (Vec::new(), None));
+    let view = log.view(index(log, "leg").uid).unwrap();
+    assert_eq!((view.revision(), view.next_id()), (4, 8));
+    let ids: Vec<u64> = all_points(&*view).into_keys().collect();
+    assert_eq!(ids, [0, 3]);
+    let sessions = view.sessions();
+    let session = sessions.get(3).unwrap();
+    assert_eq!((session.batch, &session.response[..]), (1, &b"batch 1"[..]));
+    let owners = [1, 2, 7, 8].map(|id| sessions.owner(id));
+    assert_eq!(owners, [None, Some(3), Some(3), None]);
+    assert_eq!(stored(&*log.view(index(log, "arm").uid).unwrap()).len(), 2);
+}
+
+#[test]
+fn a_directory_of_version_3_is_opened_and_takes_batches() {
+    for ended_cleanly in [true, false] {
+        let directory = directory();
+        let path = directory.path();
+        if !ended_cleanly {
+            fs::remove_file(path.join("journal-synced")).unwrap();
+        }
+        let log = open(path);
+        assert_eq!(marker(path), "wayfold-server data, version 4\n");
+        check_old(&log);
+        drop(log);
+        let log = open(path);
+        check_old(&log);
+        write_batches(&log);
+        check_batches(&log);
+        // As a crash leaves it.
+        check_batches(&open(copied(path).path()));
+        drop(log);
+        check_batches(&open(path));
+        assert_eq!(marker(path), "wayfold-server data, version 4\n");
+    }
+}
+
+#[test]
+fn an_interrupted_upgrade_is_completed() {
+    let directory = directory();
+    let path = directory.path();
+    write_batches(&open(path));
+    for left in [
+        "wayfold-server data, version 3\n",
+        "wayfold-server data, version 3",
+    ] {
+        fs::write(path.join("wayfold-data"), left).unwrap();
+        check_batches(&open(path));
+        assert_eq!(marker(path), "wayfold-server data, version 4\n");
+    }
+}
+
+#[test]
+fn repair_reads_a_directory_of_version_3_and_leaves_the_version() {
+    let directory = directory();
+    for dry_run in [true, false] {
+        let report = repair(directory.path(), dry_run).unwrap();
+        assert_eq!((report.damage, report.whole), (None, 2));
+    }
+    // The server that wrote it still opens it.
+    assert_eq!(marker(directory.path()), "wayfold-server data, version 3\n");
+    check_old(&open(directory.path()));
+}
