@@ -113,8 +113,8 @@ pub fn search_overlaid(
 ) -> Result<Vec<Neighbor>, SearchError> {
     let mut hidden: Vec<&HashSet<u64>> = search.excluded.to_vec();
     let mut neighbors = Vec::new();
-    // The known neighbours come first: their distances bound all later searches. An overlay finds the points that it stores
-    // itself.
+    // The known neighbours come first: their distances bound all later searches. An overlay finds the points that it
+    // stores itself.
     if let Some(known) = known {
         let within = known.neighbors.iter();
         let within = within.take_while(|neighbor| neighbor.distance <= search.radius);

@@ -46,8 +46,8 @@ impl Service {
             effects.set_batch(Some(Arc::new(Batch {
                 session,
                 number: 0,
-                // Two servers that share a journal may open a session in the same millisecond. If their records were equal,
-                // both would take the accepted one for theirs.
+                // Two servers that share a journal may open a session in the same millisecond. If their records were
+                // equal, both would take the accepted one for theirs.
                 fingerprint: Sha256::digest(Uid::unique().to_string()).into(),
                 response: Bytes::new(),
                 reserved,
