@@ -99,8 +99,8 @@ pub struct Known<'a> {
 }
 
 /// Answers `search` over a snapshot as `overlays` change it, the oldest first. With `known`, only the snapshot's points
-/// after that revision are searched: since that revision points were only added. An overlay may have changes from before
-/// it.
+/// after that revision are searched: since that revision points were only added. An overlay may have changes from
+/// before it.
 ///
 /// # Errors
 /// The errors of [`Snapshot::search`].

@@ -52,8 +52,8 @@ impl Claim {
         }))
     }
 
-    /// The claim of a batch of a session. The fingerprint leaves out the name and the uid of the index: a restored index
-    /// has others, and recognises the retry.
+    /// The claim of a batch of a session. The fingerprint leaves out the name and the uid of the index: a restored
+    /// index has others, and recognises the retry.
     pub(super) async fn of_batch(
         request: &mut v1::WriteRequest,
         pace: &mut Pace,

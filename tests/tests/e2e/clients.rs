@@ -41,7 +41,8 @@ pub(crate) enum FaultTime {
     Built(u64),
 }
 
-/// Eight writers, four of them with a session, two readers, one client that creates and deletes indices, and a model of the expected content.
+/// Eight writers, four of them with a session, two readers, one client that creates and deletes indices, and a model of
+/// the expected content.
 pub(crate) struct Clients {
     writers: Vec<Writer>,
     readers: Vec<Reader>,
