@@ -41,7 +41,7 @@ pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport
 pub use effects::{Effects, Operation, Outcome};
 pub use error::LogError;
 pub use memory::MemoryLog;
-pub use record::{Digest, Record};
+pub use record::{Digest, Record, RunId};
 pub(crate) use retention::Bounded;
 pub use retention::Retention;
 pub use session::{Batch, Block, Session, Sessions};
@@ -89,8 +89,8 @@ impl Origin {
     };
 }
 
-/// A record's place in the log of its index. Two writers may give their records the same revision, but not the same
-/// digest.
+/// A record's place in the log of its index. Two servers may give their records the same revision, but never the same
+/// digest: a record names the run of its server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tip {
     /// Its revision.

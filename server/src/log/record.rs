@@ -13,21 +13,26 @@ pub(super) use encoding::{push_operation, read_operation};
 /// A SHA-256.
 pub type Digest = [u8; 32];
 
+/// A random number of a server's run: two servers that share a journal never make equal records.
+pub type RunId = [u8; 16];
+
 /// One mutation at its place in the log: its revision, the time of its append, its effects, and a digest over these and
 /// the previous record.
 ///
 /// The digest is the record's checksum and its link in the chain. Numbers are little-endian, and the length of a
-/// sequence precedes it as u64. The digest covers, in this order: the text `wayfold record 2`, or `3` for a session's
-/// batch; the digest of the previous record, the revision, the time, and the width of the rows; the stored points, each
-/// as id, tag, revision, outcome (a byte: 0 inserted, 1 replaced, 2 updated), the bits of the state, and the payload;
-/// the removed ids; the number of operations, and the id, fingerprint and response of each. A record of a session's
-/// batch has form 3: after these, the session, the batch's number, the first reserved id and the id after the last one,
-/// the fingerprint, the response, and the sessions that end.
+/// sequence precedes it as u64. The digest covers, in this order: the text `wayfold record 3`; the digest of the previous
+/// record, the revision, the time, the run, and the width of the rows; the stored points, each as id, tag, revision,
+/// outcome (a byte: 0 inserted, 1 replaced, 2 updated), the bits of the state, and the payload; the removed ids; the
+/// number of operations (0 or 1), and the id, fingerprint and response of each; the number of batches (0 or 1), and for
+/// each the session, the batch's number, the first reserved id and the id after the last one, the fingerprint, the
+/// response, and the sessions that end. A record without a run and a batch has the text `wayfold record 2`, no run, and
+/// no number of batches.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     revision: u64,
     previous: Digest,
     time_ms: u64,
+    run: RunId,
     effects: Effects,
     digest: Digest,
 }
@@ -36,14 +41,18 @@ impl Record {
     /// The previous digest that the first record of an index carries.
     pub const NO_PREVIOUS: Digest = [0; 32];
 
-    /// The next record after `tip`, with the current time.
+    /// The run of records that name none.
+    pub const NO_RUN: RunId = [0; 16];
+
+    /// The next record after `tip`, with the current time, made by no named run.
     pub fn after(tip: Tip, effects: Effects) -> Self {
-        Self::new(
-            tip.revision + 1,
-            tip.digest,
-            time_ms(SystemTime::now()),
-            effects,
-        )
+        Self::made_by(Self::NO_RUN, tip, effects)
+    }
+
+    /// The next record after `tip`, with the current time.
+    pub fn made_by(run: RunId, tip: Tip, effects: Effects) -> Self {
+        let time_ms = time_ms(SystemTime::now());
+        Self::sealed(run, tip.revision + 1, tip.digest, time_ms, effects)
     }
 
     /// True if it is the next record after `tip`.
@@ -51,12 +60,17 @@ impl Record {
         self.revision == tip.revision + 1 && self.previous == tip.digest
     }
 
-    /// The record of `revision`, made at `time_ms`, after the record with the digest `previous`.
+    /// The record of `revision`, made at `time_ms` by no named run, after the record with the digest `previous`.
     pub fn new(revision: u64, previous: Digest, time_ms: u64, effects: Effects) -> Self {
+        Self::sealed(Self::NO_RUN, revision, previous, time_ms, effects)
+    }
+
+    fn sealed(run: RunId, revision: u64, previous: Digest, time_ms: u64, effects: Effects) -> Self {
         let mut record = Self {
             revision,
             previous,
             time_ms,
+            run,
             effects,
             digest: Digest::default(),
         };
@@ -214,8 +228,10 @@ mod tests {
         let expected: Digest = Sha256::digest(&bytes).into();
         assert_eq!(*Record::new(5, [9; 32], 77, effects()).digest(), expected);
 
+        // The form of newer records: with a run, and a session's batch.
         bytes[15] = b'3';
-        for number in [3u64, 4, 20, 30] {
+        bytes.splice(64..64, [6; 16]);
+        for number in [1u64, 3, 4, 20, 30] {
             bytes.extend_from_slice(&number.to_le_bytes());
         }
         bytes.extend_from_slice(&[2; 32]);
@@ -227,7 +243,14 @@ mod tests {
         let expected: Digest = Sha256::digest(&bytes).into();
         let mut effects = effects();
         effects.set_batch(Some(Arc::new(batch())));
-        assert_eq!(*Record::new(5, [9; 32], 77, effects).digest(), expected);
+        let record = Record::sealed([6; 16], 5, [9; 32], 77, effects);
+        assert_eq!(*record.digest(), expected);
+    }
+
+    #[test]
+    fn two_servers_never_make_equal_records() {
+        let of = |run| *Record::sealed([run; 16], 5, [9; 32], 77, effects()).digest();
+        assert_ne!(of(1), of(2));
     }
 
     #[test]

@@ -20,7 +20,7 @@ impl Uid {
     }
 
     /// Its bytes.
-    pub(super) fn as_bytes(&self) -> &[u8; 16] {
+    pub(crate) fn as_bytes(&self) -> &[u8; 16] {
         self.0.as_bytes()
     }
 }

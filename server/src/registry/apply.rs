@@ -188,7 +188,11 @@ impl Hosted {
         let mut attempts = interval(SETTLE_INTERVAL);
         while self.published().revision <= previous.revision {
             attempts.tick().await;
-            let fence = Record::after(previous, Effects::new(self.space().coordinates()));
+            let fence = Record::made_by(
+                self.host.run,
+                previous,
+                Effects::new(self.space().coordinates()),
+            );
             let fence = Arc::new(fence);
             let outcome = match self.host.log.journal.submit(self.uid(), fence) {
                 Ok(Receipt::Accepted) => Ok(()),

@@ -89,7 +89,7 @@ impl Hosted {
         effects: Effects,
     ) -> Result<oneshot::Receiver<Fate>, RegistryError> {
         let previous = writer.tip();
-        let record = Arc::new(Record::after(previous, effects));
+        let record = Arc::new(Record::made_by(self.host.run, previous, effects));
         // The record is added before the journal has it: the apply loop may receive it at once.
         let added = {
             let mut in_flight = self.in_flight.lock();

@@ -30,7 +30,7 @@ use tokio::sync::{Semaphore, watch};
 use tracing::info;
 use wayfold_index::{Forest, ForestOptions, Space};
 
-use crate::log::{Entry, Log, LogError, Uid};
+use crate::log::{Entry, Log, LogError, RunId, Uid};
 pub use commit::Committed;
 pub use error::RegistryError;
 pub use hosted::{Hosted, Published};
@@ -127,6 +127,7 @@ struct Host {
     options: RegistryOptions,
     /// A permit per merge that may run.
     merges: Semaphore,
+    run: RunId,
 }
 
 impl Registry {
@@ -138,6 +139,7 @@ impl Registry {
                 log: log.into(),
                 options,
                 merges,
+                run: *Uid::unique().as_bytes(),
             }),
             indexes: RwLock::default(),
             change_lock: Mutex::new(()),

@@ -1,5 +1,7 @@
 //! Mutations are evaluated while earlier ones are under way: some published, some not.
 
+use std::collections::BTreeSet;
+
 use wayfold_proto::v1;
 
 use crate::{
@@ -74,6 +76,29 @@ async fn records_under_way_are_seen_by_the_next_mutation_and_by_no_reader() {
     assert_eq!(outcomes, [v1::Outcome::Inserted as i32, close, close]);
     let (late, ..) = server(&stream, &entry);
     settled(&stream, &entry, &[&one, &late]).await;
+}
+
+/// Equal mutations of two servers in one millisecond are two mutations.
+#[tokio::test]
+async fn equal_inserts_at_two_servers_get_ids_of_their_own() {
+    let (stream, entry) = (Stream::new(7, 0.0), named_arm());
+    let servers = [0, 1].map(|_| server(&stream, &entry));
+    let mut ids = BTreeSet::new();
+    for _ in 0..50 {
+        let inserts = servers.each_ref().map(|(service, ..)| {
+            let service = service.clone();
+            tokio::spawn(async move {
+                let inserted = service.insert(&CALL, insertion(&[[0.5]], &[])).await;
+                inserted.unwrap().ids[0]
+            })
+        });
+        for insert in inserts {
+            ids.insert(insert.await.unwrap());
+        }
+    }
+    assert_eq!(ids.len(), 100);
+    let services = servers.each_ref().map(|(service, ..)| service);
+    settled(&stream, &entry, &services).await;
 }
 
 /// Lets the other tasks run until they wait.

@@ -9,28 +9,26 @@ use wayfold_index::{PointRef, Space};
 use super::{Digest, Record};
 use crate::log::{Batch, Effects, Operation, Outcome, cursor::Cursor};
 
-/// The form of a record without a session's batch. A changed form needs a new text.
-const FORM: &[u8; 16] = b"wayfold record 2";
+/// The form of a record without a run and a session's batch. A changed form needs a new text.
+const OLD_FORM: &[u8; 16] = b"wayfold record 2";
 
-/// The form of a record with a session's batch.
-const BATCH_FORM: &[u8; 16] = b"wayfold record 3";
+/// The form of all other records.
+const FORM: &[u8; 16] = b"wayfold record 3";
 
 /// Passes the bytes of a record to `take`, part by part.
 pub(super) fn write(record: &Record, mut take: impl FnMut(&[u8])) {
     let effects = &record.effects;
     let mut part = Vec::new();
-    part.extend_from_slice(match effects.batch {
-        None => FORM,
-        Some(_) => BATCH_FORM,
-    });
+    let is_old = record.run == Record::NO_RUN && effects.batch.is_none();
+    part.extend_from_slice(if is_old { OLD_FORM } else { FORM });
     part.extend_from_slice(&record.previous);
-    for number in [
-        record.revision,
-        record.time_ms,
-        effects.stored.coordinates() as u64,
-        effects.stored.len() as u64,
-    ] {
-        part.extend_from_slice(&number.to_le_bytes());
+    part.extend_from_slice(&record.revision.to_le_bytes());
+    part.extend_from_slice(&record.time_ms.to_le_bytes());
+    if !is_old {
+        part.extend_from_slice(&record.run);
+    }
+    for number in [effects.stored.coordinates(), effects.stored.len()] {
+        part.extend_from_slice(&(number as u64).to_le_bytes());
     }
     for (slot, point) in effects.stored.iter().enumerate() {
         for number in [point.id, point.tag, point.revision] {
@@ -59,6 +57,9 @@ pub(super) fn write(record: &Record, mut take: impl FnMut(&[u8])) {
     part.extend_from_slice(&u64::from(effects.operation.is_some()).to_le_bytes());
     if let Some(operation) = &effects.operation {
         push_operation(&mut part, operation);
+    }
+    if !is_old {
+        part.extend_from_slice(&u64::from(effects.batch.is_some()).to_le_bytes());
     }
     if let Some(batch) = &effects.batch {
         push_batch(&mut part, batch);
@@ -114,10 +115,15 @@ fn push_sequence(part: &mut Vec<u8>, bytes: &[u8]) {
 pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
     let mut cursor = Cursor::new(bytes);
     let form = cursor.array()?;
-    if form != *FORM && form != *BATCH_FORM {
+    let is_old = form == *OLD_FORM;
+    if !is_old && form != *FORM {
         return None;
     }
     let (previous, revision, time_ms) = (cursor.array()?, cursor.u64()?, cursor.u64()?);
+    let run = match is_old {
+        true => Record::NO_RUN,
+        false => cursor.array()?,
+    };
     let (coordinates, rows) = (cursor.length()?, cursor.length()?);
     // No space is wider. The check applies without rows too, so that later arithmetic on the width cannot overflow.
     if coordinates > Space::MAX_COORDINATES {
@@ -157,13 +163,16 @@ pub(super) fn read(bytes: &[u8], digest: Digest) -> Option<Record> {
         1 => effects.set_operation(Some(Arc::new(read_operation(&mut cursor)?))),
         _ => return None,
     }
-    if form == *BATCH_FORM {
-        effects.set_batch(Some(Arc::new(read_batch(&mut cursor)?)));
+    match if is_old { 0 } else { cursor.u64()? } {
+        0 => {}
+        1 => effects.set_batch(Some(Arc::new(read_batch(&mut cursor)?))),
+        _ => return None,
     }
     cursor.is_empty().then_some(Record {
         revision,
         previous,
         time_ms,
+        run,
         effects,
         digest,
     })
@@ -244,7 +253,7 @@ mod tests {
             value: u64,
         ) {
             let _ = Record::decode(&bytes);
-            for form in [FORM, BATCH_FORM] {
+            for form in [OLD_FORM, FORM] {
                 let odd = [form, &bytes[..]].concat();
                 let _ = read(&odd, [0; 32]);
             }

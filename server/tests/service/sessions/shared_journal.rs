@@ -21,8 +21,7 @@ async fn catch_up(server: &Service, newest: &Option<v1::Revision>) {
     server.get(&CALL, request).await.unwrap();
 }
 
-/// Writes each batch through either server and repeats it, at the same server while it is under way, and at either
-/// afterwards. Returns the batches in their order, and the points that the writer expects under its own ids.
+/// Writes each batch through either server and repeats it at either, while it is under way and afterwards. Returns the batches in their order, and the points that the writer expects under its own ids.
 async fn batches(
     servers: [Service; 2],
     uid: String,
@@ -57,9 +56,11 @@ async fn batches(
                 Tag(id, _) => missing += u64::from(!points.contains_key(&id)),
             }
         }
-        let server = &servers[random.random_range(0..2)];
-        catch_up(server, &newest).await;
-        let twins = [(); 2].map(|()| write(server, request.clone()));
+        for server in &servers {
+            catch_up(server, &newest).await;
+        }
+        let twins = [(); 2].map(|()| random.random_range(0..2));
+        let twins = twins.map(|at: usize| write(&servers[at], request.clone()));
         let responses = join_all(twins).await;
         assert_eq!(responses[0], responses[1]);
         let response = responses[0].clone();
