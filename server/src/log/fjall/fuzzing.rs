@@ -4,11 +4,11 @@
 use sha2::{Digest as _, Sha256};
 
 use super::{
-    layout::{Head, Named, entry_key, head_key, point_key, seal},
+    layout::{Head, Named, block_key, entry_key, head_key, point_key, seal, session_key},
     point::{self, PointForm},
-    sync_marks,
+    session, sync_marks,
 };
-use crate::log::{Digest, Effects, Operation, Record};
+use crate::log::{Digest, Effects, Operation, Record, Sessions};
 
 /// The length of the text that names the form of a record.
 const FORM: usize = 16;
@@ -38,7 +38,7 @@ pub fn value(bytes: &[u8]) {
         return;
     };
     let (number, id) = (1u32, 2);
-    match kind % 5 {
+    match kind % 7 {
         0 => {
             let stored = seal(&point_key(number, id), bytes.to_vec());
             if let Some(point) = point::decode(number, id, &stored) {
@@ -50,6 +50,14 @@ pub fn value(bytes: &[u8]) {
                     payload: &point.payload,
                 };
                 assert_eq!(form.encode(number, id), stored);
+            }
+        }
+        kind @ (5 | 6) => {
+            let key = if kind == 5 { session_key } else { block_key }(number, id);
+            let stored = seal(&key, bytes.to_vec());
+            let mut sessions = Sessions::default();
+            if session::add(&mut sessions, &key, &stored).is_some() {
+                assert_eq!(sessions.len() + sessions.block_count(), 1);
             }
         }
         1 => {

@@ -59,7 +59,7 @@ pub(super) fn read(
 }
 
 /// Decodes a stored point; None if it is damaged.
-fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoint> {
+pub(super) fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoint> {
     let mut cursor = Cursor::new(unseal(&point_key(number, id), value)?);
     let (revision, modified, tag) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);
     let coordinates = u16::from_le_bytes(cursor.array()?);

@@ -89,7 +89,7 @@ pub(super) fn read(
 }
 
 /// Adds a stored session or block; None if it is damaged.
-fn add(sessions: &mut Sessions, key: &[u8], value: &[u8]) -> Option<()> {
+pub(super) fn add(sessions: &mut Sessions, key: &[u8], value: &[u8]) -> Option<()> {
     let of = last_of(key)?;
     match key.first()? {
         b's' => sessions.insert(of, decode_session(key, value)?),
