@@ -137,7 +137,12 @@ impl Sessions {
 
     /// Applies the next record.
     pub fn apply(&mut self, record: &Record) {
-        for change in self.changes(record) {
+        self.apply_changes(self.changes(record));
+    }
+
+    /// Applies the changes of the next record.
+    pub(super) fn apply_changes(&mut self, changes: Vec<Change>) {
+        for change in changes {
             match change {
                 Change::Session(id, [_, Some(session)]) => {
                     self.by_id.insert_mut(id, session);

@@ -150,7 +150,7 @@ fn a_directory_of_version_3_is_opened_and_takes_batches() {
         check_old(&log);
         write_batches(&log);
         check_batches(&log);
-        // As a crash leaves it.
+        // A crash leaves this content.
         check_batches(&open(copied(path).path()));
         drop(log);
         check_batches(&open(path));

@@ -283,8 +283,9 @@ impl Index {
         let Handles { database, keyspace } = handles;
         let mut batch = database.batch();
         let mut sum = self.put(handles, &mut batch, record, state.head.sum)?;
-        for change in state.sessions.changes(record) {
-            session::put(&change, self.number, (&mut batch, keyspace), &mut sum);
+        let changes = state.sessions.changes(record);
+        for change in &changes {
+            session::put(change, self.number, (&mut batch, keyspace), &mut sum);
         }
         let head = Head {
             revision: record.revision(),
@@ -306,7 +307,7 @@ impl Index {
         batch.commit().map_err(storage)?;
         state.removed = head.trimmed;
         state.forgotten.clear();
-        state.sessions.apply(record);
+        state.sessions.apply_changes(changes);
         state.held(record);
         if let Some(operation) = record.effects().operation() {
             state.held_operation(record.revision(), operation);

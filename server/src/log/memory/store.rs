@@ -38,7 +38,7 @@ struct Journal {
     unapplied: VecDeque<Head>,
 }
 
-/// The newest record, and what results from all records beside the points.
+/// The newest record, and the sums of all records beside the points.
 #[derive(Clone)]
 pub(super) struct Head {
     pub(super) tip: Tip,
