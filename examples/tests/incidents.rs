@@ -107,7 +107,7 @@ fn runtime() -> Runtime {
     runtime.worker_threads(1).enable_all().build().unwrap()
 }
 
-/// Three workers, one of which halts after some milestones.
+/// Three workers build a roadmap. One halts after some milestones.
 fn jobs(server: &str, batch: usize) -> Vec<Job> {
     let job = |number| Job {
         server: server.to_owned(),

@@ -33,7 +33,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use futures_util::{future::BoxFuture, stream::BoxStream};
-use wayfold_index::Space;
+use wayfold_index::{PointRef, Space};
 
 #[cfg(fuzzing)]
 pub use self::fjall::fuzzing;
@@ -277,4 +277,16 @@ pub struct StoredPoint {
     pub state: Box<[f64]>,
     /// Its payload.
     pub payload: Bytes,
+}
+
+impl StoredPoint {
+    /// The part of the point that a forest holds.
+    pub fn indexed(&self) -> PointRef<'_> {
+        PointRef {
+            id: self.id,
+            tag: self.tag,
+            revision: self.revision,
+            row: &self.state,
+        }
+    }
 }

@@ -20,13 +20,13 @@ pub type RunId = [u8; 16];
 /// the previous record.
 ///
 /// The digest is the record's checksum and its link in the chain. Numbers are little-endian, and the length of a
-/// sequence precedes it as u64. The digest covers, in this order: the text `wayfold record 3`; the digest of the previous
-/// record, the revision, the time, the run, and the width of the rows; the stored points, each as id, tag, revision,
-/// outcome (a byte: 0 inserted, 1 replaced, 2 updated), the bits of the state, and the payload; the removed ids; the
-/// number of operations (0 or 1), and the id, fingerprint and response of each; the number of batches (0 or 1), and for
-/// each the session, the batch's number, the first reserved id and the id after the last one, the fingerprint, the
-/// response, and the sessions that end. A record without a run and a batch has the text `wayfold record 2`, no run, and
-/// no number of batches.
+/// sequence precedes it as u64. The digest covers, in this order: the text `wayfold record 3`; the digest of the
+/// previous record, the revision, the time, the run, and the width of the rows; the stored points, each as id, tag,
+/// revision, outcome (a byte: 0 inserted, 1 replaced, 2 updated), the bits of the state, and the payload; the removed
+/// ids; the number of operations (0 or 1), and the id, fingerprint and response of each; the number of batches (0 or
+/// 1), and for each the session, the batch's number, the first reserved id and the id after the last one, the
+/// fingerprint, the response, and the sessions that end. A record without a run and a batch has the text `wayfold
+/// record 2`, no run, and no number of batches.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     revision: u64,

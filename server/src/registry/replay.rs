@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tracing::{error, info};
-use wayfold_index::{ApplyError, PointRef, Points, PointsError};
+use wayfold_index::{ApplyError, Points, PointsError};
 
 use super::{Host, Hosted, IndexState, RegistryError, operations::Operations};
 use crate::log::{Entry, LogError, StoredPoint};
@@ -81,12 +81,7 @@ fn push(points: &mut Points, entry: &Entry, point: &StoredPoint) -> Result<(), L
             what: "a state has not the width of the space",
         });
     }
-    points.push_point(PointRef {
-        id: point.id,
-        tag: point.tag,
-        revision: point.revision,
-        row: &point.state,
-    });
+    points.push_point(point.indexed());
     if points.len().is_multiple_of(PROGRESS_POINTS) {
         info!(index = entry.name, points = points.len(), "reading points");
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tracing::info;
-use wayfold_index::{PointRef, Points, Space};
+use wayfold_index::{Points, Space};
 
 use super::{Host, Hosted, IndexState, Registry, RegistryError, operations::Operations};
 use crate::log::{Entry, Origin, Restoring, Sessions, StoredPoint, Uid};
@@ -92,12 +92,7 @@ impl Restore {
     pub fn add(&mut self, points: &[StoredPoint]) -> Result<(), RegistryError> {
         self.stored.add(points)?;
         for point in points {
-            self.points.push_point(PointRef {
-                id: point.id,
-                tag: point.tag,
-                revision: point.revision,
-                row: &point.state,
-            });
+            self.points.push_point(point.indexed());
         }
         Ok(())
     }

@@ -90,10 +90,8 @@ async fn updated(
         };
         if tag != held.tag || payload != held.payload {
             let point = PointRef {
-                id,
                 tag,
-                revision: held.revision,
-                row: &held.state,
+                ..held.indexed()
             };
             effects.store(point, Outcome::Updated, payload);
         }

@@ -1,7 +1,9 @@
 //! `Write`: the net effect of a session's batch of steps.
 
-use std::collections::{HashMap, hash_map};
-use std::sync::Arc;
+use std::{
+    collections::{HashMap, hash_map},
+    sync::Arc,
+};
 
 use bytes::Bytes;
 use wayfold_index::PointRef;
@@ -221,10 +223,8 @@ impl Steps {
                     if let Some(point) = stored.get(id).filter(|point| point.tag != tag) {
                         let payload = point.payload.clone();
                         let point = PointRef {
-                            id,
                             tag,
-                            revision: point.revision,
-                            row: &point.state,
+                            ..point.indexed()
                         };
                         effects.store(point, Outcome::Updated, payload);
                     }

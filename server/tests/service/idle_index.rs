@@ -10,7 +10,7 @@ use wayfold_server::{
 
 use crate::support::*;
 
-/// The number of calls to the busy index, each of which replaces the payloads of the same points.
+/// The number of calls to the busy index. Each replaces the payloads of the same points.
 const INSERTS: u8 = 128;
 const POINTS: u64 = 32;
 const PAYLOAD_BYTES: usize = 64 * 1024;

@@ -216,7 +216,7 @@ async fn a_name_that_is_taken_is_refused_first_and_last() {
     );
     assert_eq!(described(&source, "arm").await, before);
 
-    // Of two concurrent restores, the first to end gets the name.
+    // The first of two concurrent restores to end gets the name.
     let target = service();
     let mut both = [
         target.restore_index(&CALL).unwrap(),

@@ -136,7 +136,7 @@ async fn a_first_start_may_be_cut_short_anywhere() {
     println!("{cuts} first starts cut short");
 }
 
-/// As a control, the disk does lose unsynced writes, and the new index has another uid.
+/// This is the control: the disk does lose unsynced writes, and the new index has another uid.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn without_syncs_something_is_lost_and_the_uid_is_new() {
     let settings = [("WAYFOLD_DATA__DURABILITY", "none")];

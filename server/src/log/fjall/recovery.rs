@@ -100,7 +100,7 @@ pub(super) fn recover(
 }
 
 impl Found {
-    /// Adds a lost index, of which only the mark is left.
+    /// Adds a lost index. Only its mark is left.
     fn lose(&mut self, number: Number, mark: &Mark, why: LogError) {
         error!(index = &*mark.name, error = %why, "an index is lost: every call for it fails");
         let (name, uid) = (mark.name.to_string(), mark.uid);

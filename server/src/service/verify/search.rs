@@ -1,6 +1,6 @@
 //! The second pass: sampled queries, answered by the forest and by brute force over the stored points.
 
-use wayfold_index::{Linear, Neighbor, PointRef, Search};
+use wayfold_index::{Linear, Neighbor, Search};
 
 use super::{DOING, Disagreements, Pass};
 use crate::service::Error;
@@ -68,12 +68,7 @@ impl Searches {
             let mut points = Linear::new(space.clone());
             for point in &page {
                 // A damaged state has no distance; the comparison has reported it.
-                let _ = points.insert(PointRef {
-                    id: point.id,
-                    tag: point.tag,
-                    revision: point.revision,
-                    row: &point.state,
-                });
+                let _ = points.insert(point.indexed());
             }
             for query in &mut self.queries {
                 query.measure(&points, WITHIN * self.k)?;

@@ -268,7 +268,7 @@ impl Index {
     }
 }
 
-/// All sessions and blocks anew, with those of a batch and without those that it ends.
+/// Builds the sessions anew: it adds those of a batch and leaves out those that the batch ends.
 fn sessions_after(before: &Sessions, batch: &Batch, used_ms: u64) -> Sessions {
     let mut after = Sessions::default();
     let is_open = |session: u64| !batch.ended.contains(&session);

@@ -1,4 +1,4 @@
-//! Random batches of several sessions beside plain calls, each answer, read and mutation of the feed compared with the
+//! Several sessions write random batches beside plain calls. Each answer, read and mutation of the feed equals the
 //! model's. Batches are retried, and the server restarts meanwhile.
 
 use std::{collections::BTreeMap, sync::Arc};

@@ -21,7 +21,8 @@ async fn catch_up(server: &Service, newest: &Option<v1::Revision>) {
     server.get(&CALL, request).await.unwrap();
 }
 
-/// Writes each batch through either server and repeats it at either, while it is under way and afterwards. Returns the batches in their order, and the points that the writer expects under its own ids.
+/// Writes each batch through either server and repeats it at either, while it is under way and afterwards. Returns the
+/// batches in their order, and the points that the writer expects under its own ids.
 async fn batches(
     servers: [Service; 2],
     uid: String,
