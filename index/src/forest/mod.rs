@@ -102,7 +102,8 @@ pub struct Forest {
 
 impl Forest {
     /// An empty forest at revision 0.
-    pub fn new(space: Space, options: ForestOptions) -> Self {
+    pub fn new(space: impl Into<Arc<Space>>, options: ForestOptions) -> Self {
+        let space = space.into();
         let options = ForestOptions {
             growing_rows: options
                 .growing_rows
@@ -112,7 +113,7 @@ impl Forest {
         let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);
         let head = Snapshot {
             scale: KeyScale::new(&space),
-            space: Arc::new(space),
+            space,
             revision: 0,
             live: 0,
             levels: Arc::default(),

@@ -37,7 +37,7 @@ pub struct Hosted {
     name: String,
     uid: Uid,
     uid_text: String,
-    space: Space,
+    space: Arc<Space>,
     pub(super) host: Arc<Host>,
     state: watch::Sender<State>,
     pub(super) writer: Arc<Mutex<Writer>>,
@@ -85,16 +85,17 @@ impl Hosted {
             revision: view.revision(),
             view,
         });
+        let space = Arc::new(entry.space.clone());
         Arc::new_cyclic(|hosted| Self {
             name: entry.name.clone(),
             uid: entry.uid,
             uid_text: entry.uid.to_string(),
-            space: entry.space.clone(),
             host: Arc::clone(host),
             writer: Arc::new(Mutex::new(Writer::new(
-                &entry.space,
+                &space,
                 Arc::clone(&published),
             ))),
+            space,
             applied: Arc::new(Mutex::new(Applied { forest, mergers: 0 })),
             in_flight: parking_lot::Mutex::default(),
             operations: parking_lot::Mutex::new(operations),
