@@ -45,8 +45,8 @@ pub enum Error {
         /// The error of the attempt before the last one, if there was one.
         earlier: Option<Box<Error>>,
     },
-    /// The server refused the call, and changed nothing; only after a mutation's `DEADLINE_EXCEEDED` or `DATA_LOSS` is
-    /// the effect unknown.
+    /// The server refused the call. The outcome of a mutation is unknown after `DEADLINE_EXCEEDED`, `DATA_LOSS`,
+    /// `INTERNAL`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`; any other refusal changed nothing.
     #[error(transparent)]
     Refused(Box<Refusal>),
     /// A state does not have as many numbers as the space has coordinates.
