@@ -79,8 +79,8 @@ pub enum Error {
         /// The problem of the state.
         error: StateError,
     },
-    /// An insert names the id of a stored point.
-    #[error("id {id}: a point has it; replace moves a stored point")]
+    /// An insert names the id of a stored point, or one that the index assigns.
+    #[error("id {id}: a point has it, or the index assigns it; replace moves a stored point")]
     IdTaken {
         /// The id.
         id: u64,
@@ -95,6 +95,35 @@ pub enum Error {
     NotInMemory {
         /// The call.
         call: &'static str,
+    },
+    /// The server refused a write of a shared index for good. The writes from there on wait for
+    /// [`Index::take_unsent`](crate::Index::take_unsent).
+    #[error("the server refused a write, and nothing after it was sent: {why}")]
+    WritesRefused {
+        /// The refusal.
+        why: Arc<Error>,
+    },
+    /// The index was closed.
+    #[error("the index is closed")]
+    Closed,
+    /// The index was opened in another process, from which this one was forked: its threads are not here.
+    #[error("the index was opened before a fork: open it again in this process")]
+    Forked,
+    /// The thread that talks to servers could not be started.
+    #[error("no thread to talk to servers: {source}")]
+    Thread {
+        /// The reason.
+        source: Arc<std::io::Error>,
+    },
+    /// The index was created again with another space.
+    #[error("index {index} has the space {found} now, not {expected}")]
+    OtherSpace {
+        /// Its name.
+        index: String,
+        /// The space it was opened with.
+        expected: String,
+        /// Its space now.
+        found: String,
     },
     /// An argument that is out of its range.
     #[error("{field}: {problem}")]
@@ -163,6 +192,9 @@ impl Error {
             | Error::NotInMemory { .. }
             | Error::Snapshot(_) => Code::InvalidArgument,
             Error::IdTaken { .. } => Code::AlreadyExists,
+            Error::WritesRefused { why } => why.code(),
+            Error::Closed | Error::Forked | Error::OtherSpace { .. } => Code::FailedPrecondition,
+            Error::Thread { .. } => Code::Unavailable,
             Error::SearchTimeout => Code::DeadlineExceeded,
             Error::Connection { .. } | Error::Stale { .. } | Error::Behind { .. } => {
                 Code::Unavailable

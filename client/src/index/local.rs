@@ -96,8 +96,15 @@ impl LocalPoints {
     ) -> Result<(), Error> {
         let at = self.forest.revision() + 1;
         let mut points = Points::new(self.forest.space().coordinates());
-        for NewRow { id, tag, row } in stored {
-            points.push(id, tag, at, row);
+        for NewRow {
+            id,
+            tag,
+            row,
+            is_new,
+        } in stored
+        {
+            let held = if is_new { None } else { self.forest.get(id) };
+            points.push(id, tag, held.map_or(at, |held| held.revision), row);
         }
         self.forest.apply(at, &points, removed)?;
         for &id in points.ids().iter().chain(removed) {
@@ -178,6 +185,8 @@ pub(super) struct NewRow<'a> {
     pub(super) id: u64,
     pub(super) tag: u64,
     pub(super) row: &'a [f64],
+    /// False if the point is stored with this state, and only its tag or its payload is new.
+    pub(super) is_new: bool,
 }
 
 /// Searches a snapshot.

@@ -169,7 +169,12 @@ impl NearestNeighbors for Memory {
         let ids = first..first.saturating_add(rows.len() as u64);
         state.assign(rows.len())?;
         let stored = ids.clone().zip(rows);
-        let stored = stored.map(|(id, row)| NewRow { id, tag, row });
+        let stored = stored.map(|(id, row)| NewRow {
+            id,
+            tag,
+            row,
+            is_new: true,
+        });
         if let Err(error) = state.points.apply(stored, &[]) {
             state.next_id = first;
             return Err(error);

@@ -55,6 +55,7 @@ impl Violations {
             metadata: Default::default(),
             fields: self.fields,
             ids: Vec::new(),
+            retry_after: None,
         })))
     }
 }

@@ -5,3 +5,6 @@
 mod conformance;
 mod memory;
 mod model;
+#[path = "../client/server.rs"]
+mod server;
+mod shared;

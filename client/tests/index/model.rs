@@ -25,7 +25,7 @@ pub(crate) struct Model {
     /// What answers had seen, with the number of changes then.
     seen: Vec<(Seen, u64)>,
     used_ids: HashSet<u64>,
-    greatest_id: Option<u64>,
+    last_assigned: Option<u64>,
 }
 
 impl Model {
@@ -40,7 +40,7 @@ impl Model {
             history: Vec::new(),
             seen: Vec::new(),
             used_ids: HashSet::new(),
-            greatest_id: None,
+            last_assigned: None,
         }
     }
 
@@ -90,7 +90,8 @@ impl Model {
         let ids: Vec<u64> = self.points.iter().map(|point| point.id).collect();
         match ids.choose(&mut self.rng) {
             Some(&id) if self.rng.random_bool(0.9) => id,
-            _ => self.rng.random_range(0..2_000),
+            // Far from the ids that an index assigns.
+            _ => (1 << 40) + self.rng.random_range(0..2_000),
         }
     }
 
@@ -107,16 +108,13 @@ impl Model {
 
     /// Notes an id that the index assigned.
     fn assigned(&mut self, id: u64) {
+        assert!(self.used_ids.insert(id), "id {id} was used");
         assert!(
-            self.greatest_id.is_none_or(|greatest| id > greatest),
-            "id {id} was used"
+            self.last_assigned < Some(id),
+            "{id} after {:?}",
+            self.last_assigned
         );
-        self.used(id);
-    }
-
-    fn used(&mut self, id: u64) {
-        self.used_ids.insert(id);
-        self.greatest_id = self.greatest_id.max(Some(id));
+        self.last_assigned = Some(id);
     }
 
     fn insert(&mut self) {
@@ -159,7 +157,7 @@ impl Model {
         }
         assert_eq!(inserted.unwrap().id, id);
         self.changes += 1;
-        self.used(id);
+        self.used_ids.insert(id);
         let row = self.canonical(&state);
         self.store(id, 0, &row, self.changes);
     }

@@ -91,10 +91,7 @@ impl Hosted {
             uid: entry.uid,
             uid_text: entry.uid.to_string(),
             host: Arc::clone(host),
-            writer: Arc::new(Mutex::new(Writer::new(
-                &space,
-                Arc::clone(&published),
-            ))),
+            writer: Arc::new(Mutex::new(Writer::new(&space, Arc::clone(&published)))),
             space,
             applied: Arc::new(Mutex::new(Applied { forest, mergers: 0 })),
             in_flight: parking_lot::Mutex::default(),

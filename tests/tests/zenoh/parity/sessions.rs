@@ -75,6 +75,7 @@ pub(super) fn batch(it: &v1::WriteRequest) -> Value {
         1 => json!("PUT"),
         2 => json!("REMOVE"),
         3 => json!("SET_TAG"),
+        4 => json!("REPLACE"),
         other => json!(other),
     };
     object([
