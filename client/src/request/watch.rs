@@ -157,6 +157,7 @@ impl WatchRequest {
             index_name: self.index.name().to_owned(),
             after_revision: self.after.as_ref().map(Revision::to_message),
             include: self.include.to_message(),
+            own_session: 0,
         }
     }
 }

@@ -58,8 +58,8 @@ pub enum Unavailability {
     Stopping,
 }
 
-/// The failure of a call. A failed call changes nothing, except that [`Error::DeadlineExceeded`] and
-/// [`Error::StorageFailed`] of a mutation mean "unknown".
+/// The failure of a call. After [`Error::DeadlineExceeded`], [`Error::StorageFailed`], [`Error::DataLoss`] and
+/// [`Error::Internal`] the outcome of a mutation is unknown. A call that fails with any other error changes nothing.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Error {
     /// Fields of the request are wrong. At least one is named; of many, the first few.

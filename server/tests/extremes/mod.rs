@@ -166,6 +166,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 index_name: index.clone(),
                 after_revision: revision.clone(),
                 include,
+                own_session: 3,
             },
         ),
         dynamic(

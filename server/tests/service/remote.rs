@@ -272,6 +272,7 @@ pub(crate) async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]
             index_name: entry.name.clone(),
             after_revision: revision(&entry.uid.to_string(), fed),
             include: ALL,
+            own_session: 0,
         };
         let answer = servers[0].log(&CALL, request).await.unwrap();
         for mutation in answer.mutations {
