@@ -192,7 +192,7 @@ impl Service {
         // The join fails only if the work panicked.
         changed.await.unwrap_or_else(|_| {
             Err(Error::Internal {
-                what: "creating or deleting an index did not come to its end".into(),
+                what: "the task that creates or deletes an index panicked".into(),
             })
         })
     }

@@ -231,7 +231,7 @@ async fn through_service(place: &Place, round: usize, count: usize, k: Option<u3
     meter.stop()
 }
 
-/// The server's, and the echo's.
+/// The rounds of the server and of the echo.
 async fn through_grpc(
     place: &Place,
     round: (usize, usize),
