@@ -41,8 +41,8 @@ impl Damaged {
     /// An upper bound of its bytes in an answer.
     fn bytes(&self) -> usize {
         // The answer holds the error's code, reason, names and text.
-        const NAMES: usize = 256;
-        NAMES + self.name.len() + self.uid.len() + self.error.to_string().len()
+        const FIELD_BYTES: usize = 256;
+        FIELD_BYTES + self.name.len() + self.uid.len() + self.error.to_string().len()
     }
 }
 

@@ -7,11 +7,9 @@ use std::{
 };
 
 use bytes::Bytes;
-use wayfold_proto::v1;
+use wayfold_proto::{END_OF_IDS, v1};
 
-use super::{
-    Call, Error, Limits, Service, check::END_OF_IDS, mutation::Start, read_view::revision,
-};
+use super::{Call, Error, Limits, Service, mutation::Start, read_view::revision};
 use crate::{
     log::{Batch, Effects},
     registry::{Committed, Hosted, Writer},
