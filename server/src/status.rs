@@ -21,9 +21,9 @@ pub(crate) const DETAIL_DESCRIPTORS: &[u8] = pb::FILE_DESCRIPTOR_SET;
 
 // A status travels in HTTP/2 headers, which stock clients limit to 8 KiB in all, and its text goes twice. Text from a
 // caller has any length, so every part is bounded.
-const MAX_MESSAGE: usize = 512;
+const MAX_MESSAGE_BYTES: usize = 512;
 const MAX_VIOLATIONS: usize = 8;
-const MAX_TEXT: usize = 160;
+const MAX_TEXT_BYTES: usize = 160;
 const MAX_IDS: usize = 64;
 
 /// The failure of a call.
@@ -63,7 +63,7 @@ fn describing(error: &Error) -> Status {
     let mut status = Status {
         code: error.code(),
         reason: error.reason(),
-        message: bounded(error, MAX_MESSAGE),
+        message: bounded(error, MAX_MESSAGE_BYTES),
         metadata: HashMap::new(),
         detail: None,
     };
@@ -226,7 +226,7 @@ impl Status {
     }
 
     fn set(&mut self, key: &str, value: impl ToString) {
-        let value = bounded(value, MAX_TEXT);
+        let value = bounded(value, MAX_TEXT_BYTES);
         self.metadata.insert(key.to_owned(), value);
     }
 
@@ -254,7 +254,7 @@ impl Status {
     }
 
     fn encoded(&self, detail: &Detail) -> Any {
-        let description = bounded(&self.message, MAX_TEXT);
+        let description = bounded(&self.message, MAX_TEXT_BYTES);
         match detail {
             Detail::Fields(violations) => {
                 let field_violations = violations.iter().map(field_violation).collect();
@@ -263,7 +263,7 @@ impl Status {
             Detail::Resource(kind, name) => {
                 let resource = pb::ResourceInfo {
                     resource_type: (*kind).to_owned(),
-                    resource_name: bounded(name, MAX_TEXT),
+                    resource_name: bounded(name, MAX_TEXT_BYTES),
                     owner: String::new(),
                     description,
                 };
@@ -272,7 +272,7 @@ impl Status {
             Detail::Precondition(index) => {
                 let violation = pb::precondition_failure::Violation {
                     r#type: self.reason.to_owned(),
-                    subject: bounded(index, MAX_TEXT),
+                    subject: bounded(index, MAX_TEXT_BYTES),
                     description,
                 };
                 let violations = vec![violation];
@@ -314,8 +314,8 @@ pub(crate) fn number(code: Code) -> i32 {
 
 fn field_violation(violation: &Violation) -> pb::bad_request::FieldViolation {
     pb::bad_request::FieldViolation {
-        field: bounded(&violation.field, MAX_TEXT),
-        description: bounded(&violation.description, MAX_TEXT),
+        field: bounded(&violation.field, MAX_TEXT_BYTES),
+        description: bounded(&violation.description, MAX_TEXT_BYTES),
         reason: violation.reason.to_owned(),
         ..Default::default()
     }

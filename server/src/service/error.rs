@@ -356,9 +356,9 @@ struct Ids<'a>(&'a [u64]);
 
 impl fmt::Display for Ids<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const SHOWN: usize = 10;
+        const MAX_SHOWN: usize = 10;
         let plural = if self.0.len() == 1 { "id" } else { "ids" };
-        let shown = &self.0[..self.0.len().min(SHOWN)];
+        let shown = &self.0[..self.0.len().min(MAX_SHOWN)];
         write!(f, "{plural} {}", list(shown, ", "))?;
         match self.0.len() - shown.len() {
             0 => Ok(()),

@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// Bytes of a request digested between two pauses.
-const STRETCH: usize = 64 * 1024;
+const DIGEST_STEP_BYTES: usize = 64 * 1024;
 
 /// A call's claim to take effect once.
 pub(super) struct Claim {
@@ -99,8 +99,8 @@ impl Claim {
 async fn fingerprint(verb: &str, request: &impl Message, pace: &mut Pace) -> Result<Digest, Error> {
     let mut hash = Sha256::new();
     hash.update(verb.as_bytes());
-    for stretch in request.encode_to_vec().chunks(STRETCH) {
-        hash.update(stretch);
+    for bytes in request.encode_to_vec().chunks(DIGEST_STEP_BYTES) {
+        hash.update(bytes);
         pace.step().await?;
     }
     Ok(hash.finalize().into())

@@ -7,11 +7,11 @@ use std::{
 };
 
 use bytes::Bytes;
-use wayfold_proto::v1;
+use wayfold_proto::{END_OF_IDS, v1};
 
 use super::{
     Call, Error, Limits, Service,
-    check::{self, END_OF_IDS, Violations},
+    check::{self, Violations},
     mutation::{Claim, Start},
     read_view::revision,
 };

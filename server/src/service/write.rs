@@ -7,12 +7,15 @@ use std::{
 
 use bytes::Bytes;
 use wayfold_index::PointRef;
-use wayfold_proto::v1::{self, StepKind};
+use wayfold_proto::{
+    END_OF_IDS,
+    v1::{self, StepKind},
+};
 
 use super::{
     Call, Error, Limits, Service,
     call::Pace,
-    check::{self, END_OF_IDS, Rows, Violations},
+    check::{self, Rows, Violations},
     mutation::{Claim, Start},
     read_view::revision,
     session::{block, reserve},

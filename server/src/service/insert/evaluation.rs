@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use wayfold_index::{Known, Neighbor, Search};
-use wayfold_proto::v1;
+use wayfold_proto::{END_OF_IDS, v1};
 
 use super::{Insertion, is_same};
 use crate::{
@@ -11,7 +11,6 @@ use crate::{
     service::{
         Error, Limits,
         answer::{NeighborColumns, Room},
-        check::END_OF_IDS,
         payloads::{Payloads, Unread},
         prefetch::{Prefetch, PrefetchedRow},
         staging::Staging,
