@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use uuid::Uuid;
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
 use wayfold_proto::v1;
 
@@ -63,7 +64,9 @@ impl Link {
         reserve_count: u64,
     ) -> Result<Session, Error> {
         const CALL: &str = "open_session";
+        let operation_id = Uuid::new_v4().to_string();
         let message = || v1::OpenSessionRequest {
+            operation_id: operation_id.clone(),
             index_name: index.name().to_owned(),
             uid: index.uid().to_owned(),
             reserve_count,
