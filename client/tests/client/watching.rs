@@ -33,6 +33,8 @@ pub(crate) fn piece(
         removed_ids: removed.to_vec(),
         continued,
         piece,
+        session: 0,
+        batch: 0,
     }
 }
 

@@ -1,7 +1,8 @@
 //! A worker's source of candidates: the milestones that are near enough for an edge.
 
 use wayfold::{
-    Include, IndexHandle, Neighbor, Replica, ReplicaView, Revision, Row, Scaling, Search,
+    Include, IndexHandle, Neighbor, Replica, ReplicaSearch as Search, ReplicaView, Revision, Row,
+    Scaling,
 };
 
 use crate::planning::error::PlanningError;

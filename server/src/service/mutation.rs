@@ -119,9 +119,10 @@ impl Service {
     pub(super) async fn begin<R: Message + Default>(
         &self,
         call: &Call,
-        hosted: &Hosted,
+        hosted: &Arc<Hosted>,
         claim: Option<&Claim>,
     ) -> Result<Start<R>, Error> {
+        let mut is_caught_up = false;
         loop {
             let writer = call
                 .bound(
@@ -130,7 +131,20 @@ impl Service {
                 )
                 .await?
                 .map_err(|error| registry_error(hosted.name(), error))?;
-            let Some(response) = recalled(hosted, &writer, claim)? else {
+            let recalled = match recalled(hosted, &writer, claim) {
+                // The records that this server lacks, or those that the journal has not accepted, may make it right.
+                Err(Error::SessionRefused { .. }) if !is_caught_up => {
+                    is_caught_up = true;
+                    if settled(call, hosted, writer).await? == Committed::Done {
+                        let caught_up = hosted.catch_up();
+                        let caught_up = call.bound("while reading the journal", caught_up).await?;
+                        caught_up.map_err(|error| registry_error(hosted.name(), error))?;
+                    }
+                    continue;
+                }
+                recalled => recalled?,
+            };
+            let Some(response) = recalled else {
                 return Ok(Start::Writing(writer));
             };
             if settled(call, hosted, writer).await? == Committed::Done {
@@ -143,7 +157,7 @@ impl Service {
     pub(super) async fn begin_with<R: Message + Default>(
         &self,
         call: &Call,
-        hosted: &Hosted,
+        hosted: &Arc<Hosted>,
         claim: Option<&Claim>,
         stored: &mut ReadAhead<Arc<StoredPoint>>,
         ids: &[u64],

@@ -34,6 +34,8 @@ pub struct Watch {
     /// The points and removed ids of the first record that were sent, and the number of pieces.
     sent: (usize, u32),
     include: Option<v1::Include>,
+    /// The session whose mutations come without points and removed ids; 0 is no session.
+    own_session: u64,
     message_bytes: usize,
     state: State,
 }
@@ -74,6 +76,7 @@ impl Service {
             next: VecDeque::new(),
             sent: (0, 0),
             include: request.include,
+            own_session: request.own_session,
             message_bytes: MESSAGE_BYTES.min(self.limits().max_answer_bytes / 2),
             state: match is_other_uid {
                 true => State::OtherUid,
@@ -149,9 +152,22 @@ impl Watch {
             && let Some(record) = self.next.front().cloned()
         {
             let (sent, pieces) = self.sent;
-            let (mut piece, sent) = piece(&record, sent, self.include, &mut left);
-            piece.piece = pieces;
-            piece.revision = Some(revision(&self.hosted, record.revision()));
+            let (session, batch) = written_by(&record);
+            let (piece, sent) = match session {
+                // The caller knows the effects of its own batch.
+                1.. if session == self.own_session => (v1::Mutation::default(), 0),
+                _ => piece(&record, sent, self.include, &mut left),
+            };
+            let piece = v1::Mutation {
+                revision: Some(revision(&self.hosted, record.revision())),
+                time_ms: record.time_ms(),
+                piece: pieces,
+                session,
+                batch,
+                ..piece
+            };
+            // For the mutation itself.
+            left = left.saturating_sub(MUTATION_BYTES);
             self.sent = (sent, pieces + 1);
             if !piece.continued {
                 self.after = record.revision();
@@ -174,6 +190,15 @@ impl Watch {
         };
         reached.map_err(|error| registry_error(self.hosted.name(), error))?;
         Ok(())
+    }
+}
+
+/// The writer session and the number of its batch that made a record; zeros if no batch did.
+fn written_by(record: &Record) -> (u64, u64) {
+    match record.effects().batch() {
+        // Batch 0 opens a session.
+        Some(batch) if batch.number > 0 => (batch.session, batch.number),
+        _ => (0, 0),
     }
 }
 
@@ -201,15 +226,11 @@ fn piece(
         *left = left.saturating_sub(8);
         at += 1;
     }
-    // For the mutation itself.
-    *left = left.saturating_sub(MUTATION_BYTES);
     let mutation = v1::Mutation {
-        revision: None,
-        time_ms: record.time_ms(),
         stored: (points.len() > 0).then(|| points.finish()),
         removed_ids,
         continued: at < effects.len(),
-        piece: 0,
+        ..Default::default()
     };
     (mutation, at)
 }

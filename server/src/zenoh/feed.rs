@@ -207,6 +207,7 @@ impl Feed {
                 revisions: true,
                 payloads: true,
             }),
+            own_session: 0,
         };
         let watch = self.service.watch(&Call::default(), request).await?;
         let mut watch = watch.with_message_bytes(MESSAGE_BYTES);

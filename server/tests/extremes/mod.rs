@@ -123,6 +123,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 index_name: index.clone(),
                 uid: uid.clone(),
                 reserve_count: 2,
+                operation_id: "open".into(),
             },
         ),
         dynamic(
@@ -165,6 +166,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 index_name: index.clone(),
                 after_revision: revision.clone(),
                 include,
+                own_session: 3,
             },
         ),
         dynamic(

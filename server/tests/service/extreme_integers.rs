@@ -178,6 +178,7 @@ async fn a_call_that_waits_rests() {
             index_name: "arm".into(),
             after_revision: revision(&uid, after),
             include: None,
+            own_session: after,
         };
         match service.watch(&CALL, follow).await {
             Ok(mut watch) => {

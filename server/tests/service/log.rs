@@ -16,6 +16,7 @@ fn after(uid: &str, number: u64) -> v1::WatchRequest {
         index_name: "arm".into(),
         after_revision: revision(uid, number),
         include: ALL,
+        own_session: 0,
     }
 }
 

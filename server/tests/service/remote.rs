@@ -105,6 +105,8 @@ pub(crate) struct Remote {
     submissions: mpsc::UnboundedSender<Submission>,
     /// One permit a record that may be published; a test delays the server by taking permits.
     turns: Arc<Semaphore>,
+    /// True while no record reaches the server, until it reads the stream itself.
+    is_behind: watch::Sender<bool>,
 }
 
 impl Remote {
@@ -115,6 +117,7 @@ impl Remote {
             stream: Arc::clone(stream),
             submissions,
             turns: Arc::clone(&turns),
+            is_behind: watch::Sender::new(false),
         });
         let stream = Arc::clone(stream);
         tokio::spawn(async move {
@@ -139,6 +142,16 @@ impl Remote {
         permit
     }
 
+    /// Keeps records from the server until it reads the stream itself.
+    pub(crate) fn fall_behind(&self) {
+        self.is_behind.send_replace(true);
+    }
+
+    /// Lets records reach the server again.
+    fn come_back(&self) {
+        self.is_behind.send_replace(false);
+    }
+
     /// Lets this many records pass.
     pub(crate) fn let_pass(&self, records: usize) {
         self.turns.add_permits(records);
@@ -156,15 +169,19 @@ impl Journal for Remote {
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
         let stream = Arc::clone(&self.stream);
+        let is_behind = self.is_behind.subscribe();
         let position = (stream.length.subscribe(), after);
         let batches = stream::unfold(position, move |(mut length, after)| {
-            let stream = Arc::clone(&stream);
+            let (stream, mut is_behind) = (Arc::clone(&stream), is_behind.clone());
             async move {
                 loop {
+                    is_behind.wait_for(|is_behind| !is_behind).await.ok()?;
                     length.borrow_and_update();
                     let mut records = stream.records(uid);
                     records.retain(|record| record.revision() > after);
-                    if let Some(last) = records.last().map(|last| last.revision()) {
+                    if let Some(last) = records.last().map(|last| last.revision())
+                        && !*is_behind.borrow()
+                    {
                         return Some((Ok(records), (length, last)));
                     }
                     length.changed().await.ok()?;
@@ -181,6 +198,7 @@ impl Journal for Remote {
         _max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let mut records = self.stream.records(uid);
+        self.come_back();
         records.retain(|record| after.is_none_or(|after| record.revision() > after));
         Ok(records)
     }
@@ -254,6 +272,7 @@ pub(crate) async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]
             index_name: entry.name.clone(),
             after_revision: revision(&entry.uid.to_string(), fed),
             include: ALL,
+            own_session: 0,
         };
         let answer = servers[0].log(&CALL, request).await.unwrap();
         for mutation in answer.mutations {
@@ -346,6 +365,42 @@ async fn no_two_points_are_too_close_across_servers() {
     assert!(rows.array_windows().all(|[a, b]| b - a >= 0.5), "{rows:?}");
 }
 
+/// Inserts a state once the index is available again; returns the revision.
+async fn inserted_at_last(service: &Service, state: f64) -> u64 {
+    for _ in 0..100 {
+        if let Ok(inserted) = service.insert(&CALL, insertion(&[[state]], &[])).await {
+            return inserted.revision.number();
+        }
+        // The clock stops while maintenance resumes the index on a blocking thread.
+        let second = Duration::from_secs(1);
+        assert!(timeout(second, pending::<()>()).await.is_err());
+    }
+    panic!("the index stays unavailable");
+}
+
+/// The clock jumps ahead whenever no task can run.
+#[tokio::test(start_paused = true)]
+async fn a_record_that_took_the_place_of_another_arrives_in_time_or_the_index_is_unavailable() {
+    let (stream, entry) = (Stream::new(8, 0.0), named_arm());
+    let (one, ..) = server(&stream, &entry);
+    let (other, registry, journal) = server(&stream, &entry);
+    let maintaining = tokio::spawn(registry.maintain(|| ()));
+    journal.fall_behind();
+    one.insert(&CALL, insertion(&[[1.0]], &[])).await.unwrap();
+    let error = other
+        .insert(&CALL, insertion(&[[2.0]], &[]))
+        .await
+        .unwrap_err();
+    let reported = (error.code(), error.reason());
+    assert_eq!(reported, (Code::Unavailable, "STORAGE_FAILED"));
+    assert!(error.to_string().contains("does not send it"), "{error}");
+    journal.come_back();
+    assert_eq!(inserted_at_last(&other, 3.0).await, 2);
+    let found = settled(&stream, &entry, &[&one, &other]).await;
+    assert_eq!(found.states.unwrap().coordinates, [1.0, 3.0]);
+    maintaining.abort();
+}
+
 /// The clock jumps ahead whenever no task can run.
 #[tokio::test(start_paused = true)]
 async fn an_unsettled_mutation_makes_the_index_unavailable_until_the_journal_answers() {
@@ -364,17 +419,7 @@ async fn an_unsettled_mutation_makes_the_index_unavailable_until_the_journal_ans
     assert!(error.to_string().contains("operation_id"), "{error}");
     assert_eq!(everything(&service).await.point_count, 1);
     stream.is_cut.store(false, Relaxed);
-    let mut inserted = insert(3.0).await;
-    for _ in 0..100 {
-        if inserted.is_ok() {
-            break;
-        }
-        // The clock stops while maintenance resumes the index on a blocking thread.
-        let second = Duration::from_secs(1);
-        assert!(timeout(second, pending::<()>()).await.is_err());
-        inserted = insert(3.0).await;
-    }
-    assert_eq!(inserted.unwrap().revision.number(), 2);
+    assert_eq!(inserted_at_last(&service, 3.0).await, 2);
     let found = settled(&stream, &entry, &[&service]).await;
     assert_eq!(found.states.unwrap().coordinates, [1.0, 3.0]);
     maintaining.abort();

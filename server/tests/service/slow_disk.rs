@@ -148,6 +148,7 @@ const READING: [(&str, Reading); 10] = [
                 index_name: "arm".into(),
                 after_revision: revision(&uid, 0),
                 include: ALL,
+                own_session: 0,
             };
             let mut watch = service.watch(&CALL, request).await?;
             watch.next().await.unwrap()?;

@@ -20,6 +20,7 @@ fn watching(uid: &str, after_revision: u64) -> v1::WatchRequest {
         index_name: "arm".into(),
         after_revision: revision(uid, after_revision),
         include: ALL,
+        own_session: 0,
     }
 }
 

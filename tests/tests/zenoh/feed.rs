@@ -95,6 +95,7 @@ async fn events_are_what_a_watch_tells() {
         index_name: "arm".into(),
         after_revision: revision(&uid, 0),
         include: Some(INCLUDE_ALL),
+        own_session: 0,
     };
     let mut watch = stubs.points.watch(watched).await.unwrap().into_inner();
 

@@ -6,7 +6,7 @@
 //! | `store/` | the files of fjall: see [`layout`](super::layout) |
 //! | `store.new/`, `store.remade/` | a store that is being made, and a rebuilt store that has yet to replace the damaged one: see [`rebuild`](super::rebuild) |
 //! | `store.damaged-N/` | a damaged store from before a repair; nothing reads it |
-//! | `marks` | the last synced revision of each index: see [`sync_marks`](super::sync_marks) |
+//! | `marks` | the last synced revision of each index: see [`sync_marks`](super::sync_marks); `marks.new` exists while it is rewritten |
 //! | `manifest-copy` | a copy of the store's small files that every index depends on: see [`manifest_copy`](super::manifest_copy) |
 //! | `journal-synced` | exists after a clean shutdown: see [`journal`](super::journal) |
 //! | `unsynced` | exists while a server without fsync runs: see [`unclean_marker`](super::unclean_marker) |

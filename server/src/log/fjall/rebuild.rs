@@ -9,7 +9,6 @@
 //! completes it at the next start.
 
 use std::{
-    collections::BTreeMap,
     fs, io,
     path::{Path, PathBuf},
     sync::Arc,
@@ -30,7 +29,7 @@ use super::{
     manifest, manifest_copy,
     recovery::{self, read_one, stored_entries},
     store::{Handles, Store, damage, shut, storage, unopened},
-    sync_marks::{Mark, Marks},
+    sync_marks::{Marked, Marks},
 };
 use crate::log::LogError;
 
@@ -228,7 +227,7 @@ struct Content {
 }
 
 /// Surveys the readable part of each index.
-fn survey(store: &Handles, marks: &BTreeMap<Number, Mark>) -> Result<Vec<Content>, LogError> {
+fn survey(store: &Handles, marks: &Marked) -> Result<Vec<Content>, LogError> {
     let mut contents = Vec::new();
     for (number, entry) in stored_entries(store, marks)? {
         let mut content = Content {
@@ -239,7 +238,7 @@ fn survey(store: &Handles, marks: &BTreeMap<Number, Mark>) -> Result<Vec<Content
         };
         match entry {
             Err(damage) => {
-                let name = marks.get(&number).map(|mark| mark.name.to_string());
+                let name = marks.get(number).map(|mark| mark.name.to_string());
                 content.lost = name.map(|name| (name, damage));
             }
             Ok(entry) => {

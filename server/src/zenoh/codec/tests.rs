@@ -133,6 +133,8 @@ fn answers_are_rows_under_the_names_of_the_message() {
                 revisions: vec![2],
                 payloads: vec![],
             }),
+            session: u64::MAX,
+            batch: 4,
             ..Default::default()
         }],
         reset: Some(2),
@@ -142,7 +144,8 @@ fn answers_are_rows_under_the_names_of_the_message() {
         write("WatchResponse", &answer),
         concat!(
             r#"{"revision":{"uid":"u","number":3},"mutations":[{"revision":{"uid":"u","number":2},"time_ms":0,"stored":{"ids":[1],"states":[[0.5]],"#,
-            r#""tags":["18446744073709551615"],"revisions":[2]},"removed_ids":[],"continued":false,"piece":0}],"#,
+            r#""tags":["18446744073709551615"],"revisions":[2]},"removed_ids":[],"continued":false,"piece":0,"#,
+            r#""session":"18446744073709551615","batch":4}],"#,
             r#""reset":"WINDOW_PASSED"}"#,
         )
     );

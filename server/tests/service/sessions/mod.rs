@@ -1,6 +1,7 @@
 //! Writer sessions: each batch takes effect once, whatever happens between a call and its retry.
 
 mod expiry;
+mod feed;
 mod ids;
 mod model;
 mod random;

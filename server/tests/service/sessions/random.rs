@@ -34,8 +34,16 @@ impl Writer {
     }
 }
 
-/// The points after each revision.
-type History = Vec<BTreeMap<u64, Point>>;
+/// What the model knows of each revision.
+type History = Vec<Entry>;
+
+/// A revision: the points after it, and the session and the number of the batch that made it.
+#[derive(Default)]
+struct Entry {
+    points: BTreeMap<u64, Point>,
+    session: u64,
+    batch: u64,
+}
 
 fn next_batch(requests: &mut Requests, model: &SessionModel, writer: &Writer) -> v1::WriteRequest {
     let count = requests.random.random_range(0..12);
@@ -57,14 +65,11 @@ fn next_batch(requests: &mut Requests, model: &SessionModel, writer: &Writer) ->
             0 => requests.random.random_range(0..12),
             some => among[requests.random.random_range(0..some)],
         });
-        let kinds_of_steps = [StepKind::Put, StepKind::Remove, StepKind::SetTag];
-        kinds.push(i32::from(
-            kinds_of_steps[requests.random.random_range(0..3)],
-        ));
+        kinds.push(requests.random.random_range(1..=4));
     }
     let puts = kinds
         .iter()
-        .filter(|kind| **kind == i32::from(StepKind::Put))
+        .filter(|&&kind| kind == i32::from(StepKind::Put) || kind == i32::from(StepKind::Replace))
         .count();
     let tagged = requests.random.random_bool(0.7);
     let loaded = requests.random.random_bool(0.5);
@@ -87,41 +92,68 @@ fn next_batch(requests: &mut Requests, model: &SessionModel, writer: &Writer) ->
     }
 }
 
-/// Compares the feed with the history: each revision once, with the points that changed and no others.
-async fn compare_feed(service: &Service, uid: &str, history: &History) {
-    let mut fed = 0;
+/// Compares the feed with the history: each revision once, with the points that changed and no others. The feed of a
+/// session differs in its own batches only, which come without points and removed ids.
+async fn compare_feed(service: &Service, uid: &str, history: &History, writers: &[Writer]) {
+    let mutations = feed(service, uid, history, 0).await;
+    for own_session in writers.iter().map(|writer| writer.opened.id) {
+        let mut expected = mutations.clone();
+        for own in expected.iter_mut().filter(|it| it.session == own_session) {
+            (own.stored, own.removed_ids) = (None, Vec::new());
+        }
+        assert_eq!(feed(service, uid, history, own_session).await, expected);
+    }
     let mut points = BTreeMap::new();
-    while fed + 1 < history.len() {
+    for (fed, mutation) in (1..).zip(mutations) {
+        assert!(!mutation.continued);
+        assert_eq!(mutation.revision, revision(uid, fed as u64));
+        for id in &mutation.removed_ids {
+            assert!(points.remove(id).is_some(), "{id} is not stored");
+        }
+        let stored = mutation.stored.unwrap_or_default();
+        let rows = stored.states.unwrap_or_default().coordinates;
+        let width = rows.len() / stored.ids.len().max(1);
+        for (at, &id) in stored.ids.iter().enumerate() {
+            assert!(!mutation.removed_ids.contains(&id));
+            let point = Point {
+                row: rows[at * width..][..width].to_vec(),
+                tag: stored.tags[at],
+                payload: stored.payloads[at].clone(),
+                stored: stored.revisions[at],
+                modified: fed as u64,
+            };
+            points.insert(id, point);
+        }
+        // A point that is fed without a change has the wrong `modified`.
+        let expected = &history[fed];
+        assert_eq!(points, expected.points, "revision {fed}");
+        let made_by = (expected.session, expected.batch);
+        assert_eq!(
+            (mutation.session, mutation.batch),
+            made_by,
+            "revision {fed}"
+        );
+    }
+}
+
+/// All mutations of the history, as the server feeds them to a session.
+async fn feed(
+    service: &Service,
+    uid: &str,
+    history: &History,
+    own_session: u64,
+) -> Vec<v1::Mutation> {
+    let mut mutations = Vec::new();
+    while mutations.len() + 1 < history.len() {
         let request = v1::WatchRequest {
             index_name: "arm".into(),
-            after_revision: revision(uid, fed as u64),
+            after_revision: revision(uid, mutations.len() as u64),
             include: ALL,
+            own_session,
         };
-        for mutation in service.log(&CALL, request).await.unwrap().mutations {
-            fed += 1;
-            assert!(!mutation.continued);
-            assert_eq!(mutation.revision, revision(uid, fed as u64));
-            for id in &mutation.removed_ids {
-                assert!(points.remove(id).is_some(), "{id} is not stored");
-            }
-            let stored = mutation.stored.unwrap_or_default();
-            let rows = stored.states.unwrap_or_default().coordinates;
-            let width = rows.len() / stored.ids.len().max(1);
-            for (at, &id) in stored.ids.iter().enumerate() {
-                assert!(!mutation.removed_ids.contains(&id));
-                let point = Point {
-                    row: rows[at * width..][..width].to_vec(),
-                    tag: stored.tags[at],
-                    payload: stored.payloads[at].clone(),
-                    stored: stored.revisions[at],
-                    modified: fed as u64,
-                };
-                points.insert(id, point);
-            }
-            // A point that is fed without a change has the wrong `modified`.
-            assert_eq!(points, history[fed], "revision {fed}");
-        }
+        mutations.extend(service.log(&CALL, request).await.unwrap().mutations);
     }
+    mutations
 }
 
 /// A service over a log, and what its restart needs.
@@ -175,7 +207,7 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
         owners: BTreeMap::new(),
         idle_seconds: Limits::default().max_session_idle_seconds,
     };
-    let mut history: History = vec![BTreeMap::new()];
+    let mut history: History = vec![Entry::default()];
     let first = v1::InsertRequest {
         index_name: "arm".into(),
         states: requests.states(1),
@@ -184,10 +216,14 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
     };
     service.insert(&CALL, first.clone()).await.unwrap();
     model.model.insert(&first).unwrap();
-    history.push(model.model.points.clone());
+    history.push(Entry {
+        points: model.model.points.clone(),
+        ..Entry::default()
+    });
     let mut writers: Vec<Writer> = Vec::new();
     for _ in 0..steps {
         let revision = model.model.revision;
+        let mut made_by = (0, 0);
         let at = requests.random.random_range(0..writers.len().max(1));
         match requests.random.random_range(0..16) {
             0 => {
@@ -205,6 +241,7 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
                 match (answer, model.write(&request)) {
                     (Ok(response), Ok(expected)) => {
                         assert_eq!(response, expected, "{request:?}");
+                        made_by = (request.session, request.batch);
                         writers[at].newest = Some((request, response));
                     }
                     (Err(Error::IdsReserved { mut ids, .. }), Err(expected)) => {
@@ -266,7 +303,13 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
             _ => {}
         }
         if model.model.revision > revision {
-            history.push(model.model.points.clone());
+            let (session, batch) = made_by;
+            let points = model.model.points.clone();
+            history.push(Entry {
+                points,
+                session,
+                batch,
+            });
         }
         compare(&service, &model.model, &mut requests).await;
     }
@@ -275,7 +318,7 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
         Ok(model.model.scan(&scanning())),
         "a scan",
     );
-    compare_feed(&service, &uid, &history).await;
+    compare_feed(&service, &uid, &history, &writers).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

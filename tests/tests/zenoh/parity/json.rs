@@ -178,6 +178,7 @@ pub(super) fn request(op: &Op) -> Value {
         Op::Log(it) => object([
             ("after_revision", it.after_revision.as_ref().map(revision)),
             ("include", it.include.as_ref().map(include)),
+            ("own_session", Some(integer(&it.own_session))),
         ]),
     }
 }
@@ -337,6 +338,8 @@ pub(super) fn answer(op: &Op, it: &Value) -> Answer {
                 removed_ids: list(&it["removed_ids"], read_integer),
                 continued: it["continued"].as_bool().unwrap(),
                 piece: u32::try_from(read_integer(&it["piece"])).unwrap(),
+                session: read_integer(&it["session"]),
+                batch: read_integer(&it["batch"]),
             }),
             reset: it.get("reset").map(|it| {
                 let name = format!("RESET_REASON_{}", it.as_str().unwrap());

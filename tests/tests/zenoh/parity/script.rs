@@ -97,6 +97,7 @@ impl Script {
             90..95 => Op::Log(v1::WatchRequest {
                 after_revision: self.revision_or_none(),
                 include: self.include(),
+                own_session: self.pick(&[0, 1, 2, u64::MAX]),
                 index_name: self.index(),
             }),
             95..98 => Op::Info(v1::GetIndexRequest {
