@@ -218,7 +218,8 @@ pub enum Error {
     },
     /// A snapshot or a verification held its revision longer than allowed.
     #[error(
-        "the {what} held its revision for longer than max_scan_seconds = {max_scan_seconds}: read it faster, or raise the limit"
+        "the {what} held its revision for longer than max_scan_seconds = {max_scan_seconds}: read it faster, or raise \
+         the limit"
     )]
     HeldTooLong {
         /// "snapshot" or "verification".
