@@ -183,6 +183,10 @@ impl Status {
                 self.set_ids(ids);
                 Detail::Precondition(index.clone())
             }
+            Error::ScanEnded { index } => {
+                self.set("index", index);
+                Detail::Precondition(index.clone())
+            }
             Error::LimitExceeded {
                 limit,
                 value,

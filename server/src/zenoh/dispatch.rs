@@ -48,6 +48,10 @@ pub(super) async fn dispatch(
                 request,
                 boxed(service.get(call, request.decode_for_index()?)).await,
             ),
+            PointVerb::Scan => encoded(
+                request,
+                boxed(service.scan_page(call, request.decode_for_index()?)).await,
+            ),
             PointVerb::Info => encoded(
                 request,
                 boxed(service.get_index(call, request.decode_for_index()?)).await,

@@ -13,4 +13,5 @@ mod mute;
 mod parity;
 mod replica;
 mod robot;
+mod scan;
 mod talk;
