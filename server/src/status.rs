@@ -182,6 +182,10 @@ impl Status {
                 self.set_ids(ids);
                 self.precondition(index)
             }
+            Error::ScanEnded { index } => {
+                self.set("index", index);
+                Detail::Precondition(index.clone())
+            }
             Error::LimitExceeded {
                 limit,
                 value,
