@@ -4,6 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use thiserror::Error;
 use tonic::Code;
+use wayfold_index::{ApplyError, PointsError, SearchError, StateError};
 use wayfold_proto::snapshot::SnapshotError;
 
 use crate::Refusal;
@@ -44,8 +45,8 @@ pub enum Error {
         /// The error of the attempt before the last one, if there was one.
         earlier: Option<Box<Error>>,
     },
-    /// The server refused the call, and changed nothing; only after a mutation's `DEADLINE_EXCEEDED` or `DATA_LOSS` is
-    /// the effect unknown.
+    /// The server refused the call. The outcome of a mutation is unknown after `DEADLINE_EXCEEDED`, `DATA_LOSS`,
+    /// `INTERNAL`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`; any other refusal changed nothing.
     #[error(transparent)]
     Refused(Box<Refusal>),
     /// A state does not have as many numbers as the space has coordinates.
@@ -70,7 +71,61 @@ pub enum Error {
         /// The names of the space's coordinates.
         expected: String,
     },
-    /// An argument that cannot be sent.
+    /// The numbers of a state are not a state of the space.
+    #[error("states[{row}].{error}")]
+    State {
+        /// The index of the state among those given.
+        row: usize,
+        /// The problem of the state.
+        error: StateError,
+    },
+    /// An insert names the id of a stored point, or one that the index assigns.
+    #[error("id {id}: a point has it, or the index assigns it; replace moves a stored point")]
+    IdTaken {
+        /// The id.
+        id: u64,
+    },
+    /// A search took longer than [`Search::timeout`](crate::Search::timeout).
+    #[error("the search did not end within its timeout")]
+    SearchTimeout,
+    /// A call that is for indices in memory only.
+    #[error(
+        "{call}: others may use the points of this index; only an index in memory has this call"
+    )]
+    NotInMemory {
+        /// The call.
+        call: &'static str,
+    },
+    /// The server refused a write of a shared index for good. The writes from there on wait for
+    /// [`Index::take_unsent`](crate::Index::take_unsent).
+    #[error("the server refused a write, and nothing after it was sent: {why}")]
+    WritesRefused {
+        /// The refusal.
+        why: Arc<Error>,
+    },
+    /// The index was closed.
+    #[error("the index is closed")]
+    Closed,
+    /// The index was opened in another process, from which this one was forked: its threads are not here.
+    #[error("the index was opened before a fork: open it again in this process")]
+    Forked,
+    /// The thread that talks to servers could not be started.
+    #[error("no thread to talk to servers: {source}")]
+    Thread {
+        /// The reason.
+        source: Arc<std::io::Error>,
+    },
+    /// The index was created again with another space.
+    #[error("index {index} has the space {found} now, not {expected}")]
+    OtherSpace {
+        /// Its name.
+        index: String,
+        /// The space it was opened with.
+        expected: String,
+        /// Its space now.
+        found: String,
+    },
+    /// An argument that is out of its range.
     #[error("{field}: {problem}")]
     Argument {
         /// The argument.
@@ -132,8 +187,15 @@ impl Error {
             Error::Address { .. }
             | Error::Width { .. }
             | Error::Layout { .. }
+            | Error::State { .. }
             | Error::Argument { .. }
+            | Error::NotInMemory { .. }
             | Error::Snapshot(_) => Code::InvalidArgument,
+            Error::IdTaken { .. } => Code::AlreadyExists,
+            Error::WritesRefused { why } => why.code(),
+            Error::Closed | Error::Forked | Error::OtherSpace { .. } => Code::FailedPrecondition,
+            Error::Thread { .. } => Code::Unavailable,
+            Error::SearchTimeout => Code::DeadlineExceeded,
             Error::Connection { .. } | Error::Stale { .. } | Error::Behind { .. } => {
                 Code::Unavailable
             }
@@ -222,4 +284,33 @@ fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
         cause = source;
     }
     cause.to_string()
+}
+
+impl From<SearchError> for Error {
+    fn from(error: SearchError) -> Error {
+        match error {
+            SearchError::State(error) => Error::State { row: 0, error },
+            SearchError::TimedOut => Error::SearchTimeout,
+            SearchError::Radius => Error::Argument {
+                field: "radius",
+                problem: "NaN".to_owned(),
+            },
+            SearchError::Epsilon(epsilon) => Error::Argument {
+                field: "epsilon",
+                problem: format!("{epsilon}; it is finite and at least 0"),
+            },
+        }
+    }
+}
+
+impl From<ApplyError> for Error {
+    fn from(error: ApplyError) -> Error {
+        match error {
+            ApplyError::Points(PointsError::State { row, error }) => Error::State { row, error },
+            other => Error::Argument {
+                field: "states",
+                problem: other.to_string(),
+            },
+        }
+    }
 }

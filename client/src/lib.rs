@@ -64,6 +64,7 @@ mod client;
 mod error;
 mod handle;
 mod include;
+mod index;
 mod info;
 mod layout;
 mod limits;
@@ -85,6 +86,10 @@ pub use client::{Client, ClientBuilder};
 pub use error::Error;
 pub use handle::IndexHandle;
 pub use include::Include;
+pub use index::{
+    Changes, Found, Index, InsertOptions, InsertedPoint, Meanwhile, OpenRemote, OpenShared, Search,
+    Status, StoredPoint, StoredPoints, UnsentWrite,
+};
 pub use info::{DamagedIndex, IndexInfo, IndexList};
 pub use layout::{Coordinate, coordinate_names};
 pub use limits::READ_ROWS;
@@ -101,7 +106,7 @@ pub use request::{
 pub use retry::RetryPolicy;
 pub use revision::Revision;
 #[cfg(feature = "replica")]
-pub use search::Search;
+pub use search::Search as ReplicaSearch;
 pub use search::{Filter, NeighborSpec, Radius, ScaledRadius};
 pub use server::{Durability, Limits, ServerInfo};
 pub use snapshot::{SnapshotPart, SnapshotReader, SnapshotWriter};
@@ -111,5 +116,7 @@ pub use states::States;
 pub use tonic::Code;
 #[cfg(feature = "replica")]
 pub use wayfold_index::Point as OwnedPoint;
-pub use wayfold_index::{Factor, Group, Neighbor, Scaling, Space, SpaceError, StateProblem, Term};
+pub use wayfold_index::{
+    Factor, Group, Neighbor, Scaling, Seen, Space, SpaceError, StateError, StateProblem, Term,
+};
 pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};

@@ -1,6 +1,6 @@
 //! The details that a server gives about a call that it refused.
 
-use std::{collections::BTreeMap, fmt};
+use std::{collections::BTreeMap, fmt, time::Duration};
 
 use tonic::Code;
 use tonic_types::StatusExt;
@@ -22,6 +22,8 @@ pub struct Refusal {
     pub fields: Vec<FieldViolation>,
     /// The ids that the refusal is about: those not found, or those in conflict. The server may cut a long list short.
     pub ids: Vec<u64>,
+    /// The time after which the same call may succeed; `None` if the refusal is final.
+    pub retry_after: Option<Duration>,
 }
 
 /// One field of a request, and what was wrong with it.
@@ -57,6 +59,9 @@ impl Refusal {
                 .map(|ids| parse_ids(ids))
                 .unwrap_or_default(),
             metadata,
+            retry_after: details
+                .retry_info()
+                .map(|retry| retry.retry_delay.unwrap_or_default()),
             fields: fields.unwrap_or_default(),
         }
     }

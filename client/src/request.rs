@@ -26,10 +26,21 @@ pub use update::{Update, Updated};
 pub use verify::{Verified, Verify};
 pub use watch::{Mutation, Reset, ResetReason, Watch, WatchEvent, WatchRequest};
 
+use bytes::Bytes;
 use tokio::time;
 use tonic::Streaming;
 
 use crate::{Error, Filter, Include, IndexHandle};
+
+/// The bytes of an id and a tag in a request.
+const ID_AND_TAG_BYTES: usize = 16;
+
+/// The bytes of the payload of a row in a request, with its head; 0 for a row without one.
+fn payload_bytes(payloads: &[Bytes], row: usize) -> usize {
+    const HEAD_BYTES: usize = 4;
+    let payload = payloads.get(row);
+    payload.map_or(0, |payload| payload.len() + HEAD_BYTES)
+}
 
 /// Makes a request awaitable: `index.knn(states).k(10).await`.
 macro_rules! awaitable {
@@ -112,7 +123,7 @@ macro_rules! search_options {
 use search_options;
 
 /// The operation id of a mutation whose caller gave none, so that the client can retry it.
-fn fresh_operation_id() -> String {
+pub(crate) fn fresh_operation_id() -> String {
     uuid::Uuid::new_v4().to_string()
 }
 

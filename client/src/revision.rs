@@ -66,6 +66,7 @@ impl Revision {
             metadata: metadata.into(),
             fields: Vec::new(),
             ids: Vec::new(),
+            retry_after: None,
         })))
     }
 }

@@ -5,7 +5,10 @@ mod geometry;
 
 use wayfold_index::Space;
 
-use crate::layout::{self, Coordinate};
+use crate::{
+    Error,
+    layout::{self, Coordinate},
+};
 
 /// One state, as a row of numbers in the order of its space.
 ///
@@ -32,7 +35,7 @@ pub trait State {
 
     /// The kinds of the numbers, if the type fixes them. The client compares them with the space before it sends
     /// anything. `None` stands for plain numbers; the client checks only their count.
-    fn layout() -> Option<Vec<Coordinate>> {
+    fn layout() -> Option<&'static [Coordinate]> {
         None
     }
 }
@@ -43,10 +46,17 @@ pub trait FromState: Sized {
     fn from_state(row: &[f64]) -> Option<Self>;
 }
 
-/// The coordinates of `S` and of the space, where they differ.
-pub(crate) fn mismatch<S: State>(space: &Space) -> Option<(Vec<Coordinate>, Vec<Coordinate>)> {
-    let (given, expected) = (S::layout()?, layout::coordinates(space));
-    (given != expected).then_some((given, expected))
+/// Refuses a type whose coordinates are not those of the space, which are `expected`.
+pub(crate) fn check_layout<S: State>(space: &Space, expected: &[Coordinate]) -> Result<(), Error> {
+    match S::layout() {
+        Some(given) if given != expected => Err(Error::Layout {
+            state: std::any::type_name::<S>(),
+            given: layout::describe(given),
+            space: space.to_string(),
+            expected: layout::describe(expected),
+        }),
+        _ => Ok(()),
+    }
 }
 
 impl<S: State + ?Sized> State for &S {
@@ -54,7 +64,7 @@ impl<S: State + ?Sized> State for &S {
         (**self).write(row);
     }
 
-    fn layout() -> Option<Vec<Coordinate>> {
+    fn layout() -> Option<&'static [Coordinate]> {
         S::layout()
     }
 }

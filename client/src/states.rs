@@ -42,14 +42,7 @@ impl States {
         space: &Space,
         states: impl IntoIterator<Item = S>,
     ) -> Result<States, Error> {
-        if let Some((given, expected)) = state::mismatch::<S>(space) {
-            return Err(Error::Layout {
-                state: std::any::type_name::<S>(),
-                given: layout::describe(&given),
-                space: space.to_string(),
-                expected: layout::describe(&expected),
-            });
-        }
+        state::check_layout::<S>(space, &layout::coordinates(space))?;
         let mut collected = States::new(space.coordinates());
         for state in states {
             collected.push(state)?;

@@ -224,13 +224,13 @@ def zenoh():
 def acknowledged():
     got = of("durable")["acknowledged durable inserts/s, 64 clients, one state each"]
     rows = []
-    for with_k, told in (("", "no neighbours"), (", k = 10", "the ten neighbours of each")):
+    for with_k, neighbors in (("", "no neighbours"), (", k = 10", "the ten neighbours of each")):
         for key, what, bare in (
             ("service layer{}", "without the network", "bare fjall"), ("gRPC, 4 connections{}", "over gRPC, 4 connections", "bare fjall"),
             ("to a bare echo of the same messages, 4 connections{}", "over gRPC, 4 connections", "bare gRPC"),
         ):
             one = got[key.format(with_k)]
-            rows.append([f"{what}, {told}", digits(one["figure"]), bare, digits(one["against"]), digits(one["ratio"])])
+            rows.append([f"{what}, {neighbors}", digits(one["figure"]), bare, digits(one["against"]), digits(one["ratio"])])
     return table(["durable"], ["inserts a second", "server", "against", "its rate", "server / bare"], rows)
 
 

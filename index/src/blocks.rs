@@ -1,12 +1,12 @@
 //! Rows in blocks, with the numbers of one coordinate side by side, in the form that the kernels read.
 
-use crate::kernel::BLOCK_ROWS;
+use crate::{aligned::AlignedNumbers, kernel::BLOCK_ROWS};
 
 /// A table of rows in blocks of [`BLOCK_ROWS`], coordinate by coordinate. An unwritten place holds zeros.
 #[derive(Clone, Debug)]
 pub(crate) struct Blocks {
     width: usize,
-    columns: Vec<f64>,
+    columns: AlignedNumbers,
 }
 
 impl Blocks {
@@ -14,15 +14,20 @@ impl Blocks {
     pub(crate) fn with_capacity(width: usize, rows: usize) -> Self {
         Self {
             width,
-            columns: Vec::with_capacity(rows.div_ceil(BLOCK_ROWS) * width * BLOCK_ROWS),
+            columns: AlignedNumbers::with_capacity(Self::numbers_of(width, rows)),
         }
+    }
+
+    /// The numbers in the blocks of `rows` rows.
+    fn numbers_of(width: usize, rows: usize) -> usize {
+        rows.div_ceil(BLOCK_ROWS) * width * BLOCK_ROWS
     }
 
     /// Writes a row to a place of an existing block or of the next one.
     pub(crate) fn write(&mut self, place: usize, row: &[f64]) {
         let start = place / BLOCK_ROWS * self.width * BLOCK_ROWS;
         if start == self.columns.len() {
-            self.columns.resize(start + self.width * BLOCK_ROWS, 0.0);
+            self.columns.add_zeros(self.width * BLOCK_ROWS);
         }
         let block = &mut self.columns[start..start + self.width * BLOCK_ROWS];
         for (column, &x) in block.chunks_exact_mut(BLOCK_ROWS).zip(row) {
@@ -50,13 +55,14 @@ impl Blocks {
 
     /// A copy with room for `rows` rows in all.
     pub(crate) fn copy_with_room(&self, rows: usize) -> Self {
-        let mut copy = Self::with_capacity(self.width, rows);
-        copy.columns.extend_from_slice(&self.columns);
-        copy
+        Self {
+            width: self.width,
+            columns: (self.columns).copy_with_room(Self::numbers_of(self.width, rows)),
+        }
     }
 
     /// The bytes that the columns hold.
     pub(crate) fn memory_bytes(&self) -> usize {
-        8 * self.columns.capacity()
+        self.columns.memory_bytes()
     }
 }

@@ -1,29 +1,28 @@
 //! The bounding boxes of the children of a node, side by side, coordinate by coordinate, in the form that the kernels
 //! read.
 
-use crate::kernel::MAX_CHILDREN;
+use crate::{aligned::AlignedNumbers, kernel::MAX_CHILDREN};
 
 /// The boxes of the children of some nodes. A node has, for each coordinate, the lower ends of [`MAX_CHILDREN`] boxes
 /// and then their upper ends.
 #[derive(Clone, Debug)]
 pub(crate) struct Boxes {
     width: usize,
-    ends: Vec<f64>,
+    ends: AlignedNumbers,
 }
 
 impl Boxes {
     /// The boxes of `nodes` nodes without children, in a space of `width` coordinates.
     pub(crate) fn new(width: usize, nodes: usize) -> Self {
-        Self {
-            width,
-            ends: vec![0.0; nodes * width * 2 * MAX_CHILDREN],
-        }
+        let len = nodes * width * 2 * MAX_CHILDREN;
+        let mut ends = AlignedNumbers::with_capacity(len);
+        ends.add_zeros(len);
+        Self { width, ends }
     }
 
     /// Appends the boxes of `nodes` nodes without children.
     pub(crate) fn add_nodes(&mut self, nodes: usize) {
-        let len = self.ends.len() + nodes * self.node_len();
-        self.ends.resize(len, 0.0);
+        self.ends.add_zeros(nodes * self.node_len());
     }
 
     fn node_len(&self) -> usize {
@@ -90,7 +89,7 @@ impl Boxes {
 
     /// The bytes that the boxes hold.
     pub(crate) fn memory_bytes(&self) -> usize {
-        8 * self.ends.capacity()
+        self.ends.memory_bytes()
     }
 }
 

@@ -29,6 +29,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod aligned;
 mod blocks;
 mod boxes;
 mod candidates;
@@ -38,6 +39,7 @@ mod kdtree;
 mod kernel;
 mod linear;
 mod mpnn;
+mod nearest_neighbors;
 mod neighbor;
 mod overlay;
 mod points;
@@ -53,6 +55,7 @@ pub use kdtree::{KdTree, TreeReport};
 pub use kernel::Kernels;
 pub use linear::Linear;
 pub use mpnn::Mpnn;
+pub use nearest_neighbors::{Changes, NearestNeighbors, NewPoint, Question, ScannedPoints, Seen};
 pub use neighbor::Neighbor;
 pub use overlay::{Known, Overlay, search_overlaid};
 pub use points::{Point, PointRef, Points};

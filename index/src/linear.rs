@@ -46,16 +46,10 @@ impl Linear {
     /// The row is not a canonical state of the space ([`Space::canonicalize`]); nothing is changed then.
     pub fn insert(&mut self, point: PointRef<'_>) -> Result<(), StateError> {
         self.space.check_canonical(point.row)?;
-        self.insert_checked(point);
-        Ok(())
-    }
-
-    /// Acts like [`Linear::insert`] for a row that was checked.
-    pub(crate) fn insert_checked(&mut self, point: PointRef<'_>) {
-        debug_assert_eq!(self.space.check_canonical(point.row), Ok(()));
         self.remove(point.id);
         self.slots.insert(point.id, self.points.len());
         self.points.push_point(point);
+        Ok(())
     }
 
     /// Removes a point; false if there was none with this id.

@@ -1,33 +1,29 @@
 //! Changes on top of a snapshot: writes that are under way and not yet part of it.
 
-use std::collections::HashSet;
+use std::{collections::HashSet, sync::Arc};
 
 use crate::{
-    ApplyError, Forest, ForestOptions, Linear, Neighbor, Point, PointRef, Points, Search,
-    SearchError, Snapshot, Space,
+    ApplyError, Forest, ForestOptions, Neighbor, Point, Points, Search, SearchError, Snapshot,
+    Space,
 };
-
-/// The maximum number of points of an overlay that are scanned one by one.
-const MAX_FEW: usize = 64;
 
 /// Changes to some of the points below it, which are those of a [`Snapshot`] and of earlier overlays: points that it
 /// stores, and ids that it removes.
 #[derive(Debug)]
 pub struct Overlay {
-    /// The stored points while they are few, for which a forest would cost more than it saves.
-    few: Linear,
-    /// The stored points once they are many. The forest's revisions count changes; the points carry their own.
-    many: Option<Forest>,
+    space: Arc<Space>,
+    /// The stored points; None before the first change. Its revisions count changes; the points carry their own.
+    stored: Option<Forest>,
     /// The ids that it stores or removes. It hides the points below that have them.
     changed: HashSet<u64>,
 }
 
 impl Overlay {
     /// An overlay without changes.
-    pub fn new(space: &Space) -> Self {
+    pub fn new(space: impl Into<Arc<Space>>) -> Self {
         Self {
-            few: Linear::new(space.clone()),
-            many: None,
+            space: space.into(),
+            stored: None,
             changed: HashSet::new(),
         }
     }
@@ -37,23 +33,12 @@ impl Overlay {
     /// # Errors
     /// The errors of [`Forest::apply`]; nothing is changed then.
     pub fn apply(&mut self, stored: &Points, removed: &[u64]) -> Result<(), ApplyError> {
-        stored.check(self.few.space())?;
-        if self.many.is_none() && self.few.len() + stored.len() > MAX_FEW {
-            self.many = Some(self.forest());
-        }
-        match &mut self.many {
-            Some(forest) => {
-                forest.apply_checked(forest.revision() + 1, stored, removed);
-            }
-            None => {
-                for &id in removed {
-                    self.few.remove(id);
-                }
-                for point in stored.iter() {
-                    self.few.insert_checked(point);
-                }
-            }
-        }
+        stored.check(&self.space)?;
+        let forest = self.stored.get_or_insert_with(|| {
+            let options = ForestOptions::for_space(&self.space);
+            Forest::new(Arc::clone(&self.space), options)
+        });
+        forest.apply_checked(forest.revision() + 1, stored, removed);
         self.changed.extend(stored.ids());
         self.changed.extend(removed);
         Ok(())
@@ -62,29 +47,8 @@ impl Overlay {
     /// The point that it stores under an id, or None inside if it removes the id; None outside if it does not change
     /// the id.
     pub fn get(&self, id: u64) -> Option<Option<Point>> {
-        let is_changed = self.changed.contains(&id);
-        is_changed.then(|| match &self.many {
-            Some(forest) => forest.get(id),
-            None => self.few.get(id).map(PointRef::to_point),
-        })
-    }
-
-    /// A forest of the few points.
-    fn forest(&self) -> Forest {
-        let space = self.few.space();
-        let mut points = Points::with_capacity(space.coordinates(), self.few.len());
-        self.few.iter().for_each(|point| points.push_point(point));
-        let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
-        forest.apply_checked(1, &points, &[]);
-        forest
-    }
-
-    fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Vec<Neighbor>, SearchError> {
-        let answer = match &self.many {
-            Some(forest) => forest.search(state, search),
-            None => self.few.search(state, search),
-        };
-        Ok(answer?.neighbors)
+        let stored = self.stored.as_ref()?;
+        self.changed.contains(&id).then(|| stored.get(id))
     }
 }
 
@@ -123,11 +87,11 @@ pub fn search_overlaid(
         neighbors.extend(unchanged.take(search.k));
     }
     for overlay in overlays.iter().rev() {
-        if overlay.changed.is_empty() {
+        let Some(stored) = &overlay.stored else {
             continue;
-        }
+        };
         let narrowed = narrowed(search, &neighbors, &hidden);
-        let found = overlay.search(state, &narrowed)?;
+        let found = stored.search(state, &narrowed)?.neighbors;
         merge(&mut neighbors, &found, search.k);
         hidden.push(&overlay.changed);
     }

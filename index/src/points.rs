@@ -126,6 +126,14 @@ impl Points {
         copy
     }
 
+    /// Removes all points and keeps their room.
+    pub fn clear(&mut self) {
+        self.ids.clear();
+        self.tags.clear();
+        self.revisions.clear();
+        self.rows.clear();
+    }
+
     /// The number of points.
     pub fn len(&self) -> usize {
         self.ids.len()

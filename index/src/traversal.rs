@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// The number of leaves visited between two reads of the clock. One read costs about a tenth of a leaf.
-const LEAVES_PER_CLOCK_READ: usize = 32;
+pub(crate) const LEAVES_PER_CLOCK_READ: usize = 32;
 
 /// The greatest number of neighbours of a search that a scan policy learns from: a larger answer must read many leaves.
 const MAX_OBSERVED_NEIGHBORS: usize = 100;

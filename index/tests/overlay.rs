@@ -67,7 +67,7 @@ proptest! {
                 forest.apply(revision, &stored, &removed).unwrap();
                 continue;
             }
-            let mut overlay = Overlay::new(&space);
+            let mut overlay = Overlay::new(space.clone());
             overlay.apply(&stored, &removed).unwrap();
             overlays.push(overlay);
         }
@@ -105,7 +105,7 @@ proptest! {
             (0..170).all(|id| forest.get(id).is_none() || overlay.get(id).is_none())
         });
         if only_new {
-            let mut oldest = Overlay::new(&space);
+            let mut oldest = Overlay::new(space.clone());
             oldest.apply(&rows(&added, 2).0, &[]).unwrap();
             let overlays: Vec<&Overlay> = [&oldest].into_iter().chain(overlays).collect();
             let wider = Search { k: k.saturating_add(1), ..search };

@@ -7,6 +7,9 @@ mod neighbors;
 pub mod snapshot;
 pub mod space;
 
+/// The first id that is too large.
+pub const END_OF_IDS: u64 = 1 << 63;
+
 /// Messages, clients and servers of package `wayfold.v1`; every field is documented in `wayfold/v1/*.proto`.
 #[expect(clippy::allow_attributes_without_reason, reason = "generated code")]
 pub mod v1 {

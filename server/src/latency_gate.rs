@@ -68,26 +68,30 @@ impl LatencyGate {
 mod tests {
     use super::*;
 
-    const LIMIT: Duration = Duration::from_micros(50);
+    const MAX_LATENCY: Duration = Duration::from_micros(50);
 
     #[test]
     fn one_interrupted_answer_does_not_close_the_gate() {
-        let gate = LatencyGate::new(LIMIT);
+        let gate = LatencyGate::new(MAX_LATENCY);
         for round in 0..1000 {
             assert!(gate.is_open(), "{round}");
             let interrupted = round % 100 == 99;
-            gate.record(if interrupted { 100 * LIMIT } else { LIMIT / 5 });
+            gate.record(if interrupted {
+                100 * MAX_LATENCY
+            } else {
+                MAX_LATENCY / 5
+            });
         }
     }
 
     #[test]
     fn long_answers_close_the_gate_and_are_seldom_sampled() {
-        let gate = LatencyGate::new(LIMIT);
+        let gate = LatencyGate::new(MAX_LATENCY);
         let mut expected = 0;
         for _ in 0..1000 {
             if gate.is_open() {
                 expected += 1;
-                gate.record(20 * LIMIT);
+                gate.record(20 * MAX_LATENCY);
             }
         }
         assert!((1..60).contains(&expected), "{expected}");
@@ -95,12 +99,12 @@ mod tests {
 
     #[test]
     fn the_gate_reopens_when_answers_are_brief_again() {
-        let gate = LatencyGate::new(LIMIT);
+        let gate = LatencyGate::new(MAX_LATENCY);
         while gate.is_open() {
-            gate.record(20 * LIMIT);
+            gate.record(20 * MAX_LATENCY);
         }
         while !gate.is_open() {}
-        gate.record(LIMIT / 5);
+        gate.record(MAX_LATENCY / 5);
         assert!(gate.is_open());
     }
 }

@@ -144,6 +144,7 @@ impl Model {
                     Some((rows.next().expect("a state a put"), self.revision))
                 }
                 (StepKind::SetTag, Some(old)) => Some(old),
+                (StepKind::Replace, _) => unimplemented!("no test here replaces by a batch"),
                 (StepKind::Remove, Some(_)) => {
                     self.points.remove(id);
                     self.payloads.remove(&id);

@@ -47,11 +47,11 @@ def drive(face, index_pb, pb, types):
     uid = created.index.revision.uid
     expect(face.ask("create", create, index_pb.CreateIndexResponse).created, False)
 
-    told = queue.Queue()
-    events = face.session.declare_subscriber(f"{PREFIX}/{name}/{face.events}", told.put)
+    samples = queue.Queue()
+    events = face.session.declare_subscriber(f"{PREFIX}/{name}/{face.events}", samples.put)
 
     def event():
-        return face.read(told.get(timeout=MAX_WAIT_S), pb.WatchResponse)
+        return face.read(samples.get(timeout=MAX_WAIT_S), pb.WatchResponse)
 
     expect(event().revision, types.Revision(uid=uid, number=0))
 

@@ -46,9 +46,9 @@ class Planner:
         """Its first account with this many milestones of its own, or its last one."""
         while True:
             line = self.next()
-            told = line.get("progress", {"milestones": 0})
-            if "done" in line or told["milestones"] >= milestones:
-                return line.get("done", told)
+            progress = line.get("progress", {"milestones": 0})
+            if "done" in line or progress["milestones"] >= milestones:
+                return line.get("done", progress)
 
 
 def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
@@ -65,7 +65,7 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
             planners.append(Planner([sys.executable, worker, *map(str, job)]))
         for planner in planners:
             if planner.next() != "ready":
-                raise AssertionError("a worker begins before it is told to")
+                raise AssertionError("a worker begins before its start signal")
         # The workers over Zenoh have read the empty roadmap. In any schedule, they therefore meet milestones of each of
         # the others when they insert.
         grpc, zenoh = planners[: len(SOURCES)], planners[len(SOURCES) :]
@@ -87,12 +87,12 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
 
     audit = [rigid, "audit", f"--server={server.uri}", f"--index={INDEX}"]
     audited = subprocess.run(audit, check=True, stdout=subprocess.PIPE, text=True, timeout=MAX_WAIT_S)
-    told = json.loads(audited.stdout)
-    made = {int(number): count for number, count in told["workers"].items()}
-    if sorted(made) != list(range(len(planners))) or told["milestones"] < milestones:
-        raise AssertionError(f"not all workers made milestones, or too few: {told}")
+    report = json.loads(audited.stdout)
+    made = {int(number): count for number, count in report["workers"].items()}
+    if sorted(made) != list(range(len(planners))) or report["milestones"] < milestones:
+        raise AssertionError(f"not all workers made milestones, or too few: {report}")
     for number, account in enumerate(accounts, len(SOURCES)):
         if account["milestones"] != made[number] or made[number] < MIN_MILESTONES or account["meanwhile"] < 2:
             raise AssertionError(f"worker {number} says {account}, and made {made[number]}")
     shares = ", ".join(f"{count} by worker {number}" for number, count in sorted(made.items()))
-    return f"{told['milestones']} milestones ({shares}), {told['edges']} edges"
+    return f"{report['milestones']} milestones ({shares}), {report['edges']} edges"

@@ -83,14 +83,14 @@ fn run(args: Args) -> Result<(), Failure> {
 }
 
 /// The connections and the output that every verb works with.
-struct Session {
+struct Context {
     client: Client,
     /// The other servers, if `--server` names several.
     others: Vec<Client>,
     output: Output,
 }
 
-impl Session {
+impl Context {
     async fn index(&self, name: &str) -> Result<IndexHandle, Failure> {
         Ok(self.client.index(name).await?)
     }
@@ -110,34 +110,34 @@ async fn execute(args: Args) -> Result<(), Failure> {
     for server in rest {
         others.push(connect(server).await?);
     }
-    let mut session = Session {
+    let mut context = Context {
         client,
         others,
         output: Output::stdout(args.output),
     };
-    let session = &mut session;
+    let context = &mut context;
     let done = match args.command {
-        Command::Create(args) => verb::create(args, session).await,
-        Command::List => verb::list(session).await,
-        Command::Info(args) => verb::info(args, session).await,
-        Command::Delete(args) => verb::delete(args, session).await,
-        Command::Insert(args) => verb::insert(args, session).await,
-        Command::Update(args) => verb::update(args, session).await,
-        Command::Remove(args) => verb::remove(args, session).await,
-        Command::Knn(args) => verb::knn(args, session).await,
-        Command::Query(args) => verb::query(args, session).await,
-        Command::Get(args) => verb::get(args, session).await,
-        Command::Scan(args) => verb::scan(args, session).await,
-        Command::Watch(args) => verb::watch(args, session).await,
-        Command::Snapshot(args) => verb::snapshot(args, session).await,
-        Command::Restore(args) => verb::restore(args, session).await,
-        Command::Verify(args) => verb::verify(args, session).await,
-        Command::Server => verb::server(session).await,
-        Command::Health => verb::health(session).await,
+        Command::Create(args) => verb::create(args, context).await,
+        Command::List => verb::list(context).await,
+        Command::Info(args) => verb::info(args, context).await,
+        Command::Delete(args) => verb::delete(args, context).await,
+        Command::Insert(args) => verb::insert(args, context).await,
+        Command::Update(args) => verb::update(args, context).await,
+        Command::Remove(args) => verb::remove(args, context).await,
+        Command::Knn(args) => verb::knn(args, context).await,
+        Command::Query(args) => verb::query(args, context).await,
+        Command::Get(args) => verb::get(args, context).await,
+        Command::Scan(args) => verb::scan(args, context).await,
+        Command::Watch(args) => verb::watch(args, context).await,
+        Command::Snapshot(args) => verb::snapshot(args, context).await,
+        Command::Restore(args) => verb::restore(args, context).await,
+        Command::Verify(args) => verb::verify(args, context).await,
+        Command::Server => verb::server(context).await,
+        Command::Health => verb::health(context).await,
         Command::Completions(_) | Command::Man(_) => Ok(()),
     };
     // Results that came before an error are printed.
-    let flushed = session.output.flush();
+    let flushed = context.output.flush();
     done.map_err(|failure| failure.explained(args.timeout))?;
     Ok(flushed?)
 }

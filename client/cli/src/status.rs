@@ -23,7 +23,7 @@ impl Status {
 
     fn meaning(self) -> &'static str {
         match self {
-            Status::Success => "the command did what it was asked to do",
+            Status::Success => "the command succeeded",
             Status::Negative => {
                 "the answer is negative: verify found a disagreement, list a damaged index, or\n     \
                  health a server that does not serve"

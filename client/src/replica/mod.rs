@@ -26,7 +26,7 @@ use std::{sync::Arc, time::Duration};
 
 use tokio::task::AbortHandle;
 
-use crate::{Error, IndexHandle, Radius, Revision, Search, State};
+use crate::{Error, IndexHandle, Radius, ReplicaSearch, Revision, State};
 use shared::Shared;
 
 /// A copy of an index in this process, which follows the server's and answers from its own memory.
@@ -37,7 +37,7 @@ use shared::Shared;
 ///
 /// ```no_run
 /// use std::time::Duration;
-/// use wayfold::{Client, Filter, ScaledRadius, Search};
+/// use wayfold::{Client, Filter, ReplicaSearch, ScaledRadius};
 ///
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 /// let client = Client::connect("http://127.0.0.1:50051").await?;
@@ -48,7 +48,7 @@ use shared::Shared;
 /// let near = replica.knn(pose, 10)?;
 /// println!("{:?} at revision {}", near.nearest(), near.revision());
 /// let new = Filter::default().since(inserted.revision);
-/// let near = replica.search(pose, &Search::k(10).radius(0.5).filter(new))?;
+/// let near = replica.search(pose, &ReplicaSearch::k(10).radius(0.5).filter(new))?;
 /// let of_rrt_star = replica.query(pose, ScaledRadius::new(1.1).max(0.5))?;
 /// # Ok(())
 /// # }
@@ -119,7 +119,7 @@ impl Replica {
     /// # Errors
     /// The errors of [`Replica::search`].
     pub fn knn(&self, state: impl State, k: u32) -> Result<ReplicaNeighbors, Error> {
-        self.search(state, &Search::k(k))
+        self.search(state, &ReplicaSearch::k(k))
     }
 
     /// All points at distance `radius` or nearer, the closed ball: a number, or a
@@ -132,7 +132,7 @@ impl Replica {
         state: impl State,
         radius: impl Into<Radius>,
     ) -> Result<ReplicaNeighbors, Error> {
-        self.search(state, &Search::within(radius))
+        self.search(state, &ReplicaSearch::within(radius))
     }
 
     /// Answers any search, as the server would at the same revision.
@@ -141,9 +141,13 @@ impl Replica {
     /// Those of the server for the same request: [`Error::Width`], [`Error::Layout`], `INVALID_ARGUMENT` naming the
     /// field, `FAILED_PRECONDITION` for a filter of another uid. [`Error::Behind`]: the filter's revision is above the
     /// replica's. [`Error::Stale`]: the replica has not heard from the server for longer than
-    /// [`ReplicaRequest::max_staleness`]. [`Error::Timeout`]: the search took longer than [`Search::timeout`].
+    /// [`ReplicaRequest::max_staleness`]. [`Error::Timeout`]: the search took longer than [`ReplicaSearch::timeout`].
     /// [`Error::Ended`].
-    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<ReplicaNeighbors, Error> {
+    pub fn search<S: State>(
+        &self,
+        state: S,
+        search: &ReplicaSearch,
+    ) -> Result<ReplicaNeighbors, Error> {
         self.shared().check()?;
         self.shared().published().search(state, search)
     }

@@ -3,7 +3,7 @@
 use wayfold_index::{Space, StateProblem};
 
 use crate::{
-    Code, Error, FieldViolation, Radius, Refusal, Search, States,
+    Code, Error, FieldViolation, Radius, Refusal, ReplicaSearch, States,
     search::{K, ScaledRadius},
 };
 
@@ -55,12 +55,13 @@ impl Violations {
             metadata: Default::default(),
             fields: self.fields,
             ids: Vec::new(),
+            retry_after: None,
         })))
     }
 }
 
 /// The violations of a search, in the server's order.
-pub(super) fn check(search: &Search) -> Violations {
+pub(super) fn check(search: &ReplicaSearch) -> Violations {
     let mut violations = Violations::default();
     match search.bounds.k {
         Some(K::Fixed(0)) => violations.add("k", "ZERO", "k is at least 1"),

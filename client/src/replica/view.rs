@@ -7,7 +7,7 @@ use wayfold_index::{Filter, Neighbor, Point, SearchError, Snapshot};
 use super::load::protocol;
 use super::validate::{canonical, check};
 use crate::{
-    Error, IndexHandle, Radius, Revision, Search, State, States,
+    Error, IndexHandle, Radius, ReplicaSearch, Revision, State, States,
     search::{Bounds, K},
 };
 
@@ -102,7 +102,7 @@ impl ReplicaView {
     /// # Errors
     /// The errors of [`ReplicaView::search`].
     pub fn knn(&self, state: impl State, k: u32) -> Result<ReplicaNeighbors, Error> {
-        self.search(state, &Search::k(k))
+        self.search(state, &ReplicaSearch::k(k))
     }
 
     /// All points at distance `radius` or nearer, the closed ball: a number, or a
@@ -115,14 +115,18 @@ impl ReplicaView {
         state: impl State,
         radius: impl Into<Radius>,
     ) -> Result<ReplicaNeighbors, Error> {
-        self.search(state, &Search::within(radius))
+        self.search(state, &ReplicaSearch::within(radius))
     }
 
     /// Answers any search, as the server would at this revision.
     ///
     /// # Errors
     /// The errors of [`Replica::search`](super::Replica::search), except that a view does not grow stale.
-    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<ReplicaNeighbors, Error> {
+    pub fn search<S: State>(
+        &self,
+        state: S,
+        search: &ReplicaSearch,
+    ) -> Result<ReplicaNeighbors, Error> {
         let states = States::collect(self.index.space(), [state])?;
         let state = canonical(self.index.space(), states, check(search))?;
         let revision = self.revision();
@@ -153,7 +157,7 @@ impl ReplicaView {
     }
 
     /// The search in the index's terms, its factors evaluated.
-    fn plain(&self, search: &Search, since_revision: u64) -> wayfold_index::Search<'static> {
+    fn plain(&self, search: &ReplicaSearch, since_revision: u64) -> wayfold_index::Search<'static> {
         let Bounds { k, radius } = search.bounds;
         let k = match k {
             Some(K::Fixed(k)) => k as usize,

@@ -3,7 +3,9 @@
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use super::{awaitable, check_column, fresh_operation_id, mutation};
+use super::{
+    ID_AND_TAG_BYTES, awaitable, check_column, fresh_operation_id, mutation, payload_bytes,
+};
 use crate::{
     Error, IndexHandle, Limits, NeighborSpec, Neighbors, Revision, States,
     limits::{self, Division},
@@ -170,23 +172,19 @@ impl Insert {
 
     /// The number of rows whose outcomes and neighbours fit into one answer.
     fn rows_of_answer(&self, limits: &Limits) -> usize {
-        const OUTCOME_ID_AND_COUNT: usize = 16;
+        const OUTCOME_ID_AND_COUNT_BYTES: usize = 16;
         let neighbors = self.neighbors.as_ref().and_then(|spec| {
             let neighbor = spec.include.neighbor_bytes(self.index.coordinates());
             Some(neighbor.saturating_mul(spec.bounds.max_neighbors()?))
         });
-        let row = neighbors.unwrap_or(0).saturating_add(OUTCOME_ID_AND_COUNT);
+        let row = neighbors
+            .unwrap_or(0)
+            .saturating_add(OUTCOME_ID_AND_COUNT_BYTES);
         limits::rows_of_answer(self.index.client(), limits, row)
     }
 
     fn row_bytes(&self, states: &States, row: usize) -> usize {
-        const ID_AND_TAG: usize = 16;
-        const PAYLOAD_HEAD: usize = 4;
-        let payload = self
-            .payloads
-            .get(row)
-            .map_or(0, |payload| payload.len() + PAYLOAD_HEAD);
-        8 * states.width() + ID_AND_TAG + payload
+        8 * states.width() + ID_AND_TAG_BYTES + payload_bytes(&self.payloads, row)
     }
 
     fn message(

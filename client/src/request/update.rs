@@ -5,7 +5,9 @@ use std::ops::Range;
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use super::{awaitable, check_column, fresh_operation_id, mutation};
+use super::{
+    ID_AND_TAG_BYTES, awaitable, check_column, fresh_operation_id, mutation, payload_bytes,
+};
 use crate::{Error, IndexHandle, Revision, limits::Division};
 
 /// Sets tags or payloads of stored points, whose states stay; await it to send it.
@@ -105,13 +107,7 @@ impl Update {
     }
 
     fn row_bytes(&self, row: usize) -> usize {
-        const ID_AND_TAG: usize = 16;
-        const PAYLOAD_HEAD: usize = 4;
-        ID_AND_TAG
-            + self
-                .payloads
-                .get(row)
-                .map_or(0, |payload| payload.len() + PAYLOAD_HEAD)
+        ID_AND_TAG_BYTES + payload_bytes(&self.payloads, row)
     }
 
     fn message(&self, part: &Range<usize>, operation_id: &str) -> v1::UpdateRequest {

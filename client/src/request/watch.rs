@@ -41,6 +41,7 @@ pub struct WatchRequest {
     index: IndexHandle,
     after: Option<Revision>,
     include: Include,
+    own_session: u64,
 }
 
 /// A watch under way, a stream of events. It ends after a reset and after an error; after an error, watch again from
@@ -87,6 +88,10 @@ pub struct Mutation {
     pub stored: Points,
     /// The ids of the points that it removed.
     pub removed_ids: Vec<u64>,
+    /// The writer session whose batch it was; 0 if it was none.
+    pub session: u64,
+    /// The number of the batch in its session; 0 if it was none.
+    pub batch: u64,
 }
 
 /// The reason for which a watch ended, and the index's revision.
@@ -122,7 +127,14 @@ impl WatchRequest {
             index,
             after: None,
             include: Include::points(),
+            own_session: 0,
         }
+    }
+
+    /// Mutations of this writer session come without points and removed ids: the caller knows them.
+    pub(crate) fn own_session(mut self, session: u64) -> WatchRequest {
+        self.own_session = session;
+        self
     }
 
     /// The mutations after this revision; those after the newest one unless set.
@@ -157,7 +169,7 @@ impl WatchRequest {
             index_name: self.index.name().to_owned(),
             after_revision: self.after.as_ref().map(Revision::to_message),
             include: self.include.to_message(),
-            own_session: 0,
+            own_session: self.own_session,
         }
     }
 }
@@ -227,7 +239,6 @@ impl Watch {
     }
 
     /// The next event, if it has come.
-    #[cfg(feature = "replica")]
     pub(crate) fn ready(&mut self) -> Option<WatchEvent> {
         self.ready.pop_front()
     }
@@ -276,6 +287,8 @@ impl Watch {
                 time: SystemTime::UNIX_EPOCH + Duration::from_millis(message.time_ms),
                 stored,
                 removed_ids: message.removed_ids,
+                session: message.session,
+                batch: message.batch,
             },
             (Some((mut mutation, next)), piece) if next == piece => {
                 mutation.stored.append(stored);

@@ -32,13 +32,20 @@ impl FromState for DVector<f64> {
     }
 }
 
+/// The layout of a point.
+struct Reals<const N: usize>;
+
+impl<const N: usize> Reals<N> {
+    const ROW: [Coordinate; N] = [Real; N];
+}
+
 impl<const N: usize> State for Point<f64, N> {
     fn write(&self, row: &mut Vec<f64>) {
         self.coords.write(row);
     }
 
-    fn layout() -> Option<Vec<Coordinate>> {
-        Some(vec![Real; N])
+    fn layout() -> Option<&'static [Coordinate]> {
+        Some(&Reals::<N>::ROW)
     }
 }
 
@@ -53,8 +60,8 @@ impl State for UnitComplex<f64> {
         row.push(self.angle());
     }
 
-    fn layout() -> Option<Vec<Coordinate>> {
-        Some(vec![Angle])
+    fn layout() -> Option<&'static [Coordinate]> {
+        Some(&[Angle])
     }
 }
 
@@ -70,8 +77,8 @@ impl State for UnitQuaternion<f64> {
         row.extend_from_slice(self.coords.as_slice());
     }
 
-    fn layout() -> Option<Vec<Coordinate>> {
-        Some(vec![Qx, Qy, Qz, Qw])
+    fn layout() -> Option<&'static [Coordinate]> {
+        Some(&[Qx, Qy, Qz, Qw])
     }
 }
 
@@ -89,8 +96,8 @@ impl State for Isometry2<f64> {
         self.rotation.write(row);
     }
 
-    fn layout() -> Option<Vec<Coordinate>> {
-        Some(vec![Real, Real, Angle])
+    fn layout() -> Option<&'static [Coordinate]> {
+        Some(&[Real, Real, Angle])
     }
 }
 
@@ -110,8 +117,8 @@ impl State for Isometry3<f64> {
         self.rotation.write(row);
     }
 
-    fn layout() -> Option<Vec<Coordinate>> {
-        Some(vec![Real, Real, Real, Qx, Qy, Qz, Qw])
+    fn layout() -> Option<&'static [Coordinate]> {
+        Some(&[Real, Real, Real, Qx, Qy, Qz, Qw])
     }
 }
 

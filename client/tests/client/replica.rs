@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use tonic::Status;
 use wayfold::{
-    Client, Code, Error, Filter, Replica, ReplicaRequest, ReplicaStatus, RetryPolicy, Revision,
-    Search,
+    Client, Code, Error, Filter, Replica, ReplicaRequest, ReplicaSearch as Search, ReplicaStatus,
+    RetryPolicy, Revision,
 };
 use wayfold_proto::v1;
 

@@ -92,7 +92,7 @@ async fn the_server_evaluates_it_at_the_size_of_its_index() {
 #[cfg(feature = "replica")]
 #[tokio::test]
 async fn a_replica_answers_and_refuses_as_the_server() {
-    use wayfold::{Error, Filter, Search};
+    use wayfold::{Error, Filter, ReplicaSearch as Search};
 
     let server = Server::start();
     let index = server.index("se2", SPACE).await;

@@ -141,7 +141,7 @@ impl Reporter {
         let mut line = String::new();
         let read = io::stdin().lock().read_line(&mut line);
         match read.map_err(|problem| lost(self.number, problem))? {
-            0 => Err(lost(self.number, "who started it is gone")),
+            0 => Err(lost(self.number, "its parent process has ended")),
             _ => Ok(()),
         }
     }

@@ -150,8 +150,8 @@ impl NeighborSource for ReplicaSource {
         search: &Search<'_>,
     ) -> Result<Vec<Neighbor>, PlanningError> {
         let search = match u32::try_from(search.k) {
-            Ok(k) => wayfold::Search::k(k).radius(search.radius),
-            Err(_) => wayfold::Search::within(search.radius),
+            Ok(k) => wayfold::ReplicaSearch::k(k).radius(search.radius),
+            Err(_) => wayfold::ReplicaSearch::within(search.radius),
         };
         Ok(self.replica.search(state, &search)?.into_vec())
     }

@@ -76,7 +76,7 @@ class Scene:
         return self._free(self._library.rigid_is_free_path(self.row(row), 0, self.coordinates))
 
     @staticmethod
-    def _free(told: int) -> bool:
-        if told not in (FREE, NOT_FREE):
-            raise ValueError("what was to be checked is no state")
-        return told == FREE
+    def _free(verdict: int) -> bool:
+        if verdict not in (FREE, NOT_FREE):
+            raise ValueError("a checked row is not a state of the space")
+        return verdict == FREE

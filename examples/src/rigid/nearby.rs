@@ -1,7 +1,8 @@
 //! A worker's source of candidates: the milestones that are near enough for an edge.
 
 use wayfold::{
-    Include, IndexHandle, Neighbor, Replica, ReplicaView, Revision, Row, Scaling, Search,
+    Include, IndexHandle, Neighbor, Replica, ReplicaSearch as Search, ReplicaView, Revision, Row,
+    Scaling,
 };
 
 use crate::planning::error::PlanningError;
@@ -103,16 +104,16 @@ pub async fn nearest_before(
     id: u64,
     k: usize,
 ) -> Result<Vec<Candidate>, PlanningError> {
-    let mut asked = u32::try_from(2 * k).unwrap_or(u32::MAX);
+    let mut requested = u32::try_from(2 * k).unwrap_or(u32::MAX);
     loop {
-        let found = index.knn([state]).k(asked).include(STATES).await?;
+        let found = index.knn([state]).k(requested).include(STATES).await?;
         let mut near = candidates(found.row(0));
-        let all = near.len() < asked as usize;
+        let all = near.len() < requested as usize;
         near.retain(|candidate| candidate.id < id);
         if near.len() >= k || all {
             near.truncate(k);
             return Ok(near);
         }
-        asked = asked.saturating_mul(2);
+        requested = requested.saturating_mul(2);
     }
 }

@@ -153,7 +153,7 @@ fn the_way_of_rrt_star_only_becomes_shorter() {
 }
 
 #[test]
-fn all_sources_build_the_roadmap_of_prm_star_that_its_states_tell() {
+fn all_sources_build_the_prm_star_roadmap_of_the_sampled_states() {
     let (problem, server) = (Corner::new(), Server::start());
     let remote = Remote::new(&server.uri).unwrap();
     let questions = [

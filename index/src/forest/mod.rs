@@ -21,7 +21,10 @@ mod snapshot;
 mod tombstones;
 mod validate;
 
-use std::sync::Arc;
+use std::sync::{
+    Arc,
+    atomic::{AtomicU64, Ordering},
+};
 
 use crate::{
     Answer, ApplyError, KdTree, Point, Points, Search, SearchError, Space, kernel::KeyScale,
@@ -65,7 +68,7 @@ impl ForestOptions {
 }
 
 /// A mutation of more rows than `growing_rows` divided by this makes a level of its own, which a merge packs at once.
-const LARGE_MUTATION: usize = 8;
+const LARGE_MUTATION_DIVISOR: usize = 8;
 
 /// A dynamic set of points of one space with exact nearest-neighbour search.
 ///
@@ -93,14 +96,14 @@ pub struct Forest {
     /// The growing levels that snapshots share.
     retired: Retired<Growing>,
     running: Vec<Running>,
-    next_token: u64,
     /// The revision at which writes pause: a whole merge ran at it, or the owner called [`Forest::pause`].
     paused_at: Option<u64>,
 }
 
 impl Forest {
     /// An empty forest at revision 0.
-    pub fn new(space: Space, options: ForestOptions) -> Self {
+    pub fn new(space: impl Into<Arc<Space>>, options: ForestOptions) -> Self {
+        let space = space.into();
         let options = ForestOptions {
             growing_rows: options
                 .growing_rows
@@ -110,7 +113,7 @@ impl Forest {
         let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);
         let head = Snapshot {
             scale: KeyScale::new(&space),
-            space: Arc::new(space),
+            space,
             revision: 0,
             live: 0,
             levels: Arc::default(),
@@ -121,7 +124,6 @@ impl Forest {
             head,
             retired: Retired::default(),
             running: Vec::new(),
-            next_token: 0,
             paused_at: None,
         }
     }
@@ -149,6 +151,11 @@ impl Forest {
     /// A copy of the point with this id.
     pub fn get(&self, id: u64) -> Option<Point> {
         self.head.get(id)
+    }
+
+    /// True if a point has this id.
+    pub fn contains(&self, id: u64) -> bool {
+        self.head.contains(id)
     }
 
     /// Answers `search` for a canonical `state` at the head.
@@ -237,7 +244,7 @@ impl Forest {
     /// Stores rows whose ids are not in the forest.
     fn store(&mut self, rows: &Points) {
         self.head.live += rows.len();
-        if rows.len() > (self.options.growing_rows / LARGE_MUTATION).max(1) {
+        if rows.len() > (self.options.growing_rows / LARGE_MUTATION_DIVISOR).max(1) {
             let space = Arc::clone(&self.head.space);
             let packed = Packed::unbuilt(space, rows);
             self.add_level(Level::Packed(Box::new(packed)));
@@ -300,15 +307,17 @@ impl Forest {
 
     fn begin(&mut self, due: &[usize]) -> Merge {
         let sources: Vec<Arc<Level>> = due.iter().map(|&at| self.head.levels[at].clone()).collect();
-        self.next_token += 1;
+        // Of all forests, so that no forest takes the merge of another one for its own.
+        static MERGES: AtomicU64 = AtomicU64::new(0);
+        let token = MERGES.fetch_add(1, Ordering::Relaxed);
         self.running.push(Running {
-            token: self.next_token,
+            token,
             revision: self.head.revision,
             sources: sources.clone(),
             died: Vec::new(),
         });
         Merge {
-            token: self.next_token,
+            token,
             space: Arc::clone(&self.head.space),
             leaf_rows: self.options.leaf_rows,
             revision: self.head.revision,

@@ -97,6 +97,11 @@ impl Snapshot {
         Some(self.levels[level].get(slot))
     }
 
+    /// True if a point has this id.
+    pub fn contains(&self, id: u64) -> bool {
+        self.growing.find(id, self.revision).is_some() || self.find_in_levels(id).is_some()
+    }
+
     /// The index of the level that has the point with this id, and the slot in it.
     pub(super) fn find_in_levels(&self, id: u64) -> Option<(usize, usize)> {
         (0..self.levels.len())

@@ -34,47 +34,38 @@ pub(super) fn run<T: Task>(task: T) -> T::Output {
 }
 
 impl Isa for Avx512 {
+    /// Without a branch: the number of remaining lanes depends on the data, so a loop over them would be mispredicted.
     #[inline(always)]
     fn lowest<const N: usize>(keys: &[f64; N], lanes: u32) -> usize {
-        // SAFETY: only `run` names this set.
-        unsafe { lowest(keys, lanes) }
+        const { assert!(N.is_multiple_of(WIDTH) && N <= 32) };
+        // SAFETY: only `run` names this set, and there are `WIDTH` keys from each `at` on.
+        unsafe {
+            let mut lowest = _mm512_set1_pd(f64::INFINITY);
+            for at in (0..N).step_by(WIDTH) {
+                let keys = _mm512_loadu_pd(keys.as_ptr().add(at));
+                lowest = _mm512_mask_min_pd(lowest, (lanes >> at) as u8, lowest, keys);
+            }
+            // Brings the lowest key into every lane: from the other half, the other quarter, the neighbour.
+            let half = _mm512_shuffle_f64x2::<0b01_00_11_10>(lowest, lowest);
+            lowest = _mm512_min_pd(lowest, half);
+            let quarter = _mm512_shuffle_f64x2::<0b10_11_00_01>(lowest, lowest);
+            lowest = _mm512_min_pd(lowest, quarter);
+            let neighbour = _mm512_permute_pd::<0b0101_0101>(lowest);
+            lowest = _mm512_min_pd(lowest, neighbour);
+            let mut equal = 0;
+            for at in (0..N).step_by(WIDTH) {
+                let keys = _mm512_loadu_pd(keys.as_ptr().add(at));
+                equal |= u32::from(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(keys, lowest)) << at;
+            }
+            (equal & lanes).trailing_zeros() as usize % N
+        }
     }
 
     #[inline(always)]
     fn from_codes<const N: usize>(codes: &[u16; N]) -> [f32; N] {
-        // SAFETY: as above.
+        // SAFETY: only `run` names this set.
         unsafe { from_codes(codes) }
     }
-}
-
-/// Without a branch: the number of remaining lanes depends on the data, so a loop over them would be mispredicted.
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn lowest<const N: usize>(keys: &[f64; N], lanes: u32) -> usize {
-    const { assert!(N.is_multiple_of(WIDTH) && N <= 32) };
-    let mut lowest = _mm512_set1_pd(f64::INFINITY);
-    for at in (0..N).step_by(WIDTH) {
-        // SAFETY: there are `WIDTH` keys from `at` on.
-        let keys = unsafe { _mm512_loadu_pd(keys.as_ptr().add(at)) };
-        lowest = _mm512_mask_min_pd(lowest, (lanes >> at) as u8, lowest, keys);
-    }
-    // Brings the lowest key into every lane: from the other half, the other quarter, the neighbour.
-    lowest = _mm512_min_pd(
-        lowest,
-        _mm512_shuffle_f64x2::<0b01_00_11_10>(lowest, lowest),
-    );
-    lowest = _mm512_min_pd(
-        lowest,
-        _mm512_shuffle_f64x2::<0b10_11_00_01>(lowest, lowest),
-    );
-    lowest = _mm512_min_pd(lowest, _mm512_permute_pd::<0b0101_0101>(lowest));
-    let mut equal = 0;
-    for at in (0..N).step_by(WIDTH) {
-        // SAFETY: as above.
-        let keys = unsafe { _mm512_loadu_pd(keys.as_ptr().add(at)) };
-        equal |= u32::from(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(keys, lowest)) << at;
-    }
-    (equal & lanes).trailing_zeros() as usize % N
 }
 
 /// Sixteen codes fill a register of numbers.

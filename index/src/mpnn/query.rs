@@ -5,13 +5,14 @@
 //! exact sum by no more than the margin that [`KeyScale::limit`](crate::kernel::KeyScale::limit) leaves. A cell whose
 //! bound equals the worst distance is visited: one of its points may have a smaller id.
 
-use std::{collections::BinaryHeap, ops::Range, time::Instant};
+use std::{array::from_fn, collections::BinaryHeap, ops::Range, time::Instant};
 
 use super::{Axis, Mpnn, Node};
-use crate::{Answer, Factor, Neighbor, Search, SearchError, space::so3::SERIES};
-
-/// The number of leaves between two looks at the clock.
-const LEAVES_PER_CLOCK_READ: usize = 32;
+use crate::{
+    Answer, Factor, Neighbor, Search, SearchError,
+    space::{real_vector, so2, so3},
+    traversal::LEAVES_PER_CLOCK_READ,
+};
 
 /// Answers a search for a canonical state.
 pub(super) fn search(
@@ -182,31 +183,17 @@ impl<'a> Query<'a> {
         let Axis { factor, first, .. } = self.tree.axes[axis];
         let x = self.state[axis];
         match factor {
-            Factor::RealVector(_) => {
-                let d = to_interval(x, lo, hi);
-                d * d
-            }
-            Factor::SO2 { period } => {
-                // The farther end of the interval is the nearer one around the back of the circle.
-                let across = (period - (hi - x).max(x - lo)).max(0.0);
-                let d = to_interval(x, lo, hi).min(across);
-                d * d
-            }
+            Factor::RealVector(_) => real_vector::to_interval_2(x, lo, hi),
+            Factor::SO2 { period } => so2::to_interval_2(x, period, lo, hi),
             Factor::SO3 => {
-                let (mut plus_2, mut minus_2) = (0.0, 0.0);
-                for at in first..first + 4 {
-                    let is_cut = at == axis;
-                    let lo = if is_cut { lo } else { self.lo[at] };
-                    let hi = if is_cut { hi } else { self.hi[at] };
-                    let plus = to_interval(self.state[at], lo, hi);
-                    let minus = to_interval(-self.state[at], lo, hi);
-                    plus_2 += plus * plus;
-                    minus_2 += minus * minus;
-                }
-                // The squared chord to the cell, and the first terms of the squared angle that belongs to it.
-                let s = f64::min(plus_2, minus_2);
-                let [c1, c2, c3] = SERIES;
-                s * ((1.0 + s * c1) + (s * s) * (c2 + s * c3))
+                let cell = |ends: &[f64], end| {
+                    from_fn(|i| match first + i == axis {
+                        true => end,
+                        false => ends[first + i],
+                    })
+                };
+                let state = &self.state[first..first + 4];
+                so3::to_box_2(state, cell(&self.lo, lo), cell(&self.hi, hi))
             }
         }
     }
@@ -259,11 +246,6 @@ impl<'a> Query<'a> {
         self.limit = self.tree.scale.limit(worst);
         self.relaxed_limit = self.limit * self.relaxed;
     }
-}
-
-/// The distance of `x` from an interval.
-fn to_interval(x: f64, lo: f64, hi: f64) -> f64 {
-    (lo - x).max(x - hi).max(0.0)
 }
 
 /// A lower bound of `sum + weight · increment`, given the rounded product; all are at least 0. One step down undoes the

@@ -180,13 +180,13 @@ mod tests {
             for id in 0..50 {
                 points.push(id, 0, 1, &row(narrow * (id % 7) as f64, 0.0));
             }
-            let asked = row(narrow, query);
+            let state = row(narrow, query);
             let tree = KdTree::new(space.clone(), points.clone(), BLOCK_ROWS).unwrap();
-            for radius in points.iter().map(|point| space.distance(point.row, &asked)) {
-                let near = |row: &[f64]| space.distance(row, &asked) <= radius;
+            for radius in points.iter().map(|point| space.distance(point.row, &state)) {
+                let near = |row: &[f64]| space.distance(row, &state) <= radius;
                 let expected = points.iter().filter(|point| near(point.row)).count();
                 let found = tree
-                    .search(&asked, &Search::nearest_r(radius))
+                    .search(&state, &Search::nearest_r(radius))
                     .unwrap()
                     .neighbors;
                 assert_eq!(found.len(), expected, "{space} {radius}");

@@ -3,6 +3,8 @@
 //! A few points may lie far from all others. So codes end near the others, and points beyond an end have its code. No
 //! point gets farther from a query by that, since a query beyond the same end is moved to it too.
 
+use std::iter::repeat_n;
+
 use crate::{Factor, Points, Space, boxes::around_rows, space::Part};
 
 /// The greatest code.
@@ -13,7 +15,7 @@ const MAX_MOVED: f64 = 0.52;
 
 /// The farthest step outside the codes at which a query may lie; a query farther out is moved there, which is nearer.
 /// The square of that many steps is in range.
-const FARTHEST: f64 = (1_u64 << 50) as f64;
+const MAX_QUERY_STEPS: f64 = (1_u64 << 50) as f64;
 
 /// The least length of a step in the metric, as a share of the longest step. A finer one tells points apart no better,
 /// and would put the other points out of reach where all points coincide in a factor.
@@ -25,13 +27,13 @@ const MIN_WEIGHT_SHARE: f64 = 1e-30;
 /// The squared steps and keys that 1 may stand for; beyond them products may be out of range.
 const UNITS: std::ops::Range<f64> = 1e-200..1e200;
 
-/// The number of points sampled to find where most points lie: between the ends that remain without a share of
-/// 1 / [`TAIL`] on either side ...
-const SAMPLE: usize = 512;
-const TAIL: usize = 50;
+/// The maximum number of points sampled to find where most points lie: between the ends that remain without a share of
+/// 1 / [`TAIL_DIVISOR`] on either side ...
+const MAX_SAMPLE_ROWS: usize = 512;
+const TAIL_DIVISOR: usize = 50;
 
-/// ... and beyond them by this multiple of the distance between those ends.
-const BEYOND: f64 = 1.0;
+/// ... and beyond them by this share of the distance between those ends.
+const MARGIN_SHARE: f64 = 1.0;
 
 /// The meaning of the codes of some points.
 #[derive(Clone, Debug)]
@@ -64,21 +66,18 @@ impl Quantizer {
         let mut squares = Vec::new();
         for part in space.parts() {
             let mut step = step(part, &spans);
-            match part.factor {
-                Factor::RealVector(_) => {
+            match part.factor.span() {
+                None => {
                     if part.scale > 0.0 {
                         step = step.max(min_length / part.scale);
                     }
                     lows.extend(spans[part.axes()].iter().map(|span| span.low));
                     query_range.extend(spans[part.axes()].iter().map(Span::query_range));
                 }
-                Factor::SO2 { period } => {
-                    lows.push(-period / 2.0);
-                    query_range.push([0.0, MAX_CODE]);
-                }
-                Factor::SO3 => {
-                    lows.extend([-1.0; 4]);
-                    query_range.extend([[0.0, MAX_CODE]; 4]);
+                Some((low, _)) => {
+                    let coordinates = part.factor.coordinates();
+                    lows.extend(repeat_n(low, coordinates));
+                    query_range.extend(repeat_n([0.0, MAX_CODE], coordinates));
                 }
             }
             steps.resize(lows.len(), step);
@@ -133,7 +132,9 @@ struct Span {
 /// The spans of all coordinates.
 fn spans(points: &Points) -> Vec<Span> {
     let (lo, hi) = around_rows(points.coordinates(), points.iter().map(|point| point.row));
-    let sample = points.iter().step_by(points.len().div_ceil(SAMPLE).max(1));
+    let sample = points
+        .iter()
+        .step_by(points.len().div_ceil(MAX_SAMPLE_ROWS).max(1));
     let sample: Vec<&[f64]> = sample.map(|point| point.row).collect();
     let column = |axis: usize| sample.iter().map(|row| row[axis]).collect();
     let spans = lo.into_iter().zip(hi).enumerate();
@@ -146,9 +147,9 @@ impl Span {
     /// The span of numbers from `least` to `greatest`, by a sample of them.
     fn of((least, greatest): (f64, f64), mut sample: Vec<f64>) -> Self {
         sample.sort_unstable_by(f64::total_cmp);
-        let tail = sample.len() / TAIL;
+        let tail = sample.len() / TAIL_DIVISOR;
         let [low, high] = [tail, sample.len() - 1 - tail].map(|at| sample[at]);
-        let more = BEYOND * (high - low);
+        let more = MARGIN_SHARE * (high - low);
         // (Where nearly all numbers are equal, the others are the ones to tell apart.)
         let (low, high) = match more > 0.0 {
             true => (least.max(low - more), greatest.min(high + more)),
@@ -164,23 +165,22 @@ impl Span {
     fn query_range(&self) -> [f64; 2] {
         let [below, above] = self.beyond;
         [
-            if below { 0.0 } else { -FARTHEST },
-            if above { MAX_CODE } else { FARTHEST },
+            if below { 0.0 } else { -MAX_QUERY_STEPS },
+            if above { MAX_CODE } else { MAX_QUERY_STEPS },
         ]
     }
 }
 
 /// The distance between the codes of a factor, the same in all its coordinates, since their squares are added.
 fn step(part: &Part, spans: &[Span]) -> f64 {
-    let span = match part.factor {
-        Factor::RealVector(_) => spans[part.axes()]
+    let length = match part.factor.span() {
+        None => spans[part.axes()]
             .iter()
             .map(|span| span.high - span.low)
             .fold(0.0, f64::max),
-        Factor::SO2 { period } => period,
-        Factor::SO3 => 2.0,
+        Some((_, length)) => length,
     };
-    span / MAX_CODE
+    length / MAX_CODE
 }
 
 /// The distance that a state moves if its coordinates, apart from rotations, move by [`MAX_MOVED`], and the loss of

@@ -76,6 +76,15 @@ impl Factor {
         }
     }
 
+    /// The least number and the length of each of its coordinates; None if only the points bound them.
+    pub(crate) fn span(&self) -> Option<(f64, f64)> {
+        match *self {
+            Factor::RealVector(_) => None,
+            Factor::SO2 { period } => Some(so2::span(period)),
+            Factor::SO3 => Some(so3::SPAN),
+        }
+    }
+
     /// The coordinates at the share `t`, strictly between 0 and 1, of the way from `a` to `b`; canonical except for
     /// wrapping.
     pub(super) fn interpolate(&self, a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {

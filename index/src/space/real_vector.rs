@@ -17,6 +17,19 @@ pub(super) fn distance_2(a: &[f64], b: &[f64]) -> f64 {
     sum_2
 }
 
+/// The distance from a coordinate to an interval. Its operations are monotone, as those of the distance to a point are.
+#[inline]
+pub(super) fn to_interval(x: f64, lo: f64, hi: f64) -> f64 {
+    (lo - x).max(x - hi).max(0.0)
+}
+
+/// The squared distance from a coordinate to an interval.
+#[inline]
+pub(crate) fn to_interval_2(x: f64, lo: f64, hi: f64) -> f64 {
+    let d = to_interval(x, lo, hi);
+    d * d
+}
+
 /// The squared distances from the point `sign · state` to boxes.
 #[inline(always)]
 pub(crate) fn to_boxes_2<I: Isa>(

@@ -1,6 +1,6 @@
 //! The circle S¹ of a period: arc length, wrapping.
 
-use super::error::StateError;
+use super::{error::StateError, real_vector};
 use crate::kernel::{Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows};
 
 /// The periods that are accepted: their squares, and those of the distances that matter, neither overflow nor vanish.
@@ -23,6 +23,15 @@ pub(super) fn distance_2(a: f64, b: f64, period: f64) -> f64 {
 fn distance(a: f64, b: f64, period: f64) -> f64 {
     let direct = (a - b).abs();
     direct.min(period - direct).max(0.0)
+}
+
+/// The square of the shorter arc from an angle to an interval.
+#[inline]
+pub(crate) fn to_interval_2(angle: f64, period: f64, lo: f64, hi: f64) -> f64 {
+    // The farther end of the interval is the nearer one around the back of the circle.
+    let across = (period - (hi - angle).max(angle - lo)).max(0.0);
+    let d = real_vector::to_interval(angle, lo, hi).min(across);
+    d * d
 }
 
 /// The squares of the shorter arcs from an angle to intervals.
@@ -76,6 +85,11 @@ pub(super) fn interpolate(a: f64, b: f64, period: f64, t: f64, between: &mut [f6
 pub(super) fn ends(period: f64) -> [f64; 2] {
     let half = period / 2.0;
     [-half, half.next_down()]
+}
+
+/// The least canonical angle, and the length of all canonical angles.
+pub(super) fn span(period: f64) -> (f64, f64) {
+    (-period / 2.0, period)
 }
 
 /// Checks the angle and wraps it into [−P/2, P/2).

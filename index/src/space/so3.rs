@@ -42,6 +42,24 @@ fn chord_2(a: &[f64], b: &[f64]) -> f64 {
     f64::min(minus_2, plus_2)
 }
 
+/// A lower bound of the squared angle to a box, from the chord to the nearer of q and −q.
+#[inline]
+pub(crate) fn to_box_2(q: &[f64], lo: [f64; 4], hi: [f64; 4]) -> f64 {
+    let (mut plus_2, mut minus_2) = (0.0, 0.0);
+    for (&x, (lo, hi)) in q.iter().zip(lo.into_iter().zip(hi)) {
+        plus_2 += real_vector::to_interval_2(x, lo, hi);
+        minus_2 += real_vector::to_interval_2(-x, lo, hi);
+    }
+    from_chord_2(f64::min(plus_2, minus_2))
+}
+
+/// A lower bound of the squared angle that belongs to a squared chord: the first terms of its series.
+#[inline]
+fn from_chord_2(s: f64) -> f64 {
+    let [c1, c2, c3] = SERIES;
+    s * ((1.0 + s * c1) + (s * s) * (c2 + s * c3))
+}
+
 /// Lower bounds of the squared angles to boxes: to the nearer of q and −q.
 #[inline(always)]
 pub(crate) fn to_boxes_2<I: Isa>(state: &[f64], ends: &[f64]) -> Lanes<I, f64, MAX_CHILDREN> {
@@ -107,10 +125,13 @@ pub(super) fn interpolate(a: &[f64], b: &[f64], t: f64, between: &mut [f64]) {
 /// has only positive terms, so that leaving out the rest bounds it from below. These are the coefficients after 1.
 /// Such a bound may exceed a computed angle by some units in the last place (less than 1e-14 of it); pruning leaves
 /// that margin.
-pub(crate) const SERIES: [f64; 3] = [1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0];
+const SERIES: [f64; 3] = [1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0];
 
 /// The ends of a coordinate of a canonical quaternion.
 pub(super) const ENDS: [f64; 2] = [-1.0 - UNIT_TOLERANCE, 1.0 + UNIT_TOLERANCE];
+
+/// The least coordinate of a unit quaternion, and the length of all coordinates.
+pub(super) const SPAN: (f64, f64) = (-1.0, 2.0);
 
 /// True if [`canonicalize`] changes nothing in a quaternion without −0.0.
 #[inline]
@@ -172,9 +193,9 @@ mod tests {
         for i in 0..=2000 {
             let s = f64::from(i) / 1000.0; // up to 2, where the angle is π/2
             let theta = 2.0 * libm::asin(s.sqrt() / 2.0);
-            let [c1, c2, c3] = SERIES;
+            let [c1, c2, _] = SERIES;
             let of_box = s * ((1.0 + s * c1) + (s * s) * c2);
-            let bound = s * ((1.0 + s * c1) + (s * s) * (c2 + s * c3));
+            let bound = from_chord_2(s);
             assert!(
                 of_box <= bound && bound <= theta * theta * (1.0 + 1e-15),
                 "{s}"

@@ -303,3 +303,32 @@ fn snapshots_are_never_torn() {
     assert_eq!(reader.join().unwrap(), 2000);
     forest.validate().unwrap();
 }
+
+/// The result of another forest's merge changes nothing.
+#[test]
+fn a_forest_takes_only_its_own_merges() {
+    let space: Space = "R1".parse().unwrap();
+    let options = ForestOptions {
+        growing_rows: 16,
+        leaf_rows: 16,
+    };
+    let forest = |first_id: u64| {
+        let mut forest = Forest::new(space.clone(), options);
+        for revision in 1..=2 {
+            let mut points = Points::new(1);
+            let ids = first_id + 100 * revision..first_id + 100 * revision + 10;
+            ids.for_each(|id| points.push(id, 0, revision, &[id as f64]));
+            forest.apply(revision, &points, &[]).unwrap();
+        }
+        forest
+    };
+    let (mut one, mut other) = (forest(1_000), forest(5_000));
+    let (merge, others) = (one.begin_merge().unwrap(), other.begin_merge().unwrap());
+    one.finish_merge(others.run());
+    one.validate().unwrap();
+    let nearest = one.search(&[0.0], &Search::nearest_k(1)).unwrap();
+    assert_eq!(nearest.neighbors[0].id, 1_100);
+    one.finish_merge(merge.run());
+    one.validate().unwrap();
+    assert_eq!(one.len(), 20);
+}

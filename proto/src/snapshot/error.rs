@@ -5,10 +5,8 @@ use std::{fmt, io};
 use thiserror::Error;
 use wayfold_index::StateError;
 
-use super::{
-    END_OF_IDS, FORMAT_VERSION, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES, OLDEST_FORMAT_VERSION,
-};
-use crate::space::SpaceMessageError;
+use super::{FORMAT_VERSION, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES, OLDEST_FORMAT_VERSION};
+use crate::{END_OF_IDS, space::SpaceMessageError};
 
 /// The error of a snapshot, or of a file that is none.
 #[derive(Debug, Error)]

@@ -32,9 +32,6 @@ pub const MAX_CONTENT_BYTES: usize = 4 * 1024 * 1024;
 /// The most bytes of a point's payload.
 pub const MAX_PAYLOAD_BYTES: usize = 64 * 1024;
 
-/// The first id that is too large.
-pub const END_OF_IDS: u64 = 1 << 63;
-
 /// A SHA-256.
 pub type Digest = [u8; 32];
 

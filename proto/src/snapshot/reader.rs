@@ -4,11 +4,11 @@ use prost::Message;
 use wayfold_index::Space;
 
 use super::{
-    Digest, END_OF_IDS, FORMAT_VERSION, Header, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES,
-    OLDEST_FORMAT_VERSION, Place, PointProblem, SnapshotError, digest, sessions::CheckedSessions,
+    Digest, FORMAT_VERSION, Header, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES, OLDEST_FORMAT_VERSION,
+    Place, PointProblem, SnapshotError, digest, sessions::CheckedSessions,
 };
 use crate::{
-    space,
+    END_OF_IDS, space,
     v1::{self, snapshot_content},
 };
 

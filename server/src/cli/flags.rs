@@ -72,8 +72,8 @@ Next:
 const AFTER_REPAIR: &str = "\
 Stop the server first. The command reads the store in the data directory from end
 to end. If a part of it cannot be read, it writes a new store with every index that
-can be read whole, and keeps the damaged one beside it as store.damaged-N. Of the
-other indices only the names are left: delete them and restore their snapshots.
+can be read whole, and keeps the damaged one beside it as store.damaged-N. The
+other indices keep only their names: delete them and restore their snapshots.
 
 The new store needs about as many free bytes as the old one takes; --dry-run names
 the number, the damage and the indices that a repair loses.

@@ -19,8 +19,8 @@ use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 use tonic::transport::server::{Connected, TcpConnectInfo};
 use tracing::{debug, warn};
 
-/// Pause after a failure of the listener, which fails while the process has no file descriptors left.
-const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(1);
+/// The pause after a failure of the listener, which fails while the process has no file descriptors left.
+const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 /// Time that a finished connection waits for its client to close.
 const LINGER: Duration = Duration::from_secs(2);
@@ -60,7 +60,7 @@ async fn accept(listener: &TcpListener, cut: &CancellationToken) -> TcpStream {
             Err(error) if concerns_one_connection(&error) => debug!(%error, "connection lost"),
             Err(error) => {
                 warn!(%error, "cannot accept connections; is the limit of open files too low?");
-                let _ = timeout(PAUSE_AFTER_FAILURE, cut.cancelled()).await;
+                let _ = timeout(ACCEPT_RETRY_PAUSE, cut.cancelled()).await;
             }
         }
     }

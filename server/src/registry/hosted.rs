@@ -8,13 +8,16 @@ use std::{
     time::SystemTime,
 };
 
-use tokio::sync::{Mutex, mpsc, watch};
+use tokio::{
+    sync::{Mutex, mpsc, watch},
+    time::timeout,
+};
 use tokio_util::task::AbortOnDropHandle;
 use wayfold_index::{Forest, Snapshot, Space};
 
 use super::{
     Host, RegistryError, WriteGuard, Writer,
-    apply::{self, Applied, Awaited},
+    apply::{self, Applied, Awaited, SETTLE_TIME},
     in_flight::{InFlight, notify},
     merging::FinishedMerge,
     operations::Operations,
@@ -37,7 +40,7 @@ pub struct Hosted {
     name: String,
     uid: Uid,
     uid_text: String,
-    space: Space,
+    space: Arc<Space>,
     pub(super) host: Arc<Host>,
     state: watch::Sender<State>,
     pub(super) writer: Arc<Mutex<Writer>>,
@@ -85,16 +88,14 @@ impl Hosted {
             revision: view.revision(),
             view,
         });
+        let space = Arc::new(entry.space.clone());
         Arc::new_cyclic(|hosted| Self {
             name: entry.name.clone(),
             uid: entry.uid,
             uid_text: entry.uid.to_string(),
-            space: entry.space.clone(),
             host: Arc::clone(host),
-            writer: Arc::new(Mutex::new(Writer::new(
-                &entry.space,
-                Arc::clone(&published),
-            ))),
+            writer: Arc::new(Mutex::new(Writer::new(&space, Arc::clone(&published)))),
+            space,
             applied: Arc::new(Mutex::new(Applied { forest, mergers: 0 })),
             in_flight: parking_lot::Mutex::default(),
             operations: parking_lot::Mutex::new(operations),
@@ -158,6 +159,25 @@ impl Hosted {
         }
     }
 
+    /// Waits for a record that is in the journal to be published; an error if it does not arrive in time.
+    pub(super) fn arrival(
+        &self,
+        revision: u64,
+    ) -> impl Future<Output = Result<(), RegistryError>> + use<> {
+        let (uid, mut state) = (self.uid, self.state.subscribe());
+        async move {
+            let arrived = state.wait_for(|state| state.published.revision >= revision);
+            match timeout(SETTLE_TIME, arrived).await {
+                Ok(_) => Ok(()),
+                Err(_) => Err(RegistryError::Log(LogError::Unconfirmed {
+                    uid,
+                    revision,
+                    what: "the journal has another record in its place and does not send it".into(),
+                })),
+            }
+        }
+    }
+
     /// The published records after the revision `after`: the first ones that fit into `max_bytes` (see
     /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. [`LogError::Trimmed`] if the
     /// log no longer holds them.
@@ -170,15 +190,31 @@ impl Hosted {
         if let Some(records) = self.recent.lock().after(after, last, max_bytes) {
             return Ok(records);
         }
+        let mut records = self.read(after, max_bytes).await?;
+        records.retain(|record| record.revision() <= last);
+        Ok(records)
+    }
+
+    /// The records of the journal after the revision `after`: see [`Journal::read`](crate::log::Journal::read).
+    async fn read(
+        self: &Arc<Self>,
+        after: u64,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, RegistryError> {
         let hosted = Arc::clone(self);
         let read = move || {
             let journal = &hosted.host.log.journal;
             journal.read(hosted.uid, Some(after), max_bytes)
         };
         let read = tokio::task::spawn_blocking(read).await;
-        let mut records = read.map_err(|_| RegistryError::Stopped)??;
-        records.retain(|record| record.revision() <= last);
-        Ok(records)
+        Ok(read.map_err(|_| RegistryError::Stopped)??)
+    }
+
+    /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
+    pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
+        let records = self.read(self.published().revision, usize::MAX).await?;
+        let last = records.last().map_or(0, |last| last.revision());
+        self.reached(last).await.map(drop)
     }
 
     /// The records after `revision` up to the newest of `writer`, this index's writer; None if some are not cached.

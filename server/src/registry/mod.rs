@@ -8,7 +8,7 @@
 //! - The holder of the [`Writer`] evaluates a mutation against the published state and the records that are not yet
 //!   part of it, and submits the effects (`commit`). From then on nothing depends on the caller, so a dropped call
 //!   takes effect whole or not at all. If another writer was first, the mutation is evaluated again.
-//! - The registry knows no requests, no limits and no transport.
+//! - The registry knows no requests and no transport, and of the limits only the number of indices.
 
 mod apply;
 mod commit;

@@ -48,7 +48,7 @@ impl Drop for WriteGuard {
 
 /// The published state of an index and, over it, the records that were submitted and are not yet published.
 pub struct Writer {
-    space: Space,
+    space: Arc<Space>,
     base: Arc<Published>,
     /// Consecutive records after `base`.
     pending: VecDeque<Pending>,
@@ -80,9 +80,9 @@ struct Part {
 }
 
 impl Part {
-    fn empty(space: &Space) -> Self {
+    fn empty(space: &Arc<Space>) -> Self {
         Self {
-            overlay: Overlay::new(space),
+            overlay: Overlay::new(Arc::clone(space)),
             last: 0,
         }
     }
@@ -90,9 +90,9 @@ impl Part {
 
 impl Writer {
     /// A writer over `base`.
-    pub(super) fn new(space: &Space, base: Arc<Published>) -> Self {
+    pub(super) fn new(space: &Arc<Space>, base: Arc<Published>) -> Self {
         Self {
-            space: space.clone(),
+            space: Arc::clone(space),
             last_change: base.revision,
             base,
             pending: VecDeque::new(),
@@ -103,7 +103,7 @@ impl Writer {
     }
 
     /// The space of the states.
-    pub fn space(&self) -> &Space {
+    pub fn space(&self) -> &Arc<Space> {
         &self.space
     }
 

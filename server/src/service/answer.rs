@@ -5,16 +5,10 @@ use prost::encoding::encoded_len_varint;
 use wayfold_index::{Neighbor, Point, PointRef, Search};
 use wayfold_proto::v1;
 
-use super::{
-    Call, Error, Limits,
-    call::Pace,
-    check::Rows,
-    stored::{self, BATCH_ROWS},
-};
-use crate::{log::View, registry::Published};
+use super::{Error, Limits, call::Pace, check::Rows, read_view::ReadView, stored::BATCH_ROWS};
 
 /// Bytes reserved for the fixed fields, and for the tags and lengths of columns.
-const FRAME: usize = 256;
+const FRAME_BYTES: usize = 256;
 
 /// The bytes left of an answer. They are counted from above: an answer that fits here fits on the wire.
 pub(super) struct Room {
@@ -26,7 +20,7 @@ impl Room {
     pub(super) fn new(limits: &Limits) -> Self {
         Self {
             limit: limits.max_answer_bytes,
-            left: limits.max_answer_bytes.saturating_sub(FRAME),
+            left: limits.max_answer_bytes.saturating_sub(FRAME_BYTES),
         }
     }
 
@@ -55,46 +49,6 @@ impl Room {
 pub(super) trait Source {
     /// The point with this id.
     fn point(&self, id: u64) -> Option<Point>;
-}
-
-/// The view of a call: a published revision of the named index.
-pub(super) struct ReadView<'a> {
-    pub(super) call: &'a Call,
-    /// The activity that an exceeded deadline names.
-    pub(super) doing: &'static str,
-    pub(super) index: &'a str,
-    pub(super) published: &'a Published,
-}
-
-impl ReadView<'_> {
-    /// The payloads of at most [`BATCH_ROWS`] points, in their order, up to the first that exceeds `most` bytes of an
-    /// answer.
-    pub(super) async fn payloads(&self, ids: Vec<u64>, most: usize) -> Result<Vec<Bytes>, Error> {
-        let read = move |view: &dyn View| {
-            let (mut payloads, mut bytes) = (Vec::new(), 0);
-            for id in ids {
-                if bytes > most {
-                    break;
-                }
-                let payload = view.get(id)?.map(|point| point.payload.clone());
-                bytes += payload.as_ref().map_or(0, payload_bytes);
-                payloads.push((id, payload));
-            }
-            Ok(payloads)
-        };
-        let view = &self.published.view;
-        let payloads = stored::read(self.call, self.doing, self.index, view, read).await?;
-        let payloads = payloads
-            .into_iter()
-            .map(|(id, payload)| payload.ok_or_else(|| missing(id)));
-        payloads.collect()
-    }
-}
-
-impl Source for ReadView<'_> {
-    fn point(&self, id: u64) -> Option<Point> {
-        self.published.snapshot.get(id)
-    }
 }
 
 /// The error for a point that the forest holds and the log does not, or the reverse.

@@ -7,8 +7,8 @@ use std::{
 
 use super::Error;
 
-/// Time that a call computes before it yields.
-const SLICE: Duration = Duration::from_micros(500);
+/// The time that a call computes before it yields.
+const MAX_STEP_TIME: Duration = Duration::from_micros(500);
 
 /// The context of one call.
 #[derive(Clone, Copy, Debug, Default)]
@@ -63,9 +63,9 @@ impl Pace {
         self.call.check(self.doing)
     }
 
-    /// Ends a step of work; a step takes between a microsecond and a slice.
+    /// Ends a step of work; a step takes between a microsecond and [`MAX_STEP_TIME`].
     pub(super) async fn step(&mut self) -> Result<(), Error> {
-        if self.began.elapsed() < SLICE {
+        if self.began.elapsed() < MAX_STEP_TIME {
             return Ok(());
         }
         self.check()?;

@@ -4,20 +4,17 @@ use std::collections::{HashMap, hash_map};
 
 use bytes::Bytes;
 use wayfold_index::{Filter, Space, StateError, StateProblem};
-use wayfold_proto::v1;
+use wayfold_proto::{END_OF_IDS, v1};
 
 use super::{Error, Limits, Violation, call::Pace, read_view::revision_number};
 use crate::registry::Hosted;
-
-/// The first id that is too large.
-pub(super) const END_OF_IDS: u64 = 1 << 63;
 
 /// The first few violations of a request.
 #[derive(Default)]
 pub(super) struct Violations(Vec<Violation>);
 
 impl Violations {
-    const MAX: usize = 10;
+    const MAX_COUNT: usize = 10;
 
     pub(super) fn add(
         &mut self,
@@ -36,7 +33,7 @@ impl Violations {
 
     /// True if no further violation would be kept.
     pub(super) fn are_enough(&self) -> bool {
-        self.0.len() >= Self::MAX
+        self.0.len() >= Self::MAX_COUNT
     }
 
     pub(super) fn finish(self) -> Result<(), Error> {

@@ -58,8 +58,8 @@ pub enum Unavailability {
     Stopping,
 }
 
-/// The failure of a call. A failed call changes nothing, except that [`Error::DeadlineExceeded`] and
-/// [`Error::StorageFailed`] of a mutation mean "unknown".
+/// The failure of a call. After [`Error::DeadlineExceeded`], [`Error::StorageFailed`], [`Error::DataLoss`] and
+/// [`Error::Internal`] the outcome of a mutation is unknown. A call that fails with any other error changes nothing.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Error {
     /// Fields of the request are wrong. At least one is named; of many, the first few.
@@ -226,7 +226,8 @@ pub enum Error {
     },
     /// A snapshot or a verification held its revision longer than allowed.
     #[error(
-        "the {what} held its revision for longer than max_scan_seconds = {max_scan_seconds}: read it faster, or raise the limit"
+        "the {what} held its revision for longer than max_scan_seconds = {max_scan_seconds}: read it faster, or raise \
+         the limit"
     )]
     HeldTooLong {
         /// "snapshot" or "verification".
@@ -366,9 +367,9 @@ struct Ids<'a>(&'a [u64]);
 
 impl fmt::Display for Ids<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const SHOWN: usize = 10;
+        const MAX_SHOWN: usize = 10;
         let plural = if self.0.len() == 1 { "id" } else { "ids" };
-        let shown = &self.0[..self.0.len().min(SHOWN)];
+        let shown = &self.0[..self.0.len().min(MAX_SHOWN)];
         write!(f, "{plural} {}", list(shown, ", "))?;
         match self.0.len() - shown.len() {
             0 => Ok(()),

@@ -4,9 +4,9 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{PointColumns, ReadView, Room, missing},
+    answer::{PointColumns, Room, missing},
     check::{self, Violations},
-    read_view::{revision, revision_number},
+    read_view::{ReadView, revision, revision_number},
     stored::BATCH_ROWS,
 };
 

@@ -41,8 +41,8 @@ impl Damaged {
     /// An upper bound of its bytes in an answer.
     fn bytes(&self) -> usize {
         // The answer holds the error's code, reason, names and text.
-        const NAMES: usize = 256;
-        NAMES + self.name.len() + self.uid.len() + self.error.to_string().len()
+        const FIELD_BYTES: usize = 256;
+        FIELD_BYTES + self.name.len() + self.uid.len() + self.error.to_string().len()
     }
 }
 
@@ -192,7 +192,7 @@ impl Service {
         // The join fails only if the work panicked.
         changed.await.unwrap_or_else(|_| {
             Err(Error::Internal {
-                what: "creating or deleting an index did not come to its end".into(),
+                what: "the task that creates or deletes an index panicked".into(),
             })
         })
     }

@@ -6,7 +6,7 @@
 //! One verb a file. The shared files:
 //! - `call`: deadlines, and time slices for long work;
 //! - `check`: requests become canonical rows and searches, or violations;
-//! - `read_view`: the index and the revision that a call reads;
+//! - `read_view`: the index, the revision and the payloads that a call reads;
 //! - `neighbor_spec`: number and radius of neighbours, fixed or scaled by the size of the index;
 //! - `prefetch`: the searches of an insert before its turn to write;
 //! - `staging`: rows that see the rows before them;

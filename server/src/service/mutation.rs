@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// Bytes of a request digested between two pauses.
-const STRETCH: usize = 64 * 1024;
+const DIGEST_STEP_BYTES: usize = 64 * 1024;
 
 /// A call's claim to take effect once.
 pub(super) struct Claim {
@@ -99,8 +99,8 @@ impl Claim {
 async fn fingerprint(verb: &str, request: &impl Message, pace: &mut Pace) -> Result<Digest, Error> {
     let mut hash = Sha256::new();
     hash.update(verb.as_bytes());
-    for stretch in request.encode_to_vec().chunks(STRETCH) {
-        hash.update(stretch);
+    for bytes in request.encode_to_vec().chunks(DIGEST_STEP_BYTES) {
+        hash.update(bytes);
         pace.step().await?;
     }
     Ok(hash.finalize().into())
@@ -119,9 +119,10 @@ impl Service {
     pub(super) async fn begin<R: Message + Default>(
         &self,
         call: &Call,
-        hosted: &Hosted,
+        hosted: &Arc<Hosted>,
         claim: Option<&Claim>,
     ) -> Result<Start<R>, Error> {
+        let mut is_caught_up = false;
         loop {
             let writer = call
                 .bound(
@@ -130,7 +131,20 @@ impl Service {
                 )
                 .await?
                 .map_err(|error| registry_error(hosted.name(), error))?;
-            let Some(response) = recalled(hosted, &writer, claim)? else {
+            let recalled = match recalled(hosted, &writer, claim) {
+                // The records that this server lacks, or those that the journal has not accepted, may make it right.
+                Err(Error::SessionRefused { .. }) if !is_caught_up => {
+                    is_caught_up = true;
+                    if settled(call, hosted, writer).await? == Committed::Done {
+                        let caught_up = hosted.catch_up();
+                        let caught_up = call.bound("while reading the journal", caught_up).await?;
+                        caught_up.map_err(|error| registry_error(hosted.name(), error))?;
+                    }
+                    continue;
+                }
+                recalled => recalled?,
+            };
+            let Some(response) = recalled else {
                 return Ok(Start::Writing(writer));
             };
             if settled(call, hosted, writer).await? == Committed::Done {
@@ -143,7 +157,7 @@ impl Service {
     pub(super) async fn begin_with<R: Message + Default>(
         &self,
         call: &Call,
-        hosted: &Hosted,
+        hosted: &Arc<Hosted>,
         claim: Option<&Claim>,
         stored: &mut ReadAhead<Arc<StoredPoint>>,
         ids: &[u64],

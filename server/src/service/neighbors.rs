@@ -4,10 +4,10 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{NeighborColumns, ReadView, Room, search},
+    answer::{NeighborColumns, Room, search},
     check::{self, Violations},
     neighbor_spec::NeighborSpec,
-    read_view::{revision, revision_number},
+    read_view::{ReadView, revision, revision_number},
 };
 
 const DOING: &str = "while searching";

@@ -1,11 +1,22 @@
-//! The index of a call, and the revision that a read sees.
+//! The index of a call, the revision that a read sees, and its payloads.
 
 use std::sync::Arc;
 
+use bytes::Bytes;
+use wayfold_index::Point;
 use wayfold_proto::v1;
 
-use super::{Call, Error, Service, check::Violations, error_map::registry_error};
-use crate::registry::{Hosted, Published};
+use super::{
+    Call, Error, Service,
+    answer::{Source, missing, payload_bytes},
+    check::Violations,
+    error_map::registry_error,
+    stored,
+};
+use crate::{
+    log::View,
+    registry::{Hosted, Published},
+};
 
 impl Service {
     /// The index of this name, which must have `uid` unless that is empty.
@@ -37,6 +48,46 @@ impl Service {
                 .map_err(|_| Error::DeadlineExceeded { doing: WAITING })?,
         };
         reached.map_err(|error| registry_error(hosted.name(), error))
+    }
+}
+
+/// The view of a call: a published revision of the named index.
+pub(super) struct ReadView<'a> {
+    pub(super) call: &'a Call,
+    /// The activity that an exceeded deadline names.
+    pub(super) doing: &'static str,
+    pub(super) index: &'a str,
+    pub(super) published: &'a Published,
+}
+
+impl ReadView<'_> {
+    /// The payloads of at most [`BATCH_ROWS`](stored::BATCH_ROWS) points, in their order, up to the first that exceeds
+    /// `most` bytes of an answer.
+    pub(super) async fn payloads(&self, ids: Vec<u64>, most: usize) -> Result<Vec<Bytes>, Error> {
+        let read = move |view: &dyn View| {
+            let (mut payloads, mut bytes) = (Vec::new(), 0);
+            for id in ids {
+                if bytes > most {
+                    break;
+                }
+                let payload = view.get(id)?.map(|point| point.payload.clone());
+                bytes += payload.as_ref().map_or(0, payload_bytes);
+                payloads.push((id, payload));
+            }
+            Ok(payloads)
+        };
+        let view = &self.published.view;
+        let payloads = stored::read(self.call, self.doing, self.index, view, read).await?;
+        let payloads = payloads
+            .into_iter()
+            .map(|(id, payload)| payload.ok_or_else(|| missing(id)));
+        payloads.collect()
+    }
+}
+
+impl Source for ReadView<'_> {
+    fn point(&self, id: u64) -> Option<Point> {
+        self.published.snapshot.get(id)
     }
 }
 

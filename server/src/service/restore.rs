@@ -217,6 +217,6 @@ fn out_of_order() -> Error {
 
 fn stopped(_: JoinError) -> Error {
     Error::Internal {
-        what: "restoring an index did not come to its end".into(),
+        what: "the task that restores an index panicked".into(),
     }
 }

@@ -7,9 +7,9 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{PointColumns, ReadView},
+    answer::PointColumns,
     check::{self, Violations},
-    read_view::{revision, revision_number},
+    read_view::{ReadView, revision, revision_number},
     revision_pin::RevisionPin,
     stored::BATCH_ROWS,
 };

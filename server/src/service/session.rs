@@ -7,10 +7,13 @@ use std::{
 };
 
 use bytes::Bytes;
-use wayfold_proto::v1;
+use wayfold_proto::{END_OF_IDS, v1};
 
 use super::{
-    Call, Error, Limits, Service, check::END_OF_IDS, mutation::Start, read_view::revision,
+    Call, Error, Limits, Service,
+    check::{self, Violations},
+    mutation::{Claim, Start},
+    read_view::revision,
 };
 use crate::{
     log::{Batch, Effects},
@@ -27,8 +30,14 @@ impl Service {
         self.accept(call)?;
         let hosted = self.index(&request.index_name, &request.uid)?;
         let limits = self.limits();
+        let mut violations = Violations::default();
+        check::operation_id(&request.operation_id, &mut violations);
+        violations.finish()?;
+        let mut pace = call.pace("before anything was changed");
+        let claim = Claim::of("OpenSession", &request.operation_id, &request, &mut pace).await?;
+        let claim = claim.as_ref();
         loop {
-            let writer = match self.begin(call, &hosted, None).await? {
+            let writer = match self.begin(call, &hosted, claim).await? {
                 Start::Remembered(response) => return Ok(response),
                 Start::Writing(writer) => writer,
             };
@@ -50,7 +59,7 @@ impl Service {
                 reserved,
                 ended,
             })));
-            let committed = self.commit(call, &hosted, writer, effects, None, &response);
+            let committed = self.commit(call, &hosted, writer, effects, claim, &response);
             if committed.await? == Committed::Done {
                 return Ok(response);
             }

@@ -1,7 +1,10 @@
 //! Rows of a mutation before its commit: a row sees the index as pending mutations leave it, and the rows before it. No
 //! reader sees any of them.
 
-use std::collections::{HashMap, HashSet};
+use std::{
+    collections::{HashMap, HashSet},
+    sync::Arc,
+};
 
 use bytes::Bytes;
 use wayfold_index::{Known, Neighbor, Overlay, Point, PointRef, Points, Search, search_overlaid};
@@ -24,14 +27,35 @@ pub(super) struct Staging<'a> {
 
 /// The part that only searches need.
 struct Searched {
-    /// The accepted rows again, indexed.
+    /// The accepted rows again, indexed. A search adds those accepted since the search before: most inserts have one
+    /// row, which nothing searches.
     accepted: Overlay,
-    /// The slot of an accepted row in the effects, by id.
+    /// The slot of an indexed row in the effects, by id.
     slots: HashMap<u64, usize>,
     /// The id of the current row, if a point has it already.
     hidden: HashSet<u64>,
     /// True if an accepted row replaced a point.
     replaced: bool,
+}
+
+impl Searched {
+    /// Indexes the accepted rows that are not indexed yet. An id is accepted once.
+    fn index(&mut self, accepted: &Points) -> Result<(), Error> {
+        let indexed = self.slots.len();
+        if indexed == accepted.len() {
+            return Ok(());
+        }
+        let mut points = Points::new(accepted.coordinates());
+        for slot in indexed..accepted.len() {
+            let point = accepted.get(slot);
+            self.slots.insert(point.id, slot);
+            points.push_point(point);
+        }
+        let applied = self.accepted.apply(&points, &[]);
+        applied.map_err(|error| Error::Internal {
+            what: format!("a row that was checked is refused: {error}"),
+        })
+    }
 }
 
 impl<'a> Staging<'a> {
@@ -43,7 +67,7 @@ impl<'a> Staging<'a> {
             effects: Effects::new(space.coordinates()),
             inserted: 0,
             searched: searched.then(|| Searched {
-                accepted: Overlay::new(space),
+                accepted: Overlay::new(Arc::clone(space)),
                 slots: HashMap::new(),
                 hidden: HashSet::new(),
                 replaced: false,
@@ -71,7 +95,7 @@ impl<'a> Staging<'a> {
         self.writer.sessions().owner(id).is_some()
     }
 
-    /// The payload of an accepted row.
+    /// The payload of an accepted row that a search found.
     pub(super) fn accepted_payload(&self, id: u64) -> Option<Bytes> {
         let slot = *self.searched.as_ref()?.slots.get(&id)?;
         Some(self.effects.payload(slot))
@@ -95,14 +119,15 @@ impl<'a> Staging<'a> {
     /// The neighbours of a row in the newest state and in the rows before it. `known` answers this search or a wider
     /// one at an earlier published revision; since that revision points were only added.
     pub(super) fn search(
-        &self,
+        &mut self,
         row: &[f64],
         search: &Search<'_>,
         known: Option<Known<'_>>,
     ) -> Result<Vec<Neighbor>, Error> {
-        let Some(searched) = &self.searched else {
+        let Some(searched) = &mut self.searched else {
             return Ok(Vec::new());
         };
+        searched.index(self.effects.stored())?;
         let hidden = [&searched.hidden];
         let mut search = *search;
         if !searched.hidden.is_empty() {
@@ -124,7 +149,7 @@ impl<'a> Staging<'a> {
         row: &[f64],
         payload: Bytes,
         outcome: Outcome,
-    ) -> Result<(), Error> {
+    ) {
         let point = PointRef {
             id,
             tag,
@@ -133,19 +158,10 @@ impl<'a> Staging<'a> {
         };
         self.inserted += usize::from(outcome == Outcome::Inserted);
         self.effects.store(point, outcome, payload);
-        let accepted = self.effects.stored().len();
         if let Some(searched) = &mut self.searched {
-            searched.slots.insert(id, accepted - 1);
             searched.hidden.clear();
             searched.replaced |= outcome != Outcome::Inserted;
-            let mut points = Points::with_capacity(row.len(), 1);
-            points.push_point(point);
-            let applied = searched.accepted.apply(&points, &[]);
-            applied.map_err(|error| Error::Internal {
-                what: format!("a row that was checked is refused: {error}"),
-            })?;
         }
-        Ok(())
     }
 
     /// The accepted rows.
@@ -169,8 +185,6 @@ impl Source for Staging<'_> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use futures_util::poll;
     use proptest::prelude::*;
     use wayfold_index::{Filter, Linear, Space};
@@ -204,7 +218,7 @@ mod tests {
             published in 0..30usize,
             seen in 0..30usize,
             since in 0..20u64,
-            asked in 0..8u8,
+            query in 0..8u8,
             k in prop_oneof![1..6usize, Just(usize::MAX)],
             radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
             more in 0..4usize,
@@ -215,7 +229,7 @@ mod tests {
             let mut union = Linear::new(space.clone());
             let filter = Filter { since_revision: since, ..Filter::default() };
             let search = Search { radius, filter, ..Search::nearest_k(k) };
-            let asked = [f64::from(asked)];
+            let query = [f64::from(query)];
             runtime.block_on(async {
                 let registry =
                     Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
@@ -243,7 +257,7 @@ mod tests {
                             ..search
                         };
                         let published = hosted.published();
-                        let found = published.snapshot.search(&asked, &search).unwrap();
+                        let found = published.snapshot.search(&query, &search).unwrap();
                         known = (published.revision, found.neighbors);
                     }
                 }
@@ -260,13 +274,13 @@ mod tests {
                         false => Outcome::Inserted,
                     };
                     let row = [f64::from(at)];
-                    staging.accept(id, 0, &row, Bytes::new(), outcome).unwrap();
+                    staging.accept(id, 0, &row, Bytes::new(), outcome);
                     union.insert(point(id, staging.revision(), &row)).unwrap();
                 }
-                let expected = union.search(&asked, &search).unwrap().neighbors;
+                let expected = union.search(&query, &search).unwrap().neighbors;
                 let known = Known { revision: known.0, neighbors: &known.1 };
                 for known in [None, Some(known)] {
-                    assert_eq!(staging.search(&asked, &search, known).unwrap(), expected);
+                    assert_eq!(staging.search(&query, &search, known).unwrap(), expected);
                 }
             });
         }

@@ -34,7 +34,7 @@ pub(super) async fn read<T: Send + 'static>(
         Ok(read) => read.map_err(|error| log_error(index, error)),
         // An awaited read fails to join only if it panicked.
         Err(_) => Err(Error::Internal {
-            what: format!("index \"{index}\": reading stored points did not come to its end"),
+            what: format!("index \"{index}\": the task that reads stored points panicked"),
         }),
     }
 }

@@ -7,12 +7,15 @@ use std::{
 
 use bytes::Bytes;
 use wayfold_index::PointRef;
-use wayfold_proto::v1::{self, StepKind};
+use wayfold_proto::{
+    END_OF_IDS,
+    v1::{self, StepKind},
+};
 
 use super::{
     Call, Error, Limits, Service,
     call::Pace,
-    check::{self, END_OF_IDS, Rows, Violations},
+    check::{self, Rows, Violations},
     mutation::{Claim, Start},
     read_view::revision,
     session::{block, reserve},
@@ -31,9 +34,9 @@ struct Steps {
     steps: Vec<(StepKind, u64)>,
     /// One a step, or none.
     tags: Vec<u64>,
-    /// One a put.
+    /// One a put or replacement.
     rows: Rows,
-    /// One a put, or none.
+    /// One a put or replacement, or none.
     payloads: Vec<Bytes>,
 }
 
@@ -118,7 +121,7 @@ impl Steps {
         for (at, (&kind, &id)) in request.kinds.iter().zip(&request.ids).enumerate() {
             let kind = StepKind::try_from(kind).unwrap_or_default();
             if kind == StepKind::Unspecified {
-                let text = "it is none of PUT, REMOVE and SET_TAG";
+                let text = "it is none of PUT, REMOVE, SET_TAG and REPLACE";
                 violations.add(format!("kinds[{at}]"), "UNKNOWN_VALUE", text);
             }
             if id >= END_OF_IDS {
@@ -128,7 +131,7 @@ impl Steps {
             if violations.are_enough() {
                 break;
             }
-            puts += usize::from(kind == StepKind::Put);
+            puts += usize::from(matches!(kind, StepKind::Put | StepKind::Replace));
             steps.push((kind, id));
             if at % 1024 == 1023 {
                 pace.step().await?;
@@ -139,7 +142,10 @@ impl Steps {
         check::payloads(&request.payloads, limits, &mut violations);
         let states = request.states.unwrap_or_default();
         if states.row_count as usize != puts {
-            let text = format!("{} rows for {puts} puts: one a put", states.row_count);
+            let text = format!(
+                "{} rows for {puts} puts and replacements: one each",
+                states.row_count
+            );
             violations.add("states.row_count", "COUNT", text);
         }
         let rows = check::states(hosted.space(), Some(states), limits, pace, &mut violations);
@@ -166,7 +172,8 @@ impl Steps {
         ids
     }
 
-    /// The effects on the writer's newest state, and the number of removals and tags of ids that were not stored.
+    /// The effects on the writer's newest state, and the number of removals, tags and replacements of ids that were not
+    /// stored.
     /// `stored` has the points that get a tag.
     async fn net(
         &self,
@@ -180,35 +187,36 @@ impl Steps {
         for (at, &(kind, id)) in self.steps.iter().enumerate() {
             pace.step().await?;
             let tag = self.tags.get(at).copied().unwrap_or_default();
-            let (is_held, net) = match nets.entry(id) {
+            let (held_tag, net) = match nets.entry(id) {
                 hash_map::Entry::Occupied(entry) => entry.into_mut(),
                 hash_map::Entry::Vacant(entry) => {
                     order.push(id);
-                    entry.insert((writer.get(id).is_some(), None))
+                    entry.insert((writer.get(id).map(|point| point.tag), None))
                 }
             };
-            let exists = match net {
-                Some(Net::Put(..) | Net::Tagged(_)) => true,
-                Some(Net::Removed) => false,
-                None => *is_held,
+            // The tag that the point has before this step.
+            let old_tag = match net {
+                Some(Net::Put(_, tag) | Net::Tagged(tag)) => Some(*tag),
+                Some(Net::Removed) => None,
+                None => *held_tag,
             };
-            match (kind, &net) {
-                (StepKind::Put, _) => {
-                    *net = Some(Net::Put(puts, tag));
-                    puts += 1;
-                }
-                (StepKind::Remove, _) if exists => *net = Some(Net::Removed),
-                (StepKind::SetTag, Some(Net::Put(put, _))) => *net = Some(Net::Put(*put, tag)),
-                (StepKind::SetTag, _) if exists => *net = Some(Net::Tagged(tag)),
-                (StepKind::Remove | StepKind::SetTag | StepKind::Unspecified, _) => missing += 1,
+            match (kind, old_tag, &net) {
+                (StepKind::Put, ..) => *net = Some(Net::Put(puts, tag)),
+                (_, None, _) | (StepKind::Unspecified, ..) => missing += 1,
+                (StepKind::Replace, Some(old_tag), _) => *net = Some(Net::Put(puts, old_tag)),
+                (StepKind::Remove, ..) => *net = Some(Net::Removed),
+                (StepKind::SetTag, _, Some(Net::Put(put, _))) => *net = Some(Net::Put(*put, tag)),
+                (StepKind::SetTag, ..) => *net = Some(Net::Tagged(tag)),
             }
+            puts += usize::from(matches!(kind, StepKind::Put | StepKind::Replace));
         }
         let mut effects = Effects::new(hosted.space().coordinates());
         let mut reserved = Vec::new();
         for id in order {
             pace.step().await?;
             match nets.remove(&id) {
-                Some((is_held, Some(Net::Put(put, tag)))) => {
+                Some((held_tag, Some(Net::Put(put, tag)))) => {
+                    let is_held = held_tag.is_some();
                     let owner = writer.sessions().owner(id);
                     if !is_held && owner.is_some_and(|owner| owner != self.session) {
                         reserved.push(id);
@@ -229,8 +237,8 @@ impl Steps {
                         effects.store(point, Outcome::Updated, payload);
                     }
                 }
-                Some((true, Some(Net::Removed))) => effects.remove(id),
-                Some((false, Some(Net::Removed)) | (_, None)) | None => {}
+                Some((Some(_), Some(Net::Removed))) => effects.remove(id),
+                Some((None, Some(Net::Removed)) | (_, None)) | None => {}
             }
         }
         match reserved.is_empty() {

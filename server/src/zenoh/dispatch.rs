@@ -20,64 +20,39 @@ pub(super) async fn dispatch(
     request: &Request<'_>,
     max_message_bytes: usize,
 ) -> Result<Vec<u8>, Error> {
+    macro_rules! answer {
+        ($verb:ident, $decode:ident) => {
+            encoded(
+                request,
+                boxed(service.$verb(call, request.$decode()?)).await,
+            )
+        };
+    }
     match verb {
         Verb::OfIndex(verb) => match verb {
             PointVerb::Knn => encoded(request, service.knn(call, search(request).await?).await),
             PointVerb::Query => encoded(request, service.query(call, search(request).await?).await),
-            PointVerb::Insert => encoded(
-                request,
-                boxed(service.insert(call, request.decode_for_index()?)).await,
-            ),
-            PointVerb::Update => encoded(
-                request,
-                boxed(service.update(call, request.decode_for_index()?)).await,
-            ),
-            PointVerb::Remove => encoded(
-                request,
-                boxed(service.remove(call, request.decode_for_index()?)).await,
-            ),
-            PointVerb::Session => encoded(
-                request,
-                boxed(service.open_session(call, request.decode_for_index()?)).await,
-            ),
-            PointVerb::Write => encoded(
-                request,
-                boxed(service.write(call, request.decode_for_index()?)).await,
-            ),
-            PointVerb::Get => encoded(
-                request,
-                boxed(service.get(call, request.decode_for_index()?)).await,
-            ),
-            PointVerb::Scan => encoded(
-                request,
-                boxed(service.scan_page(call, request.decode_for_index()?)).await,
-            ),
-            PointVerb::Info => encoded(
-                request,
-                boxed(service.get_index(call, request.decode_for_index()?)).await,
-            ),
-            PointVerb::Log => encoded(
-                request,
-                boxed(service.log(call, request.decode_for_index()?)).await,
-            ),
+            PointVerb::Insert => answer!(insert, decode_for_index),
+            PointVerb::Update => answer!(update, decode_for_index),
+            PointVerb::Remove => answer!(remove, decode_for_index),
+            PointVerb::Session => answer!(open_session, decode_for_index),
+            PointVerb::Write => answer!(write, decode_for_index),
+            PointVerb::Get => answer!(get, decode_for_index),
+            PointVerb::Scan => answer!(scan_page, decode_for_index),
+            PointVerb::Info => answer!(get_index, decode_for_index),
+            PointVerb::Log => answer!(log, decode_for_index),
         },
         Verb::OfServer(verb) => match verb {
             IndexVerb::Server => {
                 let described = service.get_server(call, request.decode()?, max_message_bytes);
                 encoded(request, boxed(described).await)
             }
-            IndexVerb::Create => encoded(
-                request,
-                boxed(service.create_index(call, request.decode()?)).await,
-            ),
+            IndexVerb::Create => answer!(create_index, decode),
             IndexVerb::List => {
                 let listed = boxed(service.list_indexes(call, request.decode()?)).await;
                 encoded(request, listed.map(status::listing))
             }
-            IndexVerb::Delete => encoded(
-                request,
-                boxed(service.delete_index(call, request.decode()?)).await,
-            ),
+            IndexVerb::Delete => answer!(delete_index, decode),
         },
     }
 }

@@ -21,7 +21,7 @@ use crate::{
 const TIMEOUT: &str = "timeout_ms";
 
 /// A larger message is encoded and decoded as blocking work. Well above the bytes answered on Zenoh's own threads.
-const BYTES_IN_PLACE: usize = 64 * 1024;
+const MAX_INLINE_BYTES: usize = 64 * 1024;
 
 /// A parsed query.
 pub(super) struct Request<'a> {
@@ -106,7 +106,7 @@ impl<'a> Request<'a> {
 
 /// Encodes or decodes this many bytes. Large JSON takes long: other tasks move to another thread meanwhile.
 fn at_length<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
-    if bytes > BYTES_IN_PLACE {
+    if bytes > MAX_INLINE_BYTES {
         tokio::task::block_in_place(work)
     } else {
         work()

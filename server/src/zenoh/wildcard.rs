@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Indices described at a time.
-const PAGE: u32 = 1000;
+const PAGE_ROWS: u32 = 1000;
 
 /// The answers to a query for `key_expr`, which has a wildcard.
 pub(super) async fn answer(
@@ -40,7 +40,7 @@ pub(super) async fn answer(
         replies.push((list.into(), payload));
     }
     let mut request = v1::ListIndexesRequest {
-        page_size: PAGE,
+        page_size: PAGE_ROWS,
         ..Default::default()
     };
     loop {

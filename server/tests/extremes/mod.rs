@@ -123,6 +123,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 index_name: index.clone(),
                 uid: uid.clone(),
                 reserve_count: 2,
+                operation_id: "open".into(),
             },
         ),
         dynamic(

@@ -56,7 +56,7 @@ async fn others_write(server: &TestServer) {
 }
 
 #[tokio::test]
-async fn a_scan_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
+async fn an_unread_scan_blocks_no_call_and_keeps_its_revision() {
     let server = TestServer::start(|_| ()).await;
     let index = server.create_ruler("line", 200_000).await;
     let scan = async || {
@@ -88,7 +88,7 @@ async fn a_scan_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
 }
 
 #[tokio::test]
-async fn a_snapshot_that_is_not_read_holds_up_nobody_and_stays_what_it_is() {
+async fn an_unread_snapshot_blocks_no_call_and_keeps_its_revision() {
     let server = TestServer::start(|_| ()).await;
     server.create_ruler("line", 200_000).await;
     let answer = server.indices().snapshot_index(snapshot_of("line")).await;

@@ -1,6 +1,6 @@
 //! The log on disk names its lost indices, and a deleted index stays deleted.
 
-use std::slice;
+use std::{fs, slice};
 
 use bytes::Bytes;
 use wayfold_server::log::{
@@ -274,5 +274,41 @@ fn an_index_that_was_deleted_does_not_come_back() {
         drop(log);
         let log = open(damaged.path());
         assert_eq!(log.view(new.uid).unwrap().revision(), 1);
+    }
+}
+
+/// A directory with many deleted indices, of which a cut journal brings one back.
+#[test]
+fn the_marks_of_deleted_indices_do_not_stay() {
+    let directory = tempfile::tempdir().unwrap();
+    let marks = || fs::metadata(directory.path().join("marks")).unwrap().len();
+    let log = open(directory.path());
+    let arm = entry("arm");
+    log.create(arm.clone()).unwrap();
+    append_synced(&log, arm.uid, 1);
+    let before = marks();
+    let others: Vec<_> = (0..100).map(|_| entry("leg")).collect();
+    for other in &others {
+        log.create(other.clone()).unwrap();
+        log.delete(other.uid).unwrap();
+    }
+    let journal = JournalFile::of(directory.path());
+    let grown = marks();
+    assert!(grown > 100 * before);
+    drop(log);
+    let damaged = journal.cut(journal.used / 2);
+    drop(open(directory.path()));
+    assert!(marks() < grown / 10, "{} of {grown}", marks());
+    let rewritten = fs::read(directory.path().join("marks")).unwrap();
+    fs::write(damaged.path().join("marks"), rewritten).unwrap();
+    for _ in 0..2 {
+        let log = open(damaged.path());
+        assert_eq!(log.indexes().unwrap(), slice::from_ref(&arm));
+        assert_eq!(log.lost(), []);
+        assert_eq!(log.view(arm.uid).unwrap().revision(), 1);
+        let new = entry("leg");
+        log.create(new.clone()).unwrap();
+        append_synced(&log, new.uid, 1);
+        log.delete(new.uid).unwrap();
     }
 }

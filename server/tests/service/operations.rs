@@ -181,7 +181,7 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
     };
     service.delete_index(&CALL, delete).await.unwrap();
     let uid = create(&service, "arm", "R1").await;
-    let anew = service.insert(&CALL, once("a", 0.0)).await.unwrap();
-    assert_eq!(anew.revision, revision(&uid, 1));
+    let repeated = service.insert(&CALL, once("a", 0.0)).await.unwrap();
+    assert_eq!(repeated.revision, revision(&uid, 1));
     assert_eq!(info(&service, "arm").await.point_count, 1);
 }

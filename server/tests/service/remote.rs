@@ -1,194 +1,28 @@
 //! Two servers share a journal on another machine. The journal accepts one record of an index at a time, its positions
 //! are not revisions, and it loses requests and answers. Each server has its own point store.
 
+mod stream;
+
 use std::{
     collections::BTreeMap,
     future::pending,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
-    },
+    sync::{Arc, atomic::Ordering::Relaxed},
     time::Duration,
 };
 
-use futures_util::{FutureExt, StreamExt, stream};
-use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tokio::{
-    sync::{Semaphore, SemaphorePermit, mpsc, oneshot, watch},
-    time::timeout,
-};
+use tokio::time::timeout;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{
-        Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, Origin, PointStore, Receipt,
-        Record, RecordStream, Retention, Tip, Uid,
-    },
+    log::{Catalogue, Entry, Journal, Log, MemoryLog, PointStore, Uid},
     registry::{Registry, RegistryOptions},
     service::{Code, Limits, Service},
 };
 
 use crate::support::*;
-
-/// The messages of all indices in the order of their arrival, and the chance that a request or its answer is lost.
-pub(crate) struct Stream {
-    messages: Mutex<Vec<(Uid, Arc<Record>)>>,
-    length: watch::Sender<usize>,
-    random: Mutex<ChaCha8Rng>,
-    loses: f64,
-    /// True while no request reaches it.
-    is_cut: AtomicBool,
-}
-
-impl Stream {
-    pub(crate) fn new(seed: u64, loses: f64) -> Arc<Self> {
-        Arc::new(Self {
-            messages: Mutex::default(),
-            length: watch::Sender::new(0),
-            random: Mutex::new(ChaCha8Rng::seed_from_u64(seed)),
-            loses,
-            is_cut: AtomicBool::new(false),
-        })
-    }
-
-    pub(crate) fn records(&self, uid: Uid) -> Vec<Arc<Record>> {
-        let messages = self.messages.lock();
-        let records = messages.iter().filter(|(of, _)| *of == uid);
-        records.map(|(_, record)| Arc::clone(record)).collect()
-    }
-
-    fn is_lost(&self) -> bool {
-        self.is_cut.load(Relaxed) || self.random.lock().random_bool(self.loses)
-    }
-
-    fn publish(&self, uid: Uid, record: &Arc<Record>) -> Result<(), LogError> {
-        let unconfirmed = LogError::Unconfirmed {
-            uid,
-            revision: record.revision(),
-            what: "the connection was cut".into(),
-        };
-        if self.is_lost() {
-            return Err(unconfirmed);
-        }
-        let mut messages = self.messages.lock();
-        let newest = messages.iter().rfind(|(of, _)| *of == uid);
-        let newest = newest.map_or(START, |(_, newest)| newest.tip());
-        if !record.follows(newest) {
-            return Err(LogError::Fenced {
-                uid,
-                expected: record.revision() - 1,
-                head: newest.revision,
-            });
-        }
-        messages.push((uid, Arc::clone(record)));
-        self.length.send_replace(messages.len());
-        if self.is_lost() {
-            Err(unconfirmed)
-        } else {
-            Ok(())
-        }
-    }
-}
-
-const START: Tip = Tip {
-    revision: Origin::START.revision,
-    digest: Origin::START.digest,
-};
-
-/// A record to publish, and the channel for its outcome.
-type Submission = (Uid, Arc<Record>, oneshot::Sender<Result<(), LogError>>);
-
-/// A server's connection to the stream. It publishes records one by one, each after a message of a foreign index.
-pub(crate) struct Remote {
-    stream: Arc<Stream>,
-    submissions: mpsc::UnboundedSender<Submission>,
-    /// One permit a record that may be published; a test delays the server by taking permits.
-    turns: Arc<Semaphore>,
-}
-
-impl Remote {
-    fn connect(stream: &Arc<Stream>) -> Arc<Self> {
-        let (submissions, mut waiting) = mpsc::unbounded_channel::<Submission>();
-        let turns = Arc::new(Semaphore::new(Semaphore::MAX_PERMITS));
-        let remote = Arc::new(Self {
-            stream: Arc::clone(stream),
-            submissions,
-            turns: Arc::clone(&turns),
-        });
-        let stream = Arc::clone(stream);
-        tokio::spawn(async move {
-            while let Some((uid, record, answer)) = waiting.recv().await {
-                turns.acquire().await.unwrap().forget();
-                let foreign = Arc::new(Record::after(START, Effects::new(1)));
-                stream.messages.lock().push((Uid::unique(), foreign));
-                // Fails if the server has ended.
-                let _ = answer.send(stream.publish(uid, &record));
-            }
-        });
-        remote
-    }
-}
-
-impl Remote {
-    /// Holds all records back until the permit is dropped, except those that are let pass.
-    pub(crate) async fn hold(&self) -> SemaphorePermit<'_> {
-        let permit = self.turns.acquire_many(u32::MAX >> 3).await.unwrap();
-        let every = self.turns.available_permits();
-        self.turns.forget_permits(every);
-        permit
-    }
-
-    /// Lets this many records pass.
-    pub(crate) fn let_pass(&self, records: usize) {
-        self.turns.add_permits(records);
-    }
-}
-
-impl Journal for Remote {
-    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
-        let (answer, outcome) = oneshot::channel();
-        let submitted = self.submissions.send((uid, record, answer));
-        submitted.map_err(|_| LogError::Closed)?;
-        let outcome = outcome.map(|outcome| outcome.unwrap_or(Err(LogError::Closed)));
-        Ok(Receipt::Awaited(outcome.boxed()))
-    }
-
-    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
-        let stream = Arc::clone(&self.stream);
-        let position = (stream.length.subscribe(), after);
-        let batches = stream::unfold(position, move |(mut length, after)| {
-            let stream = Arc::clone(&stream);
-            async move {
-                loop {
-                    length.borrow_and_update();
-                    let mut records = stream.records(uid);
-                    records.retain(|record| record.revision() > after);
-                    if let Some(last) = records.last().map(|last| last.revision()) {
-                        return Some((Ok(records), (length, last)));
-                    }
-                    length.changed().await.ok()?;
-                }
-            }
-        });
-        batches.boxed()
-    }
-
-    fn read(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        _max_bytes: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        let mut records = self.stream.records(uid);
-        records.retain(|record| after.is_none_or(|after| record.revision() > after));
-        Ok(records)
-    }
-
-    fn trim(&self, _uid: Uid, _retention: &Retention) -> Result<(), LogError> {
-        Ok(())
-    }
-}
+use stream::START;
+pub(crate) use stream::{Remote, Stream};
 
 /// A server over the stream that serves the index of this entry from a point store of its own.
 pub(crate) fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, Arc<Remote>) {
@@ -347,6 +181,42 @@ async fn no_two_points_are_too_close_across_servers() {
     assert!(rows.array_windows().all(|[a, b]| b - a >= 0.5), "{rows:?}");
 }
 
+/// Inserts a state once the index is available again; returns the revision.
+async fn inserted_at_last(service: &Service, state: f64) -> u64 {
+    for _ in 0..100 {
+        if let Ok(inserted) = service.insert(&CALL, insertion(&[[state]], &[])).await {
+            return inserted.revision.number();
+        }
+        // The clock stops while maintenance resumes the index on a blocking thread.
+        let second = Duration::from_secs(1);
+        assert!(timeout(second, pending::<()>()).await.is_err());
+    }
+    panic!("the index stays unavailable");
+}
+
+/// The clock jumps ahead whenever no task can run.
+#[tokio::test(start_paused = true)]
+async fn a_record_that_took_the_place_of_another_arrives_in_time_or_the_index_is_unavailable() {
+    let (stream, entry) = (Stream::new(8, 0.0), named_arm());
+    let (one, ..) = server(&stream, &entry);
+    let (other, registry, journal) = server(&stream, &entry);
+    let maintaining = tokio::spawn(registry.maintain(|| ()));
+    journal.fall_behind();
+    one.insert(&CALL, insertion(&[[1.0]], &[])).await.unwrap();
+    let error = other
+        .insert(&CALL, insertion(&[[2.0]], &[]))
+        .await
+        .unwrap_err();
+    let reported = (error.code(), error.reason());
+    assert_eq!(reported, (Code::Unavailable, "STORAGE_FAILED"));
+    assert!(error.to_string().contains("does not send it"), "{error}");
+    journal.come_back();
+    assert_eq!(inserted_at_last(&other, 3.0).await, 2);
+    let found = settled(&stream, &entry, &[&one, &other]).await;
+    assert_eq!(found.states.unwrap().coordinates, [1.0, 3.0]);
+    maintaining.abort();
+}
+
 /// The clock jumps ahead whenever no task can run.
 #[tokio::test(start_paused = true)]
 async fn an_unsettled_mutation_makes_the_index_unavailable_until_the_journal_answers() {
@@ -365,17 +235,7 @@ async fn an_unsettled_mutation_makes_the_index_unavailable_until_the_journal_ans
     assert!(error.to_string().contains("operation_id"), "{error}");
     assert_eq!(everything(&service).await.point_count, 1);
     stream.is_cut.store(false, Relaxed);
-    let mut inserted = insert(3.0).await;
-    for _ in 0..100 {
-        if inserted.is_ok() {
-            break;
-        }
-        // The clock stops while maintenance resumes the index on a blocking thread.
-        let second = Duration::from_secs(1);
-        assert!(timeout(second, pending::<()>()).await.is_err());
-        inserted = insert(3.0).await;
-    }
-    assert_eq!(inserted.unwrap().revision.number(), 2);
+    assert_eq!(inserted_at_last(&service, 3.0).await, 2);
     let found = settled(&stream, &entry, &[&service]).await;
     assert_eq!(found.states.unwrap().coordinates, [1.0, 3.0]);
     maintaining.abort();

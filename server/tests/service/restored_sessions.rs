@@ -19,8 +19,8 @@ use crate::{
 async fn open(service: &Service, reserve_count: u64) -> v1::OpenSessionResponse {
     let request = v1::OpenSessionRequest {
         index_name: "arm".into(),
-        uid: String::new(),
         reserve_count,
+        ..Default::default()
     };
     service.open_session(&CALL, request).await.unwrap()
 }

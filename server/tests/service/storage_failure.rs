@@ -85,7 +85,7 @@ fn unavailable<T: std::fmt::Debug>(answer: Result<T, wayfold_server::service::Er
 }
 
 #[tokio::test]
-async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
+async fn a_failed_disk_refuses_writes_and_serves_reads_until_it_recovers() {
     let failing = Failing::new();
     let service = &failing.service;
     let uid = create(service, "arm", "R1").await;
@@ -130,7 +130,7 @@ async fn writes_are_refused_reads_go_on_and_the_end_of_it_is_the_end_of_it() {
             ),
             (uid.clone(), idle.clone())
         );
-        // Whatever the outcome was, a retry makes it take effect exactly once.
+        // The retry takes effect exactly once, after either outcome.
         let revision = service
             .insert(&CALL, operation(id))
             .await

@@ -78,7 +78,7 @@ async fn a_mutation_past_its_deadline_is_whole_or_not_there() {
             );
             cut += 1;
         }
-        // Whatever the outcome was, a retry makes the call take effect exactly once.
+        // The retry takes effect exactly once, after either outcome.
         let answer = stubs.insert(request).await;
         assert_eq!(number(&answer.revision), number(&before.revision) + 1);
         let after = stubs.describe("roadmap").await;

@@ -5,6 +5,7 @@
     reason = "a test says what went wrong by where it panics"
 )]
 
+mod documented;
 mod faults;
 mod feed;
 mod follower;

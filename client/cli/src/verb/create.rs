@@ -4,7 +4,7 @@ use serde::Serialize;
 use wayfold::Space;
 
 use super::index_info::InfoLine;
-use crate::{Session, failure::Failure, output::Format};
+use crate::{Context, failure::Failure, output::Format};
 use wayfold::coordinate_names;
 
 const SPACES: &str = "\
@@ -40,10 +40,10 @@ struct Created<'a> {
     created: bool,
 }
 
-pub(crate) async fn create(args: CreateArgs, session: &mut Session) -> Result<(), Failure> {
-    let (index, created) = session.client.ensure_index(&args.name, &args.space).await?;
-    match session.output.format {
-        Format::Json => session.output.json(&Created {
+pub(crate) async fn create(args: CreateArgs, context: &mut Context) -> Result<(), Failure> {
+    let (index, created) = context.client.ensure_index(&args.name, &args.space).await?;
+    match context.output.format {
+        Format::Json => context.output.json(&Created {
             index: InfoLine::of(&index),
             created,
         })?,
@@ -53,7 +53,7 @@ pub(crate) async fn create(args: CreateArgs, session: &mut Session) -> Result<()
                 false => "exists already:",
             };
             let row = coordinate_names(&index.space).join(", ");
-            session.output.text(format_args!(
+            context.output.text(format_args!(
                 "{outcome} {} in {}; a row is {row}",
                 index.name, index.space
             ))?;

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::{Session, failure::Failure, output::Format};
+use crate::{Context, failure::Failure, output::Format};
 
 /// Deletes an index with all its points
 #[derive(Debug, clap::Args)]
@@ -18,15 +18,15 @@ struct Deleted<'a> {
     deleted: bool,
 }
 
-pub(crate) async fn delete(args: DeleteArgs, session: &mut Session) -> Result<(), Failure> {
-    let uid = session.client.delete_index(&args.name).await?;
-    match session.output.format {
-        Format::Json => session.output.json(&Deleted {
+pub(crate) async fn delete(args: DeleteArgs, context: &mut Context) -> Result<(), Failure> {
+    let uid = context.client.delete_index(&args.name).await?;
+    match context.output.format {
+        Format::Json => context.output.json(&Deleted {
             name: &args.name,
             uid: &uid,
             deleted: true,
         })?,
-        Format::Text => session
+        Format::Text => context
             .output
             .text(format_args!("deleted {} (uid {uid})", args.name))?,
     }

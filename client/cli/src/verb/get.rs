@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::{
-    Session,
+    Context,
     failure::Failure,
     options::{IncludeArgs, POINT_COLUMNS},
     output::{Format, JsonId, JsonRevision, Row, json_payload},
@@ -52,11 +52,11 @@ impl<'a> PointLine<'a> {
     }
 }
 
-pub(crate) async fn get(args: GetArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn get(args: GetArgs, context: &mut Context) -> Result<(), Failure> {
     let include = args.include.include_or(POINT_COLUMNS);
-    let index = session.index(&args.name).await?;
+    let index = context.index(&args.name).await?;
     let points = index.get(args.ids).include(include).await?;
-    let output = &mut session.output;
+    let output = &mut context.output;
     for point in points.iter() {
         match output.format {
             Format::Json => output.json(&PointLine::of(point, index.uid(), include))?,

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::{Session, failure::Failure, output::Format};
+use crate::{Context, failure::Failure, output::Format};
 
 #[derive(Serialize)]
 struct HealthLine<'a> {
@@ -10,12 +10,12 @@ struct HealthLine<'a> {
     serving: bool,
 }
 
-pub(crate) async fn health(session: &mut Session) -> Result<(), Failure> {
-    let serving = session.client.is_serving().await?;
-    let server = session.client.uri();
-    match session.output.format {
-        Format::Json => session.output.json(&HealthLine { server, serving })?,
-        Format::Text if serving => session.output.text(format_args!("{server} serves"))?,
+pub(crate) async fn health(context: &mut Context) -> Result<(), Failure> {
+    let serving = context.client.is_serving().await?;
+    let server = context.client.uri();
+    match context.output.format {
+        Format::Json => context.output.json(&HealthLine { server, serving })?,
+        Format::Text if serving => context.output.text(format_args!("{server} serves"))?,
         Format::Text => {}
     }
     match serving {

@@ -6,7 +6,7 @@ use indicatif::HumanBytes;
 use serde::Serialize;
 
 use crate::{
-    Session,
+    Context,
     failure::Failure,
     output::{Column, Format, JsonRevision, Output, table},
 };
@@ -75,9 +75,9 @@ impl InfoLine<'_> {
     }
 }
 
-pub(crate) async fn info(args: InfoArgs, session: &mut Session) -> Result<(), Failure> {
-    let index = session.client.index_info(&args.name).await?;
-    let output = &mut session.output;
+pub(crate) async fn info(args: InfoArgs, context: &mut Context) -> Result<(), Failure> {
+    let index = context.client.index_info(&args.name).await?;
+    let output = &mut context.output;
     if output.format == Format::Json {
         return Ok(output.json(&InfoLine::of(&index))?);
     }
@@ -99,11 +99,11 @@ pub(crate) async fn info(args: InfoArgs, session: &mut Session) -> Result<(), Fa
     Ok(())
 }
 
-pub(crate) async fn list(session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn list(context: &mut Context) -> Result<(), Failure> {
     let IndexList {
         indexes, damaged, ..
-    } = session.client.list_indexes().await?;
-    let output = &mut session.output;
+    } = context.client.list_indexes().await?;
+    let output = &mut context.output;
     if output.format == Format::Json {
         for index in &indexes {
             output.json(&InfoLine::of(index))?;

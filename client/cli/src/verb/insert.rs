@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::neighbors::{NeighborFields, neighbor_table};
 use crate::{
-    Session,
+    Context,
     failure::Failure,
     input::{self, Columns, Source, Table},
     options::{self, Column, RadiusArgs},
@@ -116,8 +116,8 @@ impl NeighborArgs {
 /// The rows of a call: enough to be fast, and few enough not to delay other callers or exceed a deadline.
 const CALL_ROWS: usize = 1000;
 
-pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<(), Failure> {
-    let index = session.index(&args.name).await?;
+pub(crate) async fn insert(args: InsertArgs, context: &mut Context) -> Result<(), Failure> {
+    let index = context.index(&args.name).await?;
     let table = input::table(
         &Source::file(&args.file),
         index.space(),
@@ -138,7 +138,7 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
         if let (Some(neighbors), true) = (&inserted.neighbors, is_read) {
             let given = table.ids.get(start..end).unwrap_or_default();
             match print_rows(
-                &mut session.output,
+                &mut context.output,
                 start,
                 &inserted.outcomes,
                 given,
@@ -155,7 +155,7 @@ pub(crate) async fn insert(args: InsertArgs, session: &mut Session) -> Result<()
     }
     bar.finish_and_clear();
     // The handle knows the revision of the last call.
-    summary.print(&index.revision(), &mut session.output)
+    summary.print(&index.revision(), &mut context.output)
 }
 
 async fn send(

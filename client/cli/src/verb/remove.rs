@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::{
-    Session,
+    Context,
     failure::Failure,
     output::{Format, JsonRevision},
     parse,
@@ -28,15 +28,15 @@ struct RemovedLine<'a> {
     revision: JsonRevision<'a>,
 }
 
-pub(crate) async fn remove(args: RemoveArgs, session: &mut Session) -> Result<(), Failure> {
-    let done = session.index(&args.name).await?.remove(args.ids).await?;
-    match session.output.format {
-        Format::Json => session.output.json(&RemovedLine {
+pub(crate) async fn remove(args: RemoveArgs, context: &mut Context) -> Result<(), Failure> {
+    let done = context.index(&args.name).await?.remove(args.ids).await?;
+    match context.output.format {
+        Format::Json => context.output.json(&RemovedLine {
             removed_count: done.removed_count,
             missing_count: done.missing_count,
             revision: (&done.revision).into(),
         })?,
-        Format::Text => session.output.text(format_args!(
+        Format::Text => context.output.text(format_args!(
             "removed {}, missing {}; revision {}",
             done.removed_count, done.missing_count, done.revision.number
         ))?,

@@ -9,7 +9,7 @@ use std::{
 use futures_util::StreamExt;
 
 use super::index_info::InfoLine;
-use crate::{Session, failure::Failure, output::Format, progress};
+use crate::{Context, failure::Failure, output::Format, progress};
 use wayfold::{Error, SnapshotError, SnapshotReader};
 
 const EXAMPLES: &str = "\
@@ -32,7 +32,7 @@ pub(crate) struct RestoreArgs {
     file: PathBuf,
 }
 
-pub(crate) async fn restore(args: RestoreArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn restore(args: RestoreArgs, context: &mut Context) -> Result<(), Failure> {
     let (name, file): (_, Box<dyn Read + Send>) = match args.file == Path::new("-") {
         true => ("stdin".to_owned(), Box::new(io::stdin())),
         false => {
@@ -54,16 +54,16 @@ pub(crate) async fn restore(args: RestoreArgs, session: &mut Session) -> Result<
     let parts = snapshot.into_stream().inspect(move |part| {
         sent.inc(part.as_ref().map_or(0, |part| part.points() as u64));
     });
-    let restored = session.client.restore(&args.name, parts).await;
+    let restored = context.client.restore(&args.name, parts).await;
     let index = match restored {
         Err(Error::Snapshot(source)) => return Err(bad(source)),
         restored => restored?,
     };
     bar.finish_and_clear();
     let index = index.info().await?;
-    match session.output.format {
-        Format::Json => session.output.json(&InfoLine::of(&index))?,
-        Format::Text => session.output.text(format_args!(
+    match context.output.format {
+        Format::Json => context.output.json(&InfoLine::of(&index))?,
+        Format::Text => context.output.text(format_args!(
             "restored {}: {} points of {} at revision {} (uid {})",
             index.name, index.point_count, index.space, index.revision.number, index.revision.uid
         ))?,

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::get::PointLine;
 use crate::{
-    Session, atomic_file,
+    Context, atomic_file,
     failure::Failure,
     options::{FilterArgs, IncludeArgs, POINT_COLUMNS},
     output::{Format, JsonRevision, Output, Row, json_payload},
@@ -63,10 +63,10 @@ struct Written<'a> {
     revision: JsonRevision<'a>,
 }
 
-pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Failure> {
-    let index = session.index(&args.name).await?;
+pub(crate) async fn scan(args: ScanArgs, context: &mut Context) -> Result<(), Failure> {
+    let index = context.index(&args.name).await?;
     let file = args.file.filter(|path| path != Path::new("-"));
-    let is_csv = file.is_some() || session.output.format == Format::Text;
+    let is_csv = file.is_some() || context.output.format == Format::Text;
     let include = args.include.include_or(match is_csv {
         true => CSV_COLUMNS,
         false => POINT_COLUMNS,
@@ -77,7 +77,7 @@ pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Fa
     let header = header(index.space(), include);
     let Some(path) = file else {
         let writer = Writer {
-            output: &mut session.output,
+            output: &mut context.output,
             include,
             prints: true,
         };
@@ -104,14 +104,14 @@ pub(crate) async fn scan(args: ScanArgs, session: &mut Session) -> Result<(), Fa
         }
         _ => atomic_file::write(&path, true, write).await?.0,
     };
-    match session.output.format {
-        Format::Json => session.output.json(&Written {
+    match context.output.format {
+        Format::Json => context.output.json(&Written {
             point_count: points,
             revision: (&revision).into(),
         })?,
         Format::Text => {
             let path = path.display();
-            session.output.text(format_args!(
+            context.output.text(format_args!(
                 "{points} points at revision {} written to {path}",
                 revision.number
             ))?;

@@ -9,7 +9,7 @@ use tokio_stream::wrappers::ReceiverStream;
 
 use super::neighbors::{NeighborFields, neighbor_table};
 use crate::{
-    Session,
+    Context,
     failure::Failure,
     input::{self, Columns, InputError, Row, Source},
     options::{FilterArgs, IncludeArgs, RadiusArgs},
@@ -119,9 +119,9 @@ pub(crate) struct QueryArgs {
     search: SearchArgs,
 }
 
-pub(crate) async fn knn(args: KnnArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn knn(args: KnnArgs, context: &mut Context) -> Result<(), Failure> {
     let (k, k_factor, search) = (args.k, args.k_factor, &args.search);
-    run(search, session, |index, states| {
+    run(search, context, |index, states| {
         let mut knn = index
             .knn(states)
             .epsilon(search.epsilon)
@@ -141,12 +141,12 @@ pub(crate) async fn knn(args: KnnArgs, session: &mut Session) -> Result<(), Fail
     .await
 }
 
-pub(crate) async fn query(args: QueryArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn query(args: QueryArgs, context: &mut Context) -> Result<(), Failure> {
     let search = &args.search;
     // The arguments require a radius.
     let radius = search.radius.radius();
     let radius = radius.unwrap_or(Radius::Fixed(f64::INFINITY));
-    run(search, session, |index, states| {
+    run(search, context, |index, states| {
         index
             .query(states, radius)
             .epsilon(search.epsilon)
@@ -167,10 +167,10 @@ type Answer = BoxFuture<'static, Result<Neighbors, Error>>;
 
 async fn run(
     args: &SearchArgs,
-    session: &mut Session,
+    context: &mut Context,
     request: impl Fn(&IndexHandle, &States) -> Answer,
 ) -> Result<(), Failure> {
-    let index = session.index(&args.name).await?;
+    let index = context.index(&args.name).await?;
     let source = match (&args.states.state, &args.states.file) {
         (Some(state), _) => Source::Literal(state.clone()),
         (None, Some(file)) => Source::file(file),
@@ -201,9 +201,9 @@ async fn run(
             let neighbors = answer?;
             for i in 0..neighbors.len() {
                 number += 1;
-                print(&mut session.output, number, &neighbors, i, args.include())?;
+                print(&mut context.output, number, &neighbors, i, args.include())?;
             }
-            session.output.flush()?;
+            context.output.flush()?;
             bar.inc(neighbors.len() as u64);
         }
         if let Some(wrong) = wrong {

@@ -3,7 +3,7 @@
 use indicatif::HumanBytes;
 use serde::Serialize;
 
-use crate::{Session, failure::Failure, output::Format};
+use crate::{Context, failure::Failure, output::Format};
 use wayfold::{Durability, ServerInfo};
 
 #[derive(Serialize)]
@@ -25,14 +25,14 @@ struct LimitsLine {
     max_indexes: u64,
 }
 
-pub(crate) async fn server(session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn server(context: &mut Context) -> Result<(), Failure> {
     let ServerInfo {
         version,
         durability,
         limits,
         ..
-    } = session.client.server().await?;
-    let (server, output) = (session.client.uri(), &mut session.output);
+    } = context.client.server().await?;
+    let (server, output) = (context.client.uri(), &mut context.output);
     // The names of the setting `data.durability`.
     let (durability, survives) = match durability {
         Durability::Memory => ("memory", "nothing: there is no data directory"),

@@ -9,7 +9,7 @@ use indicatif::HumanBytes;
 use serde::Serialize;
 
 use crate::{
-    Session, atomic_file,
+    Context, atomic_file,
     failure::Failure,
     output::{Format, JsonRevision},
     progress,
@@ -48,7 +48,7 @@ struct Written<'a> {
     bytes: u64,
 }
 
-pub(crate) async fn snapshot(args: SnapshotArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn snapshot(args: SnapshotArgs, context: &mut Context) -> Result<(), Failure> {
     let to_stdout = args.file == Path::new("-");
     if to_stdout && io::stdout().is_terminal() {
         return Err(Failure::Terminal);
@@ -61,7 +61,7 @@ pub(crate) async fn snapshot(args: SnapshotArgs, session: &mut Session) -> Resul
             return Err(Failure::Exists { path: args.file });
         }
     }
-    let snapshot = session.index(&args.name).await?.snapshot().await?;
+    let snapshot = context.index(&args.name).await?.snapshot().await?;
     if to_stdout {
         // A broken pipe is a failure here, because the reader has not got the whole snapshot.
         let failed = |source| Failure::File {
@@ -80,7 +80,7 @@ pub(crate) async fn snapshot(args: SnapshotArgs, session: &mut Session) -> Resul
         write(snapshot, file, &failed).await
     })
     .await?;
-    report(session, &header, bytes, &args.file)
+    report(context, &header, bytes, &args.file)
 }
 
 async fn write(
@@ -100,20 +100,20 @@ async fn write(
 }
 
 fn report(
-    session: &mut Session,
+    context: &mut Context,
     header: &SnapshotHeader,
     bytes: u64,
     path: &Path,
 ) -> Result<(), Failure> {
-    match session.output.format {
-        Format::Json => session.output.json(&Written {
+    match context.output.format {
+        Format::Json => context.output.json(&Written {
             name: &header.name,
             space: header.space.to_string(),
             point_count: header.point_count,
             revision: JsonRevision::new(&header.uid, header.revision),
             bytes,
         })?,
-        Format::Text => session.output.text(format_args!(
+        Format::Text => context.output.text(format_args!(
             "{} points of {} at revision {} written to {}, {}",
             header.point_count,
             header.space,

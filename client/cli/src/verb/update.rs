@@ -4,7 +4,7 @@ use clap::ArgGroup;
 use serde::Serialize;
 
 use crate::{
-    Session,
+    Context,
     failure::Failure,
     options,
     output::{Format, JsonRevision},
@@ -49,9 +49,9 @@ struct UpdatedLine<'a> {
     revision: JsonRevision<'a>,
 }
 
-pub(crate) async fn update(args: UpdateArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn update(args: UpdateArgs, context: &mut Context) -> Result<(), Failure> {
     let points = args.ids.len();
-    let index = session.index(&args.name).await?;
+    let index = context.index(&args.name).await?;
     let mut update = index.update(args.ids);
     if let Some(MaskedTag { value, mask }) = args.tag {
         update = update.tags([value]);
@@ -66,13 +66,13 @@ pub(crate) async fn update(args: UpdateArgs, session: &mut Session) -> Result<()
         update = update.if_revision(options::revision(revision, &index));
     }
     let done = update.await?;
-    match session.output.format {
-        Format::Json => session.output.json(&UpdatedLine {
+    match context.output.format {
+        Format::Json => context.output.json(&UpdatedLine {
             updated_count: done.updated_count,
             unchanged_count: done.unchanged_count,
             revision: (&done.revision).into(),
         })?,
-        Format::Text => session.output.text(format_args!(
+        Format::Text => context.output.text(format_args!(
             "updated {}, unchanged {}; revision {}",
             done.updated_count, done.unchanged_count, done.revision.number
         ))?,

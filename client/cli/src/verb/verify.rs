@@ -5,7 +5,7 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use super::index_info::InfoLine;
-use crate::{Session, failure::Failure, output::Format, progress};
+use crate::{Context, failure::Failure, output::Format, progress};
 use wayfold::{Client, Verified};
 
 const EXAMPLES: &str = "\
@@ -55,12 +55,12 @@ struct ComparedLine<'a> {
     differences: &'a [String],
 }
 
-pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<(), Failure> {
+pub(crate) async fn verify(args: VerifyArgs, context: &mut Context) -> Result<(), Failure> {
     let mut all: Vec<(Client, Verified)> = Vec::new();
-    let clients = [vec![session.client.clone()], session.others.clone()].concat();
+    let clients = [vec![context.client.clone()], context.others.clone()].concat();
     for client in clients {
         let verified = verify_on(&client, &args).await?;
-        print(session, &client, &verified)?;
+        print(context, &client, &verified)?;
         all.push((client, verified));
     }
     let mut problems = Vec::new();
@@ -80,7 +80,7 @@ pub(crate) async fn verify(args: VerifyArgs, session: &mut Session) -> Result<()
             .iter()
             .flat_map(|(client, other)| differences((first, one), (client, other)))
             .collect();
-        print_comparison(session, &args.name, &differences)?;
+        print_comparison(context, &args.name, &differences)?;
         problems.extend(differences);
     }
     if problems.is_empty() {
@@ -104,8 +104,8 @@ async fn verify_on(client: &Client, args: &VerifyArgs) -> Result<Verified, Failu
     Ok(verified)
 }
 
-fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<(), Failure> {
-    let (output, index) = (&mut session.output, &verified.index);
+fn print(context: &mut Context, client: &Client, verified: &Verified) -> Result<(), Failure> {
+    let (output, index) = (&mut context.output, &verified.index);
     if output.format == Format::Json {
         output.json(&VerifiedLine {
             server: client.uri(),
@@ -152,16 +152,16 @@ fn print(session: &mut Session, client: &Client, verified: &Verified) -> Result<
 }
 
 fn print_comparison(
-    session: &mut Session,
+    context: &mut Context,
     name: &str,
     differences: &[String],
 ) -> Result<(), Failure> {
-    match session.output.format {
-        Format::Json => session.output.json(&ComparedLine {
+    match context.output.format {
+        Format::Json => context.output.json(&ComparedLine {
             same_content: differences.is_empty(),
             differences,
         })?,
-        Format::Text if differences.is_empty() => session
+        Format::Text if differences.is_empty() => context
             .output
             .text(format_args!("the servers hold the same points in {name}"))?,
         Format::Text => {}

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::get::PointLine;
 use crate::{
-    Session,
+    Context,
     failure::Failure,
     options::{self, IncludeArgs, POINT_COLUMNS},
     output::{Format, JsonIds, JsonRevision, Output},
@@ -46,8 +46,8 @@ struct MutationLine<'a> {
     removed_ids: JsonIds<'a>,
 }
 
-pub(crate) async fn watch(args: WatchArgs, session: &mut Session) -> Result<(), Failure> {
-    let index = session.index(&args.name).await?;
+pub(crate) async fn watch(args: WatchArgs, context: &mut Context) -> Result<(), Failure> {
+    let index = context.index(&args.name).await?;
     let include = args.include.include_or(POINT_COLUMNS);
     let mut request = index.watch().include(include);
     if let Some(after) = &args.after {
@@ -55,7 +55,7 @@ pub(crate) async fn watch(args: WatchArgs, session: &mut Session) -> Result<(), 
     }
     let watch = request.await?;
     tokio::select! {
-        ended = print_all(watch, include, &mut session.output) => ended,
+        ended = print_all(watch, include, &mut context.output) => ended,
         // Only whole lines were printed.
         interrupted = tokio::signal::ctrl_c() => Ok(interrupted?),
     }

@@ -13,8 +13,8 @@ use wayfold_server::{
 
 use crate::server::Server;
 
-/// Keeps the indices `arm`, `leg` and `rail` in a directory, and then loses the last mutation, which was of `leg`.
-/// The uids of all.
+/// Stores the indices `arm`, `leg` and `rail` in a directory, and then loses the last mutation, which was of `leg`.
+/// Returns the uids of all three.
 fn lose_a_mutation(directory: &Path) -> Vec<String> {
     let log = FjallLog::open(directory, Durability::Fsync).unwrap();
     let registry = Registry::new(Arc::new(log), RegistryOptions::default());

@@ -105,14 +105,14 @@ impl Fake {
         Client::connect(&self.uri).await.unwrap()
     }
 
-    /// Lets the next `calls` calls, counted from now, find the server starting.
+    /// Fails the next `calls` calls as a starting server does.
     pub(crate) fn unavailable(&self, calls: usize) {
         self.fail(move |number, _| {
             (number < calls).then(|| Status::unavailable("the server is starting"))
         });
     }
 
-    /// Lets calls, counted from now, fail as `script` says.
+    /// Fails the calls for which `script` returns a status. It counts calls from now on.
     pub(crate) fn fail(&self, script: impl Fn(usize, usize) -> Option<Status> + Send + 'static) {
         let mut inner = self.inner.lock().unwrap();
         inner.script = Some(Box::new(script));

@@ -22,10 +22,10 @@ pub struct Job {
     /// The address of the server
     #[arg(long)]
     pub server: String,
-    /// The name of what holds the trees
+    /// The name of the store that holds the trees
     #[arg(long)]
     pub store: String,
-    /// The distinction between the trees
+    /// The way in which the store separates the trees
     #[arg(long, value_enum)]
     pub layout: Layout,
     /// The number of the worker

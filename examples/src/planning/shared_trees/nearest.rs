@@ -1,6 +1,6 @@
 //! A worker's source of neighbours in one of the two trees.
 
-use wayfold::{Client, Include, Neighbor, Replica, Search};
+use wayfold::{Client, Include, Neighbor, Replica, ReplicaSearch as Search};
 
 use super::{
     super::{error::PlanningError, options::Kind},

@@ -32,7 +32,7 @@ pub struct Worker<'a, P> {
     batch: usize,
     next_id: u64,
     account: Account,
-    asked: Option<Vec<SearchRecord>>,
+    searches: Option<Vec<SearchRecord>>,
 }
 
 /// A search and its result.
@@ -91,7 +91,7 @@ impl<'a, P: Problem> Worker<'a, P> {
             batch: 1,
             next_id: vertex::first_id(number),
             account: Account::default(),
-            asked: None,
+            searches: None,
         }
     }
 
@@ -103,7 +103,7 @@ impl<'a, P: Problem> Worker<'a, P> {
 
     /// Remembers every search from now on.
     pub fn remember(mut self) -> Worker<'a, P> {
-        self.asked = Some(Vec::new());
+        self.searches = Some(Vec::new());
         self
     }
 
@@ -114,7 +114,7 @@ impl<'a, P: Problem> Worker<'a, P> {
 
     /// The remembered searches.
     pub fn into_searches(self) -> Vec<SearchRecord> {
-        self.asked.unwrap_or_default()
+        self.searches.unwrap_or_default()
     }
 
     /// Extends the trees until any worker makes them meet, or until this worker has inserted the given number of
@@ -221,8 +221,8 @@ impl<'a, P: Problem> Worker<'a, P> {
         let start = Instant::now();
         let near = self.source.nearest(&self.store, tree, states).await?;
         self.account.times.searching += start.elapsed();
-        if let Some(asked) = &mut self.asked {
-            let asked_now = states.iter().zip(&near).filter_map(|(state, near)| {
+        if let Some(searches) = &mut self.searches {
+            let new_searches = states.iter().zip(&near).filter_map(|(state, near)| {
                 let near = near.as_ref()?;
                 Some(SearchRecord {
                     tree,
@@ -231,7 +231,7 @@ impl<'a, P: Problem> Worker<'a, P> {
                     found: near.neighbor,
                 })
             });
-            asked.extend(asked_now);
+            searches.extend(new_searches);
         }
         Ok(near)
     }

@@ -36,8 +36,8 @@ fn argument(group: &Group, count: usize) -> String {
     format!("({}){decorations}", items.join("*"))
 }
 
-/// The items of a product of these terms. Of all repeating blocks of terms, the one whose repetitions extend farthest
-/// is folded, the shortest if several do, and the block itself is folded in the same way.
+/// The items of a product of these terms. The function folds the repeating block whose repetitions extend farthest, and
+/// the shortest one if several do. It folds the block itself in the same way.
 fn fold(terms: &[Term]) -> Vec<String> {
     let (mut items, mut rest) = (Vec::new(), terms);
     while !rest.is_empty() {

@@ -17,7 +17,7 @@ use super::{
     restoring::Copy,
     store::{Store, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
-    sync_marks::{Mark, Marks},
+    sync_marks::{Mark, Marked, Marks},
     syncer::Syncer,
     unclean_marker,
 };
@@ -41,7 +41,7 @@ impl Engine {
     pub(super) fn open(
         directory: &Arc<Directory>,
         durability: Durability,
-        marks: (Marks, &BTreeMap<Number, Mark>),
+        marks: (Marks, &Marked),
     ) -> Result<Self, LogError> {
         let (mut marks, marked) = marks;
         let path = directory.join(STORE);
@@ -65,8 +65,8 @@ impl Engine {
             warn!(
                 file = %directory.join(MARKS).display(),
                 indexes = found.indexes.len(),
-                "no mark says how far the indices were synced, the file is missing or was emptied: should the journal have \
-                 been cut short too, nobody can tell; they are marked anew as they are now"
+                "the file of the marks is missing or empty, so a journal that was cut short cannot be noticed; the \
+                 indices get marks of their present revisions"
             );
         }
         let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
@@ -85,7 +85,10 @@ impl Engine {
 
         // Everything found is now on disk, acknowledged or not, so readers may rely on it.
         write_marks(&mut marks, &found.indexes).map_err(shut)?;
-        let (sweeping, _) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
+        let path = directory.join(MARKS);
+        let compacted = marks.compact(&path, found.next, &found.used);
+        let marks = compacted.map_err(shut)?;
+        let (sweeping, _) = Marks::open(&path).map_err(shut)?;
         let sweeper = Sweeper::start(Arc::clone(&store), sweeping, Arc::clone(&failure));
         let sweeper = sweeper.map_err(shut)?;
         let syncer = match durability {

@@ -39,7 +39,7 @@ mod syncer;
 mod unclean_marker;
 mod view;
 
-use std::{collections::BTreeMap, io, path::Path, sync::Arc};
+use std::{io, path::Path, sync::Arc};
 
 use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
@@ -55,15 +55,14 @@ use super::{
 };
 use directory::Directory;
 use engine::Engine;
-use layout::Number;
 use store::shut;
-use sync_marks::{Mark, Marks};
+use sync_marks::{Mark, Marked, Marks};
 
 const STORE: &str = "store";
 /// A store that is being made; it is renamed once it is whole.
 const NEW_STORE: &str = "store.new";
 /// A rebuilt store that has yet to replace the damaged one.
-const REBUILT_STORE: &str = "store.remade";
+const REBUILT_STORE: &str = "store.rebuilt";
 /// The prefix of damaged stores as they were before a repair; a number follows.
 const DAMAGED_STORE: &str = "store.damaged-";
 const MARKS: &str = "marks";
@@ -108,7 +107,7 @@ pub struct FjallLog {
 enum Opened {
     Open(Arc<Engine>),
     /// The store is not open. Holds the cause, and the marks of the indices.
-    Not(LogError, BTreeMap<Number, Mark>),
+    Not(LogError, Marked),
 }
 
 impl FjallLog {
@@ -129,7 +128,7 @@ impl FjallLog {
         let path = directory.join(MARKS);
         let (_, marked) = Marks::open(&path).map_err(|source| failed(&path, source))?;
         let log = Self {
-            opened: RwLock::new(Opened::Not(LogError::Closed, BTreeMap::new())),
+            opened: RwLock::new(Opened::Not(LogError::Closed, Marked::default())),
             reopening: Mutex::default(),
             durability,
             directory,
@@ -281,7 +280,7 @@ impl PointStore for FjallLog {
             return Err(why);
         }
         if let Some(failed) = failed {
-            *self.opened.write() = Opened::Not(LogError::Closed, BTreeMap::new());
+            *self.opened.write() = Opened::Not(LogError::Closed, Marked::default());
             failed.shut();
         }
         let (opened, outcome) = match self.open_after(&failure) {
@@ -314,8 +313,7 @@ impl Catalogue for FjallLog {
         match &*self.opened.read() {
             Opened::Open(engine) => engine.gone(),
             Opened::Not(why, marked) => {
-                let named = marked.values().filter(|mark| !mark.deleted);
-                let lost = named.map(|mark| Lost {
+                let lost = marked.live().map(|(_, mark)| Lost {
                     name: mark.name.to_string(),
                     uid: mark.uid,
                     why: why_gone(why, mark),

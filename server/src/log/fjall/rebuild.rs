@@ -2,14 +2,13 @@
 //!
 //! fjall rewrites its files step by step in the background. If it meets a damaged block, it permanently stops all
 //! writing, for all indices, and does so again after every start. [`repair`] copies the fully readable indices into a
-//! new store, key by key. Of the others it keeps the entry, which says that the rest is lost. The damaged store is kept
-//! under another name.
+//! new store, key by key. It keeps only the entries of the other indices, which say that the rest is lost. The damaged
+//! store is kept under another name.
 //!
 //! A new store is renamed to its final name once it is whole and synced. If the renaming is interrupted, [`finish`]
 //! completes it at the next start.
 
 use std::{
-    collections::BTreeMap,
     fs, io,
     path::{Path, PathBuf},
     sync::Arc,
@@ -30,7 +29,7 @@ use super::{
     manifest, manifest_copy,
     recovery::{self, read_one, stored_entries},
     store::{Handles, Store, damage, shut, storage, unopened},
-    sync_marks::{Mark, Marks},
+    sync_marks::{Marked, Marks},
 };
 use crate::log::LogError;
 
@@ -228,7 +227,7 @@ struct Content {
 }
 
 /// Surveys the readable part of each index.
-fn survey(store: &Handles, marks: &BTreeMap<Number, Mark>) -> Result<Vec<Content>, LogError> {
+fn survey(store: &Handles, marks: &Marked) -> Result<Vec<Content>, LogError> {
     let mut contents = Vec::new();
     for (number, entry) in stored_entries(store, marks)? {
         let mut content = Content {
@@ -239,7 +238,7 @@ fn survey(store: &Handles, marks: &BTreeMap<Number, Mark>) -> Result<Vec<Content
         };
         match entry {
             Err(damage) => {
-                let name = marks.get(&number).map(|mark| mark.name.to_string());
+                let name = marks.get(number).map(|mark| mark.name.to_string());
                 content.lost = name.map(|name| (name, damage));
             }
             Ok(entry) => {

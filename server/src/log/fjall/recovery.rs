@@ -1,6 +1,9 @@
 //! From the files to the state: the content of the store, checked for damage and against the sync marks.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 use fjall::{Guard, KvPair, Slice};
 use tracing::{error, warn};
@@ -11,7 +14,7 @@ use super::{
     layout::{Head, Named, Number, Stage, Sum, entry_key, head_key, number_of_entry, record_key},
     session,
     store::{Handles, damage, damaged_index, unopened, unreadable},
-    sync_marks::Mark,
+    sync_marks::{Mark, Marked},
 };
 use crate::log::{Entry, LogError, Lost, Origin, Uid};
 
@@ -27,37 +30,37 @@ pub(super) struct Found {
     pub(super) deleted: Vec<Number>,
     /// The number of the next index.
     pub(super) next: Number,
+    /// The numbers that have an entry or a mark. The others are of deleted indices.
+    pub(super) used: BTreeSet<Number>,
 }
 
 /// Reads the store. With `renamed` every index gets a new uid, because its history may have changed.
-pub(super) fn recover(
-    handles: &Handles,
-    marks: &BTreeMap<Number, Mark>,
-    renamed: bool,
-) -> Result<Found, LogError> {
+pub(super) fn recover(handles: &Handles, marks: &Marked, renamed: bool) -> Result<Found, LogError> {
     let mut found = Found {
         indexes: Vec::new(),
         unreadable: false,
         gone: BTreeMap::new(),
         deleted: Vec::new(),
         // The number of a lost index stays in use.
-        next: marks.keys().next_back().map_or(0, |last| last + 1),
+        next: marks.next(),
+        used: BTreeSet::new(),
     };
-    let mut left = marks.clone();
+    let mut left: BTreeMap<Number, &Mark> = marks.live().collect();
     for (number, entry) in stored_entries(handles, marks)? {
         found.next = found.next.max(number + 1);
+        found.used.insert(number);
         let value = match entry {
             Ok(value) => value,
             Err(damage) => {
                 found.unreadable = true;
-                if let Some(mark) = left.remove(&number).filter(|mark| !mark.deleted) {
-                    found.lose(number, &mark, damaged_index(mark.uid, &damage));
+                if let Some(mark) = left.remove(&number) {
+                    found.lose(number, mark, damaged_index(mark.uid, &damage));
                 }
                 continue;
             }
         };
         let Some(named) = Named::decode(number, &value) else {
-            if !left.contains_key(&number) {
+            if !marks.is_marked(number) {
                 error!(
                     number,
                     "the entry of an index is damaged, and no mark names it"
@@ -65,11 +68,10 @@ pub(super) fn recover(
             }
             continue;
         };
-        let mark = left.get(&number);
-        let was_deleted = mark.is_some_and(|mark| mark.deleted);
+        let (mark, was_deleted) = (left.get(&number).copied(), marks.is_deleted(number));
         match named.stage {
             // A lost index; it is reported below.
-            Stage::Copied if mark.is_some() && !was_deleted => continue,
+            Stage::Copied if mark.is_some() => continue,
             Stage::Whole | Stage::Unreadable if was_deleted => {
                 warn!(
                     index = named.entry.name,
@@ -79,7 +81,7 @@ pub(super) fn recover(
             }
             Stage::Deleted | Stage::Copied => found.deleted.push(number),
             Stage::Whole => {
-                let index = open(handles, number, named, mark.cloned(), renamed)?;
+                let index = open(handles, number, named, mark, renamed)?;
                 found.unreadable |= matches!(index.closed(), Some(LogError::Unreadable { .. }));
                 found.indexes.push(index);
             }
@@ -87,14 +89,13 @@ pub(super) fn recover(
         }
         left.remove(&number);
     }
-    left.retain(|_, mark| !mark.deleted);
     for (number, mark) in left {
         let why = LogError::Lost {
             uid: mark.uid,
             first: 1,
             last: mark.revision,
         };
-        found.lose(number, &mark, why);
+        found.lose(number, mark, why);
     }
     Ok(found)
 }
@@ -104,6 +105,7 @@ impl Found {
     fn lose(&mut self, number: Number, mark: &Mark, why: LogError) {
         error!(index = &*mark.name, error = %why, "an index is lost: every call for it fails");
         let (name, uid) = (mark.name.to_string(), mark.uid);
+        self.used.insert(number);
         self.gone.insert(number, Lost { name, uid, why });
     }
 }
@@ -114,7 +116,7 @@ pub(super) type StoredEntry = (Number, Result<Slice, String>);
 /// The entry of each number that has one. A damaged entry without a mark is an error.
 pub(super) fn stored_entries(
     handles: &Handles,
-    marks: &BTreeMap<Number, Mark>,
+    marks: &Marked,
 ) -> Result<Vec<StoredEntry>, LogError> {
     let all = entry_key(0)..=entry_key(Number::MAX);
     let newest = match handles.keyspace.range(all).next_back().map(Guard::key) {
@@ -122,13 +124,13 @@ pub(super) fn stored_entries(
         Some(Ok(key)) => number_of_entry(&key),
         Some(Err(_)) | None => None,
     };
-    let last = newest.max(marks.keys().next_back().copied());
+    let end = newest.map_or(0, |newest| newest + 1).max(marks.next());
     let mut found = Vec::new();
-    for number in last.into_iter().flat_map(|last| 0..=last) {
+    for number in 0..end {
         match read_one(handles, &entry_key(number)) {
             None => {}
             Some(Ok((_, entry))) => found.push((number, Ok(entry))),
-            Some(Err(error)) if !marks.contains_key(&number) => return Err(unopened(error)),
+            Some(Err(error)) if !marks.is_marked(number) => return Err(unopened(error)),
             Some(Err(error)) => found.push((number, Err(damage(error)?))),
         }
     }
@@ -153,7 +155,7 @@ fn open(
     handles: &Handles,
     number: Number,
     mut named: Named,
-    mark: Option<Mark>,
+    mark: Option<&Mark>,
     renamed: bool,
 ) -> Result<Arc<Index>, LogError> {
     let uid = named.entry.uid;
@@ -206,7 +208,7 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
 
 /// The state of an index; an error if anything that a writer needs is damaged. The points are checked when they are
 /// first read.
-fn state(handles: &Handles, index: &Index, mark: Option<Mark>) -> Result<State, LogError> {
+fn state(handles: &Handles, index: &Index, mark: Option<&Mark>) -> Result<State, LogError> {
     let (number, uid) = (index.number, index.entry.uid);
     let damaged = |revision, what| LogError::Damaged {
         uid,
@@ -309,12 +311,14 @@ mod tests {
         let handles = store.handles().unwrap();
         damage(&handles, &records);
         let mark = Some(index.here());
-        match state(&handles, &index, mark) {
+        match state(&handles, &index, mark.as_ref()) {
             Ok(found) => index.restore(found),
             Err(error) => return Some(error.to_string()),
         }
         drop(handles);
-        Some(index.pin(&store).err()?.to_string())
+        let error = index.pin(&store).err()?;
+        assert_eq!(index.closed(), Some(error.clone()));
+        Some(error.to_string())
     }
 
     #[test]
@@ -333,10 +337,8 @@ mod tests {
                     &Record::new(revision as u64, before, 0, effects(9)),
                 );
             });
-            let told = other
-                .as_ref()
-                .map(|other| other.contains("revision 3 is damaged"));
-            assert_eq!(told, Some(true), "{other:?}");
+            let damage = other.unwrap_or_default();
+            assert!(damage.contains("revision 3 is damaged"), "{damage}");
         }
         let unlinked = found(|handles, records| {
             put(
@@ -349,6 +351,17 @@ mod tests {
             handles.keyspace.remove(record_key(0, 2)).unwrap();
         });
         assert!(missing.is_some_and(|error| error.contains("it is missing")));
+    }
+
+    #[test]
+    fn a_point_that_does_not_match_its_checksum_is_noticed() {
+        let damaged = found(|handles, _| {
+            handles
+                .keyspace
+                .insert(point_key(0, 1), b"damaged")
+                .unwrap();
+        });
+        assert!(damaged.is_some_and(|error| error.contains("the point with id 1 is damaged")));
     }
 
     /// The state after fjall skipped a part of its journal whose records had been trimmed.
@@ -375,11 +388,11 @@ mod tests {
             ("older", |handles| store(handles, 1)),
         ];
         for (what, damage) in damages {
-            let told = found(|handles, _| damage(handles));
-            let told = told.unwrap_or_default();
+            let why = found(|handles, _| damage(handles));
+            let why = why.unwrap_or_default();
             assert!(
-                told.contains("points are missing, or are not those of revision 3"),
-                "{what}: {told}"
+                why.contains("points are missing, or are not those of revision 3"),
+                "{what}: {why}"
             );
         }
     }

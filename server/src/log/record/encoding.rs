@@ -18,7 +18,8 @@ const FORM: &[u8; 16] = b"wayfold record 3";
 /// Passes the bytes of a record to `take`, part by part.
 pub(super) fn write(record: &Record, mut take: impl FnMut(&[u8])) {
     let effects = &record.effects;
-    let mut part = Vec::new();
+    // A record of one point fits.
+    let mut part = Vec::with_capacity(512);
     let is_old = record.run == Record::NO_RUN && effects.batch.is_none();
     part.extend_from_slice(if is_old { OLD_FORM } else { FORM });
     part.extend_from_slice(&record.previous);

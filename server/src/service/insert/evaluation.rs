@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use wayfold_index::{Known, Neighbor, Search};
-use wayfold_proto::v1;
+use wayfold_proto::{END_OF_IDS, v1};
 
 use super::{Insertion, is_same};
 use crate::{
@@ -11,7 +11,6 @@ use crate::{
     service::{
         Error, Limits,
         answer::{NeighborColumns, Room},
-        check::END_OF_IDS,
         payloads::{Payloads, Unread},
         prefetch::{Prefetch, PrefetchedRow},
         staging::Staging,
@@ -127,7 +126,8 @@ impl<'a> Evaluation<'a> {
         self.next_id += 1;
         // A copy: the request's payloads are slices that keep the whole message alive.
         let payload = Bytes::copy_from_slice(payload);
-        self.staging.accept(id, tag, row, payload, outcome)
+        self.staging.accept(id, tag, row, payload, outcome);
+        Ok(())
     }
 
     fn answer_neighbors(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
@@ -141,7 +141,8 @@ impl<'a> Evaluation<'a> {
         };
         let prefetch = self.prefetch.filter(|prefetch| prefetch.reaches(&search));
         let known = known(prefetch, at, |row| &row.neighbors);
-        found.push(&self.staging, &self.staging.search(row, &search, known)?)?;
+        let neighbors = self.staging.search(row, &search, known)?;
+        found.push(&self.staging, &neighbors)?;
         for id in found.without_payload().to_vec() {
             let accepted = self.staging.accepted_payload(id);
             let payload = accepted.or_else(|| self.payloads.of_neighbor(id).cloned());
@@ -154,7 +155,7 @@ impl<'a> Evaluation<'a> {
     }
 
     /// The nearest point, if it is nearer than `min_separation`.
-    fn blocker(&self, at: usize, row: &[f64]) -> Result<Option<u64>, Error> {
+    fn blocker(&mut self, at: usize, row: &[f64]) -> Result<Option<u64>, Error> {
         let min_separation = self.insertion.min_separation;
         let Some(nearest) = self.insertion.nearest() else {
             return Ok(None);

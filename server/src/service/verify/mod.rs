@@ -29,10 +29,10 @@ use search::Searches;
 const PAGE_ROWS: usize = 256;
 
 /// Time between two messages of progress.
-const SILENCE: Duration = Duration::from_millis(250);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(250);
 
-/// Most disagreements that are described in words.
-const TOLD: usize = 10;
+/// The maximum number of disagreements that the report describes.
+const MAX_DESCRIPTIONS: usize = 10;
 
 const DOING: &str = "while verifying";
 
@@ -112,7 +112,7 @@ impl Verification {
     /// Works for a while, or to the end.
     async fn work(&mut self) -> Result<Answer, Error> {
         let published = held(&self.pin)?;
-        let until = Instant::now() + SILENCE;
+        let until = Instant::now() + PROGRESS_INTERVAL;
         let pass = Pass {
             call: &self.call,
             index: self.hosted.name(),
@@ -197,7 +197,7 @@ struct Disagreements {
 impl Disagreements {
     fn add(&mut self, words: impl FnOnce() -> String) {
         self.count += 1;
-        if self.first.len() < TOLD {
+        if self.first.len() < MAX_DESCRIPTIONS {
             self.first.push(words());
         }
     }

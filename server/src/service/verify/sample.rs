@@ -4,8 +4,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_index::{Factor, Space};
 
-/// The distance of a drawn state from a stored one, as a fraction of the bounds.
-const BESIDE: f64 = 1e-3;
+/// The side of the box around a stored state in which states are drawn, as a share of the bounds.
+const NEAR_SHARE: f64 = 1e-3;
 
 /// A uniform sample of the stored states, and the bounds of all.
 pub(super) struct Sampler {
@@ -68,7 +68,7 @@ impl Sampler {
         for (at, &(low, high)) in self.bounds.iter().enumerate() {
             let share: f64 = self.random.random();
             state.push(match center.and_then(|center| center.get(at)) {
-                Some(coordinate) => coordinate + (share - 0.5) * BESIDE * (high - low),
+                Some(coordinate) => coordinate + (share - 0.5) * NEAR_SHARE * (high - low),
                 None => low + share * (high - low),
             });
         }

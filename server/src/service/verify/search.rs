@@ -6,7 +6,7 @@ use super::{DOING, Disagreements, Pass};
 use crate::service::Error;
 
 /// At most this many times `k` points within a radius are compared.
-const WITHIN: usize = 4;
+const MAX_WITHIN_FACTOR: usize = 4;
 
 /// The queries, and the progress of the pass.
 pub(super) struct Searches {
@@ -25,7 +25,7 @@ struct Query {
     radius: f64,
     /// The forest's points within that radius, the nearest of them.
     within: Vec<Neighbor>,
-    /// The nearest stored points so far, `WITHIN * k` at most.
+    /// The nearest stored points so far, `MAX_WITHIN_FACTOR * k` at most.
     brute_force: Vec<Neighbor>,
 }
 
@@ -71,7 +71,7 @@ impl Searches {
                 let _ = points.insert(point.indexed());
             }
             for query in &mut self.queries {
-                query.measure(&points, WITHIN * self.k)?;
+                query.measure(&points, MAX_WITHIN_FACTOR * self.k)?;
                 pace.step().await?;
             }
             self.after = Some(last.id);
@@ -112,7 +112,7 @@ impl Query {
         let nearest = pass.published.snapshot.search(&state, &search)?;
         pace.step().await?;
         let radius = nearest.neighbors.last().map_or(0.0, |last| last.distance);
-        (search.k, search.radius) = (WITHIN * k, radius);
+        (search.k, search.radius) = (MAX_WITHIN_FACTOR * k, radius);
         let within = pass.published.snapshot.search(&state, &search)?;
         tokio::task::yield_now().await;
         Ok(Self {

@@ -58,6 +58,16 @@ impl SessionModel {
                 }
                 (StepKind::Remove, Some(_)) => drop(after.points.remove(&id)),
                 (StepKind::SetTag, Some(point)) => point.tag = tag,
+                (StepKind::Replace, Some(point)) => {
+                    point.row = rows.next().unwrap().to_vec();
+                    point.payload = payloads.next().cloned().unwrap_or_default();
+                    (point.stored, point.modified) = (after.revision, after.revision);
+                }
+                (StepKind::Replace, None) => {
+                    rows.next().unwrap();
+                    payloads.next();
+                    missing_count += 1;
+                }
                 (StepKind::Remove | StepKind::SetTag, None) => missing_count += 1,
                 (StepKind::Unspecified, _) => panic!("{request:?}"),
             }

@@ -65,14 +65,11 @@ fn next_batch(requests: &mut Requests, model: &SessionModel, writer: &Writer) ->
             0 => requests.random.random_range(0..12),
             some => among[requests.random.random_range(0..some)],
         });
-        let kinds_of_steps = [StepKind::Put, StepKind::Remove, StepKind::SetTag];
-        kinds.push(i32::from(
-            kinds_of_steps[requests.random.random_range(0..3)],
-        ));
+        kinds.push(requests.random.random_range(1..=4));
     }
     let puts = kinds
         .iter()
-        .filter(|kind| **kind == i32::from(StepKind::Put))
+        .filter(|&&kind| kind == i32::from(StepKind::Put) || kind == i32::from(StepKind::Replace))
         .count();
     let tagged = requests.random.random_bool(0.7);
     let loaded = requests.random.random_bool(0.5);

@@ -104,8 +104,8 @@ async fn a_session_ends_with_its_index() {
     };
     service.delete_index(&CALL, delete).await.unwrap();
     let new = create(&service, "arm", "R1").await;
-    let (anew, _) = open(&service, &new, 1).await;
-    assert_eq!(anew.id, session.id);
+    let (reopened, _) = open(&service, &new, 1).await;
+    assert_eq!(reopened.id, session.id);
     let mismatch = (Code::FailedPrecondition, "UID_MISMATCH");
     assert_eq!(refused_batch(&service, first).await, mismatch);
     assert_eq!(stored(&service).await, [] as [u64; 0]);

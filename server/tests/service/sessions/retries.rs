@@ -83,6 +83,50 @@ async fn a_retry_is_recognised_after_a_flood_and_after_a_restart() {
     }
 }
 
+/// A lost answer costs no session.
+#[tokio::test]
+async fn a_retry_of_an_opening_gets_the_same_session() {
+    let (service, uid) = arm("R1").await;
+    let request = v1::OpenSessionRequest {
+        operation_id: "open".into(),
+        ..opening(5)
+    };
+    let open = |request| service.open_session(&CALL, request);
+    let (first, twin) = tokio::join!(open(request.clone()), open(request.clone()));
+    let first = first.unwrap();
+    assert_eq!(twin.unwrap(), first);
+    let session = Opened {
+        uid,
+        id: first.session,
+        first: first.reserved.unwrap().first_id,
+    };
+    write(&service, batch(&session, 1, &[Put(session.first, 0.5)])).await;
+    assert_eq!(open(request.clone()).await.unwrap(), first);
+    write(&service, batch(&session, 2, &[])).await;
+    let other = v1::OpenSessionRequest {
+        reserve_count: 6,
+        ..request.clone()
+    };
+    let (code, reason, _) = refusal(open(other).await);
+    assert_eq!(
+        (code, reason),
+        (Code::InvalidArgument, "OPERATION_MISMATCH")
+    );
+    let named = |operation_id| v1::OpenSessionRequest {
+        operation_id,
+        ..request.clone()
+    };
+    assert_ne!(
+        open(named("another".into())).await.unwrap().session,
+        first.session
+    );
+    let (code, reason, field) = refusal(open(named("x".repeat(65))).await);
+    assert_eq!(
+        (code, reason, &*field),
+        (Code::InvalidArgument, "TOO_LONG", "operation_id")
+    );
+}
+
 #[tokio::test]
 async fn every_batch_makes_a_revision_also_without_a_change() {
     let (service, uid) = arm("R1").await;

@@ -12,15 +12,6 @@ use crate::remote::{Stream, named_arm, server, settled};
 /// A batch, and the response that the writer was given.
 type Acknowledged = (v1::WriteRequest, v1::WriteResponse);
 
-/// Waits until the server has this revision. A server without the session's newest record would refuse the next batch.
-async fn catch_up(server: &Service, newest: &Option<v1::Revision>) {
-    let request = v1::GetRequest {
-        min_revision: newest.clone(),
-        ..getting(&[])
-    };
-    server.get(&CALL, request).await.unwrap();
-}
-
 /// Writes each batch through either server and repeats it at either, while it is under way and afterwards. Returns the
 /// batches in their order, and the points that the writer expects under its own ids.
 async fn batches(
@@ -29,8 +20,7 @@ async fn batches(
     seed: u64,
 ) -> (u64, Vec<Acknowledged>, BTreeMap<u64, f64>) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let (session, opened) = open(&servers[random.random_range(0..2)], &uid, 5).await;
-    let mut newest = opened.revision;
+    let (session, _) = open(&servers[random.random_range(0..2)], &uid, 5).await;
     let (mut ids, mut points) = (
         Vec::from_iter((0..5).map(|at| session.first + at)),
         BTreeMap::new(),
@@ -57,9 +47,6 @@ async fn batches(
                 Tag(id, _) => missing += u64::from(!points.contains_key(&id)),
             }
         }
-        for server in &servers {
-            catch_up(server, &newest).await;
-        }
         let twins = [(); 2].map(|()| random.random_range(0..2));
         let twins = twins.map(|at: usize| write(&servers[at], request.clone()));
         let responses = join_all(twins).await;
@@ -69,9 +56,7 @@ async fn batches(
         let block = response.reserved.unwrap();
         assert_eq!(block.count, request.reserve_count);
         ids.extend((0..block.count).map(|at| block.first_id + at));
-        newest = response.revision.clone();
         let server = &servers[random.random_range(0..2)];
-        catch_up(server, &newest).await;
         assert_eq!(write(server, request.clone()).await, response);
         acknowledged.push((request, response));
     }
@@ -146,4 +131,30 @@ async fn two_servers_never_open_the_same_session() {
     }
     let blocks: Vec<u64> = ids.into_values().collect();
     assert_eq!(blocks, Vec::from_iter((0..200).step_by(2)));
+}
+
+/// A server reads the journal to its end before it refuses a batch.
+#[tokio::test]
+async fn a_server_that_lags_behind_the_journal_refuses_no_good_batch() {
+    let (stream, entry) = (Stream::new(6, 0.0), named_arm());
+    let (one, ..) = server(&stream, &entry);
+    let (other, _, journal) = server(&stream, &entry);
+    let uid = entry.uid.to_string();
+    journal.fall_behind();
+    let (session, _) = open(&one, &uid, 5).await;
+    let put = |number| batch(&session, number, &[Put(session.first, number as f64)]);
+    write(&other, put(1)).await;
+    journal.fall_behind();
+    write(&one, put(2)).await;
+    write(&other, put(3)).await;
+    journal.fall_behind();
+    write(&one, put(4)).await;
+    let refused = other.write(&CALL, put(6)).await.unwrap_err();
+    assert_eq!(refused.reason(), "BATCH_OUT_OF_ORDER");
+    assert!(
+        refused.to_string().contains("newest batch is 4"),
+        "{refused}"
+    );
+    write(&other, put(5)).await;
+    settled(&stream, &entry, &[&one, &other]).await;
 }

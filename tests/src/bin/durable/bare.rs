@@ -34,7 +34,7 @@ pub(crate) enum SyncSharing {
     Tasks,
     /// 64 tasks, and a thread that calls `persist(Buffer)` and syncs the file of the journal itself, so that others
     /// write meanwhile. Like our log, it relies on the file layout of fjall.
-    Beside,
+    FileSync,
 }
 
 impl SyncSharing {
@@ -42,7 +42,7 @@ impl SyncSharing {
         SyncSharing::Leader,
         SyncSharing::Thread,
         SyncSharing::Tasks,
-        SyncSharing::Beside,
+        SyncSharing::FileSync,
     ];
 
     pub(crate) fn name(self) -> &'static str {
@@ -50,7 +50,7 @@ impl SyncSharing {
             SyncSharing::Leader => "64 threads, a leader persists",
             SyncSharing::Thread => "64 threads, a thread persists",
             SyncSharing::Tasks => "64 tasks, a thread persists",
-            SyncSharing::Beside => "64 tasks, a thread syncs beside",
+            SyncSharing::FileSync => "64 tasks, a thread syncs beside",
         }
     }
 }
@@ -240,7 +240,7 @@ impl WriteState {
             }
             let upto = round.committed;
             drop(round);
-            if way == SyncSharing::Beside {
+            if way == SyncSharing::FileSync {
                 self.database.persist(PersistMode::Buffer).expect("a sync");
                 self.newest(&mut journal).sync_data().expect("a sync");
             } else {

@@ -108,11 +108,11 @@ fn tell(medians: &BTreeMap<Contestant, Round>, shape: &Shape, report: &mut Repor
     for way in bare::SyncSharing::ALL {
         let round = of(Contestant::BareStore(way));
         report.note(&format!("bare fjall: {}", way.name()), round.rate, "/s");
-        if way != bare::SyncSharing::Beside {
+        if way != bare::SyncSharing::FileSync {
             best = best.max(round.rate);
         }
     }
-    let beside = of(Contestant::BareStore(bare::SyncSharing::Beside)).rate;
+    let file_sync = of(Contestant::BareStore(bare::SyncSharing::FileSync)).rate;
     for (k, with) in [(None, ""), (Some(K), ", k = 10")] {
         let service = of(Contestant::Service(k));
         report.ratio(
@@ -125,7 +125,7 @@ fn tell(medians: &BTreeMap<Contestant, Round>, shape: &Shape, report: &mut Repor
         report.compare(
             &format!("  to bare fjall synced beside{with}"),
             service.rate,
-            beside,
+            file_sync,
             "/s",
         );
         report.note(
@@ -231,7 +231,7 @@ async fn through_service(place: &Place, round: usize, count: usize, k: Option<u3
     meter.stop()
 }
 
-/// The server's, and the echo's.
+/// The rounds of the server and of the echo.
 async fn through_grpc(
     place: &Place,
     round: (usize, usize),

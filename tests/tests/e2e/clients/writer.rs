@@ -99,6 +99,7 @@ impl Writer {
             index_name: "arm".into(),
             uid: uid.into(),
             reserve_count: RESERVED_IDS,
+            ..Default::default()
         };
         let opened = stubs.points.open_session(request.clone()).await;
         let response = opened.unwrap().into_inner();

@@ -17,6 +17,7 @@ pub(crate) fn by_hand() -> Vec<Op> {
             index_name: "arm".into(),
             uid: UID.into(),
             reserve_count,
+            operation_id: "open".into(),
         })
     };
     let first = v1::WriteRequest {
@@ -67,7 +68,8 @@ pub(crate) fn by_hand() -> Vec<Op> {
 }
 
 pub(super) fn opening(it: &v1::OpenSessionRequest) -> Value {
-    json!({ "uid": it.uid, "reserve_count": integer(&it.reserve_count) })
+    let reserve_count = integer(&it.reserve_count);
+    json!({ "uid": it.uid, "reserve_count": reserve_count, "operation_id": it.operation_id })
 }
 
 pub(super) fn batch(it: &v1::WriteRequest) -> Value {
@@ -75,6 +77,7 @@ pub(super) fn batch(it: &v1::WriteRequest) -> Value {
         1 => json!("PUT"),
         2 => json!("REMOVE"),
         3 => json!("SET_TAG"),
+        4 => json!("REPLACE"),
         other => json!(other),
     };
     object([

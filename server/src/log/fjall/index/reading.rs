@@ -139,7 +139,11 @@ impl Index {
                 state.is_checked = true;
                 Ok(self.view_of_head(store, &mut state))
             }
-            Err(why @ (LogError::Unreadable { .. } | LogError::Incomplete { .. })) => {
+            Err(
+                why @ (LogError::Unreadable { .. }
+                | LogError::Incomplete { .. }
+                | LogError::DamagedPoint { .. }),
+            ) => {
                 drop(state);
                 error!(index = self.entry.name, error = %why, "an index is damaged: every call for it fails");
                 self.close(why.clone());

@@ -1,0 +1,89 @@
+//! The newest changes of an index in this process.
+
+use std::collections::{HashSet, VecDeque};
+
+use wayfold_index::Seen;
+
+/// The most changes that are kept, 24 bytes each.
+const MAX_CHANGES: usize = 1 << 16;
+
+/// One change: an id and what became of it.
+#[derive(Clone, Copy, Debug)]
+struct Change {
+    at: u64,
+    id: u64,
+}
+
+/// The ids that changed, in the order of their changes.
+#[derive(Debug, Default)]
+pub(super) struct History {
+    changes: VecDeque<Change>,
+    /// Changes up to this one are forgotten.
+    forgotten: u64,
+}
+
+impl History {
+    /// Notes that change number `at` stored or removed the point with this id.
+    pub(super) fn push(&mut self, at: u64, id: u64) {
+        if self.changes.len() == MAX_CHANGES
+            && let Some(oldest) = self.changes.pop_front()
+        {
+            self.forgotten = oldest.at;
+        }
+        self.changes.push_back(Change { at, id });
+    }
+
+    /// Forgets everything up to change number `at`.
+    pub(super) fn forget(&mut self, at: u64) {
+        self.changes.clear();
+        self.forgotten = at;
+    }
+
+    /// The ids that changed after `seen`, each once, the newest change first. None if some of them are forgotten.
+    pub(super) fn after(&self, seen: Seen) -> Option<Vec<u64>> {
+        if seen.0 < self.forgotten {
+            return None;
+        }
+        let newer = self.changes.iter().rev();
+        let newer = newer.take_while(|change| change.at > seen.0);
+        let mut known = HashSet::new();
+        Some(
+            newer
+                .map(|change| change.id)
+                .filter(|&id| known.insert(id))
+                .collect(),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_id_that_changed_twice_is_named_once() {
+        let mut history = History::default();
+        for (at, id) in [(1, 7), (2, 8), (3, 7)] {
+            history.push(at, id);
+        }
+        assert_eq!(history.after(Seen(0)), Some(vec![7, 8]));
+        assert_eq!(history.after(Seen(2)), Some(vec![7]));
+        assert_eq!(history.after(Seen(3)), Some(vec![]));
+    }
+
+    #[test]
+    fn what_is_forgotten_is_said_to_be() {
+        let mut history = History::default();
+        for at in 1..=MAX_CHANGES as u64 + 2 {
+            history.push(at, at);
+        }
+        assert_eq!(history.after(Seen(1)), None);
+        assert_eq!(
+            history.after(Seen(2)).map(|ids| ids.len()),
+            Some(MAX_CHANGES)
+        );
+        history.forget(MAX_CHANGES as u64 + 3);
+        assert_eq!(history.after(Seen(MAX_CHANGES as u64 + 2)), None);
+        assert_eq!(history.after(Seen(MAX_CHANGES as u64 + 3)), Some(vec![]));
+    }
+}

@@ -1,0 +1,216 @@
+//! The points that an index holds in this process.
+
+use wayfold_index::{
+    Changes, Forest, ForestOptions, Merge, Neighbor, NewPoint, Point, PointRef, Points, Question,
+    Seen, Snapshot, Space,
+};
+
+use super::history::History;
+use crate::Error;
+
+/// A merge is looked for after this many changes: looking costs as much as a small insert.
+const MERGE_INTERVAL: usize = 64;
+
+/// Searches for more neighbours than this read a snapshot, so that writers do not wait for them.
+const MAX_LOCKED_K: usize = 256;
+
+/// A forest, and the order in which its changes became visible here. The forest's revisions are those changes.
+#[derive(Debug)]
+pub(super) struct LocalPoints {
+    pub(super) forest: Forest,
+    history: History,
+    /// A table of one row, used again by each change of one point.
+    one: Points,
+    /// The rows that changed since the last look for a merge.
+    unmerged: usize,
+    /// True if the merging thread looks for a pause in the changes.
+    pub(super) is_watched: bool,
+}
+
+impl LocalPoints {
+    pub(super) fn new(space: &Space) -> LocalPoints {
+        LocalPoints {
+            forest: Forest::new(space.clone(), ForestOptions::for_space(space)),
+            history: History::default(),
+            one: Points::with_capacity(space.coordinates(), 1),
+            unmerged: 0,
+            is_watched: false,
+        }
+    }
+
+    /// The last change.
+    pub(super) fn seen(&self) -> Seen {
+        Seen(self.forest.revision())
+    }
+
+    /// Stores one point, in place of one with the same id.
+    pub(super) fn store(&mut self, id: u64, tag: u64, row: &[f64]) -> Result<(), Error> {
+        let at = self.forest.revision() + 1;
+        self.store_as_of(id, tag, at, row)
+    }
+
+    /// Sets the tag of a point; false if there is none with this id.
+    pub(super) fn set_tag(&mut self, id: u64, tag: u64) -> Result<bool, Error> {
+        let Some(point) = self.forest.get(id) else {
+            return Ok(false);
+        };
+        if point.tag != tag {
+            self.store_as_of(id, tag, point.revision, &point.row)?;
+        }
+        Ok(true)
+    }
+
+    /// Stores one point whose state was stored by change number `stored_at`.
+    fn store_as_of(&mut self, id: u64, tag: u64, stored_at: u64, row: &[f64]) -> Result<(), Error> {
+        self.one.clear();
+        self.one.push_point(PointRef {
+            id,
+            tag,
+            revision: stored_at,
+            row,
+        });
+        let at = self.forest.revision() + 1;
+        self.forest.apply(at, &self.one, &[])?;
+        self.history.push(at, id);
+        self.unmerged += 1;
+        Ok(())
+    }
+
+    /// Removes a point; false if there is none with this id.
+    pub(super) fn remove(&mut self, id: u64) -> Result<bool, Error> {
+        if !self.forest.contains(id) {
+            return Ok(false);
+        }
+        self.one.clear();
+        let at = self.forest.revision() + 1;
+        self.forest.apply(at, &self.one, &[id])?;
+        self.history.push(at, id);
+        self.unmerged += 1;
+        Ok(true)
+    }
+
+    /// Removes the points with the ids `removed`, then stores rows as one change, each in place of one with the same
+    /// id.
+    pub(super) fn apply<'a>(
+        &mut self,
+        stored: impl Iterator<Item = NewRow<'a>>,
+        removed: &[u64],
+    ) -> Result<(), Error> {
+        let at = self.forest.revision() + 1;
+        let mut points = Points::new(self.forest.space().coordinates());
+        for NewRow {
+            id,
+            tag,
+            row,
+            is_new,
+        } in stored
+        {
+            let held = if is_new { None } else { self.forest.get(id) };
+            points.push(id, tag, held.map_or(at, |held| held.revision), row);
+        }
+        self.forest.apply(at, &points, removed)?;
+        for &id in points.ids().iter().chain(removed) {
+            self.history.push(at, id);
+        }
+        self.unmerged += points.len() + removed.len();
+        Ok(())
+    }
+
+    /// Removes all points.
+    pub(super) fn clear(&mut self) -> Result<(), Error> {
+        let space = self.forest.space().clone();
+        let mut empty = Forest::new(space.clone(), ForestOptions::for_space(&space));
+        let at = self.forest.revision() + 1;
+        empty.apply(at, &Points::new(space.coordinates()), &[])?;
+        self.replace(empty);
+        Ok(())
+    }
+
+    /// Replaces all points by those of `forest`, whose revision is above that of this one.
+    pub(super) fn replace(&mut self, forest: Forest) {
+        self.history.forget(forest.revision());
+        self.forest = forest;
+        self.unmerged = MERGE_INTERVAL;
+    }
+
+    /// The next merge, if one is due.
+    pub(super) fn merge(&mut self) -> Option<Merge> {
+        if self.unmerged < MERGE_INTERVAL {
+            return None;
+        }
+        let merge = self.forest.begin_merge();
+        if merge.is_none() {
+            self.unmerged = 0;
+        }
+        merge
+    }
+
+    /// A copy of the points, frozen, for a search that would keep writers waiting.
+    pub(super) fn snapshot_for(&self, question: &Question<'_>) -> Option<Snapshot> {
+        let is_long = question.search.k > MAX_LOCKED_K || question.search.until.is_some();
+        is_long.then(|| self.forest.snapshot())
+    }
+
+    pub(super) fn search(
+        &self,
+        row: &[f64],
+        question: &Question<'_>,
+    ) -> Result<Vec<Neighbor>, Error> {
+        let search = question.among(self.forest.len(), self.forest.space().dimension());
+        Ok(self.forest.search(row, &search)?.neighbors)
+    }
+
+    pub(super) fn get(&self, id: u64) -> Option<Point> {
+        self.forest.get(id)
+    }
+
+    /// What changed after `seen`, as it is now.
+    pub(super) fn changes(&self, seen: Seen) -> Option<Changes> {
+        let mut changes = Changes {
+            stored: Points::new(self.forest.space().coordinates()),
+            removed: Vec::new(),
+            seen: self.seen(),
+        };
+        for id in self.history.after(seen)? {
+            match self.forest.get(id) {
+                Some(point) => changes.stored.push_point(point.by_ref()),
+                None => changes.removed.push(id),
+            }
+        }
+        Some(changes)
+    }
+}
+
+/// One row to store.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NewRow<'a> {
+    pub(super) id: u64,
+    pub(super) tag: u64,
+    pub(super) row: &'a [f64],
+    /// False if the point is stored with this state, and only its tag or its payload is new.
+    pub(super) is_new: bool,
+}
+
+/// Searches a snapshot.
+pub(super) fn search_snapshot(
+    snapshot: &Snapshot,
+    row: &[f64],
+    question: &Question<'_>,
+) -> Result<Vec<Neighbor>, Error> {
+    let search = question.among(snapshot.len(), snapshot.space().dimension());
+    Ok(snapshot.search(row, &search)?.neighbors)
+}
+
+/// Refuses an id that no index takes.
+pub(super) fn check_id(point: &NewPoint<'_>) -> Result<(), Error> {
+    match point.id {
+        Some(id) if id > MAX_ID => Err(Error::Argument {
+            field: "id",
+            problem: format!("{id}; ids are below 2^63"),
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// The greatest id.
+pub(super) const MAX_ID: u64 = (1 << 63) - 1;

@@ -1,0 +1,237 @@
+//! The form of an index that lives in this process alone.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Weak},
+};
+
+use parking_lot::RwLock;
+use wayfold_index::{
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ScannedPoints, Seen, Space,
+};
+
+use super::{
+    local::{LocalPoints, MAX_ID, NewRow, check_id, search_snapshot},
+    merger::{self, Merged},
+};
+use crate::Error;
+
+/// An index in memory.
+#[derive(Debug)]
+pub(super) struct Memory {
+    space: Space,
+    state: RwLock<State>,
+    merges: Merges,
+    /// Itself, for the merging thread.
+    this: Weak<Memory>,
+}
+
+/// The thread that runs the merges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Merges {
+    /// The merging thread.
+    Background,
+    /// The thread whose change makes a merge due.
+    Inline,
+}
+
+#[derive(Debug)]
+struct State {
+    points: LocalPoints,
+    /// The next id that the index assigns: above every id it has used.
+    next_id: u64,
+    /// Only of points that have one.
+    payloads: HashMap<u64, Vec<u8>>,
+}
+
+impl Memory {
+    pub(super) fn new(space: &Space, merges: Merges) -> Arc<Memory> {
+        let state = State {
+            points: LocalPoints::new(space),
+            next_id: 0,
+            payloads: HashMap::new(),
+        };
+        Arc::new_cyclic(|this| Memory {
+            space: space.clone(),
+            state: RwLock::new(state),
+            merges,
+            this: this.clone(),
+        })
+    }
+
+    fn after_change(&self, points: &mut LocalPoints) {
+        match self.merges {
+            Merges::Background => merger::after_change(points, || self.this.clone()),
+            Merges::Inline => merger::merge_now(points),
+        }
+    }
+}
+
+impl Merged for Memory {
+    fn with_points(&self, change: &mut dyn FnMut(&mut LocalPoints)) {
+        change(&mut self.state.write().points);
+    }
+}
+
+impl State {
+    /// The next `count` ids.
+    fn assign(&mut self, count: usize) -> Result<u64, Error> {
+        let first = self.next_id;
+        match first.checked_add(count as u64) {
+            Some(next) if next <= MAX_ID + 1 => {
+                self.next_id = next;
+                Ok(first)
+            }
+            _ => Err(Error::Argument {
+                field: "id",
+                problem: "the index has used the greatest id".to_owned(),
+            }),
+        }
+    }
+}
+
+impl NearestNeighbors for Memory {
+    type Error = Error;
+
+    fn space(&self) -> &Space {
+        &self.space
+    }
+
+    fn len(&self) -> Result<usize, Error> {
+        Ok(self.state.read().points.forest.len())
+    }
+
+    fn search(
+        &self,
+        row: &[f64],
+        question: &Question<'_>,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<Seen, Error> {
+        let state = self.state.read();
+        let seen = state.points.seen();
+        *found = match state.points.snapshot_for(question) {
+            None => state.points.search(row, question)?,
+            Some(snapshot) => {
+                drop(state);
+                search_snapshot(&snapshot, row, question)?
+            }
+        };
+        Ok(seen)
+    }
+
+    fn search_many(
+        &self,
+        rows: &[f64],
+        question: &Question<'_>,
+    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+        let snapshot = self.state.read().points.forest.snapshot();
+        let rows = rows.chunks_exact(self.space.coordinates());
+        rows.map(|row| search_snapshot(&snapshot, row, question))
+            .collect()
+    }
+
+    fn insert(
+        &self,
+        point: &NewPoint<'_>,
+        question: Option<&Question<'_>>,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<(u64, Seen), Error> {
+        check_id(point)?;
+        let mut state = self.state.write();
+        if let Some(id) = point.id
+            && state.points.forest.contains(id)
+        {
+            return Err(Error::IdTaken { id });
+        }
+        found.clear();
+        if let Some(question) = question {
+            *found = state.points.search(point.row, question)?;
+        }
+        let id = match point.id {
+            Some(id) => {
+                state.next_id = state.next_id.max(id + 1);
+                id
+            }
+            None => state.assign(1)?,
+        };
+        state.points.store(id, point.tag, point.row)?;
+        if !point.payload.is_empty() {
+            state.payloads.insert(id, point.payload.to_vec());
+        }
+        self.after_change(&mut state.points);
+        Ok((id, state.points.seen()))
+    }
+
+    fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
+        let rows = rows.chunks_exact(self.space.coordinates());
+        let mut state = self.state.write();
+        let first = state.next_id;
+        let ids = first..first.saturating_add(rows.len() as u64);
+        state.assign(rows.len())?;
+        let stored = ids.clone().zip(rows);
+        let stored = stored.map(|(id, row)| NewRow {
+            id,
+            tag,
+            row,
+            is_new: true,
+        });
+        if let Err(error) = state.points.apply(stored, &[]) {
+            state.next_id = first;
+            return Err(error);
+        }
+        self.after_change(&mut state.points);
+        Ok(ids.collect())
+    }
+
+    fn replace(&self, id: u64, row: &[f64]) -> Result<bool, Error> {
+        let mut state = self.state.write();
+        let Some(point) = state.points.get(id) else {
+            return Ok(false);
+        };
+        state.points.store(id, point.tag, row)?;
+        state.payloads.remove(&id);
+        self.after_change(&mut state.points);
+        Ok(true)
+    }
+
+    fn remove(&self, id: u64) -> Result<bool, Error> {
+        let mut state = self.state.write();
+        let removed = state.points.remove(id)?;
+        state.payloads.remove(&id);
+        self.after_change(&mut state.points);
+        Ok(removed)
+    }
+
+    fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
+        let mut state = self.state.write();
+        let is_stored = state.points.set_tag(id, tag)?;
+        self.after_change(&mut state.points);
+        Ok(is_stored)
+    }
+
+    fn get(&self, id: u64) -> Result<Option<Point>, Error> {
+        Ok(self.state.read().points.get(id))
+    }
+
+    fn payload(&self, id: u64) -> Result<Option<Vec<u8>>, Error> {
+        let state = self.state.read();
+        let is_stored = state.points.forest.contains(id);
+        Ok(is_stored.then(|| state.payloads.get(&id).cloned().unwrap_or_default()))
+    }
+
+    fn scan(&self) -> Result<ScannedPoints<Error>, Error> {
+        let snapshot = self.state.read().points.forest.snapshot();
+        Ok(super::scan::scan(snapshot))
+    }
+
+    fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
+        Ok(self.state.read().points.changes(seen))
+    }
+
+    fn clear(&self) -> Result<(), Error> {
+        let mut state = self.state.write();
+        state.points.clear()?;
+        state.payloads.clear();
+        Ok(())
+    }
+}

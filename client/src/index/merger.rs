@@ -1,0 +1,155 @@
+//! The thread that merges the levels of all indices of this process.
+//!
+//! It starts with the first merge. A merge runs without any lock, and its result is swapped in under the index's lock.
+//! When an index rests, the thread packs its levels into few.
+
+use std::{
+    process,
+    sync::{
+        OnceLock, Weak,
+        mpsc::{Receiver, RecvTimeoutError, Sender, channel},
+    },
+    thread,
+    time::Duration,
+};
+
+use wayfold_index::Merge;
+
+use super::local::LocalPoints;
+
+/// An index rests when nothing changes for this long.
+const REST: Duration = Duration::from_millis(250);
+
+/// An index whose levels are merged here.
+pub(super) trait Merged: Send + Sync {
+    /// Runs `change` with exclusive access to the points.
+    fn with_points(&self, change: &mut dyn FnMut(&mut LocalPoints));
+}
+
+/// The work that a change leaves behind.
+enum Work {
+    Merge(Weak<dyn Merged>, Merge),
+    /// Look for a pause in the changes of an index.
+    Watch(Weak<dyn Merged>),
+}
+
+struct Thread {
+    work: Sender<Work>,
+    /// The process that started it. A fork does not copy threads.
+    process: u32,
+}
+
+static THREAD: OnceLock<Option<Thread>> = OnceLock::new();
+
+/// Hands over the work that changes have left: call it under the index's lock after each.
+pub(super) fn after_change(points: &mut LocalPoints, index: impl Fn() -> Weak<dyn Merged>) {
+    if !points.is_watched {
+        points.is_watched = true;
+        send(points, Work::Watch(index()));
+    }
+    if let Some(merge) = points.merge() {
+        send(points, Work::Merge(index(), merge));
+    }
+}
+
+/// Runs all merges that are due at once.
+pub(super) fn merge_now(points: &mut LocalPoints) {
+    while let Some(merge) = points.merge() {
+        points.forest.finish_merge(merge.run());
+    }
+}
+
+fn send(points: &mut LocalPoints, work: Work) {
+    let thread = THREAD.get_or_init(start).as_ref();
+    // In a forked process, and where no thread could be started, the caller merges.
+    let unsent = match thread.filter(|thread| thread.process == process::id()) {
+        Some(thread) => thread.work.send(work).err().map(|unsent| unsent.0),
+        None => Some(work),
+    };
+    if let Some(Work::Merge(_, merge)) = unsent {
+        points.forest.finish_merge(merge.run());
+        merge_now(points);
+    }
+}
+
+fn start() -> Option<Thread> {
+    let (work, received) = channel();
+    thread::Builder::new()
+        .name("wayfold-merge".to_owned())
+        .spawn(move || run(&received))
+        .ok()?;
+    Some(Thread {
+        work,
+        process: process::id(),
+    })
+}
+
+/// An index that changed not long ago, and its last change that the thread has noticed.
+struct Watched {
+    index: Weak<dyn Merged>,
+    noticed: u64,
+}
+
+fn run(work: &Receiver<Work>) {
+    let mut watched: Vec<Watched> = Vec::new();
+    loop {
+        let next = match watched.is_empty() {
+            true => work.recv().map_err(RecvTimeoutError::from),
+            false => work.recv_timeout(REST),
+        };
+        match next {
+            Ok(Work::Merge(index, merge)) => {
+                let merged = merge.run();
+                finish(&index, merged);
+            }
+            Ok(Work::Watch(index)) => watched.push(Watched {
+                index,
+                noticed: u64::MAX,
+            }),
+            Err(RecvTimeoutError::Timeout) => watched.retain_mut(still_changes),
+            // The sender is in a static.
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
+    }
+}
+
+/// Swaps a level in, and runs the merges that it leads to.
+fn finish(index: &Weak<dyn Merged>, merged: wayfold_index::Merged) {
+    let mut merged = Some(merged);
+    while let Some(done) = merged.take() {
+        let Some(index) = index.upgrade() else {
+            return;
+        };
+        let (mut done, mut next) = (Some(done), None);
+        index.with_points(&mut |points| {
+            if let Some(done) = done.take() {
+                points.forest.finish_merge(done);
+            }
+            next = points.forest.begin_merge();
+        });
+        drop(index);
+        merged = next.map(Merge::run);
+    }
+}
+
+/// Merges towards one level if the index rests. False if it does, or is gone.
+fn still_changes(watched: &mut Watched) -> bool {
+    let Some(index) = watched.index.upgrade() else {
+        return false;
+    };
+    let (mut changes, mut next) = (false, None);
+    index.with_points(&mut |points| {
+        let newest = points.seen().0;
+        changes = std::mem::replace(&mut watched.noticed, newest) != newest;
+        if !changes {
+            points.is_watched = false;
+            points.forest.pause();
+            next = points.forest.begin_merge();
+        }
+    });
+    drop(index);
+    if let Some(merge) = next {
+        finish(&watched.index, merge.run());
+    }
+    changes
+}

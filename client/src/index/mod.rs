@@ -1,0 +1,430 @@
+//! An index as a planner holds it: see [`Index`].
+//!
+//! One type, three forms behind the trait [`NearestNeighbors`]: `memory`, `shared` and `remote`. `local` holds points
+//! in this process, for the first two; `history` knows the newest changes, and `merger` is the thread that merges.
+
+mod history;
+mod local;
+mod memory;
+mod merger;
+mod point;
+mod remote;
+mod runtime;
+mod scan;
+mod search;
+mod shared;
+
+pub use point::{Changes, Found, InsertOptions, InsertedPoint, StoredPoint, StoredPoints};
+pub use remote::OpenRemote;
+pub use search::Search;
+pub use shared::{Meanwhile, OpenShared, Status, UnsentWrite};
+
+use std::{cell::Cell, sync::Arc, time::Duration};
+
+use wayfold_index::{NearestNeighbors, Neighbor, Question, Seen, Space};
+
+use crate::{
+    Error, Radius, State,
+    layout::{self, Coordinate},
+    state,
+};
+use memory::{Memory, Merges};
+use shared::SharedIndex;
+
+/// A dynamic set of states with exact nearest-neighbour search, for planners.
+///
+/// Clones share the points. All methods take `&self`, from any number of threads. States are checked and brought into
+/// canonical form on their way in; a wrong width, a NaN or a quaternion that is not one is an error and changes nothing.
+///
+/// ```
+/// use wayfold::{Index, InsertOptions, Search};
+///
+/// let index = Index::in_memory(&"R3*SO3:0.15".parse()?)?;
+/// let start = index.insert([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0])?;
+/// let pose = [0.4, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0];
+/// let nearest = index.nearest(pose)?.expect("the index has a point");
+/// assert_eq!(nearest.id, start);
+/// // Stores the pose and finds the ten nearest before it at once.
+/// let inserted = index.insert_with(pose, InsertOptions::new().tag(1).ask(Search::k(10)))?;
+/// assert_eq!(inserted.found.neighbors, [nearest]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Index {
+    form: Arc<dyn NearestNeighbors<Error = Error>>,
+    /// The same as `form`, if it is the shared one.
+    shared: Option<Arc<SharedIndex>>,
+    /// The kinds of the numbers of a state.
+    coordinates: Arc<[Coordinate]>,
+}
+
+thread_local! {
+    /// The row of the state that this thread asks about. A state's `write` may use an index too: it gets a row of its
+    /// own then.
+    static ROW: Cell<Vec<f64>> = const { Cell::new(Vec::new()) };
+}
+
+impl Index {
+    /// An empty index in this process, without a server. A thread of this process, which all indices share, merges the
+    /// levels of its trees.
+    ///
+    /// # Errors
+    /// None today.
+    pub fn in_memory(space: &Space) -> Result<Index, Error> {
+        Ok(Index::of(Memory::new(space, Merges::Background)))
+    }
+
+    /// Acts like [`Index::in_memory`], but starts no thread: an insert that fills a level merges it itself. Most inserts
+    /// take a microsecond, and one in thousands takes as long as building a tree of a part of all points.
+    ///
+    /// # Errors
+    /// None today.
+    pub fn in_memory_inline(space: &Space) -> Result<Index, Error> {
+        Ok(Index::of(Memory::new(space, Merges::Inline)))
+    }
+
+    /// The index of this name on a server, with a copy of it in this process: own writes are in the copy at once and
+    /// travel in the background, writes of others arrive as they happen.
+    ///
+    /// A read sees everything up to one revision of the server's, and own writes after it in the order of their calls.
+    pub fn shared(uri: &str, name: &str) -> OpenShared {
+        OpenShared::new(uri, name)
+    }
+
+    /// The index of this name on a server, without a copy: each call is one of the server's, and waits for it.
+    pub fn remote(uri: &str, name: &str) -> OpenRemote {
+        OpenRemote::new(uri, name)
+    }
+
+    fn shared_form(shared: SharedIndex) -> Index {
+        let shared = Arc::new(shared);
+        Index {
+            shared: Some(Arc::clone(&shared)),
+            ..Index::of(shared)
+        }
+    }
+
+    fn of(form: Arc<dyn NearestNeighbors<Error = Error>>) -> Index {
+        Index {
+            coordinates: layout::coordinates(form.space()).into(),
+            form,
+            shared: None,
+        }
+    }
+
+    /// The space of the states.
+    pub fn space(&self) -> &Space {
+        self.form.space()
+    }
+
+    /// The number of points.
+    ///
+    /// # Errors
+    /// The server cannot be asked.
+    pub fn len(&self) -> Result<usize, Error> {
+        self.form.len()
+    }
+
+    /// True if there are no points.
+    ///
+    /// # Errors
+    /// Those of [`Index::len`].
+    pub fn is_empty(&self) -> Result<bool, Error> {
+        self.form.is_empty()
+    }
+
+    /// Stores a state and returns its id.
+    ///
+    /// # Errors
+    /// [`Error::Width`], [`Error::Layout`], [`Error::State`]: it is no state of the space.
+    pub fn insert(&self, state: impl State) -> Result<u64, Error> {
+        let mut found = Vec::new();
+        let options = InsertOptions::new();
+        let inserted = self.with_row(state, |row| {
+            self.form.insert(&options.point(row), None, &mut found)
+        });
+        Ok(inserted?.0)
+    }
+
+    /// Stores a state with a tag, a payload or an id, and answers a question about the points before it at once.
+    ///
+    /// # Errors
+    /// Those of [`Index::insert`] and of [`Index::search`]. [`Error::IdTaken`]: a point has the id.
+    pub fn insert_with<S: State>(
+        &self,
+        state: S,
+        options: InsertOptions<'_>,
+    ) -> Result<InsertedPoint, Error> {
+        let question = options.ask.as_ref().map(Search::question).transpose()?;
+        let mut neighbors = Vec::new();
+        let (id, seen) = self.with_row(state, |row| {
+            self.form
+                .insert(&options.point(row), question.as_ref(), &mut neighbors)
+        })?;
+        Ok(InsertedPoint {
+            id,
+            found: Found { neighbors, seen },
+        })
+    }
+
+    /// Stores many states at once, and returns their ids, which ascend.
+    ///
+    /// # Errors
+    /// Those of [`Index::insert`]; the row in the error is the state's. Nothing is stored then.
+    pub fn insert_many<S: State>(
+        &self,
+        states: impl IntoIterator<Item = S>,
+    ) -> Result<Vec<u64>, Error> {
+        self.with_rows(states, |rows| self.form.insert_many(rows, 0))
+    }
+
+    /// Removes a point. False if there is none with this id.
+    ///
+    /// # Errors
+    /// The index cannot be written.
+    pub fn remove(&self, id: u64) -> Result<bool, Error> {
+        self.form.remove(id)
+    }
+
+    /// Moves a point to another state; it keeps its tag and loses its payload. False if there is none with this id.
+    ///
+    /// # Errors
+    /// Those of [`Index::insert`].
+    pub fn replace(&self, id: u64, state: impl State) -> Result<bool, Error> {
+        self.with_row(state, |row| self.form.replace(id, row))
+    }
+
+    /// Sets the tag of a point. False if there is none with this id.
+    ///
+    /// # Errors
+    /// The index cannot be written.
+    pub fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
+        self.form.set_tag(id, tag)
+    }
+
+    /// The point with this id.
+    ///
+    /// # Errors
+    /// The server cannot be asked.
+    pub fn get(&self, id: u64) -> Result<Option<StoredPoint>, Error> {
+        Ok(self.form.get(id)?.map(StoredPoint::from))
+    }
+
+    /// The payload of the point with this id: empty if it has none, `None` if there is no such point.
+    ///
+    /// # Errors
+    /// The server cannot be asked.
+    pub fn payload(&self, id: u64) -> Result<Option<Vec<u8>>, Error> {
+        self.form.payload(id)
+    }
+
+    /// The nearest point; `None` if there are no points.
+    ///
+    /// # Errors
+    /// Those of [`Index::search`].
+    pub fn nearest(&self, state: impl State) -> Result<Option<Neighbor>, Error> {
+        let mut found = Vec::new();
+        self.ask(state, &search::nearest_k(1), &mut found)?;
+        Ok(found.first().copied())
+    }
+
+    /// The `k` nearest points, nearest first.
+    ///
+    /// # Errors
+    /// Those of [`Index::search`].
+    pub fn nearest_k(&self, state: impl State, k: u32) -> Result<Vec<Neighbor>, Error> {
+        Ok(self.search(state, &Search::k(k))?.neighbors)
+    }
+
+    /// All points at distance `radius` or nearer, nearest first: a number, or a [`ScaledRadius`](crate::ScaledRadius).
+    ///
+    /// # Errors
+    /// Those of [`Index::search`].
+    pub fn nearest_r(
+        &self,
+        state: impl State,
+        radius: impl Into<Radius>,
+    ) -> Result<Vec<Neighbor>, Error> {
+        Ok(self.search(state, &Search::within(radius))?.neighbors)
+    }
+
+    /// Answers any search.
+    ///
+    /// # Errors
+    /// [`Error::Width`], [`Error::Layout`], [`Error::State`]: it is no state of the space. [`Error::Argument`]: a
+    /// number of the search is out of its range. [`Error::SearchTimeout`].
+    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<Found, Error> {
+        let mut neighbors = Vec::new();
+        let seen = self.ask(state, &search.question()?, &mut neighbors)?;
+        Ok(Found { neighbors, seen })
+    }
+
+    /// Answers any search into the caller's buffer, in place of its content.
+    ///
+    /// # Errors
+    /// Those of [`Index::search`].
+    pub fn search_into<S: State>(
+        &self,
+        state: S,
+        search: &Search,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<Seen, Error> {
+        self.ask(state, &search.question()?, found)
+    }
+
+    /// Answers a search of many states, which see the same points.
+    ///
+    /// # Errors
+    /// Those of [`Index::search`] for any of the states.
+    pub fn search_many<S: State>(
+        &self,
+        states: impl IntoIterator<Item = S>,
+        search: &Search,
+    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+        let question = search.question()?;
+        self.with_rows(states, |rows| self.form.search_many(rows, &question))
+    }
+
+    /// All points as they are now, by ascending id.
+    ///
+    /// # Errors
+    /// The server cannot be asked.
+    pub fn scan(&self) -> Result<StoredPoints, Error> {
+        self.form.scan().map(StoredPoints)
+    }
+
+    /// Everything that changed after an answer that has seen this much, by any thread or process. `None` if the index
+    /// has forgotten some of it, as after 65,536 changes: scan it then.
+    ///
+    /// # Errors
+    /// The server cannot be asked.
+    pub fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
+        let changes = self.form.changes(seen)?;
+        Ok(changes.map(|changes| Changes {
+            stored: changes
+                .stored
+                .iter()
+                .map(|point| point.to_point().into())
+                .collect(),
+            removed: changes.removed,
+            seen: changes.seen,
+        }))
+    }
+
+    /// Forgets all points of an index in memory; their ids stay used.
+    ///
+    /// # Errors
+    /// [`Error::NotInMemory`]: others may use its points.
+    pub fn clear(&self) -> Result<(), Error> {
+        self.form.clear()
+    }
+
+    /// Removes all points that the index has now, one by one, for everybody.
+    ///
+    /// # Errors
+    /// Those of [`Index::remove`].
+    pub fn remove_all(&self) -> Result<(), Error> {
+        for point in self.scan()? {
+            self.remove(point?.id)?;
+        }
+        Ok(())
+    }
+
+    /// Waits until the server has acknowledged every write before this call: they are as durable then as the server is
+    /// configured. Returns at once for the other forms.
+    ///
+    /// # Errors
+    /// [`Error::Timeout`]; the writes stay pending. [`Error::WritesRefused`]: see [`Index::take_unsent`].
+    pub fn flush(&self) -> Result<(), Error> {
+        self.shared.as_ref().map_or(Ok(()), |shared| shared.flush())
+    }
+
+    /// The number of writes that the server has not acknowledged; 0 for the other forms.
+    pub fn pending(&self) -> u64 {
+        self.shared.as_ref().map_or(0, |shared| shared.pending())
+    }
+
+    /// The state of a shared index's connection; `None` for the other forms.
+    pub fn status(&self) -> Option<Status> {
+        self.shared.as_ref().map(|shared| shared.status())
+    }
+
+    /// The neighbours of own points, inserted with a question, that others stored before them in the index's order and
+    /// that the insert could not see. Each is told once, when the server has stored the point, and only if there are
+    /// any. False beside them if some were dropped, because 65,536 waited. In the other forms an insert sees all.
+    pub fn meanwhile(&self) -> (Vec<Meanwhile>, bool) {
+        let none = || (Vec::new(), true);
+        self.shared
+            .as_ref()
+            .map_or_else(none, |shared| shared.meanwhile())
+    }
+
+    /// Every write from the first one on that the server refused for good, in order; the copy shows them no more. After
+    /// this call the index takes writes again, in a new session.
+    pub fn take_unsent(&self) -> Vec<UnsentWrite> {
+        self.shared
+            .as_ref()
+            .map_or_else(Vec::new, |shared| shared.take_unsent())
+    }
+
+    /// Takes no more writes, waits for the pending ones, and returns those that the server has not acknowledged within
+    /// `timeout`: it may have taken the first of them. An index in another form has none, and stays open.
+    pub fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
+        self.shared
+            .as_ref()
+            .map_or_else(Vec::new, |shared| shared.close(timeout))
+    }
+
+    fn ask(
+        &self,
+        state: impl State,
+        question: &Question<'_>,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<Seen, Error> {
+        self.with_row(state, |row| self.form.search(row, question, found))
+    }
+
+    /// Runs `action` with the canonical row of a state.
+    fn with_row<S: State, T>(
+        &self,
+        state: S,
+        action: impl FnOnce(&[f64]) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        state::check_layout::<S>(self.space(), &self.coordinates)?;
+        let mut row = ROW.take();
+        row.clear();
+        state.write(&mut row);
+        let done = self.canonicalize(0, &mut row).and_then(|()| action(&row));
+        ROW.set(row);
+        done
+    }
+
+    /// Runs `action` with the canonical rows of states, one after the other.
+    fn with_rows<S: State, T>(
+        &self,
+        states: impl IntoIterator<Item = S>,
+        action: impl FnOnce(&[f64]) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        state::check_layout::<S>(self.space(), &self.coordinates)?;
+        let mut rows = Vec::new();
+        for (row, state) in states.into_iter().enumerate() {
+            let start = rows.len();
+            state.write(&mut rows);
+            self.canonicalize(row, &mut rows[start..])?;
+        }
+        action(&rows)
+    }
+
+    fn canonicalize(&self, row: usize, numbers: &mut [f64]) -> Result<(), Error> {
+        let (expected, found) = (self.coordinates.len(), numbers.len());
+        if found != expected {
+            return Err(Error::Width {
+                row,
+                expected,
+                found,
+            });
+        }
+        let canonical = self.space().canonicalize(numbers);
+        canonical.map_err(|error| Error::State { row, error })
+    }
+}

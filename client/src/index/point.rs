@@ -1,0 +1,135 @@
+//! The options and answers of an [`Index`](crate::Index).
+
+use wayfold_index::{Neighbor, NewPoint, Seen};
+
+use super::Search;
+use crate::{Error, FromState};
+
+/// One stored point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoredPoint {
+    /// Its id.
+    pub id: u64,
+    /// Its tag.
+    pub tag: u64,
+    /// Its state, in canonical form.
+    pub state: Vec<f64>,
+}
+
+impl StoredPoint {
+    /// The state as a type of the same number of coordinates; `None` if the numbers differ.
+    pub fn state_as<S: FromState>(&self) -> Option<S> {
+        S::from_state(&self.state)
+    }
+}
+
+impl From<wayfold_index::Point> for StoredPoint {
+    fn from(point: wayfold_index::Point) -> StoredPoint {
+        StoredPoint {
+            id: point.id,
+            tag: point.tag,
+            state: point.row,
+        }
+    }
+}
+
+/// The neighbours of a state, nearest first and at equal distances by id.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Found {
+    /// The neighbours.
+    pub neighbors: Vec<Neighbor>,
+    /// What the answer has seen: a later search or insert may ask for the rest ([`Search::since`]).
+    pub seen: Seen,
+}
+
+/// What to store with a state.
+///
+/// ```
+/// use wayfold::{InsertOptions, Search};
+///
+/// let options = InsertOptions::new().tag(1).payload(b"parent 17").ask(Search::k(10));
+/// ```
+#[derive(Clone, Copy, Debug, Default)]
+pub struct InsertOptions<'a> {
+    id: Option<u64>,
+    tag: u64,
+    payload: &'a [u8],
+    pub(super) ask: Option<Search>,
+}
+
+impl<'a> InsertOptions<'a> {
+    /// An id that the index assigns, tag 0, no payload, no question.
+    pub fn new() -> InsertOptions<'a> {
+        InsertOptions::default()
+    }
+
+    /// This id, below 2^63. The insert fails if a point has it.
+    pub fn id(mut self, id: u64) -> InsertOptions<'a> {
+        self.id = Some(id);
+        self
+    }
+
+    /// A tag, whose bits the planner defines.
+    pub fn tag(mut self, tag: u64) -> InsertOptions<'a> {
+        self.tag = tag;
+        self
+    }
+
+    /// A payload of at most 64 KiB.
+    pub fn payload(mut self, payload: &'a [u8]) -> InsertOptions<'a> {
+        self.payload = payload;
+        self
+    }
+
+    /// Asks for the neighbours that the point has at its insertion: of any two points, the later one finds the earlier.
+    pub fn ask(mut self, search: Search) -> InsertOptions<'a> {
+        self.ask = Some(search);
+        self
+    }
+
+    pub(super) fn point(&self, row: &'a [f64]) -> NewPoint<'a> {
+        NewPoint {
+            id: self.id,
+            tag: self.tag,
+            row,
+            payload: self.payload,
+        }
+    }
+}
+
+/// An insert's id, and what it found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InsertedPoint {
+    /// The point's id.
+    pub id: u64,
+    /// The neighbours that [`InsertOptions::ask`] asked for.
+    pub found: Found,
+}
+
+/// Everything that changed in an index after an earlier answer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Changes {
+    /// The points that were stored, moved or tagged anew, as they are now.
+    pub stored: Vec<StoredPoint>,
+    /// The ids of the points that were removed.
+    pub removed: Vec<u64>,
+    /// What the changes lead to.
+    pub seen: Seen,
+}
+
+/// All points of an index, as they were when the scan began, by ascending id.
+pub struct StoredPoints(pub(super) wayfold_index::ScannedPoints<Error>);
+
+impl Iterator for StoredPoints {
+    type Item = Result<StoredPoint, Error>;
+
+    fn next(&mut self) -> Option<Result<StoredPoint, Error>> {
+        Some(self.0.next()?.map(StoredPoint::from))
+    }
+}
+
+impl std::fmt::Debug for StoredPoints {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("StoredPoints").finish_non_exhaustive()
+    }
+}

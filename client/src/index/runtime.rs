@@ -1,0 +1,53 @@
+//! The thread on which this process talks to servers.
+
+use std::{
+    process,
+    sync::{Arc, OnceLock, mpsc},
+};
+
+use tokio::runtime::{Builder, Runtime};
+
+use crate::Error;
+
+struct Owned {
+    runtime: Runtime,
+    /// The process that started it. A fork does not copy threads.
+    process: u32,
+}
+
+static RUNTIME: OnceLock<Result<Owned, Arc<std::io::Error>>> = OnceLock::new();
+
+/// The runtime of all shared and remote indices.
+pub(super) fn runtime() -> Result<&'static Runtime, Error> {
+    let start = || {
+        let runtime = Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("wayfold-io")
+            .enable_all()
+            .build()
+            .map_err(Arc::new)?;
+        Ok(Owned {
+            runtime,
+            process: process::id(),
+        })
+    };
+    match RUNTIME.get_or_init(start) {
+        Ok(owned) if owned.process == process::id() => Ok(&owned.runtime),
+        Ok(_) => Err(Error::Forked),
+        Err(source) => Err(Error::Thread {
+            source: Arc::clone(source),
+        }),
+    }
+}
+
+/// Runs a call on the runtime, and waits for it. It may be called inside another runtime's task, which it blocks.
+pub(super) fn wait_for<T: Send + 'static>(
+    call: impl Future<Output = Result<T, Error>> + Send + 'static,
+) -> Result<T, Error> {
+    let (send, receive) = mpsc::sync_channel(1);
+    runtime()?.spawn(async move {
+        // The caller waits as long as the call runs.
+        let _ = send.send(call.await);
+    });
+    receive.recv().map_err(|_| Error::Closed)?
+}

@@ -1,0 +1,204 @@
+//! Pending writes in the columns in which they travel.
+
+use bytes::Bytes;
+use wayfold_proto::v1::{self, StepKind};
+
+use super::meanwhile::Asked;
+
+/// One write.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Step<'a> {
+    Put {
+        tag: u64,
+        row: &'a [f64],
+        payload: &'a [u8],
+    },
+    /// Gives a stored point another state; its tag stays.
+    Replace {
+        row: &'a [f64],
+    },
+    Remove,
+    SetTag(u64),
+}
+
+/// A write that was not sent, or that the server refused.
+#[derive(Clone, Debug, PartialEq)]
+pub enum UnsentWrite {
+    /// A point was stored.
+    Put {
+        /// Its id.
+        id: u64,
+        /// Its tag.
+        tag: u64,
+        /// Its state, in canonical form.
+        state: Vec<f64>,
+        /// Its payload; empty for none.
+        payload: Vec<u8>,
+    },
+    /// A point got another state.
+    Replace {
+        /// Its id.
+        id: u64,
+        /// Its state, in canonical form.
+        state: Vec<f64>,
+    },
+    /// A point was removed.
+    Remove {
+        /// Its id.
+        id: u64,
+    },
+    /// A point got a tag.
+    SetTag {
+        /// Its id.
+        id: u64,
+        /// The tag.
+        tag: u64,
+    },
+}
+
+/// Consecutive writes, which the server takes as one mutation.
+#[derive(Debug, Default)]
+pub(super) struct Batch {
+    /// Its number in the session, from 1, once it was sent: then it grows no more.
+    pub(super) number: u64,
+    kinds: Vec<i32>,
+    ids: Vec<u64>,
+    tags: Vec<u64>,
+    coordinates: Vec<f64>,
+    /// One a row, or none while no point has one.
+    payloads: Vec<Bytes>,
+    rows: usize,
+    bytes: usize,
+    /// The revision that it made, once the server has acknowledged it.
+    pub(super) revision: Option<u64>,
+    /// The first of its ids that the index assigned.
+    pub(super) first_assigned: Option<u64>,
+    /// The questions of its inserts.
+    pub(super) asked: Vec<Asked>,
+}
+
+/// The bytes of a step besides its row and its payload: its kind, id and tag.
+const STEP_BYTES: usize = 24;
+
+impl Batch {
+    pub(super) fn len(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// About as many bytes as it holds.
+    pub(super) fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// The bytes that a step adds.
+    pub(super) fn step_bytes(step: &Step<'_>) -> usize {
+        match step {
+            Step::Put { row, payload, .. } => STEP_BYTES + 8 * row.len() + payload.len(),
+            Step::Replace { row } => STEP_BYTES + 8 * row.len(),
+            Step::Remove | Step::SetTag(_) => STEP_BYTES,
+        }
+    }
+
+    pub(super) fn push(&mut self, id: u64, step: &Step<'_>) {
+        self.bytes += Batch::step_bytes(step);
+        self.ids.push(id);
+        let (kind, tag) = match *step {
+            Step::Put { tag, row, payload } => {
+                self.push_row(row, payload);
+                (StepKind::Put, tag)
+            }
+            Step::Replace { row } => {
+                self.push_row(row, &[]);
+                (StepKind::Replace, 0)
+            }
+            Step::Remove => (StepKind::Remove, 0),
+            Step::SetTag(tag) => (StepKind::SetTag, tag),
+        };
+        self.kinds.push(kind.into());
+        self.tags.push(tag);
+    }
+
+    fn push_row(&mut self, row: &[f64], payload: &[u8]) {
+        if !payload.is_empty() || !self.payloads.is_empty() {
+            self.payloads.resize(self.rows, Bytes::new());
+            self.payloads.push(Bytes::copy_from_slice(payload));
+        }
+        self.rows += 1;
+        self.coordinates.extend_from_slice(row);
+    }
+
+    /// The steps with their ids, in order, for rows of `width` numbers.
+    pub(super) fn steps(&self, width: usize) -> impl Iterator<Item = (u64, Step<'_>)> {
+        let mut rows = 0;
+        (0..self.len()).map(move |at| {
+            let tag = self.tags[at];
+            let step = match StepKind::try_from(self.kinds[at]) {
+                Ok(StepKind::Put) => {
+                    let row = &self.coordinates[rows * width..(rows + 1) * width];
+                    let payload = self.payloads.get(rows).map_or(&[][..], |payload| payload);
+                    rows += 1;
+                    Step::Put { tag, row, payload }
+                }
+                Ok(StepKind::Replace) => {
+                    rows += 1;
+                    let row = &self.coordinates[(rows - 1) * width..rows * width];
+                    Step::Replace { row }
+                }
+                Ok(StepKind::SetTag) => Step::SetTag(tag),
+                _ => Step::Remove,
+            };
+            (self.ids[at], step)
+        })
+    }
+
+    /// The payload that its last put or replacement gives this id; None if it has no such step.
+    pub(super) fn payload(&self, width: usize, id: u64) -> Option<Vec<u8>> {
+        let puts = self.steps(width).filter(|(of, _)| *of == id);
+        let payloads = puts.filter_map(|(_, step)| match step {
+            Step::Put { payload, .. } => Some(payload.to_vec()),
+            Step::Replace { .. } => Some(Vec::new()),
+            Step::Remove | Step::SetTag(_) => None,
+        });
+        payloads.last()
+    }
+
+    /// The writes, for the caller.
+    pub(super) fn unsent(&self, width: usize) -> impl Iterator<Item = UnsentWrite> {
+        self.steps(width).map(|(id, step)| match step {
+            Step::Put { tag, row, payload } => UnsentWrite::Put {
+                id,
+                tag,
+                state: row.to_vec(),
+                payload: payload.to_vec(),
+            },
+            Step::Replace { row } => UnsentWrite::Replace {
+                id,
+                state: row.to_vec(),
+            },
+            Step::Remove => UnsentWrite::Remove { id },
+            Step::SetTag(tag) => UnsentWrite::SetTag { id, tag },
+        })
+    }
+
+    /// The request, without the names of index and session.
+    pub(super) fn message(&self) -> v1::WriteRequest {
+        let has_tags = self.tags.iter().any(|&tag| tag != 0);
+        v1::WriteRequest {
+            batch: self.number,
+            kinds: self.kinds.clone(),
+            ids: self.ids.clone(),
+            tags: if has_tags {
+                self.tags.clone()
+            } else {
+                Vec::new()
+            },
+            states: (self.rows > 0).then(|| v1::States {
+                // Batches are limited long before.
+                row_count: u32::try_from(self.rows).unwrap_or(u32::MAX),
+                coordinates: self.coordinates.clone(),
+            }),
+            payloads: self.payloads.clone(),
+            ..v1::WriteRequest::default()
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! The form of an index that many processes share: a copy in this process, whose writes travel in the background.
+//!
+//! `core` is what callers and the two tasks share: the points of the copy, and the `writer`. The writer holds the
+//! pending writes in batches (`batch`), the ids to give (`ids`), what is published under ids with pending writes
+//! (`rebased`) and the questions whose answers are not complete (`meanwhile`). `sender` sends the batches, `follower`
+//! applies what the server publishes; both call the server through `link`.
+
+mod batch;
+mod core;
+mod follower;
+mod ids;
+mod link;
+mod meanwhile;
+mod open;
+mod rebased;
+mod sender;
+mod status;
+mod writer;
+
+pub use batch::UnsentWrite;
+pub use meanwhile::Meanwhile;
+pub use open::OpenShared;
+pub use status::Status;
+
+use std::{fmt, sync::Arc, time::Duration};
+
+use tokio::task::AbortHandle;
+use wayfold_index::{
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ScannedPoints, Seen, Space,
+};
+
+use super::{
+    local::{check_id, search_snapshot},
+    runtime::wait_for,
+    scan::scan,
+};
+use crate::{Code, Error, Include};
+use batch::{Batch, Step};
+use core::Core;
+
+/// A shared index. Its tasks end with it.
+pub(super) struct SharedIndex {
+    core: Arc<Core>,
+    tasks: [AbortHandle; 2],
+}
+
+impl SharedIndex {
+    fn new(core: Arc<Core>, tasks: [AbortHandle; 2]) -> SharedIndex {
+        SharedIndex { core, tasks }
+    }
+
+    pub(super) fn flush(&self) -> Result<(), Error> {
+        self.core.flush(self.core.timeout)
+    }
+
+    /// The number of writes that the server has not acknowledged.
+    pub(super) fn pending(&self) -> u64 {
+        let writer = self.core.writer.lock();
+        writer.written - writer.settled
+    }
+
+    pub(super) fn status(&self) -> Status {
+        self.core.status()
+    }
+
+    pub(super) fn meanwhile(&self) -> (Vec<Meanwhile>, bool) {
+        self.core.writer.lock().arrivals.take()
+    }
+
+    pub(super) fn take_unsent(&self) -> Vec<UnsentWrite> {
+        self.core.take_unsent()
+    }
+
+    pub(super) fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
+        self.core.close(timeout)
+    }
+
+    /// Changes a stored point; false if the copy has none with this id.
+    fn change(&self, id: u64, step: &Step<'_>) -> Result<bool, Error> {
+        let mut writer = self.core.room(Batch::step_bytes(step), false)?;
+        let mut points = self.core.points.write();
+        if !points.forest.contains(id) {
+            return Ok(false);
+        }
+        writer.change(id, step, &mut points)?;
+        self.core.written(&mut writer, &mut points);
+        Ok(true)
+    }
+}
+
+impl NearestNeighbors for SharedIndex {
+    type Error = Error;
+
+    fn space(&self) -> &Space {
+        &self.core.space
+    }
+
+    fn len(&self) -> Result<usize, Error> {
+        self.core.check_readable()?;
+        Ok(self.core.points.read().forest.len())
+    }
+
+    fn search(
+        &self,
+        row: &[f64],
+        question: &Question<'_>,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<Seen, Error> {
+        self.core.check_readable()?;
+        let points = self.core.points.read();
+        let seen = points.seen();
+        *found = match points.snapshot_for(question) {
+            None => points.search(row, question)?,
+            Some(snapshot) => {
+                drop(points);
+                search_snapshot(&snapshot, row, question)?
+            }
+        };
+        Ok(seen)
+    }
+
+    fn search_many(
+        &self,
+        rows: &[f64],
+        question: &Question<'_>,
+    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+        self.core.check_readable()?;
+        let snapshot = self.core.points.read().forest.snapshot();
+        let rows = rows.chunks_exact(self.core.space.coordinates());
+        rows.map(|row| search_snapshot(&snapshot, row, question))
+            .collect()
+    }
+
+    fn insert(
+        &self,
+        point: &NewPoint<'_>,
+        question: Option<&Question<'_>>,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<(u64, Seen), Error> {
+        check_id(point)?;
+        let step = Step::Put {
+            tag: point.tag,
+            row: point.row,
+            payload: point.payload,
+        };
+        let bytes = Batch::step_bytes(&step);
+        let mut writer = self.core.room(bytes, point.id.is_none())?;
+        found.clear();
+        let mut search = None;
+        {
+            // Only the holder of the writer changes the points, so the answer holds until the point is stored.
+            let points = self.core.points.read();
+            if let Some(id) = point.id
+                && (points.forest.contains(id) || writer.ids.contain(id))
+            {
+                return Err(Error::IdTaken { id });
+            }
+            if let Some(question) = question {
+                let asked = question.among(points.forest.len(), self.core.space.dimension());
+                *found = points.forest.search(point.row, &asked)?.neighbors;
+                search = Some(owned(&asked));
+            }
+        }
+        let id = match point.id {
+            Some(id) => id,
+            None => writer.ids.next().ok_or(Error::Closed)?,
+        };
+        let mut points = self.core.points.write();
+        match point.id {
+            None => writer.insert(id, &step, &mut points)?,
+            Some(_) => writer.change(id, &step, &mut points)?,
+        }
+        let seen = points.seen();
+        if let Some(search) = search {
+            writer.ask(id, point.row, search, found, seen.0);
+        }
+        self.core.written(&mut writer, &mut points);
+        Ok((id, seen))
+    }
+
+    fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
+        let mut ids = Vec::new();
+        for row in rows.chunks_exact(self.core.space.coordinates()) {
+            let point = NewPoint {
+                id: None,
+                tag,
+                row,
+                payload: &[],
+            };
+            ids.push(self.insert(&point, None, &mut Vec::new())?.0);
+        }
+        Ok(ids)
+    }
+
+    fn replace(&self, id: u64, row: &[f64]) -> Result<bool, Error> {
+        self.change(id, &Step::Replace { row })
+    }
+
+    fn remove(&self, id: u64) -> Result<bool, Error> {
+        self.change(id, &Step::Remove)
+    }
+
+    fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
+        self.change(id, &Step::SetTag(tag))
+    }
+
+    fn get(&self, id: u64) -> Result<Option<Point>, Error> {
+        self.core.check_readable()?;
+        Ok(self.core.points.read().get(id))
+    }
+
+    fn payload(&self, id: u64) -> Result<Option<Vec<u8>>, Error> {
+        self.core.check_readable()?;
+        {
+            let writer = self.core.writer.lock();
+            if !self.core.points.read().forest.contains(id) {
+                return Ok(None);
+            }
+            if let Some(payload) = writer.payload(id) {
+                return Ok(Some(payload));
+            }
+        }
+        let index = self.core.published.lock().0.clone();
+        wait_for(async move {
+            match index.get([id]).include(Include::none().payloads()).await {
+                Ok(points) => {
+                    let payloads = points.iter().map(|point| point.payload.cloned());
+                    Ok(payloads.flatten().next().map(|payload| payload.to_vec()))
+                }
+                Err(error) if error.code() == Code::NotFound => Ok(None),
+                Err(error) => Err(error),
+            }
+        })
+    }
+
+    fn scan(&self) -> Result<ScannedPoints<Error>, Error> {
+        self.core.check_readable()?;
+        Ok(scan(self.core.points.read().forest.snapshot()))
+    }
+
+    fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
+        self.core.check_readable()?;
+        Ok(self.core.points.read().changes(seen))
+    }
+
+    fn clear(&self) -> Result<(), Error> {
+        Err(Error::NotInMemory { call: "clear" })
+    }
+}
+
+/// A search without the borrowed sets of ids, which a question never has.
+fn owned(search: &wayfold_index::Search<'_>) -> wayfold_index::Search<'static> {
+    wayfold_index::Search {
+        excluded: &[],
+        ..*search
+    }
+}
+
+impl Drop for SharedIndex {
+    fn drop(&mut self) {
+        self.tasks.iter().for_each(AbortHandle::abort);
+        let pending = self.pending();
+        if pending > 0 {
+            let index = self.core.published.lock().0.name().to_owned();
+            tracing::warn!(
+                index,
+                pending,
+                "dropped with writes that the server has not acknowledged"
+            );
+        }
+    }
+}
+
+impl fmt::Debug for SharedIndex {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SharedIndex")
+            .field("status", &self.status())
+            .finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,76 @@
+//! Pending writes on a point that others may change too.
+//!
+//! The copy shows the published points with the pending writes after them. An insert under a new id changes a point
+//! that nobody else can change, so the copy holds it like any other. For other writes the copy also keeps what is
+//! published under the id, and applies the pending writes again when that changes.
+
+use std::collections::VecDeque;
+
+use super::batch::Step;
+
+/// The content of a point: its tag and its row.
+pub(super) type Content = (u64, Vec<f64>);
+
+/// One id with pending writes.
+#[derive(Debug)]
+pub(super) struct Rebased {
+    /// The published point.
+    pub(super) base: Option<Content>,
+    /// The pending writes, the oldest first.
+    pending: VecDeque<Change>,
+}
+
+#[derive(Debug)]
+enum Change {
+    Put(Content),
+    Replace(Vec<f64>),
+    Remove,
+    SetTag(u64),
+}
+
+impl Change {
+    /// What the change makes of a point.
+    fn apply(&self, point: Option<Content>) -> Option<Content> {
+        match self {
+            Change::Put(content) => Some(content.clone()),
+            Change::Replace(row) => point.map(|(tag, _)| (tag, row.clone())),
+            Change::Remove => None,
+            Change::SetTag(tag) => point.map(|(_, row)| (*tag, row)),
+        }
+    }
+}
+
+impl Rebased {
+    pub(super) fn new(base: Option<Content>) -> Rebased {
+        Rebased {
+            base,
+            pending: VecDeque::new(),
+        }
+    }
+
+    pub(super) fn push(&mut self, step: &Step<'_>) {
+        self.pending.push_back(match *step {
+            Step::Put { tag, row, .. } => Change::Put((tag, row.to_vec())),
+            Step::Replace { row } => Change::Replace(row.to_vec()),
+            Step::Remove => Change::Remove,
+            Step::SetTag(tag) => Change::SetTag(tag),
+        });
+    }
+
+    /// The oldest pending write is published now. If `base` `is_newer`, it has that write already. True if no write is
+    /// pending any more.
+    pub(super) fn confirm(&mut self, is_newer: bool) -> bool {
+        if let Some(change) = self.pending.pop_front()
+            && !is_newer
+        {
+            self.base = change.apply(self.base.take());
+        }
+        self.pending.is_empty()
+    }
+
+    /// The point that the copy shows.
+    pub(super) fn shown(&self) -> Option<Content> {
+        let changes = self.pending.iter();
+        changes.fold(self.base.clone(), |point, change| change.apply(point))
+    }
+}

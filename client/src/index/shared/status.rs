@@ -1,0 +1,40 @@
+//! The status of a shared index.
+
+use std::{sync::Arc, time::Instant};
+
+use crate::Error;
+
+/// The state of a shared index's connection to its server.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Status {
+    /// Writes of others are applied as they arrive.
+    Following {
+        /// The number of revisions by which the server was ahead when it last sent something.
+        behind: u64,
+    },
+    /// The copy reads all points again, because the server no longer keeps the mutations that it missed. Reads see the
+    /// old points and own writes.
+    Reloading,
+    /// There is no connection, and the index tries to get one. Reads see what has arrived and own writes; writes wait
+    /// for the connection, in memory.
+    Disconnected {
+        /// The time at which the connection broke.
+        since: Instant,
+        /// The error that broke it, or that ended the last attempt.
+        why: Arc<Error>,
+    },
+    /// The server refused a write for good. Reads go on; writes fail until
+    /// [`Index::take_unsent`](crate::Index::take_unsent).
+    Refused {
+        /// The refusal.
+        why: Arc<Error>,
+    },
+    /// The index is gone, or has another space: reads and writes fail.
+    Ended {
+        /// The cause.
+        why: Arc<Error>,
+    },
+    /// [`Index::close`](crate::Index::close) was called.
+    Closed,
+}

@@ -1,0 +1,413 @@
+//! The pending writes of a shared index: their order, their batches, and what the copy shows of them.
+//!
+//! Nothing here waits or sends. The caller holds the lock of the writer, and passes the points of the copy.
+
+use std::{
+    collections::{HashMap, VecDeque},
+    sync::Arc,
+};
+
+use wayfold_index::{Neighbor, Search};
+use wayfold_proto::v1;
+
+use super::{
+    batch::{Batch, Step, UnsentWrite},
+    ids::ReservedIds,
+    meanwhile::{Arrivals, Asked},
+    rebased::Rebased,
+};
+use crate::{
+    Error,
+    index::local::{LocalPoints, NewRow},
+};
+
+/// The most steps of a batch: each waits for the slowest.
+const MAX_BATCH_STEPS: usize = 4_096;
+
+/// The most bytes of a batch.
+const MAX_BATCH_BYTES: usize = 1 << 20;
+
+#[derive(Debug)]
+pub(super) struct Writer {
+    width: usize,
+    /// The writer session, once it is open.
+    pub(super) session: Option<u64>,
+    pub(super) ids: ReservedIds,
+    max_batch_steps: usize,
+    max_batch_bytes: usize,
+    /// Batches that the copy has not seen published, the oldest first.
+    queue: VecDeque<Batch>,
+    next_number: u64,
+    /// Ids with pending writes other than inserts under ids of this session.
+    rebased: HashMap<u64, Rebased>,
+    /// The bytes of `queue`.
+    pub(super) bytes: usize,
+    /// The number of writes so far.
+    pub(super) written: u64,
+    /// The number of writes that the server has acknowledged, or that were given back.
+    pub(super) settled: u64,
+    pub(super) arrivals: Arrivals,
+    /// The reason for which the server takes no more writes, until the caller has taken back those that it did not take.
+    pub(super) refused: Option<Arc<Error>>,
+    unsent: Vec<UnsentWrite>,
+    /// The sessions that were this process's before.
+    past_sessions: Vec<u64>,
+    /// True while the sender waits for work.
+    pub(super) is_idle: bool,
+    pub(super) is_closed: bool,
+}
+
+impl Writer {
+    pub(super) fn new(width: usize) -> Writer {
+        Writer {
+            width,
+            session: None,
+            ids: ReservedIds::default(),
+            max_batch_steps: MAX_BATCH_STEPS,
+            max_batch_bytes: MAX_BATCH_BYTES,
+            queue: VecDeque::new(),
+            next_number: 1,
+            rebased: HashMap::new(),
+            bytes: 0,
+            written: 0,
+            settled: 0,
+            arrivals: Arrivals::default(),
+            refused: None,
+            unsent: Vec::new(),
+            past_sessions: Vec::new(),
+            is_idle: false,
+            is_closed: false,
+        }
+    }
+
+    /// Keeps batches within the limits of the server.
+    pub(super) fn limit(&mut self, max_rows: usize, max_request_bytes: usize) {
+        self.max_batch_steps = MAX_BATCH_STEPS.min(max_rows).max(1);
+        self.max_batch_bytes = MAX_BATCH_BYTES.min(max_request_bytes / 2);
+    }
+
+    /// Begins a session, whose first batch is number 1.
+    pub(super) fn open(&mut self, session: u64, reserved: Option<v1::IdBlock>) {
+        self.session = Some(session);
+        self.ids.clear();
+        self.next_number = 1;
+        self.reserve(reserved);
+    }
+
+    /// True if a session is open, or writes wait for one.
+    pub(super) fn has_session(&self) -> bool {
+        self.session.is_some() || !self.queue.is_empty()
+    }
+
+    /// True if a session was this process's, and is no more.
+    pub(super) fn is_past(&self, session: u64) -> bool {
+        self.past_sessions.contains(&session)
+    }
+
+    pub(super) fn reserve(&mut self, block: Option<v1::IdBlock>) {
+        let block = block.unwrap_or_default();
+        self.ids
+            .add(block.first_id..block.first_id.saturating_add(block.count));
+    }
+
+    /// Stores a point under an id of this session, which no one else uses.
+    pub(super) fn insert(
+        &mut self,
+        id: u64,
+        step: &Step<'_>,
+        points: &mut LocalPoints,
+    ) -> Result<(), Error> {
+        if let Step::Put { tag, row, .. } = *step {
+            points.store(id, tag, row)?;
+        }
+        let batch = self.push(id, step);
+        batch.first_assigned.get_or_insert(id);
+        Ok(())
+    }
+
+    /// Notes the search of the insert that was pushed last, and what it found.
+    pub(super) fn ask(
+        &mut self,
+        id: u64,
+        row: &[f64],
+        search: Search<'static>,
+        found: &[Neighbor],
+        at: u64,
+    ) {
+        if let Some(batch) = self.queue.back_mut() {
+            batch.asked.push(Asked::new(id, row, search, found, at));
+            self.arrivals.open();
+        }
+    }
+
+    /// Changes a point that others may change too.
+    pub(super) fn change(
+        &mut self,
+        id: u64,
+        step: &Step<'_>,
+        points: &mut LocalPoints,
+    ) -> Result<(), Error> {
+        if !self.rebased.contains_key(&id) {
+            let shown = points.get(id);
+            let rebased = match &shown {
+                // The insert is pending too.
+                Some(point) if self.is_pending_insert(id) => {
+                    let mut rebased = Rebased::new(None);
+                    rebased.push(&Step::Put {
+                        tag: point.tag,
+                        row: &point.row,
+                        payload: &[],
+                    });
+                    rebased
+                }
+                _ => Rebased::new(shown.map(|point| (point.tag, point.row))),
+            };
+            self.rebased.insert(id, rebased);
+        }
+        match *step {
+            Step::Put { tag, row, .. } => points.store(id, tag, row)?,
+            Step::Replace { row } => {
+                if let Some(point) = points.get(id) {
+                    points.store(id, point.tag, row)?;
+                }
+            }
+            Step::Remove => drop(points.remove(id)?),
+            Step::SetTag(tag) => drop(points.set_tag(id, tag)?),
+        }
+        if let Some(rebased) = self.rebased.get_mut(&id) {
+            rebased.push(step);
+        }
+        self.push(id, step);
+        Ok(())
+    }
+
+    /// True if the newest published points cannot have this id, because its insert is pending.
+    fn is_pending_insert(&self, id: u64) -> bool {
+        let oldest = self.queue.iter().find_map(|batch| batch.first_assigned);
+        oldest.is_some_and(|oldest| id >= oldest) && self.ids.contain(id)
+    }
+
+    fn push(&mut self, id: u64, step: &Step<'_>) -> &mut Batch {
+        let bytes = Batch::step_bytes(step);
+        let is_full = self.queue.back().is_none_or(|batch| {
+            batch.number != 0
+                || batch.len() >= self.max_batch_steps
+                || batch.bytes() + bytes > self.max_batch_bytes
+        });
+        if is_full {
+            self.queue.push_back(Batch::default());
+        }
+        self.bytes += bytes;
+        self.written += 1;
+        let last = self.queue.len() - 1;
+        let batch = &mut self.queue[last];
+        batch.push(id, step);
+        batch
+    }
+
+    /// The next batch to send, which grows no more. With `reserve_ids` there is one even if no write is pending.
+    pub(super) fn next(&mut self, reserve_ids: bool) -> Option<v1::WriteRequest> {
+        let is_taken = |batch: &Batch| batch.revision.is_some();
+        if reserve_ids && self.queue.iter().all(is_taken) {
+            self.queue.push_back(Batch::default());
+        }
+        let batch = self.queue.iter_mut().find(|batch| !is_taken(batch))?;
+        if batch.number == 0 {
+            batch.number = self.next_number;
+            self.next_number += 1;
+        }
+        Some(batch.message())
+    }
+
+    /// The server has taken a batch and made this revision of it; the copy has reached revision `published`.
+    pub(super) fn acknowledge(
+        &mut self,
+        number: u64,
+        revision: u64,
+        published: u64,
+        points: &mut LocalPoints,
+    ) -> Result<(), Error> {
+        let Some(batch) = self.queue.iter_mut().find(|batch| batch.number == number) else {
+            return Ok(());
+        };
+        if batch.revision.replace(revision).is_none() {
+            self.settled += batch.len() as u64;
+        }
+        // The copy was read at a later revision, so its feed does not name the batch.
+        if revision <= published {
+            self.confirm_first(true, points)?;
+        }
+        Ok(())
+    }
+
+    /// The feed has reached the own batch of this number.
+    pub(super) fn confirm(&mut self, number: u64, points: &mut LocalPoints) -> Result<(), Error> {
+        while let Some(first) = self.queue.front()
+            && (1..=number).contains(&first.number)
+        {
+            // The feed does not name a batch that was published before the copy was read.
+            let is_newer = first.number < number;
+            self.confirm_first(is_newer, points)?;
+        }
+        Ok(())
+    }
+
+    /// The oldest batch is published; the copy's points have it already if they are newer.
+    fn confirm_first(&mut self, is_newer: bool, points: &mut LocalPoints) -> Result<(), Error> {
+        let Some(batch) = self.queue.pop_front() else {
+            return Ok(());
+        };
+        self.bytes -= batch.bytes();
+        if batch.revision.is_none() {
+            self.settled += batch.len() as u64;
+        }
+        if !self.rebased.is_empty() {
+            for (id, _) in batch.steps(self.width) {
+                let Some(rebased) = self.rebased.get_mut(&id) else {
+                    continue;
+                };
+                let is_settled = rebased.confirm(is_newer);
+                if is_newer {
+                    show(id, rebased, points)?;
+                }
+                if is_settled {
+                    self.rebased.remove(&id);
+                }
+            }
+        }
+        for asked in &batch.asked {
+            self.arrivals.answer(asked, points);
+        }
+        Ok(())
+    }
+
+    /// Another writer has removed and stored points, as one record.
+    pub(super) fn apply<'a>(
+        &mut self,
+        stored: impl Iterator<Item = NewRow<'a>>,
+        removed: &[u64],
+        points: &mut LocalPoints,
+    ) -> Result<(), Error> {
+        let at = points.seen().0 + 1;
+        if self.rebased.is_empty() {
+            let arrivals = &mut self.arrivals;
+            let stored = stored.inspect(|row| arrivals.push(at, row));
+            return points.apply(stored, removed);
+        }
+        let mut plain = Vec::new();
+        for row in stored {
+            self.arrivals.push(at, &row);
+            match self.rebased.get_mut(&row.id) {
+                None => plain.push(row),
+                Some(rebased) => {
+                    rebased.base = Some((row.tag, row.row.to_vec()));
+                    show(row.id, rebased, points)?;
+                }
+            }
+        }
+        let mut plain_removed = Vec::new();
+        for &id in removed {
+            match self.rebased.get_mut(&id) {
+                None => plain_removed.push(id),
+                Some(rebased) => {
+                    rebased.base = None;
+                    show(id, rebased, points)?;
+                }
+            }
+        }
+        points.apply(plain.into_iter(), &plain_removed)
+    }
+
+    /// The copy was read again: applies all pending writes to it. The server may have taken some of them before.
+    pub(super) fn reloaded(&mut self, points: &mut LocalPoints) -> Result<(), Error> {
+        self.rebased.clear();
+        let mut queue = std::mem::take(&mut self.queue);
+        for batch in &mut queue {
+            for (id, step) in batch.steps(self.width) {
+                let base = || points.get(id).map(|point| (point.tag, point.row));
+                let rebased = self
+                    .rebased
+                    .entry(id)
+                    .or_insert_with(|| Rebased::new(base()));
+                rebased.push(&step);
+            }
+            for asked in &mut batch.asked {
+                self.arrivals.reloaded(asked);
+            }
+        }
+        self.queue = queue;
+        for (&id, rebased) in &self.rebased {
+            show(id, rebased, points)?;
+        }
+        Ok(())
+    }
+
+    /// The server refused the oldest batch that it has not taken, for good: takes all writes from there on out of the
+    /// copy, and keeps them for the caller.
+    pub(super) fn refuse(
+        &mut self,
+        why: Arc<Error>,
+        points: &mut LocalPoints,
+    ) -> Result<(), Error> {
+        if self.refused.is_none() {
+            self.refused = Some(why);
+        }
+        self.past_sessions.extend(self.session.take());
+        self.ids.clear();
+        for batch in std::mem::take(&mut self.queue) {
+            self.bytes -= batch.bytes();
+            for _ in &batch.asked {
+                self.arrivals.close();
+            }
+            let is_taken = batch.revision.is_some();
+            for (id, _) in batch.steps(self.width) {
+                match self.rebased.get_mut(&id) {
+                    Some(rebased) if is_taken => drop(rebased.confirm(false)),
+                    Some(_) => {}
+                    // An insert under an id of this session.
+                    None if is_taken => {}
+                    None => drop(points.remove(id)?),
+                }
+            }
+            if !is_taken {
+                self.settled += batch.len() as u64;
+                self.unsent.extend(batch.unsent(self.width));
+            }
+        }
+        for (id, mut rebased) in std::mem::take(&mut self.rebased) {
+            rebased = Rebased::new(rebased.base);
+            show(id, &rebased, points)?;
+        }
+        Ok(())
+    }
+
+    /// The writes that the server did not take, in their order. Writing may begin again.
+    pub(super) fn take_unsent(&mut self) -> Vec<UnsentWrite> {
+        self.refused = None;
+        std::mem::take(&mut self.unsent)
+    }
+
+    /// The payload that the last pending write of this id gives it.
+    pub(super) fn payload(&self, id: u64) -> Option<Vec<u8>> {
+        let batches = self.queue.iter().rev();
+        batches
+            .filter_map(|batch| batch.payload(self.width, id))
+            .next()
+    }
+}
+
+/// Makes the copy hold what an id shows.
+fn show(id: u64, rebased: &Rebased, points: &mut LocalPoints) -> Result<(), Error> {
+    match rebased.shown() {
+        None => drop(points.remove(id)?),
+        Some((tag, row)) => match points.get(id) {
+            Some(held) if held.row == row => {
+                if held.tag != tag {
+                    points.set_tag(id, tag)?;
+                }
+            }
+            _ => points.store(id, tag, &row)?,
+        },
+    }
+    Ok(())
+}

@@ -1,0 +1,110 @@
+//! One suite over the forms, the spaces and the operations.
+
+use wayfold::{Error, Index, InsertOptions, Search, Space, StateProblem};
+
+use crate::model::Model;
+
+/// The spaces of the suite.
+pub(crate) const SPACES: [&str; 8] = [
+    "R1",
+    "R3",
+    "SO2^3",
+    "SO3",
+    "R2*SO2",
+    "R3*SO3:0.15",
+    "sum(R3, SO3)",
+    "(R3*RP3:0.15)^2",
+];
+
+/// Every answer equals brute force.
+pub(crate) fn equals_brute_force(make: impl Fn(&Space) -> Index, steps: usize) {
+    for (seed, space) in SPACES.iter().enumerate() {
+        let index = make(&space.parse().unwrap());
+        Model::new(index, seed as u64).run(steps);
+    }
+}
+
+/// A state that is none of the space changes nothing, and the error says why.
+pub(crate) fn refuses_what_is_no_state(make: impl Fn(&Space) -> Index) {
+    let index = make(&Space::se3());
+    let good = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    index.insert(good).unwrap();
+    let short = index.insert([0.0; 3]).unwrap_err();
+    assert!(
+        matches!(
+            short,
+            Error::Width {
+                row: 0,
+                expected: 7,
+                found: 3
+            }
+        ),
+        "{short}"
+    );
+    let nan = index.insert_many([good, [0.0, f64::NAN, 0.0, 0.0, 0.0, 0.0, 1.0]]);
+    let nan = nan.unwrap_err();
+    assert_eq!(nan.to_string(), "states[1].coords[1]: NaN");
+    assert!(
+        matches!(&nan, Error::State { row: 1, error } if error.reason == StateProblem::NaN),
+        "{nan}"
+    );
+    let shifted = index
+        .nearest([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 7.0])
+        .unwrap_err();
+    assert!(matches!(shifted, Error::State { row: 0, .. }), "{shifted}");
+    let arguments = [
+        (Search::k(0), "k"),
+        (Search::k_factor(f64::NAN), "k_factor"),
+        (Search::within(-1.0), "radius"),
+        (Search::k(1).epsilon(f64::INFINITY), "epsilon"),
+        (Search::k(1).tag(0b1, 0b10), "tag"),
+    ];
+    for (search, name) in arguments {
+        let error = index.search(good, &search).unwrap_err();
+        assert!(
+            matches!(error, Error::Argument { field, .. } if field == name),
+            "{name}: {error}"
+        );
+    }
+    let id = index.insert_with(good, InsertOptions::new().id(1 << 63));
+    assert!(
+        matches!(id, Err(Error::Argument { field: "id", .. })),
+        "{id:?}"
+    );
+    assert_eq!(index.len().unwrap(), 1);
+}
+
+/// Of any two inserts that ask, the later one finds the earlier, on any threads.
+pub(crate) fn misses_no_edge(make: impl Fn(&Space) -> Index) {
+    const THREADS: usize = 4;
+    const INSERTS: usize = 250;
+    let index = make(&"R1".parse().unwrap());
+    let all = InsertOptions::new().ask(Search::within(f64::INFINITY));
+    let found: Vec<(u64, Vec<u64>)> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..THREADS)
+            .map(|thread| {
+                let index = &index;
+                scope.spawn(move || {
+                    let insert = |at: usize| {
+                        let state = [(thread * INSERTS + at) as f64];
+                        let inserted = index.insert_with(state, all).unwrap();
+                        let ids = inserted.found.neighbors.iter().map(|found| found.id);
+                        (inserted.id, ids.collect())
+                    };
+                    (0..INSERTS).map(insert).collect::<Vec<_>>()
+                })
+            })
+            .collect();
+        threads
+            .into_iter()
+            .flat_map(|thread| thread.join().unwrap())
+            .collect()
+    });
+    let mut sizes: Vec<usize> = found.iter().map(|(_, before)| before.len()).collect();
+    sizes.sort_unstable();
+    assert!(sizes.into_iter().eq(0..THREADS * INSERTS));
+    let mut ids: Vec<u64> = found.iter().map(|(id, _)| *id).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    assert_eq!(ids.len(), THREADS * INSERTS);
+}

@@ -1,0 +1,382 @@
+//! A brute-force model of an index, and random histories that compare the two.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+
+use rand::{RngExt, SeedableRng, seq::IndexedRandom};
+use rand_chacha::ChaCha8Rng;
+use wayfold::{
+    Changes, Error, Index, InsertOptions, Neighbor, ScaledRadius, Scaling, Search, Seen, Space,
+};
+use wayfold_index::{Linear, PointRef};
+
+/// The greatest number of steps that [`Changes`] reach back.
+const MAX_CHANGES: usize = 1 << 16;
+
+/// An index, and what brute force says that it holds.
+pub(crate) struct Model {
+    pub(crate) index: Index,
+    rng: ChaCha8Rng,
+    points: Linear,
+    payloads: HashMap<u64, Vec<u8>>,
+    /// The number of changes.
+    changes: u64,
+    /// The ids that changed, with the number of the change.
+    history: Vec<(u64, u64)>,
+    /// What answers had seen, with the number of changes then.
+    seen: Vec<(Seen, u64)>,
+    used_ids: HashSet<u64>,
+    last_assigned: Option<u64>,
+}
+
+impl Model {
+    /// A model of an index that is empty.
+    pub(crate) fn new(index: Index, seed: u64) -> Model {
+        Model {
+            points: Linear::new(index.space().clone()),
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            index,
+            payloads: HashMap::new(),
+            changes: 0,
+            history: Vec::new(),
+            seen: Vec::new(),
+            used_ids: HashSet::new(),
+            last_assigned: None,
+        }
+    }
+
+    /// Random operations, each answer compared with brute force.
+    pub(crate) fn run(&mut self, steps: usize) {
+        for _ in 0..steps {
+            match self.rng.random_range(0..20) {
+                0..=5 => self.insert(),
+                6 => self.insert_with_an_id(),
+                7 => self.insert_many(),
+                8 => self.remove(),
+                9 => self.replace(),
+                10 => self.set_tag(),
+                11 => self.get(),
+                12 => self.search_many(),
+                13 => self.changed(),
+                14..=19 => self.search(),
+                _ => unreachable!(),
+            }
+        }
+        self.scan();
+    }
+
+    /// A state as a user may write it: not in canonical form.
+    fn state(&mut self) -> Vec<f64> {
+        let mut row = Vec::new();
+        for coordinate in wayfold::coordinate_names(self.index.space()) {
+            // Few values, so that distances are often equal.
+            let number = f64::from(self.rng.random_range(0..8)) / 4.0 - 1.0;
+            row.push(match coordinate.as_str() {
+                name if name.starts_with("theta") => number * 7.0,
+                _ => number,
+            });
+        }
+        normalize_rotations(self.index.space(), &mut row);
+        row
+    }
+
+    fn canonical(&self, state: &[f64]) -> Vec<f64> {
+        let mut row = state.to_vec();
+        self.index.space().canonicalize(&mut row).unwrap();
+        row
+    }
+
+    /// An id that is stored, most times.
+    fn some_id(&mut self) -> u64 {
+        let ids: Vec<u64> = self.points.iter().map(|point| point.id).collect();
+        match ids.choose(&mut self.rng) {
+            Some(&id) if self.rng.random_bool(0.9) => id,
+            // Far from the ids that an index assigns.
+            _ => (1 << 40) + self.rng.random_range(0..2_000),
+        }
+    }
+
+    fn store(&mut self, id: u64, tag: u64, row: &[f64], revision: u64) {
+        self.history.push((self.changes, id));
+        let point = PointRef {
+            id,
+            tag,
+            revision,
+            row,
+        };
+        self.points.insert(point).unwrap();
+    }
+
+    /// Notes an id that the index assigned.
+    fn assigned(&mut self, id: u64) {
+        assert!(self.used_ids.insert(id), "id {id} was used");
+        assert!(
+            self.last_assigned < Some(id),
+            "{id} after {:?}",
+            self.last_assigned
+        );
+        self.last_assigned = Some(id);
+    }
+
+    fn insert(&mut self) {
+        let state = self.state();
+        let row = self.canonical(&state);
+        self.changes += 1;
+        if self.rng.random_bool(0.3) {
+            let id = self.index.insert(&state[..]).unwrap();
+            self.assigned(id);
+            self.store(id, 0, &row, self.changes);
+            return;
+        }
+        let (tag, payload) = (self.rng.random_range(0..4), self.payload());
+        let (search, expected) = self.question(&row);
+        let options = InsertOptions::new().tag(tag).payload(&payload).ask(search);
+        let inserted = self.index.insert_with(&state[..], options).unwrap();
+        assert_same(&inserted.found.neighbors, &expected);
+        self.seen.push((inserted.found.seen, self.changes));
+        self.assigned(inserted.id);
+        self.store(inserted.id, tag, &row, self.changes);
+        self.payloads.insert(inserted.id, payload);
+    }
+
+    fn payload(&mut self) -> Vec<u8> {
+        let bytes = self.rng.random_range(0..3);
+        vec![self.rng.random(); bytes]
+    }
+
+    fn insert_with_an_id(&mut self) {
+        let (state, id) = (self.state(), self.some_id());
+        let inserted = self
+            .index
+            .insert_with(&state[..], InsertOptions::new().id(id));
+        if self.points.get(id).is_some() {
+            assert!(
+                matches!(inserted, Err(Error::IdTaken { id: taken }) if taken == id),
+                "{inserted:?}"
+            );
+            return;
+        }
+        assert_eq!(inserted.unwrap().id, id);
+        self.changes += 1;
+        self.used_ids.insert(id);
+        let row = self.canonical(&state);
+        self.store(id, 0, &row, self.changes);
+    }
+
+    fn insert_many(&mut self) {
+        let count = self.rng.random_range(0..40);
+        let states: Vec<Vec<f64>> = (0..count).map(|_| self.state()).collect();
+        let ids = self.index.insert_many(&states).unwrap();
+        assert_eq!(ids.len(), count);
+        self.changes += 1;
+        for (id, state) in ids.into_iter().zip(&states) {
+            self.assigned(id);
+            let row = self.canonical(state);
+            self.store(id, 0, &row, self.changes);
+        }
+    }
+
+    fn remove(&mut self) {
+        let id = self.some_id();
+        let removed = self.index.remove(id).unwrap();
+        assert_eq!(removed, self.points.remove(id));
+        self.payloads.remove(&id);
+        if removed {
+            self.changes += 1;
+            self.history.push((self.changes, id));
+        }
+    }
+
+    fn replace(&mut self) {
+        let (id, state) = (self.some_id(), self.state());
+        let row = self.canonical(&state);
+        if self.points.get(id).is_some_and(|point| point.row == row) {
+            // The forms differ in whether that is a change.
+            return;
+        }
+        let replaced = self.index.replace(id, &state[..]).unwrap();
+        let tag = self.points.get(id).map(|point| point.tag);
+        assert_eq!(replaced, tag.is_some());
+        if let Some(tag) = tag {
+            self.changes += 1;
+            self.payloads.remove(&id);
+            self.store(id, tag, &row, self.changes);
+        }
+    }
+
+    fn set_tag(&mut self) {
+        let (id, tag) = (self.some_id(), self.rng.random_range(0..4));
+        let is_stored = self.index.set_tag(id, tag).unwrap();
+        let point = self.points.get(id).map(PointRef::to_point);
+        assert_eq!(is_stored, point.is_some());
+        if let Some(point) = point.filter(|point| point.tag != tag) {
+            self.changes += 1;
+            self.store(id, tag, &point.row, point.revision);
+        }
+    }
+
+    fn get(&mut self) {
+        let id = self.some_id();
+        let found = self.index.get(id).unwrap();
+        let found = found
+            .as_ref()
+            .map(|point| (point.id, point.tag, &point.state[..]));
+        let expected = self
+            .points
+            .get(id)
+            .map(|point| (point.id, point.tag, point.row));
+        assert_eq!(found, expected);
+        let payload = self
+            .points
+            .get(id)
+            .map(|_| self.payloads.get(&id).cloned().unwrap_or_default());
+        assert_eq!(self.index.payload(id).unwrap(), payload);
+    }
+
+    /// A random search, and the answer of brute force.
+    fn question(&mut self, row: &[f64]) -> (Search, Vec<Neighbor>) {
+        let (n, dimension) = (self.points.len(), self.index.space().dimension());
+        let k = self.rng.random_range(1..30);
+        let radius = f64::from(self.rng.random_range(0..8)) / 4.0;
+        let mut plain = wayfold_index::Search::nearest_k(usize::MAX);
+        let mut search = match self.rng.random_range(0..4) {
+            0 => {
+                plain.k = k as usize;
+                Search::k(k)
+            }
+            1 => {
+                plain.radius = radius;
+                Search::within(radius)
+            }
+            2 => {
+                (plain.k, plain.radius) = (k as usize, radius);
+                Search::k(k).radius(radius)
+            }
+            _ => {
+                let scaling = Scaling {
+                    k_factor: Some(1.5),
+                    radius_factor: Some(2.0),
+                    radius_max: Some(1.5),
+                };
+                scaling.apply(&mut plain, n, dimension);
+                Search::k_factor(1.5).radius(ScaledRadius::new(2.0).max(1.5))
+            }
+        };
+        if self.rng.random_bool(0.3) {
+            (plain.filter.tag_mask, plain.filter.tag_value) = (0b1, 0b1);
+            search = search.tag(0b1, 0b1);
+        }
+        if let Some(&(seen, changes)) = self.seen.choose(&mut self.rng)
+            && self.rng.random_bool(0.3)
+        {
+            plain.filter.since_revision = changes;
+            search = search.since(seen);
+        }
+        let expected = self.points.search(row, &plain).unwrap().neighbors;
+        (search, expected)
+    }
+
+    fn search(&mut self) {
+        let state = self.state();
+        let row = self.canonical(&state);
+        let (search, expected) = self.question(&row);
+        let found = self.index.search(&state[..], &search).unwrap();
+        assert_same(&found.neighbors, &expected);
+        let mut buffer = vec![Neighbor {
+            distance: 0.0,
+            id: 0,
+        }];
+        self.index
+            .search_into(&state[..], &search, &mut buffer)
+            .unwrap();
+        assert_same(&buffer, &expected);
+        self.seen.push((found.seen, self.changes));
+        let nearest = self
+            .points
+            .search(&row, &wayfold_index::Search::nearest_k(1));
+        let nearest = nearest.unwrap().neighbors.first().copied();
+        assert_eq!(self.index.nearest(&state[..]).unwrap(), nearest);
+        assert_eq!(self.index.len().unwrap(), self.points.len());
+    }
+
+    fn search_many(&mut self) {
+        let states: Vec<Vec<f64>> = (0..5).map(|_| self.state()).collect();
+        let found = self.index.search_many(&states, &Search::k(7)).unwrap();
+        assert_eq!(found.len(), states.len());
+        for (state, found) in states.iter().zip(found) {
+            let search = wayfold_index::Search::nearest_k(7);
+            let expected = self.points.search(&self.canonical(state), &search).unwrap();
+            assert_same(&found, &expected.neighbors);
+        }
+    }
+
+    fn changed(&mut self) {
+        let Some(&(seen, number)) = self.seen.choose(&mut self.rng) else {
+            return;
+        };
+        let Changes {
+            stored,
+            removed,
+            seen,
+        } = self.index.changes(seen).unwrap().unwrap();
+        assert!(self.history.len() < MAX_CHANGES);
+        let newer = self.history.iter().filter(|(at, _)| *at > number);
+        let ids: BTreeMap<u64, bool> = newer
+            .map(|&(_, id)| (id, self.points.get(id).is_some()))
+            .collect();
+        let found = stored.iter().map(|point| (point.id, true));
+        let found: BTreeMap<u64, bool> =
+            found.chain(removed.iter().map(|&id| (id, false))).collect();
+        assert_eq!(found, ids);
+        assert_eq!(stored.len() + removed.len(), ids.len());
+        for point in &stored {
+            let expected = self.points.get(point.id).unwrap();
+            assert_eq!((point.tag, &point.state[..]), (expected.tag, expected.row));
+        }
+        self.seen.push((seen, self.changes));
+    }
+
+    /// Compares all points.
+    pub(crate) fn scan(&self) {
+        let scanned: Vec<_> = self.index.scan().unwrap().map(Result::unwrap).collect();
+        assert!(scanned.is_sorted_by(|a, b| a.id < b.id));
+        assert_eq!(scanned.len(), self.points.len());
+        for point in &scanned {
+            let expected = self.points.get(point.id).unwrap();
+            assert_eq!((point.tag, &point.state[..]), (expected.tag, expected.row));
+        }
+    }
+}
+
+/// Scales the rotations of a row to unit length; a quaternion of zeros becomes the identity.
+fn normalize_rotations(space: &Space, row: &mut [f64]) {
+    let mut at = 0;
+    let terms = space.groups().iter().flat_map(|group| &group.terms);
+    for factor in terms.map(|term| term.factor) {
+        let width = match factor {
+            wayfold::Factor::RealVector(n) => n,
+            wayfold::Factor::SO2 { .. } => 1,
+            wayfold::Factor::SO3 => {
+                let rotation = &mut row[at..at + 4];
+                let norm = rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
+                match norm {
+                    0.0 => rotation.copy_from_slice(&[0.0, 0.0, 0.0, 1.0]),
+                    norm => rotation.iter_mut().for_each(|x| *x /= norm),
+                }
+                4
+            }
+        };
+        at += width;
+    }
+}
+
+/// Compares ids and the bits of distances.
+#[track_caller]
+pub(crate) fn assert_same(found: &[Neighbor], expected: &[Neighbor]) {
+    let bits = |neighbors: &[Neighbor]| -> Vec<(u64, u64)> {
+        let pairs = neighbors.iter();
+        pairs
+            .map(|neighbor| (neighbor.id, neighbor.distance.to_bits()))
+            .collect()
+    };
+    assert_eq!(bits(found), bits(expected));
+}
