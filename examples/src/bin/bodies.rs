@@ -2,9 +2,9 @@
 //! the size of the experiment of Fig. 9 in A. Yershova, S. M. LaValle, "Improving Motion Planning Algorithms by
 //! Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
-//!     cargo run --release --bin bodies -- [--source forest] [--seed 1] [--runs 5]
+//!     cargo run --release --bin bodies -- [--source memory] [--seed 1] [--runs 5]
 //!
-//!     cargo run --release --bin bodies -- --workers 4 [--source replica]
+//!     cargo run --release --bin bodies -- --workers 4 [--source remote]
 //!
 //! The same trees are grown with each source of neighbours, from the same seeds; `bodies.svg` shows them.
 

@@ -1,10 +1,10 @@
 //! A C-shaped body through a maze with narrow corridors: the experiment of Fig. 8 in A. Yershova, S. M. LaValle,
 //! "Improving Motion Planning Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
-//!     cargo run --release --bin maze -- [--source forest] [--seed 1] [--runs 5]
-//!     cargo run --release --bin maze -- --rrt-star 500000 --source forest
+//!     cargo run --release --bin maze -- [--source memory] [--seed 1] [--runs 5]
+//!     cargo run --release --bin maze -- --rrt-star 500000 --source memory
 //!
-//!     cargo run --release --bin maze -- --workers 4 [--source replica]
+//!     cargo run --release --bin maze -- --workers 4 [--source remote]
 //!     cargo run --release --bin maze -- --scaling [--runs 5]
 //!
 //! The same trees are grown with each source of neighbours, from the same seeds; `maze.svg` shows them,

@@ -2,7 +2,7 @@
 //! body with six degrees of freedom, the kind of experiment of Fig. 10 in A. Yershova, S. M. LaValle, "Improving Motion
 //! Planning Algorithms by Efficient Nearest-Neighbor Searching", IEEE Transactions on Robotics, 2007.
 //!
-//!     cargo run --release --bin rigid -- [--workers 4] [--source server] [--kill | --restart]
+//!     cargo run --release --bin rigid -- [--workers 4] [--source remote] [--kill | --restart]
 //!     cargo run --release --bin rigid -- --scaling [--runs 5]
 //!     cargo run --release --bin rigid -- --until-solved [--scaling] [--runs 5]
 //!     cargo run --release --bin rigid -- --compare [--runs 5]

@@ -9,12 +9,14 @@ use super::source::Usage;
 pub struct Account {
     /// The total time.
     pub total: Duration,
-    /// The time in the sources.
+    /// The time of searches and inserts.
     pub neighbors: Usage,
     /// The time of motions: computing their states and checking these for collisions.
     pub checking: Duration,
     /// The number of checked states.
     pub checks: usize,
+    /// The time from the end of the run until the server had acknowledged every insert.
+    pub flushing: Duration,
 }
 
 impl Account {

@@ -1,26 +1,22 @@
 //! One problem, solved with several sources from the same seeds.
 
-use std::{io, rc::Rc};
-
 use super::{
     account::{Account, Growth},
     error::PlanningError,
     figures::{Row, RunTimes},
-    local::{BruteForce, LocalForest},
-    options::{Options, SourceChoice, seeds},
+    host::Host,
+    options::{Options, Source, seeds},
     path,
     problem::Problem,
-    remote::{Remote, ReplicaSource, ServerSource},
     rrt::Solution,
     rrt_star::{self, Star},
-    server::ServerProcess,
-    source::NeighborSource,
+    source::TimedIndex,
 };
 
 /// The trials of a comparison.
 pub struct Trials<'a> {
     /// The sources.
-    pub sources: Vec<SourceChoice>,
+    pub sources: Vec<Source>,
     /// The seeds. There is one run for each seed and source.
     pub seeds: Vec<u64>,
     /// The address of a running server. If it is None, a server is started when one is needed.
@@ -64,7 +60,7 @@ pub trait PlannerOutcome {
 /// One run with one source.
 pub struct Run {
     /// The source.
-    pub source: SourceChoice,
+    pub source: Source,
     /// The seed.
     pub seed: u64,
     /// The nodes of all trees, or the milestones.
@@ -80,7 +76,7 @@ pub struct Run {
 /// All runs of a planner.
 pub struct Comparison<R = Solution> {
     /// The sources, in the order of the trials.
-    pub sources: Vec<SourceChoice>,
+    pub sources: Vec<Source>,
     /// The runs, seed by seed.
     pub runs: Vec<Run>,
     /// The solution for the first seed. It is the same with all sources.
@@ -89,7 +85,7 @@ pub struct Comparison<R = Solution> {
 
 impl<R> Comparison<R> {
     /// The runs with one source.
-    pub fn runs_of(&self, source: SourceChoice) -> impl Iterator<Item = &Run> {
+    pub fn runs_of(&self, source: Source) -> impl Iterator<Item = &Run> {
         self.runs.iter().filter(move |run| run.source == source)
     }
 }
@@ -110,8 +106,8 @@ impl<R: PlannerOutcome> Comparison<R> {
     }
 }
 
-/// A function that opens an empty source whenever a planner needs one.
-pub type Open<'a> = dyn Fn() -> Result<Box<dyn NeighborSource>, PlanningError> + 'a;
+/// A function that opens an empty index whenever a planner needs one.
+pub type Open<'a> = dyn Fn() -> Result<TimedIndex, PlanningError> + 'a;
 
 /// Solves `problem` by a planner that receives its sources and a seed. The same seed must give the same outcome with
 /// every source.
@@ -120,10 +116,10 @@ pub fn compare<R: PlannerOutcome>(
     trials: &Trials<'_>,
     plan: impl Fn(&Open<'_>, u64) -> Result<R, PlanningError>,
 ) -> Result<Comparison<R>, PlanningError> {
-    let (_server, remote) = remote(trials)?;
+    let host = host(trials)?;
     let (mut runs, mut shown) = (Vec::new(), None);
     for &seed in &trials.seeds {
-        let solved = each(problem, trials, remote.as_ref(), seed, &plan, R::is_like)?;
+        let solved = each(problem, trials, host.as_ref(), seed, &plan, R::is_like)?;
         runs.extend(solved.iter().map(|(source, solution)| {
             Run {
                 source: *source,
@@ -152,15 +148,15 @@ pub fn grow(
     problem: &impl Problem,
     options: &Options,
     samples: usize,
-) -> Result<Vec<(SourceChoice, Star)>, PlanningError> {
+) -> Result<Vec<(Source, Star)>, PlanningError> {
     let trials = Trials::from(options);
-    let (_server, remote) = remote(&trials)?;
+    let host = host(&trials)?;
     let plan = |own: &Open<'_>, seed| rrt_star::grow(problem, own()?, seed, samples);
     let is_like = |one: &Star, other: &Star| one.tree == other.tree;
     each(
         problem,
         &trials,
-        remote.as_ref(),
+        host.as_ref(),
         options.seed,
         &plan,
         is_like,
@@ -171,15 +167,15 @@ pub fn grow(
 fn each<R>(
     problem: &impl Problem,
     trials: &Trials<'_>,
-    remote: Option<&Rc<Remote>>,
+    host: Option<&Host>,
     seed: u64,
     plan: &impl Fn(&Open<'_>, u64) -> Result<R, PlanningError>,
     is_like: impl Fn(&R, &R) -> bool,
-) -> Result<Vec<(SourceChoice, R)>, PlanningError> {
-    let mut all: Vec<(SourceChoice, R)> = Vec::new();
+) -> Result<Vec<(Source, R)>, PlanningError> {
+    let mut all: Vec<(Source, R)> = Vec::new();
     for &source in &trials.sources {
         eprintln!("{}, seed {seed} ...", source.name());
-        let made = plan(&|| open(source, problem, remote), seed)?;
+        let made = plan(&|| TimedIndex::new(source, problem.space(), host), seed)?;
         if let Some((first, known)) = all.first()
             && !is_like(known, &made)
         {
@@ -194,39 +190,8 @@ fn each<R>(
     Ok(all)
 }
 
-/// The server for the sources, with its threads. It is started unless one runs already.
-fn remote(
-    trials: &Trials<'_>,
-) -> Result<(Option<ServerProcess>, Option<Rc<Remote>>), PlanningError> {
-    let is_remote =
-        |source: &SourceChoice| matches!(source, SourceChoice::Server | SourceChoice::Replica);
-    if !trials.sources.iter().any(is_remote) {
-        return Ok((None, None));
-    }
-    if let Some(uri) = trials.server {
-        return Ok((None, Some(Remote::new(uri)?)));
-    }
-    let started = ServerProcess::start()?;
-    let remote = Remote::new(started.uri())?;
-    Ok((Some(started), Some(remote)))
-}
-
-/// Opens an empty source. Sources behind a server need `remote`.
-pub fn open(
-    source: SourceChoice,
-    problem: &impl Problem,
-    remote: Option<&Rc<Remote>>,
-) -> Result<Box<dyn NeighborSource>, PlanningError> {
-    let space = problem.space();
-    let remote = || {
-        let missing = || PlanningError::Server(io::Error::other("none is known"));
-        remote.ok_or_else(missing)
-    };
-    Ok(match source {
-        SourceChoice::Brute => Box::new(BruteForce::new(space)),
-        SourceChoice::Scan => Box::new(LocalForest::scan(space)),
-        SourceChoice::Forest | SourceChoice::All => Box::new(LocalForest::trees(space)),
-        SourceChoice::Server => Box::new(ServerSource::new(remote()?, space)?),
-        SourceChoice::Replica => Box::new(ReplicaSource::new(remote()?, space)?),
-    })
+/// The server, if a source needs one.
+fn host(trials: &Trials<'_>) -> Result<Option<Host>, PlanningError> {
+    let is_needed = trials.sources.iter().any(|source| source.is_served());
+    is_needed.then(|| Host::new(trials.server)).transpose()
 }

@@ -18,7 +18,7 @@ use plotters::{
     },
 };
 
-use super::{error::PlanningError, options::SourceChoice, rrt::Tree};
+use super::{error::PlanningError, options::Source, rrt::Tree};
 
 /// A part of a picture. Pictures have a large scale because positions on them are integers.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -46,13 +46,13 @@ pub const WORKERS: [RGBColor; 8] = [
 ];
 
 /// The colour of a source.
-pub fn ink(source: SourceChoice) -> RGBColor {
+pub fn ink(source: Source) -> RGBColor {
     match source {
-        SourceChoice::Brute => RGBColor(120, 127, 140),
-        SourceChoice::Scan => RGBColor(201, 160, 34),
-        SourceChoice::Forest | SourceChoice::All => RGBColor(35, 138, 92),
-        SourceChoice::Server => RGBColor(190, 62, 72),
-        SourceChoice::Replica => RGBColor(110, 84, 178),
+        Source::Brute => RGBColor(120, 127, 140),
+        Source::Scan => RGBColor(201, 160, 34),
+        Source::Memory | Source::All => RGBColor(35, 138, 92),
+        Source::Remote => RGBColor(190, 62, 72),
+        Source::Shared => RGBColor(110, 84, 178),
     }
 }
 

@@ -65,8 +65,11 @@ pub enum PlanningError {
         /// The difference.
         problem: &'static str,
     },
+    /// A source on a server was opened without one.
+    #[error("an index on a server needs the address of one")]
+    NoServer,
     /// Several processes were to share a source that is local to one process.
-    #[error("{source_name} is within one process; workers take --source server or replica")]
+    #[error("{source_name} is within one process; workers take --source shared or remote")]
     Unshared {
         /// The source name.
         source_name: &'static str,

@@ -12,11 +12,12 @@ use super::{
     comparison::{self, Comparison, Open, Trials},
     error::PlanningError,
     figures,
+    host::Host,
     options::{Options, Role},
     path::{self, Verify},
     report, rrt,
     rrt_star::Star,
-    server::{self, ServerProcess},
+    server,
     shared_trees::{
         job, report as shared_report,
         solve::{self as shared, SharedSolution},
@@ -136,13 +137,10 @@ impl<P: Verify> Example<P> {
 
     /// Solves it with several workers.
     fn share(&self, problem: &P, options: &Options, workers: usize) -> Result<(), PlanningError> {
-        let source = options.source.shared().first().copied();
-        let source = source.ok_or(PlanningError::Unshared {
-            source_name: options.source.name(),
-        })?;
-        let (_server, uri) = server_of(options)?;
+        let source = options.source.served()?[0];
+        let host = Host::new(options.server.as_deref())?;
         let seed = options.seed;
-        let solved = shared::solve(problem, &uri, options, workers, source, seed);
+        let solved = shared::solve(problem, host.uri(), options, workers, source, seed);
         let solved = runtime()?.block_on(solved)?;
         print!("{}", shared_report::table(&solved));
         figures::write([solved.row(problem)], options.json.as_deref())?;
@@ -155,13 +153,9 @@ impl<P: Verify> Example<P> {
 
     /// Compares numbers of workers.
     fn scale(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
-        if options.source.shared().is_empty() {
-            return Err(PlanningError::Unshared {
-                source_name: options.source.name(),
-            });
-        }
-        let (_server, uri) = server_of(options)?;
-        let all = runtime()?.block_on(shared::compare(problem, &uri, options))?;
+        options.source.served()?;
+        let host = Host::new(options.server.as_deref())?;
+        let all = runtime()?.block_on(shared::compare(problem, host.uri(), options))?;
         print!("{}", shared_report::comparison(&all));
         let rows = all.iter().map(|solved| solved.row(problem));
         figures::write(rows, options.json.as_deref())
@@ -173,14 +167,4 @@ fn runtime() -> Result<Runtime, PlanningError> {
     let mut runtime = Builder::new_multi_thread();
     let runtime = runtime.worker_threads(1).enable_all().build();
     runtime.map_err(PlanningError::Threads)
-}
-
-/// The server of the options, or a newly started one.
-fn server_of(options: &Options) -> Result<(Option<ServerProcess>, String), PlanningError> {
-    if let Some(uri) = &options.server {
-        return Ok((None, uri.clone()));
-    }
-    let started = ServerProcess::start()?;
-    let uri = started.uri().to_owned();
-    Ok((Some(started), uri))
 }

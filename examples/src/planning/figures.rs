@@ -39,6 +39,8 @@ pub struct RunTimes {
     pub insert_s: f64,
     /// Collision checks.
     pub check_s: f64,
+    /// From the end of the run until the server had acknowledged every insert.
+    pub flush_s: f64,
 }
 
 impl From<&Account> for RunTimes {
@@ -48,6 +50,7 @@ impl From<&Account> for RunTimes {
             search_s: account.neighbors.searching.as_secs_f64(),
             insert_s: account.neighbors.inserting.as_secs_f64(),
             check_s: account.checking.as_secs_f64(),
+            flush_s: account.flushing.as_secs_f64(),
         }
     }
 }
@@ -60,6 +63,7 @@ impl RunTimes {
             search_s: times.searching.as_secs_f64(),
             insert_s: times.waiting.as_secs_f64(),
             check_s: times.checking.as_secs_f64(),
+            flush_s: 0.0,
         }
     }
 }

@@ -1,7 +1,6 @@
-//! The common code of the planners: sampling-based planning against one small trait for the source of neighbours.
+//! The common code of the planners: sampling-based planning on a `wayfold::Index`.
 //!
-//! Reading order: `source` (the trait), `local` and `remote` (its implementations), `problem` (the interface of a
-//! scene), `rrt`, `rrt_star` and `prm_star` (the planners), `account` (their time), `path` (their result, checked
+//! Reading order: `source` (the index and the scans that it is compared with), `problem` (the interface of a scene), `rrt`, `rrt_star` and `prm_star` (the planners), `account` (their time), `path` (their result, checked
 //! independently), `comparison` (one problem with every source), `example` (the program around it), `report` (the table
 //! and the JSON), `drawing` and `panels` (the common parts of all pictures). For several workers: `processes` (starting
 //! workers and reading their messages) and `shared_trees` (RRTConCon by several workers together).
@@ -13,7 +12,7 @@ pub mod drawing;
 pub mod error;
 pub mod example;
 pub mod figures;
-pub mod local;
+pub mod host;
 pub mod options;
 pub mod panels;
 pub mod path;
@@ -22,7 +21,6 @@ pub mod pose;
 pub mod prm_star;
 pub mod problem;
 pub mod processes;
-pub mod remote;
 pub mod report;
 pub mod rrt;
 pub mod rrt_star;

@@ -4,7 +4,10 @@ use std::path::PathBuf;
 
 use clap::{Parser, Subcommand, ValueEnum};
 
-use super::shared_trees::{job::Job, store::Layout};
+use super::{
+    error::PlanningError,
+    shared_trees::{job::Job, store::Layout},
+};
 
 /// Solves a motion planning problem, prints the account of the time, and draws a picture.
 #[derive(Clone, Debug, Parser)]
@@ -13,8 +16,8 @@ pub struct Options {
     #[command(subcommand)]
     pub role: Option<Role>,
     /// The source of neighbours
-    #[arg(long, value_enum, default_value_t = SourceChoice::All)]
-    pub source: SourceChoice,
+    #[arg(long, value_enum, default_value_t = Source::All)]
+    pub source: Source,
     /// The seed of the random states; the next run takes the next seed
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -55,72 +58,59 @@ pub enum Role {
     Grow(Job),
 }
 
-/// One source, or all.
+/// The source of a planner's neighbours, or all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum SourceChoice {
-    /// A scalar loop over all states
-    Brute,
+pub enum Source {
+    /// An index in this process
+    Memory,
+    /// An index on a server, with a copy in this process
+    Shared,
+    /// An index on a server, called for each search and insert
+    Remote,
     /// A SIMD scan of all states
     Scan,
-    /// The index in this process
-    Forest,
-    /// A server, over gRPC
-    Server,
-    /// A replica that follows a server
-    Replica,
+    /// A scalar loop over all states
+    Brute,
     /// Each of these, with the same seeds
     All,
 }
 
-impl SourceChoice {
+impl Source {
     /// Its sources, brute force first.
-    pub fn sources(self) -> Vec<SourceChoice> {
-        use SourceChoice::{All, Brute, Forest, Replica, Scan, Server};
+    pub fn sources(self) -> Vec<Source> {
+        use Source::{All, Brute, Memory, Remote, Scan, Shared};
         match self {
-            All => vec![Brute, Scan, Forest, Server, Replica],
+            All => vec![Brute, Scan, Memory, Shared, Remote],
             one => vec![one],
         }
     }
 
-    /// Those of its sources that several workers can share. The first one scales better with more workers: each insert
-    /// must be sent to the replica of every worker.
-    pub fn shared(self) -> Vec<Kind> {
-        match self {
-            SourceChoice::All => vec![Kind::Server, Kind::Replica],
-            SourceChoice::Replica => vec![Kind::Replica],
-            SourceChoice::Server => vec![Kind::Server],
-            SourceChoice::Brute | SourceChoice::Scan | SourceChoice::Forest => Vec::new(),
+    /// True if it needs a server.
+    pub fn is_served(self) -> bool {
+        matches!(self, Source::Shared | Source::Remote)
+    }
+
+    /// Those of its sources that several workers can share.
+    pub fn served(self) -> Result<Vec<Source>, PlanningError> {
+        let mut sources = self.sources();
+        sources.retain(|source| source.is_served());
+        match sources.is_empty() {
+            true => Err(PlanningError::Unshared {
+                source_name: self.name(),
+            }),
+            false => Ok(sources),
         }
     }
 
-    /// Its name in tables and pictures.
+    /// Its name in options, tables and pictures.
     pub fn name(self) -> &'static str {
         match self {
-            SourceChoice::Brute => "brute force",
-            SourceChoice::Scan => "SIMD scan",
-            SourceChoice::Forest => "forest",
-            SourceChoice::Server => "server",
-            SourceChoice::Replica => "replica",
-            SourceChoice::All => "all",
-        }
-    }
-}
-
-/// The source of a worker's first neighbours.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Kind {
-    /// The server, over gRPC
-    Server,
-    /// A replica in the worker's process
-    Replica,
-}
-
-impl Kind {
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Kind::Server => "server",
-            Kind::Replica => "replica",
+            Source::Memory => "memory",
+            Source::Shared => "shared",
+            Source::Remote => "remote",
+            Source::Scan => "scan",
+            Source::Brute => "brute",
+            Source::All => "all",
         }
     }
 }

@@ -9,7 +9,7 @@ use plotters::{
 use super::{
     comparison::{Comparison, Run},
     drawing::{Area, DARK, DrawingError, FONT_SIZES, axes, ink, legend, letters, write},
-    options::SourceChoice,
+    options::Source,
 };
 
 /// Draws both panels, one below the other, with their legend.
@@ -30,7 +30,7 @@ pub fn draw(area: &Area<'_>, comparison: &Comparison) -> Result<(), DrawingError
 }
 
 /// The first run with each source.
-fn first_runs(comparison: &Comparison) -> impl Iterator<Item = (SourceChoice, &Run)> {
+fn first_runs(comparison: &Comparison) -> impl Iterator<Item = (Source, &Run)> {
     let of = |&source| Some((source, comparison.runs_of(source).next()?));
     comparison.sources.iter().filter_map(of)
 }

@@ -22,7 +22,7 @@ use super::{
     path,
     problem::Problem,
     sampling,
-    source::{NeighborSource, TimedSource},
+    source::TimedIndex,
 };
 
 /// k(n): the paper's 2e · ln n, above its bound e(1 + 1/d) · ln n in every dimension above 1.
@@ -97,13 +97,13 @@ impl PlannerOutcome for AnsweredRoadmap {
 /// questions. The same seed builds the same roadmap with any exact source.
 pub fn solve(
     problem: &impl Problem,
-    source: Box<dyn NeighborSource>,
+    index: TimedIndex,
     seed: u64,
     milestones: usize,
     questions: &[[&[f64]; 2]],
 ) -> Result<AnsweredRoadmap, PlanningError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut planner = Planner::new(problem, source);
+    let mut planner = Planner::new(problem, index);
     for _ in 0..MAX_DRAWS.saturating_mul(milestones) {
         if planner.roadmap.len() == milestones {
             break;
@@ -118,14 +118,14 @@ pub fn solve(
     for [start, goal] in questions {
         ends.push([planner.add(start)?, planner.add(goal)?]);
     }
-    Ok(planner.answer(&ends))
+    planner.answer(&ends)
 }
 
 struct Planner<'a, P> {
     problem: &'a P,
-    source: TimedSource,
+    index: TimedIndex,
     roadmap: Roadmap,
-    /// The milestones by their ids in the source.
+    /// The milestones by their ids in the index.
     milestones: HashMap<u64, usize>,
     started: Instant,
     checking: Duration,
@@ -134,10 +134,10 @@ struct Planner<'a, P> {
 }
 
 impl<'a, P: Problem> Planner<'a, P> {
-    fn new(problem: &'a P, source: Box<dyn NeighborSource>) -> Self {
+    fn new(problem: &'a P, index: TimedIndex) -> Self {
         Planner {
             problem,
-            source: TimedSource::new(source),
+            index,
             roadmap: Roadmap {
                 states: States::new(problem.space().coordinates()),
                 edges: Vec::new(),
@@ -164,7 +164,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         let mut search = Search::nearest_k(1);
         // k(n) is evaluated here, because no other client inserts. So all sources answer the same plain search.
         SCALING.apply(&mut search, milestone, self.problem.space().dimension());
-        let found = self.source.search(state, &search)?;
+        let found = self.index.search(state, &search)?;
         let start = Instant::now();
         let near = found.iter().map(|near| self.milestones[&near.id]);
         let (problem, checks) = (self.problem, &mut self.checks);
@@ -175,7 +175,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         self.checking += start.elapsed();
         let mut inserted = States::new(state.len());
         inserted.push(state)?;
-        let ids = self.source.insert(&inserted)?;
+        let ids = self.index.insert(&inserted)?;
         self.milestones
             .extend(ids.iter().map(|&id| (id, milestone)));
         self.roadmap.states.push(state)?;
@@ -186,9 +186,10 @@ impl<'a, P: Problem> Planner<'a, P> {
     fn account(&self) -> Account {
         Account {
             total: self.started.elapsed(),
-            neighbors: self.source.usage(),
+            neighbors: self.index.usage(),
             checking: self.checking,
             checks: self.checks as usize,
+            flushing: Duration::ZERO,
         }
     }
 
@@ -201,19 +202,20 @@ impl<'a, P: Problem> Planner<'a, P> {
     }
 
     /// The shortest paths between these milestones.
-    fn answer(self, ends: &[[usize; 2]]) -> AnsweredRoadmap {
+    fn answer(self, ends: &[[usize; 2]]) -> Result<AnsweredRoadmap, PlanningError> {
         let Roadmap { states, edges } = &self.roadmap;
         let space = self.problem.space();
         let shortest =
             |&[start, goal]: &[usize; 2]| path::shortest(space, states, edges, start, goal);
         let paths = ends.iter().map(shortest).collect();
-        let account = self.account();
+        let mut account = self.account();
+        account.flushing = self.index.flush()?;
         let growth = self.record.finish(self.roadmap.len(), account);
-        AnsweredRoadmap {
+        Ok(AnsweredRoadmap {
             roadmap: self.roadmap,
             paths,
             account,
             growth,
-        }
+        })
     }
 }

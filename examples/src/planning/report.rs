@@ -11,15 +11,17 @@ use std::{
 use super::{
     comparison::{Comparison, PlannerOutcome, Run},
     error::PlanningError,
-    options::SourceChoice,
+    options::Source,
     rrt_star::{Progress, Star},
 };
 
 /// Medians over the runs with one source.
 struct Line {
-    source: SourceChoice,
+    source: Source,
     nodes: f64,
     total: f64,
+    /// The time until the server had acknowledged every insert.
+    flushed: f64,
     searching: f64,
     inserting: f64,
     checking: f64,
@@ -30,12 +32,13 @@ struct Line {
 }
 
 impl Line {
-    fn of<R>(comparison: &Comparison<R>, source: SourceChoice) -> Line {
+    fn of<R>(comparison: &Comparison<R>, source: Source) -> Line {
         let middle = |of: fn(&Run) -> f64| median(comparison.runs_of(source).map(of));
         Line {
             source,
             nodes: middle(|run| run.nodes as f64),
             total: middle(|run| run.account.total.as_secs_f64()),
+            flushed: middle(|run| (run.account.total + run.account.flushing).as_secs_f64()),
             searching: middle(|run| run.account.neighbors.searching.as_secs_f64()),
             inserting: middle(|run| run.account.neighbors.inserting.as_secs_f64()),
             checking: middle(|run| run.account.checking.as_secs_f64()),
@@ -96,10 +99,11 @@ pub fn table<R: PlannerOutcome>(comparison: &Comparison<R>, paper: Option<f64>) 
     let lines = Line::all(comparison);
     let runs = comparison.runs.len() / lines.len().max(1);
     let mut text = format!(
-        "{:<12}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>10}{:>10}{:>16}{:>16}\n{:<12}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>10}{:>10}{:>8}{:>8}{:>8}{:>8}\n",
+        "{:<8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>10}{:>10}{:>16}{:>16}\n{:<8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>10}{:>10}{:>8}{:>8}{:>8}{:>8}\n",
         "",
         "nodes",
         "total",
+        "flushed",
         "search",
         "insert",
         "checks",
@@ -117,6 +121,7 @@ pub fn table<R: PlannerOutcome>(comparison: &Comparison<R>, paper: Option<f64>) 
         "s",
         "s",
         "s",
+        "s",
         "s+i, %",
         "chk, %",
         "µs",
@@ -129,10 +134,11 @@ pub fn table<R: PlannerOutcome>(comparison: &Comparison<R>, paper: Option<f64>) 
     for line in &lines {
         let _ = write!(
             text,
-            "{:<12}{:>8}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>8.1}{:>8.1}{:>10.2}{:>10.2}",
+            "{:<8}{:>8}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>9.3}{:>8.1}{:>8.1}{:>10.2}{:>10.2}",
             line.source.name(),
             line.nodes,
             line.total,
+            line.flushed,
             line.searching,
             line.inserting,
             line.checking,
@@ -154,7 +160,7 @@ pub fn table<R: PlannerOutcome>(comparison: &Comparison<R>, paper: Option<f64>) 
     }
     let _ = writeln!(
         text,
-        "Medians of {runs} run{}. An insert is one call for {}. Faster: by what with neighbours and in all, than scalar brute force, and than a SIMD scan.",
+        "Medians of {runs} run{}. An insert is one call for {}. Faster: by what with neighbours and in all, than scalar brute force, and than a SIMD scan. Flushed: until the server had acknowledged every insert.",
         if runs == 1 { "" } else { "s" },
         R::INSERT,
     );
@@ -169,9 +175,9 @@ pub fn table<R: PlannerOutcome>(comparison: &Comparison<R>, paper: Option<f64>) 
 }
 
 /// The source with which the others are compared.
-const BASELINES: [SourceChoice; 2] = [SourceChoice::Brute, SourceChoice::Scan];
+const BASELINES: [Source; 2] = [Source::Brute, Source::Scan];
 
-fn of(lines: &[Line], source: SourceChoice) -> Option<&Line> {
+fn of(lines: &[Line], source: Source) -> Option<&Line> {
     lines.iter().find(|line| line.source == source)
 }
 
@@ -185,14 +191,14 @@ fn ratio(ratio: f64) -> String {
 
 /// Prints the cost of the network, if the same index was used with and without it.
 fn network(lines: &[Line], text: &mut String) {
-    let Some(forest) = of(lines, SourceChoice::Forest) else {
+    let Some(memory) = of(lines, Source::Memory) else {
         return;
     };
-    let remote = [SourceChoice::Server, SourceChoice::Replica].into_iter();
+    let remote = [Source::Remote, Source::Shared].into_iter();
     for line in remote.filter_map(|source| of(lines, source)) {
-        let search = (line.search_us - forest.search_us).max(0.0);
-        let insert = (line.insert_us - forest.insert_us).max(0.0);
-        let eaten = line.neighbors() - forest.neighbors();
+        let search = (line.search_us - memory.search_us).max(0.0);
+        let insert = (line.insert_us - memory.insert_us).max(0.0);
+        let eaten = line.neighbors() - memory.neighbors();
         let _ = writeln!(
             text,
             "The {} adds {search:.0} µs to a search and {insert:.0} µs to an insert: {eaten:.2} s, {:.0} % of its total.",
@@ -203,7 +209,7 @@ fn network(lines: &[Line], text: &mut String) {
 }
 
 /// The improvement of RRT*'s path, and its time with each source.
-pub fn progress(grown: &[(SourceChoice, Star)]) -> String {
+pub fn progress(grown: &[(Source, Star)]) -> String {
     let mut text = format!("{:>9} {:>9} {:>9}", "samples", "nodes", "length");
     for (source, _) in grown {
         let _ = write!(text, " {:>17}", format!("{}, s", source.name()));
@@ -226,6 +232,13 @@ pub fn progress(grown: &[(SourceChoice, Star)]) -> String {
             let _ = write!(text, " {total:>9.2} ({share:>3.0} %)");
         }
         text.push('\n');
+    }
+    for (source, star) in grown.iter().filter(|(source, _)| source.is_served()) {
+        let (name, flushing) = (source.name(), star.flushing.as_secs_f64());
+        let _ = writeln!(
+            text,
+            "{name}: the server had acknowledged every insert {flushing:.3} s later."
+        );
     }
     text + "In brackets: the share of searches and inserts. Lengths are of the same tree, whatever the source.\n"
 }

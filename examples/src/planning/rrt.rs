@@ -20,7 +20,7 @@ use super::{
     error::PlanningError,
     problem::Problem,
     sampling,
-    source::{NeighborSource, TimedSource},
+    source::TimedIndex,
 };
 
 /// One tree. Nodes are numbered from 0; ids are the source's names of the nodes.
@@ -137,15 +137,15 @@ impl PlannerOutcome for Solution {
     }
 }
 
-/// Extends the two trees until they meet. The same seed gives the same trees with any exact source.
+/// Extends the two trees, an index each, until they meet. The same seed gives the same trees with any exact source.
 pub fn solve(
     problem: &impl Problem,
-    sources: [Box<dyn NeighborSource>; 2],
+    indices: [TimedIndex; 2],
     seed: u64,
     max_nodes: usize,
 ) -> Result<Solution, PlanningError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut planner = Planner::new(problem, sources)?;
+    let mut planner = Planner::new(problem, indices)?;
     let mut growing = 0;
     loop {
         let random = sampling::uniform(problem.space(), problem.bounds(), &mut rng);
@@ -160,7 +160,7 @@ pub fn solve(
                 } else {
                     [met.node, end.node]
                 };
-                return Ok(planner.finish(nodes));
+                return planner.finish(nodes);
             }
         }
         let nodes = planner.nodes();
@@ -178,7 +178,7 @@ pub fn solve(
 struct Planner<'a, P> {
     problem: &'a P,
     trees: [Tree; 2],
-    sources: [TimedSource; 2],
+    indices: [TimedIndex; 2],
     started: Instant,
     checking: Duration,
     checks: usize,
@@ -193,12 +193,12 @@ struct End {
 }
 
 impl<'a, P: Problem> Planner<'a, P> {
-    fn new(problem: &'a P, sources: [Box<dyn NeighborSource>; 2]) -> Result<Self, PlanningError> {
+    fn new(problem: &'a P, indices: [TimedIndex; 2]) -> Result<Self, PlanningError> {
         let coordinates = problem.space().coordinates();
         let mut planner = Planner {
             problem,
             trees: [Tree::new(coordinates), Tree::new(coordinates)],
-            sources: sources.map(TimedSource::new),
+            indices,
             started: Instant::now(),
             checking: Duration::ZERO,
             checks: 0,
@@ -218,14 +218,14 @@ impl<'a, P: Problem> Planner<'a, P> {
         parent: Option<usize>,
         states: &States,
     ) -> Result<(), PlanningError> {
-        let ids = self.sources[tree].insert(states)?;
+        let ids = self.indices[tree].insert(states)?;
         self.trees[tree].append(parent, states, ids)
     }
 
     /// Extends a tree from its nearest node towards `target`, until it reaches the target or an obstacle; None if no
     /// node could be added.
     fn connect(&mut self, tree: usize, target: &[f64]) -> Result<Option<End>, PlanningError> {
-        let Some(nearest) = self.sources[tree].nearest(target)? else {
+        let Some(nearest) = self.indices[tree].nearest(target)? else {
             return Ok(None);
         };
         let near = self.trees[tree].nodes[&nearest.id];
@@ -250,27 +250,31 @@ impl<'a, P: Problem> Planner<'a, P> {
     }
 
     fn account(&self) -> Account {
-        let [start, goal] = &self.sources;
+        let [start, goal] = &self.indices;
         Account {
             total: self.started.elapsed(),
             neighbors: start.usage() + goal.usage(),
             checking: self.checking,
             checks: self.checks,
+            flushing: Duration::ZERO,
         }
     }
 
     /// The solution, given the nodes at which the trees meet.
-    fn finish(self, [start, goal]: [usize; 2]) -> Solution {
-        let account = self.account();
+    fn finish(self, [start, goal]: [usize; 2]) -> Result<Solution, PlanningError> {
+        let mut account = self.account();
+        for index in &self.indices {
+            account.flushing += index.flush()?;
+        }
         let nodes = self.nodes();
         let growth = self.record.finish(nodes, account);
         let path = path(&self.trees, [start, goal]);
-        Solution {
+        Ok(Solution {
             trees: self.trees,
             path,
             account,
             growth,
-        }
+        })
     }
 }
 

@@ -18,7 +18,7 @@ use super::{
     error::PlanningError,
     problem::Problem,
     sampling,
-    source::{NeighborSource, TimedSource, Usage},
+    source::{TimedIndex, Usage},
 };
 
 /// k(n): the paper's 2e · ln n, above its bound e(1 + 1/d) · ln n in every dimension above 1.
@@ -46,7 +46,7 @@ pub struct StarTree {
     /// The distance of each node to the root along the tree.
     pub costs: Vec<f64>,
     children: Vec<Vec<usize>>,
-    /// The nodes by their ids in the source.
+    /// The nodes by their ids in the index.
     nodes: HashMap<u64, usize>,
 }
 
@@ -103,7 +103,7 @@ pub struct Progress {
     pub cost: f64,
     /// The time up to that moment.
     pub total: Duration,
-    /// The part of it in the source.
+    /// The part of it in searches and inserts.
     pub neighbors: Usage,
 }
 
@@ -117,18 +117,20 @@ pub struct Star {
     pub progress: Vec<Progress>,
     /// The numbers of samples after which the path to the goal was found or became shorter, each with its length.
     pub shortened: Vec<(usize, f64)>,
+    /// The time from the end of the run until the server had acknowledged every insert.
+    pub flushing: Duration,
 }
 
 /// Builds a tree from the given number of samples. The same seed gives the same tree with any exact source.
 pub fn grow(
     problem: &impl Problem,
-    source: Box<dyn NeighborSource>,
+    index: TimedIndex,
     seed: u64,
     samples: usize,
 ) -> Result<Star, PlanningError> {
     let started = Instant::now();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut planner = Planner::new(problem, source)?;
+    let mut planner = Planner::new(problem, index)?;
     let (mut progress, mut next) = (Vec::new(), FIRST);
     let mut shortened: Vec<(usize, f64)> = Vec::new();
     for drawn in 1..=samples {
@@ -146,12 +148,14 @@ pub fn grow(
                 nodes: tree.len(),
                 cost,
                 total: started.elapsed(),
-                neighbors: planner.source.usage(),
+                neighbors: planner.index.usage(),
             });
             next = drawn * 2;
         }
     }
+    let flushing = planner.index.flush()?;
     Ok(Star {
+        flushing,
         tree: planner.tree,
         goal: planner.goal,
         progress,
@@ -164,7 +168,7 @@ const FIRST: usize = 125;
 
 struct Planner<'a, P> {
     problem: &'a P,
-    source: TimedSource,
+    index: TimedIndex,
     tree: StarTree,
     goal: Option<usize>,
 }
@@ -177,7 +181,7 @@ struct NearNode {
 }
 
 impl<'a, P: Problem> Planner<'a, P> {
-    fn new(problem: &'a P, source: Box<dyn NeighborSource>) -> Result<Self, PlanningError> {
+    fn new(problem: &'a P, index: TimedIndex) -> Result<Self, PlanningError> {
         let tree = StarTree {
             states: States::new(problem.space().coordinates()),
             parents: Vec::new(),
@@ -188,7 +192,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         };
         let mut planner = Planner {
             problem,
-            source: TimedSource::new(source),
+            index,
             tree,
             goal: None,
         };
@@ -199,7 +203,7 @@ impl<'a, P: Problem> Planner<'a, P> {
     fn insert(&mut self, state: &[f64]) -> Result<usize, PlanningError> {
         let mut states = States::new(state.len());
         states.push(state)?;
-        let ids = self.source.insert(&states)?;
+        let ids = self.index.insert(&states)?;
         self.tree.push(state, ids[0])
     }
 
@@ -231,7 +235,7 @@ impl<'a, P: Problem> Planner<'a, P> {
     /// The node nearest to `target`, and the state at the maximum extension towards it; None if that state is not new,
     /// or collides.
     fn steer(&mut self, target: &[f64]) -> Result<Option<(usize, Vec<f64>)>, PlanningError> {
-        let Some(nearest) = self.source.nearest(target)? else {
+        let Some(nearest) = self.index.nearest(target)? else {
             return Ok(None);
         };
         if nearest.distance == 0.0 {
@@ -262,7 +266,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         // k(n) is evaluated here, because no other client inserts. So all sources answer the same plain search.
         let mut search = Search::nearest_k(1);
         SCALING.apply(&mut search, self.tree.len(), problem.space().dimension());
-        let found = self.source.search(state, &search)?;
+        let found = self.index.search(state, &search)?;
         let near = found.iter().map(|near| {
             let node = self.tree.nodes[&near.id];
             NearNode {

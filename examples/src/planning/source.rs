@@ -1,34 +1,179 @@
-//! The source of neighbours.
+//! The states of a planner: an index in one of its three forms, or one of the two scans that indices are compared with.
 
 use std::time::{Duration, Instant};
 
-use wayfold::{Neighbor, States};
-use wayfold_index::Search;
+use wayfold::{Index, Neighbor, Space, States};
+use wayfold_index::{Forest, ForestOptions, Points, Search};
 
-use super::error::PlanningError;
+use super::{
+    error::PlanningError,
+    host::{Host, Temporary},
+    options::Source,
+};
 
-/// A growing set of states with nearest-neighbour search: the only interface of a planner to its storage.
+/// A growing set of states with nearest-neighbour search, and the account of its use.
 ///
 /// States are canonical rows of one space. A call finds all states that earlier calls inserted.
-pub trait NeighborSource {
+pub struct TimedIndex {
+    form: Form,
+    usage: Usage,
+    /// Deletes the index from the server, after `form` is dropped.
+    _temporary: Option<Temporary>,
+}
+
+enum Form {
+    Index(Index),
+    /// A forest without trees: leaves with thousands of points are scanned completely, many points at once by SIMD.
+    Scan(Forest),
+    /// The paper's baseline: every search computes the distance of every state, one after the other.
+    Brute(Space, States),
+}
+
+impl TimedIndex {
+    /// An empty one. The forms `shared` and `remote` need a server.
+    pub fn new(
+        source: Source,
+        space: &Space,
+        host: Option<&Host>,
+    ) -> Result<TimedIndex, PlanningError> {
+        let mut temporary = None;
+        let form = match source {
+            Source::Brute => Form::Brute(space.clone(), States::new(space.coordinates())),
+            Source::Scan => {
+                let options = ForestOptions {
+                    growing_rows: 4096,
+                    leaf_rows: 4096,
+                };
+                Form::Scan(Forest::new(space.clone(), options))
+            }
+            Source::Memory | Source::All => Form::Index(Index::in_memory(space)?),
+            Source::Shared | Source::Remote => {
+                let own = temporary.insert(host.ok_or(PlanningError::NoServer)?.temporary());
+                Form::Index(own.create(source, space)?)
+            }
+        };
+        Ok(TimedIndex {
+            form,
+            usage: Usage::default(),
+            _temporary: temporary,
+        })
+    }
+
     /// Stores states and returns their ids, ascending.
-    fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError>;
+    pub fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError> {
+        let start = Instant::now();
+        let ids = self.form.insert(states);
+        self.usage.inserting += start.elapsed();
+        self.usage.inserts += 1;
+        ids
+    }
 
     /// The neighbours that match `search`, in the order (distance, id).
-    fn search(
+    pub fn search(
         &mut self,
         state: &[f64],
         search: &Search<'_>,
-    ) -> Result<Vec<Neighbor>, PlanningError>;
+    ) -> Result<Vec<Neighbor>, PlanningError> {
+        let start = Instant::now();
+        let found = self.form.search(state, search);
+        self.usage.searching += start.elapsed();
+        self.usage.searches += 1;
+        found
+    }
 
-    /// The nearest state; None if the source is empty.
-    fn nearest(&mut self, state: &[f64]) -> Result<Option<Neighbor>, PlanningError> {
+    /// The nearest state; None if there are none.
+    pub fn nearest(&mut self, state: &[f64]) -> Result<Option<Neighbor>, PlanningError> {
         let found = self.search(state, &Search::nearest_k(1))?;
         Ok(found.first().copied())
     }
+
+    /// Waits until the server of a shared index has acknowledged every insert; returns the time it took.
+    pub fn flush(&self) -> Result<Duration, PlanningError> {
+        let start = Instant::now();
+        if let Form::Index(index) = &self.form {
+            index.flush()?;
+        }
+        Ok(start.elapsed())
+    }
+
+    /// Its use so far.
+    pub fn usage(&self) -> Usage {
+        self.usage
+    }
 }
 
-/// The usage of a source: its calls and their times.
+impl Form {
+    fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError> {
+        let first = match self {
+            Form::Index(index) => return Ok(index.insert_many(states)?),
+            Form::Scan(forest) => forest.len() as u64,
+            Form::Brute(_, stored) => stored.len() as u64,
+        };
+        let ids = first..first + states.len() as u64;
+        match self {
+            Form::Scan(forest) => {
+                let revision = forest.revision() + 1;
+                let mut points = Points::with_capacity(states.width(), states.len());
+                for (id, state) in ids.clone().zip(states) {
+                    points.push(id, 0, revision, state);
+                }
+                forest
+                    .apply(revision, &points, &[])
+                    .expect("canonical states");
+            }
+            Form::Brute(_, stored) => {
+                for state in states {
+                    stored.push(state)?;
+                }
+            }
+            Form::Index(_) => {}
+        }
+        Ok(ids.collect())
+    }
+
+    fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Vec<Neighbor>, PlanningError> {
+        match self {
+            Form::Index(index) => {
+                let asked = match u32::try_from(search.k) {
+                    Ok(k) => wayfold::Search::k(k).radius(search.radius),
+                    Err(_) => wayfold::Search::within(search.radius),
+                };
+                Ok(index.search(state, &asked)?.neighbors)
+            }
+            Form::Scan(forest) => {
+                let answer = forest.search(state, search).expect("canonical states");
+                Ok(answer.neighbors)
+            }
+            Form::Brute(space, stored) => Ok(brute_force(space, stored, state, search)),
+        }
+    }
+}
+
+fn brute_force(
+    space: &Space,
+    stored: &States,
+    state: &[f64],
+    search: &Search<'_>,
+) -> Vec<Neighbor> {
+    let measured = (0..).zip(stored).map(|(id, stored)| Neighbor {
+        distance: space.distance(state, stored),
+        id,
+    });
+    let within = measured.filter(|neighbor| neighbor.distance <= search.radius);
+    if search.k == 1 {
+        return within.min().into_iter().collect();
+    }
+    let mut found: Vec<Neighbor> = within.collect();
+    if search.k < found.len() {
+        // The others are not sorted: sorting would take longer than computing their distances.
+        found.select_nth_unstable(search.k);
+        found.truncate(search.k);
+    }
+    found.sort_unstable();
+    found
+}
+
+/// The calls of a planner and their times.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Usage {
     /// The number of calls that inserted states.
@@ -42,7 +187,7 @@ pub struct Usage {
 }
 
 impl Usage {
-    /// The time spent in the source.
+    /// The time of all calls.
     pub fn time(&self) -> Duration {
         self.inserting + self.searching
     }
@@ -58,48 +203,5 @@ impl std::ops::Add for Usage {
             searches: self.searches + other.searches,
             searching: self.searching + other.searching,
         }
-    }
-}
-
-/// A source with a record of its usage, so that sources need not measure themselves.
-pub struct TimedSource {
-    source: Box<dyn NeighborSource>,
-    usage: Usage,
-}
-
-impl TimedSource {
-    /// Measures `source` from now on.
-    pub fn new(source: Box<dyn NeighborSource>) -> TimedSource {
-        TimedSource {
-            source,
-            usage: Usage::default(),
-        }
-    }
-
-    /// Its usage so far.
-    pub fn usage(&self) -> Usage {
-        self.usage
-    }
-}
-
-impl NeighborSource for TimedSource {
-    fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError> {
-        let start = Instant::now();
-        let ids = self.source.insert(states);
-        self.usage.inserting += start.elapsed();
-        self.usage.inserts += 1;
-        ids
-    }
-
-    fn search(
-        &mut self,
-        state: &[f64],
-        search: &Search<'_>,
-    ) -> Result<Vec<Neighbor>, PlanningError> {
-        let start = Instant::now();
-        let found = self.source.search(state, search);
-        self.usage.searching += start.elapsed();
-        self.usage.searches += 1;
-        found
     }
 }

@@ -7,7 +7,7 @@ use wayfold::{Client, IndexHandle};
 use super::{
     account::Account,
     nearby::Source,
-    options::{Job, Kind, Options},
+    options::{Job, Source as Form, Options},
     roadmap::{self, Roadmap},
     scene::{Rooms, Task},
     worker::Worker,
@@ -26,7 +26,7 @@ pub struct Built {
     /// The number of processes that built it.
     pub workers: usize,
     /// The source of their first neighbours.
-    pub source: Kind,
+    pub source: Form,
     /// The seed of the random states.
     pub seed: u64,
     /// The account of each worker.
@@ -182,7 +182,7 @@ pub async fn compare(
     let mut all = Vec::new();
     for seed in seeds(options.seed, options.runs) {
         for workers in WORKERS {
-            for source in [Kind::Replica, Kind::Server] {
+            for source in [Form::Shared, Form::Remote] {
                 eprintln!("{workers} workers, {}, seed {seed} ...", source.name());
                 let options = Options {
                     workers,

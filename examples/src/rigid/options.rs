@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{ArgGroup, Args, Parser, Subcommand};
 
 use super::account::Account;
-pub use crate::planning::options::Kind;
+pub use crate::planning::options::Source;
 use crate::planning::{
     options::at_least_one,
     processes::{self, PROGRESS_MS},
@@ -37,8 +37,8 @@ pub struct Options {
     #[arg(long, default_value_t = 4000)]
     pub milestones: u64,
     /// The source of a state's first neighbours
-    #[arg(long, value_enum, default_value_t = Kind::Replica)]
-    pub source: Kind,
+    #[arg(long, value_enum, default_value_t = Source::Shared)]
+    pub source: Source,
     /// The number of milestones that a worker inserts in one call
     #[arg(long, default_value_t = 8, value_parser = at_least_one)]
     pub batch: usize,
@@ -118,7 +118,7 @@ pub struct Job {
     pub milestones: u64,
     /// The source of the first neighbours
     #[arg(long, value_enum)]
-    pub source: Kind,
+    pub source: Source,
     /// The number of milestones it inserts in one call
     #[arg(long)]
     pub batch: usize,

@@ -4,7 +4,7 @@ use wayfold::{Client, RetryPolicy};
 
 use super::{
     nearby::Source,
-    options::{Job, Kind},
+    options::{Job, Source as Form},
     scene::Rooms,
     worker::Worker,
 };
@@ -17,8 +17,8 @@ pub async fn work(job: &Job) -> Result<(), PlanningError> {
     let client = client.connect(&job.server).await?;
     let index = client.index(&job.index).await?;
     let source = match job.source {
-        Kind::Server => Source::Server,
-        Kind::Replica => Source::Replica(client.replica(&job.index).await?),
+        Form::Shared => Source::Replica(client.replica(&job.index).await?),
+        _ => Source::Server,
     };
     let scene = Rooms::new();
     let worker = Worker::new(&scene, index, source, job.number, job.seed);

@@ -5,7 +5,7 @@ use std::{fmt::Write, time::Duration};
 use super::{
     account::Account,
     build::{Answer, Built, WORKERS},
-    options::Kind,
+    options::Source,
 };
 use crate::planning::{
     comparison::PlannerOutcome,
@@ -154,7 +154,7 @@ pub fn comparison(all: &[Built]) -> String {
         "to one worker",
         "to server",
     );
-    for source in [Kind::Replica, Kind::Server] {
+    for source in [Source::Shared, Source::Remote] {
         for workers in WORKERS {
             let share = |part: fn(Times) -> Duration| {
                 let times = of(source, workers).map(|one| one.sum().times);
@@ -177,7 +177,7 @@ pub fn comparison(all: &[Built]) -> String {
                 share(|times| times.checking),
                 share(|times| times.waiting),
                 ratio(source, 1),
-                ratio(Kind::Server, workers),
+                ratio(Source::Remote, workers),
             );
         }
     }

@@ -10,7 +10,7 @@ use crate::planning::{
     comparison::{self, Open, Trials},
     error::PlanningError,
     figures,
-    options::{SourceChoice, seeds},
+    options::{Source, seeds},
     prm_star::{self, AnsweredRoadmap},
     report::{self, can_write},
 };
@@ -19,7 +19,7 @@ use crate::planning::{
 pub fn compare(scene: &Rooms, options: &Options) -> Result<(), PlanningError> {
     can_write(options.json.as_deref())?;
     let trials = Trials {
-        sources: SourceChoice::All.sources(),
+        sources: Source::All.sources(),
         seeds: seeds(options.seed, options.runs).collect(),
         server: options.server.as_deref(),
     };

@@ -18,7 +18,7 @@ use super::{
     build::WORKERS,
     milestone::{self, PENDING},
     nearby::Source,
-    options::{Job, Kind, Options},
+    options::{Job, Source as Form, Options},
     roadmap::Roadmap,
     scene::Rooms,
     worker::Worker,
@@ -37,7 +37,7 @@ use crate::planning::{
 
 /// A roadmap that answers all questions.
 struct SolvedRoadmap {
-    source: Kind,
+    source: Form,
     workers: usize,
     seed: u64,
     /// The time from the first milestone to the last path.

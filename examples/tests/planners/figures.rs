@@ -4,7 +4,7 @@ use std::{collections::BTreeSet, fs, process::Command};
 
 use serde_json::Value;
 
-const KEYS: [&str; 11] = [
+const KEYS: [&str; 12] = [
     "planner",
     "source",
     "workers",
@@ -14,6 +14,7 @@ const KEYS: [&str; 11] = [
     "search_s",
     "insert_s",
     "check_s",
+    "flush_s",
     "checks",
     "path_lengths",
 ];
@@ -73,31 +74,31 @@ fn writes(program: &str, arguments: &str, expected: (&str, &str, u64, u64), path
 
 #[test]
 fn maze_writes_a_row() {
-    let of = ("RRTConCon", "forest", 1, 3);
-    writes(MAZE, "--source forest --seed 3", of, 1);
+    let of = ("RRTConCon", "memory", 1, 3);
+    writes(MAZE, "--source memory --seed 3", of, 1);
 }
 
 #[test]
 fn bodies_writes_a_row() {
-    let of = ("RRTConCon", "forest", 1, 4);
-    writes(BODIES, "--source forest --seed 4", of, 1);
+    let of = ("RRTConCon", "memory", 1, 4);
+    writes(BODIES, "--source memory --seed 4", of, 1);
 }
 
 #[test]
 fn workers_that_share_trees_write_a_row_together() {
-    let of = ("RRTConCon", "server", 2, 1);
-    writes(BODIES, "--workers 2 --source server", of, 1);
+    let of = ("RRTConCon", "remote", 2, 1);
+    writes(BODIES, "--workers 2 --source remote", of, 1);
 }
 
 #[test]
 fn workers_that_share_a_roadmap_write_a_row_together() {
-    let of = ("PRM*", "replica", 2, 1);
+    let of = ("PRM*", "shared", 2, 1);
     writes(RIGID, "--workers 2 --milestones 100", of, 3);
 }
 
 #[test]
 fn workers_that_stop_at_the_solution_write_a_row_together() {
-    let of = ("PRM*", "server", 1, 1);
-    let arguments = "--until-solved --workers 1 --source server --runs 1";
+    let of = ("PRM*", "remote", 1, 1);
+    let arguments = "--until-solved --workers 1 --source remote --runs 1";
     writes(RIGID, arguments, of, 3);
 }

@@ -12,12 +12,13 @@ use wayfold_examples::{
         comparison::{self, Open, Trials},
         error::PlanningError,
         figures::RunTimes,
-        options::SourceChoice,
+        host::Host,
+        options::Source,
         path::{self, Verify},
         prm_star,
         problem::Problem,
-        remote::Remote,
         report, rrt, rrt_star, sampling,
+        source::TimedIndex,
     },
 };
 use wayfold_index::Search;
@@ -77,18 +78,18 @@ impl Verify for Corner {
 #[test]
 fn all_sources_grow_the_trees_of_brute_force_to_the_bit() {
     let (problem, server) = (small(), Server::start());
-    let remote = Remote::new(&server.uri).unwrap();
+    let host = Host::new(Some(&server.uri)).unwrap();
     for seed in [1, 2] {
         let solve = |source| {
-            let own = || comparison::open(source, &problem, Some(&remote)).unwrap();
+            let own = || TimedIndex::new(source, problem.space(), Some(&host)).unwrap();
             rrt::solve(&problem, [own(), own()], seed, 100_000).unwrap()
         };
-        let expected = solve(SourceChoice::Brute);
+        let expected = solve(Source::Brute);
         assert!(expected.trees.iter().all(|tree| tree.len() > 10));
         path::verify(&problem, &expected.path).unwrap();
         assert_eq!(expected.path.first().unwrap(), problem.start());
         assert_eq!(expected.path.last().unwrap(), problem.goal());
-        for source in SourceChoice::All.sources() {
+        for source in Source::All.sources() {
             let found = solve(source);
             assert!(found.trees == expected.trees, "{source:?}, seed {seed}");
             assert_eq!(found.path, expected.path);
@@ -99,14 +100,14 @@ fn all_sources_grow_the_trees_of_brute_force_to_the_bit() {
 #[test]
 fn all_sources_grow_the_tree_of_rrt_star_of_brute_force_to_the_bit() {
     let (problem, server) = (Corner::new(), Server::start());
-    let remote = Remote::new(&server.uri).unwrap();
+    let host = Host::new(Some(&server.uri)).unwrap();
     let grow = |source| {
-        let own = comparison::open(source, &problem, Some(&remote)).unwrap();
+        let own = TimedIndex::new(source, problem.space(), Some(&host)).unwrap();
         rrt_star::grow(&problem, own, 3, 3000).unwrap()
     };
-    let expected = grow(SourceChoice::Brute);
+    let expected = grow(Source::Brute);
     assert!(expected.tree.len() > 80);
-    for source in SourceChoice::All.sources() {
+    for source in Source::All.sources() {
         let found = grow(source);
         assert!(found.tree == expected.tree, "{source:?}");
         assert_eq!(found.goal, expected.goal);
@@ -117,7 +118,7 @@ fn all_sources_grow_the_tree_of_rrt_star_of_brute_force_to_the_bit() {
 fn the_way_of_rrt_star_only_becomes_shorter() {
     let problem = Corner::new();
     let grow = |samples| {
-        let own = comparison::open(SourceChoice::Forest, &problem, None).unwrap();
+        let own = TimedIndex::new(Source::Memory, problem.space(), None).unwrap();
         rrt_star::grow(&problem, own, 3, samples).unwrap()
     };
     let mut costs = Vec::new();
@@ -155,17 +156,17 @@ fn the_way_of_rrt_star_only_becomes_shorter() {
 #[test]
 fn all_sources_build_the_prm_star_roadmap_of_the_sampled_states() {
     let (problem, server) = (Corner::new(), Server::start());
-    let remote = Remote::new(&server.uri).unwrap();
+    let host = Host::new(Some(&server.uri)).unwrap();
     let questions = [
         [problem.start(), problem.goal()],
         [problem.goal(), problem.start()],
     ];
     let milestones = 300;
     let solve = |source| {
-        let own = comparison::open(source, &problem, Some(&remote)).unwrap();
+        let own = TimedIndex::new(source, problem.space(), Some(&host)).unwrap();
         prm_star::solve(&problem, own, 4, milestones, &questions).unwrap()
     };
-    let expected = solve(SourceChoice::Brute);
+    let expected = solve(Source::Brute);
     let (roadmap, space) = (&expected.roadmap, problem.space());
     assert_eq!(roadmap.len(), milestones + 4);
 
@@ -187,7 +188,7 @@ fn all_sources_build_the_prm_star_roadmap_of_the_sampled_states() {
         path::verify(&problem, path).unwrap();
         assert_eq!((&path[0][..], &path[path.len() - 1][..]), (*start, *goal));
     }
-    for source in SourceChoice::All.sources() {
+    for source in Source::All.sources() {
         let found = solve(source);
         assert!(found.roadmap == expected.roadmap, "{source:?}");
         assert_eq!(found.paths, expected.paths);
@@ -198,7 +199,7 @@ fn all_sources_build_the_prm_star_roadmap_of_the_sampled_states() {
 
 fn two_local_sources() -> Trials<'static> {
     Trials {
-        sources: vec![SourceChoice::Brute, SourceChoice::Scan],
+        sources: vec![Source::Brute, Source::Scan],
         seeds: vec![1, 2, 3],
         server: None,
     }
@@ -242,19 +243,19 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
     let neighbors =
         |source| median(source, |spent| spent.search_s) + median(source, |spent| spent.insert_s);
     let total = |source| median(source, |spent| spent.total_s);
-    for (line, source) in lines.into_iter().zip(["brute force", "SIMD scan"]) {
+    for (line, source) in lines.into_iter().zip(["brute", "scan"]) {
         assert!(line.starts_with(source));
         let shown = line.split_whitespace().rev().take(4);
         let shown = shown.map(|ratio| ratio.strip_suffix('×').unwrap().parse().unwrap());
         let [scan_total, scan_neighbors, brute_total, brute_neighbors]: [f64; 4] =
             shown.collect::<Vec<_>>().try_into().unwrap();
         for (shown, expected) in [
-            (scan_total, total("SIMD scan") / total(source)),
-            (scan_neighbors, neighbors("SIMD scan") / neighbors(source)),
-            (brute_total, total("brute force") / total(source)),
+            (scan_total, total("scan") / total(source)),
+            (scan_neighbors, neighbors("scan") / neighbors(source)),
+            (brute_total, total("brute") / total(source)),
             (
                 brute_neighbors,
-                neighbors("brute force") / neighbors(source),
+                neighbors("brute") / neighbors(source),
             ),
         ] {
             // The rounding errors of a ratio below ten and of one above.
@@ -271,16 +272,18 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
             search_s,
             insert_s,
             check_s,
+            flush_s,
         } = row.spent;
         assert!(search_s > 0.0 && insert_s > 0.0 && check_s > 0.0);
         assert!(search_s + insert_s + check_s <= total_s);
+        assert!(flush_s < total_s);
     }
 }
 
 #[test]
 fn all_sources_answer_all_searches_alike() {
     let (problem, server) = (small(), Server::start());
-    let remote = Remote::new(&server.uri).unwrap();
+    let host = Host::new(Some(&server.uri)).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut draw = || sampling::uniform(problem.space(), problem.bounds(), &mut rng);
     let mut states = States::new(problem.space().coordinates());
@@ -293,7 +296,7 @@ fn all_sources_answer_all_searches_alike() {
         ..Search::nearest_k(9)
     };
     let answers = |source| -> Vec<Vec<Neighbor>> {
-        let mut source = comparison::open(source, &problem, Some(&remote)).unwrap();
+        let mut source = TimedIndex::new(source, problem.space(), Some(&host)).unwrap();
         assert_eq!(source.nearest(&asked[0]).unwrap(), None);
         source.insert(&states).unwrap();
         let searches = [Search::nearest_k(1), Search::nearest_k(7), both];
@@ -302,8 +305,8 @@ fn all_sources_answer_all_searches_alike() {
         each.map(|(state, search)| source.search(state, &search).unwrap())
             .collect()
     };
-    let expected = answers(SourceChoice::Brute);
-    for source in SourceChoice::All.sources() {
+    let expected = answers(Source::Brute);
+    for source in Source::All.sources() {
         assert_eq!(answers(source), expected, "{source:?}");
     }
 }
@@ -311,7 +314,7 @@ fn all_sources_answer_all_searches_alike() {
 #[test]
 fn a_tree_that_may_not_grow_gives_up() {
     let problem = small();
-    let own = || comparison::open(SourceChoice::Forest, &problem, None).unwrap();
+    let own = || TimedIndex::new(Source::Memory, problem.space(), None).unwrap();
     let ended = rrt::solve(&problem, [own(), own()], 1, 50);
     assert!(matches!(ended, Err(PlanningError::Unsolved { nodes }) if nodes >= 50));
 }

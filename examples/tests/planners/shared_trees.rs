@@ -8,7 +8,7 @@ use wayfold_examples::{
     maze::scene::Maze,
     planning::{
         error::PlanningError,
-        options::Kind,
+        options::Source as Form,
         path,
         problem::Problem,
         shared_trees::{
@@ -40,7 +40,7 @@ async fn planted(server: &Server, layout: Layout) -> Store {
 async fn worker(server: &Server, layout: Layout, number: usize) -> Worker<'static, Maze> {
     let client = server.client().await;
     let store = Store::open(&client, "trees", layout).await.unwrap();
-    let kind = [Kind::Replica, Kind::Server][number % 2];
+    let kind = [Form::Shared, Form::Remote][number % 2];
     let source = Source::open(&client, &store, kind).await.unwrap();
     let worker = Worker::new(&*MAZE, store, source, number, SEED);
     worker.batch(1 + number / 2).remember()

@@ -6,7 +6,7 @@ use wayfold::{Client, RetryPolicy};
 use super::{
     super::{
         error::PlanningError,
-        options::Kind,
+        options::Source as Form,
         problem::Problem,
         processes::{self, PROGRESS_MS, Reporter},
     },
@@ -39,7 +39,7 @@ pub struct Job {
     pub max_vertices: u64,
     /// The source of its neighbours
     #[arg(long, value_enum)]
-    pub source: Kind,
+    pub source: Form,
     /// The number of random states to which it connects the trees between two inserts
     #[arg(long)]
     pub batch: usize,

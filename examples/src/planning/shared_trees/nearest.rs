@@ -3,7 +3,7 @@
 use wayfold::{Client, Include, Neighbor, Replica, ReplicaSearch as Search};
 
 use super::{
-    super::{error::PlanningError, options::Kind},
+    super::{error::PlanningError, options::Source as Form},
     store::Store,
 };
 
@@ -27,8 +27,8 @@ pub enum Source {
 
 impl Source {
     /// Opens a source of this kind.
-    pub async fn open(client: &Client, store: &Store, kind: Kind) -> Result<Source, PlanningError> {
-        if kind == Kind::Server {
+    pub async fn open(client: &Client, store: &Store, kind: Form) -> Result<Source, PlanningError> {
+        if kind != Form::Shared {
             return Ok(Source::Server);
         }
         let start = client.replica(store.index(0).name()).await?;

@@ -3,7 +3,7 @@
 use std::{fmt::Write, time::Duration};
 
 use super::{
-    super::{options::Kind, processes::Times, report::median},
+    super::{options::Source, processes::Times, report::median},
     account::Account,
     solve::{SharedSolution, WORKERS},
 };
@@ -61,7 +61,7 @@ pub fn comparison(all: &[SharedSolution]) -> String {
         "to one worker",
         "vertices/s"
     );
-    for source in [Kind::Replica, Kind::Server] {
+    for source in [Source::Shared, Source::Remote] {
         for workers in WORKERS {
             let of = |source, workers| {
                 let wanted = move |one: &&SharedSolution| {

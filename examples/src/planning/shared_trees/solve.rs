@@ -7,7 +7,7 @@ use super::{
         comparison::PlannerOutcome,
         error::PlanningError,
         figures::{Row, RunTimes},
-        options::{Kind, Options, seeds},
+        options::{Source, Options, seeds},
         path::{self, Verify},
         problem::Problem,
         processes::{self, Crew, Incident, PROGRESS_MS},
@@ -22,7 +22,7 @@ use super::{
 /// The solution of a problem by several workers.
 pub struct SharedSolution {
     /// The source of their neighbours.
-    pub source: Kind,
+    pub source: Source,
     /// The seed of the random states.
     pub seed: u64,
     /// The account of each worker until it learned that the trees had met.
@@ -63,7 +63,7 @@ pub async fn solve(
     uri: &str,
     options: &Options,
     workers: usize,
-    source: Kind,
+    source: Source,
     seed: u64,
 ) -> Result<SharedSolution, PlanningError> {
     let client = Client::connect(uri).await?;
@@ -131,7 +131,7 @@ pub async fn compare(
     let mut all = Vec::new();
     for seed in seeds(options.seed, options.runs) {
         for workers in WORKERS {
-            for source in options.source.shared() {
+            for source in options.source.served()? {
                 eprintln!("{workers} workers, {}, seed {seed} ...", source.name());
                 all.push(solve(problem, uri, options, workers, source, seed).await?);
             }
