@@ -77,6 +77,7 @@ impl Bounds {
     }
 
     /// The most neighbours that a row can have, for dividing rows among calls; `None` if it has no limit.
+    #[cfg(feature = "net")]
     pub(crate) fn max_neighbors(&self) -> Option<usize> {
         // The client does not know the number of points, and assumes at most this many. If there are more, the server
         // refuses a call that is too large.

@@ -2,7 +2,7 @@
 
 use std::{
     collections::{BTreeMap, VecDeque},
-    sync::mpsc,
+    sync::{Arc, mpsc},
     time::{Duration, Instant},
 };
 
@@ -67,7 +67,7 @@ impl OpenRemote {
                 None => client.index(&self.name).await,
             }
         })?;
-        Ok(Index::of(std::sync::Arc::new(Remote { index })))
+        Ok(Index::of(Arc::new(Remote { index })))
     }
 }
 

@@ -8,7 +8,7 @@ use wayfold_proto::v1;
 #[cfg(feature = "zenoh")]
 use super::publications::Publications;
 use crate::{
-    Client, Code, Error, Include, IndexHandle, Revision, Watch, request::fresh_operation_id,
+    Client, Code, Error, Include, IndexHandle, Revision, Watch, net::request::fresh_operation_id,
 };
 
 /// The time without a publication after which the index's log is read: the last one may be lost.

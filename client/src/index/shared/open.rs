@@ -100,7 +100,7 @@ impl OpenShared {
             runtime.spawn(sender::run(Arc::clone(&core))).abort_handle(),
             runtime.spawn(follower.run()).abort_handle(),
         ];
-        Ok(Index::shared_form(SharedIndex::new(core, tasks)))
+        Ok(Index::of_shared(SharedIndex::new(core, tasks)))
     }
 
     async fn connect(self) -> Result<Arc<Core>, Error> {
