@@ -182,7 +182,15 @@ impl Core {
 
     /// The server refused a write for good.
     pub(super) fn refuse(&self, error: Error) {
+        self.refuse_if(error, |_| true);
+    }
+
+    /// Refuses what is pending for good, if `applies` to the writer.
+    pub(super) fn refuse_if(&self, error: Error, applies: impl FnOnce(&Writer) -> bool) {
         let mut writer = self.writer.lock();
+        if !applies(&writer) {
+            return;
+        }
         let refused = writer.refuse(Arc::new(error), &mut self.points.write());
         debug_assert!(refused.is_ok(), "{refused:?}");
         self.progress.notify_all();
@@ -190,9 +198,7 @@ impl Core {
 
     /// The index was made again: refuses what is pending, unless the server has refused it already.
     pub(super) fn lose_session(&self, error: Error) {
-        if self.writer.lock().has_session() {
-            self.refuse(error);
-        }
+        self.refuse_if(error, Writer::has_session);
     }
 
     /// Gives back the writes that the server did not take, after which writing begins again.

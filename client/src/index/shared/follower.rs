@@ -90,7 +90,7 @@ impl Follower {
     }
 
     /// Applies the next mutation: readers see all of it at once.
-    fn apply(&mut self, mutation: &Mutation) -> Result<(), Error> {
+    fn apply(&mut self, mutation: &Mutation) -> Result<(), Stop> {
         let core = &*self.core;
         let mut writer = core.writer.lock();
         let mut points = core.points.write();
@@ -100,7 +100,13 @@ impl Follower {
                 writer.confirm(mutation.batch, &mut points)?;
                 core.progress.notify_all();
             }
-            session if writer.is_past(session) => {}
+            // The feed leaves out its points, and the copy has dropped those that were given back: reads all again.
+            session if writer.is_past(session) => {
+                return Err(Stop::Reset(Reset {
+                    reason: ResetReason::WindowPassed,
+                    revision: mutation.revision.clone(),
+                }));
+            }
             _ => {
                 let stored = mutation.stored.iter().map(|point| NewRow {
                     id: point.id,
@@ -144,7 +150,8 @@ impl Follower {
         let mut writer = core.writer.lock();
         let mut points = core.points.write();
         points.replace(forest);
-        writer.reloaded(&mut points)?;
+        writer.reloaded(revision, &mut points)?;
+        core.progress.notify_all();
         core.after_change(&mut points);
         *core.published.lock() = (index.clone(), revision);
         (self.index, self.revision) = (index, revision);

@@ -102,7 +102,10 @@ impl Arrivals {
         let mut neighbors = match asked.is_reloaded {
             false => self.arrived(asked, points),
             true => {
-                let answer = points.forest.search(&asked.row, &asked.search);
+                // The point itself is one of the nearest.
+                let k = asked.search.k.saturating_add(1);
+                let search = Search { k, ..asked.search };
+                let answer = points.forest.search(&asked.row, &search);
                 answer.map_or_else(|_| Vec::new(), |answer| answer.neighbors)
             }
         };

@@ -23,7 +23,10 @@ pub(super) async fn run(core: Arc<Core>) {
     let mut failures = 0;
     loop {
         let next = next(&core);
-        let is_opening = matches!(next, Next::Session(_));
+        let session = match &next {
+            Next::Batch(_, request) => Some(request.session),
+            Next::Nothing | Next::Session(_) => None,
+        };
         let sent = match next {
             Next::Nothing => {
                 core.work.notified().await;
@@ -35,7 +38,7 @@ pub(super) async fn run(core: Arc<Core>) {
         match sent {
             Ok(()) => failures = 0,
             // The follower reads an index that was made again, or ends if there is none.
-            Err(error) if is_transient(&error) || is_opening => {
+            Err(error) if is_transient(&error) || session.is_none() => {
                 failures += 1;
                 let asked = match &error {
                     Error::Refused(refusal) => refusal.retry_after,
@@ -48,7 +51,8 @@ pub(super) async fn run(core: Arc<Core>) {
                 core.disconnected(error);
                 sleep_until(Instant::now() + pause).await;
             }
-            Err(error) => core.refuse(error),
+            // The refusal of an earlier session's write, which the caller has back, says nothing about this one.
+            Err(error) => core.refuse_if(error, |writer| writer.session == session),
         }
     }
 }

@@ -318,11 +318,24 @@ impl Writer {
         points.apply(plain.into_iter(), &plain_removed)
     }
 
-    /// The copy was read again: applies all pending writes to it. The server may have taken some of them before.
-    pub(super) fn reloaded(&mut self, points: &mut LocalPoints) -> Result<(), Error> {
+    /// The copy was read again at this revision: applies all pending writes to it. The server may have taken some of
+    /// them before.
+    pub(super) fn reloaded(
+        &mut self,
+        revision: u64,
+        points: &mut LocalPoints,
+    ) -> Result<(), Error> {
         self.rebased.clear();
-        let mut queue = std::mem::take(&mut self.queue);
-        for batch in &mut queue {
+        for asked in self.queue.iter_mut().flat_map(|batch| &mut batch.asked) {
+            self.arrivals.reloaded(asked);
+        }
+        // The copy has these batches, and the feed will not name them.
+        let is_read = |batch: &Batch| batch.revision.is_some_and(|taken| taken <= revision);
+        while self.queue.front().is_some_and(is_read) {
+            self.confirm_first(true, points)?;
+        }
+        let queue = std::mem::take(&mut self.queue);
+        for batch in &queue {
             for (id, step) in batch.steps(self.width) {
                 let base = || points.get(id).map(|point| (point.tag, point.row));
                 let rebased = self
@@ -330,9 +343,6 @@ impl Writer {
                     .entry(id)
                     .or_insert_with(|| Rebased::new(base()));
                 rebased.push(&step);
-            }
-            for asked in &mut batch.asked {
-                self.arrivals.reloaded(asked);
             }
         }
         self.queue = queue;
