@@ -13,13 +13,21 @@ use wayfold_tests::{
     brute_force::{self, pairs},
 };
 
-/// Points by id: their tags and the bits of their states.
-pub(super) type Content = BTreeMap<u64, (u64, Vec<u64>)>;
+/// A point's tag and the bits of its state.
+type Point = (u64, Vec<u64>);
 
-/// The first of the ids that the writers choose themselves. The server assigns none above them before it stores them.
-pub(super) const CHOSEN_IDS: u64 = 1 << 40;
+/// Points by id.
+pub(super) type Content = BTreeMap<u64, Point>;
+
+/// What a call made of the point with an id.
+type Change = (u64, Option<Point>);
+
+/// The first of the ids that the writers choose themselves.
+const CHOSEN_IDS: u64 = 1 << 40;
+/// The last of them. Once it is stored, the server assigns only greater ones.
+const LAST_CHOSEN_ID: u64 = CHOSEN_IDS + 999;
 /// The ids that all writers change.
-pub(super) const COMMON_IDS: u64 = 16;
+const COMMON_IDS: u64 = 16;
 /// The ids that one writer chooses.
 const OWN_IDS: u64 = 8;
 
@@ -60,7 +68,7 @@ pub(super) struct Writer {
 #[derive(Default)]
 pub(super) struct History {
     clock: u64,
-    changes: Vec<(u64, Option<(u64, Vec<u64>)>)>,
+    changes: Vec<Change>,
     /// The ids that the index assigned.
     pub(super) assigned: Vec<u64>,
 }
@@ -111,7 +119,7 @@ impl Writer {
             (0 | 1, Some(id)) => {
                 assert!(self.index.remove(id).unwrap());
                 self.mine.retain(|mine| *mine != id);
-                if id >= CHOSEN_IDS && id < CHOSEN_IDS + 1_000 {
+                if (CHOSEN_IDS..=LAST_CHOSEN_ID).contains(&id) {
                     self.chosen.push(id);
                 }
                 self.record(id, None);
@@ -189,7 +197,7 @@ impl Writer {
     }
 }
 
-fn apply(points: &mut Content, change: &(u64, Option<(u64, Vec<u64>)>)) {
+fn apply(points: &mut Content, change: &Change) {
     match &change.1 {
         Some(content) => points.insert(change.0, content.clone()),
         None => points.remove(&change.0),
@@ -264,10 +272,8 @@ pub(super) fn check_copies(expected: &Content, space: &Space, copies: &[&Index])
 /// The ids that all writers change, stored.
 pub(super) fn store_common(index: &Index, seed: u64) -> Arc<[u64]> {
     let mut states = States::new(index.space().clone(), seed);
-    // The last of the ids that writers choose lets the server assign only greater ones.
-    let last = CHOSEN_IDS + 999;
     let ids: Arc<[u64]> = (CHOSEN_IDS..CHOSEN_IDS + COMMON_IDS)
-        .chain([last])
+        .chain([LAST_CHOSEN_ID])
         .collect();
     for &id in &*ids {
         let options = InsertOptions::new().id(id);

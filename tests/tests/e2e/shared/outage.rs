@@ -13,7 +13,15 @@ use super::{
     shared, wait_for_status,
 };
 
-const PLANE: &str = "R2";
+/// Its rows are so long that the outage exceeds the buffers of the network with few points.
+const SPACE: &str = "R64";
+
+/// A state of the space, by its first two coordinates.
+fn at(x: f64, y: f64) -> [f64; 64] {
+    let mut state = [0.0; 64];
+    (state[0], state[1]) = (x, y);
+    state
+}
 
 /// A server that keeps next to no mutations.
 fn start(command: &mut Command) -> ServerProcess {
@@ -36,7 +44,7 @@ impl Outage {
     async fn new() -> Outage {
         let directory = tempfile::tempdir().unwrap();
         let server = start(&mut command(&directory.path().join("data"), "127.0.0.1:0"));
-        let space: Space = PLANE.parse().unwrap();
+        let space: Space = SPACE.parse().unwrap();
         let way = Proxy::to(server.uri()).await;
         Outage {
             there: shared(server.uri(), &space),
@@ -51,7 +59,7 @@ impl Outage {
 
     /// Cuts the copy off, and returns the newest revision that it may have.
     async fn begin(&self, held: bool) -> wayfold::Revision {
-        wait_for_all(&self.there, &[1e6, 1e6], &[&self.away]);
+        wait_for_all(&self.there, &at(1e6, 1e6), &[&self.away]);
         let index = self.client.index("arm").await.unwrap();
         let reached = index.info().await.unwrap().revision;
         match held {
@@ -65,8 +73,8 @@ impl Outage {
     async fn pass_window(&self, reached: wayfold::Revision, seed: u64) {
         let mut states = States::new(self.space.clone(), seed);
         for _ in 0..40 {
-            let rows = states.rows(4_000);
-            self.there.insert_many(rows.chunks(2)).unwrap();
+            let rows = states.rows(500);
+            self.there.insert_many(rows.chunks(64)).unwrap();
             self.there.flush().unwrap();
         }
         let index = self.client.index("arm").await.unwrap();
@@ -77,16 +85,19 @@ impl Outage {
         assert_eq!(reset.reason, ResetReason::WindowPassed);
     }
 
-    /// Ends the outage, and asserts that both copies hold what a new one does.
+    /// Ends the outage, and asserts that the copy reads all points again and that both hold what a new one does.
     fn end(&self) {
+        let seen = self.away.search(at(0.0, 0.0), &Search::k(1)).unwrap().seen;
+        assert!(self.away.changes(seen).unwrap().is_some());
         self.way.lead_to(self.server.uri());
         self.away.flush().unwrap();
         self.compare();
+        assert_eq!(self.away.changes(seen).unwrap(), None);
     }
 
     fn compare(&self) {
         let copies = [&self.there, &self.away];
-        wait_for_all(&self.there, &[1e6, 1e6], &copies);
+        wait_for_all(&self.there, &at(1e6, 1e6), &copies);
         let fresh = shared(self.server.uri(), &self.space);
         check_copies(&content(&fresh), &self.space, &copies);
     }
@@ -97,14 +108,14 @@ async fn pending_writes_survive_a_reload() {
     let outage = Outage::new().await;
     let (away, there) = (&outage.away, &outage.there);
     for (seed, held) in [(1, false), (2, true)] {
-        let common = there.insert([100.0, 100.0]).unwrap();
-        let removed = there.insert([101.0, 100.0]).unwrap();
+        let common = there.insert(at(100.0, 100.0)).unwrap();
+        let removed = there.insert(at(101.0, 100.0)).unwrap();
         there.flush().unwrap();
         let reached = outage.begin(held).await;
-        let mine = away.insert([200.0, 200.0]).unwrap();
-        let gone = away.insert([201.0, 200.0]).unwrap();
+        let mine = away.insert(at(200.0, 200.0)).unwrap();
+        let gone = away.insert(at(201.0, 200.0)).unwrap();
         assert!(away.remove(gone).unwrap());
-        assert!(away.replace(common, [102.0, 100.0]).unwrap());
+        assert!(away.replace(common, at(102.0, 100.0)).unwrap());
         assert!(away.set_tag(removed, 9).unwrap());
         assert!(away.remove(removed).unwrap());
         assert!(there.set_tag(common, 7).unwrap());
@@ -112,7 +123,10 @@ async fn pending_writes_survive_a_reload() {
         outage.pass_window(reached, seed).await;
         assert!(away.get(common).unwrap().unwrap().tag == 0, "not reached");
         outage.end();
-        let (point, state) = (away.get(common).unwrap().unwrap(), vec![102.0, 100.0]);
+        let (point, state) = (
+            away.get(common).unwrap().unwrap(),
+            at(102.0, 100.0).to_vec(),
+        );
         assert_eq!((point.tag, point.state), (7, state));
         // What another writer does later counts for points that were pending when the copy was read again.
         assert!(there.remove(mine).unwrap());
@@ -127,15 +141,15 @@ async fn pending_writes_survive_a_reload() {
 async fn no_edge_is_missed_over_a_reload() {
     let outage = Outage::new().await;
     let (away, there) = (&outage.away, &outage.there);
-    let before = there.insert([103.0, 100.0]).unwrap();
+    let before = there.insert(at(103.0, 100.0)).unwrap();
     let reached = outage.begin(false).await;
     let mut asked = Vec::new();
     for search in [Search::within(5.0), Search::k(1), Search::k(3).radius(4.0)] {
         let options = InsertOptions::new().ask(search);
         // Each is alone with its neighbours.
         let x = 100.0 + 100.0 * asked.len() as f64;
-        let inserted = away.insert_with([x, 100.0], options).unwrap();
-        let near = there.insert([x, 101.0]).unwrap();
+        let inserted = away.insert_with(at(x, 100.0), options).unwrap();
+        let near = there.insert(at(x, 101.0)).unwrap();
         asked.push((inserted, near));
     }
     assert_eq!(asked[0].0.found.neighbors[0].id, before);
@@ -166,8 +180,8 @@ async fn an_index_that_is_gone_or_has_another_space_ends() {
     // Another client recreates the index with another space.
     way.close();
     direct.delete_index("arm").await.unwrap();
-    let plane = PLANE.parse().unwrap();
-    direct.create_index("arm", &plane).await.unwrap();
+    let wide = SPACE.parse().unwrap();
+    direct.create_index("arm", &wide).await.unwrap();
     assert_eq!(index.nearest([0.9]).unwrap().unwrap().id, id, "what it had");
     index.insert([1.0]).unwrap();
     way.lead_to(server.uri());
@@ -180,10 +194,10 @@ async fn an_index_that_is_gone_or_has_another_space_ends() {
     assert!(index.insert([2.0]).is_err());
     assert_eq!(index.take_unsent().len(), 1);
 
-    let index = shared(&way.uri, &plane);
+    let index = shared(&way.uri, &wide);
     direct.delete_index("arm").await.unwrap();
     wait_for_status(&index, |status| matches!(status, Status::Ended { .. }));
-    let error = index.nearest([0.9, 0.0]).unwrap_err();
+    let error = index.nearest(at(0.9, 0.0)).unwrap_err();
     assert_eq!(error.reason(), Some("INDEX_NOT_FOUND"), "{error}");
 }
 
@@ -192,13 +206,13 @@ async fn an_index_that_is_gone_or_has_another_space_ends() {
 async fn pending_writes_come_back_from_a_server_that_lost_the_index() {
     let server = server!();
     let way = Proxy::to(server.uri()).await;
-    let space: Space = PLANE.parse().unwrap();
+    let space: Space = SPACE.parse().unwrap();
     let index = shared(&way.uri, &space);
-    index.insert([0.0, 0.0]).unwrap();
+    index.insert(at(0.0, 0.0)).unwrap();
     index.flush().unwrap();
     way.close();
     server.stop(Signal::Kill);
-    let pending = index.insert([1.0, 0.0]).unwrap();
+    let pending = index.insert(at(1.0, 0.0)).unwrap();
     let server = server!();
     drop(shared(server.uri(), &space));
     way.lead_to(server.uri());
@@ -209,10 +223,10 @@ async fn pending_writes_come_back_from_a_server_that_lost_the_index() {
         other => panic!("{other:?}"),
     });
     assert_eq!(ids.collect::<Vec<_>>(), [pending]);
-    let new = index.insert([2.0, 0.0]).unwrap();
+    let new = index.insert(at(2.0, 0.0)).unwrap();
     index.flush().unwrap();
     let fresh = shared(server.uri(), &space);
-    wait_for_all(&fresh, &[3.0, 0.0], &[&index]);
+    wait_for_all(&fresh, &at(3.0, 0.0), &[&index]);
     check_copies(&content(&fresh), &space, &[&index]);
-    assert_eq!(index.nearest([2.0, 0.0]).unwrap().unwrap().id, new);
+    assert_eq!(index.nearest(at(2.0, 0.0)).unwrap().unwrap().id, new);
 }
