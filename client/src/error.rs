@@ -163,7 +163,7 @@ pub enum Error {
         revision: u64,
     },
     /// A replica no longer follows its index.
-    #[error("the replica ended: {why}")]
+    #[error("the index is gone: {why}")]
     Ended {
         /// The reason.
         why: Arc<Error>,
@@ -213,7 +213,7 @@ impl Error {
         match self {
             Error::Refused(refusal) => Some(&refusal.reason),
             Error::Partial { source, .. } => source.reason(),
-            Error::Ended { why } => why.reason(),
+            Error::Ended { why } | Error::WritesRefused { why } => why.reason(),
             _ => None,
         }
     }

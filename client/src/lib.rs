@@ -75,7 +75,7 @@ pub use index::{
     Changes, Found, Index, InsertOptions, InsertedPoint, Search, StoredPoint, StoredPoints,
 };
 #[cfg(feature = "net")]
-pub use index::{Meanwhile, OpenRemote, OpenShared, Status, UnsentWrite};
+pub use index::{Meanwhile, MeanwhileAnswers, OpenRemote, OpenShared, Status, UnsentWrite};
 pub use layout::{Coordinate, coordinate_names};
 #[cfg(feature = "net")]
 pub use net::*;

@@ -122,15 +122,16 @@ impl LocalPoints {
         let mut empty = Forest::new(space.clone(), ForestOptions::for_space(&space));
         let at = self.forest.revision() + 1;
         empty.apply(at, &Points::new(space.coordinates()), &[])?;
-        self.replace(empty);
+        drop(self.replace(empty));
         Ok(())
     }
 
-    /// Replaces all points by those of `forest`, whose revision is above that of this one.
-    pub(super) fn replace(&mut self, forest: Forest) {
+    /// Replaces all points by those of `forest`, whose revision is above that of this one. Returns the old forest, which
+    /// takes long to drop.
+    pub(super) fn replace(&mut self, forest: Forest) -> Forest {
         self.history.forget(forest.revision());
-        self.forest = forest;
         self.unmerged = MERGE_INTERVAL;
+        std::mem::replace(&mut self.forest, forest)
     }
 
     /// The next merge, if one is due.

@@ -4,6 +4,7 @@
 //! When an index rests, the thread packs its levels into few.
 
 use std::{
+    collections::VecDeque,
     process,
     sync::{
         OnceLock, Weak,
@@ -92,64 +93,62 @@ struct Watched {
 
 fn run(work: &Receiver<Work>) {
     let mut watched: Vec<Watched> = Vec::new();
+    // The indices take turns, also where merges lead to others.
+    let mut due: VecDeque<(Weak<dyn Merged>, Merge)> = VecDeque::new();
     loop {
-        let next = match watched.is_empty() {
-            true => work.recv().map_err(RecvTimeoutError::from),
-            false => work.recv_timeout(REST),
+        let next = match (due.is_empty(), watched.is_empty()) {
+            (false, _) => work.recv_timeout(Duration::ZERO),
+            (true, true) => work.recv().map_err(RecvTimeoutError::from),
+            (true, false) => work.recv_timeout(REST),
         };
         match next {
-            Ok(Work::Merge(index, merge)) => {
-                let merged = merge.run();
-                finish(&index, merged);
-            }
+            Ok(Work::Merge(index, merge)) => due.push_back((index, merge)),
             Ok(Work::Watch(index)) => watched.push(Watched {
                 index,
                 noticed: u64::MAX,
             }),
-            Err(RecvTimeoutError::Timeout) => watched.retain_mut(still_changes),
+            Err(RecvTimeoutError::Timeout) => match due.pop_front() {
+                Some((index, merge)) => {
+                    let merged = merge.run();
+                    due.extend(finish(&index, merged).map(|next| (index, next)));
+                }
+                None => watched.retain_mut(|watched| {
+                    let (changes, next) = look(watched);
+                    due.extend(next.map(|next| (Weak::clone(&watched.index), next)));
+                    changes
+                }),
+            },
             // The sender is in a static.
             Err(RecvTimeoutError::Disconnected) => return,
         }
     }
 }
 
-/// Swaps a level in, and runs the merges that it leads to.
-fn finish(index: &Weak<dyn Merged>, merged: wayfold_index::Merged) {
-    let mut merged = Some(merged);
-    while let Some(done) = merged.take() {
-        let Some(index) = index.upgrade() else {
-            return;
-        };
-        let (mut done, mut next) = (Some(done), None);
-        index.with_points(&mut |points| {
-            if let Some(done) = done.take() {
-                points.forest.finish_merge(done);
-            }
-            next = points.forest.begin_merge();
-        });
-        drop(index);
-        merged = next.map(Merge::run);
-    }
+/// Swaps a level in. Returns the merge that it leads to.
+fn finish(index: &Weak<dyn Merged>, merged: wayfold_index::Merged) -> Option<Merge> {
+    let (mut merged, mut next) = (Some(merged), None);
+    index.upgrade()?.with_points(&mut |points| {
+        if let Some(merged) = merged.take() {
+            points.forest.finish_merge(merged);
+        }
+        next = points.forest.begin_merge();
+    });
+    next
 }
 
-/// Merges towards one level if the index rests. False if it does, or is gone.
-fn still_changes(watched: &mut Watched) -> bool {
-    let Some(index) = watched.index.upgrade() else {
-        return false;
-    };
+/// True if the index has changed since the last look. If not, it rests, and its next merge works towards one level.
+fn look(watched: &mut Watched) -> (bool, Option<Merge>) {
     let (mut changes, mut next) = (false, None);
-    index.with_points(&mut |points| {
-        let newest = points.seen().0;
-        changes = std::mem::replace(&mut watched.noticed, newest) != newest;
-        if !changes {
-            points.is_watched = false;
-            points.forest.pause();
-            next = points.forest.begin_merge();
-        }
-    });
-    drop(index);
-    if let Some(merge) = next {
-        finish(&watched.index, merge.run());
+    if let Some(index) = watched.index.upgrade() {
+        index.with_points(&mut |points| {
+            let newest = points.seen().0;
+            changes = std::mem::replace(&mut watched.noticed, newest) != newest;
+            if !changes {
+                points.is_watched = false;
+                points.forest.pause();
+                next = points.forest.begin_merge();
+            }
+        });
     }
-    changes
+    (changes, next)
 }

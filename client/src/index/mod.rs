@@ -24,7 +24,7 @@ pub use point::{Changes, Found, InsertOptions, InsertedPoint, StoredPoint, Store
 pub use remote::OpenRemote;
 pub use search::Search;
 #[cfg(feature = "net")]
-pub use shared::{Meanwhile, OpenShared, Status, UnsentWrite};
+pub use shared::{Meanwhile, MeanwhileAnswers, OpenShared, Status, UnsentWrite};
 
 use std::{cell::Cell, sync::Arc};
 

@@ -16,8 +16,8 @@ use super::{
     runtime::{runtime, wait_for},
 };
 use crate::{
-    Client, Code, Error, Filter, Include, Index, IndexHandle, NeighborSpec, Outcome, Radius,
-    ResetReason, ScaledRadius, WatchEvent,
+    Client, Code, Error, Filter, Include, Index, IndexHandle, NeighborSpec, Neighbors, Outcome,
+    Radius, ResetReason, ScaledRadius, WatchEvent,
     search::{Bounds, K},
 };
 
@@ -78,10 +78,6 @@ pub(super) struct Remote {
 }
 
 impl Remote {
-    fn seen(&self) -> Seen {
-        Seen(self.index.revision().number)
-    }
-
     fn filter(&self, question: &Question<'_>) -> Filter {
         let filter = question.search.filter;
         let tagged = Filter::default().tag(filter.tag_mask, filter.tag_value);
@@ -92,7 +88,7 @@ impl Remote {
     }
 
     /// The answers to a question about rows, one after the other.
-    fn ask(&self, rows: &[f64], question: &Question<'_>) -> Result<Vec<Vec<Neighbor>>, Error> {
+    fn ask(&self, rows: &[f64], question: &Question<'_>) -> Result<Neighbors, Error> {
         let left = question.search.until;
         let left = left.map(|until| until.saturating_duration_since(Instant::now()));
         let index = match left {
@@ -123,8 +119,7 @@ impl Remote {
         });
         match answered {
             Err(Error::Timeout { .. }) if left.is_some() => Err(Error::SearchTimeout),
-            Err(error) => Err(error),
-            Ok(answer) => Ok(answer.rows().map(|row| row.iter().collect()).collect()),
+            answered => answered,
         }
     }
 
@@ -190,9 +185,10 @@ impl NearestNeighbors for Remote {
         question: &Question<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<Seen, Error> {
-        let answers = self.ask(row, question)?;
-        *found = answers.into_iter().next().unwrap_or_default();
-        Ok(self.seen())
+        let answer = self.ask(row, question)?;
+        found.clear();
+        found.extend(answer.row(0).iter());
+        Ok(Seen(answer.revision().number))
     }
 
     fn search_many(
@@ -200,7 +196,8 @@ impl NearestNeighbors for Remote {
         rows: &[f64],
         question: &Question<'_>,
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
-        self.ask(rows, question)
+        let answer = self.ask(rows, question)?;
+        Ok(answer.rows().map(|row| row.iter().collect()).collect())
     }
 
     fn insert(
@@ -256,7 +253,7 @@ impl NearestNeighbors for Remote {
             .collect())
     }
 
-    /// In two calls: a tag that another process sets between them is lost.
+    /// In two calls: of what another process does to the point between them, a tag is lost and a removal is undone.
     fn replace(&self, id: u64, row: &[f64]) -> Result<bool, Error> {
         let Some(points) = self.point(id, Include::none().tags())? else {
             return Ok(false);

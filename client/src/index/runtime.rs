@@ -49,5 +49,8 @@ pub(super) fn wait_for<T: Send + 'static>(
         // The caller waits as long as the call runs.
         let _ = send.send(call.await);
     });
-    receive.recv().map_err(|_| Error::Closed)?
+    let lost = |_| Error::Thread {
+        source: Arc::new(std::io::Error::other("a call ended without an answer")),
+    };
+    receive.recv().map_err(lost)?
 }

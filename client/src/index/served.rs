@@ -2,7 +2,9 @@
 
 use std::{sync::Arc, time::Duration};
 
-use super::{Index, Meanwhile, OpenRemote, OpenShared, Status, UnsentWrite, shared::SharedIndex};
+use super::{
+    Index, MeanwhileAnswers, OpenRemote, OpenShared, Status, UnsentWrite, shared::SharedIndex,
+};
 use crate::Error;
 
 impl Index {
@@ -47,13 +49,12 @@ impl Index {
     }
 
     /// The neighbours of own points, inserted with a question, that others stored before them in the index's order and
-    /// that the insert could not see. Each is told once, when the server has stored the point, and only if there are
-    /// any. False beside them if some were dropped, because 65,536 waited. In the other forms an insert sees all.
-    pub fn meanwhile(&self) -> (Vec<Meanwhile>, bool) {
-        let none = || (Vec::new(), true);
+    /// that the insert could not see. Each is told once, when the feed has named the point. In the other forms an insert
+    /// sees all.
+    pub fn meanwhile(&self) -> MeanwhileAnswers {
         self.shared
             .as_ref()
-            .map_or_else(none, |shared| shared.meanwhile())
+            .map_or_else(MeanwhileAnswers::default, |shared| shared.meanwhile())
     }
 
     /// Every write from the first one on that the server refused for good, in order; the copy shows them no more. After

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use wayfold_proto::v1::{self, StepKind};
 
-use super::meanwhile::Asked;
+use super::meanwhile::Question;
 
 /// One write.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +74,11 @@ pub(super) struct Batch {
     /// The first of its ids that the index assigned.
     pub(super) first_assigned: Option<u64>,
     /// The questions of its inserts.
-    pub(super) asked: Vec<Asked>,
+    pub(super) questions: Vec<Question>,
+    /// The session that sent it.
+    pub(super) session: u64,
+    /// The ids that it reserves: a repeated request is the same.
+    pub(super) reserve_count: u64,
 }
 
 /// The bytes of a step besides its row and its payload: its kind, id and tag.
@@ -180,11 +184,13 @@ impl Batch {
         })
     }
 
-    /// The request, without the names of index and session.
+    /// The request, without the names of the index.
     pub(super) fn message(&self) -> v1::WriteRequest {
         let has_tags = self.tags.iter().any(|&tag| tag != 0);
         v1::WriteRequest {
+            session: self.session,
             batch: self.number,
+            reserve_count: self.reserve_count,
             kinds: self.kinds.clone(),
             ids: self.ids.clone(),
             tags: if has_tags {

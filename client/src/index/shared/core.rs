@@ -10,7 +10,9 @@ use parking_lot::{Condvar, Mutex, MutexGuard, RwLock};
 use tokio::sync::Notify;
 use wayfold_index::Space;
 
-use super::{batch::UnsentWrite, link::Link, status::Status, writer::Writer};
+use super::{
+    batch::UnsentWrite, link::Link, meanwhile::Answerable, status::Status, writer::Writer,
+};
 use crate::{
     Error, IndexHandle,
     index::{
@@ -25,13 +27,14 @@ const MIN_IDS: u64 = 1 << 15;
 /// The ids that are asked for at once.
 pub(super) const ID_BLOCK: u64 = 1 << 16;
 
-/// Locks are taken in the order of the fields.
+/// The order of locks: `writer`, `points`, `published`, `connection`.
 #[derive(Debug)]
 pub(super) struct Core {
     pub(super) space: Space,
     pub(super) link: Link,
     pub(super) timeout: Duration,
     pub(super) max_pending_bytes: usize,
+    pub(super) max_payload_bytes: usize,
     pub(super) writer: Mutex<Writer>,
     /// Wakes callers that wait for `writer`.
     pub(super) progress: Condvar,
@@ -48,12 +51,28 @@ pub(super) struct Core {
     this: Weak<Core>,
 }
 
-/// What the tasks say of their connection.
+/// The limits of a shared index.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Settings {
+    pub(super) timeout: Duration,
+    pub(super) max_pending_bytes: usize,
+    pub(super) max_payload_bytes: usize,
+}
+
+/// The reports of the tasks.
 #[derive(Debug, Default)]
 struct Connection {
     behind: u64,
     is_reloading: bool,
-    lost: Option<(Instant, Arc<Error>)>,
+    /// The time and the cause of the loss of the feed, and of the way for writes.
+    lost: [Option<(Instant, Arc<Error>)>; 2],
+}
+
+/// The task that lost its connection.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Task {
+    Follower,
+    Sender,
 }
 
 impl Core {
@@ -63,14 +82,14 @@ impl Core {
         revision: u64,
         points: LocalPoints,
         writer: Writer,
-        timeout: Duration,
-        max_pending_bytes: usize,
+        settings: Settings,
     ) -> Arc<Core> {
         Arc::new_cyclic(|this| Core {
             space: index.space().clone(),
             link,
-            timeout,
-            max_pending_bytes,
+            timeout: settings.timeout,
+            max_pending_bytes: settings.max_pending_bytes,
+            max_payload_bytes: settings.max_payload_bytes,
             writer: Mutex::new(writer),
             progress: Condvar::new(),
             work: Notify::new(),
@@ -83,11 +102,16 @@ impl Core {
         })
     }
 
-    /// Refuses a call in a process that was forked from the one that opened the index.
+    /// True in a process that was forked from the one that opened the index: its threads are not here, and a lock may
+    /// be held for ever.
+    pub(super) fn is_forked(&self) -> bool {
+        process::id() != self.process
+    }
+
     fn check(&self) -> Result<(), Error> {
-        match process::id() == self.process {
-            true => Ok(()),
-            false => Err(Error::Forked),
+        match self.is_forked() {
+            true => Err(Error::Forked),
+            false => Ok(()),
         }
     }
 
@@ -102,34 +126,39 @@ impl Core {
         }
     }
 
-    /// Waits until a write of `bytes` may be pending, with a new id if it `needs_id`.
-    pub(super) fn room(
-        &self,
-        bytes: usize,
-        needs_id: bool,
-    ) -> Result<MutexGuard<'_, Writer>, Error> {
+    /// Waits until writes of `bytes` may be pending, with as many new ids as they need.
+    pub(super) fn room(&self, bytes: usize, ids: u64) -> Result<MutexGuard<'_, Writer>, Error> {
         self.check()?;
         let mut writer = self.writer.lock();
         let mut until = None;
         loop {
-            if writer.is_closed {
-                return Err(Error::Closed);
-            }
-            if let Some(why) = &writer.refused {
-                return Err(Error::WritesRefused {
-                    why: Arc::clone(why),
-                });
-            }
+            self.check_writable(&writer)?;
             let has_room = writer.bytes == 0 || writer.bytes + bytes <= self.max_pending_bytes;
-            let left = if needs_id { writer.ids.len() } else { 1 };
-            if has_room && left > 0 {
+            if has_room && writer.ids.len() >= ids {
                 return Ok(writer);
             }
+            writer.wanted_ids = writer.wanted_ids.max(ids);
             self.wake(&mut writer);
-            let until = *until.get_or_insert_with(|| Instant::now() + self.timeout);
+            let until = *until.get_or_insert_with(|| deadline(self.timeout));
             if self.progress.wait_until(&mut writer, until).timed_out() {
                 return Err(Error::timeout("write", self.timeout));
             }
+        }
+    }
+
+    fn check_writable(&self, writer: &Writer) -> Result<(), Error> {
+        if let Some(why) = self.ended.get() {
+            let why = Arc::clone(why);
+            return Err(Error::Ended { why });
+        }
+        if writer.is_closed {
+            return Err(Error::Closed);
+        }
+        match &writer.refused {
+            Some(why) => Err(Error::WritesRefused {
+                why: Arc::clone(why),
+            }),
+            None => Ok(()),
         }
     }
 
@@ -154,55 +183,63 @@ impl Core {
     /// Waits until the server has acknowledged every write before now.
     pub(super) fn flush(&self, timeout: Duration) -> Result<(), Error> {
         self.check()?;
-        let until = Instant::now() + timeout;
+        let until = deadline(timeout);
         let mut writer = self.writer.lock();
-        let written = writer.written;
+        if let Some(why) = &writer.refused {
+            let why = Arc::clone(why);
+            return Err(Error::WritesRefused { why });
+        }
+        let (written, refusals) = (writer.written, writer.refusals);
         while writer.settled < written {
             self.wake(&mut writer);
             if self.progress.wait_until(&mut writer, until).timed_out() {
                 return Err(Error::timeout("flush", timeout));
             }
+            if writer.refusals > refusals {
+                // The caller that has taken the writes back knows the cause.
+                let why = writer.refused.clone();
+                let why = why.unwrap_or_else(|| Arc::new(Error::Closed));
+                return Err(Error::WritesRefused { why });
+            }
         }
-        match &writer.refused {
-            Some(why) => Err(Error::WritesRefused {
-                why: Arc::clone(why),
-            }),
-            None => Ok(()),
-        }
+        Ok(())
     }
 
     /// The number of ids to reserve now.
-    pub(super) fn wanted_ids(writer: &Writer) -> u64 {
-        if writer.ids.len() < MIN_IDS {
-            ID_BLOCK
-        } else {
-            0
+    pub(super) fn reserve_count(writer: &Writer) -> u64 {
+        match writer.ids.len() {
+            left if left < writer.wanted_ids => ID_BLOCK.max(writer.wanted_ids),
+            left if left < MIN_IDS => ID_BLOCK,
+            _ => 0,
         }
     }
 
     /// The server refused a write for good.
-    pub(super) fn refuse(&self, error: Error) {
-        self.refuse_if(error, |_| true);
-    }
-
-    /// Refuses what is pending for good, if `applies` to the writer.
-    pub(super) fn refuse_if(&self, error: Error, applies: impl FnOnce(&Writer) -> bool) {
-        let mut writer = self.writer.lock();
-        if !applies(&writer) {
-            return;
-        }
+    pub(super) fn refuse(&self, writer: &mut Writer, error: Error) {
         let refused = writer.refuse(Arc::new(error), &mut self.points.write());
         debug_assert!(refused.is_ok(), "{refused:?}");
         self.progress.notify_all();
     }
 
-    /// The index was made again: refuses what is pending, unless the server has refused it already.
-    pub(super) fn lose_session(&self, error: Error) {
-        self.refuse_if(error, Writer::has_session);
+    /// True if the answer to a call on `index` is about the history that the copy follows.
+    pub(super) fn is_current(&self, index: &IndexHandle) -> bool {
+        self.published.lock().0.uid() == index.uid()
+    }
+
+    /// Computes the answers to questions, and keeps them for the caller. Called without a lock.
+    pub(super) fn answer(&self, questions: Vec<Answerable>) {
+        for answerable in questions {
+            let count = answerable.len();
+            let answers = answerable.answer(&self.space);
+            self.writer.lock().arrivals.add(count, answers);
+        }
     }
 
     /// Gives back the writes that the server did not take, after which writing begins again.
     pub(super) fn take_unsent(&self) -> Vec<UnsentWrite> {
+        if self.is_forked() {
+            return Vec::new();
+        }
         let mut writer = self.writer.lock();
         let unsent = writer.take_unsent();
         self.wake(&mut writer);
@@ -211,40 +248,47 @@ impl Core {
 
     /// Takes no more writes, waits for the pending ones, and gives back those that the server did not take in time.
     pub(super) fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
-        self.writer.lock().is_closed = true;
-        let flushed = self.flush(timeout);
-        if flushed.is_err() {
-            self.refuse(Error::Closed);
+        if self.is_forked() {
+            return Vec::new();
         }
+        self.writer.lock().is_closed = true;
         self.progress.notify_all();
-        self.writer.lock().take_unsent()
+        let flushed = self.flush(timeout);
+        let mut writer = self.writer.lock();
+        if flushed.is_err() && writer.settled < writer.written {
+            self.refuse(&mut writer, Error::Closed);
+        }
+        writer.take_unsent()
     }
 
     pub(super) fn following(&self, behind: u64) {
         let mut connection = self.connection.lock();
         connection.behind = behind;
         connection.is_reloading = false;
-        connection.lost = None;
+        connection.lost[Task::Follower as usize] = None;
     }
 
     pub(super) fn reloading(&self) {
-        self.connection.lock().is_reloading = true;
+        let mut connection = self.connection.lock();
+        connection.is_reloading = true;
+        connection.lost[Task::Follower as usize] = None;
     }
 
-    pub(super) fn disconnected(&self, error: Error) {
-        let mut connection = self.connection.lock();
-        let since = connection
-            .lost
-            .take()
-            .map_or_else(Instant::now, |(since, _)| since);
-        connection.lost = Some((since, Arc::new(error)));
+    pub(super) fn sending(&self) {
+        self.connection.lock().lost[Task::Sender as usize] = None;
+    }
+
+    pub(super) fn disconnected(&self, task: Task, error: Error) {
+        let lost = &mut self.connection.lock().lost[task as usize];
+        let since = lost.take().map_or_else(Instant::now, |(since, _)| since);
+        *lost = Some((since, Arc::new(error)));
     }
 
     /// The index is gone: nothing will be read or written any more.
     pub(super) fn end(&self, error: Error) {
         let why = Arc::new(error);
         let _first_counts = self.ended.set(Arc::clone(&why));
-        self.refuse(Error::Ended { why });
+        self.refuse(&mut self.writer.lock(), Error::Ended { why });
     }
 
     pub(super) fn has_ended(&self) -> bool {
@@ -252,6 +296,10 @@ impl Core {
     }
 
     pub(super) fn status(&self) -> Status {
+        if self.is_forked() {
+            let why = Arc::new(Error::Forked);
+            return Status::Ended { why };
+        }
         let writer = self.writer.lock();
         let connection = self.connection.lock();
         if writer.is_closed {
@@ -267,7 +315,7 @@ impl Core {
                 why: Arc::clone(why),
             };
         }
-        match &connection.lost {
+        match connection.lost.iter().flatten().next() {
             Some((since, why)) => Status::Disconnected {
                 since: *since,
                 why: Arc::clone(why),
@@ -278,6 +326,12 @@ impl Core {
             },
         }
     }
+}
+
+/// The end of a wait; of a very long one in some decades.
+fn deadline(timeout: Duration) -> Instant {
+    const LONGEST: Duration = Duration::from_secs(1 << 30);
+    Instant::now() + timeout.min(LONGEST)
 }
 
 impl Merged for Core {

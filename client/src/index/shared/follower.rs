@@ -4,7 +4,10 @@ use std::{sync::Arc, time::Duration};
 
 use tokio::time::{Instant, sleep_until};
 
-use super::{core::Core, link::protocol};
+use super::{
+    core::{Core, Task},
+    link::protocol,
+};
 use crate::{
     Code, Error, IndexHandle, Mutation, Reset, ResetReason, WatchEvent, index::local::NewRow,
 };
@@ -20,15 +23,21 @@ pub(super) struct Follower {
     index: IndexHandle,
     /// The newest revision that was applied.
     revision: u64,
+    /// True if the feed must hold what own sessions wrote.
+    is_unfiltered: bool,
     /// The time since which no index has the name.
     missing: Option<Instant>,
     failures: u32,
+    /// The number of reloads since the last mutation.
+    reloads: u32,
 }
 
 /// The reason for which following stopped.
 enum Stop {
     /// The server cannot send the next mutations.
     Reset(Reset),
+    /// The feed left out what this process needs after all.
+    Unfiltered,
     Failed(Error),
 }
 
@@ -44,8 +53,10 @@ impl Follower {
             core,
             index,
             revision,
+            is_unfiltered: false,
             missing: None,
             failures: 0,
+            reloads: 0,
         }
     }
 
@@ -56,6 +67,10 @@ impl Follower {
             let failed = match stop {
                 Stop::Failed(error) => Err(error),
                 Stop::Reset(reset) => self.reload(&reset).await,
+                Stop::Unfiltered => {
+                    self.is_unfiltered = true;
+                    Ok(())
+                }
             };
             let recovered = match failed {
                 Ok(()) => Ok(()),
@@ -69,12 +84,15 @@ impl Follower {
 
     async fn follow(&mut self) -> Result<std::convert::Infallible, Stop> {
         let after = self.index.revision_at(self.revision);
-        let session = self.core.writer.lock().session.unwrap_or(0);
+        let session = match self.is_unfiltered {
+            true => 0,
+            false => self.core.writer.lock().session.unwrap_or(0),
+        };
         let mut watch = self.core.link.watch(&self.index, after, session).await?;
         loop {
             while let Some(event) = watch.ready() {
                 match event {
-                    WatchEvent::Mutation(mutation) => self.apply(&mutation)?,
+                    WatchEvent::Mutation(mutation) => self.apply(&mutation, session)?,
                     WatchEvent::Reset(reset) => return Err(Stop::Reset(reset)),
                 }
             }
@@ -82,32 +100,29 @@ impl Follower {
             self.core
                 .following(watch.newest().number.saturating_sub(self.revision));
             match watch.next().await? {
-                Some(WatchEvent::Mutation(mutation)) => self.apply(&mutation)?,
+                Some(WatchEvent::Mutation(mutation)) => self.apply(&mutation, session)?,
                 Some(WatchEvent::Reset(reset)) => return Err(Stop::Reset(reset)),
                 None => return Err(Stop::Failed(protocol("the feed ended".to_owned()))),
             }
         }
     }
 
-    /// Applies the next mutation: readers see all of it at once.
-    fn apply(&mut self, mutation: &Mutation) -> Result<(), Stop> {
+    /// Applies the next mutation: readers see all of it at once. The feed leaves out the points that `left_out` wrote.
+    fn apply(&mut self, mutation: &Mutation, left_out: u64) -> Result<(), Stop> {
         let core = &*self.core;
+        let number = mutation.revision.number;
         let mut writer = core.writer.lock();
         let mut points = core.points.write();
-        let number = mutation.revision.number;
-        match mutation.session {
-            session if session != 0 && writer.session == Some(session) => {
-                writer.confirm(mutation.batch, &mut points)?;
-                core.progress.notify_all();
-            }
-            // The feed leaves out its points, and the copy has dropped those that were given back: reads all again.
-            session if writer.is_past(session) => {
-                return Err(Stop::Reset(Reset {
-                    reason: ResetReason::WindowPassed,
-                    revision: mutation.revision.clone(),
-                }));
-            }
-            _ => {
+        let session = mutation.session;
+        let confirmed = match session != 0 && writer.is_own(session) {
+            true => writer.confirm(session, mutation.batch, &mut points)?,
+            false => None,
+        };
+        let answerable = match confirmed {
+            Some(answerable) => answerable,
+            // A batch that was given back to the caller, and that the server had taken after all.
+            None if session != 0 && session == left_out => return Err(Stop::Unfiltered),
+            None => {
                 let stored = mutation.stored.iter().map(|point| NewRow {
                     id: point.id,
                     tag: point.tag,
@@ -115,11 +130,16 @@ impl Follower {
                     is_new: point.revision == number,
                 });
                 writer.apply(stored, &mutation.removed_ids, &mut points)?;
+                Vec::new()
             }
-        }
+        };
+        core.progress.notify_all();
         core.after_change(&mut points);
-        self.revision = number;
         core.published.lock().1 = number;
+        drop(points);
+        drop(writer);
+        (self.revision, self.reloads) = (number, 0);
+        core.answer(answerable);
         Ok(())
     }
 
@@ -127,6 +147,11 @@ impl Follower {
     async fn reload(&mut self, reset: &Reset) -> Result<(), Error> {
         let core = Arc::clone(&self.core);
         core.reloading();
+        self.reloads += 1;
+        if self.reloads > 1 {
+            // Reading takes longer than the server keeps mutations.
+            sleep_until(Instant::now() + core.link.pause(self.reloads)).await;
+        }
         let is_same = reset.reason == ResetReason::WindowPassed;
         let index = match is_same {
             true => self.index.clone(),
@@ -141,20 +166,26 @@ impl Follower {
         }
         let at = core.points.read().seen().0 + RELOAD_CHANGES;
         let (forest, revision) = core.link.load(&index, at).await?;
-        let is_remade = index.uid() != self.index.uid();
-        if is_remade {
-            // Its writer session and pending writes belong to the history that is gone.
-            let uid = self.index.revision_at(self.revision).check_uid(index.uid());
-            core.lose_session(uid.err().unwrap_or(Error::Closed));
-        }
         let mut writer = core.writer.lock();
+        if index.uid() != self.index.uid() {
+            // Its writer session and pending writes belong to the history that is gone.
+            if writer.has_session() {
+                let uid = self.index.revision_at(self.revision).check_uid(index.uid());
+                core.refuse(&mut writer, uid.err().unwrap_or(Error::Closed));
+            }
+            writer.forget_history();
+        }
         let mut points = core.points.write();
-        points.replace(forest);
-        writer.reloaded(revision, &mut points)?;
-        core.progress.notify_all();
+        let old = points.replace(forest);
+        let answerable = writer.reloaded(revision, &mut points)?;
         core.after_change(&mut points);
         *core.published.lock() = (index.clone(), revision);
+        core.wake(&mut writer);
+        drop(points);
+        drop(writer);
+        drop(old);
         (self.index, self.revision) = (index, revision);
+        core.answer(answerable);
         Ok(())
     }
 
@@ -173,7 +204,7 @@ impl Follower {
         }
         self.failures = self.failures.saturating_add(1);
         let pause = self.core.link.pause(self.failures);
-        self.core.disconnected(error);
+        self.core.disconnected(Task::Follower, error);
         sleep_until(Instant::now() + pause).await;
         Ok(())
     }

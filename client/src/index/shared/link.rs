@@ -7,9 +7,7 @@ use wayfold_proto::v1;
 
 #[cfg(feature = "zenoh")]
 use super::publications::Publications;
-use crate::{
-    Client, Code, Error, Include, IndexHandle, Revision, Watch, net::request::fresh_operation_id,
-};
+use crate::{Client, Code, Error, Include, IndexHandle, Limits, Revision, Watch};
 
 /// The time without a publication after which the index's log is read: the last one may be lost.
 #[cfg(feature = "zenoh")]
@@ -68,10 +66,9 @@ impl Link {
         self.client.index(&self.name).await
     }
 
-    /// The most rows, and the most bytes, of one request.
-    pub(super) async fn limits(&self, timeout: Duration) -> Result<(usize, usize), Error> {
-        let limits = self.client.limits("shared", timeout).await?;
-        Ok((limits.max_rows_per_call, limits.max_request_bytes))
+    /// The limits of one call.
+    pub(super) async fn limits(&self, timeout: Duration) -> Result<Limits, Error> {
+        self.client.limits("shared", timeout).await
     }
 
     /// Opens a writer session.
@@ -79,15 +76,14 @@ impl Link {
         &self,
         index: &IndexHandle,
         reserve_count: u64,
+        operation_id: &str,
     ) -> Result<Session, Error> {
         const CALL: &str = "open_session";
-        // A repeated call gets the same session.
-        let operation_id = fresh_operation_id();
         let message = || v1::OpenSessionRequest {
             index_name: index.name().to_owned(),
             uid: index.uid().to_owned(),
             reserve_count,
-            operation_id: operation_id.clone(),
+            operation_id: operation_id.to_owned(),
         };
         let send = |mut stub: Stub, request| async move { stub.open_session(request).await };
         let answer = index.call(CALL, message, send).await?;
@@ -102,7 +98,7 @@ impl Link {
     pub(super) async fn write(
         &self,
         index: &IndexHandle,
-        request: v1::WriteRequest,
+        request: &v1::WriteRequest,
     ) -> Result<(Option<v1::IdBlock>, u64), Error> {
         const CALL: &str = "write";
         let send = |mut stub: Stub, request| async move { stub.write(request).await };
@@ -168,13 +164,22 @@ fn build(space: &Space, points: Points, at: u64) -> Result<Forest, Error> {
 
 type Stub = wayfold_proto::v1::point_service_client::PointServiceClient<tonic::transport::Channel>;
 
-/// True if the same call may succeed later: the server is away, slow or overloaded, and says nothing about the call.
+/// True if the same call may succeed later. So may one whose outcome is unknown: repeating a session's newest batch does
+/// nothing twice.
 pub(super) fn is_transient(error: &Error) -> bool {
     match error {
-        Error::Connection { .. } | Error::Timeout { .. } => true,
+        Error::Connection { .. } | Error::Timeout { .. } | Error::Protocol { .. } => true,
         Error::Refused(refusal) => {
-            matches!(refusal.code, Code::Unavailable | Code::DeadlineExceeded)
-                || refusal.retry_after.is_some()
+            let may_end = matches!(
+                refusal.code,
+                Code::Unavailable
+                    | Code::DeadlineExceeded
+                    | Code::Internal
+                    | Code::DataLoss
+                    | Code::Unknown
+                    | Code::Cancelled
+            );
+            may_end || refusal.retry_after.is_some()
         }
         _ => false,
     }

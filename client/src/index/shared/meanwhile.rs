@@ -1,13 +1,13 @@
 //! The neighbours of own points that came before them in the index's order, and that their inserts could not see.
 
-use std::collections::{HashSet, VecDeque};
+use std::collections::{HashMap, VecDeque};
 
-use wayfold_index::{Neighbor, Search};
+use wayfold_index::{Filter, Neighbor, Point, Search, Snapshot, Space};
 
-use crate::index::local::{LocalPoints, NewRow};
+use crate::index::local::LocalPoints;
 
-/// The most answers that wait for the caller.
-const MAX_WAITING: usize = 1 << 16;
+/// The most neighbours of the answers that wait for the caller.
+const MAX_NEIGHBORS: usize = 1 << 20;
 
 /// The neighbours that an own point had when the server stored it, beyond those that its insert found.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,12 +21,25 @@ pub struct Meanwhile {
     pub is_superset: bool,
 }
 
+/// The answers to the questions of inserts, as far as the server has stored the points.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct MeanwhileAnswers {
+    /// Those with neighbours, each once.
+    pub answers: Vec<Meanwhile>,
+    /// The number of questions without an answer yet: the feed has not named their points.
+    pub open: usize,
+    /// True if answers were dropped since the last call, because no one took them.
+    pub has_dropped: bool,
+}
+
 /// The question of an insert that the server has not stored yet.
 #[derive(Clone, Debug)]
-pub(super) struct Asked {
-    pub(super) id: u64,
+pub(super) struct Question {
+    id: u64,
     row: Vec<f64>,
-    search: Search<'static>,
+    filter: Filter,
+    k: usize,
     /// A neighbour that the answer could not see is no farther than this.
     bound: f64,
     /// The change that stored the point in the copy.
@@ -35,39 +48,62 @@ pub(super) struct Asked {
     is_reloaded: bool,
 }
 
-impl Asked {
+impl Question {
     /// The search with which the point `id` was inserted, and what it found: change number `at` of the copy stored the
     /// point.
     pub(super) fn new(
         id: u64,
         row: &[f64],
-        search: Search<'static>,
+        search: &Search<'_>,
         found: &[Neighbor],
         at: u64,
-    ) -> Asked {
+    ) -> Question {
         let farthest = found.last().filter(|_| found.len() >= search.k);
-        Asked {
+        Question {
             id,
             row: row.to_vec(),
+            filter: search.filter,
+            k: search.k,
             bound: farthest.map_or(search.radius, |farthest| farthest.distance),
-            search,
             at,
             is_reloaded: false,
         }
     }
+
+    /// The points were read again, so the answer is a superset.
+    pub(super) fn reloaded(&mut self) {
+        self.is_reloaded = true;
+    }
 }
 
-/// What others stored while own inserts with a question are under way.
+/// A point that another writer stored.
+#[derive(Debug)]
+struct Arrival {
+    at: u64,
+    id: u64,
+    /// Its tag before, if only the tag is new.
+    old_tag: Option<u64>,
+}
+
+/// Questions under way, what others stored meanwhile, and answers for the caller.
 #[derive(Debug, Default)]
 pub(super) struct Arrivals {
-    /// The number of questions under way.
     open: usize,
-    /// The ids that others stored since the oldest question, each with its change.
-    stored: VecDeque<(u64, u64)>,
-    /// Answers for the caller.
+    /// What others stored since the oldest open question.
+    stored: VecDeque<Arrival>,
     answers: VecDeque<Meanwhile>,
-    /// True if an answer was dropped, because the caller took none.
+    /// The neighbours of all answers.
+    neighbors: usize,
     has_dropped: bool,
+}
+
+/// Questions whose points the server has stored, with everything that their answers need.
+#[derive(Debug)]
+pub(super) struct Answerable {
+    questions: Vec<Question>,
+    /// The change, the old tag if only the tag is new, and the point.
+    arrived: Vec<(u64, Option<u64>, Point)>,
+    snapshot: Option<Snapshot>,
 }
 
 impl Arrivals {
@@ -76,77 +112,139 @@ impl Arrivals {
         self.open += 1;
     }
 
-    /// A question will get no answer.
-    pub(super) fn close(&mut self) {
-        self.open = self.open.saturating_sub(1);
+    /// Questions will get no answer.
+    pub(super) fn close(&mut self, count: usize) {
+        self.open -= count.min(self.open);
         if self.open == 0 {
             self.stored.clear();
         }
     }
 
-    /// Another writer stored a point, as change number `at` of the copy.
-    pub(super) fn push(&mut self, at: u64, row: &NewRow<'_>) {
-        if self.open > 0 && row.is_new {
-            self.stored.push_back((at, row.id));
+    /// True if a question is under way.
+    pub(super) fn are_wanted(&self) -> bool {
+        self.open > 0
+    }
+
+    /// Another writer stored a point, as change number `at` of the copy; `old_tag` if only its tag is new.
+    pub(super) fn push(&mut self, at: u64, id: u64, old_tag: Option<u64>) {
+        if self.are_wanted() {
+            self.stored.push_back(Arrival { at, id, old_tag });
         }
     }
 
-    /// The points were read again, so the next answers are supersets.
-    pub(super) fn reloaded(&mut self, asked: &mut Asked) {
-        self.stored.clear();
-        asked.is_reloaded = true;
-    }
-
-    /// The server has stored the point of a question: `points` are those up to it, and own points.
-    pub(super) fn answer(&mut self, asked: &Asked, points: &LocalPoints) {
-        let mut neighbors = match asked.is_reloaded {
-            false => self.arrived(asked, points),
-            true => {
-                // The point itself is one of the nearest.
-                let k = asked.search.k.saturating_add(1);
-                let search = Search { k, ..asked.search };
-                let answer = points.forest.search(&asked.row, &search);
-                answer.map_or_else(|_| Vec::new(), |answer| answer.neighbors)
-            }
+    /// The server has stored the points of these questions: `points` are those up to them, and own points. Of the
+    /// questions that stay open the oldest is `oldest`.
+    pub(super) fn answerable(
+        &mut self,
+        questions: Vec<Question>,
+        oldest: Option<&Question>,
+        points: &LocalPoints,
+    ) -> Option<Answerable> {
+        let first = questions.first()?.at;
+        let after = self.stored.partition_point(|arrival| arrival.at <= first);
+        // A point that was stored twice counts as it is now.
+        let newest: HashMap<u64, &Arrival> = self
+            .stored
+            .range(after..)
+            .map(|arrival| (arrival.id, arrival))
+            .collect();
+        let arrived = newest.into_values().filter_map(|arrival| {
+            let point = points.get(arrival.id)?;
+            Some((arrival.at, arrival.old_tag, point))
+        });
+        let answerable = Answerable {
+            arrived: arrived.collect(),
+            snapshot: questions
+                .iter()
+                .any(|question| question.is_reloaded)
+                .then(|| points.forest.snapshot()),
+            questions,
         };
-        neighbors.retain(|neighbor| neighbor.id != asked.id);
-        neighbors.sort_unstable();
-        neighbors.truncate(asked.search.k);
-        self.close();
-        if neighbors.is_empty() {
-            return;
+        if let Some(oldest) = oldest {
+            let kept = self
+                .stored
+                .partition_point(|arrival| arrival.at <= oldest.at);
+            self.stored.drain(..kept);
         }
-        if self.answers.len() == MAX_WAITING {
-            self.answers.pop_front();
+        Some(answerable)
+    }
+
+    /// Questions have these answers, and are closed.
+    pub(super) fn add(&mut self, questions: usize, answers: Vec<Meanwhile>) {
+        self.close(questions);
+        for answer in answers {
+            self.neighbors += answer.neighbors.len();
+            self.answers.push_back(answer);
+        }
+        while self.neighbors > MAX_NEIGHBORS
+            && let Some(oldest) = self.answers.pop_front()
+        {
+            self.neighbors -= oldest.neighbors.len();
             self.has_dropped = true;
         }
-        self.answers.push_back(Meanwhile {
-            id: asked.id,
-            neighbors,
-            is_superset: asked.is_reloaded,
-        });
     }
 
-    /// The points that arrived after the question's, within its bound.
-    fn arrived(&self, asked: &Asked, points: &LocalPoints) -> Vec<Neighbor> {
-        let after = self.stored.partition_point(|(at, _)| *at <= asked.at);
-        let ids: HashSet<u64> = self.stored.range(after..).map(|(_, id)| *id).collect();
-        let stored = ids.into_iter().filter_map(|id| points.get(id));
-        let filter = asked.search.filter;
-        let admitted = stored.filter(|point| point.tag & filter.tag_mask == filter.tag_value);
-        let space = points.forest.space();
-        let neighbors = admitted.map(|point| Neighbor {
-            distance: space.distance(&asked.row, &point.row),
-            id: point.id,
+    /// The answers so far.
+    pub(super) fn take(&mut self) -> MeanwhileAnswers {
+        self.neighbors = 0;
+        MeanwhileAnswers {
+            answers: self.answers.drain(..).collect(),
+            open: self.open,
+            has_dropped: std::mem::take(&mut self.has_dropped),
+        }
+    }
+}
+
+impl Answerable {
+    /// The number of questions.
+    pub(super) fn len(&self) -> usize {
+        self.questions.len()
+    }
+
+    /// The answers that have neighbours.
+    pub(super) fn answer(self, space: &Space) -> Vec<Meanwhile> {
+        let answers = self.questions.iter().map(|question| Meanwhile {
+            id: question.id,
+            neighbors: match question.is_reloaded {
+                false => self.arrived(question, space),
+                true => self.superset(question),
+            },
+            is_superset: question.is_reloaded,
         });
-        neighbors
-            .filter(|neighbor| neighbor.distance <= asked.bound)
+        answers
+            .filter(|answer| !answer.neighbors.is_empty())
             .collect()
     }
 
-    /// The answers so far, and true if none was dropped.
-    pub(super) fn take(&mut self) -> (Vec<Meanwhile>, bool) {
-        let is_complete = !std::mem::take(&mut self.has_dropped);
-        (self.answers.drain(..).collect(), is_complete)
+    /// The points that arrived after the question's, within its bound.
+    fn arrived(&self, question: &Question, space: &Space) -> Vec<Neighbor> {
+        let filter = question.filter;
+        let passes = |tag: u64| tag & filter.tag_mask == filter.tag_value;
+        let unseen = self.arrived.iter().filter(|(at, old_tag, point)| {
+            *at > question.at && passes(point.tag) && !old_tag.is_some_and(passes)
+        });
+        let neighbors = unseen.map(|(_, _, point)| Neighbor {
+            distance: space.distance(&question.row, &point.row),
+            id: point.id,
+        });
+        let near = neighbors.filter(|neighbor| neighbor.distance <= question.bound);
+        let mut neighbors: Vec<Neighbor> = near.collect();
+        neighbors.sort_unstable();
+        neighbors.truncate(question.k);
+        neighbors
+    }
+
+    /// All points within the bound.
+    fn superset(&self, question: &Question) -> Vec<Neighbor> {
+        let mut search = Search::nearest_r(question.bound);
+        search.filter = question.filter;
+        let answer = self
+            .snapshot
+            .as_ref()
+            .map(|points| points.search(&question.row, &search));
+        let neighbors = answer.and_then(Result::ok).map(|answer| answer.neighbors);
+        let mut neighbors = neighbors.unwrap_or_default();
+        neighbors.retain(|neighbor| neighbor.id != question.id);
+        neighbors
     }
 }

@@ -20,7 +20,7 @@ mod status;
 mod writer;
 
 pub use batch::UnsentWrite;
-pub use meanwhile::Meanwhile;
+pub use meanwhile::{Meanwhile, MeanwhileAnswers};
 pub use open::OpenShared;
 pub use status::Status;
 
@@ -40,6 +40,9 @@ use crate::{Code, Error, Include};
 use batch::{Batch, Step};
 use core::Core;
 
+/// The most rows that `insert_many` stores at once: readers wait for them.
+const MAX_ROWS_AT_ONCE: usize = 4_096;
+
 /// A shared index. Its tasks end with it.
 pub(super) struct SharedIndex {
     core: Arc<Core>,
@@ -57,6 +60,9 @@ impl SharedIndex {
 
     /// The number of writes that the server has not acknowledged.
     pub(super) fn pending(&self) -> u64 {
+        if self.core.is_forked() {
+            return 0;
+        }
         let writer = self.core.writer.lock();
         writer.written - writer.settled
     }
@@ -65,7 +71,10 @@ impl SharedIndex {
         self.core.status()
     }
 
-    pub(super) fn meanwhile(&self) -> (Vec<Meanwhile>, bool) {
+    pub(super) fn meanwhile(&self) -> MeanwhileAnswers {
+        if self.core.is_forked() {
+            return MeanwhileAnswers::default();
+        }
         self.core.writer.lock().arrivals.take()
     }
 
@@ -77,9 +86,30 @@ impl SharedIndex {
         self.core.close(timeout)
     }
 
+    /// Stores rows under new ids, which readers see at once.
+    fn insert_rows(&self, rows: &[f64], tag: u64, ids: &mut Vec<u64>) -> Result<(), Error> {
+        let width = self.core.space.coordinates();
+        let step = |row| Step::Put {
+            tag,
+            row,
+            payload: &[],
+        };
+        let count = rows.len() / width;
+        let bytes = count * Batch::step_bytes(&step(&rows[..width]));
+        let mut writer = self.core.room(bytes, count as u64)?;
+        let mut points = self.core.points.write();
+        for row in rows.chunks_exact(width) {
+            let id = writer.ids.next().ok_or(Error::Closed)?;
+            writer.insert(id, &step(row), &mut points)?;
+            ids.push(id);
+        }
+        self.core.written(&mut writer, &mut points);
+        Ok(())
+    }
+
     /// Changes a stored point; false if the copy has none with this id.
     fn change(&self, id: u64, step: &Step<'_>) -> Result<bool, Error> {
-        let mut writer = self.core.room(Batch::step_bytes(step), false)?;
+        let mut writer = self.core.room(Batch::step_bytes(step), 0)?;
         let mut points = self.core.points.write();
         if !points.forest.contains(id) {
             return Ok(false);
@@ -140,13 +170,20 @@ impl NearestNeighbors for SharedIndex {
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, Seen), Error> {
         check_id(point)?;
+        let (max, found_bytes) = (self.core.max_payload_bytes, point.payload.len());
+        if found_bytes > max {
+            return Err(Error::Argument {
+                field: "payload",
+                problem: format!("{found_bytes} bytes; it has at most {max}"),
+            });
+        }
         let step = Step::Put {
             tag: point.tag,
             row: point.row,
             payload: point.payload,
         };
         let bytes = Batch::step_bytes(&step);
-        let mut writer = self.core.room(bytes, point.id.is_none())?;
+        let mut writer = self.core.room(bytes, u64::from(point.id.is_none()))?;
         found.clear();
         let mut search = None;
         {
@@ -160,7 +197,7 @@ impl NearestNeighbors for SharedIndex {
             if let Some(question) = question {
                 let asked = question.among(points.forest.len(), self.core.space.dimension());
                 *found = points.forest.search(point.row, &asked)?.neighbors;
-                search = Some(owned(&asked));
+                search = Some(asked);
             }
         }
         let id = match point.id {
@@ -170,26 +207,34 @@ impl NearestNeighbors for SharedIndex {
         let mut points = self.core.points.write();
         match point.id {
             None => writer.insert(id, &step, &mut points)?,
-            Some(_) => writer.change(id, &step, &mut points)?,
+            Some(_) => {
+                writer.ids.give(id);
+                writer.change(id, &step, &mut points)?;
+            }
         }
         let seen = points.seen();
         if let Some(search) = search {
-            writer.ask(id, point.row, search, found, seen.0);
+            writer.ask(id, point.row, &search, found, seen.0);
         }
         self.core.written(&mut writer, &mut points);
         Ok((id, seen))
     }
 
     fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
-        let mut ids = Vec::new();
-        for row in rows.chunks_exact(self.core.space.coordinates()) {
-            let point = NewPoint {
-                id: None,
-                tag,
-                row,
-                payload: &[],
-            };
-            ids.push(self.insert(&point, None, &mut Vec::new())?.0);
+        let width = self.core.space.coordinates();
+        let count = rows.len() / width;
+        let mut ids = Vec::with_capacity(count);
+        for part in rows.chunks(MAX_ROWS_AT_ONCE * width) {
+            let done = ids.len();
+            self.insert_rows(part, tag, &mut ids)
+                .map_err(|error| match done {
+                    0 => error,
+                    done => Error::Partial {
+                        done,
+                        rows: count,
+                        source: Box::new(error),
+                    },
+                })?;
         }
         Ok(ids)
     }
@@ -250,16 +295,11 @@ impl NearestNeighbors for SharedIndex {
     }
 }
 
-/// A search without the borrowed sets of ids, which a question never has.
-fn owned(search: &wayfold_index::Search<'_>) -> wayfold_index::Search<'static> {
-    wayfold_index::Search {
-        excluded: &[],
-        ..*search
-    }
-}
-
 impl Drop for SharedIndex {
     fn drop(&mut self) {
+        if self.core.is_forked() {
+            return;
+        }
         self.tasks.iter().for_each(AbortHandle::abort);
         let pending = self.pending();
         if pending > 0 {

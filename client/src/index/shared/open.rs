@@ -6,7 +6,7 @@ use wayfold_index::Space;
 
 use super::{
     SharedIndex,
-    core::{Core, ID_BLOCK},
+    core::{Core, ID_BLOCK, Settings},
     follower::Follower,
     link::Link,
     sender,
@@ -18,6 +18,7 @@ use crate::{
         local::LocalPoints,
         runtime::{runtime, wait_for},
     },
+    net::request::fresh_operation_id,
 };
 
 /// Settings of a shared index: [`OpenShared::open`] reads all points and returns it.
@@ -115,21 +116,25 @@ impl OpenShared {
             link.follow_over(publications);
         }
         let mut writer = Writer::new(index.coordinates());
-        let (max_rows, max_request_bytes) = link.limits(self.timeout).await?;
-        writer.limit(max_rows, max_request_bytes);
-        let opened = link.open_session(&index, ID_BLOCK).await?;
+        let limits = link.limits(self.timeout).await?;
+        writer.limit(limits.max_rows_per_call, limits.max_request_bytes);
+        let operation_id = fresh_operation_id();
+        let opened = link.open_session(&index, ID_BLOCK, &operation_id).await?;
         writer.open(opened.session, opened.reserved);
         let mut points = LocalPoints::new(index.space());
         let (forest, revision) = link.load(&index, points.seen().0 + 1).await?;
-        points.replace(forest);
+        drop(points.replace(forest));
         Ok(Core::new(
             link,
             index,
             revision,
             points,
             writer,
-            self.timeout,
-            self.max_pending_bytes,
+            Settings {
+                timeout: self.timeout,
+                max_pending_bytes: self.max_pending_bytes,
+                max_payload_bytes: limits.max_payload_bytes,
+            },
         ))
     }
 }

@@ -68,6 +68,12 @@ impl Rebased {
         self.pending.is_empty()
     }
 
+    /// The newest pending write is given up. True if no write is pending any more.
+    pub(super) fn give_up(&mut self) -> bool {
+        self.pending.pop_back();
+        self.pending.is_empty()
+    }
+
     /// The point that the copy shows.
     pub(super) fn shown(&self) -> Option<Content> {
         let changes = self.pending.iter();

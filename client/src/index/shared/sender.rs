@@ -6,97 +6,122 @@ use tokio::time::{Instant, sleep_until};
 use wayfold_proto::v1;
 
 use super::{
-    core::{Core, ID_BLOCK},
+    core::{Core, ID_BLOCK, Task},
     link::is_transient,
 };
-use crate::{Error, IndexHandle};
+use crate::{Error, IndexHandle, net::request::fresh_operation_id};
 
 /// The next thing to send.
 enum Next {
     Nothing,
-    Session(IndexHandle),
-    Batch(IndexHandle, Box<v1::WriteRequest>),
+    Session,
+    Batch(Box<v1::WriteRequest>),
 }
 
 /// Sends until the index is closed or gone.
 pub(super) async fn run(core: Arc<Core>) {
     let mut failures = 0;
+    // A repeated call gets the same session.
+    let mut operation_id = fresh_operation_id();
     loop {
-        let next = next(&core);
-        let session = match &next {
-            Next::Batch(_, request) => Some(request.session),
-            Next::Nothing | Next::Session(_) => None,
-        };
-        let sent = match next {
+        let index = core.published.lock().0.clone();
+        let sent = match next(&core, &index) {
             Next::Nothing => {
                 core.work.notified().await;
                 continue;
             }
-            Next::Session(index) => open(&core, &index).await,
-            Next::Batch(index, request) => write(&core, &index, *request).await,
-        };
-        match sent {
-            Ok(()) => failures = 0,
-            // The follower reads an index that was made again, or ends if there is none.
-            Err(error) if is_transient(&error) || session.is_none() => {
-                failures += 1;
-                let asked = match &error {
-                    Error::Refused(refusal) => refusal.retry_after,
-                    _ => None,
-                };
-                let pause = core
-                    .link
-                    .pause(failures)
-                    .max(asked.unwrap_or(Duration::ZERO));
-                core.disconnected(error);
-                sleep_until(Instant::now() + pause).await;
+            Next::Session => {
+                let opened = open(&core, &index, &operation_id).await;
+                if opened.is_ok() {
+                    operation_id = fresh_operation_id();
+                }
+                // The follower reads an index that was made again, and ends if there is none.
+                opened
             }
-            // The refusal of an earlier session's write, which the caller has back, says nothing about this one.
-            Err(error) => core.refuse_if(error, |writer| writer.session == session),
-        }
+            Next::Batch(request) => match write(&core, &index, &request).await {
+                Err(error) if !is_transient(&error) => {
+                    refuse(&core, &index, request.session, error);
+                    Ok(())
+                }
+                written => written,
+            },
+        };
+        let Err(error) = sent else {
+            failures = 0;
+            core.sending();
+            continue;
+        };
+        failures += 1;
+        let asked = match &error {
+            Error::Refused(refusal) => refusal.retry_after,
+            _ => None,
+        };
+        let pause = core
+            .link
+            .pause(failures)
+            .max(asked.unwrap_or(Duration::ZERO));
+        core.disconnected(Task::Sender, error);
+        sleep_until(Instant::now() + pause).await;
     }
 }
 
-fn next(core: &Core) -> Next {
+fn next(core: &Core, index: &IndexHandle) -> Next {
     let mut writer = core.writer.lock();
-    if writer.refused.is_none() && !core.has_ended() {
-        let index = || core.published.lock().0.clone();
+    let is_over = core.has_ended() || writer.is_closed && writer.settled == writer.written;
+    if writer.refused.is_none() && !is_over {
         let Some(session) = writer.session else {
-            return Next::Session(index());
+            return Next::Session;
         };
-        let reserve_count = Core::wanted_ids(&writer);
-        if let Some(mut request) = writer.next(reserve_count > 0) {
-            let index = index();
+        let reserve_count = Core::reserve_count(&writer);
+        // If the index was made again meanwhile, the next look finds no session.
+        if core.is_current(index)
+            && let Some(mut request) = writer.next(session, reserve_count)
+        {
             request.index_name = index.name().to_owned();
             request.uid = index.uid().to_owned();
-            request.session = session;
-            request.reserve_count = reserve_count;
-            return Next::Batch(index, Box::new(request));
+            return Next::Batch(Box::new(request));
         }
     }
     writer.is_idle = true;
     Next::Nothing
 }
 
-async fn open(core: &Core, index: &IndexHandle) -> Result<(), Error> {
-    let opened = core.link.open_session(index, ID_BLOCK).await?;
+async fn open(core: &Core, index: &IndexHandle, operation_id: &str) -> Result<(), Error> {
+    let opened = core
+        .link
+        .open_session(index, ID_BLOCK, operation_id)
+        .await?;
     let mut writer = core.writer.lock();
-    writer.open(opened.session, opened.reserved);
-    core.progress.notify_all();
+    if core.is_current(index) {
+        writer.open(opened.session, opened.reserved);
+        core.progress.notify_all();
+    }
     Ok(())
 }
 
-async fn write(core: &Core, index: &IndexHandle, request: v1::WriteRequest) -> Result<(), Error> {
-    let (session, batch) = (request.session, request.batch);
+async fn write(core: &Core, index: &IndexHandle, request: &v1::WriteRequest) -> Result<(), Error> {
     let (reserved, revision) = core.link.write(index, request).await?;
-    let mut writer = core.writer.lock();
-    // The index may have been re-made meanwhile.
-    if writer.session == Some(session) {
+    let answerable = {
+        let mut writer = core.writer.lock();
+        if writer.session != Some(request.session) || !core.is_current(index) {
+            return Ok(());
+        }
         writer.reserve(reserved);
+        writer.wanted_ids = 0;
         let mut points = core.points.write();
         let published = core.published.lock().1;
-        writer.acknowledge(batch, revision, published, &mut points)?;
-    }
-    core.progress.notify_all();
+        let answerable = writer.acknowledge(request.batch, revision, published, &mut points)?;
+        core.progress.notify_all();
+        answerable
+    };
+    core.answer(answerable);
     Ok(())
+}
+
+/// The server refused a batch for good, unless the session is another one by now.
+fn refuse(core: &Core, index: &IndexHandle, session: u64, error: Error) {
+    let mut writer = core.writer.lock();
+    if writer.session == Some(session) && core.is_current(index) {
+        core.refuse(&mut writer, error);
+    }
 }

@@ -13,7 +13,7 @@ use wayfold_proto::v1;
 use super::{
     batch::{Batch, Step, UnsentWrite},
     ids::ReservedIds,
-    meanwhile::{Arrivals, Asked},
+    meanwhile::{Answerable, Arrivals, Question},
     rebased::Rebased,
 };
 use crate::{
@@ -42,6 +42,8 @@ pub(super) struct Writer {
     rebased: HashMap<u64, Rebased>,
     /// The bytes of `queue`.
     pub(super) bytes: usize,
+    /// The ids that callers wait for.
+    pub(super) wanted_ids: u64,
     /// The number of writes so far.
     pub(super) written: u64,
     /// The number of writes that the server has acknowledged, or that were given back.
@@ -49,6 +51,8 @@ pub(super) struct Writer {
     pub(super) arrivals: Arrivals,
     /// The reason for which the server takes no more writes, until the caller has taken back those that it did not take.
     pub(super) refused: Option<Arc<Error>>,
+    /// The number of refusals so far.
+    pub(super) refusals: u64,
     unsent: Vec<UnsentWrite>,
     /// The sessions that were this process's before.
     past_sessions: Vec<u64>,
@@ -69,10 +73,12 @@ impl Writer {
             next_number: 1,
             rebased: HashMap::new(),
             bytes: 0,
+            wanted_ids: 0,
             written: 0,
             settled: 0,
             arrivals: Arrivals::default(),
             refused: None,
+            refusals: 0,
             unsent: Vec::new(),
             past_sessions: Vec::new(),
             is_idle: false,
@@ -96,12 +102,12 @@ impl Writer {
 
     /// True if a session is open, or writes wait for one.
     pub(super) fn has_session(&self) -> bool {
-        self.session.is_some() || !self.queue.is_empty()
+        self.session.is_some() || self.settled < self.written
     }
 
-    /// True if a session was this process's, and is no more.
-    pub(super) fn is_past(&self, session: u64) -> bool {
-        self.past_sessions.contains(&session)
+    /// True if a session is or was this process's.
+    pub(super) fn is_own(&self, session: u64) -> bool {
+        self.session == Some(session) || self.past_sessions.contains(&session)
     }
 
     pub(super) fn reserve(&mut self, block: Option<v1::IdBlock>) {
@@ -130,12 +136,14 @@ impl Writer {
         &mut self,
         id: u64,
         row: &[f64],
-        search: Search<'static>,
+        search: &Search<'_>,
         found: &[Neighbor],
         at: u64,
     ) {
         if let Some(batch) = self.queue.back_mut() {
-            batch.asked.push(Asked::new(id, row, search, found, at));
+            batch
+                .questions
+                .push(Question::new(id, row, search, found, at));
             self.arrivals.open();
         }
     }
@@ -205,57 +213,86 @@ impl Writer {
         batch
     }
 
-    /// The next batch to send, which grows no more. With `reserve_ids` there is one even if no write is pending.
-    pub(super) fn next(&mut self, reserve_ids: bool) -> Option<v1::WriteRequest> {
+    /// The next batch to send, which grows no more. With `reserve_count` there is one even if no write is pending.
+    pub(super) fn next(&mut self, session: u64, reserve_count: u64) -> Option<v1::WriteRequest> {
         let is_taken = |batch: &Batch| batch.revision.is_some();
-        if reserve_ids && self.queue.iter().all(is_taken) {
+        if reserve_count > 0 && self.queue.iter().all(is_taken) {
             self.queue.push_back(Batch::default());
         }
         let batch = self.queue.iter_mut().find(|batch| !is_taken(batch))?;
         if batch.number == 0 {
             batch.number = self.next_number;
+            batch.session = session;
+            batch.reserve_count = reserve_count;
             self.next_number += 1;
         }
         Some(batch.message())
     }
 
-    /// The server has taken a batch and made this revision of it; the copy has reached revision `published`.
+    /// The server has taken a batch of the session and made this revision of it; the copy has reached revision
+    /// `published`.
     pub(super) fn acknowledge(
         &mut self,
         number: u64,
         revision: u64,
         published: u64,
         points: &mut LocalPoints,
-    ) -> Result<(), Error> {
-        let Some(batch) = self.queue.iter_mut().find(|batch| batch.number == number) else {
-            return Ok(());
+    ) -> Result<Vec<Answerable>, Error> {
+        let session = self.session.unwrap_or(0);
+        let is_it = |batch: &&mut Batch| batch.session == session && batch.number == number;
+        let Some(batch) = self.queue.iter_mut().find(is_it) else {
+            return Ok(Vec::new());
         };
         if batch.revision.replace(revision).is_none() {
             self.settled += batch.len() as u64;
         }
         // The copy was read at a later revision, so its feed does not name the batch.
-        if revision <= published {
-            self.confirm_first(true, points)?;
-        }
-        Ok(())
+        self.confirm_up_to(published, points)
     }
 
-    /// The feed has reached the own batch of this number.
-    pub(super) fn confirm(&mut self, number: u64, points: &mut LocalPoints) -> Result<(), Error> {
+    /// Confirms the batches that were published up to a revision which the copy has.
+    fn confirm_up_to(
+        &mut self,
+        published: u64,
+        points: &mut LocalPoints,
+    ) -> Result<Vec<Answerable>, Error> {
+        let mut answerable = Vec::new();
         while let Some(first) = self.queue.front()
-            && (1..=number).contains(&first.number)
+            && first.revision.is_some_and(|revision| revision <= published)
         {
-            // The feed does not name a batch that was published before the copy was read.
-            let is_newer = first.number < number;
-            self.confirm_first(is_newer, points)?;
+            answerable.extend(self.confirm_first(true, points)?);
         }
-        Ok(())
+        Ok(answerable)
+    }
+
+    /// The feed has reached the own batch of this number. None if it waits for no such batch.
+    pub(super) fn confirm(
+        &mut self,
+        session: u64,
+        number: u64,
+        points: &mut LocalPoints,
+    ) -> Result<Option<Vec<Answerable>>, Error> {
+        let is_it = |batch: &Batch| batch.session == session && batch.number == number;
+        let Some(at) = self.queue.iter().position(is_it) else {
+            return Ok(None);
+        };
+        let mut answerable = Vec::new();
+        // The feed does not name a batch that was published before the copy was read.
+        for _ in 0..at {
+            answerable.extend(self.confirm_first(true, points)?);
+        }
+        answerable.extend(self.confirm_first(false, points)?);
+        Ok(Some(answerable))
     }
 
     /// The oldest batch is published; the copy's points have it already if they are newer.
-    fn confirm_first(&mut self, is_newer: bool, points: &mut LocalPoints) -> Result<(), Error> {
+    fn confirm_first(
+        &mut self,
+        is_newer: bool,
+        points: &mut LocalPoints,
+    ) -> Result<Option<Answerable>, Error> {
         let Some(batch) = self.queue.pop_front() else {
-            return Ok(());
+            return Ok(None);
         };
         self.bytes -= batch.bytes();
         if batch.revision.is_none() {
@@ -275,10 +312,8 @@ impl Writer {
                 }
             }
         }
-        for asked in &batch.asked {
-            self.arrivals.answer(asked, points);
-        }
-        Ok(())
+        let oldest = self.queue.iter().find_map(|batch| batch.questions.first());
+        Ok(self.arrivals.answerable(batch.questions, oldest, points))
     }
 
     /// Another writer has removed and stored points, as one record.
@@ -288,15 +323,14 @@ impl Writer {
         removed: &[u64],
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
-        let at = points.seen().0 + 1;
-        if self.rebased.is_empty() {
-            let arrivals = &mut self.arrivals;
-            let stored = stored.inspect(|row| arrivals.push(at, row));
+        if self.rebased.is_empty() && !self.arrivals.are_wanted() {
             return points.apply(stored, removed);
         }
+        let at = points.seen().0 + 1;
         let mut plain = Vec::new();
         for row in stored {
-            self.arrivals.push(at, &row);
+            let held = if row.is_new { None } else { points.get(row.id) };
+            self.arrivals.push(at, row.id, held.map(|held| held.tag));
             match self.rebased.get_mut(&row.id) {
                 None => plain.push(row),
                 Some(rebased) => {
@@ -318,24 +352,19 @@ impl Writer {
         points.apply(plain.into_iter(), &plain_removed)
     }
 
-    /// The copy was read again at this revision: applies all pending writes to it. The server may have taken some of
-    /// them before.
+    /// The copy was read again, at a revision: applies the pending writes to it. The server may have taken some of the
+    /// others before.
     pub(super) fn reloaded(
         &mut self,
         revision: u64,
         points: &mut LocalPoints,
-    ) -> Result<(), Error> {
+    ) -> Result<Vec<Answerable>, Error> {
         self.rebased.clear();
-        for asked in self.queue.iter_mut().flat_map(|batch| &mut batch.asked) {
-            self.arrivals.reloaded(asked);
+        for question in self.queue.iter_mut().flat_map(|batch| &mut batch.questions) {
+            question.reloaded();
         }
-        // The copy has these batches, and the feed will not name them.
-        let is_read = |batch: &Batch| batch.revision.is_some_and(|taken| taken <= revision);
-        while self.queue.front().is_some_and(is_read) {
-            self.confirm_first(true, points)?;
-        }
-        let queue = std::mem::take(&mut self.queue);
-        for batch in &queue {
+        let answerable = self.confirm_up_to(revision, points)?;
+        for batch in &self.queue {
             for (id, step) in batch.steps(self.width) {
                 let base = || points.get(id).map(|point| (point.tag, point.row));
                 let rebased = self
@@ -345,50 +374,59 @@ impl Writer {
                 rebased.push(&step);
             }
         }
-        self.queue = queue;
         for (&id, rebased) in &self.rebased {
             show(id, rebased, points)?;
         }
-        Ok(())
+        Ok(answerable)
     }
 
     /// The server refused the oldest batch that it has not taken, for good: takes all writes from there on out of the
-    /// copy, and keeps them for the caller.
+    /// copy, and keeps them for the caller. Batches that it has taken wait for the feed as before.
     pub(super) fn refuse(
         &mut self,
         why: Arc<Error>,
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
-        if self.refused.is_none() {
-            self.refused = Some(why);
-        }
+        self.refused.get_or_insert(why);
+        self.refusals += 1;
         self.past_sessions.extend(self.session.take());
         self.ids.clear();
-        for batch in std::mem::take(&mut self.queue) {
+        let is_taken = |batch: &Batch| batch.revision.is_some();
+        let taken = self
+            .queue
+            .iter()
+            .take_while(|batch| is_taken(batch))
+            .count();
+        for batch in self.queue.split_off(taken) {
             self.bytes -= batch.bytes();
-            for _ in &batch.asked {
-                self.arrivals.close();
-            }
-            let is_taken = batch.revision.is_some();
+            self.arrivals.close(batch.questions.len());
+            self.settled += batch.len() as u64;
             for (id, _) in batch.steps(self.width) {
                 match self.rebased.get_mut(&id) {
-                    Some(rebased) if is_taken => drop(rebased.confirm(false)),
-                    Some(_) => {}
                     // An insert under an id of this session.
-                    None if is_taken => {}
                     None => drop(points.remove(id)?),
+                    Some(rebased) => {
+                        let is_settled = rebased.give_up();
+                        show(id, rebased, points)?;
+                        if is_settled {
+                            self.rebased.remove(&id);
+                        }
+                    }
                 }
             }
-            if !is_taken {
-                self.settled += batch.len() as u64;
-                self.unsent.extend(batch.unsent(self.width));
-            }
-        }
-        for (id, mut rebased) in std::mem::take(&mut self.rebased) {
-            rebased = Rebased::new(rebased.base);
-            show(id, &rebased, points)?;
+            self.unsent.extend(batch.unsent(self.width));
         }
         Ok(())
+    }
+
+    /// The index was made again: nothing that was sent or published of it counts any more.
+    pub(super) fn forget_history(&mut self) {
+        self.past_sessions.clear();
+        for batch in self.queue.drain(..) {
+            self.arrivals.close(batch.questions.len());
+        }
+        self.rebased.clear();
+        self.bytes = 0;
     }
 
     /// The writes that the server did not take, in their order. Writing may begin again.
@@ -421,3 +459,7 @@ fn show(id: u64, rebased: &Rebased, points: &mut LocalPoints) -> Result<(), Erro
     }
     Ok(())
 }
+
+#[cfg(test)]
+#[path = "writer_tests.rs"]
+mod tests;

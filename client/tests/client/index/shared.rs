@@ -175,11 +175,17 @@ fn no_edge_between_processes_is_missed() {
         while index.len().unwrap() < points {
             thread::yield_now();
         }
-        let (meanwhile, is_complete) = index.meanwhile();
-        assert!(is_complete);
-        for told in meanwhile {
-            assert!(!told.is_superset);
-            edges.extend(told.neighbors.iter().map(|neighbor| (told.id, neighbor.id)));
+        loop {
+            let meanwhile = index.meanwhile();
+            assert!(!meanwhile.has_dropped);
+            for answer in meanwhile.answers {
+                assert!(!answer.is_superset);
+                let found = answer.neighbors.iter();
+                edges.extend(found.map(|neighbor| (answer.id, neighbor.id)));
+            }
+            if meanwhile.open == 0 {
+                break;
+            }
         }
     }
     let once = edges.len();

@@ -1,0 +1,217 @@
+//! Lost answers, reloads and refusals, without a server.
+
+use super::*;
+use crate::index::local::LocalPoints;
+use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
+
+fn space() -> Space {
+    "R1".parse().expect("a space")
+}
+
+/// A writer in session 1, with ids from 100 on, and an empty copy.
+fn writer() -> (Writer, LocalPoints) {
+    let mut writer = Writer::new(1);
+    writer.open(
+        1,
+        Some(v1::IdBlock {
+            first_id: 100,
+            count: 50,
+        }),
+    );
+    (writer, LocalPoints::new(&space()))
+}
+
+fn put(tag: u64, row: &[f64]) -> Step<'_> {
+    Step::Put {
+        tag,
+        row,
+        payload: &[],
+    }
+}
+
+fn insert(writer: &mut Writer, points: &mut LocalPoints, row: f64) -> u64 {
+    let id = writer.ids.next().expect("an id");
+    writer.insert(id, &put(0, &[row]), points).expect("a state");
+    id
+}
+
+/// Another writer's record.
+fn foreign(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64, row: f64) {
+    let row = [row];
+    let stored = NewRow {
+        id,
+        tag,
+        row: &row,
+        is_new: true,
+    };
+    writer
+        .apply([stored].into_iter(), &[], points)
+        .expect("a state");
+}
+
+/// A copy that was read again, with these points.
+fn reload(writer: &mut Writer, points: &mut LocalPoints, revision: u64, rows: &[(u64, u64, f64)]) {
+    let at = points.seen().0 + 1_000;
+    let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
+    let mut table = Points::new(1);
+    for &(id, tag, row) in rows {
+        table.push(id, tag, at, &[row]);
+    }
+    forest.apply(at, &table, &[]).expect("states");
+    points.replace(forest);
+    writer.reloaded(revision, points).expect("a copy");
+}
+
+fn shown(points: &LocalPoints, id: u64) -> Option<(u64, f64)> {
+    points.get(id).map(|point| (point.tag, point.row[0]))
+}
+
+#[test]
+fn a_repeated_request_is_the_same() {
+    let (mut writer, mut points) = writer();
+    insert(&mut writer, &mut points, 1.0);
+    let first = writer.next(1, 0);
+    insert(&mut writer, &mut points, 2.0);
+    assert_eq!(writer.next(1, 65_536), first);
+    assert_eq!(first.map(|request| request.ids), Some(vec![100]));
+}
+
+#[test]
+fn a_reload_settles_the_batches_that_it_holds() {
+    let (mut writer, mut points) = writer();
+    foreign(&mut writer, &mut points, 5, 0, 0.5);
+    writer
+        .change(5, &Step::SetTag(1), &mut points)
+        .expect("a point");
+    writer.next(1, 0).expect("a batch");
+    writer.acknowledge(1, 10, 1, &mut points).expect("a batch");
+    assert_eq!(shown(&points, 5), Some((1, 0.5)));
+    // Another writer has set the tag 2 after it.
+    reload(&mut writer, &mut points, 20, &[(5, 2, 0.5)]);
+    assert_eq!(shown(&points, 5), Some((2, 0.5)));
+    assert_eq!(writer.bytes, 0);
+}
+
+/// The answer to a batch arrives after the reload that holds it.
+#[test]
+fn an_answer_after_a_reload_settles_its_batch_and_those_before_it() {
+    let (mut writer, mut points) = writer();
+    let first = insert(&mut writer, &mut points, 1.0);
+    writer.next(1, 0).expect("a batch");
+    reload(&mut writer, &mut points, 20, &[]);
+    // Another writer removed the point before the reload, but nobody knows yet.
+    assert_eq!(shown(&points, first), Some((0, 1.0)));
+    writer.acknowledge(1, 15, 20, &mut points).expect("a batch");
+    assert_eq!(shown(&points, first), None);
+    assert_eq!((writer.bytes, writer.settled), (0, 1));
+}
+
+#[test]
+fn a_batch_that_was_taken_waits_for_the_feed_after_a_refusal() {
+    let (mut writer, mut points) = writer();
+    foreign(&mut writer, &mut points, 5, 0, 0.5);
+    writer
+        .change(5, &Step::Replace { row: &[1.0] }, &mut points)
+        .expect("a point");
+    writer.next(1, 0).expect("a batch");
+    writer.acknowledge(1, 10, 1, &mut points).expect("a batch");
+    let lost = insert(&mut writer, &mut points, 2.0);
+    writer
+        .change(5, &Step::Remove, &mut points)
+        .expect("a point");
+    writer
+        .refuse(Arc::new(Error::Closed), &mut points)
+        .expect("a copy");
+    assert_eq!(shown(&points, lost), None);
+    assert_eq!(shown(&points, 5), Some((0, 1.0)));
+    // Revision 9, of another writer, and then the own revision 10.
+    foreign(&mut writer, &mut points, 5, 0, 9.0);
+    assert_eq!(shown(&points, 5), Some((0, 1.0)));
+    assert!(writer.is_own(1));
+    assert!(
+        writer
+            .confirm(1, 1, &mut points)
+            .expect("a batch")
+            .is_some()
+    );
+    assert_eq!(shown(&points, 5), Some((0, 1.0)));
+    let unsent = writer.take_unsent();
+    assert_eq!(unsent.len(), 2);
+    // A batch that was given back is none of those the writer waits for.
+    assert!(
+        writer
+            .confirm(1, 2, &mut points)
+            .expect("a batch")
+            .is_none()
+    );
+}
+
+#[test]
+fn a_history_that_is_gone_leaves_no_session() {
+    let (mut writer, mut points) = writer();
+    insert(&mut writer, &mut points, 1.0);
+    writer
+        .refuse(Arc::new(Error::Closed), &mut points)
+        .expect("a copy");
+    assert!(writer.is_own(1));
+    writer.forget_history();
+    assert!(!writer.is_own(1));
+    assert_eq!(writer.take_unsent().len(), 1);
+    assert_eq!(points.forest.len(), 0);
+}
+
+/// The first batch is answered exactly, the second one after a reload by a superset.
+#[test]
+fn a_question_is_answered_when_its_point_is_published() {
+    let (mut writer, mut points) = writer();
+    let ask = |writer: &mut Writer, points: &mut LocalPoints, row: f64| {
+        let id = insert(writer, points, row);
+        writer.ask(id, &[row], &Search::nearest_k(1), &[], points.seen().0);
+        id
+    };
+    foreign(&mut writer, &mut points, 1, 0, 0.0);
+    let first = ask(&mut writer, &mut points, 1.0);
+    foreign(&mut writer, &mut points, 2, 0, 1.5);
+    foreign(&mut writer, &mut points, 3, 0, 1.25);
+    writer.next(1, 0).expect("a batch");
+    let answers = writer
+        .confirm(1, 1, &mut points)
+        .expect("a batch")
+        .expect("an own batch");
+    let answers: Vec<_> = answers
+        .into_iter()
+        .flat_map(|it| it.answer(&space()))
+        .collect();
+    assert_eq!(answers.len(), 1);
+    assert_eq!((answers[0].id, answers[0].neighbors.len()), (first, 1));
+    assert_eq!(
+        (answers[0].neighbors[0].id, answers[0].is_superset),
+        (3, false)
+    );
+
+    let second = ask(&mut writer, &mut points, 2.0);
+    writer.next(1, 0).expect("a batch");
+    reload(
+        &mut writer,
+        &mut points,
+        30,
+        &[(1, 0, 0.0), (first, 0, 1.0), (4, 0, 2.5)],
+    );
+    let answers = writer.acknowledge(2, 40, 30, &mut points).expect("a batch");
+    assert!(answers.is_empty());
+    let answers = writer
+        .confirm(1, 2, &mut points)
+        .expect("a batch")
+        .expect("an own batch");
+    let answers: Vec<_> = answers
+        .into_iter()
+        .flat_map(|it| it.answer(&space()))
+        .collect();
+    assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
+    let found: Vec<u64> = answers[0]
+        .neighbors
+        .iter()
+        .map(|neighbor| neighbor.id)
+        .collect();
+    assert_eq!(found, [4, first, 1]);
+}
