@@ -101,8 +101,8 @@ pub(super) struct Arrivals {
 #[derive(Debug)]
 pub(super) struct Answerable {
     questions: Vec<Question>,
-    /// The change, the old tag if only the tag is new, and the point.
-    arrived: Vec<(u64, Option<u64>, Point)>,
+    /// The changes of each point, the oldest first, with the old tag if only the tag is new; and the point.
+    arrived: Vec<(Vec<(u64, Option<u64>)>, Point)>,
     snapshot: Option<Snapshot>,
 }
 
@@ -142,16 +142,15 @@ impl Arrivals {
     ) -> Option<Answerable> {
         let first = questions.first()?.at;
         let after = self.stored.partition_point(|arrival| arrival.at <= first);
+        let mut changes: HashMap<u64, Vec<(u64, Option<u64>)>> = HashMap::new();
+        for arrival in self.stored.range(after..) {
+            let of_point = changes.entry(arrival.id).or_default();
+            of_point.push((arrival.at, arrival.old_tag));
+        }
         // A point that was stored twice counts as it is now.
-        let newest: HashMap<u64, &Arrival> = self
-            .stored
-            .range(after..)
-            .map(|arrival| (arrival.id, arrival))
-            .collect();
-        let arrived = newest.into_values().filter_map(|arrival| {
-            let point = points.get(arrival.id)?;
-            Some((arrival.at, arrival.old_tag, point))
-        });
+        let arrived = changes
+            .into_iter()
+            .filter_map(|(id, changes)| Some((changes, points.get(id)?)));
         let answerable = Answerable {
             arrived: arrived.collect(),
             snapshot: questions
@@ -220,10 +219,15 @@ impl Answerable {
     fn arrived(&self, question: &Question, space: &Space) -> Vec<Neighbor> {
         let filter = question.filter;
         let passes = |tag: u64| tag & filter.tag_mask == filter.tag_value;
-        let unseen = self.arrived.iter().filter(|(at, old_tag, point)| {
-            *at > question.at && passes(point.tag) && !old_tag.is_some_and(passes)
+        let unseen = self.arrived.iter().filter(|(changes, point)| {
+            let later = changes.iter().filter(|(at, _)| *at > question.at);
+            let Some((_, old_tag)) = later.clone().next() else {
+                return false;
+            };
+            let is_new = later.clone().any(|(_, old_tag)| old_tag.is_none());
+            passes(point.tag) && (is_new || !old_tag.is_some_and(passes))
         });
-        let neighbors = unseen.map(|(_, _, point)| Neighbor {
+        let neighbors = unseen.map(|(_, point)| Neighbor {
             distance: space.distance(&question.row, &point.row),
             id: point.id,
         });

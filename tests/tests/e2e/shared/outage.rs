@@ -229,3 +229,24 @@ async fn pending_writes_come_back_from_a_server_that_lost_the_index() {
     check_copies(&content(&fresh), &space, &[&index]);
     assert_eq!(index.nearest(at(2.0, 0.0)).unwrap().unwrap().id, new);
 }
+
+/// A point that arrives new and is tagged before the copy hears of either counts as new.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_edge_to_a_point_that_was_tagged_meanwhile_is_missed() {
+    let server = server!();
+    let way = Proxy::to(server.uri()).await;
+    let space: Space = "R1".parse().unwrap();
+    let (there, away) = (shared(server.uri(), &space), shared(&way.uri, &space));
+    way.close();
+    let ask = InsertOptions::new().ask(Search::within(2.0));
+    let inserted = away.insert_with([0.0], ask).unwrap();
+    let near = there.insert([1.0]).unwrap();
+    there.flush().unwrap();
+    assert!(there.set_tag(near, 5).unwrap());
+    there.flush().unwrap();
+    way.lead_to(server.uri());
+    away.flush().unwrap();
+    let told = take_answers(&away);
+    let ids = told.iter().map(|told| (told.id, told.neighbors[0].id));
+    assert_eq!(ids.collect::<Vec<_>>(), [(inserted.id, near)]);
+}
