@@ -6,7 +6,6 @@ use std::{
 };
 
 use clap::Parser;
-use tokio::runtime::{Builder, Runtime};
 
 use super::{
     comparison::{self, Comparison, Open, Trials},
@@ -54,9 +53,7 @@ impl<P: Verify> Example<P> {
         let options = Options::parse();
         let problem = problem();
         let ended = match &options.role {
-            Some(Role::Grow(job)) => {
-                runtime().and_then(|runtime| runtime.block_on(job::grow(&problem, job)))
-            }
+            Some(Role::Grow(job)) => job::grow(&problem, job),
             None => self.start(&problem, &options),
         };
         match ended {
@@ -141,7 +138,7 @@ impl<P: Verify> Example<P> {
         let host = Host::new(options.server.as_deref())?;
         let seed = options.seed;
         let solved = shared::solve(problem, host.uri(), options, workers, source, seed);
-        let solved = runtime()?.block_on(solved)?;
+        let solved = host.block_on(solved)?;
         print!("{}", shared_report::table(&solved));
         figures::write([solved.row(problem)], options.json.as_deref())?;
         let (Some(draw), Some(file)) = (self.draw_shared, self.picture(options)) else {
@@ -155,16 +152,9 @@ impl<P: Verify> Example<P> {
     fn scale(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
         options.source.served()?;
         let host = Host::new(options.server.as_deref())?;
-        let all = runtime()?.block_on(shared::compare(problem, host.uri(), options))?;
+        let all = host.block_on(shared::compare(problem, host.uri(), options))?;
         print!("{}", shared_report::comparison(&all));
         let rows = all.iter().map(|solved| solved.row(problem));
         figures::write(rows, options.json.as_deref())
     }
-}
-
-/// The main thread makes the calls and computes between them. A replica follows on the other thread.
-fn runtime() -> Result<Runtime, PlanningError> {
-    let mut runtime = Builder::new_multi_thread();
-    let runtime = runtime.worker_threads(1).enable_all().build();
-    runtime.map_err(PlanningError::Threads)
 }

@@ -15,6 +15,7 @@ use super::{
     },
     account::Account,
     job::Job,
+    meeting,
     store::Store,
     trees::SharedTrees,
 };
@@ -41,6 +42,16 @@ impl SharedSolution {
         self.crew.accounts.iter().copied().sum()
     }
 
+    /// The vertices that the workers inserted per second, until the server had acknowledged all.
+    pub fn rate(&self) -> f64 {
+        self.sum().vertices as f64 / self.crew.wall.as_secs_f64()
+    }
+
+    /// The account of its time.
+    pub fn spent(&self) -> RunTimes {
+        RunTimes::by_workers(self.crew.end(), self.crew.wall, self.sum().times)
+    }
+
     /// Its figures.
     pub fn row(&self, problem: &impl Problem) -> Row {
         let sum = self.sum();
@@ -50,7 +61,7 @@ impl SharedSolution {
             workers: self.crew.accounts.len(),
             seed: self.seed,
             nodes: self.shared.len() as u64,
-            spent: RunTimes::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            spent: self.spent(),
             checks: sum.checks as u64,
             path_lengths: vec![path::length(problem, &self.path)],
         }
@@ -78,7 +89,6 @@ pub async fn solve(
         seed,
         max_vertices,
         source,
-        batch: options.batch,
         progress_ms: PROGRESS_MS,
         halt_at: None,
     };
@@ -99,7 +109,7 @@ pub async fn solve(
 
 /// The current trees, and the path through the vertices at which they have met.
 pub async fn read(store: &Store) -> Result<(SharedTrees, Vec<Vec<f64>>), PlanningError> {
-    let vertices = store.meeting().vertices().await?;
+    let vertices = meeting::vertices(store.meeting()).await?;
     let shared = SharedTrees::read(store).await?;
     let unsolved = PlanningError::Unsolved {
         nodes: shared.len(),
