@@ -71,11 +71,8 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 
 /// True if the motion from `a` to `b` touches no disc.
 fn is_free_way(a: [f64; 2], b: [f64; 2]) -> bool {
-    let is_free = |state| {
-        DISCS
-            .iter()
-            .all(|&(disc, radius)| distance(state, disc) > radius)
-    };
+    let is_outside = |state, (disc, radius)| distance(state, disc) > radius;
+    let is_free = |state| DISCS.iter().all(|&disc| is_outside(state, disc));
     let steps = (distance(a, b) / RESOLUTION).ceil().max(1.0);
     (0..=steps as usize).all(|step| is_free(between(a, b, step as f64 / steps)))
 }

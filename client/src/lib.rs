@@ -87,8 +87,8 @@ pub use error::Error;
 pub use handle::IndexHandle;
 pub use include::Include;
 pub use index::{
-    Changes, Found, Index, InsertOptions, InsertedPoint, Meanwhile, OpenShared, Search, Status,
-    StoredPoint, StoredPoints, UnsentWrite,
+    Changes, Found, Index, InsertOptions, InsertedPoint, Meanwhile, OpenRemote, OpenShared, Search,
+    Status, StoredPoint, StoredPoints, UnsentWrite,
 };
 pub use info::{DamagedIndex, IndexInfo, IndexList};
 pub use layout::{Coordinate, coordinate_names};

@@ -123,7 +123,7 @@ macro_rules! search_options {
 use search_options;
 
 /// The operation id of a mutation whose caller gave none, so that the client can retry it.
-fn fresh_operation_id() -> String {
+pub(crate) fn fresh_operation_id() -> String {
     uuid::Uuid::new_v4().to_string()
 }
 

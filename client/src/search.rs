@@ -202,7 +202,7 @@ pub struct NeighborSpec {
 bounded!(NeighborSpec);
 
 impl NeighborSpec {
-    fn of(k: Option<K>, radius: Option<Radius>) -> NeighborSpec {
+    pub(crate) fn of(k: Option<K>, radius: Option<Radius>) -> NeighborSpec {
         NeighborSpec {
             bounds: Bounds { k, radius },
             filter: Filter::default(),

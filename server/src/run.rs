@@ -87,13 +87,7 @@ pub(crate) async fn serve(
     ready: impl FnOnce(&Addresses),
 ) -> Result<(), ServerError> {
     let address = listener.local_addr()?;
-    if !address.ip().is_loopback() {
-        warn!(
-            %address,
-            "listening beyond this machine without authentication and encryption, which do not exist yet: \
-             anyone who can reach this address can read and change every index"
-        );
-    }
+    warn_beyond_loopback(address);
     let durability = config.data.directory().map(|_| config.data.durability);
     let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
@@ -145,8 +139,28 @@ pub(crate) async fn serve(
     // The service refuses new calls first, so that all of them fail once the phase announces the shutdown.
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
-    let grace_ms = config.shutdown.grace_ms;
-    let faces: Vec<Admission> = [admission]
+    drain(serving, zenoh, admission, cut, config.shutdown.grace_ms).await
+}
+
+fn warn_beyond_loopback(address: SocketAddr) {
+    if !address.ip().is_loopback() {
+        warn!(
+            %address,
+            "listening beyond this machine without authentication and encryption, which do not exist yet: \
+             anyone who can reach this address can read and change every index"
+        );
+    }
+}
+
+/// Finishes the accepted calls for at most the grace time, then cuts the rest. `serving` ends once gRPC has stopped.
+async fn drain(
+    serving: impl Future<Output = Result<(), GrpcError>>,
+    zenoh: Option<ZenohFace>,
+    grpc: Admission,
+    cut: CancellationToken,
+    grace_ms: u64,
+) -> Result<(), ServerError> {
+    let faces: Vec<Admission> = [grpc]
         .into_iter()
         .chain(zenoh.as_ref().map(ZenohFace::admission))
         .collect();

@@ -50,6 +50,17 @@ enum Detail {
     Quota(&'static str, u64),
 }
 
+impl Detail {
+    /// The field at which the error lies.
+    fn of_field(field: &str, error: &Error) -> Self {
+        Self::Fields(vec![Violation {
+            field: field.to_owned(),
+            reason: error.reason(),
+            description: error.to_string(),
+        }])
+    }
+}
+
 /// The status of a failed call.
 pub(crate) fn from_error(error: &Error) -> Status {
     if matches!(error.code(), Code::Internal | Code::DataLoss) {
@@ -83,10 +94,9 @@ pub(crate) fn limit(
         reason,
         message,
         metadata: HashMap::new(),
-        detail: Some(Detail::Quota(limit, value as u64)),
+        detail: None,
     };
-    status.set("limit", limit);
-    status.set("value", value);
+    status.detail = Some(status.quota(limit, value as u64));
     status
 }
 
@@ -114,11 +124,7 @@ impl Status {
             }
             Error::OperationMismatch { operation_id } => {
                 self.set("operation_id", operation_id);
-                Detail::Fields(vec![Violation {
-                    field: "operation_id".to_owned(),
-                    reason: error.reason(),
-                    description: error.to_string(),
-                }])
+                Detail::of_field("operation_id", error)
             }
             Error::IndexNotFound { name } | Error::NameTaken { name } => {
                 Detail::Resource("wayfold.v1.Index", name.clone())
@@ -126,11 +132,7 @@ impl Status {
             Error::BatchMismatch { session, batch } => {
                 self.set("session", session);
                 self.set("batch", batch);
-                Detail::Fields(vec![Violation {
-                    field: "batch".to_owned(),
-                    reason: error.reason(),
-                    description: error.to_string(),
-                }])
+                Detail::of_field("batch", error)
             }
             Error::SessionRefused {
                 index,
@@ -138,13 +140,12 @@ impl Status {
                 batch,
                 newest,
             } => {
-                self.set("index", index);
                 self.set("session", session);
                 self.set("batch", batch);
                 if let Some(newest) = newest {
                     self.set("newest_batch", newest);
                 }
-                Detail::Precondition(index.clone())
+                self.precondition(index)
             }
             Error::PointsNotFound { index, ids }
             | Error::PointsExist { index, ids }
@@ -168,19 +169,21 @@ impl Status {
                 requested,
                 found,
             } => {
-                self.set("index", index);
                 self.set("requested", requested);
                 self.set("found", found);
-                Detail::Precondition(index.clone())
+                self.precondition(index)
             }
             Error::RevisionConflict {
                 index,
                 if_revision,
                 ids,
             } => {
-                self.set("index", index);
                 self.set("if_revision", if_revision);
                 self.set_ids(ids);
+                self.precondition(index)
+            }
+            Error::ScanEnded { index } => {
+                self.set("index", index);
                 Detail::Precondition(index.clone())
             }
             Error::LimitExceeded {
@@ -189,10 +192,8 @@ impl Status {
                 requested,
                 advice: _,
             } => {
-                self.set("limit", limit);
-                self.set("value", value);
                 self.set("requested", requested);
-                Detail::Quota(limit, *value)
+                self.quota(limit, *value)
             }
             Error::IdsExhausted { index } => {
                 self.set("index", index);
@@ -205,12 +206,12 @@ impl Status {
                 if let Some(id) = after_id {
                     self.set("after_id", id);
                 }
-                self.scan_seconds(*max_scan_seconds)
+                self.quota("max_scan_seconds", *max_scan_seconds)
             }
             Error::HeldTooLong {
                 what: _,
                 max_scan_seconds,
-            } => self.scan_seconds(*max_scan_seconds),
+            } => self.quota("max_scan_seconds", *max_scan_seconds),
             Error::Unavailable { why: _ }
             | Error::DeadlineExceeded { doing: _ }
             | Error::StorageFailed { what: _ }
@@ -219,10 +220,15 @@ impl Status {
         })
     }
 
-    fn scan_seconds(&mut self, value: u64) -> Detail {
-        self.set("limit", "max_scan_seconds");
+    fn quota(&mut self, limit: &'static str, value: u64) -> Detail {
+        self.set("limit", limit);
         self.set("value", value);
-        Detail::Quota("max_scan_seconds", value)
+        Detail::Quota(limit, value)
+    }
+
+    fn precondition(&mut self, index: &str) -> Detail {
+        self.set("index", index);
+        Detail::Precondition(index.to_owned())
     }
 
     fn set(&mut self, key: &str, value: impl ToString) {

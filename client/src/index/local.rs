@@ -54,7 +54,9 @@ impl LocalPoints {
         let Some(point) = self.forest.get(id) else {
             return Ok(false);
         };
-        self.store_as_of(id, tag, point.revision, &point.row)?;
+        if point.tag != tag {
+            self.store_as_of(id, tag, point.revision, &point.row)?;
+        }
         Ok(true)
     }
 

@@ -8,12 +8,14 @@ mod local;
 mod memory;
 mod merger;
 mod point;
+mod remote;
 mod runtime;
 mod scan;
 mod search;
 mod shared;
 
 pub use point::{Changes, Found, InsertOptions, InsertedPoint, StoredPoint, StoredPoints};
+pub use remote::OpenRemote;
 pub use search::Search;
 pub use shared::{Meanwhile, OpenShared, Status, UnsentWrite};
 
@@ -87,6 +89,11 @@ impl Index {
     /// A read sees everything up to one revision of the server's, and own writes after it in the order of their calls.
     pub fn shared(uri: &str, name: &str) -> OpenShared {
         OpenShared::new(uri, name)
+    }
+
+    /// The index of this name on a server, without a copy: each call is one of the server's, and waits for it.
+    pub fn remote(uri: &str, name: &str) -> OpenRemote {
+        OpenRemote::new(uri, name)
     }
 
     fn shared_form(shared: SharedIndex) -> Index {

@@ -21,6 +21,7 @@ fn scanned(revision: u64, found: &[(u64, f64)]) -> Vec<v1::ScanResponse> {
         points: Some(points(revision, found)),
         revision: fake::revision(revision),
         point_count: found.len() as u64,
+        held_scan: String::new(),
     }]
 }
 

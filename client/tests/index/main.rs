@@ -5,6 +5,7 @@
 mod conformance;
 mod memory;
 mod model;
+mod remote;
 #[path = "../client/server.rs"]
 mod server;
 mod shared;

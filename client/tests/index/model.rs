@@ -189,6 +189,10 @@ impl Model {
     fn replace(&mut self) {
         let (id, state) = (self.some_id(), self.state());
         let row = self.canonical(&state);
+        if self.points.get(id).is_some_and(|point| point.row == row) {
+            // The forms differ in whether that is a change.
+            return;
+        }
         let replaced = self.index.replace(id, &state[..]).unwrap();
         let tag = self.points.get(id).map(|point| point.tag);
         assert_eq!(replaced, tag.is_some());
@@ -204,7 +208,7 @@ impl Model {
         let is_stored = self.index.set_tag(id, tag).unwrap();
         let point = self.points.get(id).map(PointRef::to_point);
         assert_eq!(is_stored, point.is_some());
-        if let Some(point) = point {
+        if let Some(point) = point.filter(|point| point.tag != tag) {
             self.changes += 1;
             self.store(id, tag, &point.row, point.revision);
         }

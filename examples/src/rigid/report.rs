@@ -89,7 +89,8 @@ pub fn table(built: &Built) -> String {
     if let Some((killed, listened)) = built.crew.restarted {
         let _ = writeln!(
             text,
-            "The server was killed after {:.2} s and listened again after {:.2} s; no worker reported a milestone for {:.2} s.",
+            "The server was killed after {:.2} s and listened again after {:.2} s; no worker reported a milestone for \
+             {:.2} s.",
             killed.as_secs_f64(),
             listened.as_secs_f64(),
             built.crew.longest_pause().as_secs_f64(),

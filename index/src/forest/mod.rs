@@ -68,7 +68,7 @@ impl ForestOptions {
 }
 
 /// A mutation of more rows than `growing_rows` divided by this makes a level of its own, which a merge packs at once.
-const LARGE_MUTATION: usize = 8;
+const LARGE_MUTATION_DIVISOR: usize = 8;
 
 /// A dynamic set of points of one space with exact nearest-neighbour search.
 ///
@@ -244,7 +244,7 @@ impl Forest {
     /// Stores rows whose ids are not in the forest.
     fn store(&mut self, rows: &Points) {
         self.head.live += rows.len();
-        if rows.len() > (self.options.growing_rows / LARGE_MUTATION).max(1) {
+        if rows.len() > (self.options.growing_rows / LARGE_MUTATION_DIVISOR).max(1) {
             let space = Arc::clone(&self.head.space);
             let packed = Packed::unbuilt(space, rows);
             self.add_level(Level::Packed(Box::new(packed)));

@@ -5,8 +5,8 @@ use thiserror::Error;
 use super::Uid;
 
 /// The consequence of a failure of the store.
-const STORE_FAILED: &str = "whether the mutations under way are stored is unknown, and none is taken until the disk can be \
-                            written again, which is tried again and again; meanwhile reads go on";
+const STORE_FAILED: &str = "the outcome of the mutations under way is unknown, new ones are refused, and reads go on; \
+                            the server tries repeatedly to reopen the store";
 
 /// The error of a call of the log.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -35,8 +35,8 @@ pub enum LogError {
     },
     /// The journal's answer to a record was lost: the record may be in the journal or not.
     #[error(
-        "index {uid}: the answer to the record of revision {revision} was lost ({what}): it may be in the journal or not; read \
-         what you wrote, or repeat the call with the same operation_id"
+        "index {uid}: the answer to the record of revision {revision} was lost ({what}): it may be in the journal \
+         or not; read what you wrote, or repeat the call with the same operation_id"
     )]
     Unconfirmed {
         /// The index.
@@ -58,8 +58,8 @@ pub enum LogError {
     },
     /// A record differs from the one that was written.
     #[error(
-        "the record of revision {revision} is damaged: {what}; restore the index from a snapshot, or delete it and start \
-         anew ({uid})"
+        "the record of revision {revision} is damaged: {what}; restore the index from a snapshot, or delete it \
+         and create it again ({uid})"
     )]
     Damaged {
         /// The index.
@@ -71,7 +71,8 @@ pub enum LogError {
     },
     /// A point differs from the one that was written.
     #[error(
-        "the point with id {id} is damaged: {what}; restore the index from a snapshot, or delete it and start anew ({uid})"
+        "the point with id {id} is damaged: {what}; restore the index from a snapshot, or delete it and create it \
+         again ({uid})"
     )]
     DamagedPoint {
         /// The index.
@@ -83,8 +84,8 @@ pub enum LogError {
     },
     /// Points are missing, or they are not the last written ones.
     #[error(
-        "points are missing, or are not those of revision {revision}; restore the index from a snapshot, or delete it and \
-         start anew ({uid})"
+        "points are missing, or are not those of revision {revision}; restore the index from a snapshot, or \
+         delete it and create it again ({uid})"
     )]
     Incomplete {
         /// The index.
@@ -94,8 +95,8 @@ pub enum LogError {
     },
     /// The store read bytes that differ from the written ones.
     #[error(
-        "a part of its stored records and points is damaged ({what}); restore the index from a snapshot, or delete it and \
-         start anew ({uid})"
+        "a part of its stored records and points is damaged ({what}); restore the index from a snapshot, or \
+         delete it and create it again ({uid})"
     )]
     Unreadable {
         /// The index.
@@ -105,9 +106,9 @@ pub enum LogError {
     },
     /// The store as a whole cannot be read.
     #[error(
-        "the store cannot be opened ({what}): what it holds cannot be read{}; put back the file as it was last, or stop the server \
-         and run `wayfold-server repair`, or name another directory with --data and restore the indices from snapshots (an \
-         older copy of the directory would pass for the present one)",
+        "the store cannot be opened ({what}): its content cannot be read{}; put back the newest state of the file, or \
+         stop the server and run `wayfold-server repair`, or name another directory with --data and restore the \
+         indices from snapshots (never use an older copy of the directory: the server cannot tell it from the present one)",
         match revision {
             0 => String::new(),
             revision => format!(", among it the revisions 1 to {revision} of this index"),
@@ -121,8 +122,8 @@ pub enum LogError {
     },
     /// The disk prevents the store from being opened.
     #[error(
-        "the store cannot be opened ({what}): nothing is read or written until the disk can be used again, which is \
-         tried again and again"
+        "the store cannot be opened ({what}): nothing is read or written until the disk can be used again; the server \
+         tries repeatedly to open it"
     )]
     Shut {
         /// The error of the disk.
@@ -130,8 +131,8 @@ pub enum LogError {
     },
     /// Synced, hence acknowledged, revisions are missing.
     #[error(
-        "{} stored and gone: the files of the log were cut short, damaged or replaced; put them back as they were last, restore \
-         the index from a snapshot, or delete it and start anew ({uid})",
+        "{} stored and gone: the files of the log were cut short, damaged or replaced; put back their newest state, \
+         restore the index from a snapshot, or delete it and create it again ({uid})",
         match last.checked_sub(*first) {
             None => "its creation was".to_owned(),
             Some(0) => format!("revision {first} was"),
@@ -167,6 +168,6 @@ pub enum LogError {
         what: String,
     },
     /// The store was closed.
-    #[error("the store was closed, or opened anew, meanwhile: ask again")]
+    #[error("the store was closed or reopened during the call: retry it")]
     Closed,
 }

@@ -216,9 +216,18 @@ pub enum Error {
         /// The last id that was sent.
         after_id: Option<u64>,
     },
+    /// The revision that a page of a scan names is not held.
+    #[error(
+        "index \"{index}\": the revision of this scan is not held any more: the scan has ended, or was too slow; scan again"
+    )]
+    ScanEnded {
+        /// The index.
+        index: String,
+    },
     /// A snapshot or a verification held its revision longer than allowed.
     #[error(
-        "the {what} held its revision for longer than max_scan_seconds = {max_scan_seconds}: read it faster, or raise the limit"
+        "the {what} held its revision for longer than max_scan_seconds = {max_scan_seconds}: read it faster, or raise \
+         the limit"
     )]
     HeldTooLong {
         /// "snapshot" or "verification".
@@ -301,6 +310,7 @@ impl Error {
             | Error::IdsReserved { .. } => Code::AlreadyExists,
             Error::UidMismatch { .. }
             | Error::RevisionConflict { .. }
+            | Error::ScanEnded { .. }
             | Error::SessionRefused { .. } => Code::FailedPrecondition,
             Error::LimitExceeded { .. }
             | Error::IdsExhausted { .. }
@@ -332,6 +342,7 @@ impl Error {
             Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",
             Error::IdsExhausted { .. } => "IDS_EXHAUSTED",
             Error::ScanTooLong { .. } => "SCAN_TOO_LONG",
+            Error::ScanEnded { .. } => "SCAN_ENDED",
             Error::HeldTooLong { .. } => "HELD_TOO_LONG",
             Error::Unavailable { why } => match why {
                 Unavailability::Starting => "STARTING",

@@ -55,12 +55,10 @@ impl Service {
         let mut base = hosted.published();
         let prefetch = insertion.prefetch(&base, self.limits(), &mut pace).await?;
         let mut payloads = Payloads::new(insertion.answers_payloads());
-        let unread = insertion
-            .unread_in(&base, prefetch.as_ref(), &mut pace)
-            .await?;
+        let expected = insertion.unread_in(&base, prefetch.as_ref(), &mut pace);
+        let expected = expected.await?;
         let most = self.limits().max_answer_bytes;
-        let read = payloads.read(call, &hosted, &base, unread, most);
-        read.await?;
+        payloads.read(call, &hosted, &base, expected, most).await?;
         let (mut reads, mut held) = (1, None);
         loop {
             let mut writer = match held.take() {
@@ -84,26 +82,12 @@ impl Service {
                 prefetch,
                 &payloads,
             )?;
-            for (at, row) in insertion.rows.iter().enumerate() {
-                match evaluation.row(at, row) {
-                    Ok(()) => {}
-                    // The error may vanish once the payloads of earlier rows are read.
-                    Err(_) if !evaluation.unread.compared.is_empty() => break,
-                    Err(error) => return Err(error),
-                }
-                // A search or the copy of a large payload takes long.
-                if insertion.is_searched() || !insertion.payloads.is_empty() || at % 32 == 31 {
-                    pace.step().await?;
-                }
-            }
+            insertion.evaluate(&mut evaluation, &mut pace).await?;
             let unread = std::mem::take(&mut evaluation.unread);
             if unread.is_empty() {
-                let (effects, evaluated) = evaluation.finish()?;
+                let (effects, mut response) = evaluation.finish()?;
                 let after = writer.revision() + u64::from(!effects.is_empty());
-                let response = v1::InsertResponse {
-                    revision: Some(revision(&hosted, after)),
-                    ..evaluated
-                };
+                response.revision = Some(revision(&hosted, after));
                 let claim = claim.as_ref();
                 let committed = self.commit(call, &hosted, writer, effects, claim, &response);
                 if committed.await? == Committed::Done {
@@ -160,6 +144,27 @@ impl Insertion {
         let head = Arc::clone(head);
         let prefetch = Prefetch::search(head, &self.rows, neighbors, self.nearest(), most, pace);
         prefetch.await.map(Some)
+    }
+
+    /// Evaluates the rows in order, up to an error that may vanish once more payloads are read.
+    async fn evaluate(
+        &self,
+        evaluation: &mut Evaluation<'_>,
+        pace: &mut Pace,
+    ) -> Result<(), Error> {
+        for (at, row) in self.rows.iter().enumerate() {
+            match evaluation.row(at, row) {
+                Ok(()) => {}
+                // The error may vanish once the payloads of earlier rows are read.
+                Err(_) if !evaluation.unread.compared.is_empty() => break,
+                Err(error) => return Err(error),
+            }
+            // A search or the copy of a large payload takes long.
+            if self.is_searched() || !self.payloads.is_empty() || at % 32 == 31 {
+                pace.step().await?;
+            }
+        }
+        Ok(())
     }
 
     /// The payload of a row.

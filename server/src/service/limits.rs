@@ -21,6 +21,8 @@ pub struct Limits {
     pub max_indexes: usize,
     /// The most seconds that a scan, a snapshot or a verification holds its revision.
     pub max_scan_seconds: u64,
+    /// The most scans over Zenoh that hold a revision between two pages.
+    pub max_held_scans: usize,
     /// The most operations (calls with an `operation_id`) that an index remembers for their retries. The window ends at
     /// this limit or at `max_operation_bytes`, the one reached first.
     pub max_operations: usize,
@@ -49,6 +51,7 @@ impl Default for Limits {
             max_answer_bytes: 4 * 1024 * 1024 - 1024,
             max_indexes: 10_000,
             max_scan_seconds: 300,
+            max_held_scans: 64,
             max_operations: 10_000,
             max_operation_bytes: 16 * 1024 * 1024,
             max_sessions: 65_536,

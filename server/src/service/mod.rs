@@ -13,6 +13,7 @@
 //! - `mutation`: from an evaluated mutation to its acknowledgement;
 //! - `stored`: reads of the store on threads that may block;
 //! - `answer`: columns that never outgrow their limit;
+//! - `held_scans`: scans page by page, at a revision that is held between the pages;
 //! - `error`, `error_map`, `limits`.
 
 mod answer;
@@ -22,6 +23,7 @@ mod check;
 mod error;
 mod error_map;
 mod get;
+mod held_scans;
 mod indexes;
 mod insert;
 mod limits;
@@ -80,6 +82,7 @@ struct Inner {
     durability: Option<Durability>,
     ready: AtomicBool,
     stopping: CancellationToken,
+    held_scans: held_scans::HeldScans,
 }
 
 impl Service {
@@ -104,6 +107,7 @@ impl Service {
                 durability,
                 ready: AtomicBool::new(false),
                 stopping: CancellationToken::new(),
+                held_scans: Default::default(),
             }),
         }
     }
@@ -122,6 +126,7 @@ impl Service {
     /// Answers new calls with [`Error::Unavailable`] from now on. Accepted calls run to their end.
     pub fn begin_shutdown(&self) {
         self.inner.stopping.cancel();
+        self.inner.held_scans.release();
     }
 
     /// True if new calls are answered.

@@ -61,8 +61,8 @@ pub(super) struct ReadView<'a> {
 }
 
 impl ReadView<'_> {
-    /// The payloads of at most [`BATCH_ROWS`](stored::BATCH_ROWS) points, in their order, up to the first that exceeds `most` bytes of an
-    /// answer.
+    /// The payloads of at most [`BATCH_ROWS`](stored::BATCH_ROWS) points, in their order, up to the first that exceeds
+    /// `most` bytes of an answer.
     pub(super) async fn payloads(&self, ids: Vec<u64>, most: usize) -> Result<Vec<Bytes>, Error> {
         let read = move |view: &dyn View| {
             let (mut payloads, mut bytes) = (Vec::new(), 0);

@@ -27,7 +27,8 @@ const DOING: &str = "while scanning";
 pub struct Scan {
     call: Call,
     hosted: Arc<Hosted>,
-    pin: RevisionPin,
+    pin: Arc<RevisionPin>,
+    part_rows: usize,
     part_bytes: usize,
     filter: Filter,
     include: Option<v1::Include>,
@@ -48,11 +49,21 @@ impl Service {
 
         let limits = self.limits();
         let min = min.max(filter.since_revision);
-        let published = self.published(call, &hosted, min).await?;
+        let pin = if request.held_scan.is_empty() {
+            let published = self.published(call, &hosted, min).await?;
+            Arc::new(RevisionPin::new(published, limits.max_scan_seconds))
+        } else {
+            self.inner.held_scans.get(&request.held_scan, &hosted)?
+        };
+        let part_rows = match request.page_size {
+            0 => PART_ROWS,
+            size => PART_ROWS.min(size as usize),
+        };
         Ok(Scan {
             call: *call,
             hosted,
-            pin: RevisionPin::new(published, limits.max_scan_seconds),
+            pin,
+            part_rows,
             part_bytes: PART_BYTES.min(limits.max_answer_bytes / 2),
             filter,
             include: request.include,
@@ -77,7 +88,22 @@ impl Scan {
         Some(part)
     }
 
-    async fn part(&mut self) -> Result<v1::ScanResponse, Error> {
+    /// True if there are no further parts.
+    pub(super) fn is_done(&self) -> bool {
+        self.done
+    }
+
+    pub(super) fn hosted(&self) -> &Hosted {
+        &self.hosted
+    }
+
+    /// Its revision.
+    pub(super) fn pin(&self) -> Arc<RevisionPin> {
+        Arc::clone(&self.pin)
+    }
+
+    /// The next part, if it is not done. The revision stays held also after the last part.
+    pub(super) async fn part(&mut self) -> Result<v1::ScanResponse, Error> {
         let published = self.still_held()?;
         let view = ReadView {
             call: &self.call,
@@ -93,8 +119,9 @@ impl Scan {
             .points_after(after)
             .enumerate()
             .peekable();
-        let is_full =
-            |points: &PointColumns| points.len() >= PART_ROWS || points.bytes() >= self.part_bytes;
+        let is_full = |points: &PointColumns| {
+            points.len() >= self.part_rows || points.bytes() >= self.part_bytes
+        };
         while rest.peek().is_some() && !is_full(&points) {
             let (mut batch, mut passed_to) = (Vec::new(), after);
             while batch.len() < BATCH_ROWS
@@ -144,6 +171,7 @@ impl Scan {
             points: Some(points.finish()),
             revision: Some(revision(&self.hosted, published.revision)),
             point_count: published.snapshot.len() as u64,
+            held_scan: String::new(),
         }
     }
 

@@ -218,7 +218,7 @@ mod tests {
             published in 0..30usize,
             seen in 0..30usize,
             since in 0..20u64,
-            asked in 0..8u8,
+            query in 0..8u8,
             k in prop_oneof![1..6usize, Just(usize::MAX)],
             radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
             more in 0..4usize,
@@ -229,7 +229,7 @@ mod tests {
             let mut union = Linear::new(space.clone());
             let filter = Filter { since_revision: since, ..Filter::default() };
             let search = Search { radius, filter, ..Search::nearest_k(k) };
-            let asked = [f64::from(asked)];
+            let query = [f64::from(query)];
             runtime.block_on(async {
                 let registry =
                     Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
@@ -257,7 +257,7 @@ mod tests {
                             ..search
                         };
                         let published = hosted.published();
-                        let found = published.snapshot.search(&asked, &search).unwrap();
+                        let found = published.snapshot.search(&query, &search).unwrap();
                         known = (published.revision, found.neighbors);
                     }
                 }
@@ -277,10 +277,10 @@ mod tests {
                     staging.accept(id, 0, &row, Bytes::new(), outcome);
                     union.insert(point(id, staging.revision(), &row)).unwrap();
                 }
-                let expected = union.search(&asked, &search).unwrap().neighbors;
+                let expected = union.search(&query, &search).unwrap().neighbors;
                 let known = Known { revision: known.0, neighbors: &known.1 };
                 for known in [None, Some(known)] {
-                    assert_eq!(staging.search(&asked, &search, known).unwrap(), expected);
+                    assert_eq!(staging.search(&query, &search, known).unwrap(), expected);
                 }
             });
         }

@@ -38,6 +38,7 @@ pub(super) async fn dispatch(
             PointVerb::Session => answer!(open_session, decode_for_index),
             PointVerb::Write => answer!(write, decode_for_index),
             PointVerb::Get => answer!(get, decode_for_index),
+            PointVerb::Scan => answer!(scan_page, decode_for_index),
             PointVerb::Info => answer!(get_index, decode_for_index),
             PointVerb::Log => answer!(log, decode_for_index),
         },

@@ -18,8 +18,8 @@ use zenoh::{
 use super::{codec::Form, message::Named};
 use crate::service::{Call, CatalogWatch, Code, Error, Service, Unavailability};
 
-/// Pause before an index is read again whose log could not be read.
-const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(1);
+/// The pause before an index whose log could not be read is read again.
+const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 /// Approximate bytes of a publication. Zenoh fragments one that is larger than its batch, and a lost fragment loses
 /// all.
@@ -185,7 +185,7 @@ impl Feed {
                 return;
             }
             debug!(index = self.index, %error, "the mutations cannot be read now");
-            let stopping = timeout(PAUSE_AFTER_FAILURE, self.stopping.cancelled());
+            let stopping = timeout(READ_RETRY_PAUSE, self.stopping.cancelled());
             if stopping.await.is_ok() {
                 return;
             }

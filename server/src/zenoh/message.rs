@@ -63,6 +63,7 @@ requests!(
     OpenSessionRequest,
     WriteRequest,
     GetRequest,
+    ScanRequest,
     WatchRequest,
     GetIndexRequest,
 );
@@ -80,6 +81,7 @@ named!(
     OpenSessionResponse,
     WriteResponse,
     GetResponse,
+    ScanResponse,
     WatchResponse,
     GetIndexResponse,
     CreateIndexResponse,

@@ -150,8 +150,8 @@ impl ZenohFace {
         if !locators.iter().all(is_here) {
             warn!(
                 ?locators,
-                "Zenoh listens beyond this machine: unless zenoh.config sets TLS and access control, whoever reaches \
-                 this address can read and change every index"
+                "Zenoh listens beyond this machine: unless zenoh.config sets TLS and access control, anyone who can \
+                 reach this address can read and change every index"
             );
         }
         info!(?locators, prefix = self.queries.prefix, "Zenoh is open");

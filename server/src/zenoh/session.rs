@@ -58,8 +58,8 @@ pub enum ZenohError {
     /// The session could not be opened.
     #[error(
         "cannot open the Zenoh session on {listen}: {problem}\n  \
-         where it listens is set by zenoh.listen (--zenoh), whom it connects to and all else by zenoh.config; \
-         --zenoh off does without"
+         zenoh.listen (--zenoh) sets the address to listen on, and zenoh.config the rest, such as the peers to connect \
+         to; --zenoh off does without"
     )]
     Open {
         /// The address.

@@ -16,6 +16,7 @@ pub(super) enum PointVerb {
     Session,
     Write,
     Get,
+    Scan,
     Info,
     Log,
 }
@@ -37,7 +38,7 @@ pub(super) enum Verb {
 }
 
 impl PointVerb {
-    const ALL: [(&str, Self); 10] = [
+    const ALL: [(&str, Self); 11] = [
         ("knn", Self::Knn),
         ("query", Self::Query),
         ("insert", Self::Insert),
@@ -46,6 +47,7 @@ impl PointVerb {
         ("session", Self::Session),
         ("write", Self::Write),
         ("get", Self::Get),
+        ("scan", Self::Scan),
         ("info", Self::Info),
         ("log", Self::Log),
     ];
@@ -73,6 +75,7 @@ impl Verb {
                 PointVerb::Knn
                 | PointVerb::Query
                 | PointVerb::Get
+                | PointVerb::Scan
                 | PointVerb::Info
                 | PointVerb::Log => false,
             },

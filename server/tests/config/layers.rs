@@ -55,6 +55,7 @@ fn the_limits_of_sessions_are_settings() {
         "max_sessions",
         "max_session_idle_seconds",
         "max_reserved_ids",
+        "max_held_scans",
     ];
     let text = names.map(|name| format!("{name} = 9\n")).concat();
     let limits = load_file(&format!("[limits]\n{text}")).unwrap().limits;
@@ -62,8 +63,9 @@ fn the_limits_of_sessions_are_settings() {
         limits.max_sessions,
         limits.max_session_idle_seconds,
         limits.max_reserved_ids,
+        limits.max_held_scans,
     );
-    assert_eq!(found, (9, 9, 9));
+    assert_eq!(found, (9, 9, 9, 9));
 }
 
 #[test]

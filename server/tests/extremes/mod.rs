@@ -158,6 +158,8 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 include,
                 after_id: Some(0),
                 min_revision: revision.clone(),
+                page_size: 1,
+                held_scan: String::new(),
             },
         ),
         dynamic(

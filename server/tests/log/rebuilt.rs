@@ -354,7 +354,7 @@ fn a_rebuilt_store_takes_its_place_at_the_next_start() {
     damage(directory.path());
     repair(directory.path(), false).unwrap();
     let [store, rebuilt, kept] =
-        ["store", "store.remade", "store.damaged-1"].map(|name| directory.path().join(name));
+        ["store", "store.rebuilt", "store.damaged-1"].map(|name| directory.path().join(name));
     let is_whole = || {
         let log = open(directory.path());
         damaged(&log, &arm);

@@ -17,6 +17,7 @@ mod extremes;
 mod fault;
 mod faults;
 mod forward;
+mod held_scans;
 mod idle_index;
 mod in_flight;
 mod indexes;

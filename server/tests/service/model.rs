@@ -218,6 +218,7 @@ impl Model {
             points: Some(columns(passing, request.include)),
             revision: revision(&self.uid, self.revision),
             point_count: self.points.len() as u64,
+            held_scan: String::new(),
         }
     }
 

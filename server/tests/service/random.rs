@@ -233,6 +233,7 @@ impl Requests {
                 .random_bool(0.3)
                 .then(|| self.random.random_range(0..60)),
             min_revision: self.at(revision),
+            ..Default::default()
         }
     }
 

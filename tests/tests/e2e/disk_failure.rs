@@ -80,7 +80,7 @@ impl Scene {
             let message = status.message();
             // The second answer comes while the server reopens the store.
             let says_what_to_do =
-                message.contains("tried again and again") || message.contains("ask again");
+                message.contains("tries repeatedly") || message.contains("retry it");
             assert!(says_what_to_do, "{message}");
         }
     }

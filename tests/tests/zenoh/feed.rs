@@ -262,7 +262,8 @@ async fn events_come_in_json_too() {
         "ids": [7], "states": [[1.0, 2.0]], "tags": [3], "revisions": [1], "payloads": [""]
     });
     let mutation = json!({
-        "revision": revision(1), "time_ms": null, "stored": stored, "removed_ids": [], "continued": false, "piece": 0
+        "revision": revision(1), "time_ms": null, "stored": stored, "removed_ids": [], "continued": false, "piece": 0,
+        "session": 0, "batch": 0
     });
     assert_eq!(
         received,
@@ -271,6 +272,24 @@ async fn events_come_in_json_too() {
     let selector = format!("arm/log?from=0;uid={}", uid.as_str().unwrap());
     let received = robot.json(&selector, Value::Null).await.unwrap();
     assert_eq!(received["mutations"][0]["removed_ids"], json!([]));
+
+    let opened = robot.json("arm/session", json!({ "uid": uid })).await;
+    assert_eq!(opened.unwrap()["session"], 2);
+    let steps = json!({
+        "uid": uid, "session": 2, "batch": 1, "kinds": ["REMOVE"], "ids": [7], "reserve_count": 1
+    });
+    robot.json("arm/write", steps).await.unwrap();
+    for (revision, session, batch, removed) in [(2, 0, 0, json!([])), (3, 2, 1, json!([7]))] {
+        let mutation = next().await["mutations"][0].take();
+        assert_eq!(mutation["revision"]["number"], revision);
+        let made_by = (&mutation["session"], &mutation["batch"]);
+        assert_eq!(made_by, (&json!(session), &json!(batch)));
+        assert_eq!(mutation["removed_ids"], removed);
+    }
+    let selector = format!("{};own_session=2", selector.replace("from=0", "from=2"));
+    let own = robot.json(&selector, Value::Null).await.unwrap()["mutations"][0].take();
+    assert_eq!((&own["session"], &own["batch"]), (&json!(2), &json!(1)));
+    assert_eq!(own["removed_ids"], json!([]));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -14,4 +14,5 @@ mod mute;
 mod parity;
 mod replica;
 mod robot;
+mod scan;
 mod talk;

@@ -70,6 +70,7 @@ fn scanned(ids: &[u64], coordinates: &[f64]) -> v1::ScanResponse {
             number: 1,
         }),
         point_count: 3,
+        held_scan: String::new(),
     }
 }
 

@@ -5,7 +5,9 @@ use std::time::Duration;
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
 use wayfold_proto::v1;
 
-use crate::{Client, Code, Error, Include, IndexHandle, Revision, Watch};
+use crate::{
+    Client, Code, Error, Include, IndexHandle, Revision, Watch, request::fresh_operation_id,
+};
 
 /// The way to the server, and the name of the index.
 #[derive(Clone, Debug)]
@@ -63,10 +65,13 @@ impl Link {
         reserve_count: u64,
     ) -> Result<Session, Error> {
         const CALL: &str = "open_session";
+        // A repeated call gets the same session.
+        let operation_id = fresh_operation_id();
         let message = || v1::OpenSessionRequest {
             index_name: index.name().to_owned(),
             uid: index.uid().to_owned(),
             reserve_count,
+            operation_id: operation_id.clone(),
         };
         let send = |mut stub: Stub, request| async move { stub.open_session(request).await };
         let answer = index.call(CALL, message, send).await?;

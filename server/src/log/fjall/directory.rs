@@ -4,10 +4,12 @@
 //! |---|---|
 //! | `wayfold-data` | one line that names the program and the version of the form; locked while a server runs |
 //! | `store/` | the files of fjall: see [`layout`](super::layout) |
-//! | `store.new/`, `store.remade/` | a store that is being made, and a rebuilt store that has yet to replace the damaged one: see [`rebuild`](super::rebuild) |
+//! | `store.new/` | a store that is being made |
+//! | `store.rebuilt/` | a rebuilt store that has yet to replace the damaged one: see [`rebuild`](super::rebuild) |
 //! | `store.damaged-N/` | a damaged store from before a repair; nothing reads it |
-//! | `marks` | the last synced revision of each index: see [`sync_marks`](super::sync_marks); `marks.new` exists while it is rewritten |
-//! | `manifest-copy` | a copy of the store's small files that every index depends on: see [`manifest_copy`](super::manifest_copy) |
+//! | `marks` | the last synced revision of each index: see [`sync_marks`](super::sync_marks) |
+//! | `marks.new` | exists while `marks` is rewritten |
+//! | `manifest-copy` | a copy of the small files that all indices share: see [`manifest_copy`](super::manifest_copy) |
 //! | `journal-synced` | exists after a clean shutdown: see [`journal`](super::journal) |
 //! | `unsynced` | exists while a server without fsync runs: see [`unclean_marker`](super::unclean_marker) |
 //! | `probe` | exists briefly, during a test that the disk can be written |
@@ -48,8 +50,8 @@ pub enum OpenError {
     },
     /// Its marker is missing or damaged, and the rest looks like data of a wayfold-server.
     #[error(
-        "the file {MARKER} in {} is missing or damaged, and the rest looks like the data of a wayfold-server: if it is, \
-         write the line \"{FORM}{VERSION}\" into that file; else name another directory with --data",
+        "the file {MARKER} in {} is missing or damaged, and the rest looks like the data of a wayfold-server: if it \
+         is, write the line \"{FORM}{VERSION}\" into that file; else name another directory with --data",
         directory.display()
     )]
     Marker {
@@ -58,8 +60,8 @@ pub enum OpenError {
     },
     /// Another version of this program wrote it.
     #[error(
-        "{} is of version \"{found}\", and this server reads the versions {OLDER_VERSION} and {VERSION} only: start the \
-         server that wrote it, or name another directory with --data",
+        "{} is of version \"{found}\", and this server reads the versions {OLDER_VERSION} and {VERSION} only: start \
+         the server that wrote it, or name another directory with --data",
         directory.display()
     )]
     Version {
@@ -310,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_marker_that_is_damaged_beside_all_the_rest_can_be_mended_as_it_says() {
+    fn the_refusal_of_a_damaged_marker_says_how_to_mend_it() {
         let directory = tempfile::tempdir().unwrap();
         let ours = directory.path();
         drop(Directory::take(ours).unwrap());

@@ -65,8 +65,8 @@ impl Engine {
             warn!(
                 file = %directory.join(MARKS).display(),
                 indexes = found.indexes.len(),
-                "no mark says how far the indices were synced, the file is missing or was emptied: should the journal have \
-                 been cut short too, nobody can tell; they are marked anew as they are now"
+                "the file of the marks is missing or empty, so a journal that was cut short cannot be noticed; the \
+                 indices get marks of their present revisions"
             );
         }
         let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));

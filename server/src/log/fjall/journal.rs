@@ -31,7 +31,7 @@ const ENDING: &str = ".jnl";
 /// Marker file: the journal is on disk. It exists from a clean shutdown until the next start.
 const MARKER: &str = "journal-synced";
 /// The number of bytes that are rewritten at a time.
-const PIECE: usize = 128 * 1024;
+const COPY_BYTES: usize = 128 * 1024;
 
 /// The journal of a store.
 pub(super) struct Journal {
@@ -159,7 +159,7 @@ fn files(store: &Path) -> io::Result<Vec<PathBuf>> {
 }
 
 fn write_file_again(file: &mut File) -> io::Result<()> {
-    let mut piece = vec![0; PIECE];
+    let mut piece = vec![0; COPY_BYTES];
     let mut at = 0;
     loop {
         file.seek(SeekFrom::Start(at))?;

@@ -62,7 +62,7 @@ const STORE: &str = "store";
 /// A store that is being made; it is renamed once it is whole.
 const NEW_STORE: &str = "store.new";
 /// A rebuilt store that has yet to replace the damaged one.
-const REBUILT_STORE: &str = "store.remade";
+const REBUILT_STORE: &str = "store.rebuilt";
 /// The prefix of damaged stores as they were before a repair; a number follows.
 const DAMAGED_STORE: &str = "store.damaged-";
 const MARKS: &str = "marks";

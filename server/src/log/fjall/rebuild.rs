@@ -2,8 +2,8 @@
 //!
 //! fjall rewrites its files step by step in the background. If it meets a damaged block, it permanently stops all
 //! writing, for all indices, and does so again after every start. [`repair`] copies the fully readable indices into a
-//! new store, key by key. Of the others it keeps the entry, which says that the rest is lost. The damaged store is kept
-//! under another name.
+//! new store, key by key. It keeps only the entries of the other indices, which say that the rest is lost. The damaged
+//! store is kept under another name.
 //!
 //! A new store is renamed to its final name once it is whole and synced. If the renaming is interrupted, [`finish`]
 //! completes it at the next start.

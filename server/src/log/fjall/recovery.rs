@@ -337,10 +337,8 @@ mod tests {
                     &Record::new(revision as u64, before, 0, effects(9)),
                 );
             });
-            let told = other
-                .as_ref()
-                .map(|other| other.contains("revision 3 is damaged"));
-            assert_eq!(told, Some(true), "{other:?}");
+            let damage = other.unwrap_or_default();
+            assert!(damage.contains("revision 3 is damaged"), "{damage}");
         }
         let unlinked = found(|handles, records| {
             put(
@@ -390,11 +388,11 @@ mod tests {
             ("older", |handles| store(handles, 1)),
         ];
         for (what, damage) in damages {
-            let told = found(|handles, _| damage(handles));
-            let told = told.unwrap_or_default();
+            let why = found(|handles, _| damage(handles));
+            let why = why.unwrap_or_default();
             assert!(
-                told.contains("points are missing, or are not those of revision 3"),
-                "{what}: {told}"
+                why.contains("points are missing, or are not those of revision 3"),
+                "{what}: {why}"
             );
         }
     }

@@ -137,7 +137,8 @@ pub(super) struct Marked {
 impl Marked {
     fn read(bytes: &[u8]) -> Self {
         let layout = Layout::of(bytes);
-        let slots = bytes[layout.start..].chunks(SIZE).enumerate();
+        let slots = bytes.get(layout.start..).unwrap_or_default();
+        let slots = slots.chunks(SIZE).enumerate();
         let marks = slots.filter_map(|(slot, bytes)| {
             let number = layout.number(slot);
             Some((number, decode(number, bytes)?))
@@ -243,7 +244,7 @@ impl Marks {
         kept: &BTreeSet<Number>,
     ) -> io::Result<Self> {
         let bytes = fs::read(path)?;
-        let slots = (bytes.len() - self.layout.start.min(bytes.len())) / SIZE;
+        let slots = bytes.len().saturating_sub(self.layout.start) / SIZE;
         if slots <= MAX_UNUSED.max(2 * kept.len()) {
             return Ok(self);
         }

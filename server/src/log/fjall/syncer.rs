@@ -17,11 +17,11 @@ use super::{
 use crate::log::LogError;
 
 /// From this many batches in one sync on, the thread assumes several writers, and waits for their next batches.
-const MANY: usize = 8;
+const MIN_SHARED_BATCHES: usize = 8;
 
 /// The maximum wait for those next batches: about the duration of a sync. Each saved sync leaves processor time to the
 /// writers.
-const LINGER: Duration = Duration::from_micros(200);
+const MAX_WAIT: Duration = Duration::from_micros(200);
 
 /// The thread that syncs, and its shared state.
 pub(super) struct Syncer {
@@ -127,8 +127,11 @@ impl Shared {
                 self.wake.wait(&mut announced);
             }
             announced.enough = last / 4 * 3;
-            if last >= MANY && announced.marks.len() < announced.enough && !announced.stop {
-                self.wake.wait_for(&mut announced, LINGER);
+            if last >= MIN_SHARED_BATCHES
+                && announced.marks.len() < announced.enough
+                && !announced.stop
+            {
+                self.wake.wait_for(&mut announced, MAX_WAIT);
             }
             let batches = announced.batches;
             let reached = std::mem::take(&mut announced.marks);

@@ -37,7 +37,7 @@ async fn one_line_says_that_it_began_and_one_that_it_ended() {
     let finished = insert(server.uri(), "1,2");
     assert!(!finished.status.success(), "{finished:?}");
     assert_eq!(finished.stderr.lines().count(), 1, "{finished:?}");
-    for part in ["No space left on device", "tried again and again"] {
+    for part in ["No space left on device", "tries repeatedly"] {
         assert!(finished.stderr.contains(part), "{finished:?}");
     }
     disk.mend();

@@ -117,10 +117,10 @@ impl Question {
     }
 
     /// For a replica of this index.
-    pub(super) fn of(&self, index: &IndexHandle) -> wayfold::Search {
+    pub(super) fn of(&self, index: &IndexHandle) -> wayfold::ReplicaSearch {
         let search = match self.k {
-            Some(k) => wayfold::Search::k(k).radius(self.radius),
-            None => wayfold::Search::within(self.radius),
+            Some(k) => wayfold::ReplicaSearch::k(k).radius(self.radius),
+            None => wayfold::ReplicaSearch::within(self.radius),
         };
         let Filter {
             tag_mask,

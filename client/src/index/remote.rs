@@ -1,0 +1,394 @@
+//! The form of an index without a copy: each call goes to the server.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::mpsc,
+    time::{Duration, Instant},
+};
+
+use wayfold_index::{
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, PointRef, Points, Question,
+    ScannedPoints, Seen, Space,
+};
+
+use super::{
+    local::check_id,
+    runtime::{runtime, wait_for},
+};
+use crate::{
+    Client, Code, Error, Filter, Include, Index, IndexHandle, NeighborSpec, Outcome, Radius,
+    ResetReason, ScaledRadius, WatchEvent,
+    search::{Bounds, K},
+};
+
+/// Settings of a remote index: [`OpenRemote::open`] connects and returns it.
+#[derive(Clone, Debug)]
+#[must_use = "call open"]
+pub struct OpenRemote {
+    uri: String,
+    name: String,
+    space: Option<Space>,
+    timeout: Duration,
+}
+
+impl OpenRemote {
+    pub(super) fn new(uri: &str, name: &str) -> OpenRemote {
+        OpenRemote {
+            uri: uri.to_owned(),
+            name: name.to_owned(),
+            space: None,
+            timeout: Duration::from_secs(30),
+        }
+    }
+
+    /// Creates the index with this space if it is missing. An index with another space is refused.
+    pub fn create(mut self, space: &Space) -> OpenRemote {
+        self.space = Some(space.clone());
+        self
+    }
+
+    /// The longest time of a call: 30 s unless set.
+    pub fn timeout(mut self, timeout: Duration) -> OpenRemote {
+        self.timeout = timeout;
+        self
+    }
+
+    /// Connects and opens the index.
+    ///
+    /// # Errors
+    /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.
+    /// `ALREADY_EXISTS`: it has another space.
+    pub fn open(self) -> Result<Index, Error> {
+        let index = wait_for(async move {
+            let client = Client::builder().timeout(self.timeout);
+            let client = client.connect(&self.uri).await?;
+            match &self.space {
+                Some(space) => client.create_index(&self.name, space).await,
+                None => client.index(&self.name).await,
+            }
+        })?;
+        Ok(Index::of(std::sync::Arc::new(Remote { index })))
+    }
+}
+
+/// An index on a server.
+#[derive(Debug)]
+pub(super) struct Remote {
+    index: IndexHandle,
+}
+
+impl Remote {
+    fn seen(&self) -> Seen {
+        Seen(self.index.revision().number)
+    }
+
+    fn filter(&self, question: &Question<'_>) -> Filter {
+        let filter = question.search.filter;
+        let tagged = Filter::default().tag(filter.tag_mask, filter.tag_value);
+        match filter.since_revision {
+            0 => tagged,
+            since => tagged.since(self.index.revision_at(since)),
+        }
+    }
+
+    /// The answers to a question about rows, one after the other.
+    fn ask(&self, rows: &[f64], question: &Question<'_>) -> Result<Vec<Vec<Neighbor>>, Error> {
+        let left = question.search.until;
+        let left = left.map(|until| until.saturating_duration_since(Instant::now()));
+        let index = match left {
+            Some(left) => self.index.with_timeout(left),
+            None => self.index.clone(),
+        };
+        let rows: Vec<Vec<f64>> = self.rows(rows).collect();
+        let (filter, epsilon) = (self.filter(question), question.search.epsilon);
+        let Bounds { k, radius } = bounds(question);
+        let answered = wait_for(async move {
+            let Some(k) = k else {
+                let radius = radius.unwrap_or(Radius::Fixed(f64::INFINITY));
+                return index
+                    .query(&rows, radius)
+                    .filter(filter)
+                    .epsilon(epsilon)
+                    .await;
+            };
+            let knn = index.knn(&rows).filter(filter).epsilon(epsilon);
+            let knn = match k {
+                K::Fixed(k) => knn.k(k),
+                K::Scaled(factor) => knn.k_factor(factor),
+            };
+            match radius {
+                Some(radius) => knn.radius(radius).await,
+                None => knn.await,
+            }
+        });
+        match answered {
+            Err(Error::Timeout { .. }) if left.is_some() => Err(Error::SearchTimeout),
+            Err(error) => Err(error),
+            Ok(answer) => Ok(answer.rows().map(|row| row.iter().collect()).collect()),
+        }
+    }
+
+    fn rows(&self, rows: &[f64]) -> impl Iterator<Item = Vec<f64>> {
+        let rows = rows.chunks_exact(self.index.coordinates());
+        rows.map(<[f64]>::to_vec)
+    }
+
+    /// The points of these ids with some columns, or none if the id is not stored.
+    fn point(&self, id: u64, include: Include) -> Result<Option<crate::Points>, Error> {
+        let index = self.index.clone();
+        let read = wait_for(async move { index.get([id]).include(include).await });
+        found(read)
+    }
+}
+
+/// None if the answer is that an id is not stored.
+fn found<T>(answer: Result<T, Error>) -> Result<Option<T>, Error> {
+    match answer {
+        Err(error)
+            if error.code() == Code::NotFound && error.reason() == Some("POINTS_NOT_FOUND") =>
+        {
+            Ok(None)
+        }
+        answer => answer.map(Some),
+    }
+}
+
+/// The number of neighbours and the radius of a question, as they travel.
+fn bounds(question: &Question<'_>) -> Bounds {
+    let (search, scaling) = (&question.search, question.scaling);
+    let fixed_k = (search.k < usize::MAX).then(|| u32::try_from(search.k).unwrap_or(u32::MAX));
+    let fixed_radius = (search.radius < f64::INFINITY).then_some(search.radius);
+    let scaled_radius = scaling.radius_factor.map(|factor| {
+        let radius = ScaledRadius::new(factor);
+        scaling.radius_max.map_or(radius, |max| radius.max(max))
+    });
+    Bounds {
+        k: scaling.k_factor.map(K::Scaled).or(fixed_k.map(K::Fixed)),
+        radius: scaled_radius
+            .map(Radius::Scaled)
+            .or(fixed_radius.map(Radius::Fixed)),
+    }
+}
+
+impl NearestNeighbors for Remote {
+    type Error = Error;
+
+    fn space(&self) -> &Space {
+        self.index.space()
+    }
+
+    fn len(&self) -> Result<usize, Error> {
+        let index = self.index.clone();
+        let info = wait_for(async move { index.info().await })?;
+        self.index.see_revision(&info.revision)?;
+        Ok(info.point_count as usize)
+    }
+
+    fn search(
+        &self,
+        row: &[f64],
+        question: &Question<'_>,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<Seen, Error> {
+        let answers = self.ask(row, question)?;
+        *found = answers.into_iter().next().unwrap_or_default();
+        Ok(self.seen())
+    }
+
+    fn search_many(
+        &self,
+        rows: &[f64],
+        question: &Question<'_>,
+    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+        self.ask(rows, question)
+    }
+
+    fn insert(
+        &self,
+        point: &NewPoint<'_>,
+        question: Option<&Question<'_>>,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<(u64, Seen), Error> {
+        check_id(point)?;
+        let mut insert = self.index.insert([point.row]).tags([point.tag]);
+        if let Some(id) = point.id {
+            insert = insert.ids([id]);
+        }
+        if !point.payload.is_empty() {
+            insert = insert.payloads([point.payload.to_vec()]);
+        }
+        if let Some(question) = question {
+            let Bounds { k, radius } = bounds(question);
+            let radius = radius.or(k.is_none().then_some(Radius::Fixed(f64::INFINITY)));
+            let spec = NeighborSpec::of(k, radius).filter(self.filter(question));
+            insert = insert.neighbors(spec);
+        }
+        let taken = |id| Error::IdTaken { id };
+        let answer = wait_for(async move { insert.await }).map_err(|error| match point.id {
+            Some(id) if error.code() == Code::AlreadyExists => taken(id),
+            _ => error,
+        })?;
+        let id = match answer.outcomes.first() {
+            Some(Outcome::Inserted { id }) => *id,
+            Some(Outcome::Unchanged { id }) => return Err(taken(*id)),
+            other => {
+                return Err(Error::Protocol {
+                    call: "insert",
+                    problem: format!("the outcome {other:?}"),
+                });
+            }
+        };
+        found.clear();
+        if let Some(neighbors) = &answer.neighbors {
+            found.extend(neighbors.row(0).iter());
+        }
+        Ok((id, Seen(answer.revision.number)))
+    }
+
+    fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
+        let rows: Vec<Vec<f64>> = self.rows(rows).collect();
+        let insert = self.index.insert(&rows).tags(vec![tag; rows.len()]);
+        let answer = wait_for(async move { insert.await })?;
+        Ok(answer
+            .outcomes
+            .iter()
+            .filter_map(|outcome| outcome.id())
+            .collect())
+    }
+
+    /// In two calls: a tag that another process sets between them is lost.
+    fn replace(&self, id: u64, row: &[f64]) -> Result<bool, Error> {
+        let Some(points) = self.point(id, Include::none().tags())? else {
+            return Ok(false);
+        };
+        let insert = self
+            .index
+            .insert([row])
+            .ids([id])
+            .tags([points.point(0).tag])
+            .replace();
+        wait_for(async move { insert.await })?;
+        Ok(true)
+    }
+
+    fn remove(&self, id: u64) -> Result<bool, Error> {
+        let remove = self.index.remove([id]);
+        Ok(wait_for(async move { remove.await })?.removed_count > 0)
+    }
+
+    fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
+        let update = self.index.update([id]).tags([tag]);
+        let updated = wait_for(async move { update.await });
+        Ok(found(updated)?.is_some())
+    }
+
+    fn get(&self, id: u64) -> Result<Option<Point>, Error> {
+        let columns = Include::none().states().tags().revisions();
+        let points = self.point(id, columns)?;
+        Ok(points.map(|points| {
+            let point = points.point(0);
+            Point {
+                id,
+                tag: point.tag,
+                revision: point.revision,
+                row: point.state.to_vec(),
+            }
+        }))
+    }
+
+    fn payload(&self, id: u64) -> Result<Option<Vec<u8>>, Error> {
+        let points = self.point(id, Include::none().payloads())?;
+        Ok(points.map(|points| {
+            points
+                .point(0)
+                .payload
+                .map_or_else(Vec::new, |it| it.to_vec())
+        }))
+    }
+
+    fn scan(&self) -> Result<ScannedPoints<Error>, Error> {
+        // Parts that wait for the caller.
+        const MAX_PARTS: usize = 2;
+        let (send, receive) = mpsc::sync_channel(MAX_PARTS);
+        let index = self.index.clone();
+        runtime()?.spawn(async move {
+            let columns = Include::none().states().tags().revisions();
+            let mut scan = match index.scan().include(columns).await {
+                Ok(scan) => scan,
+                Err(error) => return drop(send.send(Err(error))),
+            };
+            loop {
+                let part = scan.next().await;
+                let is_last = !matches!(part, Ok(Some(_)));
+                let part = part.transpose();
+                let sent = tokio::task::block_in_place(|| part.map(|part| send.send(part)));
+                if is_last || matches!(sent, Some(Err(_))) {
+                    return;
+                }
+            }
+        });
+        let mut part = VecDeque::new();
+        Ok(Box::new(std::iter::from_fn(move || {
+            while part.is_empty() {
+                match receive.recv() {
+                    Ok(Ok(points)) => part.extend(points.iter().map(|point| Point {
+                        id: point.id,
+                        tag: point.tag,
+                        revision: point.revision,
+                        row: point.state.to_vec(),
+                    })),
+                    Ok(Err(error)) => return Some(Err(error)),
+                    Err(mpsc::RecvError) => return None,
+                }
+            }
+            part.pop_front().map(Ok)
+        })))
+    }
+
+    fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
+        let index = self.index.clone();
+        wait_for(async move {
+            let mut watch = index.watch().after(index.revision_at(seen.0)).await?;
+            let newest = watch.newest().number;
+            let (mut changed, mut at) = (BTreeMap::new(), seen.0);
+            while at < newest {
+                match watch.next().await? {
+                    Some(WatchEvent::Mutation(mutation)) => {
+                        at = mutation.revision.number;
+                        changed.extend(mutation.removed_ids.iter().map(|&id| (id, None)));
+                        changed.extend(mutation.stored.iter().map(|point| {
+                            let state = point.state.to_vec();
+                            (point.id, Some((point.tag, point.revision, state)))
+                        }));
+                    }
+                    Some(WatchEvent::Reset(reset)) if reset.reason == ResetReason::UidChanged => {
+                        index.revision_at(seen.0).check_uid(&reset.revision.uid)?;
+                        return Ok(None);
+                    }
+                    Some(WatchEvent::Reset(_)) | None => return Ok(None),
+                }
+            }
+            let mut changes = Changes {
+                stored: Points::new(index.coordinates()),
+                removed: Vec::new(),
+                seen: Seen(at),
+            };
+            for (id, point) in changed {
+                match point {
+                    None => changes.removed.push(id),
+                    Some((tag, revision, row)) => changes.stored.push_point(PointRef {
+                        id,
+                        tag,
+                        revision,
+                        row: &row,
+                    }),
+                }
+            }
+            Ok(Some(changes))
+        })
+    }
+
+    fn clear(&self) -> Result<(), Error> {
+        Err(Error::NotInMemory { call: "clear" })
+    }
+}

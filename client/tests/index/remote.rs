@@ -1,0 +1,49 @@
+//! The remote form, against a real server in this process.
+
+use wayfold::{Error, Index, Space};
+
+use crate::{conformance, server::Server};
+
+fn remote(server: &Server, name: &str, space: &Space) -> Index {
+    Index::remote(&server.uri, name)
+        .create(space)
+        .open()
+        .unwrap()
+}
+
+#[test]
+fn equals_brute_force() {
+    let server = Server::start();
+    let next = std::cell::Cell::new(0);
+    let make = |space: &Space| {
+        next.set(next.get() + 1);
+        remote(&server, &format!("index-{}", next.get()), space)
+    };
+    conformance::equals_brute_force(make, 300);
+}
+
+#[test]
+fn refuses_what_is_no_state() {
+    let server = Server::start();
+    conformance::refuses_what_is_no_state(|space| remote(&server, "index", space));
+}
+
+#[test]
+fn misses_no_edge() {
+    let server = Server::start();
+    conformance::misses_no_edge(|space| remote(&server, "index", space));
+}
+
+#[test]
+fn it_is_never_cleared() {
+    let server = Server::start();
+    let index = remote(&server, "index", &Space::se2());
+    let id = index.insert([0.0; 3]).unwrap();
+    assert!(matches!(
+        index.clear(),
+        Err(Error::NotInMemory { call: "clear" })
+    ));
+    assert!(index.get(id).unwrap().is_some());
+    index.remove_all().unwrap();
+    assert!(index.is_empty().unwrap());
+}
