@@ -33,7 +33,7 @@ use wayfold_examples::{
     },
     rigid::{
         nearby::Source,
-        options::{Job, Source as Form, Options, Role},
+        options::{Job, Options, Role, Source as Form},
         processes, replay,
         roadmap::{self, Roadmap},
         scene::Rooms,

@@ -4,12 +4,7 @@ use std::{fs, path::Path, time::Duration};
 
 use serde::Serialize;
 
-use super::{
-    account::Account,
-    error::PlanningError,
-    processes::Times,
-    report::unwritten,
-};
+use super::{account::Account, error::PlanningError, processes::Times, report::unwritten};
 
 /// One run of a planner.
 #[derive(Clone, Debug, Serialize)]

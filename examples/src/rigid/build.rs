@@ -7,7 +7,7 @@ use wayfold::{Client, IndexHandle};
 use super::{
     account::Account,
     nearby::Source,
-    options::{Job, Source as Form, Options},
+    options::{Job, Options, Source as Form},
     roadmap::{self, Roadmap},
     scene::{Rooms, Task},
     worker::Worker,

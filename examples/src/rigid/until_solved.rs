@@ -18,7 +18,7 @@ use super::{
     build::WORKERS,
     milestone::{self, PENDING},
     nearby::Source,
-    options::{Job, Source as Form, Options},
+    options::{Job, Options, Source as Form},
     roadmap::Roadmap,
     scene::Rooms,
     worker::Worker,

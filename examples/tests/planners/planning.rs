@@ -253,10 +253,7 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
             (scan_total, total("scan") / total(source)),
             (scan_neighbors, neighbors("scan") / neighbors(source)),
             (brute_total, total("brute") / total(source)),
-            (
-                brute_neighbors,
-                neighbors("brute") / neighbors(source),
-            ),
+            (brute_neighbors, neighbors("brute") / neighbors(source)),
         ] {
             // The rounding errors of a ratio below ten and of one above.
             let rounding = if expected < 10.0 { 0.0051 } else { 0.51 };

@@ -69,8 +69,7 @@ fn are_nearest(shared: &SharedTrees, worker: usize, searches: &[SearchRecord]) -
     for asked in searches {
         let (nodes, tree) = (&shared.trees[asked.tree], asked.tree);
         let (revisions, makers) = (&shared.revisions[tree], &shared.makers[tree]);
-        let is_own =
-            |node: usize| makers[node] == worker && !ROOTS.contains(&nodes.ids[node]);
+        let is_own = |node: usize| makers[node] == worker && nodes.ids[node] != ROOTS[tree];
         let found = nodes.node(asked.found.id).unwrap();
         if !is_own(found) {
             read[tree] = revisions[found].max(read[tree]);
@@ -193,8 +192,14 @@ async fn invalid_trees_are_not_read() {
     };
     assert!(refused(20, 0, &[]).await, "no parent");
     assert!(refused(20, 0, &[1, 2, 3]).await, "no id");
-    assert!(refused(20, 0, &99_u64.to_le_bytes()).await, "no such vertex");
-    assert!(refused(20, 0, &20_u64.to_le_bytes()).await, "its own parent");
+    assert!(
+        refused(20, 0, &99_u64.to_le_bytes()).await,
+        "no such vertex"
+    );
+    assert!(
+        refused(20, 0, &20_u64.to_le_bytes()).await,
+        "its own parent"
+    );
     let other = ROOTS[1].to_le_bytes();
     assert!(refused(20, 0, &other).await, "of the other tree");
     assert!(!refused(20, 1, &other).await, "of its own tree");

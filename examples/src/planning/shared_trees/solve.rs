@@ -7,7 +7,7 @@ use super::{
         comparison::PlannerOutcome,
         error::PlanningError,
         figures::{Row, RunTimes},
-        options::{Source, Options, seeds},
+        options::{Options, Source, seeds},
         path::{self, Verify},
         problem::Problem,
         processes::{self, Crew, Incident, PROGRESS_MS},

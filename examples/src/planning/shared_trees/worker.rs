@@ -143,10 +143,7 @@ impl<'a, P: Problem> Worker<'a, P> {
     /// Connects this tree to a random state, and the other one to the end of that connection. Returns the state in
     /// which the trees meet, and its vertices, if they do.
     #[expect(clippy::type_complexity, reason = "a state and two ids")]
-    fn connect_both(
-        &mut self,
-        tree: usize,
-    ) -> Result<Option<(Vec<f64>, [u64; 2])>, PlanningError> {
+    fn connect_both(&mut self, tree: usize) -> Result<Option<(Vec<f64>, [u64; 2])>, PlanningError> {
         let start = Instant::now();
         let (space, bounds) = (self.problem.space(), self.problem.bounds());
         let random = sampling::uniform(space, bounds, &mut self.rng);
