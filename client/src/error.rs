@@ -2,12 +2,10 @@
 
 use std::{sync::Arc, time::Duration};
 
+#[cfg(feature = "net")]
+use crate::{Code, Refusal, SnapshotError};
 use thiserror::Error;
-use tonic::Code;
 use wayfold_index::{ApplyError, PointsError, SearchError, StateError};
-use wayfold_proto::snapshot::SnapshotError;
-
-use crate::Refusal;
 
 /// The error of a call.
 #[derive(Debug, Error)]
@@ -47,6 +45,7 @@ pub enum Error {
     },
     /// The server refused the call. The outcome of a mutation is unknown after `DEADLINE_EXCEEDED`, `DATA_LOSS`,
     /// `INTERNAL`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`; any other refusal changed nothing.
+    #[cfg(feature = "net")]
     #[error(transparent)]
     Refused(Box<Refusal>),
     /// A state does not have as many numbers as the space has coordinates.
@@ -144,6 +143,7 @@ pub enum Error {
         source: Box<Error>,
     },
     /// A file is not a snapshot, is damaged, or cannot be read.
+    #[cfg(feature = "net")]
     #[error(transparent)]
     Snapshot(SnapshotError),
     /// A replica has not heard from its server for longer than its bound on staleness.
@@ -180,6 +180,7 @@ pub enum Error {
     },
 }
 
+#[cfg(feature = "net")]
 impl Error {
     /// The gRPC status code of the error, or the nearest one.
     pub fn code(&self) -> Code {
@@ -270,6 +271,7 @@ impl Error {
 }
 
 /// The text of `tonic::TimeoutExpired`. A status keeps nothing else of that error.
+#[cfg(feature = "net")]
 const TIMEOUT_EXPIRED: &str = "Timeout expired";
 
 fn earlier_attempt(earlier: Option<&Error>) -> String {

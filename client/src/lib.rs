@@ -60,63 +60,32 @@
 //! **Replicas.** With the feature `replica`, `Client::replica` makes a copy of an index in this process, which follows
 //! the server's and is searched without the network.
 
-mod client;
 mod error;
-mod handle;
-mod include;
 mod index;
-mod info;
 mod layout;
-mod limits;
-mod neighbors;
-mod points;
-mod refusal;
+#[cfg(feature = "net")]
+mod net;
 #[cfg(feature = "replica")]
 mod replica;
-mod request;
-mod retry;
-mod revision;
 mod search;
-mod server;
-mod snapshot;
 mod state;
-mod states;
 
-pub use client::{Client, ClientBuilder};
 pub use error::Error;
-pub use handle::IndexHandle;
-pub use include::Include;
 pub use index::{
-    Changes, Found, Index, InsertOptions, InsertedPoint, Meanwhile, OpenRemote, OpenShared, Search,
-    Status, StoredPoint, StoredPoints, UnsentWrite,
+    Changes, Found, Index, InsertOptions, InsertedPoint, Search, StoredPoint, StoredPoints,
 };
-pub use info::{DamagedIndex, IndexInfo, IndexList};
+#[cfg(feature = "net")]
+pub use index::{Meanwhile, OpenRemote, OpenShared, Status, UnsentWrite};
 pub use layout::{Coordinate, coordinate_names};
-pub use limits::READ_ROWS;
-pub use neighbors::{Neighbors, Row};
-pub use points::{Point, Points};
-pub use refusal::{FieldViolation, Refusal};
+#[cfg(feature = "net")]
+pub use net::*;
 #[cfg(feature = "replica")]
 pub use replica::{Replica, ReplicaNeighbors, ReplicaRequest, ReplicaStatus, ReplicaView, Write};
-pub use request::{
-    Get, Insert, Inserted, Knn, KnnAnswers, KnnRequests, Mutation, Outcome, Query, Remove, Removed,
-    Reset, ResetReason, Scan, ScanRequest, Snapshot, SnapshotRequest, Update, Updated, Verified,
-    Verify, Watch, WatchEvent, WatchRequest,
-};
-pub use retry::RetryPolicy;
-pub use revision::Revision;
-#[cfg(feature = "replica")]
-pub use search::Search as ReplicaSearch;
-pub use search::{Filter, NeighborSpec, Radius, ScaledRadius};
-pub use server::{Durability, Limits, ServerInfo};
-pub use snapshot::{SnapshotPart, SnapshotReader, SnapshotWriter};
+pub use search::{Radius, ScaledRadius};
 pub use state::{FromState, State};
-pub use states::States;
 
-pub use tonic::Code;
 #[cfg(feature = "replica")]
 pub use wayfold_index::Point as OwnedPoint;
 pub use wayfold_index::{
     Factor, Group, Neighbor, Scaling, Seen, Space, SpaceError, StateError, StateProblem, Term,
 };
-pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};

@@ -8,18 +8,25 @@ mod local;
 mod memory;
 mod merger;
 mod point;
+#[cfg(feature = "net")]
 mod remote;
+#[cfg(feature = "net")]
 mod runtime;
 mod scan;
 mod search;
+#[cfg(feature = "net")]
+mod served;
+#[cfg(feature = "net")]
 mod shared;
 
 pub use point::{Changes, Found, InsertOptions, InsertedPoint, StoredPoint, StoredPoints};
+#[cfg(feature = "net")]
 pub use remote::OpenRemote;
 pub use search::Search;
+#[cfg(feature = "net")]
 pub use shared::{Meanwhile, OpenShared, Status, UnsentWrite};
 
-use std::{cell::Cell, sync::Arc, time::Duration};
+use std::{cell::Cell, sync::Arc};
 
 use wayfold_index::{NearestNeighbors, Neighbor, Question, Seen, Space};
 
@@ -29,6 +36,7 @@ use crate::{
     state,
 };
 use memory::{Memory, Merges};
+#[cfg(feature = "net")]
 use shared::SharedIndex;
 
 /// A dynamic set of states with exact nearest-neighbour search, for planners.
@@ -53,6 +61,7 @@ use shared::SharedIndex;
 pub struct Index {
     form: Arc<dyn NearestNeighbors<Error = Error>>,
     /// The same as `form`, if it is the shared one.
+    #[cfg(feature = "net")]
     shared: Option<Arc<SharedIndex>>,
     /// The kinds of the numbers of a state.
     coordinates: Arc<[Coordinate]>,
@@ -83,31 +92,11 @@ impl Index {
         Ok(Index::of(Memory::new(space, Merges::Inline)))
     }
 
-    /// The index of this name on a server, with a copy of it in this process: own writes are in the copy at once and
-    /// travel in the background, writes of others arrive as they happen.
-    ///
-    /// A read sees everything up to one revision of the server's, and own writes after it in the order of their calls.
-    pub fn shared(uri: &str, name: &str) -> OpenShared {
-        OpenShared::new(uri, name)
-    }
-
-    /// The index of this name on a server, without a copy: each call is one of the server's, and waits for it.
-    pub fn remote(uri: &str, name: &str) -> OpenRemote {
-        OpenRemote::new(uri, name)
-    }
-
-    fn shared_form(shared: SharedIndex) -> Index {
-        let shared = Arc::new(shared);
-        Index {
-            shared: Some(Arc::clone(&shared)),
-            ..Index::of(shared)
-        }
-    }
-
     fn of(form: Arc<dyn NearestNeighbors<Error = Error>>) -> Index {
         Index {
             coordinates: layout::coordinates(form.space()).into(),
             form,
+            #[cfg(feature = "net")]
             shared: None,
         }
     }
@@ -328,51 +317,6 @@ impl Index {
             self.remove(point?.id)?;
         }
         Ok(())
-    }
-
-    /// Waits until the server has acknowledged every write before this call: they are as durable then as the server is
-    /// configured. Returns at once for the other forms.
-    ///
-    /// # Errors
-    /// [`Error::Timeout`]; the writes stay pending. [`Error::WritesRefused`]: see [`Index::take_unsent`].
-    pub fn flush(&self) -> Result<(), Error> {
-        self.shared.as_ref().map_or(Ok(()), |shared| shared.flush())
-    }
-
-    /// The number of writes that the server has not acknowledged; 0 for the other forms.
-    pub fn pending(&self) -> u64 {
-        self.shared.as_ref().map_or(0, |shared| shared.pending())
-    }
-
-    /// The state of a shared index's connection; `None` for the other forms.
-    pub fn status(&self) -> Option<Status> {
-        self.shared.as_ref().map(|shared| shared.status())
-    }
-
-    /// The neighbours of own points, inserted with a question, that others stored before them in the index's order and
-    /// that the insert could not see. Each is told once, when the server has stored the point, and only if there are
-    /// any. False beside them if some were dropped, because 65,536 waited. In the other forms an insert sees all.
-    pub fn meanwhile(&self) -> (Vec<Meanwhile>, bool) {
-        let none = || (Vec::new(), true);
-        self.shared
-            .as_ref()
-            .map_or_else(none, |shared| shared.meanwhile())
-    }
-
-    /// Every write from the first one on that the server refused for good, in order; the copy shows them no more. After
-    /// this call the index takes writes again, in a new session.
-    pub fn take_unsent(&self) -> Vec<UnsentWrite> {
-        self.shared
-            .as_ref()
-            .map_or_else(Vec::new, |shared| shared.take_unsent())
-    }
-
-    /// Takes no more writes, waits for the pending ones, and returns those that the server has not acknowledged within
-    /// `timeout`: it may have taken the first of them. An index in another form has none, and stays open.
-    pub fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
-        self.shared
-            .as_ref()
-            .map_or_else(Vec::new, |shared| shared.close(timeout))
     }
 
     fn ask(

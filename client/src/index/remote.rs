@@ -2,7 +2,7 @@
 
 use std::{
     collections::{BTreeMap, VecDeque},
-    sync::mpsc,
+    sync::{Arc, mpsc},
     time::{Duration, Instant},
 };
 
@@ -67,7 +67,7 @@ impl OpenRemote {
                 None => client.index(&self.name).await,
             }
         })?;
-        Ok(Index::of(std::sync::Arc::new(Remote { index })))
+        Ok(Index::of(Arc::new(Remote { index })))
     }
 }
 
@@ -315,14 +315,16 @@ impl NearestNeighbors for Remote {
             let columns = Include::none().states().tags().revisions();
             let mut scan = match index.scan().include(columns).await {
                 Ok(scan) => scan,
-                Err(error) => return drop(send.send(Err(error))),
+                Err(error) => {
+                    let _ = send.send(Err(error));
+                    return;
+                }
             };
-            loop {
-                let part = scan.next().await;
-                let is_last = !matches!(part, Ok(Some(_)));
-                let part = part.transpose();
-                let sent = tokio::task::block_in_place(|| part.map(|part| send.send(part)));
-                if is_last || matches!(sent, Some(Err(_))) {
+            while let Some(part) = scan.next().await.transpose() {
+                let is_last = part.is_err();
+                // A slow caller blocks this task, and no other one.
+                let sent = tokio::task::block_in_place(|| send.send(part).is_ok());
+                if is_last || !sent {
                     return;
                 }
             }

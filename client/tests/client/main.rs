@@ -7,6 +7,7 @@ mod dividing;
 mod examples;
 #[cfg_attr(not(feature = "replica"), expect(dead_code, reason = "replicas scan"))]
 mod fake;
+mod index;
 #[cfg(feature = "replica")]
 mod replica;
 mod requests;

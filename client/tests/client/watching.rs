@@ -54,7 +54,7 @@ pub(crate) fn points(revision: u64, points: &[(u64, f64)]) -> v1::Points {
 
 async fn mutation(watch: &mut Watch) -> Mutation {
     match watch.next().await.unwrap().unwrap() {
-        WatchEvent::Mutation(mutation) => mutation,
+        WatchEvent::Mutation(mutation) => *mutation,
         other => panic!("{other:?}"),
     }
 }

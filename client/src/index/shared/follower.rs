@@ -2,7 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
-use tokio::time::{Instant, sleep};
+use tokio::time::{Instant, sleep_until};
 
 use super::{core::Core, link::protocol};
 use crate::{
@@ -167,7 +167,7 @@ impl Follower {
         self.failures = self.failures.saturating_add(1);
         let pause = self.core.link.pause(self.failures);
         self.core.disconnected(error);
-        sleep(pause).await;
+        sleep_until(Instant::now() + pause).await;
         Ok(())
     }
 }

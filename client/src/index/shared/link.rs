@@ -5,15 +5,23 @@ use std::time::Duration;
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
 use wayfold_proto::v1;
 
+#[cfg(feature = "zenoh")]
+use super::publications::Publications;
 use crate::{
-    Client, Code, Error, Include, IndexHandle, Revision, Watch, request::fresh_operation_id,
+    Client, Code, Error, Include, IndexHandle, Revision, Watch, net::request::fresh_operation_id,
 };
+
+/// The time without a publication after which the index's log is read: the last one may be lost.
+#[cfg(feature = "zenoh")]
+const QUIET_TIME: Duration = Duration::from_secs(1);
 
 /// The way to the server, and the name of the index.
 #[derive(Clone, Debug)]
 pub(super) struct Link {
     client: Client,
     name: String,
+    #[cfg(feature = "zenoh")]
+    publications: Option<Publications>,
 }
 
 /// A session and the ids that were reserved with it.
@@ -38,8 +46,16 @@ impl Link {
         let link = Link {
             client,
             name: name.to_owned(),
+            #[cfg(feature = "zenoh")]
+            publications: None,
         };
         Ok((link, index))
+    }
+
+    /// Follows the index's publications over Zenoh instead of the server's feed.
+    #[cfg(feature = "zenoh")]
+    pub(super) fn follow_over(&mut self, publications: Publications) {
+        self.publications = Some(publications);
     }
 
     /// The pause after this many failures in a row.
@@ -102,6 +118,10 @@ impl Link {
         after: Revision,
         own_session: u64,
     ) -> Result<Watch, Error> {
+        #[cfg(feature = "zenoh")]
+        if let Some(publications) = &self.publications {
+            return publications.watch(index, after, QUIET_TIME).await;
+        }
         index.watch().after(after).own_session(own_session).await
     }
 

@@ -12,6 +12,8 @@ mod ids;
 mod link;
 mod meanwhile;
 mod open;
+#[cfg(feature = "zenoh")]
+mod publications;
 mod rebased;
 mod sender;
 mod status;

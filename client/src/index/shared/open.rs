@@ -39,6 +39,8 @@ pub struct OpenShared {
     space: Option<Space>,
     timeout: Duration,
     max_pending_bytes: usize,
+    #[cfg(feature = "zenoh")]
+    publications: Option<super::publications::Publications>,
 }
 
 impl OpenShared {
@@ -49,6 +51,8 @@ impl OpenShared {
             space: None,
             timeout: Duration::from_secs(30),
             max_pending_bytes: 16 << 20,
+            #[cfg(feature = "zenoh")]
+            publications: None,
         }
     }
 
@@ -71,6 +75,17 @@ impl OpenShared {
         self
     }
 
+    /// Gets mutations over Zenoh instead: from the index's publications at `PREFIX/NAME/events`, and from its log if
+    /// publications were lost. The session must reach the server, directly or through routers, and lives in a runtime
+    /// of the caller's; `wayfold/v1` is the default prefix of a server. Writes and the first read of all points go over
+    /// gRPC.
+    #[cfg(feature = "zenoh")]
+    pub fn over_zenoh(mut self, session: zenoh::Session, prefix: &str) -> OpenShared {
+        let publications = super::publications::Publications::new(session, prefix);
+        self.publications = Some(publications);
+        self
+    }
+
     /// Connects, opens a writer session, reads all points and begins to follow the index.
     ///
     /// # Errors
@@ -85,12 +100,20 @@ impl OpenShared {
             runtime.spawn(sender::run(Arc::clone(&core))).abort_handle(),
             runtime.spawn(follower.run()).abort_handle(),
         ];
-        Ok(Index::shared_form(SharedIndex::new(core, tasks)))
+        Ok(Index::of_shared(SharedIndex::new(core, tasks)))
     }
 
     async fn connect(self) -> Result<Arc<Core>, Error> {
-        let (link, index) =
+        #[cfg_attr(
+            not(feature = "zenoh"),
+            expect(unused_mut, reason = "publications change it")
+        )]
+        let (mut link, index) =
             Link::open(&self.uri, &self.name, self.timeout, self.space.as_ref()).await?;
+        #[cfg(feature = "zenoh")]
+        if let Some(publications) = self.publications {
+            link.follow_over(publications);
+        }
         let mut writer = Writer::new(index.coordinates());
         let (max_rows, max_request_bytes) = link.limits(self.timeout).await?;
         writer.limit(max_rows, max_request_bytes);

@@ -2,7 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep_until};
 use wayfold_proto::v1;
 
 use super::{
@@ -46,7 +46,7 @@ pub(super) async fn run(core: Arc<Core>) {
                     .pause(failures)
                     .max(asked.unwrap_or(Duration::ZERO));
                 core.disconnected(error);
-                sleep(pause).await;
+                sleep_until(Instant::now() + pause).await;
             }
             Err(error) => core.refuse(error),
         }

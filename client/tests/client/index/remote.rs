@@ -2,7 +2,8 @@
 
 use wayfold::{Error, Index, Space};
 
-use crate::{conformance, server::Server};
+use super::conformance;
+use crate::server::Server;
 
 fn remote(server: &Server, name: &str, space: &Space) -> Index {
     Index::remote(&server.uri, name)

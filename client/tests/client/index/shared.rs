@@ -10,7 +10,8 @@ use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold::{Error, Index, InsertOptions, Search, Space, Status};
 
-use crate::{conformance, model::Model, server::Server};
+use super::{conformance, model::Model};
+use crate::server::Server;
 
 fn shared(server: &Server, name: &str, space: &Space) -> Index {
     Index::shared(&server.uri, name)

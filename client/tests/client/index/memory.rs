@@ -2,7 +2,7 @@
 
 use wayfold::{Index, InsertOptions, Search, Space};
 
-use crate::{conformance, model::Model};
+use super::{conformance, model::Model};
 
 fn in_memory(space: &Space) -> Index {
     Index::in_memory(space).unwrap()

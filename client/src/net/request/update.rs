@@ -8,7 +8,7 @@ use wayfold_proto::v1;
 use super::{
     ID_AND_TAG_BYTES, awaitable, check_column, fresh_operation_id, mutation, payload_bytes,
 };
-use crate::{Error, IndexHandle, Revision, limits::Division};
+use crate::{Error, IndexHandle, Revision, net::limits::Division};
 
 /// Sets tags or payloads of stored points, whose states stay; await it to send it.
 ///

@@ -2,7 +2,7 @@
 
 use wayfold::{Error, Index, InsertOptions, Search, Space, StateProblem};
 
-use crate::model::Model;
+use super::model::Model;
 
 /// The spaces of the suite.
 pub(crate) const SPACES: [&str; 8] = [

@@ -3,7 +3,7 @@
 use wayfold_proto::v1;
 
 use super::{awaitable, fresh_operation_id, mutation};
-use crate::{Error, IndexHandle, Revision, limits::Division};
+use crate::{Error, IndexHandle, Revision, net::limits::Division};
 
 /// Removes points by id; await it to send it.
 ///

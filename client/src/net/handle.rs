@@ -15,7 +15,7 @@ use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
 use crate::{
     Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, Query, Radius,
     Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
-    client::within,
+    net::client::within,
 };
 
 /// An index of a server, of one uid: when the index is deleted and created again, the calls of this handle fail with
@@ -174,7 +174,7 @@ impl IndexHandle {
     /// # Errors
     /// Those of every call.
     pub async fn stream_knn(&self) -> Result<(KnnRequests, KnnAnswers), Error> {
-        crate::request::open_stream(self).await
+        crate::net::request::open_stream(self).await
     }
 
     fn collect<S: State>(&self, states: impl IntoIterator<Item = S>) -> Result<States, Error> {

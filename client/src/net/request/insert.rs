@@ -8,8 +8,8 @@ use super::{
 };
 use crate::{
     Error, IndexHandle, Limits, NeighborSpec, Neighbors, Revision, States,
-    limits::{self, Division},
-    neighbors::Expected,
+    net::limits::{self, Division},
+    net::neighbors::Expected,
 };
 
 /// Inserts states; await it to send it.

@@ -4,7 +4,7 @@ use bytes::Bytes;
 use wayfold_index::Neighbor;
 use wayfold_proto::v1;
 
-use crate::{Error, Include, Revision, States, points::extend, revision::RowRevisions};
+use crate::{Error, Include, Revision, States, net::points::extend, net::revision::RowRevisions};
 
 /// The neighbours of each state of a request, nearest first; at equal distances by id.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,7 +7,7 @@ use wayfold_proto::v1;
 use super::awaitable;
 use crate::{
     Error, Include, IndexHandle, Points,
-    limits::{self, READ_ROWS},
+    net::limits::{self, READ_ROWS},
 };
 
 /// Reads points by id, each id once; await it to send it. Ids that are not stored are `NOT_FOUND`, by name.

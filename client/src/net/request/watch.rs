@@ -70,7 +70,7 @@ pub(crate) type Messages = BoxStream<'static, Result<v1::WatchResponse, Error>>;
 #[derive(Clone, Debug, PartialEq)]
 pub enum WatchEvent {
     /// The next mutation.
-    Mutation(Mutation),
+    Mutation(Box<Mutation>),
     /// The server cannot send the next mutations. The last event.
     Reset(Reset),
 }
@@ -307,7 +307,8 @@ impl Watch {
             self.unfinished = Some((mutation, next));
         } else {
             self.after = revision.number;
-            self.ready.push_back(WatchEvent::Mutation(mutation));
+            self.ready
+                .push_back(WatchEvent::Mutation(Box::new(mutation)));
         }
         Ok(())
     }

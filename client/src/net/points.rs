@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use crate::{Error, FromState, Include, Revision, States, revision::RowRevisions};
+use crate::{Error, FromState, Include, Revision, States, net::revision::RowRevisions};
 
 /// Stored points, in the order of a get's ids, or in that of all ids.
 #[derive(Clone, Debug, PartialEq)]

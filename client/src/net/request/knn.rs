@@ -7,8 +7,8 @@ use wayfold_proto::v1::{self, neighbor_spec};
 use super::{SearchOptions, awaitable, search_options};
 use crate::{
     Error, Filter, Include, IndexHandle, Neighbors, Radius, States,
-    limits::{self, READ_ROWS},
-    neighbors::Expected,
+    net::limits::{self, READ_ROWS},
+    net::neighbors::Expected,
     search::{Bounds, K},
 };
 

@@ -1,0 +1,74 @@
+//! What an index of a server has beyond one in memory.
+
+use std::{sync::Arc, time::Duration};
+
+use super::{Index, Meanwhile, OpenRemote, OpenShared, Status, UnsentWrite, shared::SharedIndex};
+use crate::Error;
+
+impl Index {
+    /// The index of this name on a server, with a copy of it in this process: own writes are in the copy at once and
+    /// travel in the background, writes of others arrive as they happen.
+    ///
+    /// A read sees everything up to one revision of the server's, and own writes after it in the order of their calls.
+    pub fn shared(uri: &str, name: &str) -> OpenShared {
+        OpenShared::new(uri, name)
+    }
+
+    /// The index of this name on a server, without a copy: each call is one of the server's, and waits for it.
+    pub fn remote(uri: &str, name: &str) -> OpenRemote {
+        OpenRemote::new(uri, name)
+    }
+
+    pub(super) fn of_shared(shared: SharedIndex) -> Index {
+        let shared = Arc::new(shared);
+        Index {
+            shared: Some(Arc::clone(&shared)),
+            ..Index::of(shared)
+        }
+    }
+
+    /// Waits until the server has acknowledged every write before this call: they are as durable then as the server is
+    /// configured. Returns at once for the other forms.
+    ///
+    /// # Errors
+    /// [`Error::Timeout`]; the writes stay pending. [`Error::WritesRefused`]: see [`Index::take_unsent`].
+    pub fn flush(&self) -> Result<(), Error> {
+        self.shared.as_ref().map_or(Ok(()), |shared| shared.flush())
+    }
+
+    /// The number of writes that the server has not acknowledged; 0 for the other forms.
+    pub fn pending(&self) -> u64 {
+        self.shared.as_ref().map_or(0, |shared| shared.pending())
+    }
+
+    /// The state of a shared index's connection; `None` for the other forms.
+    pub fn status(&self) -> Option<Status> {
+        self.shared.as_ref().map(|shared| shared.status())
+    }
+
+    /// The neighbours of own points, inserted with a question, that others stored before them in the index's order and
+    /// that the insert could not see. Each is told once, when the server has stored the point, and only if there are
+    /// any. False beside them if some were dropped, because 65,536 waited. In the other forms an insert sees all.
+    pub fn meanwhile(&self) -> (Vec<Meanwhile>, bool) {
+        let none = || (Vec::new(), true);
+        self.shared
+            .as_ref()
+            .map_or_else(none, |shared| shared.meanwhile())
+    }
+
+    /// Every write from the first one on that the server refused for good, in order; the copy shows them no more. After
+    /// this call the index takes writes again, in a new session.
+    pub fn take_unsent(&self) -> Vec<UnsentWrite> {
+        self.shared
+            .as_ref()
+            .map_or_else(Vec::new, |shared| shared.take_unsent())
+    }
+
+    /// Takes no more writes, waits for the pending ones, and returns those that the server has not acknowledged within
+    /// `timeout`: it may have taken the first of them. An index in another form has none, and stays open.
+    pub fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
+        self.shared
+            .as_ref()
+            .map_or_else(Vec::new, |shared| shared.close(timeout))
+    }
+}

@@ -1,0 +1,206 @@
+//! The publications of an index over Zenoh in the form of a watch: in order, without a gap and without a repeat.
+//!
+//! A publication may be lost. The next one shows the gap, and the index's log fills it. After a
+//! while without publications the feed reads the log too, because the last publication or the link to the server may be
+//! lost.
+
+use std::{cmp::Ordering, sync::Arc, time::Duration};
+
+use futures_util::stream;
+use prost::Message;
+use tokio::time::timeout;
+use wayfold_proto::v1;
+use zenoh::{
+    Session,
+    bytes::Encoding,
+    handlers::{RingChannel, RingChannelHandler},
+    pubsub::Subscriber,
+    sample::Sample,
+};
+
+use crate::{Code, Error, IndexHandle, Refusal, Revision, Watch};
+
+const CALL: &str = "shared";
+
+/// The number of publications that may wait. One more drops the oldest, and the log fills the gap.
+const MAX_WAITING: usize = 256;
+
+/// A session, and the prefix of the keys.
+#[derive(Clone, Debug)]
+pub(super) struct Publications {
+    session: Session,
+    prefix: Arc<str>,
+}
+
+impl Publications {
+    pub(super) fn new(session: Session, prefix: &str) -> Publications {
+        Publications {
+            session,
+            prefix: prefix.into(),
+        }
+    }
+
+    /// Watches an index after a revision. The feed reads the log after the time `quiet` without a publication.
+    pub(super) async fn watch(
+        &self,
+        index: &IndexHandle,
+        after: Revision,
+        quiet: Duration,
+    ) -> Result<Watch, Error> {
+        let key = format!("{}/{}", self.prefix, index.name());
+        // The subscription precedes the first read of the log, so that no publication is missed.
+        let events = self.session.declare_subscriber(format!("{key}/events"));
+        let events = events.with(RingChannel::new(MAX_WAITING)).await;
+        let request = index.watch().after(after.clone());
+        let feed = Feed {
+            session: self.session.clone(),
+            events: events.map_err(|error| lost(&key, error))?,
+            key,
+            index: index.clone(),
+            quiet,
+            after: after.number,
+            piece: 0,
+            is_behind: true,
+        };
+        let messages = stream::try_unfold(feed, async |mut feed| {
+            let message = feed.next().await?;
+            Ok(Some((message, feed)))
+        });
+        Watch::of(request, Box::pin(messages)).await
+    }
+}
+
+/// One index that is followed.
+struct Feed {
+    session: Session,
+    events: Subscriber<RingChannelHandler<Sample>>,
+    /// The prefix of the index's keys.
+    key: String,
+    index: IndexHandle,
+    quiet: Duration,
+    /// The number of the newest revision that arrived whole.
+    after: u64,
+    /// The number of the next piece of the mutation after it.
+    piece: u32,
+    /// True if the log has mutations that did not arrive.
+    is_behind: bool,
+}
+
+impl Feed {
+    async fn next(&mut self) -> Result<v1::WatchResponse, Error> {
+        if self.is_behind {
+            return self.read_log().await;
+        }
+        match timeout(self.quiet, self.events.recv_async()).await {
+            Ok(Ok(sample)) => self.take(&sample).await,
+            Ok(Err(error)) => Err(lost(&self.key, error)),
+            Err(_quiet) => self.read_log().await,
+        }
+    }
+
+    /// The event of a publication.
+    async fn take(&mut self, sample: &Sample) -> Result<v1::WatchResponse, Error> {
+        let mut message = decode::<v1::WatchResponse>(&sample.payload().to_bytes())?;
+        let revision = message.revision.clone().unwrap_or_default();
+        // The log decides whether the caller's revision is still valid.
+        if revision.uid != self.index.uid() || message.reset.is_some() {
+            return self.read_log().await;
+        }
+        // The first message after a subscription only names the newest revision.
+        self.is_behind = message.mutations.is_empty() && revision.number > self.after;
+        message.mutations.retain(|mutation| self.is_next(mutation));
+        Ok(message)
+    }
+
+    /// True if `mutation`, or this piece of it, comes next, and then records it. Records a gap if a later one comes.
+    fn is_next(&mut self, mutation: &v1::Mutation) -> bool {
+        let next = (self.after.saturating_add(1), self.piece);
+        let number = number(mutation.revision.as_ref());
+        match (number, mutation.piece).cmp(&next) {
+            Ordering::Less => false,
+            Ordering::Equal => {
+                (self.after, self.piece) = match mutation.continued {
+                    true => (self.after, self.piece.saturating_add(1)),
+                    false => (number, 0),
+                };
+                true
+            }
+            Ordering::Greater => {
+                self.is_behind = true;
+                false
+            }
+        }
+    }
+
+    /// Reads the next mutations from the log, whole.
+    async fn read_log(&mut self) -> Result<v1::WatchResponse, Error> {
+        self.piece = 0;
+        let after = self.index.revision_at(self.after).to_message();
+        let message = match self.log(after.clone()).await {
+            // No answer holds the next mutation: all points have to be read again.
+            Err(Error::Refused(refusal)) if is_too_large(&refusal) => v1::WatchResponse {
+                revision: Some(after),
+                reset: Some(v1::ResetReason::WindowPassed.into()),
+                ..Default::default()
+            },
+            answer => answer?,
+        };
+        if let Some(last) = message.mutations.last() {
+            self.after = number(last.revision.as_ref());
+        }
+        self.is_behind = number(message.revision.as_ref()) > self.after;
+        Ok(message)
+    }
+
+    async fn log(&self, after: v1::Revision) -> Result<v1::WatchResponse, Error> {
+        let request = v1::WatchRequest {
+            after_revision: Some(after),
+            ..Default::default()
+        };
+        let query = self
+            .session
+            .get(format!("{}/log?from={}", self.key, self.after))
+            .payload(request.encode_to_vec())
+            .encoding(Encoding::APPLICATION_PROTOBUF)
+            .timeout(self.index.timeout());
+        let replies = query.await.map_err(|error| lost(&self.key, error))?;
+        let reply = replies.recv_async().await;
+        let reply = reply.map_err(|_| lost(&self.key, "no server answers for its log"))?;
+        match reply.into_result() {
+            Ok(sample) => decode(&sample.payload().to_bytes()),
+            Err(refused) if *refused.encoding() == Encoding::APPLICATION_PROTOBUF => {
+                let status = decode(&refused.payload().to_bytes())?;
+                Err(Error::Refused(Box::new(Refusal::from_message(&status))))
+            }
+            // An error of Zenoh itself.
+            Err(failed) => {
+                let text = failed.payload().to_bytes();
+                Err(lost(&self.key, String::from_utf8_lossy(&text)))
+            }
+        }
+    }
+}
+
+fn number(revision: Option<&v1::Revision>) -> u64 {
+    revision.map_or(0, |revision| revision.number)
+}
+
+fn is_too_large(refusal: &Refusal) -> bool {
+    let limit = refusal.metadata.get("limit").map(String::as_str);
+    refusal.code == Code::ResourceExhausted && limit == Some("max_answer_bytes")
+}
+
+fn lost(key: &str, why: impl ToString) -> Error {
+    Error::Connection {
+        call: CALL,
+        uri: format!("Zenoh, {key}"),
+        source: why.to_string().into(),
+    }
+}
+
+fn decode<M: Message + Default>(payload: &[u8]) -> Result<M, Error> {
+    M::decode(payload).map_err(|error| Error::Protocol {
+        call: CALL,
+        problem: format!("over Zenoh: {error}"),
+    })
+}

@@ -1,0 +1,45 @@
+//! The asynchronous client: a connection to a server, and its calls.
+//!
+//! `client` is the connection and `handle` an index on it; `request` has a file for each call. `limits` divides what is
+//! too large for one call, `retry` repeats what found no server. The other files are what travels.
+
+pub(crate) mod client;
+mod handle;
+mod include;
+mod info;
+pub(crate) mod limits;
+pub(crate) mod neighbor_spec;
+mod neighbors;
+pub(crate) mod points;
+mod refusal;
+pub(crate) mod request;
+mod retry;
+pub(crate) mod revision;
+mod server;
+mod snapshot;
+mod states;
+
+pub use client::{Client, ClientBuilder};
+pub use handle::IndexHandle;
+pub use include::Include;
+pub use info::{DamagedIndex, IndexInfo, IndexList};
+pub use limits::READ_ROWS;
+#[cfg(feature = "replica")]
+pub use neighbor_spec::Search as ReplicaSearch;
+pub use neighbor_spec::{Filter, NeighborSpec};
+pub use neighbors::{Neighbors, Row};
+pub use points::{Point, Points};
+pub use refusal::{FieldViolation, Refusal};
+pub use request::{
+    Get, Insert, Inserted, Knn, KnnAnswers, KnnRequests, Mutation, Outcome, Query, Remove, Removed,
+    Reset, ResetReason, Scan, ScanRequest, Snapshot, SnapshotRequest, Update, Updated, Verified,
+    Verify, Watch, WatchEvent, WatchRequest,
+};
+pub use retry::RetryPolicy;
+pub use revision::Revision;
+pub use server::{Durability, Limits, ServerInfo};
+pub use snapshot::{SnapshotPart, SnapshotReader, SnapshotWriter};
+pub use states::States;
+
+pub use tonic::Code;
+pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};
