@@ -86,7 +86,7 @@ impl Vertices {
         while let Some(part) = scan.next().await? {
             for point in part.iter() {
                 let parent_id = point.payload.and_then(|payload| vertex::parent(payload));
-                if parent_id.is_none() && !ROOTS.contains(&point.id) {
+                if parent_id.is_none() && point.id != ROOTS[vertex::tree(point.tag)] {
                     return Err(wrong(point.id, "its payload tells no parent"));
                 }
                 read.states.push(point.state)?;
