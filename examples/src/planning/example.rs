@@ -8,13 +8,14 @@ use std::{
 use clap::Parser;
 
 use super::{
-    comparison::{self, Comparison, Open, Trials},
+    comparison::{self, Comparison, Open, PlannerOutcome, Trials},
     error::PlanningError,
     figures,
     host::Host,
     options::{Options, Role},
     path::{self, Verify},
-    report, rrt,
+    report,
+    rrt::{self, Solution},
     rrt_star::Star,
     server,
     shared_trees::{
@@ -152,9 +153,10 @@ impl<P: Verify> Example<P> {
     fn scale(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
         options.source.served()?;
         let host = Host::new(options.server.as_deref())?;
-        let all = host.block_on(shared::compare(problem, host.uri(), options))?;
-        print!("{}", shared_report::comparison(&all));
-        let rows = all.iter().map(|solved| solved.row(problem));
+        let (alone, all) = host.block_on(shared::compare(problem, host.uri(), options))?;
+        print!("{}", shared_report::comparison(&alone, &all));
+        let alone = alone.iter().map(|run| run.row(Solution::PLANNER));
+        let rows = alone.chain(all.iter().map(|solved| solved.row(problem)));
         figures::write(rows, options.json.as_deref())
     }
 }

@@ -3,7 +3,7 @@
 use std::{fmt::Write, time::Duration};
 
 use super::{
-    super::{options::Source, processes::Times, report::median},
+    super::{comparison::Run, options::Source, processes::Times, report::median},
     account::Account,
     solve::{SharedSolution, WORKERS},
 };
@@ -51,10 +51,11 @@ pub fn table(solved: &SharedSolution) -> String {
     text
 }
 
-/// Medians by source and number of workers, and their speedup over one worker with the same seed.
-pub fn comparison(all: &[SharedSolution]) -> String {
+/// Medians by source and number of workers, and their speedup over one worker and over one planner with indices in
+/// memory, `alone`, with the same seed.
+pub fn comparison(alone: &[Run], all: &[SharedSolution]) -> String {
     let mut text = format!(
-        "{:<8} {:>8} {:>9} {:>26} {:>11} {:>9} {:>8} {:>8} {:>13} {:>10}\n",
+        "{:<8} {:>8} {:>9} {:>26} {:>11} {:>9} {:>8} {:>8} {:>13} {:>10} {:>10}\n",
         "source",
         "workers",
         "vertices",
@@ -64,7 +65,8 @@ pub fn comparison(all: &[SharedSolution]) -> String {
         "check %",
         "insert %",
         "to one worker",
-        "vertices/s"
+        "vertices/s",
+        "to memory"
     );
     for source in [Source::Shared, Source::Remote] {
         for workers in WORKERS {
@@ -92,7 +94,7 @@ pub fn comparison(all: &[SharedSolution]) -> String {
             let pairs = || of(source, workers).zip(of(source, 1));
             let _ = writeln!(
                 text,
-                "{:<8} {workers:>8} {:>9.0} {span:>26} {:>11.0} {:>9.1} {:>8.1} {:>8.1} {:>12.2}× {:>9.2}×",
+                "{:<8} {workers:>8} {:>9.0} {span:>26} {:>11.0} {:>9.1} {:>8.1} {:>8.1} {:>12.2}× {:>9.2}× {:>9.2}×",
                 source.name(),
                 median(of(source, workers).map(|one| one.sum().vertices as f64)),
                 median(of(source, workers).map(SharedSolution::rate)),
@@ -101,8 +103,20 @@ pub fn comparison(all: &[SharedSolution]) -> String {
                 share(|times| times.waiting),
                 median(pairs().map(|(many, one)| wall(one) / wall(many))),
                 median(pairs().map(|(many, one)| many.rate() / one.rate())),
+                median(
+                    of(source, workers)
+                        .zip(alone)
+                        .map(|(many, one)| many.rate() / one.rate())
+                ),
             );
         }
     }
+    let _ = writeln!(
+        text,
+        "One planner with indices in memory: {:.0} vertices in {:.2} s, {:.0} a second.",
+        median(alone.iter().map(|run| run.nodes as f64)),
+        median(alone.iter().map(|run| run.account.total.as_secs_f64())),
+        median(alone.iter().map(Run::rate)),
+    );
     text + "Shares are of the workers' time. Other workers draw other states, and so grow other trees until these meet.\n"
 }

@@ -4,7 +4,7 @@ use wayfold::Client;
 
 use super::{
     super::{
-        comparison::PlannerOutcome,
+        comparison::{self, Open, PlannerOutcome, Run, Trials},
         error::PlanningError,
         figures::{Row, RunTimes},
         options::{Options, Source, seeds},
@@ -131,15 +131,23 @@ pub async fn read(store: &Store) -> Result<(SharedTrees, Vec<Vec<f64>>), Plannin
 /// The compared numbers of workers.
 pub const WORKERS: [usize; 4] = [1, 2, 4, 8];
 
-/// Solves the problem with all numbers of workers and each source that they can share. The contestants take turns, so
-/// that other load on the machine affects all of them.
+/// Solves the problem with all numbers of workers and each source that they can share, and by one planner with indices
+/// in memory, a run for each seed. The contestants take turns, so that other load on the machine affects all of them.
 pub async fn compare(
     problem: &impl Verify,
     uri: &str,
     options: &Options,
-) -> Result<Vec<SharedSolution>, PlanningError> {
-    let mut all = Vec::new();
+) -> Result<(Vec<Run>, Vec<SharedSolution>), PlanningError> {
+    let (mut alone, mut all) = (Vec::new(), Vec::new());
     for seed in seeds(options.seed, options.runs) {
+        let trials = Trials {
+            sources: vec![Source::Memory],
+            seeds: vec![seed],
+            server: None,
+        };
+        let plan =
+            |own: &Open<'_>, seed| rrt::solve(problem, [own()?, own()?], seed, options.max_nodes);
+        alone.extend(comparison::compare(problem, &trials, plan)?.runs);
         for workers in WORKERS {
             for source in options.source.served()? {
                 eprintln!("{workers} workers, {}, seed {seed} ...", source.name());
@@ -147,5 +155,5 @@ pub async fn compare(
             }
         }
     }
-    Ok(all)
+    Ok((alone, all))
 }
