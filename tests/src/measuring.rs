@@ -89,12 +89,20 @@ pub fn echo() -> ServerProcess {
     start("echo", &[])
 }
 
-/// Starts this program in a role.
+/// Starts this program in a role, and waits until it prints its address.
 ///
 /// # Panics
 /// If it does not come up.
 pub fn start(role: &str, arguments: &[&str]) -> ServerProcess {
+    ServerProcess::ready(spawn(role, arguments))
+}
+
+/// Starts this program in a role.
+///
+/// # Panics
+/// If it cannot be started.
+pub fn spawn(role: &str, arguments: &[&str]) -> Process {
     let program = env::current_exe().expect("this program");
     let mut command = Command::new(program);
-    ServerProcess::ready(Process::spawn(command.env(ROLE, role).args(arguments)))
+    Process::spawn(command.env(ROLE, role).args(arguments))
 }

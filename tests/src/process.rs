@@ -21,6 +21,10 @@ pub enum Signal {
     Interrupt,
     /// SIGKILL: the process ends at once.
     Kill,
+    /// SIGSTOP: the process stands still, and its connections stay open.
+    Pause,
+    /// SIGCONT: the process goes on.
+    Resume,
 }
 
 /// The end of a process.
@@ -108,7 +112,7 @@ impl Process {
         match signal {
             // The kill is immediate: it starts no other program.
             Signal::Kill => self.child.kill().expect("a child of this process"),
-            Signal::Terminate | Signal::Interrupt => self.signal(signal),
+            signal => self.signal(signal),
         }
         self.finish()
     }
@@ -158,6 +162,8 @@ impl Process {
             Signal::Terminate => "TERM",
             Signal::Interrupt => "INT",
             Signal::Kill => "KILL",
+            Signal::Pause => "STOP",
+            Signal::Resume => "CONT",
         };
         // The shell's own `kill`: the program is missing on small systems.
         let status = Command::new("sh")

@@ -17,7 +17,7 @@ mod power_loss;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod preload;
 mod readme;
-mod replica;
 mod restore;
 mod server_program;
+mod shared;
 mod shutdown;

@@ -1,0 +1,152 @@
+//! The time from an insert until the copy of another process has the point.
+
+use std::{
+    env,
+    fs::File,
+    io::Write,
+    path::Path,
+    process::ExitCode,
+    time::{Duration, Instant, SystemTime},
+};
+
+use tokio::time::{MissedTickBehavior, interval};
+use wayfold::{Index, InsertOptions, Search};
+use wayfold_index::Space;
+use wayfold_tests::{Process, States, measuring};
+
+use crate::{Arguments, SE3, report::Report};
+
+/// The role of a process that writes.
+pub(crate) const WRITER: &str = "writer";
+
+/// The writers insert what is due, and the reader looks for what came, this often.
+const TICK: Duration = Duration::from_millis(1);
+/// The number of appends, before and after.
+const APPENDS: usize = 1_000;
+
+pub(crate) fn measure(arguments: &Arguments, writers: u32, report: &mut Report) {
+    let directory = arguments.directory();
+    let server = measuring::server(&directory.path().join("data").to_string_lossy());
+    let space: Space = SE3.parse().expect("a space");
+    let index = Index::shared(server.uri(), "arm").create(&space).open();
+    let index = index.expect("a shared index");
+    let mut syncs = sync(directory.path());
+    let rate = (arguments.rate / writers).to_string();
+    let seconds = arguments.seconds.to_string();
+    let mut processes: Vec<Process> = (0..writers)
+        .map(|seed| {
+            let seed = seed.to_string();
+            let mut process =
+                measuring::spawn(WRITER, &[server.uri(), rate.as_str(), &seconds, &seed]);
+            assert_eq!(process.line().as_deref(), Some("ready"));
+            process
+        })
+        .collect();
+    processes.iter_mut().for_each(|process| process.say("go"));
+    let count = (arguments.rate / writers * writers * arguments.seconds) as usize;
+    let mut delays = follow(&index, count);
+    let pending = processes.iter_mut().map(|process| {
+        let line = process.line().expect("the most pending writes");
+        line.parse::<f64>().expect("a number")
+    });
+    let pending = pending.fold(0.0, f64::max);
+    for process in processes {
+        assert!(process.finish().status.success());
+    }
+    syncs.extend(sync(directory.path()));
+    syncs.sort_unstable();
+    delays.sort_unstable();
+    report.section(&format!("visible, {SE3}, writers: {writers}"));
+    report.latency("until the copy of another process has it", delays);
+    report.latency("append of 4 KiB and fdatasync", syncs);
+    report.note("most pending writes of a writer", pending, "");
+}
+
+/// Looks for new points until there are `count`, whose tags tell their times. Returns their delays.
+fn follow(index: &Index, count: usize) -> Vec<Duration> {
+    let mut delays = Vec::with_capacity(count);
+    let origin = vec![0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    let first = index.search(origin, &Search::k(1)).expect("an answer");
+    let mut seen = first.seen;
+    on_ticks(|| {
+        let changes = index.changes(seen).expect("an index");
+        let changes = changes.expect("fewer changes than the copy remembers");
+        let now = nanos();
+        let stored = changes.stored.iter();
+        delays.extend(stored.map(|point| Duration::from_nanos(now.saturating_sub(point.tag))));
+        seen = changes.seen;
+        delays.len() < count
+    });
+    delays
+}
+
+/// Runs as a writer.
+pub(crate) fn write() -> ExitCode {
+    let arguments: Vec<String> = env::args().skip(1).collect();
+    let [uri, rate, seconds, seed] = &arguments[..] else {
+        return ExitCode::FAILURE;
+    };
+    let number = |text: &str| text.parse::<u64>().expect("a number");
+    let (rate, seconds, seed) = (number(rate), number(seconds), number(seed));
+    let index = Index::shared(uri, "arm").open().expect("a shared index");
+    let width = index.space().coordinates();
+    let rows = States::new(index.space().clone(), seed).rows((rate * seconds) as usize);
+    let mut rows = rows.chunks(width);
+    println!("ready");
+    let mut line = String::new();
+    std::io::stdin().read_line(&mut line).expect("a line");
+    let (start, mut inserted, mut pending) = (Instant::now(), 0, 0);
+    on_ticks(|| {
+        let due = (start.elapsed().as_secs_f64() * rate as f64) as u64;
+        for row in rows.by_ref().take((due - inserted) as usize) {
+            let options = InsertOptions::new().tag(nanos());
+            index.insert_with(row, options).expect("an insert");
+            inserted += 1;
+        }
+        pending = pending.max(index.pending());
+        inserted < rate * seconds
+    });
+    index.flush().expect("a flush");
+    println!("{pending}");
+    ExitCode::SUCCESS
+}
+
+/// Acts on every tick, until the action returns false.
+fn on_ticks(mut act: impl FnMut() -> bool) {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_time()
+        .build()
+        .expect("a runtime");
+    runtime.block_on(async {
+        let mut ticks = interval(TICK);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            ticks.tick().await;
+            if !act() {
+                return;
+            }
+        }
+    });
+}
+
+/// The durations of appends to a file in a directory, each synced.
+fn sync(directory: &Path) -> Vec<Duration> {
+    let path = directory.join("appended");
+    let file = File::options().append(true).create(true).open(path);
+    let mut file = file.expect("a file");
+    let append = |_| {
+        let began = Instant::now();
+        file.write_all(&[0; 4_096]).expect("room on the disk");
+        file.sync_data().expect("a disk that syncs");
+        began.elapsed()
+    };
+    (0..APPENDS).map(append).collect()
+}
+
+/// The time of the clock that all processes share, in nanoseconds.
+fn nanos() -> u64 {
+    let now = SystemTime::UNIX_EPOCH
+        .elapsed()
+        .expect("a clock after 1970");
+    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,158 @@
+//! A shared index keeps what it was told despite failures of its server and of the connection: each write is there
+//! exactly once, in the order of the calls.
+
+mod history;
+mod outage;
+mod proxy;
+mod roadmap;
+mod silent;
+
+use std::{
+    collections::BTreeSet, path::Path, process::Command, sync::mpsc, thread, time::Duration,
+};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wayfold::{Index, Status};
+use wayfold_index::Space;
+use wayfold_tests::{Process, ServerProcess, Signal, States};
+
+use history::{Content, History, Writer, check_copies, content, store_common, wait_for_all};
+use proxy::Proxy;
+
+const SPACE: &str = "R2*SO2*SO3:0.15";
+
+/// The number of kills, unless the environment variable `SHARED_KILLS` sets another.
+const KILLS: u64 = 10;
+const SEED: u64 = 18;
+/// The minimum number of lines that a starting server logs.
+const LINES: u32 = 4;
+
+/// A server on disk whose first tree is so small that a merge is nearly always under way.
+fn command(data: &Path, address: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", address, "--data"])
+        .arg(data)
+        .env("WAYFOLD_INDEX__GROWING_ROWS", "32");
+    command
+}
+
+/// A shared index that waits for its server without a limit.
+fn shared(uri: &str, space: &Space) -> Index {
+    let index = Index::shared(uri, "arm").create(space);
+    index.timeout(Duration::from_secs(120)).open().unwrap()
+}
+
+/// Waits until an index has another status.
+fn wait_for_status(index: &Index, is_it: impl Fn(&Status) -> bool) {
+    while !index.status().as_ref().is_some_and(&is_it) {
+        thread::yield_now();
+    }
+}
+
+#[test]
+fn every_write_is_there_once_after_kills() {
+    println!("seed {SEED}");
+    let kills = std::env::var("SHARED_KILLS").map_or(KILLS, |kills| kills.parse().unwrap());
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let space: Space = SPACE.parse().unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(SEED);
+    let mut server = ServerProcess::ready(Process::spawn(&mut command(&data, "127.0.0.1:0")));
+    let uri = server.uri().to_owned();
+    // Every later server has the address of the first.
+    let address = uri.strip_prefix("http://").unwrap();
+    let start = || Process::spawn(&mut command(&data, address));
+
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let shaky = runtime.block_on(Proxy::to(&uri));
+    let common = store_common(&shared(&uri, &space), SEED);
+    let reader = shared(&shaky.uri, &space);
+    let indexes = [&uri, &uri, &shaky.uri].map(|uri| shared(uri, &space));
+    let (turn, turns) = mpsc::sync_channel(0);
+    let writers: Vec<thread::JoinHandle<History>> = (0..)
+        .zip(&indexes)
+        .map(|(number, index)| {
+            let (writer, turn) = (Writer::new(index.clone(), number), turn.clone());
+            thread::spawn(move || writer.run(&turn))
+        })
+        .collect();
+    drop(turn);
+    let write = |turns: &mpsc::Receiver<()>, count: u64| {
+        for _ in 0..count {
+            turns.recv().expect("a writer");
+        }
+    };
+    let (mut of_reader, mut of_writer) = (Vec::new(), Vec::new());
+    let (mut killed, mut starting) = (0, 0);
+    while killed < kills {
+        write(&turns, random.random_range(1..200));
+        // The cut falls into the middle of a message.
+        shaky.cut_after(random.random_range(0..20_000));
+        // Without this the kill finds the first writes after the last start.
+        if random.random_bool(0.5) {
+            indexes[0].flush().unwrap();
+            write(&turns, random.random_range(1..50));
+        }
+        server.stop(Signal::Kill);
+        killed += 1;
+        write(&turns, random.random_range(0..200));
+        wait_for_status(&reader, |status| {
+            matches!(status, Status::Disconnected { .. })
+        });
+        of_reader.push(content(&reader));
+        // Some starts are killed too, after a random number of log lines.
+        while killed < kills && random.random_bool(0.3) {
+            start().kill_at_line(random.random_range(0..LINES));
+            killed += 1;
+            starting += 1;
+        }
+        server = ServerProcess::ready(start());
+        of_writer.push(content(&indexes[0]));
+    }
+    drop(turns);
+    let histories: Vec<History> = writers.into_iter().map(|w| w.join().unwrap()).collect();
+    check_all(&uri, &space, &common, &histories, (&reader, &indexes));
+    for history in &histories {
+        history.check_prefixes(&of_reader);
+    }
+    for history in &histories[1..] {
+        history.check_prefixes(&of_writer);
+    }
+    server.stop(Signal::Terminate);
+    println!(
+        "{killed} kills, {starting} of them of a starting server; {} cuts",
+        shaky.cuts()
+    );
+}
+
+/// Asserts that all copies and a new one hold the points of all calls, and that no id was given twice.
+fn check_all(
+    uri: &str,
+    space: &Space,
+    common: &[u64],
+    histories: &[History],
+    (reader, indexes): (&Index, &[Index]),
+) {
+    let fresh = shared(uri, space);
+    let copies: Vec<&Index> = indexes.iter().chain([reader, &fresh]).collect();
+    wait_for_all(&fresh, &States::new(space.clone(), 99).row(), &copies);
+    let stored = content(&shared(uri, space));
+    check_copies(&stored, space, &copies);
+    let mut expected = Content::new();
+    for history in histories {
+        expected.extend(history.points());
+    }
+    let is_marker = |id: &u64| !expected.contains_key(id) && !common.contains(id);
+    assert_eq!(stored.keys().filter(|id| is_marker(id)).count(), 1);
+    assert!(
+        expected
+            .iter()
+            .all(|(id, point)| stored.get(id) == Some(point))
+    );
+    let given: Vec<u64> = histories.iter().flat_map(|h| h.assigned.clone()).collect();
+    let distinct: BTreeSet<u64> = given.iter().copied().collect();
+    assert_eq!(given.len(), distinct.len(), "an id was given twice");
+    println!("{} points given, {} stored", given.len(), stored.len());
+}
