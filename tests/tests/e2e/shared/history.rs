@@ -6,7 +6,7 @@ use std::{
 };
 
 use rand::{RngExt, seq::IndexedRandom};
-use wayfold::{Error, Index, InsertOptions, Search};
+use wayfold::{Error, Index, InsertOptions, Meanwhile, Search};
 use wayfold_index::{Linear, PointRef, Space};
 use wayfold_tests::{
     States, bits,
@@ -47,6 +47,20 @@ pub(super) fn wait_for_all(marker: &Index, state: &[f64], copies: &[&Index]) {
         while copy.get(id).unwrap().is_none() {
             std::thread::yield_now();
         }
+    }
+}
+
+/// Waits until no question is open, and returns the answers that came after the inserts.
+pub(super) fn take_answers(index: &Index) -> Vec<Meanwhile> {
+    let mut answers = Vec::new();
+    loop {
+        let taken = index.meanwhile();
+        assert!(!taken.has_dropped);
+        answers.extend(taken.answers);
+        if taken.open == 0 {
+            return answers;
+        }
+        std::thread::yield_now();
     }
 }
 

@@ -8,7 +8,7 @@ use wayfold_tests::{Process, ServerProcess, Signal, States, server};
 
 use super::{
     command,
-    history::{check_copies, content, wait_for_all},
+    history::{check_copies, content, take_answers, wait_for_all},
     proxy::Proxy,
     shared, wait_for_status,
 };
@@ -156,8 +156,7 @@ async fn no_edge_is_missed_over_a_reload() {
     there.flush().unwrap();
     outage.pass_window(reached, 3).await;
     outage.end();
-    let (told, is_complete) = away.meanwhile();
-    assert!(is_complete);
+    let told = take_answers(away);
     assert!(told.iter().all(|told| told.is_superset));
     for (inserted, near) in asked {
         let of_it = told.iter().filter(|told| told.id == inserted.id);

@@ -13,7 +13,7 @@ use wayfold_tests::{
     brute_force::{self, pairs},
 };
 
-use super::{command, history::wait_for_all, shared};
+use super::{command, history::take_answers, shared};
 
 const SE3: &str = "R3*SO3:0.15";
 const WORKERS: usize = 4;
@@ -82,14 +82,9 @@ async fn check(ask: Search, replayed: wayfold_index::Search<'static>) {
     let client = Client::connect(server.uri()).await.unwrap();
     let order = order(&client).await;
     assert_eq!(order.len(), WORKERS * INSERTS);
-    // A last point, after which every copy has seen where its own points came.
-    let marker = shared(server.uri(), &space);
-    wait_for_all(&marker, &order[0].1, &indexes.each_ref());
     let mut later = 0;
     for index in &indexes {
-        let (told, is_complete) = index.meanwhile();
-        assert!(is_complete);
-        for meanwhile in told {
+        for meanwhile in take_answers(index) {
             assert!(!meanwhile.is_superset);
             later += meanwhile.neighbors.len();
             let known = edges.get_mut(&meanwhile.id).unwrap();
