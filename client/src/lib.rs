@@ -1,22 +1,24 @@
-//! The Rust client of Wayfold: shared, exact nearest-neighbour indices for motion planners.
+//! Exact nearest-neighbour indices for motion planners: in memory, or shared by planners in many processes.
+//!
+//! A planner holds an [`Index`] and need not know its form:
 //!
 //! ```no_run
-//! use wayfold::{Client, NeighborSpec};
+//! use wayfold::Index;
 //!
-//! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
-//! let client = Client::connect("http://127.0.0.1:50051").await?;
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let space = "R3*SO3:0.15".parse()?;
+//! let alone = Index::in_memory(&space)?; // a library
+//! # #[cfg(feature = "net")]
+//! let shared = Index::shared("http://127.0.0.1:50051", "arm").create(&space).open()?; // a copy, in step with others'
 //! // Poses in space: x, y, z, and a quaternion x, y, z, w.
-//! let roadmap = client.create_index("arm", &"R3*SO3:0.15".parse()?).await?;
-//!
-//! let poses = [[0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], [0.4, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]];
-//! let inserted = roadmap.insert(poses).neighbors(NeighborSpec::k(10)).await?;
-//! let nearest = roadmap.knn([poses[0]]).k(10).radius(0.5).await?;
-//! for neighbor in nearest.row(0).iter() {
-//!     println!("{} at {}", neighbor.id, neighbor.distance);
-//! }
+//! let pose = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0];
+//! let id = alone.insert(pose)?;
+//! let nearest = alone.nearest_k(pose, 10)?;
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! Beneath the forms stands an asynchronous client, for services and for calls whose answer must be the server's:
 //!
 //! A [`Client`] is a connection, and an [`IndexHandle`] is one index on it. The handle's methods make requests; await a
 //! request to send it:
@@ -42,7 +44,7 @@
 //!
 //! **Searches** have the same settings everywhere: `k` or `k_factor`, `radius` (a number or a [`ScaledRadius`]),
 //! `filter` ([`Filter`]), `include` ([`Include`]). The scaled ones depend on the size of the index, as PRM\* and RRT\*
-//! need; the server or the replica evaluates them. The neighbours of one state have the same methods everywhere: `ids`,
+//! need; the index evaluates them. The neighbours of one state have the same methods everywhere: `ids`,
 //! `distances`, `nearest`, `iter`.
 //!
 //! **Revisions.** Every answer names its [`Revision`]. A handle's reads see at least the last revision that an answer

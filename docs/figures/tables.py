@@ -279,12 +279,14 @@ def follow():
 
 
 def middle(rows, of_row):
+    if not rows:
+        raise Missing("rows")
     return median(map(of_row, rows))
 
 
 SOURCES = {
-    "forest": "the index in process", "SIMD scan": "a SIMD scan", "replica": "a replica", "server": "the server",
-    "brute force": "brute force",
+    "memory": "an index in memory", "shared": "a shared index", "remote": "a remote index", "scan": "a SIMD scan",
+    "brute": "brute force",
 }
 PLANNERS = ["maze", "bodies", "rigid"]
 
@@ -293,14 +295,15 @@ def sources():
     rows = {source: [shown] for source, shown in SOURCES.items()}
     for planner in PLANNERS:
         runs = {source: [row for row in of(planner) if row["source"] == source] for source in SOURCES}
+        runs = {source: own for source, own in runs.items() if own}
         near = {source: middle(own, lambda row: row["search_s"] + row["insert_s"]) for source, own in runs.items()}
         total = {source: middle(own, lambda row: row["total_s"]) for source, own in runs.items()}
         for source, own in runs.items():
             share = f"{100 * middle(own, lambda row: row['check_s']) / total[source]:.0f} %"
-            faster = " / ".join(ratio(of_all["brute force"] / of_all[source]) for of_all in (near, total))
-            rows[source] += [f"1 ({digits(total[source])} s)" if source == "brute force" else faster, share]
+            faster = " / ".join(ratio(of_all["brute"] / of_all[source]) for of_all in (near, total))
+            rows[source] += [f"1 ({digits(total[source])} s)" if source == "brute" else faster, share]
     header = ["source", *(cell for planner in PLANNERS for cell in (f"`{planner}`", "checks"))]
-    return table(PLANNERS, header, rows.values())
+    return table(PLANNERS, header, [row for row in rows.values() if len(row) == len(header)])
 
 
 def nodes(planner):
@@ -316,9 +319,9 @@ def runs_of(name, source, count):
 def workers(name, cell):
     rows = []
     for count in sorted({row["workers"] for row in of(name)}):
-        cells = (cell(runs_of(name, source, count), runs_of(name, source, 1)) for source in ("replica", "server"))
+        cells = (cell(runs_of(name, source, count), runs_of(name, source, 1)) for source in ("shared", "remote"))
         rows.append([str(count), *cells])
-    return table([name], ["workers", "through replicas", "through the server"], rows)
+    return table([name], ["workers", "shared", "remote"], rows)
 
 
 def rate(row):
@@ -331,12 +334,12 @@ def roadmap_cell(runs, alone):
 
 
 def roadmap_two():
-    two, one = (runs_of("rigid-workers", "replica", count) for count in (2, 1))
+    two, one = (runs_of("rigid-workers", "shared", count) for count in (2, 1))
     return digits(median(rate(many) / rate(alone) for many, alone in zip(two, one)))
 
 
 def roadmap_wait():
-    runs = runs_of("rigid-workers", "replica", 2)
+    runs = runs_of("rigid-workers", "shared", 2)
     return digits(100 * middle(runs, lambda row: row["insert_s"] / row["total_s"] / row["workers"])) + " %"
 
 
@@ -383,8 +386,8 @@ TABLES = {
     "writers": writers, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses, "follow": follow,
     "sources": sources, "roadmap-workers": lambda: workers("rigid-workers", roadmap_cell),
     "tree-workers": lambda: workers("maze-workers", trees_cell), "ompl": ompl, "speed": readme_speed,
-    "maze-forest": seconds("forest"), "maze-replica": seconds("replica"), "maze-server": seconds("server"),
-    "maze-brute": seconds("brute force"), "index-nigh": nigh,
+    "maze-memory": seconds("memory"), "maze-shared": seconds("shared"), "maze-remote": seconds("remote"),
+    "maze-brute": seconds("brute"), "index-nigh": nigh,
     "maze-nodes": lambda: nodes("maze"), "bodies-nodes": lambda: nodes("bodies"), "rigid-nodes": lambda: nodes("rigid"),
     "tree-checks": tree_checks, "ompl-python": python_share,
     "memory": lambda: digits(of("index")["SE3"]["50000"]["uniform"]["memory"]["wayfold-rest"]) + " bytes",

@@ -63,7 +63,7 @@ fn main() -> ExitCode {
             let Some(trees_options::Role::Grow(job)) = trees_options::Options::parse().role else {
                 panic!("a worker has a job");
             };
-            runtime().block_on(job::grow(&*MAZE, &job)).unwrap();
+            job::grow(&*MAZE, &job).unwrap();
             return ExitCode::SUCCESS;
         }
         Some("hold") => {
@@ -194,12 +194,11 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
     let job = |number| job::Job {
         server: server.uri().to_owned(),
         store: "trees".to_owned(),
-        layout: store.layout(),
+        layout: Layout::Indices,
         number,
         seed: 5,
         max_vertices: 100_000,
         source: [Form::Shared, Form::Remote][number % 2],
-        batch: 1,
         progress_ms: PROGRESS_MS,
         halt_at: (number == 2).then_some(HALF),
     };

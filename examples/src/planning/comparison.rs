@@ -93,16 +93,28 @@ impl<R> Comparison<R> {
 impl<R: PlannerOutcome> Comparison<R> {
     /// The figures of all runs.
     pub fn rows(&self) -> impl Iterator<Item = Row> {
-        self.runs.iter().map(|run| Row {
-            planner: R::PLANNER,
-            source: run.source.name(),
+        self.runs.iter().map(|run| run.row(R::PLANNER))
+    }
+}
+
+impl Run {
+    /// The nodes per second.
+    pub fn rate(&self) -> f64 {
+        self.nodes as f64 / self.account.total.as_secs_f64()
+    }
+
+    /// Its figures.
+    pub fn row(&self, planner: &'static str) -> Row {
+        Row {
+            planner,
+            source: self.source.name(),
             workers: 1,
-            seed: run.seed,
-            nodes: run.nodes as u64,
-            spent: RunTimes::from(&run.account),
-            checks: run.account.checks as u64,
-            path_lengths: run.path_lengths.clone(),
-        })
+            seed: self.seed,
+            nodes: self.nodes as u64,
+            spent: RunTimes::from(&self.account),
+            checks: self.account.checks as u64,
+            path_lengths: self.path_lengths.clone(),
+        }
     }
 }
 

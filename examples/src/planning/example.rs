@@ -6,16 +6,16 @@ use std::{
 };
 
 use clap::Parser;
-use tokio::runtime::{Builder, Runtime};
 
 use super::{
-    comparison::{self, Comparison, Open, Trials},
+    comparison::{self, Comparison, Open, PlannerOutcome, Trials},
     error::PlanningError,
     figures,
     host::Host,
     options::{Options, Role},
     path::{self, Verify},
-    report, rrt,
+    report,
+    rrt::{self, Solution},
     rrt_star::Star,
     server,
     shared_trees::{
@@ -54,9 +54,7 @@ impl<P: Verify> Example<P> {
         let options = Options::parse();
         let problem = problem();
         let ended = match &options.role {
-            Some(Role::Grow(job)) => {
-                runtime().and_then(|runtime| runtime.block_on(job::grow(&problem, job)))
-            }
+            Some(Role::Grow(job)) => job::grow(&problem, job),
             None => self.start(&problem, &options),
         };
         match ended {
@@ -141,7 +139,7 @@ impl<P: Verify> Example<P> {
         let host = Host::new(options.server.as_deref())?;
         let seed = options.seed;
         let solved = shared::solve(problem, host.uri(), options, workers, source, seed);
-        let solved = runtime()?.block_on(solved)?;
+        let solved = host.block_on(solved)?;
         print!("{}", shared_report::table(&solved));
         figures::write([solved.row(problem)], options.json.as_deref())?;
         let (Some(draw), Some(file)) = (self.draw_shared, self.picture(options)) else {
@@ -155,16 +153,10 @@ impl<P: Verify> Example<P> {
     fn scale(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
         options.source.served()?;
         let host = Host::new(options.server.as_deref())?;
-        let all = runtime()?.block_on(shared::compare(problem, host.uri(), options))?;
-        print!("{}", shared_report::comparison(&all));
-        let rows = all.iter().map(|solved| solved.row(problem));
+        let (alone, all) = host.block_on(shared::compare(problem, host.uri(), options))?;
+        print!("{}", shared_report::comparison(&alone, &all));
+        let alone = alone.iter().map(|run| run.row(Solution::PLANNER));
+        let rows = alone.chain(all.iter().map(|solved| solved.row(problem)));
         figures::write(rows, options.json.as_deref())
     }
-}
-
-/// The main thread makes the calls and computes between them. A replica follows on the other thread.
-fn runtime() -> Result<Runtime, PlanningError> {
-    let mut runtime = Builder::new_multi_thread();
-    let runtime = runtime.worker_threads(1).enable_all().build();
-    runtime.map_err(PlanningError::Threads)
 }

@@ -1,6 +1,6 @@
 //! The figures of runs as JSON: an array with one row for each run, in the same form for every planner.
 
-use std::{fs, path::Path};
+use std::{fs, path::Path, time::Duration};
 
 use serde::Serialize;
 
@@ -56,14 +56,14 @@ impl From<&Account> for RunTimes {
 }
 
 impl RunTimes {
-    /// The summed times of all workers in a run of `total_s`.
-    pub fn by_workers(total_s: f64, times: Times) -> RunTimes {
+    /// The summed times of all workers in a run that ended at `end`, and whose inserts were acknowledged at `flushed`.
+    pub fn by_workers(end: Duration, flushed: Duration, times: Times) -> RunTimes {
         RunTimes {
-            total_s,
+            total_s: end.as_secs_f64(),
             search_s: times.searching.as_secs_f64(),
             insert_s: times.waiting.as_secs_f64(),
             check_s: times.checking.as_secs_f64(),
-            flush_s: 0.0,
+            flush_s: flushed.saturating_sub(end).as_secs_f64(),
         }
     }
 }

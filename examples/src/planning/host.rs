@@ -44,6 +44,11 @@ impl Host {
         &self.0.uri
     }
 
+    /// Waits for calls.
+    pub fn block_on<T>(&self, calls: impl Future<Output = T>) -> T {
+        self.0.runtime.block_on(calls)
+    }
+
     /// A name for an index that no other has.
     pub fn temporary(&self) -> Temporary {
         Temporary {
@@ -75,6 +80,6 @@ impl Drop for Temporary {
         let server = &self.host.0;
         // If the server is gone, its indices are gone too.
         let deleted = server.client.delete_index(&self.name);
-        let _ = server.runtime.block_on(deleted.into_future());
+        let _ = self.host.block_on(deleted.into_future());
     }
 }

@@ -30,9 +30,6 @@ pub struct Options {
     /// Builds the same two trees with this many processes instead, on one server
     #[arg(long, value_parser = at_least_one, group = "several")]
     pub workers: Option<usize>,
-    /// The number of random states to which such a worker connects the trees between two inserts
-    #[arg(long, default_value_t = 32, value_parser = at_least_one, requires = "several")]
-    pub batch: usize,
     /// The distinction between the trees
     #[arg(long, value_enum, default_value_t = Layout::Indices, requires = "several")]
     pub trees: Layout,

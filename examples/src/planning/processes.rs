@@ -42,13 +42,13 @@ pub trait Account: Copy + Default + Serialize + DeserializeOwned + Send + 'stati
 /// The account of a worker's time.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Times {
-    /// The total time.
+    /// The total time, without the wait for acknowledgements at the end.
     pub total: Duration,
     /// The time of searches for neighbours.
     pub searching: Duration,
     /// The time of computing states and checking them for collisions.
     pub checking: Duration,
-    /// The time of waiting for mutations.
+    /// The time of inserts and updates.
     pub waiting: Duration,
 }
 
@@ -168,7 +168,7 @@ pub fn lost(number: usize, problem: impl ToString) -> PlanningError {
 pub struct Crew<A> {
     /// The final account of each worker; for a killed worker, its last report.
     pub accounts: Vec<A>,
-    /// The time from the common start to the end of the last worker.
+    /// The time from the common start to the end of the last worker, whose writes were acknowledged then.
     pub wall: Duration,
     /// The progress reports with their times.
     pub growth: Vec<WorkerProgress>,
@@ -178,7 +178,13 @@ pub struct Crew<A> {
     pub restarted: Option<(Duration, Duration)>,
 }
 
-impl<A> Crew<A> {
+impl<A: Account> Crew<A> {
+    /// The time at which the last worker knew that the run was over; it waited for acknowledgements after that.
+    pub fn end(&self) -> Duration {
+        let ends = self.accounts.iter().map(|account| account.times().total);
+        ends.max().unwrap_or_default()
+    }
+
     /// The longest time without a report of progress from any worker.
     pub fn longest_pause(&self) -> Duration {
         let mut events: Vec<Duration> = self.growth.iter().map(|events| events.at).collect();

@@ -35,7 +35,7 @@ impl Built {
             workers: self.workers,
             seed: self.seed,
             nodes: sum.milestones,
-            spent: RunTimes::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            spent: RunTimes::by_workers(self.crew.end(), self.crew.wall, sum.times),
             checks: sum.checks,
             path_lengths: self.paths.iter().map(|path| path.length).collect(),
         }

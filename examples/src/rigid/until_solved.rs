@@ -279,7 +279,7 @@ impl SolvedRoadmap {
             workers: self.workers,
             seed: self.seed,
             nodes: self.milestones as u64,
-            spent: RunTimes::by_workers(self.wall.as_secs_f64(), self.account.times),
+            spent: RunTimes::by_workers(self.wall, self.wall, self.account.times),
             checks: self.account.checks,
             path_lengths: self.lengths.clone(),
         }

@@ -1,18 +1,18 @@
-//! Two trees that several workers grow together are trees, and each search found the nearest vertex of its revision, by
-//! a comparison with brute force.
+//! Two trees that several workers grow together are trees, and each search found the nearest vertex of a revision and of
+//! the worker's own before it, by a comparison with brute force.
 
-use std::{collections::BTreeSet, sync::LazyLock};
+use std::{collections::BTreeSet, sync::LazyLock, thread, time::Duration};
 
 use wayfold::Neighbor;
 use wayfold_examples::{
     maze::scene::Maze,
     planning::{
         error::PlanningError,
-        options::Source as Form,
+        options::Source,
         path,
         problem::Problem,
         shared_trees::{
-            nearest::Source,
+            meeting::{self, Meeting},
             solve,
             store::{Layout, Store},
             trees::SharedTrees,
@@ -36,17 +36,14 @@ async fn planted(server: &Server, layout: Layout) -> Store {
         .unwrap()
 }
 
-/// A worker with a connection of its own.
-async fn worker(server: &Server, layout: Layout, number: usize) -> Worker<'static, Maze> {
-    let client = server.client().await;
-    let store = Store::open(&client, "trees", layout).await.unwrap();
-    let kind = [Form::Shared, Form::Remote][number % 2];
-    let source = Source::open(&client, &store, kind).await.unwrap();
-    let worker = Worker::new(&*MAZE, store, source, number, SEED);
-    worker.batch(1 + number / 2).remember()
+/// A worker with connections of its own.
+fn worker(server: &Server, layout: Layout, number: usize) -> Worker<'static, Maze> {
+    let source = [Source::Shared, Source::Remote][number / 3];
+    let worker = Worker::open(&*MAZE, (&server.uri, "trees"), layout, source, number, SEED);
+    worker.unwrap().remember()
 }
 
-/// Asserts that each node but the root was stored after its parent, or behind it in the same insert, and that an
+/// Asserts that each node but the root was stored after its parent, or behind it in the same mutation, and that an
 /// independent check finds the motion between them free.
 fn are_trees(shared: &SharedTrees) {
     for (tree, root) in [MAZE.start(), MAZE.goal()].into_iter().enumerate() {
@@ -54,24 +51,46 @@ fn are_trees(shared: &SharedTrees) {
         assert_eq!((nodes.parents[0], nodes.states.row(0)), (None, root));
         for node in 1..nodes.len() {
             let parent = nodes.parents[node].unwrap();
-            let is_next = nodes.ids[node] == nodes.ids[parent] + 1;
-            let is_later = revisions[parent] < revisions[node];
-            assert!(is_later || is_next && revisions[parent] == revisions[node]);
+            let [of_parent, of_node] =
+                [parent, node].map(|node| (revisions[node], nodes.ids[node]));
+            assert!(of_parent < of_node);
+            let makers = &shared.makers[tree];
+            assert!(of_parent.0 < of_node.0 || makers[parent] == makers[node]);
             let edge = [parent, node].map(|end| nodes.states.row(end).to_vec());
             path::verify(&*MAZE, &edge).unwrap();
         }
     }
 }
 
-/// The vertex that a search had to find.
-fn nearest(shared: &SharedTrees, asked: &SearchRecord) -> Option<Neighbor> {
-    let (nodes, revisions) = (&shared.trees[asked.tree], &shared.revisions[asked.tree]);
-    let there = (0..nodes.len()).filter(|&node| revisions[node] <= asked.revision);
-    let measured = there.map(|node| Neighbor {
-        distance: MAZE.space().distance(&asked.state, nodes.states.row(node)),
-        id: nodes.ids[node],
-    });
-    measured.min()
+/// Asserts that each search of a worker found the nearest vertex among its own before it and those of the others up to
+/// some revision, which never goes back. Returns these revisions where they are known: where the vertex is another's.
+fn are_nearest(shared: &SharedTrees, worker: usize, searches: &[SearchRecord]) -> Vec<u64> {
+    let (mut read, mut known) = ([0, 0], Vec::new());
+    for asked in searches {
+        let (nodes, tree) = (&shared.trees[asked.tree], asked.tree);
+        let (revisions, makers) = (&shared.revisions[tree], &shared.makers[tree]);
+        let is_own = |node: usize| makers[node] == worker && nodes.ids[node] != ROOTS[tree];
+        let found = nodes.node(asked.found.id).unwrap();
+        if !is_own(found) {
+            read[tree] = revisions[found].max(read[tree]);
+            known.push(read[tree]);
+        }
+        // A worker's own vertices have ascending ids and stand in that order.
+        let mut own = 0;
+        let seen = (0..nodes.len()).filter(|&node| match is_own(node) {
+            true => {
+                own += 1;
+                own <= asked.own
+            }
+            false => revisions[node] <= read[tree],
+        });
+        let measured = seen.map(|node| Neighbor {
+            distance: MAZE.space().distance(&asked.state, nodes.states.row(node)),
+            id: nodes.ids[node],
+        });
+        assert_eq!(Some(asked.found), measured.min(), "{asked:?}");
+    }
+    known
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -87,27 +106,26 @@ async fn four_workers_grow_two_trees_in_one_index() {
 async fn grow(layout: Layout) {
     let server = Server::start();
     let store = planted(&server, layout).await;
-    let mut tasks = Vec::new();
-    for number in 0..4 {
-        let mut worker = worker(&server, layout, number).await;
+    let mut workers: Vec<_> = (0..4)
+        .map(|number| worker(&server, layout, number))
+        .collect();
+    for worker in &mut workers {
         // In any schedule, each worker has a part in the trees.
-        worker.grow(1, |_| Ok(())).await.unwrap();
-        tasks.push(worker);
+        worker.grow(1, |_| Ok(())).unwrap();
     }
-    let tasks = tasks.into_iter().map(|mut worker| {
-        tokio::spawn(async move {
-            let met = worker.grow(100_000, |_| Ok(())).await.unwrap();
-            (met, worker.account(), worker.into_searches())
+    let threads = workers.into_iter().map(|mut worker| {
+        thread::spawn(move || {
+            let met = worker.grow(100_000, |_| Ok(())).unwrap();
+            assert!(met, "all learn of it");
+            (worker.account(), worker.into_searches())
         })
     });
-    let (mut asked, mut vertices) = (Vec::new(), 0);
-    for task in tasks.collect::<Vec<_>>() {
-        let (met, account, own) = task.await.unwrap();
-        assert!(met, "all learn of it");
-        assert!(own.len() as u64 > account.inserts);
-        vertices += account.vertices;
-        asked.extend(own);
-    }
+    let threads: Vec<_> = threads.collect();
+    let grown: Vec<_> = threads
+        .into_iter()
+        .map(|thread| thread.join().unwrap())
+        .collect();
+    let vertices: u64 = grown.iter().map(|(account, _)| account.vertices).sum();
 
     let (shared, path) = solve::read(&store).await.unwrap();
     assert_eq!(shared.len() as u64, vertices + 2);
@@ -117,38 +135,43 @@ async fn grow(layout: Layout) {
     path::verify(&*MAZE, &path).unwrap();
     assert_eq!(path.first().unwrap(), MAZE.start());
     assert_eq!(path.last().unwrap(), MAZE.goal());
-    for asked in &asked {
-        assert_eq!(Some(asked.found), nearest(&shared, asked), "{asked:?}");
+    let last = shared.revisions.iter().flatten().max().unwrap();
+    let mut in_between = 0;
+    for (worker, (account, searches)) in grown.iter().enumerate() {
+        assert!(searches.len() as u64 > account.samples);
+        let known = are_nearest(&shared, worker, searches);
+        in_between += known.iter().filter(|&at| at > &1 && at < last).count();
     }
-    let in_between = |asked: &&SearchRecord| {
-        let last = shared.revisions.iter().flatten().max();
-        asked.revision > 1 && Some(&asked.revision) < last
-    };
-    assert!(asked.iter().filter(in_between).count() > 20);
+    assert!(in_between > 20);
 }
 
 #[tokio::test]
 async fn the_first_announced_meeting_of_the_trees_counts() {
     let server = Server::start();
     let store = planted(&server, Layout::Indices).await;
-    let meeting = store.meeting();
-    assert_eq!(meeting.vertices().await.unwrap(), None);
+    assert_eq!(meeting::vertices(store.meeting()).await.unwrap(), None);
     let unsolved = solve::read(&store).await;
     assert!(matches!(
         unsolved,
         Err(PlanningError::Unsolved { nodes: 2 })
     ));
-    let listeners: Vec<_> = (0..3)
-        .map(|_| tokio::spawn(meeting.clone().heard()))
-        .collect();
-    meeting.announce(MAZE.start(), [7, 8]).await.unwrap();
-    meeting.announce(MAZE.goal(), [9, 10]).await.unwrap();
-    for listener in listeners {
-        listener.await.unwrap().unwrap();
+    let meeting = || {
+        let timeout = Duration::from_secs(60);
+        Meeting::open(&server.uri, "trees", MAZE.space(), timeout).unwrap()
+    };
+    let listeners: Vec<_> = (0..3).map(|_| meeting()).collect();
+    assert!(!listeners[2].has_happened().unwrap());
+    listeners[0].announce(MAZE.start(), [7, 8]).unwrap();
+    listeners[1].announce(MAZE.goal(), [9, 10]).unwrap();
+    for listener in &listeners {
+        while !listener.has_happened().unwrap() {
+            thread::yield_now();
+        }
     }
-    assert_eq!(meeting.vertices().await.unwrap(), Some([7, 8]));
-    // A late watcher receives it too.
-    meeting.clone().heard().await.unwrap();
+    let vertices = meeting::vertices(store.meeting()).await.unwrap();
+    assert_eq!(vertices, Some([7, 8]));
+    // A late worker learns of it too.
+    assert!(meeting().has_happened().unwrap());
     // The announced vertices do not exist.
     let unread = solve::read(&store).await;
     assert!(matches!(unread, Err(PlanningError::Vertex { id: 7, .. })));
@@ -169,9 +192,15 @@ async fn invalid_trees_are_not_read() {
     };
     assert!(refused(20, 0, &[]).await, "no parent");
     assert!(refused(20, 0, &[1, 2, 3]).await, "no id");
-    assert!(refused(20, 0, &vertex::payload(99)).await, "no such vertex");
-    assert!(refused(20, 0, &vertex::payload(20)).await, "its own parent");
-    let other = vertex::payload(ROOTS[1]);
+    assert!(
+        refused(20, 0, &99_u64.to_le_bytes()).await,
+        "no such vertex"
+    );
+    assert!(
+        refused(20, 0, &20_u64.to_le_bytes()).await,
+        "its own parent"
+    );
+    let other = ROOTS[1].to_le_bytes();
     assert!(refused(20, 0, &other).await, "of the other tree");
     assert!(!refused(20, 1, &other).await, "of its own tree");
     assert_eq!(SharedTrees::read(&store).await.unwrap().len(), 2);

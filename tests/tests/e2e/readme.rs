@@ -2,34 +2,30 @@
 
 use std::error::Error;
 
-use wayfold::{Client, NeighborSpec};
+use wayfold::{Index, InsertOptions, Search};
 use wayfold_tests::{Stubs, server};
 
 const README: &str = include_str!("../../../README.md");
 const THIS_FILE: &str = include_str!("readme.rs");
 const ADDRESS: &str = "\"http://127.0.0.1:50051\"";
 
-async fn example(uri: &str) -> Result<(), Box<dyn Error>> {
-    let client = Client::connect(uri).await?;
-    let roadmap = client.create_index("arm", &"R3*SO3:0.15".parse()?).await?;
-    let poses = [
-        [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0],
-        [0.4, 0.2, 0.3, 0.0, 0.0, 1.0, 0.0],
-    ];
-    let inserted = roadmap.insert(poses).neighbors(NeighborSpec::k(10)).await?;
-    let nearest = roadmap.knn(poses).k(10).radius(0.5).await?;
-    println!(
-        "stored {:?}; nearest to the first: {:?}",
-        inserted.outcomes,
-        nearest.row(0).nearest()
-    );
+fn example(uri: &str) -> Result<(), Box<dyn Error>> {
+    let index = Index::shared(uri, "arm")
+        .create(&"R3*SO3:0.15".parse()?)
+        .open()?;
+    let pose = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0];
+    let nearest = index.nearest(pose)?;
+    let id = index.insert(pose)?;
+    let near = index.insert_with(pose, InsertOptions::new().ask(Search::k(10)))?;
+    index.flush()?;
+    println!("{nearest:?} {id} {:?}", near.found.neighbors);
     Ok(())
 }
 
 #[tokio::test]
 async fn the_example_runs() {
     let server = server!();
-    example(server.uri()).await.unwrap();
+    example(server.uri()).unwrap();
     let mut stubs = Stubs::connect(server.uri()).await;
     assert_eq!(stubs.describe("arm").await.point_count, 2);
 }
@@ -37,9 +33,9 @@ async fn the_example_runs() {
 #[test]
 fn the_example_is_the_readmes() {
     let block = between(README, "```rust,no_run\n", "```");
-    let body = between(block, "async fn main()", "\n}");
+    let body = between(block, "fn main()", "\n}");
     let readme = body.split_once('{').unwrap().1.replace(ADDRESS, "uri");
-    let here = between(THIS_FILE, "async fn example(", "\n}");
+    let here = between(THIS_FILE, "\nfn example(", "\n}");
     let here = here.split_once('{').unwrap().1;
     assert_eq!(letters(here), letters(&readme));
 }

@@ -13,8 +13,6 @@ pub struct Account {
     pub samples: u64,
     /// The number of inserted vertices.
     pub vertices: u64,
-    /// The number of calls that inserted them.
-    pub inserts: u64,
     /// The number of states that were checked for collisions.
     pub checks: usize,
     /// The account of its time from the first sample to the end.
@@ -36,7 +34,6 @@ impl Sum for Account {
         accounts.fold(Account::default(), |sum, one| Account {
             samples: sum.samples + one.samples,
             vertices: sum.vertices + one.vertices,
-            inserts: sum.inserts + one.inserts,
             checks: sum.checks + one.checks,
             times: sum.times + one.times,
         })

@@ -1,18 +1,16 @@
 //! The job of a worker process.
 
 use clap::Args;
-use wayfold::{Client, RetryPolicy};
 
 use super::{
     super::{
         error::PlanningError,
-        options::Source as Form,
+        options::Source,
         problem::Problem,
         processes::{self, PROGRESS_MS, Reporter},
     },
     account::Account,
-    nearest::Source,
-    store::{Layout, Store},
+    store::Layout,
     worker::Worker,
 };
 
@@ -39,14 +37,11 @@ pub struct Job {
     pub max_vertices: u64,
     /// The source of its neighbours
     #[arg(long, value_enum)]
-    pub source: Form,
-    /// The number of random states to which it connects the trees between two inserts
-    #[arg(long)]
-    pub batch: usize,
+    pub source: Source,
     /// The minimum interval of its progress reports
     #[arg(long, default_value_t = PROGRESS_MS)]
     pub progress_ms: u64,
-    /// The number of own vertices at which it reports a halt, with its last insert still under way, and waits for a
+    /// The number of own vertices at which it reports a halt, with its last inserts still under way, and waits for a
     /// line
     #[arg(long)]
     pub halt_at: Option<u64>,
@@ -70,7 +65,6 @@ impl processes::Job for Job {
             ("seed", self.seed.to_string()),
             ("max-vertices", self.max_vertices.to_string()),
             ("source", self.source.name().to_owned()),
-            ("batch", self.batch.to_string()),
             ("progress-ms", self.progress_ms.to_string()),
         ];
         let halt = self.halt_at.map(|own| ("halt-at", own.to_string()));
@@ -81,15 +75,11 @@ impl processes::Job for Job {
 }
 
 /// The role of a worker.
-pub async fn grow(problem: &impl Problem, job: &Job) -> Result<(), PlanningError> {
-    let client = Client::builder().retry(RetryPolicy::until_deadline());
-    let client = client.connect(&job.server).await?;
-    let store = Store::open(&client, &job.store, job.layout).await?;
-    let source = Source::open(&client, &store, job.source).await?;
-    let worker = Worker::new(problem, store, source, job.number, job.seed);
-    let mut worker = worker.batch(job.batch);
+pub fn grow(problem: &impl Problem, job: &Job) -> Result<(), PlanningError> {
+    let trees = (job.server.as_str(), job.store.as_str());
+    let (layout, source) = (job.layout, job.source);
+    let mut worker = Worker::open(problem, trees, layout, source, job.number, job.seed)?;
     let mut reporter = Reporter::ready(job, job.progress_ms, job.halt_at)?;
-    let grown = worker.grow(job.max_vertices, |account| reporter.progress(account));
-    grown.await?;
+    worker.grow(job.max_vertices, |account| reporter.progress(account))?;
     reporter.done(&worker.account())
 }

@@ -1,85 +1,70 @@
-//! Tells workers that the trees have met, by a separate index that finally holds one point.
+//! Tells workers that the trees have met, by a separate index that is empty until then.
 //!
-//! A worker that connects the trees inserts the state where they meet, under a fixed id. The first insert succeeds; the
-//! server answers later ones that the point exists. All workers watch this index and receive its only mutation at once.
-//! Until then the watch costs nothing, unlike a watch of all vertices.
+//! A worker that connects the trees inserts the state where they meet. All workers hold this index as a shared one: to
+//! look whether it has a point costs no call, and the point arrives at once. If several workers connect the trees, the
+//! first insert in the index's order counts.
 
-use bytes::Bytes;
-use wayfold::{Client, Code, Error, Include, IndexHandle, Space, WatchEvent};
+use std::time::Duration;
+
+use wayfold::{Include, Index, IndexHandle, InsertOptions, Space};
 
 use super::{super::error::PlanningError, vertex};
 
-/// The id of the only point.
-const ID: u64 = 0;
-
-/// The possible meeting of two trees.
-#[derive(Clone, Debug)]
-pub struct Meeting(IndexHandle);
+/// The possible meeting of two trees, for a worker.
+pub struct Meeting(Index);
 
 impl Meeting {
-    /// Creates the meeting of the trees of this name.
-    pub async fn create(
-        client: &Client,
+    /// The meeting of the trees of this name, which others may have opened before.
+    pub fn open(
+        uri: &str,
         trees: &str,
         space: &Space,
+        timeout: Duration,
     ) -> Result<Meeting, PlanningError> {
-        Ok(Meeting(client.create_index(&name(trees), space).await?))
+        let index = Index::shared(uri, &name(trees));
+        Ok(Meeting(index.create(space).timeout(timeout).open()?))
     }
 
-    /// The meeting of the trees of this name.
-    pub async fn open(client: &Client, trees: &str) -> Result<Meeting, PlanningError> {
-        Ok(Meeting(client.index(&name(trees)).await?))
+    /// Records that the trees meet in this state, at these stored vertices.
+    pub fn announce(&self, state: &[f64], vertices: [u64; 2]) -> Result<(), PlanningError> {
+        let ids: Vec<u8> = vertices.iter().flat_map(|id| id.to_le_bytes()).collect();
+        self.0
+            .insert_with(state, InsertOptions::new().payload(&ids))?;
+        Ok(self.0.flush()?)
     }
 
-    /// The name of its own index.
-    pub fn name(&self) -> &str {
-        self.0.name()
-    }
-
-    /// Records that the trees meet in this state, at these stored vertices, unless a meeting is already recorded.
-    pub async fn announce(&self, state: &[f64], vertices: [u64; 2]) -> Result<(), PlanningError> {
-        let ids = vertices.iter().flat_map(|id| id.to_le_bytes());
-        let first = self.0.insert([state]).ids([ID]);
-        match first.payloads([ids.collect::<Bytes>()]).await {
-            Ok(_) => Ok(()),
-            Err(error) if error.code() == Code::AlreadyExists => Ok(()),
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    /// Waits until a meeting is recorded.
-    pub async fn heard(self) -> Result<(), PlanningError> {
-        loop {
-            // After a lost connection the next watch waits for the server as long as the client's calls wait.
-            let watch = self.0.watch().after(self.0.revision_at(0));
-            match watch.await?.next().await {
-                Ok(Some(WatchEvent::Mutation(_))) => return Ok(()),
-                Ok(Some(WatchEvent::Reset(_)) | None) => return Err(PlanningError::Unfollowed),
-                Err(Error::Connection { .. }) => {}
-                Err(error) => return Err(error.into()),
-            }
-        }
-    }
-
-    /// The vertices at which the trees have met, of the tree from the start and of the tree from the goal; None if they
-    /// have not met.
-    pub async fn vertices(&self) -> Result<Option<[u64; 2]>, PlanningError> {
-        let points = match self.0.get([ID]).include(Include::all()).await {
-            Err(error) if error.code() == Code::NotFound => return Ok(None),
-            points => points?,
-        };
-        let payload = points.point(0).payload;
-        let ids = payload.and_then(|payload| {
-            let (start, goal) = payload.split_at_checked(8)?;
-            Some([vertex::parent(start)?, vertex::parent(goal)?])
-        });
-        ids.map(Some).ok_or(PlanningError::Vertex {
-            id: ID,
-            problem: "the meeting's payload does not tell of two vertices",
-        })
+    /// True if a meeting is recorded.
+    pub fn has_happened(&self) -> Result<bool, PlanningError> {
+        Ok(!self.0.is_empty()?)
     }
 }
 
-fn name(trees: &str) -> String {
+/// The name of a meeting's index.
+pub fn name(trees: &str) -> String {
     format!("{trees}-met")
+}
+
+/// The vertices at which the trees have met, of the tree from the start and of the tree from the goal; None if they
+/// have not met.
+pub async fn vertices(meeting: &IndexHandle) -> Result<Option<[u64; 2]>, PlanningError> {
+    // Reads the workers' last revision: their reports are behind it.
+    meeting.info().await?;
+    let mut first = None;
+    let mut scan = meeting.scan().include(Include::all()).await?;
+    while let Some(part) = scan.next().await? {
+        let met = part.iter();
+        let met = met.map(|point| ((point.revision, point.id), point.payload.cloned()));
+        first = met.chain(first).min();
+    }
+    let Some(((_, id), payload)) = first else {
+        return Ok(None);
+    };
+    let ids = payload.and_then(|payload| {
+        let (start, goal) = payload.split_at_checked(8)?;
+        Some([vertex::parent(start)?, vertex::parent(goal)?])
+    });
+    ids.map(Some).ok_or(PlanningError::Vertex {
+        id,
+        problem: "the meeting's payload does not tell of two vertices",
+    })
 }

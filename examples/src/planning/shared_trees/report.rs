@@ -3,7 +3,7 @@
 use std::{fmt::Write, time::Duration};
 
 use super::{
-    super::{options::Source, processes::Times, report::median},
+    super::{comparison::Run, options::Source, processes::Times, report::median},
     account::Account,
     solve::{SharedSolution, WORKERS},
 };
@@ -11,17 +11,16 @@ use super::{
 /// The account of one solution, worker by worker.
 pub fn table(solved: &SharedSolution) -> String {
     let mut text = format!(
-        "{:<10} {:>8} {:>9} {:>8} {:>10} {:>8} {:>9} {:>8} {:>8}\n",
-        "", "samples", "vertices", "inserts", "checks", "wall s", "search %", "check %", "wait %"
+        "{:<10} {:>8} {:>9} {:>10} {:>8} {:>9} {:>8} {:>8}\n",
+        "", "samples", "vertices", "checks", "wall s", "search %", "check %", "insert %"
     );
     let mut row = |name: &str, wall: Duration, account: &Account| {
         let times = account.times;
         let _ = writeln!(
             text,
-            "{name:<10} {:>8} {:>9} {:>8} {:>10} {:>8.3} {:>9.1} {:>8.1} {:>8.1}",
+            "{name:<10} {:>8} {:>9} {:>10} {:>8.3} {:>9.1} {:>8.1} {:>8.1}",
             account.samples,
             account.vertices,
-            account.inserts,
             account.checks,
             wall.as_secs_f64(),
             times.percent(times.searching),
@@ -33,11 +32,17 @@ pub fn table(solved: &SharedSolution) -> String {
         row(&format!("worker {number}"), account.times.total, account);
     }
     row("all", solved.crew.wall, &solved.sum());
+    let spent = solved.spent();
     let _ = writeln!(
         text,
-        "Neighbours from the {}; both trees are read from the server, with {} vertices that have their parents.\n\
+        "The indices were {}. {:.0} vertices/s; {:.3} s until all knew that the trees had met, {:.3} s until the server had \
+         acknowledged every insert.\n\
+         Both trees are read from the server, with {} vertices that have their parents.\n\
          The path of seed {} has {} states, and is free in {} states, by other code.",
         solved.source.name(),
+        solved.rate(),
+        spent.total_s,
+        solved.crew.wall.as_secs_f64(),
         solved.shared.len(),
         solved.seed,
         solved.path.len(),
@@ -46,10 +51,11 @@ pub fn table(solved: &SharedSolution) -> String {
     text
 }
 
-/// Medians by source and number of workers, and their speedup over one worker with the same seed.
-pub fn comparison(all: &[SharedSolution]) -> String {
+/// Medians by source and number of workers, and their speedup over one worker and over one planner with indices in
+/// memory, `alone`, with the same seed.
+pub fn comparison(alone: &[Run], all: &[SharedSolution]) -> String {
     let mut text = format!(
-        "{:<8} {:>8} {:>9} {:>26} {:>11} {:>9} {:>8} {:>8} {:>13} {:>10}\n",
+        "{:<8} {:>8} {:>9} {:>26} {:>11} {:>9} {:>8} {:>8} {:>13} {:>10} {:>10}\n",
         "source",
         "workers",
         "vertices",
@@ -57,9 +63,10 @@ pub fn comparison(all: &[SharedSolution]) -> String {
         "vertices/s",
         "search %",
         "check %",
-        "wait %",
+        "insert %",
         "to one worker",
-        "vertices/s"
+        "vertices/s",
+        "to memory"
     );
     for source in [Source::Shared, Source::Remote] {
         for workers in WORKERS {
@@ -70,7 +77,6 @@ pub fn comparison(all: &[SharedSolution]) -> String {
                 all.iter().filter(wanted)
             };
             let wall = |one: &SharedSolution| one.crew.wall.as_secs_f64();
-            let rate = |one: &SharedSolution| one.sum().vertices as f64 / wall(one);
             let mut walls: Vec<f64> = of(source, workers).map(wall).collect();
             walls.sort_by(f64::total_cmp);
             let [Some(least), Some(most)] = [walls.first(), walls.last()] else {
@@ -88,17 +94,29 @@ pub fn comparison(all: &[SharedSolution]) -> String {
             let pairs = || of(source, workers).zip(of(source, 1));
             let _ = writeln!(
                 text,
-                "{:<8} {workers:>8} {:>9.0} {span:>26} {:>11.0} {:>9.1} {:>8.1} {:>8.1} {:>12.2}× {:>9.2}×",
+                "{:<8} {workers:>8} {:>9.0} {span:>26} {:>11.0} {:>9.1} {:>8.1} {:>8.1} {:>12.2}× {:>9.2}× {:>9.2}×",
                 source.name(),
                 median(of(source, workers).map(|one| one.sum().vertices as f64)),
-                median(of(source, workers).map(rate)),
+                median(of(source, workers).map(SharedSolution::rate)),
                 share(|times| times.searching),
                 share(|times| times.checking),
                 share(|times| times.waiting),
                 median(pairs().map(|(many, one)| wall(one) / wall(many))),
-                median(pairs().map(|(many, one)| rate(many) / rate(one))),
+                median(pairs().map(|(many, one)| many.rate() / one.rate())),
+                median(
+                    of(source, workers)
+                        .zip(alone)
+                        .map(|(many, one)| many.rate() / one.rate())
+                ),
             );
         }
     }
+    let _ = writeln!(
+        text,
+        "One planner with indices in memory: {:.0} vertices in {:.2} s, {:.0} a second.",
+        median(alone.iter().map(|run| run.nodes as f64)),
+        median(alone.iter().map(|run| run.account.total.as_secs_f64())),
+        median(alone.iter().map(Run::rate)),
+    );
     text + "Shares are of the workers' time. Other workers draw other states, and so grow other trees until these meet.\n"
 }

@@ -4,7 +4,7 @@ use wayfold::Client;
 
 use super::{
     super::{
-        comparison::PlannerOutcome,
+        comparison::{self, Open, PlannerOutcome, Run, Trials},
         error::PlanningError,
         figures::{Row, RunTimes},
         options::{Options, Source, seeds},
@@ -15,6 +15,7 @@ use super::{
     },
     account::Account,
     job::Job,
+    meeting,
     store::Store,
     trees::SharedTrees,
 };
@@ -41,6 +42,16 @@ impl SharedSolution {
         self.crew.accounts.iter().copied().sum()
     }
 
+    /// The vertices that the workers inserted per second, until the server had acknowledged all.
+    pub fn rate(&self) -> f64 {
+        self.sum().vertices as f64 / self.crew.wall.as_secs_f64()
+    }
+
+    /// The account of its time.
+    pub fn spent(&self) -> RunTimes {
+        RunTimes::by_workers(self.crew.end(), self.crew.wall, self.sum().times)
+    }
+
     /// Its figures.
     pub fn row(&self, problem: &impl Problem) -> Row {
         let sum = self.sum();
@@ -50,7 +61,7 @@ impl SharedSolution {
             workers: self.crew.accounts.len(),
             seed: self.seed,
             nodes: self.shared.len() as u64,
-            spent: RunTimes::by_workers(self.crew.wall.as_secs_f64(), sum.times),
+            spent: self.spent(),
             checks: sum.checks as u64,
             path_lengths: vec![path::length(problem, &self.path)],
         }
@@ -78,7 +89,6 @@ pub async fn solve(
         seed,
         max_vertices,
         source,
-        batch: options.batch,
         progress_ms: PROGRESS_MS,
         halt_at: None,
     };
@@ -99,7 +109,7 @@ pub async fn solve(
 
 /// The current trees, and the path through the vertices at which they have met.
 pub async fn read(store: &Store) -> Result<(SharedTrees, Vec<Vec<f64>>), PlanningError> {
-    let vertices = store.meeting().vertices().await?;
+    let vertices = meeting::vertices(store.meeting()).await?;
     let shared = SharedTrees::read(store).await?;
     let unsolved = PlanningError::Unsolved {
         nodes: shared.len(),
@@ -121,15 +131,23 @@ pub async fn read(store: &Store) -> Result<(SharedTrees, Vec<Vec<f64>>), Plannin
 /// The compared numbers of workers.
 pub const WORKERS: [usize; 4] = [1, 2, 4, 8];
 
-/// Solves the problem with all numbers of workers and each source that they can share. The contestants take turns, so
-/// that other load on the machine affects all of them.
+/// Solves the problem with all numbers of workers and each source that they can share, and by one planner with indices
+/// in memory, a run for each seed. The contestants take turns, so that other load on the machine affects all of them.
 pub async fn compare(
     problem: &impl Verify,
     uri: &str,
     options: &Options,
-) -> Result<Vec<SharedSolution>, PlanningError> {
-    let mut all = Vec::new();
+) -> Result<(Vec<Run>, Vec<SharedSolution>), PlanningError> {
+    let (mut alone, mut all) = (Vec::new(), Vec::new());
     for seed in seeds(options.seed, options.runs) {
+        let trials = Trials {
+            sources: vec![Source::Memory],
+            seeds: vec![seed],
+            server: None,
+        };
+        let plan =
+            |own: &Open<'_>, seed| rrt::solve(problem, [own()?, own()?], seed, options.max_nodes);
+        alone.extend(comparison::compare(problem, &trials, plan)?.runs);
         for workers in WORKERS {
             for source in options.source.served()? {
                 eprintln!("{workers} workers, {}, seed {seed} ...", source.name());
@@ -137,5 +155,5 @@ pub async fn compare(
             }
         }
     }
-    Ok(all)
+    Ok((alone, all))
 }

@@ -1,11 +1,11 @@
 //! The shared store of the workers: the indices that hold the trees, and the meeting.
 
 use clap::ValueEnum;
-use wayfold::{Client, Filter, IndexHandle, Space};
+use wayfold::{Client, IndexHandle, Search};
 
 use super::{
     super::{error::PlanningError, problem::Problem},
-    meeting::Meeting,
+    meeting,
     vertex::{self, ROOTS},
 };
 
@@ -14,8 +14,7 @@ use super::{
 pub enum Layout {
     /// Each has an index of its own
     Indices,
-    /// A tag in one index: one insert extends both trees, but a search in one tree must skip nearer vertices of the
-    /// other
+    /// A tag in one index: a search in one tree must skip nearer vertices of the other
     Tags,
 }
 
@@ -27,15 +26,29 @@ impl Layout {
             Layout::Tags => "tags",
         }
     }
+
+    /// The names of the indices that hold the trees of this name.
+    pub fn indices(self, trees: &str) -> Vec<String> {
+        match self {
+            Layout::Indices => vec![format!("{trees}-start"), format!("{trees}-goal")],
+            Layout::Tags => vec![trees.to_owned()],
+        }
+    }
+
+    /// The search for the nearest vertex of a tree in its index.
+    pub fn nearest(self, tree: usize) -> Search {
+        match self {
+            Layout::Indices => Search::k(1),
+            Layout::Tags => Search::k(1).tag(vertex::TREE, tree as u64),
+        }
+    }
 }
 
-/// The trees of one problem on one server.
+/// The trees of one problem on one server, for the process that starts the workers.
 #[derive(Clone, Debug)]
 pub struct Store {
-    layout: Layout,
-    /// The index of the tree from the start, and of the tree from the goal; with tags, both are the same index.
-    trees: [IndexHandle; 2],
-    meeting: Meeting,
+    indices: Vec<IndexHandle>,
+    meeting: IndexHandle,
 }
 
 impl Store {
@@ -46,75 +59,41 @@ impl Store {
         layout: Layout,
         problem: &impl Problem,
     ) -> Result<Store, PlanningError> {
-        let space: &Space = problem.space();
-        for name in names(name, layout) {
-            client.create_index(&name, space).await?;
+        let mut indices = Vec::new();
+        for name in layout.indices(name) {
+            indices.push(client.create_index(&name, problem.space()).await?);
         }
-        Meeting::create(client, name, space).await?;
-        let store = Store::open(client, name, layout).await?;
+        let name = meeting::name(name);
+        let meeting = client.create_index(&name, problem.space()).await?;
+        let store = Store { indices, meeting };
         let roots = [problem.start(), problem.goal()];
         for (tree, root) in roots.into_iter().enumerate() {
-            let insert = store.trees[tree].insert([root]).ids([ROOTS[tree]]);
+            let insert = store.index(tree).insert([root]).ids([ROOTS[tree]]);
             insert.tags([vertex::tag(tree, 0)]).await?;
         }
         Ok(store)
     }
 
-    /// Opens the store of this name.
-    pub async fn open(client: &Client, name: &str, layout: Layout) -> Result<Store, PlanningError> {
-        let [start, goal] = names(name, layout);
-        Ok(Store {
-            layout,
-            trees: [client.index(&start).await?, client.index(&goal).await?],
-            meeting: Meeting::open(client, name).await?,
-        })
-    }
-
     /// Deletes the store.
     pub async fn delete(&self, client: &Client) {
-        let trees = self.trees.iter().map(IndexHandle::name);
-        for name in trees.chain([self.meeting.name()]) {
-            // A deletion fails if the server is gone, and its indices with it, or the second time if both trees share
-            // one index.
-            let _ = client.delete_index(name).await;
+        for index in self.indices.iter().chain([&self.meeting]) {
+            // If the server is gone, its indices are gone too.
+            let _ = client.delete_index(index.name()).await;
         }
     }
 
-    /// The distinction between the trees.
-    pub fn layout(&self) -> Layout {
-        self.layout
+    /// The indices, one for each tree or one for both.
+    pub fn indices(&self) -> &[IndexHandle] {
+        &self.indices
     }
 
     /// The index that holds a tree.
     pub fn index(&self, tree: usize) -> &IndexHandle {
-        &self.trees[tree]
+        &self.indices[tree.min(self.indices.len() - 1)]
     }
 
-    /// The meeting of the trees.
-    pub fn meeting(&self) -> &Meeting {
+    /// The index that tells where the trees have met.
+    pub fn meeting(&self) -> &IndexHandle {
         &self.meeting
-    }
-
-    /// The filter for the points of a tree in its index.
-    pub fn filter(&self, tree: usize) -> Filter {
-        match self.layout {
-            Layout::Indices => Filter::default(),
-            Layout::Tags => vertex::of_tree(tree),
-        }
-    }
-
-    /// The trees of each index.
-    pub fn together(&self) -> &'static [&'static [usize]] {
-        match self.layout {
-            Layout::Indices => &[&[0], &[1]],
-            Layout::Tags => &[&[0, 1]],
-        }
-    }
-}
-
-fn names(name: &str, layout: Layout) -> [String; 2] {
-    match layout {
-        Layout::Indices => [format!("{name}-start"), format!("{name}-goal")],
-        Layout::Tags => [name.to_owned(), name.to_owned()],
     }
 }

@@ -20,7 +20,7 @@ pub struct SharedTrees {
 
 impl SharedTrees {
     /// Reads both, and fails unless they are trees: the parent of each vertex except the roots belongs to the same
-    /// tree, and was inserted earlier or precedes the vertex in the same insert.
+    /// tree, and was inserted earlier or precedes the vertex in the same mutation.
     pub async fn read(store: &Store) -> Result<SharedTrees, PlanningError> {
         let coordinates = store.index(0).coordinates();
         let mut read = SharedTrees {
@@ -28,8 +28,7 @@ impl SharedTrees {
             makers: [Vec::new(), Vec::new()],
             revisions: [Vec::new(), Vec::new()],
         };
-        for trees in store.together() {
-            let index = store.index(trees[0]);
+        for index in store.indices() {
             // Reads the workers' last revision: their reports are behind it.
             index.info().await?;
             read.add(Vertices::scan(index).await?)?;
@@ -40,7 +39,7 @@ impl SharedTrees {
     /// Adds all vertices of one index.
     fn add(&mut self, vertices: Vertices) -> Result<(), PlanningError> {
         let rows = &vertices.rows;
-        // The rows of one insert have ascending ids and belong to one worker.
+        // The rows of one mutation have ascending ids and belong to one worker.
         let mut order: Vec<usize> = (0..rows.len()).collect();
         order.sort_by_key(|&row| (rows[row].revision, rows[row].id));
         for row in order {
@@ -87,7 +86,7 @@ impl Vertices {
         while let Some(part) = scan.next().await? {
             for point in part.iter() {
                 let parent_id = point.payload.and_then(|payload| vertex::parent(payload));
-                if parent_id.is_none() && !ROOTS.contains(&point.id) {
+                if parent_id.is_none() && point.id != ROOTS[vertex::tree(point.tag)] {
                     return Err(wrong(point.id, "its payload tells no parent"));
                 }
                 read.states.push(point.state)?;
