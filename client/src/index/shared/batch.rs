@@ -71,8 +71,8 @@ pub(super) struct Batch {
     bytes: usize,
     /// The revision that it made, once the server has acknowledged it.
     pub(super) revision: Option<u64>,
-    /// The first of its ids that the index assigned.
-    pub(super) first_assigned: Option<u64>,
+    /// The first and the last of its ids that the index assigned.
+    assigned: Option<(u64, u64)>,
     /// The questions of its inserts.
     pub(super) questions: Vec<Question>,
     /// The session that sent it.
@@ -120,6 +120,18 @@ impl Batch {
         };
         self.kinds.push(kind.into());
         self.tags.push(tag);
+    }
+
+    /// Notes that the index assigned the id of the last step.
+    pub(super) fn assign(&mut self, id: u64) {
+        let (first, _) = self.assigned.unwrap_or((id, id));
+        self.assigned = Some((first, id));
+    }
+
+    /// True if the batch has a step on this id, and the id is among those that the index assigned in it.
+    pub(super) fn has_assigned(&self, id: u64) -> bool {
+        let is_near = |(first, last): (u64, u64)| (first..=last).contains(&id);
+        self.assigned.is_some_and(is_near) && self.ids.contains(&id)
     }
 
     fn push_row(&mut self, row: &[f64], payload: &[u8]) {

@@ -126,8 +126,7 @@ impl Writer {
         if let Step::Put { tag, row, .. } = *step {
             points.store(id, tag, row)?;
         }
-        let batch = self.push(id, step);
-        batch.first_assigned.get_or_insert(id);
+        self.push(id, step).assign(id);
         Ok(())
     }
 
@@ -191,8 +190,7 @@ impl Writer {
 
     /// True if the newest published points cannot have this id, because its insert is pending.
     fn is_pending_insert(&self, id: u64) -> bool {
-        let oldest = self.queue.iter().find_map(|batch| batch.first_assigned);
-        oldest.is_some_and(|oldest| id >= oldest) && self.ids.contain(id)
+        self.queue.iter().any(|batch| batch.has_assigned(id))
     }
 
     fn push(&mut self, id: u64, step: &Step<'_>) -> &mut Batch {

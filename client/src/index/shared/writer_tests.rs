@@ -215,3 +215,43 @@ fn a_question_is_answered_when_its_point_is_published() {
         .collect();
     assert_eq!(found, [4, first, 1]);
 }
+
+/// A point of an earlier session, whose batch the feed has not named yet, is changed in the next session.
+#[test]
+fn a_change_waits_for_the_insert_of_an_earlier_session() {
+    let (mut writer, mut points) = writer();
+    let id = insert(&mut writer, &mut points, 1.0);
+    writer.next(1, 0).expect("a batch");
+    writer.acknowledge(1, 10, 9, &mut points).expect("a copy");
+    let why = Arc::new(Error::Closed);
+    writer.refuse(why, &mut points).expect("a copy");
+    assert!(writer.take_unsent().is_empty());
+    writer.open(2, None);
+    let tag = Step::SetTag(5);
+    writer.change(id, &tag, &mut points).expect("a copy");
+    let named = writer.confirm(1, 1, &mut points).expect("a copy");
+    assert!(named.is_some());
+    assert_eq!(shown(&points, id), Some((5, 1.0)));
+    // Another writer comes between.
+    foreign(&mut writer, &mut points, id, 7, 2.0);
+    assert_eq!(shown(&points, id), Some((5, 2.0)));
+    writer.next(2, 0).expect("a batch");
+    writer.confirm(2, 1, &mut points).expect("a copy");
+    assert_eq!(shown(&points, id), Some((5, 2.0)));
+}
+
+/// The caller gave an id of a reserved block, and later ids of the block are pending.
+#[test]
+fn a_change_to_a_published_point_waits_for_no_insert() {
+    let (mut writer, mut points) = writer();
+    foreign(&mut writer, &mut points, 120, 0, 1.0);
+    writer.ids.next().expect("an id");
+    insert(&mut writer, &mut points, 2.0);
+    writer
+        .change(120, &Step::SetTag(5), &mut points)
+        .expect("a copy");
+    writer.next(1, 0).expect("a batch");
+    writer.confirm(1, 1, &mut points).expect("a copy");
+    foreign(&mut writer, &mut points, 120, 7, 3.0);
+    assert_eq!(shown(&points, 120), Some((7, 3.0)));
+}
