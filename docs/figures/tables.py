@@ -279,8 +279,6 @@ def follow():
 
 
 def middle(rows, of_row):
-    if not rows:
-        raise Missing("rows")
     return median(map(of_row, rows))
 
 
@@ -313,6 +311,8 @@ def nodes(planner):
 def runs_of(name, source, count):
     """The runs with so many workers, in the order of their seeds."""
     runs = [row for row in of(name) if (row["source"], row["workers"]) == (source, count)]
+    if not runs:
+        raise Missing(name)
     return sorted(runs, key=lambda row: row["seed"])
 
 
@@ -377,7 +377,7 @@ def ompl():
 
 
 def seconds(source):
-    return lambda: digits(middle([row for row in of("maze") if row["source"] == source], lambda row: row["total_s"])) + " s"
+    return lambda: digits(middle(runs_of("maze", source, 1), lambda row: row["total_s"])) + " s"
 
 
 TABLES = {

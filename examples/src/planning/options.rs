@@ -33,7 +33,7 @@ pub struct Options {
     /// The distinction between the trees
     #[arg(long, value_enum, default_value_t = Layout::Indices, requires = "several")]
     pub trees: Layout,
-    /// Compares 1, 2, 4 and 8 such workers with both sources instead; no picture
+    /// Compares 1, 2, 4 and 8 such workers, and one planner in memory, instead; no picture
     #[arg(long, group = "several")]
     pub scaling: bool,
     /// Builds one tree by RRT* from this many samples instead, and prints how its path becomes shorter
