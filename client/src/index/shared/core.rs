@@ -38,8 +38,10 @@ pub(super) struct Core {
     pub(super) writer: Mutex<Writer>,
     /// Wakes callers that wait for `writer`.
     pub(super) progress: Condvar,
-    /// Wakes the sender.
+    /// Wakes the sender if it waits for writes.
     pub(super) work: Notify,
+    /// Wakes the sender if it waits before the next batch.
+    pub(super) urgent: Notify,
     pub(super) points: RwLock<LocalPoints>,
     /// The revision that the copy has reached, of the uid of the handle.
     pub(super) published: Mutex<(IndexHandle, u64)>,
@@ -93,6 +95,7 @@ impl Core {
             writer: Mutex::new(writer),
             progress: Condvar::new(),
             work: Notify::new(),
+            urgent: Notify::new(),
             points: RwLock::new(points),
             published: Mutex::new((index, revision)),
             connection: Mutex::default(),
@@ -139,6 +142,7 @@ impl Core {
             }
             writer.wanted_ids = writer.wanted_ids.max(ids);
             self.wake(&mut writer);
+            self.urgent.notify_one();
             let until = *until.get_or_insert_with(|| deadline(self.timeout));
             if self.progress.wait_until(&mut writer, until).timed_out() {
                 return Err(Error::timeout("write", self.timeout));
@@ -192,6 +196,7 @@ impl Core {
         let (written, refusals) = (writer.written, writer.refusals);
         while writer.settled < written {
             self.wake(&mut writer);
+            self.urgent.notify_one();
             if self.progress.wait_until(&mut writer, until).timed_out() {
                 return Err(Error::timeout("flush", timeout));
             }

@@ -11,6 +11,11 @@ use super::{
 };
 use crate::{Error, IndexHandle, net::request::fresh_operation_id};
 
+/// The time between the beginnings of two batches while no one waits for them. A call costs server and client more
+/// than its rows: with a batch at a time as fast as they go, planners of a maze on two cores lost a quarter of their
+/// speed to the calls.
+const BATCH_INTERVAL: Duration = Duration::from_millis(2);
+
 /// The next thing to send.
 enum Next {
     Nothing,
@@ -25,6 +30,7 @@ pub(super) async fn run(core: Arc<Core>) {
     let mut operation_id = fresh_operation_id();
     loop {
         let index = core.published.lock().0.clone();
+        let began = Instant::now();
         let sent = match next(&core, &index) {
             Next::Nothing => {
                 core.work.notified().await;
@@ -49,6 +55,10 @@ pub(super) async fn run(core: Arc<Core>) {
         let Err(error) = sent else {
             failures = 0;
             core.sending();
+            tokio::select! {
+                () = sleep_until(began + BATCH_INTERVAL) => {}
+                () = core.urgent.notified() => {}
+            }
             continue;
         };
         failures += 1;
