@@ -97,12 +97,15 @@ pub(super) struct Arrivals {
     has_dropped: bool,
 }
 
+/// The number of a change of a point, and the point's old tag if only the tag is new.
+type Change = (u64, Option<u64>);
+
 /// Questions whose points the server has stored, with everything that their answers need.
 #[derive(Debug)]
 pub(super) struct Answerable {
     questions: Vec<Question>,
-    /// The changes of each point, the oldest first, with the old tag if only the tag is new; and the point.
-    arrived: Vec<(Vec<(u64, Option<u64>)>, Point)>,
+    /// The changes of each point, the oldest first, and the point.
+    arrived: Vec<(Vec<Change>, Point)>,
     snapshot: Option<Snapshot>,
 }
 
@@ -142,7 +145,7 @@ impl Arrivals {
     ) -> Option<Answerable> {
         let first = questions.first()?.at;
         let after = self.stored.partition_point(|arrival| arrival.at <= first);
-        let mut changes: HashMap<u64, Vec<(u64, Option<u64>)>> = HashMap::new();
+        let mut changes: HashMap<u64, Vec<Change>> = HashMap::new();
         for arrival in self.stored.range(after..) {
             let of_point = changes.entry(arrival.id).or_default();
             of_point.push((arrival.at, arrival.old_tag));
