@@ -145,7 +145,7 @@ impl NeighborSpec {
 /// A search of a [`Replica`](crate::Replica): k, radius and filter.
 ///
 /// ```
-/// use wayfold::{Filter, ScaledRadius, Search};
+/// use wayfold::{Filter, ReplicaSearch as Search, ScaledRadius};
 ///
 /// let ten_near = Search::k(10).radius(0.5).filter(Filter::default().tag(0b1, 1));
 /// let of_rrt_star = Search::within(ScaledRadius::new(1.1).max(0.5));

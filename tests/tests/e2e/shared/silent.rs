@@ -68,7 +68,7 @@ fn pending_writes_are_bounded_while_the_server_is_silent() {
         &space,
         &[&index, &other],
     );
-    assert!(matches!(index.status(), Some(Status::Following { .. })));
+    wait_for_status(&index, |status| matches!(status, Status::Following { .. }));
     assert_eq!(index.close(TIMEOUT), []);
 }
 
