@@ -119,7 +119,10 @@ async fn a_missing_file_of_marks_is_reported_once() {
     let warnings = |server: ServerProcess| {
         let finished = server.stop(Signal::Terminate);
         assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
-        finished.stderr.matches("file of the marks is missing or empty").count()
+        finished
+            .stderr
+            .matches("file of the marks is missing or empty")
+            .count()
     };
     // An empty store has no mark.
     assert_eq!(warnings(start()), 0);
