@@ -267,17 +267,6 @@ def pauses():
     return table(["durable"], ["while the index is loaded", "on disk", "in memory"], rows)
 
 
-def follow():
-    got = of("follow")
-    rows = [[what, digits(one["replica"]), f"the same forest: {digits(one['forest'])}", digits(one["ratio"])] for what, one in (
-        ("queries a second of processor time", got["queries_per_processor_second"]), ("queries a second", got["queries_per_second"]))]
-    for what, key in (("in the replica after the acknowledgement", "lag"), ("in the replica after sending", "lag_from_sending")):
-        for at in ("p50", "p99"):
-            mine, bare = got[key][f"{at}_ms"], got["round_trip"][f"{at}_ms"]
-            rows.append([f"an insert is {what}, {at}", f"{digits(mine)} ms", f"a bare call: {digits(bare)} ms", digits(mine / bare)])
-    return table(["follow"], ["what", "replica", "against", "ratio"], rows)
-
-
 def middle(rows, of_row):
     return median(map(of_row, rows))
 
@@ -383,7 +372,7 @@ def seconds(source):
 TABLES = {
     "index-50000": lambda: index("50000"), "index-million": lambda: index("1000000"), "index-building": building,
     "index-uneven": uneven, "index-processors": processors, "threads": threads, "slowest": slowest, "grpc": grpc, "loading": loading,
-    "writers": writers, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses, "follow": follow,
+    "writers": writers, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
     "sources": sources, "roadmap-workers": lambda: workers("rigid-workers", roadmap_cell),
     "tree-workers": lambda: workers("maze-workers", trees_cell), "ompl": ompl, "speed": readme_speed,
     "maze-memory": seconds("memory"), "maze-shared": seconds("shared"), "maze-remote": seconds("remote"),
