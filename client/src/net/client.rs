@@ -276,7 +276,6 @@ impl Client {
         self.settings.timeout
     }
 
-    #[cfg(feature = "replica")]
     pub(crate) fn retry_policy(&self) -> RetryPolicy {
         self.settings.retry
     }

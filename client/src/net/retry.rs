@@ -62,7 +62,6 @@ impl RetryPolicy {
     }
 
     /// The pause after `failures` failures in a row, for retries without an end.
-    #[cfg(feature = "replica")]
     pub(crate) fn endless_pause(&self, failures: u32) -> Duration {
         let endless = RetryPolicy {
             attempts: u32::MAX,
