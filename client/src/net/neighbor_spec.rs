@@ -74,7 +74,8 @@ macro_rules! bounded {
             }
 
             /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. The server or the replica
-            /// evaluates it, so that workers need not agree on n. PRM* takes [`Scaling::K_FACTOR`].
+            /// evaluates it, so that workers need not agree on n. PRM* takes
+            /// [`Scaling::K_FACTOR`](crate::Scaling::K_FACTOR).
             pub fn k_factor(factor: f64) -> $type {
                 $type::of(Some(K::Scaled(factor)), None)
             }
