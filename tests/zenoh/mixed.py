@@ -12,7 +12,7 @@ from processes import MAX_WAIT_S, Server
 INDEX = "prm"
 SEED = 5
 # The workers of the program `rigid`, and the source of their first neighbours.
-SOURCES = ["server", "replica"]
+SOURCES = ["remote", "shared"]
 FORMS = ["protobuf", "json"]
 # The minimum number of milestones of each worker over Zenoh.
 MIN_MILESTONES = 15
