@@ -1,4 +1,4 @@
-//! What a planner asks of an index, in whichever form it is open.
+//! The calls of a planner on an index, in any of its forms.
 
 use std::fmt;
 
@@ -49,7 +49,7 @@ pub struct Changes {
     pub stored: Points,
     /// The ids of the points that were removed and are not stored now.
     pub removed: Vec<u64>,
-    /// What the changes lead to.
+    /// The mark after these changes.
     pub seen: Seen,
 }
 

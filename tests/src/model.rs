@@ -135,6 +135,7 @@ impl Model {
         let mut missing = 0;
         for (at, (kind, &id)) in request.kinds().zip(&request.ids).enumerate() {
             let stored = self.points.get(id);
+            let old_tag = stored.map(|point| point.tag);
             let old = stored.map(|point| (point.row.to_vec(), point.revision));
             let stored = match (kind, old) {
                 (StepKind::Put, _) => {
@@ -144,7 +145,15 @@ impl Model {
                     Some((rows.next().expect("a state a put"), self.revision))
                 }
                 (StepKind::SetTag, Some(old)) => Some(old),
-                (StepKind::Replace, _) => unimplemented!("no test here replaces by a batch"),
+                (StepKind::Replace, old) => {
+                    let payload = payloads.next().cloned().unwrap_or_default();
+                    let row = rows.next().expect("a state a replacement");
+                    missing += u64::from(old.is_none());
+                    old.map(|_| {
+                        self.payloads.insert(id, payload);
+                        (row, self.revision)
+                    })
+                }
                 (StepKind::Remove, Some(_)) => {
                     self.points.remove(id);
                     self.payloads.remove(&id);
@@ -159,7 +168,10 @@ impl Model {
             if let Some((row, revision)) = stored {
                 let point = PointRef {
                     id,
-                    tag: request.tags.get(at).copied().unwrap_or_default(),
+                    tag: match (kind, old_tag) {
+                        (StepKind::Replace, Some(tag)) => tag,
+                        _ => request.tags.get(at).copied().unwrap_or_default(),
+                    },
                     revision,
                     row: &row,
                 };

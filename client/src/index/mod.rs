@@ -17,7 +17,7 @@ mod search;
 #[cfg(feature = "net")]
 mod served;
 #[cfg(feature = "net")]
-mod shared;
+pub(crate) mod shared;
 
 pub use point::{Changes, Found, InsertOptions, InsertedPoint, StoredPoint, StoredPoints};
 #[cfg(feature = "net")]

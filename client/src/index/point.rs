@@ -113,7 +113,7 @@ pub struct Changes {
     pub stored: Vec<StoredPoint>,
     /// The ids of the points that were removed.
     pub removed: Vec<u64>,
-    /// What the changes lead to.
+    /// The mark after these changes.
     pub seen: Seen,
 }
 

@@ -1,4 +1,4 @@
-//! What an index of a server has beyond one in memory.
+//! The methods of an index that only a server's has use for.
 
 use std::{sync::Arc, time::Duration};
 

@@ -1,14 +1,12 @@
 //! An index followed and searched in this process: see [`Replica`].
 //!
 //! One task follows the server (`follow`): it loads all points at a revision (`load`), applies mutations (from
-//! `source`: a watch, or `publications` over Zenoh) to a forest of its own (`merging_forest`), and publishes frozen
+//! `source`: a watch, or publications over Zenoh) to a forest of its own (`merging_forest`), and publishes frozen
 //! revisions of it (`view`). Readers search these and never wait for the task. `status` is the task's state.
 
 mod follow;
 mod load;
 mod merging_forest;
-#[cfg(feature = "zenoh")]
-mod publications;
 mod request;
 mod shared;
 mod source;

@@ -39,7 +39,7 @@ impl ReplicaRequest {
     /// their freshness.
     #[cfg(feature = "zenoh")]
     pub fn over_zenoh(mut self, session: zenoh::Session, prefix: &str) -> ReplicaRequest {
-        let publications = super::publications::Publications::new(session, prefix);
+        let publications = crate::index::shared::publications::Publications::new(session, prefix);
         self.source = Source::Zenoh(publications);
         self
     }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 #[cfg(feature = "zenoh")]
-use super::publications::Publications;
+use crate::index::shared::publications::Publications;
 use crate::{Error, IndexHandle, Revision, Watch};
 
 /// See the module.

@@ -3,7 +3,7 @@
 
 #[path = "../e2e/replica/history.rs"]
 mod history;
-#[path = "../e2e/replica/proxy.rs"]
+#[path = "../e2e/shared/proxy.rs"]
 #[expect(dead_code, reason = "the suite over gRPC cuts connections too")]
 mod proxy;
 

@@ -89,7 +89,7 @@ struct Arrival {
 #[derive(Debug, Default)]
 pub(super) struct Arrivals {
     open: usize,
-    /// What others stored since the oldest open question.
+    /// The points that others stored since the oldest open question.
     stored: VecDeque<Arrival>,
     answers: VecDeque<Meanwhile>,
     /// The neighbours of all answers.

@@ -13,7 +13,7 @@ mod link;
 mod meanwhile;
 mod open;
 #[cfg(feature = "zenoh")]
-mod publications;
+pub(crate) mod publications;
 mod rebased;
 mod sender;
 mod status;

@@ -27,13 +27,13 @@ const MAX_WAITING: usize = 256;
 
 /// A session, and the prefix of the keys.
 #[derive(Clone, Debug)]
-pub(super) struct Publications {
+pub(crate) struct Publications {
     session: Session,
     prefix: Arc<str>,
 }
 
 impl Publications {
-    pub(super) fn new(session: Session, prefix: &str) -> Publications {
+    pub(crate) fn new(session: Session, prefix: &str) -> Publications {
         Publications {
             session,
             prefix: prefix.into(),
@@ -41,7 +41,7 @@ impl Publications {
     }
 
     /// Watches an index after a revision. The feed reads the log after the time `quiet` without a publication.
-    pub(super) async fn watch(
+    pub(crate) async fn watch(
         &self,
         index: &IndexHandle,
         after: Revision,

@@ -29,7 +29,7 @@ enum Change {
 }
 
 impl Change {
-    /// What the change makes of a point.
+    /// Applies the change to a point.
     fn apply(&self, point: Option<Content>) -> Option<Content> {
         match self {
             Change::Put(content) => Some(content.clone()),

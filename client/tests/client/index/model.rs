@@ -22,7 +22,7 @@ pub(crate) struct Model {
     changes: u64,
     /// The ids that changed, with the number of the change.
     history: Vec<(u64, u64)>,
-    /// What answers had seen, with the number of changes then.
+    /// The tokens of answers, with the number of changes then.
     seen: Vec<(Seen, u64)>,
     used_ids: HashSet<u64>,
     last_assigned: Option<u64>,
