@@ -1,4 +1,4 @@
-//! A shared index keeps what it was told despite failures of its server and of the connection: each write is there
+//! A shared index keeps its writes despite failures of its server and of the connection: each write is there
 //! exactly once, in the order of the calls.
 
 mod history;

@@ -74,7 +74,7 @@ pub(crate) fn refuses_what_is_no_state(make: impl Fn(&Space) -> Index) {
     assert_eq!(index.len().unwrap(), 1);
 }
 
-/// Of any two inserts that ask, the later one finds the earlier, on any threads.
+/// The later of any two inserts that ask finds the earlier one, on any threads.
 pub(crate) fn misses_no_edge(make: impl Fn(&Space) -> Index) {
     const THREADS: usize = 4;
     const INSERTS: usize = 250;

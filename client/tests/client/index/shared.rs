@@ -133,7 +133,7 @@ fn racing_writers_agree() {
     }
 }
 
-/// Of any two points of two processes the later one is told of the earlier, by its insert or meanwhile.
+/// The later of any two points of two processes gets the earlier one, by its insert or meanwhile.
 #[test]
 fn no_edge_between_processes_is_missed() {
     const WRITERS: usize = 3;

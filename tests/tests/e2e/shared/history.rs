@@ -78,7 +78,7 @@ pub(super) struct Writer {
     history: History,
 }
 
-/// What the calls of one writer did to its own points, in their order.
+/// The changes of one writer to its own points, in the order of its calls.
 #[derive(Default)]
 pub(super) struct History {
     clock: u64,

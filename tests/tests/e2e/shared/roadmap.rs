@@ -24,7 +24,7 @@ const K: usize = 8;
 /// What each point was told, by its insert and meanwhile.
 type Edges = BTreeMap<u64, Vec<Neighbor>>;
 
-/// Inserts from four threads, of which two share an index, and returns what each point was told.
+/// Inserts from four threads, two of which share an index. Returns the neighbours that each point got.
 fn build(indexes: &[Index; WORKERS], ask: Search) -> Edges {
     let start = Arc::new(Barrier::new(WORKERS));
     let threads: Vec<_> = (0..)
