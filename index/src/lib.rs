@@ -50,7 +50,7 @@ mod space;
 mod traversal;
 
 pub use error::{ApplyError, PointsError, SearchError};
-pub use forest::{Forest, ForestOptions, ForestReport, Merge, Merged, Snapshot};
+pub use forest::{Forest, ForestOptions, ForestReport, Merge, Merged, ReplacedLevels, Snapshot};
 pub use kdtree::{KdTree, TreeReport};
 pub use kernel::Kernels;
 pub use linear::Linear;

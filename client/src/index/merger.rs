@@ -5,7 +5,6 @@
 
 use std::{
     collections::VecDeque,
-    process,
     sync::{
         OnceLock, Weak,
         mpsc::{Receiver, RecvTimeoutError, Sender, channel},
@@ -16,7 +15,7 @@ use std::{
 
 use wayfold_index::Merge;
 
-use super::local::LocalPoints;
+use super::{local::LocalPoints, origin::Origin};
 
 /// An index rests when nothing changes for this long.
 const REST: Duration = Duration::from_millis(250);
@@ -36,8 +35,8 @@ enum Work {
 
 struct Thread {
     work: Sender<Work>,
-    /// The process that started it. A fork does not copy threads.
-    process: u32,
+    /// The process that started it.
+    origin: Origin,
 }
 
 static THREAD: OnceLock<Option<Thread>> = OnceLock::new();
@@ -63,7 +62,7 @@ pub(super) fn merge_now(points: &mut LocalPoints) {
 fn send(points: &mut LocalPoints, work: Work) {
     let thread = THREAD.get_or_init(start).as_ref();
     // In a forked process, and where no thread could be started, the caller merges.
-    let unsent = match thread.filter(|thread| thread.process == process::id()) {
+    let unsent = match thread.filter(|thread| thread.origin.is_here()) {
         Some(thread) => thread.work.send(work).err().map(|unsent| unsent.0),
         None => Some(work),
     };
@@ -81,7 +80,7 @@ fn start() -> Option<Thread> {
         .ok()?;
     Some(Thread {
         work,
-        process: process::id(),
+        origin: Origin::here(),
     })
 }
 
@@ -126,13 +125,14 @@ fn run(work: &Receiver<Work>) {
 
 /// Swaps a level in. Returns the merge that it leads to.
 fn finish(index: &Weak<dyn Merged>, merged: wayfold_index::Merged) -> Option<Merge> {
-    let (mut merged, mut next) = (Some(merged), None);
+    let (mut merged, mut next, mut replaced) = (Some(merged), None, None);
     index.upgrade()?.with_points(&mut |points| {
-        if let Some(merged) = merged.take() {
-            points.forest.finish_merge(merged);
-        }
+        replaced = merged
+            .take()
+            .map(|merged| points.forest.finish_merge(merged));
         next = points.forest.begin_merge();
     });
+    drop(replaced);
     next
 }
 

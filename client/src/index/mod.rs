@@ -7,6 +7,7 @@ mod history;
 mod local;
 mod memory;
 mod merger;
+mod origin;
 mod point;
 #[cfg(feature = "net")]
 mod remote;

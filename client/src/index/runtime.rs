@@ -1,18 +1,16 @@
 //! The thread on which this process talks to servers.
 
-use std::{
-    process,
-    sync::{Arc, OnceLock, mpsc},
-};
+use std::sync::{Arc, OnceLock, mpsc};
 
 use tokio::runtime::{Builder, Runtime};
 
+use super::origin::Origin;
 use crate::Error;
 
 struct Owned {
     runtime: Runtime,
-    /// The process that started it. A fork does not copy threads.
-    process: u32,
+    /// The process that started it.
+    origin: Origin,
 }
 
 static RUNTIME: OnceLock<Result<Owned, Arc<std::io::Error>>> = OnceLock::new();
@@ -28,11 +26,11 @@ pub(super) fn runtime() -> Result<&'static Runtime, Error> {
             .map_err(Arc::new)?;
         Ok(Owned {
             runtime,
-            process: process::id(),
+            origin: Origin::here(),
         })
     };
     match RUNTIME.get_or_init(start) {
-        Ok(owned) if owned.process == process::id() => Ok(&owned.runtime),
+        Ok(owned) if owned.origin.is_here() => Ok(&owned.runtime),
         Ok(_) => Err(Error::Forked),
         Err(source) => Err(Error::Thread {
             source: Arc::clone(source),

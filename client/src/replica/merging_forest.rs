@@ -77,7 +77,7 @@ impl MergingForest {
     /// dropped while it waits loses nothing.
     pub(super) async fn merged(&mut self) {
         match self.merges.join_next().await {
-            Some(Ok(merged)) => self.forest.finish_merge(merged),
+            Some(Ok(merged)) => drop(self.forest.finish_merge(merged)),
             // Its levels stay as they are: answers stay right, but take longer.
             Some(Err(_)) => {}
             None => std::future::pending().await,

@@ -24,6 +24,12 @@ pub struct Merged {
     pub(super) level: Option<Level>,
 }
 
+/// The levels that a merge has replaced, which live until this value is dropped.
+#[derive(Debug, Default)]
+pub struct ReplacedLevels {
+    pub(super) _sources: Vec<Arc<Level>>,
+}
+
 impl Merge {
     /// The number of points stored in its levels, dead ones included.
     pub fn rows(&self) -> usize {

@@ -32,7 +32,7 @@ use crate::{
 use growing::Growing;
 use level::Level;
 use merge::Running;
-pub use merge::{Merge, Merged};
+pub use merge::{Merge, Merged, ReplacedLevels};
 use packed::Packed;
 use retired::Retired;
 pub use snapshot::Snapshot;
@@ -327,13 +327,15 @@ impl Forest {
 
     /// Replaces the sources of a merge by the merged level, in time proportional to the points removed from them
     /// meanwhile. A merge that another forest began is ignored.
-    pub fn finish_merge(&mut self, merged: Merged) {
+    ///
+    /// Freeing the sources can take milliseconds: drop the result after the forest's lock.
+    pub fn finish_merge(&mut self, merged: Merged) -> ReplacedLevels {
         let Some(at) = self
             .running
             .iter()
             .position(|running| running.token == merged.token)
         else {
-            return;
+            return ReplacedLevels::default();
         };
         let running = self.running.swap_remove(at);
         if running.revision == self.head.revision {
@@ -341,12 +343,15 @@ impl Forest {
         }
         Arc::make_mut(&mut self.head.levels).retain(|level| !running.has(level));
         if let Some(level) = merged.level {
-            for (id, revision) in running.died {
+            for &(id, revision) in &running.died {
                 if let Some(slot) = level.find(id, LATEST) {
                     level.mark_dead(slot, revision);
                 }
             }
             self.add_level(level);
+        }
+        ReplacedLevels {
+            _sources: running.sources,
         }
     }
 

@@ -1,7 +1,6 @@
 //! The state that a shared index's callers and its two tasks share.
 
 use std::{
-    process,
     sync::{Arc, OnceLock, Weak},
     time::{Duration, Instant},
 };
@@ -18,6 +17,7 @@ use crate::{
     index::{
         local::LocalPoints,
         merger::{self, Merged},
+        origin::Origin,
     },
 };
 
@@ -49,7 +49,7 @@ pub(super) struct Core {
     /// The cause for which the index is gone.
     ended: OnceLock<Arc<Error>>,
     /// The process that opened the index.
-    process: u32,
+    origin: Origin,
     this: Weak<Core>,
 }
 
@@ -100,7 +100,7 @@ impl Core {
             published: Mutex::new((index, revision)),
             connection: Mutex::default(),
             ended: OnceLock::new(),
-            process: process::id(),
+            origin: Origin::here(),
             this: this.clone(),
         })
     }
@@ -108,7 +108,7 @@ impl Core {
     /// True in a process that was forked from the one that opened the index: its threads are not here, and a lock may
     /// be held for ever.
     pub(super) fn is_forked(&self) -> bool {
-        process::id() != self.process
+        !self.origin.is_here()
     }
 
     fn check(&self) -> Result<(), Error> {
