@@ -12,7 +12,7 @@ use std::{
 use tokio::time::{MissedTickBehavior, interval};
 use wayfold::{Index, InsertOptions, Search};
 use wayfold_index::Space;
-use wayfold_tests::{Process, States, measuring};
+use wayfold_tests::{Process, ServerProcess, States, figures::processor_seconds, measuring};
 
 use crate::{Arguments, SE3, report::Report};
 
@@ -21,6 +21,8 @@ pub(crate) const WRITER: &str = "writer";
 
 /// The writers insert what is due, and the reader looks for what came, this often.
 const TICK: Duration = Duration::from_millis(1);
+/// The longest time without a new point.
+const MAX_SILENCE: Duration = Duration::from_secs(60);
 /// The number of appends, before and after.
 const APPENDS: usize = 1_000;
 
@@ -42,9 +44,11 @@ pub(crate) fn measure(arguments: &Arguments, writers: u32, report: &mut Report) 
             process
         })
         .collect();
+    let at_first = Spent::now(&server, &processes);
     processes.iter_mut().for_each(|process| process.say("go"));
     let count = (arguments.rate / writers * writers * arguments.seconds) as usize;
     let mut delays = follow(&index, count);
+    let at_last = Spent::now(&server, &processes);
     let pending = processes.iter_mut().map(|process| {
         let line = process.line().expect("the most pending writes");
         line.parse::<f64>().expect("a number")
@@ -60,6 +64,33 @@ pub(crate) fn measure(arguments: &Arguments, writers: u32, report: &mut Report) 
     report.latency("until the copy of another process has it", delays);
     report.latency("append of 4 KiB and fdatasync", syncs);
     report.note("most pending writes of a writer", pending, "");
+    if let (Some(first), Some(last)) = (at_first, at_last) {
+        let micros = |seconds: f64| seconds * 1e6 / count as f64;
+        let server = micros(last.server - first.server);
+        report.note("the server's processor time an insert", server, "us");
+        let writer = micros(last.writers - first.writers) / f64::from(writers);
+        report.note("a writer's processor time an insert of any", writer, "us");
+        let reader = micros(last.reader - first.reader);
+        report.note("the reader's processor time an insert", reader, "us");
+    }
+}
+
+/// The processor seconds that the processes have used.
+struct Spent {
+    server: f64,
+    writers: f64,
+    reader: f64,
+}
+
+impl Spent {
+    fn now(server: &ServerProcess, writers: &[Process]) -> Option<Spent> {
+        let writers = writers.iter().map(|writer| processor_seconds(writer.id()));
+        Some(Spent {
+            server: processor_seconds(server.process().id())?,
+            writers: writers.sum::<Option<f64>>()?,
+            reader: processor_seconds(std::process::id())?,
+        })
+    }
 }
 
 /// Looks for new points until there are `count`, whose tags tell their times. Returns their delays.
@@ -68,13 +99,25 @@ fn follow(index: &Index, count: usize) -> Vec<Duration> {
     let origin = vec![0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
     let first = index.search(origin, &Search::k(1)).expect("an answer");
     let mut seen = first.seen;
+    let mut progress = Instant::now();
     on_ticks(|| {
         let changes = index.changes(seen).expect("an index");
         let changes = changes.expect("fewer changes than the copy remembers");
         let now = nanos();
         let stored = changes.stored.iter();
+        let before = delays.len();
         delays.extend(stored.map(|point| Duration::from_nanos(now.saturating_sub(point.tag))));
         seen = changes.seen;
+        if delays.len() > before {
+            progress = Instant::now();
+        }
+        assert!(
+            progress.elapsed() < MAX_SILENCE,
+            "{} of {count} points came; the copy has {:?} and is {:?}",
+            delays.len(),
+            index.len(),
+            index.status(),
+        );
         delays.len() < count
     });
     delays
