@@ -16,9 +16,9 @@ impl Index {
         OpenShared::new(uri, name)
     }
 
-    /// Acts like [`Index::shared`], but over Zenoh alone: needs no gRPC port. The session must reach the server,
-    /// directly or through routers, and must stay open; `wayfold/v1` is the default prefix of a server. Zenoh runs the
-    /// session on threads of its own, so calls may block a task of the runtime that opened it.
+    /// Acts like [`Index::shared`], but all calls go over Zenoh: it needs no gRPC port. The session must reach the
+    /// server, directly or through routers, and must stay open; `wayfold/v1` is the default prefix of a server.
+    /// [`OpenShared::open`] waits up to its timeout for a server to appear.
     ///
     /// ```no_run
     /// use wayfold::Index;

@@ -184,8 +184,8 @@ impl ZenohLink {
             };
             match reply {
                 Ok(sample) => return decode(call, &sample.payload().to_bytes()),
-                // Another server under the prefix may take the call, and one that may take it later counts more than one
-                // that never will.
+                // Another server under the prefix may still take the call. A refusal that may end counts more than one
+                // that is final.
                 Err(refused) if *refused.encoding() == Encoding::APPLICATION_PROTOBUF => {
                     let status = decode(call, &refused.payload().to_bytes())?;
                     let refusal = Error::Refused(Box::new(Refusal::from_message(&status)));
