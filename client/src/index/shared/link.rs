@@ -17,9 +17,9 @@ use wayfold_proto::{
 };
 
 use super::served_index::ServedIndex;
-use crate::{
-    Code, Error, Include, IndexInfo, Limits, Points, RetryPolicy, Revision, ServerInfo, Watch,
-};
+#[cfg(feature = "zenoh")]
+use crate::RetryPolicy;
+use crate::{Code, Error, Include, IndexInfo, Limits, Points, Revision, ServerInfo, Watch};
 use call::Call;
 use grpc::GrpcLink;
 
@@ -93,7 +93,12 @@ impl Link {
 
     /// The pause after this many failures in a row.
     pub(super) fn pause(&self, failures: u32) -> Duration {
-        RetryPolicy::default().endless_pause(failures)
+        let policy = match &self.way {
+            Way::Grpc(way) => way.retry_policy(),
+            #[cfg(feature = "zenoh")]
+            Way::Zenoh(_) => RetryPolicy::default(),
+        };
+        policy.endless_pause(failures)
     }
 
     /// The index that has the name now.

@@ -6,7 +6,7 @@ use wayfold_proto::v1;
 use crate::Client;
 
 /// The end of a call's key over Zenoh.
-#[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "gRPC has no keys"))]
+#[cfg(feature = "zenoh")]
 pub(super) enum Key {
     /// Under the prefix.
     Server(&'static str),
@@ -19,6 +19,7 @@ pub(super) trait Call: prost::Message + Clone {
     type Answer: prost::Message + Default;
     /// Its name in errors.
     const NAME: &'static str;
+    #[cfg(feature = "zenoh")]
     const KEY: Key;
 
     /// Sends it over gRPC.
@@ -33,6 +34,7 @@ macro_rules! calls {
         $(impl Call for v1::$request {
             type Answer = v1::$answer;
             const NAME: &'static str = stringify!($call);
+            #[cfg(feature = "zenoh")]
             const KEY: Key = $key;
 
             async fn send(

@@ -9,7 +9,7 @@ use super::{
     load::{COLUMNS, Part, Parts},
 };
 use crate::{
-    Client, Error, IndexHandle, Watch, index::shared::served_index::ServedIndex,
+    Client, Error, IndexHandle, RetryPolicy, Watch, index::shared::served_index::ServedIndex,
     net::client::within,
 };
 
@@ -26,6 +26,10 @@ impl GrpcLink {
     pub(super) async fn call<C: Call>(&self, request: &C) -> Result<C::Answer, Error> {
         let attempt = |remaining| C::send(self.0.clone(), within(remaining, request.clone()));
         self.0.call(C::NAME, self.0.timeout(), attempt).await
+    }
+
+    pub(super) fn retry_policy(&self) -> RetryPolicy {
+        self.0.retry_policy()
     }
 
     /// Watches an index after a revision, without the points that `own_session` stores.
