@@ -16,6 +16,23 @@ impl Index {
         OpenShared::new(uri, name)
     }
 
+    /// Acts like [`Index::shared`], but all calls go over Zenoh: it needs no gRPC port. The session must reach the
+    /// server, directly or through routers, and must stay open; `wayfold/v1` is the default prefix of a server.
+    /// [`OpenShared::open`] waits up to its timeout for a server to appear.
+    ///
+    /// ```no_run
+    /// use wayfold::Index;
+    ///
+    /// # fn example(session: zenoh::Session) -> Result<(), Box<dyn std::error::Error>> {
+    /// let index = Index::shared_over_zenoh(session, "wayfold/v1", "arm").create(&"R3*SO3:0.15".parse()?).open()?;
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[cfg(feature = "zenoh")]
+    pub fn shared_over_zenoh(session: zenoh::Session, prefix: &str, name: &str) -> OpenShared {
+        OpenShared::over_zenoh(session, prefix, name)
+    }
+
     /// The index of this name on a server, without a copy: each call is one of the server's, and waits for it.
     pub fn remote(uri: &str, name: &str) -> OpenRemote {
         OpenRemote::new(uri, name)

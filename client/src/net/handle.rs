@@ -41,13 +41,23 @@ struct Shared {
 
 impl IndexHandle {
     pub(crate) fn new(client: Client, info: IndexInfo) -> IndexHandle {
+        IndexHandle::of(client, info.name, info.space, info.revision)
+    }
+
+    /// The handle of an index that an answer described before, at this revision.
+    pub(crate) fn of(
+        client: Client,
+        name: String,
+        space: Space,
+        revision: Revision,
+    ) -> IndexHandle {
         let timeout = client.timeout();
         let shared = Shared {
             client,
-            name: info.name,
-            uid: info.revision.uid,
-            space: info.space,
-            revision: AtomicU64::new(info.revision.number),
+            name,
+            uid: revision.uid,
+            space,
+            revision: AtomicU64::new(revision.number),
         };
         IndexHandle {
             shared: Arc::new(shared),

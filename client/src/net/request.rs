@@ -24,6 +24,8 @@ pub(crate) use stream_knn::open_stream;
 pub use stream_knn::{KnnAnswers, KnnRequests};
 pub use update::{Update, Updated};
 pub use verify::{Verified, Verify};
+#[cfg(feature = "zenoh")]
+pub(crate) use watch::WatchStart;
 pub use watch::{Mutation, Reset, ResetReason, Watch, WatchEvent, WatchRequest};
 
 use bytes::Bytes;

@@ -15,4 +15,5 @@ mod parity;
 mod replica;
 mod robot;
 mod scan;
+mod shared;
 mod talk;

@@ -39,6 +39,21 @@ pub(crate) fn server_at(
     (server, locator)
 }
 
+/// A router at a locator.
+pub(crate) fn router(at: &str) -> (Process, String) {
+    let mut router = Process::start(env!("CARGO_BIN_EXE_router-process"), &[at]);
+    let at = router.line().unwrap();
+    (router, at)
+}
+
+/// A server whose only Zenoh link is to the router at `at`.
+pub(crate) fn server_behind(at: &str, data: &[&str], setting: (&str, &str)) -> ServerProcess {
+    let retry = json!({ "period_init_ms": 20, "period_max_ms": 100 });
+    let behind = json!({ "mode": "client", "connect": { "endpoints": [at], "retry": retry } });
+    let behind = behind.to_string();
+    server_with(data, &[("WAYFOLD_ZENOH__CONFIG", &behind), setting]).0
+}
+
 /// A session that finds no peer by itself.
 pub(crate) async fn session(mode: &str, listen: &[&str], connect: &[&str]) -> Session {
     let config = json!({

@@ -10,10 +10,11 @@ use tokio::sync::Notify;
 use wayfold_index::Space;
 
 use super::{
-    batch::UnsentWrite, link::Link, meanwhile::Answerable, status::Status, writer::Writer,
+    batch::UnsentWrite, link::Link, meanwhile::Answerable, served_index::ServedIndex,
+    status::Status, writer::Writer,
 };
 use crate::{
-    Error, IndexHandle,
+    Error,
     index::{
         local::LocalPoints,
         merger::{self, Merged},
@@ -43,8 +44,8 @@ pub(super) struct Core {
     /// Wakes the sender if it waits before the next batch.
     pub(super) urgent: Notify,
     pub(super) points: RwLock<LocalPoints>,
-    /// The revision that the copy has reached, of the uid of the handle.
-    pub(super) published: Mutex<(IndexHandle, u64)>,
+    /// The index that the copy follows, and the revision that it has reached.
+    pub(super) published: Mutex<(Arc<ServedIndex>, u64)>,
     connection: Mutex<Connection>,
     /// The cause for which the index is gone.
     ended: OnceLock<Arc<Error>>,
@@ -80,7 +81,7 @@ pub(super) enum Task {
 impl Core {
     pub(super) fn new(
         link: Link,
-        index: IndexHandle,
+        index: Arc<ServedIndex>,
         revision: u64,
         points: LocalPoints,
         writer: Writer,
@@ -227,7 +228,7 @@ impl Core {
     }
 
     /// True if the answer to a call on `index` is about the history that the copy follows.
-    pub(super) fn is_current(&self, index: &IndexHandle) -> bool {
+    pub(super) fn is_current(&self, index: &ServedIndex) -> bool {
         self.published.lock().0.uid() == index.uid()
     }
 

@@ -7,10 +7,9 @@ use tokio::time::{Instant, sleep_until};
 use super::{
     core::{Core, Task},
     link::protocol,
+    served_index::ServedIndex,
 };
-use crate::{
-    Code, Error, IndexHandle, Mutation, Reset, ResetReason, WatchEvent, index::local::NewRow,
-};
+use crate::{Code, Error, Mutation, Reset, ResetReason, WatchEvent, index::local::NewRow};
 
 /// The time for which no index may have the name: one that is deleted and created again has it soon.
 const MISSING_TIME: Duration = Duration::from_secs(5);
@@ -20,7 +19,7 @@ const RELOAD_CHANGES: u64 = 1 << 40;
 
 pub(super) struct Follower {
     core: Arc<Core>,
-    index: IndexHandle,
+    index: Arc<ServedIndex>,
     /// The newest revision that was applied.
     revision: u64,
     /// True if the feed must hold what own sessions wrote.
@@ -48,7 +47,7 @@ impl From<Error> for Stop {
 }
 
 impl Follower {
-    pub(super) fn new(core: Arc<Core>, index: IndexHandle, revision: u64) -> Follower {
+    pub(super) fn new(core: Arc<Core>, index: Arc<ServedIndex>, revision: u64) -> Follower {
         Follower {
             core,
             index,
@@ -83,12 +82,12 @@ impl Follower {
     }
 
     async fn follow(&mut self) -> Result<std::convert::Infallible, Stop> {
-        let after = self.index.revision_at(self.revision);
         let session = match self.is_unfiltered {
             true => 0,
             false => self.core.writer.lock().session.unwrap_or(0),
         };
-        let mut watch = self.core.link.watch(&self.index, after, session).await?;
+        let watch = self.core.link.watch(&self.index, self.revision, session);
+        let mut watch = watch.await?;
         loop {
             while let Some(event) = watch.ready() {
                 match event {
@@ -154,8 +153,8 @@ impl Follower {
         }
         let is_same = reset.reason == ResetReason::WindowPassed;
         let index = match is_same {
-            true => self.index.clone(),
-            false => core.link.index().await?,
+            true => Arc::clone(&self.index),
+            false => Arc::new(core.link.index().await?),
         };
         if index.space() != &core.space {
             return Err(Error::OtherSpace {
@@ -179,7 +178,7 @@ impl Follower {
         let old = points.replace(forest);
         let answerable = writer.reloaded(revision, &mut points)?;
         core.after_change(&mut points);
-        *core.published.lock() = (index.clone(), revision);
+        *core.published.lock() = (Arc::clone(&index), revision);
         core.wake(&mut writer);
         drop(points);
         drop(writer);

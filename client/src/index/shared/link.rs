@@ -1,168 +1,199 @@
-//! The calls that a shared index makes.
+//! The calls that a shared index makes, over gRPC (`grpc`) or Zenoh (`zenoh`, `publications`).
+
+mod call;
+mod grpc;
+mod load;
+#[cfg(feature = "zenoh")]
+pub(crate) mod publications;
+#[cfg(feature = "zenoh")]
+mod zenoh;
 
 use std::time::Duration;
 
-use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
-use wayfold_proto::v1;
+use wayfold_index::Space;
+use wayfold_proto::{
+    space,
+    v1::{self, create_index_request::SpaceForm},
+};
 
+use super::served_index::ServedIndex;
 #[cfg(feature = "zenoh")]
-use super::publications::Publications;
-use crate::{Client, Code, Error, Include, IndexHandle, Limits, Revision, Watch};
+use crate::RetryPolicy;
+use crate::{Code, Error, Include, IndexInfo, Limits, Points, Revision, ServerInfo, Watch};
+use call::Call;
+use grpc::GrpcLink;
 
-/// The time without a publication after which the index's log is read: the last one may be lost.
-#[cfg(feature = "zenoh")]
-const QUIET_TIME: Duration = Duration::from_secs(1);
+/// The address of a server.
+#[derive(Clone, Debug)]
+pub(super) enum Address {
+    Grpc {
+        uri: String,
+    },
+    #[cfg(feature = "zenoh")]
+    Zenoh {
+        session: ::zenoh::Session,
+        prefix: String,
+    },
+}
 
 /// The way to the server, and the name of the index.
 #[derive(Clone, Debug)]
 pub(super) struct Link {
-    client: Client,
     name: String,
-    #[cfg(feature = "zenoh")]
-    publications: Option<Publications>,
+    /// The longest time of a call.
+    timeout: Duration,
+    way: Way,
 }
 
-/// A session and the ids that were reserved with it.
-pub(super) struct Session {
-    pub(super) session: u64,
-    pub(super) reserved: Option<v1::IdBlock>,
+#[derive(Clone, Debug)]
+enum Way {
+    Grpc(GrpcLink),
+    #[cfg(feature = "zenoh")]
+    Zenoh(zenoh::ZenohLink),
 }
 
 impl Link {
-    /// Connects, and opens the index; with a space it is created if it is missing.
+    /// Reaches the server of the index of this name, and asks for its limits. A call waits for at most `timeout`.
     pub(super) async fn open(
-        uri: &str,
+        address: Address,
         name: &str,
         timeout: Duration,
-        create: Option<&Space>,
-    ) -> Result<(Link, IndexHandle), Error> {
-        let client = Client::builder().timeout(timeout).connect(uri).await?;
-        let index = match create {
-            Some(space) => client.create_index(name, space).await?,
-            None => client.index(name).await?,
-        };
-        let link = Link {
-            client,
-            name: name.to_owned(),
+    ) -> Result<(Link, Limits), Error> {
+        let request = v1::GetServerRequest {};
+        let (way, answer) = match address {
+            Address::Grpc { uri } => {
+                let way = GrpcLink::connect(&uri, timeout).await?;
+                let answer = way.call(&request).await?;
+                (Way::Grpc(way), answer)
+            }
             #[cfg(feature = "zenoh")]
-            publications: None,
+            Address::Zenoh { session, prefix } => {
+                let way = zenoh::ZenohLink::new(session, &prefix, name, timeout)?;
+                // A session cannot tell a server that it has not found yet from one that is not there.
+                let answer = way.call(&request, RetryPolicy::until_deadline()).await?;
+                (Way::Zenoh(way), answer)
+            }
         };
-        Ok((link, index))
+        let server = ServerInfo::from_message(v1::GetServerRequest::NAME, answer)?;
+        let link = Link {
+            name: name.to_owned(),
+            timeout,
+            way,
+        };
+        Ok((link, server.limits))
     }
 
-    /// Follows the index's publications over Zenoh instead of the server's feed.
-    #[cfg(feature = "zenoh")]
-    pub(super) fn follow_over(&mut self, publications: Publications) {
-        self.publications = Some(publications);
+    async fn call<C: Call>(&self, request: &C) -> Result<C::Answer, Error> {
+        match &self.way {
+            Way::Grpc(way) => way.call(request).await,
+            #[cfg(feature = "zenoh")]
+            Way::Zenoh(way) => way.call(request, RetryPolicy::default()).await,
+        }
     }
 
     /// The pause after this many failures in a row.
     pub(super) fn pause(&self, failures: u32) -> Duration {
-        self.client.retry_policy().endless_pause(failures)
+        let policy = match &self.way {
+            Way::Grpc(way) => way.retry_policy(),
+            #[cfg(feature = "zenoh")]
+            Way::Zenoh(_) => RetryPolicy::default(),
+        };
+        policy.endless_pause(failures)
     }
 
     /// The index that has the name now.
-    pub(super) async fn index(&self) -> Result<IndexHandle, Error> {
-        self.client.index(&self.name).await
+    pub(super) async fn index(&self) -> Result<ServedIndex, Error> {
+        let request = v1::GetIndexRequest {
+            index_name: self.name.clone(),
+        };
+        self.described(&request, |answer| answer.index).await
     }
 
-    /// The limits of one call.
-    pub(super) async fn limits(&self, timeout: Duration) -> Result<Limits, Error> {
-        self.client.limits("shared", timeout).await
+    /// Creates the index if it is missing.
+    pub(super) async fn create(&self, space: &Space) -> Result<ServedIndex, Error> {
+        let request = v1::CreateIndexRequest {
+            name: self.name.clone(),
+            space_form: Some(SpaceForm::Space(space::to_message(space))),
+        };
+        self.described(&request, |answer| answer.index).await
+    }
+
+    async fn described<C: Call>(
+        &self,
+        request: &C,
+        index: fn(C::Answer) -> Option<v1::Index>,
+    ) -> Result<ServedIndex, Error> {
+        let answer = self.call(request).await?;
+        IndexInfo::from_message(C::NAME, index(answer)).map(ServedIndex::of)
     }
 
     /// Opens a writer session.
     pub(super) async fn open_session(
         &self,
-        index: &IndexHandle,
+        index: &ServedIndex,
         reserve_count: u64,
         operation_id: &str,
-    ) -> Result<Session, Error> {
-        const CALL: &str = "open_session";
-        let message = || v1::OpenSessionRequest {
+    ) -> Result<v1::OpenSessionResponse, Error> {
+        let request = v1::OpenSessionRequest {
             index_name: index.name().to_owned(),
-            uid: index.uid().to_owned(),
+            uid: index.uid().to_string(),
             reserve_count,
             operation_id: operation_id.to_owned(),
         };
-        let send = |mut stub: Stub, request| async move { stub.open_session(request).await };
-        let answer = index.call(CALL, message, send).await?;
-        index.answered(CALL, answer.revision)?;
-        Ok(Session {
-            session: answer.session,
-            reserved: answer.reserved,
-        })
+        self.call(&request).await
     }
 
     /// Writes a batch. Returns the ids it reserved and the number of the revision it made.
     pub(super) async fn write(
         &self,
-        index: &IndexHandle,
+        index: &ServedIndex,
         request: &v1::WriteRequest,
     ) -> Result<(Option<v1::IdBlock>, u64), Error> {
-        const CALL: &str = "write";
-        let send = |mut stub: Stub, request| async move { stub.write(request).await };
-        let answer = index.call(CALL, || request.clone(), send).await?;
-        let revision = index.answered(CALL, answer.revision)?;
+        let answer = self.call(request).await?;
+        let revision =
+            Revision::from_message(v1::WriteRequest::NAME, answer.revision, index.uid())?;
         Ok((answer.reserved, revision.number))
     }
 
-    /// Watches the index after a revision, without the points that `own_session` stores.
+    /// The payload of a point at revision `at` or a later one; `None` if there is no such point.
+    pub(super) async fn payload(
+        &self,
+        index: &ServedIndex,
+        at: u64,
+        id: u64,
+    ) -> Result<Option<Vec<u8>>, Error> {
+        let include = Include::none().payloads();
+        let request = v1::GetRequest {
+            index_name: index.name().to_owned(),
+            ids: vec![id],
+            include: include.to_message(),
+            min_revision: Some(index.revision_at(at).to_message()),
+        };
+        let answer = match self.call(&request).await {
+            Err(error) if error.code() == Code::NotFound => return Ok(None),
+            answer => answer?,
+        };
+        let (call, width) = (v1::GetRequest::NAME, index.coordinates());
+        let revision = Revision::from_message(call, answer.revision, index.uid())?;
+        let points = Points::from_message(call, answer.points, revision, width, include)?;
+        let payloads = points.iter().filter_map(|point| point.payload.cloned());
+        Ok(payloads.map(Vec::from).next())
+    }
+
+    /// Watches the index after a revision. The points that `own_session` stores may be left out.
     pub(super) async fn watch(
         &self,
-        index: &IndexHandle,
-        after: Revision,
+        index: &std::sync::Arc<ServedIndex>,
+        after: u64,
         own_session: u64,
     ) -> Result<Watch, Error> {
-        #[cfg(feature = "zenoh")]
-        if let Some(publications) = &self.publications {
-            return publications.watch(index, after, QUIET_TIME).await;
+        match &self.way {
+            Way::Grpc(way) => way.watch(index, after, own_session).await,
+            #[cfg(feature = "zenoh")]
+            Way::Zenoh(way) => way.watch(index, after, own_session).await,
         }
-        index.watch().after(after).own_session(own_session).await
-    }
-
-    /// All points of the index and their revision. The changes of the forest are `at`.
-    pub(super) async fn load(&self, index: &IndexHandle, at: u64) -> Result<(Forest, u64), Error> {
-        let columns = Include::none().states().tags();
-        let mut scan = index.scan().include(columns).await?;
-        let (revision, total) = (scan.revision().number, scan.point_count());
-        let mut points = Points::new(index.coordinates());
-        while let Some(part) = scan.next().await? {
-            for point in part.iter() {
-                points.push_point(PointRef {
-                    id: point.id,
-                    tag: point.tag,
-                    revision: at,
-                    row: point.state,
-                });
-            }
-        }
-        if points.len() as u64 != total {
-            let found = points.len();
-            return Err(protocol(format!(
-                "a scan of {found} points that announced {total}"
-            )));
-        }
-        let space = index.space().clone();
-        let building = tokio::task::spawn_blocking(move || build(&space, points, at));
-        let built = building.await;
-        let forest =
-            built.map_err(|error| protocol(format!("its points cannot be built: {error}")))?;
-        Ok((forest?, revision))
     }
 }
-
-/// A forest of the points, without anything left to merge.
-fn build(space: &Space, points: Points, at: u64) -> Result<Forest, Error> {
-    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
-    let applied = forest.apply(at, &points, &[]);
-    applied.map_err(|error| protocol(error.to_string()))?;
-    drop(points);
-    forest.settle();
-    Ok(forest)
-}
-
-type Stub = wayfold_proto::v1::point_service_client::PointServiceClient<tonic::transport::Channel>;
 
 /// True if the same call may succeed later. So may one whose outcome is unknown: repeating a session's newest batch does
 /// nothing twice.

@@ -3,7 +3,8 @@
 //! `core` is what callers and the two tasks share: the points of the copy, and the `writer`. The writer holds the
 //! pending writes in batches (`batch`), the ids to give (`ids`), what is published under ids with pending writes
 //! (`rebased`) and the questions whose answers are not complete (`meanwhile`). `sender` sends the batches, `follower`
-//! applies what the server publishes; both call the server through `link`.
+//! applies what the server publishes; both call the server through `link`, over gRPC or Zenoh. `served_index` is what
+//! they know of the server's index.
 
 mod batch;
 mod core;
@@ -12,10 +13,11 @@ mod ids;
 mod link;
 mod meanwhile;
 mod open;
-#[cfg(feature = "zenoh")]
-pub(crate) mod publications;
+#[cfg(all(feature = "zenoh", feature = "replica"))]
+pub(crate) use link::publications;
 mod rebased;
 mod sender;
+mod served_index;
 mod status;
 mod writer;
 
@@ -36,7 +38,7 @@ use super::{
     runtime::wait_for,
     scan::scan,
 };
-use crate::{Code, Error, Include};
+use crate::Error;
 use batch::{Batch, Step};
 use core::Core;
 
@@ -267,16 +269,10 @@ impl NearestNeighbors for SharedIndex {
                 return Ok(Some(payload));
             }
         }
-        let index = self.core.published.lock().0.clone();
+        let core = Arc::clone(&self.core);
         wait_for(async move {
-            match index.get([id]).include(Include::none().payloads()).await {
-                Ok(points) => {
-                    let payloads = points.iter().map(|point| point.payload.cloned());
-                    Ok(payloads.flatten().next().map(|payload| payload.to_vec()))
-                }
-                Err(error) if error.code() == Code::NotFound => Ok(None),
-                Err(error) => Err(error),
-            }
+            let (index, at) = core.published.lock().clone();
+            core.link.payload(&index, at, id).await
         })
     }
 

@@ -8,7 +8,7 @@ use super::{
     SharedIndex,
     core::{Core, ID_BLOCK, Settings},
     follower::Follower,
-    link::Link,
+    link::{Address, Link},
     sender,
     writer::Writer,
 };
@@ -35,25 +35,36 @@ use crate::{
 #[derive(Clone, Debug)]
 #[must_use = "call open"]
 pub struct OpenShared {
-    uri: String,
+    address: Address,
     name: String,
     space: Option<Space>,
     timeout: Duration,
     max_pending_bytes: usize,
-    #[cfg(feature = "zenoh")]
-    publications: Option<super::publications::Publications>,
 }
 
 impl OpenShared {
     pub(in crate::index) fn new(uri: &str, name: &str) -> OpenShared {
+        let uri = uri.to_owned();
+        OpenShared::at(Address::Grpc { uri }, name)
+    }
+
+    #[cfg(feature = "zenoh")]
+    pub(in crate::index) fn over_zenoh(
+        session: zenoh::Session,
+        prefix: &str,
+        name: &str,
+    ) -> OpenShared {
+        let prefix = prefix.to_owned();
+        OpenShared::at(Address::Zenoh { session, prefix }, name)
+    }
+
+    fn at(address: Address, name: &str) -> OpenShared {
         OpenShared {
-            uri: uri.to_owned(),
+            address,
             name: name.to_owned(),
             space: None,
             timeout: Duration::from_secs(30),
             max_pending_bytes: 16 << 20,
-            #[cfg(feature = "zenoh")]
-            publications: None,
         }
     }
 
@@ -76,22 +87,11 @@ impl OpenShared {
         self
     }
 
-    /// Gets mutations over Zenoh instead: from the index's publications at `PREFIX/NAME/events`, and from its log if
-    /// publications were lost. The session must reach the server, directly or through routers, and lives in a runtime
-    /// of the caller's; `wayfold/v1` is the default prefix of a server. Writes and the first read of all points go over
-    /// gRPC.
-    #[cfg(feature = "zenoh")]
-    pub fn over_zenoh(mut self, session: zenoh::Session, prefix: &str) -> OpenShared {
-        let publications = super::publications::Publications::new(session, prefix);
-        self.publications = Some(publications);
-        self
-    }
-
     /// Connects, opens a writer session, reads all points and begins to follow the index.
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.
-    /// `ALREADY_EXISTS`: it has another space.
+    /// `ALREADY_EXISTS`: it has another space. [`Error::Argument`]: a prefix or a name that is no key of Zenoh.
     pub fn open(self) -> Result<Index, Error> {
         let core = wait_for(self.connect())?;
         let runtime = runtime()?;
@@ -105,18 +105,12 @@ impl OpenShared {
     }
 
     async fn connect(self) -> Result<Arc<Core>, Error> {
-        #[cfg_attr(
-            not(feature = "zenoh"),
-            expect(unused_mut, reason = "publications change it")
-        )]
-        let (mut link, index) =
-            Link::open(&self.uri, &self.name, self.timeout, self.space.as_ref()).await?;
-        #[cfg(feature = "zenoh")]
-        if let Some(publications) = self.publications {
-            link.follow_over(publications);
-        }
+        let (link, limits) = Link::open(self.address, &self.name, self.timeout).await?;
+        let index = Arc::new(match &self.space {
+            Some(space) => link.create(space).await?,
+            None => link.index().await?,
+        });
         let mut writer = Writer::new(index.coordinates());
-        let limits = link.limits(self.timeout).await?;
         writer.limit(limits.max_rows_per_call, limits.max_request_bytes);
         let operation_id = fresh_operation_id();
         let opened = link.open_session(&index, ID_BLOCK, &operation_id).await?;

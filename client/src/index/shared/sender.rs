@@ -8,8 +8,9 @@ use wayfold_proto::v1;
 use super::{
     core::{Core, ID_BLOCK, Task},
     link::is_transient,
+    served_index::ServedIndex,
 };
-use crate::{Error, IndexHandle, net::request::fresh_operation_id};
+use crate::{Error, net::request::fresh_operation_id};
 
 /// The time between the beginnings of two batches while no one waits for them. A call costs server and client more
 /// than its rows: with a batch at a time as fast as they go, planners of a maze on two cores lost a quarter of their
@@ -33,6 +34,9 @@ pub(super) async fn run(core: Arc<Core>) {
         let began = Instant::now();
         let sent = match next(&core, &index) {
             Next::Nothing => {
+                // The feed may have confirmed the batch whose answer was lost.
+                failures = 0;
+                core.sending();
                 core.work.notified().await;
                 continue;
             }
@@ -75,7 +79,7 @@ pub(super) async fn run(core: Arc<Core>) {
     }
 }
 
-fn next(core: &Core, index: &IndexHandle) -> Next {
+fn next(core: &Core, index: &ServedIndex) -> Next {
     let mut writer = core.writer.lock();
     let is_over = core.has_ended() || writer.is_closed && writer.settled == writer.written;
     if writer.refused.is_none() && !is_over {
@@ -88,7 +92,7 @@ fn next(core: &Core, index: &IndexHandle) -> Next {
             && let Some(mut request) = writer.next(session, reserve_count)
         {
             request.index_name = index.name().to_owned();
-            request.uid = index.uid().to_owned();
+            request.uid = index.uid().to_string();
             return Next::Batch(Box::new(request));
         }
     }
@@ -96,7 +100,7 @@ fn next(core: &Core, index: &IndexHandle) -> Next {
     Next::Nothing
 }
 
-async fn open(core: &Core, index: &IndexHandle, operation_id: &str) -> Result<(), Error> {
+async fn open(core: &Core, index: &ServedIndex, operation_id: &str) -> Result<(), Error> {
     let opened = core
         .link
         .open_session(index, ID_BLOCK, operation_id)
@@ -109,7 +113,7 @@ async fn open(core: &Core, index: &IndexHandle, operation_id: &str) -> Result<()
     Ok(())
 }
 
-async fn write(core: &Core, index: &IndexHandle, request: &v1::WriteRequest) -> Result<(), Error> {
+async fn write(core: &Core, index: &ServedIndex, request: &v1::WriteRequest) -> Result<(), Error> {
     let (reserved, revision) = core.link.write(index, request).await?;
     let answerable = {
         let mut writer = core.writer.lock();
@@ -129,7 +133,7 @@ async fn write(core: &Core, index: &IndexHandle, request: &v1::WriteRequest) -> 
 }
 
 /// The server refused a batch for good, unless the session is another one by now.
-fn refuse(core: &Core, index: &IndexHandle, session: u64, error: Error) {
+fn refuse(core: &Core, index: &ServedIndex, session: u64, error: Error) {
     let mut writer = core.writer.lock();
     if writer.session == Some(session) && core.is_current(index) {
         core.refuse(&mut writer, error);

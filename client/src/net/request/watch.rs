@@ -3,6 +3,7 @@
 use std::{
     collections::VecDeque,
     fmt,
+    sync::Arc,
     time::{Duration, SystemTime},
 };
 
@@ -50,8 +51,7 @@ pub struct WatchRequest {
 /// The server sends no faster than the caller takes the events. It sends a reset to a caller that is so slow that the
 /// server no longer keeps the next mutations.
 pub struct Watch {
-    index: IndexHandle,
-    include: Include,
+    start: WatchStart,
     messages: Messages,
     /// Received, and not yet taken.
     ready: VecDeque<WatchEvent>,
@@ -61,6 +61,22 @@ pub struct Watch {
     after: u64,
     newest: Revision,
     over: bool,
+}
+
+/// What a watch knows before its first message.
+pub(crate) struct WatchStart {
+    /// The server, as errors name it.
+    pub(crate) server: String,
+    /// The uid of the index.
+    pub(crate) uid: Arc<str>,
+    /// The number of coordinates of a state.
+    pub(crate) coordinates: usize,
+    /// The columns of stored points.
+    pub(crate) include: Include,
+    /// The number of the newest revision that the caller has; `None` for the newest of all.
+    pub(crate) after: Option<u64>,
+    /// The longest time until the first message.
+    pub(crate) timeout: Duration,
 }
 
 /// The messages of a watch, in order and without a gap.
@@ -150,7 +166,8 @@ impl WatchRequest {
     }
 
     async fn send(self) -> Result<Watch, Error> {
-        let (stub, client) = (self.index.client().points(), self.index.client());
+        let client = self.index.client().clone();
+        let stub = client.points();
         let attempt = |_remaining: Duration| {
             let (mut stub, message) = (stub.clone(), self.message());
             // Without a deadline, which would bound the whole stream.
@@ -158,10 +175,22 @@ impl WatchRequest {
         };
         let waited = self.index.timeout();
         let messages = client.call(CALL, waited, attempt).await?;
-        let uri = client.uri().to_owned();
-        let messages = messages
-            .map(move |next| next.map_err(|status| Error::from_status(CALL, &uri, waited, status)));
-        Watch::of(self, Box::pin(messages)).await
+        let index = self.index;
+        let start = WatchStart {
+            server: client.uri().to_owned(),
+            uid: index.revision().uid,
+            coordinates: index.coordinates(),
+            include: self.include,
+            after: self.after.map(|after| after.number),
+            timeout: waited,
+        };
+        let messages = messages.map(move |next| {
+            let failed = |status| Error::from_status(CALL, client.uri(), waited, status);
+            let message = next.map_err(failed)?;
+            index.answered(CALL, message.revision.clone())?;
+            Ok(message)
+        });
+        Watch::of(start, Box::pin(messages)).await
     }
 
     fn message(&self) -> v1::WatchRequest {
@@ -175,30 +204,28 @@ impl WatchRequest {
 }
 
 impl Watch {
-    /// A watch of the messages that answer a request. The first comes at once, also where nothing is mutated.
-    pub(crate) async fn of(request: WatchRequest, messages: Messages) -> Result<Watch, Error> {
-        let waited = request.index.timeout();
+    /// A watch of the messages of a server. The first comes at once, also where nothing is mutated.
+    pub(crate) async fn of(start: WatchStart, messages: Messages) -> Result<Watch, Error> {
+        let waited = start.timeout;
         let mut watch = Watch {
             messages,
             ready: VecDeque::new(),
             unfinished: None,
             after: 0,
-            newest: request.index.revision(),
+            newest: Revision::new(Arc::clone(&start.uid), start.after.unwrap_or(0)),
             over: false,
-            include: request.include,
-            index: request.index,
+            start,
         };
         let first = timeout(waited, watch.messages.next()).await;
         let first = first.map_err(|_| Error::timeout(CALL, waited))?;
         let mut first = first.ok_or_else(|| protocol("a watch without any message"))??;
+        let begins_at = first.revision.as_ref().map(|revision| revision.number);
         let uid = first.revision.as_ref().map(|revision| &*revision.uid);
-        if request.after.is_none() && uid != Some(watch.index.uid()) {
-            // The request named no uid, so the server cannot know that the handle has another.
+        if watch.start.after.is_none() && uid != Some(&*watch.start.uid) {
+            // The request named no uid, so the server cannot know that the caller has another.
             first.reset = Some(v1::ResetReason::UidChanged.into());
         }
-        let begins_now = first.revision.as_ref().map(|revision| revision.number);
-        let after = request.after.map(|revision| revision.number);
-        watch.after = after.or(begins_now).unwrap_or(0);
+        watch.after = watch.start.after.or(begins_at).unwrap_or(0);
         watch.take_message(first)?;
         Ok(watch)
     }
@@ -226,7 +253,7 @@ impl Watch {
                 // Only a reset ends a watch.
                 None => Err(Error::Connection {
                     call: CALL,
-                    uri: self.index.client().uri().to_owned(),
+                    uri: self.start.server.clone(),
                     source: "the server ended the stream".into(),
                 }),
                 Some(Err(error)) => Err(error),
@@ -245,7 +272,7 @@ impl Watch {
 
     /// Takes the events of a message.
     fn take_message(&mut self, message: v1::WatchResponse) -> Result<(), Error> {
-        let revision = self.index.answered(CALL, message.revision)?;
+        let revision = Revision::from_message(CALL, message.revision, &self.start.uid)?;
         let reason = message.reset.map(|reason| match reason {
             1 => ResetReason::UidChanged,
             2 => ResetReason::WindowPassed,
@@ -259,7 +286,7 @@ impl Watch {
             self.ready.push_back(WatchEvent::Reset(reset));
             return Ok(());
         }
-        if *revision.uid != *self.index.uid() {
+        if revision.uid != self.start.uid {
             return Err(protocol("mutations of another uid"));
         }
         self.newest = revision;
@@ -270,16 +297,20 @@ impl Watch {
     }
 
     fn take_piece(&mut self, message: v1::Mutation) -> Result<(), Error> {
-        let revision = self.index.answered(CALL, message.revision)?;
+        let revision = Revision::from_message(CALL, message.revision, &self.start.uid)?;
         // No revision follows the greatest number.
         let expected = self.after.checked_add(1);
-        if *revision.uid != *self.index.uid() || Some(revision.number) != expected {
-            let after = self.index.revision_at(self.after);
+        if revision.uid != self.start.uid || Some(revision.number) != expected {
+            let after = Revision::new(Arc::clone(&self.start.uid), self.after);
             return Err(protocol(&format!("revision {revision} after {after}")));
         }
-        let width = self.index.coordinates();
+        let WatchStart {
+            coordinates,
+            include,
+            ..
+        } = self.start;
         let stored =
-            Points::from_message(CALL, message.stored, revision.clone(), width, self.include)?;
+            Points::from_message(CALL, message.stored, revision.clone(), coordinates, include)?;
         let mutation = match (self.unfinished.take(), message.piece) {
             // Also where a mutation begins again after its first pieces.
             (_, 0) => Mutation {
@@ -317,7 +348,7 @@ impl Watch {
 impl fmt::Debug for Watch {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Watch")
-            .field("index", &self.index)
+            .field("uid", &self.start.uid)
             .field("after", &self.after)
             .field("newest", &self.newest)
             .finish_non_exhaustive()

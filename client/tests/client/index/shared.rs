@@ -1,4 +1,4 @@
-//! The shared form, against a real server in this process.
+//! The shared form, against a real server in this process, over gRPC and over Zenoh.
 
 use std::{
     collections::BTreeMap,
@@ -8,17 +8,89 @@ use std::{
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Error, Index, InsertOptions, Search, Space, Status};
+use wayfold::{Error, Index, InsertOptions, OpenShared, Search, Space, Status};
 
 use super::{conformance, model::Model};
 use crate::server::Server;
 
-fn shared(server: &Server, name: &str, space: &Space) -> Index {
-    Index::shared(&server.uri, name)
-        .create(space)
-        .open()
-        .unwrap()
+/// A server, and the way to it.
+struct Way {
+    server: Server,
+    #[cfg(feature = "zenoh")]
+    session: Option<zenoh::Session>,
 }
+
+impl Way {
+    fn over_grpc() -> Way {
+        Way {
+            server: Server::start(),
+            #[cfg(feature = "zenoh")]
+            session: None,
+        }
+    }
+
+    /// The server finds this session, and no other.
+    #[cfg(feature = "zenoh")]
+    fn over_zenoh() -> Way {
+        use zenoh::Wait;
+
+        let alone = r#"listen: { endpoints: ["tcp/127.0.0.1:0"] },
+            scouting: { multicast: { enabled: false }, gossip: { enabled: false } }"#;
+        let config = zenoh::Config::from_json5(&format!("{{ {alone} }}")).unwrap();
+        let session = zenoh::open(config).wait().unwrap();
+        let locators = session.info().locators().wait();
+        let server = Server::with(|config| {
+            config.zenoh.listen = "tcp/127.0.0.1:0".into();
+            config.zenoh.config = format!("{{ connect: {{ endpoints: ['{}'] }} }}", locators[0]);
+        });
+        let session = Some(session);
+        Way { server, session }
+    }
+
+    fn index(&self, name: &str) -> OpenShared {
+        #[cfg(feature = "zenoh")]
+        if let Some(session) = &self.session {
+            return Index::shared_over_zenoh(session.clone(), "wayfold/v1", name);
+        }
+        Index::shared(&self.server.uri, name)
+    }
+}
+
+fn shared(way: &Way, name: &str, space: &Space) -> Index {
+    way.index(name).create(space).open().unwrap()
+}
+
+macro_rules! tests {
+    ($($test:ident),* $(,)?) => {
+        mod over_grpc {
+            $(#[test]
+            fn $test() {
+                super::$test(super::Way::over_grpc());
+            })*
+        }
+
+        #[cfg(feature = "zenoh")]
+        mod over_zenoh {
+            $(#[test]
+            fn $test() {
+                super::$test(super::Way::over_zenoh());
+            })*
+        }
+    };
+}
+
+tests!(
+    equals_brute_force,
+    refuses_what_is_no_state,
+    misses_no_edge_of_this_process,
+    another_process_holds_the_same,
+    racing_writers_agree,
+    no_edge_between_processes_is_missed,
+    writes_to_an_index_that_is_gone_come_back,
+    an_index_of_another_space_is_refused,
+    it_may_be_used_and_dropped_in_a_task,
+    a_closed_index_takes_no_writes_and_gives_none_back,
+);
 
 /// A name for each index of a server.
 fn names() -> impl Fn() -> String {
@@ -53,49 +125,40 @@ fn wait_for_same(index: &Index, other: &Index) {
     }
 }
 
-#[test]
-fn equals_brute_force() {
-    let (server, name) = (Server::start(), names());
-    conformance::equals_brute_force(|space| shared(&server, &name(), space), 600);
+fn equals_brute_force(way: Way) {
+    let name = names();
+    conformance::equals_brute_force(|space| shared(&way, &name(), space), 600);
 }
 
-#[test]
-fn refuses_what_is_no_state() {
-    let server = Server::start();
-    conformance::refuses_what_is_no_state(|space| shared(&server, "index", space));
+fn refuses_what_is_no_state(way: Way) {
+    conformance::refuses_what_is_no_state(|space| shared(&way, "index", space));
 }
 
-#[test]
-fn misses_no_edge_of_this_process() {
-    let server = Server::start();
-    conformance::misses_no_edge(|space| shared(&server, "index", space));
+fn misses_no_edge_of_this_process(way: Way) {
+    conformance::misses_no_edge(|space| shared(&way, "index", space));
 }
 
 /// What one process wrote is what another one reads after a flush, and what a third one finds when it opens.
-#[test]
-fn another_process_holds_the_same() {
-    let server = Server::start();
+fn another_process_holds_the_same(way: Way) {
     let space = Space::se3();
-    let writer = shared(&server, "index", &space);
-    let reader = shared(&server, "index", &space);
+    let writer = shared(&way, "index", &space);
+    let reader = shared(&way, "index", &space);
     let mut model = Model::new(writer.clone(), 7);
     model.run(500);
     wait_for_same(&writer, &reader);
     model.run(500);
     wait_for_same(&writer, &reader);
-    assert_eq!(content(&shared(&server, "index", &space)), content(&writer));
+    assert_eq!(content(&shared(&way, "index", &space)), content(&writer));
     assert_eq!(writer.pending(), 0);
     assert!(matches!(reader.status(), Some(Status::Following { .. })));
 }
 
 /// Writers that change each other's points end with the same points, which are the server's.
-#[test]
-fn racing_writers_agree() {
+fn racing_writers_agree(way: Way) {
     const WRITERS: usize = 4;
-    let server = Server::start();
     let space: Space = "R2".parse().unwrap();
     let indexes: Vec<Index> = (0..WRITERS)
-        .map(|_| shared(&server, "index", &space))
+        .map(|_| shared(&way, "index", &space))
         .collect();
     let ids = indexes[0]
         .insert_many((0..20).map(|i| [f64::from(i), 0.0]))
@@ -124,7 +187,7 @@ fn racing_writers_agree() {
         }
     });
     indexes.iter().for_each(|index| index.flush().unwrap());
-    let fresh = shared(&server, "index", &space);
+    let fresh = shared(&way, "index", &space);
     let expected = content(&fresh);
     for index in &indexes {
         while content(index) != expected {
@@ -134,14 +197,12 @@ fn racing_writers_agree() {
 }
 
 /// The later of any two points of two processes gets the earlier one, by its insert or meanwhile.
-#[test]
-fn no_edge_between_processes_is_missed() {
+fn no_edge_between_processes_is_missed(way: Way) {
     const WRITERS: usize = 3;
     const INSERTS: usize = 200;
-    let server = Server::start();
     let space: Space = "R1".parse().unwrap();
     let indexes: Vec<Index> = (0..WRITERS)
-        .map(|_| shared(&server, "index", &space))
+        .map(|_| shared(&way, "index", &space))
         .collect();
     let start = Arc::new(Barrier::new(WRITERS));
     let ask = InsertOptions::new().ask(Search::within(f64::INFINITY));
@@ -198,16 +259,14 @@ fn no_edge_between_processes_is_missed() {
 }
 
 /// An index that was made again refuses what is pending, which comes back in order.
-#[test]
-fn writes_to_an_index_that_is_gone_come_back() {
-    let server = Server::start();
+fn writes_to_an_index_that_is_gone_come_back(way: Way) {
     let space: Space = "R1".parse().unwrap();
-    let index = shared(&server, "index", &space);
+    let index = shared(&way, "index", &space);
     let first = index.insert([1.0]).unwrap();
     index.flush().unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let client = server.client().await;
+        let client = way.server.client().await;
         client.delete_index("index").await.unwrap();
         client.create_index("index", &space).await.unwrap();
     });
@@ -236,43 +295,50 @@ fn writes_to_an_index_that_is_gone_come_back() {
     assert_eq!(index.len().unwrap(), 0);
     let id = index.insert([3.0]).unwrap();
     index.flush().unwrap();
-    let fresh = shared(&server, "index", &space);
+    let fresh = shared(&way, "index", &space);
     assert_eq!(content(&fresh), content(&index));
     assert!(fresh.get(id).unwrap().is_some());
 }
 
-#[test]
-fn an_index_of_another_space_is_refused() {
-    let server = Server::start();
-    drop(shared(&server, "index", &Space::se2()));
-    let other = Index::shared(&server.uri, "index")
-        .create(&Space::se3())
-        .open();
+fn an_index_of_another_space_is_refused(way: Way) {
+    drop(shared(&way, "index", &Space::se2()));
+    let other = way.index("index").create(&Space::se3()).open();
     assert_eq!(other.unwrap_err().code(), wayfold::Code::AlreadyExists);
-    let missing = Index::shared(&server.uri, "missing").open().unwrap_err();
+    let missing = way.index("missing").open().unwrap_err();
     assert_eq!(missing.code(), wayfold::Code::NotFound);
 }
 
-/// Its calls block, and its drop does not, in a task of another runtime.
-#[test]
-fn it_may_be_used_and_dropped_in_a_task() {
-    let server = Server::start();
-    let runtime = tokio::runtime::Runtime::new().unwrap();
-    runtime.block_on(async {
-        let index = shared(&server, "index", &Space::se2());
-        let id = index
-            .insert_with([0.0; 3], InsertOptions::new().payload(b"start"))
-            .unwrap()
-            .id;
-        index.flush().unwrap();
-        assert_eq!(index.payload(id).unwrap(), Some(b"start".to_vec()));
-    });
+/// Its calls block, and its drop does not, in a task of another runtime, also one of a single thread.
+fn it_may_be_used_and_dropped_in_a_task(way: Way) {
+    let one_thread = tokio::runtime::Builder::new_current_thread().build();
+    for runtime in [tokio::runtime::Runtime::new(), one_thread] {
+        runtime.unwrap().block_on(async {
+            let index = shared(&way, "index", &Space::se2());
+            let options = InsertOptions::new().payload(b"start");
+            let id = index.insert_with([0.0; 3], options).unwrap().id;
+            assert_eq!(index.payload(id).unwrap(), Some(b"start".to_vec()));
+            index.flush().unwrap();
+            let other = shared(&way, "index", &Space::se2());
+            assert_eq!(other.payload(id).unwrap(), Some(b"start".to_vec()));
+            assert_eq!(other.payload(id + 1).unwrap(), None);
+        });
+    }
 }
 
+/// The index has the last handle of the session, whose end panics in a runtime of one thread.
+#[cfg(feature = "zenoh")]
 #[test]
-fn a_closed_index_takes_no_writes_and_gives_none_back() {
-    let server = Server::start();
-    let index = shared(&server, "index", &Space::se2());
+fn its_session_ends_with_it_in_a_task() {
+    let Way { server, session } = Way::over_zenoh();
+    let index = Index::shared_over_zenoh(session.unwrap(), "wayfold/v1", "index");
+    let index = index.create(&Space::se2()).open().unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().build();
+    runtime.unwrap().block_on(async { drop(index) });
+    drop(server);
+}
+
+fn a_closed_index_takes_no_writes_and_gives_none_back(way: Way) {
+    let index = shared(&way, "index", &Space::se2());
     index.insert([0.0; 3]).unwrap();
     assert_eq!(index.close(std::time::Duration::from_secs(20)), []);
     assert!(matches!(index.insert([1.0; 3]), Err(Error::Closed)));

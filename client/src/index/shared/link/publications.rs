@@ -8,75 +8,69 @@ use std::{cmp::Ordering, sync::Arc, time::Duration};
 
 use futures_util::stream;
 use prost::Message;
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 use wayfold_proto::v1;
 use zenoh::{
-    Session,
-    bytes::Encoding,
     handlers::{RingChannel, RingChannelHandler},
     pubsub::Subscriber,
     sample::Sample,
 };
 
-use crate::{Code, Error, IndexHandle, Refusal, Revision, Watch};
+use super::zenoh::{ZenohLink, decode, lost};
+use crate::{
+    Code, Error, Include, Refusal, Watch, index::shared::served_index::ServedIndex,
+    net::request::WatchStart,
+};
 
-const CALL: &str = "shared";
+const CALL: &str = "watch";
 
 /// The number of publications that may wait. One more drops the oldest, and the log fills the gap.
 const MAX_WAITING: usize = 256;
 
-/// A session, and the prefix of the keys.
-#[derive(Clone, Debug)]
-pub(crate) struct Publications {
-    session: Session,
-    prefix: Arc<str>,
-}
-
-impl Publications {
-    pub(crate) fn new(session: Session, prefix: &str) -> Publications {
-        Publications {
-            session,
-            prefix: prefix.into(),
-        }
-    }
-
-    /// Watches an index after a revision. The feed reads the log after the time `quiet` without a publication.
-    pub(crate) async fn watch(
-        &self,
-        index: &IndexHandle,
-        after: Revision,
-        quiet: Duration,
-    ) -> Result<Watch, Error> {
-        let key = format!("{}/{}", self.prefix, index.name());
-        // The subscription precedes the first read of the log, so that no publication is missed.
-        let events = self.session.declare_subscriber(format!("{key}/events"));
-        let events = events.with(RingChannel::new(MAX_WAITING)).await;
-        let request = index.watch().after(after.clone());
-        let feed = Feed {
-            session: self.session.clone(),
-            events: events.map_err(|error| lost(&key, error))?,
-            key,
-            index: index.clone(),
-            quiet,
-            after: after.number,
-            piece: 0,
-            is_behind: true,
-        };
-        let messages = stream::try_unfold(feed, async |mut feed| {
-            let message = feed.next().await?;
-            Ok(Some((message, feed)))
-        });
-        Watch::of(request, Box::pin(messages)).await
-    }
+/// Watches an index after a revision. The feed reads the log after the time `quiet` without a publication, and leaves
+/// out the points of `own_session` there.
+pub(super) async fn watch(
+    link: ZenohLink,
+    index: Arc<ServedIndex>,
+    after: u64,
+    own_session: u64,
+    quiet: Duration,
+) -> Result<Watch, Error> {
+    let key = link.key("events");
+    // The subscription precedes the first read of the log, so that no publication is missed.
+    let events = link.session.declare_subscriber(&key);
+    let events = events.with(RingChannel::new(MAX_WAITING)).await;
+    let start = WatchStart {
+        uid: Arc::clone(index.uid()),
+        coordinates: index.coordinates(),
+        include: Include::points(),
+        after: Some(after),
+        timeout: link.timeout,
+        server: format!("Zenoh, {key}"),
+    };
+    let feed = Feed {
+        events: events.map_err(|error| lost(CALL, &key, error))?,
+        link,
+        index,
+        own_session,
+        quiet,
+        after,
+        piece: 0,
+        is_behind: true,
+    };
+    let messages = stream::try_unfold(feed, async |mut feed| {
+        let message = feed.next().await?;
+        Ok(Some((message, feed)))
+    });
+    Watch::of(start, Box::pin(messages)).await
 }
 
 /// One index that is followed.
 struct Feed {
-    session: Session,
+    link: ZenohLink,
     events: Subscriber<RingChannelHandler<Sample>>,
-    /// The prefix of the index's keys.
-    key: String,
-    index: IndexHandle,
+    index: Arc<ServedIndex>,
+    own_session: u64,
     quiet: Duration,
     /// The number of the newest revision that arrived whole.
     after: u64,
@@ -93,17 +87,17 @@ impl Feed {
         }
         match timeout(self.quiet, self.events.recv_async()).await {
             Ok(Ok(sample)) => self.take(&sample).await,
-            Ok(Err(error)) => Err(lost(&self.key, error)),
+            Ok(Err(error)) => Err(lost(CALL, &self.link.key("events"), error)),
             Err(_quiet) => self.read_log().await,
         }
     }
 
     /// The event of a publication.
     async fn take(&mut self, sample: &Sample) -> Result<v1::WatchResponse, Error> {
-        let mut message = decode::<v1::WatchResponse>(&sample.payload().to_bytes())?;
+        let mut message = decode::<v1::WatchResponse>(CALL, &sample.payload().to_bytes())?;
         let revision = message.revision.clone().unwrap_or_default();
         // The log decides whether the caller's revision is still valid.
-        if revision.uid != self.index.uid() || message.reset.is_some() {
+        if *revision.uid != **self.index.uid() || message.reset.is_some() {
             return self.read_log().await;
         }
         // The first message after a subscription only names the newest revision.
@@ -155,29 +149,14 @@ impl Feed {
     async fn log(&self, after: v1::Revision) -> Result<v1::WatchResponse, Error> {
         let request = v1::WatchRequest {
             after_revision: Some(after),
+            own_session: self.own_session,
             ..Default::default()
         };
-        let query = self
-            .session
-            .get(format!("{}/log?from={}", self.key, self.after))
-            .payload(request.encode_to_vec())
-            .encoding(Encoding::APPLICATION_PROTOBUF)
-            .timeout(self.index.timeout());
-        let replies = query.await.map_err(|error| lost(&self.key, error))?;
-        let reply = replies.recv_async().await;
-        let reply = reply.map_err(|_| lost(&self.key, "no server answers for its log"))?;
-        match reply.into_result() {
-            Ok(sample) => decode(&sample.payload().to_bytes()),
-            Err(refused) if *refused.encoding() == Encoding::APPLICATION_PROTOBUF => {
-                let status = decode(&refused.payload().to_bytes())?;
-                Err(Error::Refused(Box::new(Refusal::from_message(&status))))
-            }
-            // An error of Zenoh itself.
-            Err(failed) => {
-                let text = failed.payload().to_bytes();
-                Err(lost(&self.key, String::from_utf8_lossy(&text)))
-            }
-        }
+        let deadline = Instant::now() + self.link.timeout;
+        let (key, request) = (self.link.key("log"), request.encode_to_vec());
+        self.link
+            .attempt(CALL, &key, request.into(), deadline)
+            .await
     }
 }
 
@@ -190,17 +169,43 @@ fn is_too_large(refusal: &Refusal) -> bool {
     refusal.code == Code::ResourceExhausted && limit == Some("max_answer_bytes")
 }
 
-fn lost(key: &str, why: impl ToString) -> Error {
-    Error::Connection {
-        call: CALL,
-        uri: format!("Zenoh, {key}"),
-        source: why.to_string().into(),
+/// The feed of a replica.
+#[cfg(feature = "replica")]
+mod replica {
+    use std::{sync::Arc, time::Duration};
+
+    use zenoh::Session;
+
+    use super::ZenohLink;
+    use crate::{Error, IndexHandle, Revision, Watch, index::shared::served_index::ServedIndex};
+
+    /// A session, and the prefix of the keys.
+    #[derive(Clone, Debug)]
+    pub(crate) struct Publications {
+        session: Session,
+        prefix: String,
+    }
+
+    impl Publications {
+        pub(crate) fn new(session: Session, prefix: &str) -> Publications {
+            Publications {
+                session,
+                prefix: prefix.to_owned(),
+            }
+        }
+
+        pub(crate) async fn watch(
+            &self,
+            index: &IndexHandle,
+            after: Revision,
+            quiet: Duration,
+        ) -> Result<Watch, Error> {
+            let (session, name) = (self.session.clone(), index.name());
+            let link = ZenohLink::new(session, &self.prefix, name, index.timeout())?;
+            let served = ServedIndex::new(name, index.revision().uid, index.space().clone());
+            super::watch(link, Arc::new(served), after.number, 0, quiet).await
+        }
     }
 }
-
-fn decode<M: Message + Default>(payload: &[u8]) -> Result<M, Error> {
-    M::decode(payload).map_err(|error| Error::Protocol {
-        call: CALL,
-        problem: format!("over Zenoh: {error}"),
-    })
-}
+#[cfg(feature = "replica")]
+pub(crate) use replica::Publications;

@@ -1,0 +1,104 @@
+//! The points of an index as a forest.
+
+use futures_util::{TryStreamExt, stream::BoxStream};
+use tokio::time::{Instant, sleep_until};
+use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
+
+use super::{Link, Way, protocol};
+use crate::{Error, Include, index::shared::served_index::ServedIndex};
+
+/// The columns of a copy.
+pub(super) const COLUMNS: Include = Include::none().states().tags();
+
+/// The most scans of a load that the server may end: it holds a revision for some minutes, or until it stops.
+const MAX_ENDED_SCANS: u32 = 3;
+
+/// Points of one revision, in the order of their ids.
+pub(super) struct Part {
+    pub(super) points: crate::Points,
+    /// The number of all points of the revision.
+    pub(super) total: u64,
+}
+
+/// All points of one revision; one part at least.
+pub(super) type Parts = BoxStream<'static, Result<Part, Error>>;
+
+impl Link {
+    /// All points of the index and their revision. The changes of the forest are `at`.
+    pub(in crate::index::shared) async fn load(
+        &self,
+        index: &ServedIndex,
+        at: u64,
+    ) -> Result<(Forest, u64), Error> {
+        let (mut ended, mut refused) = (0, 0);
+        let deadline = Instant::now() + self.timeout;
+        let (points, revision) = loop {
+            match self.read_all(index, at).await {
+                Err(error) if error.reason() == Some("SCAN_ENDED") && ended < MAX_ENDED_SCANS => {
+                    ended += 1;
+                }
+                Err(error) if is_scan_limit(&error) && Instant::now() < deadline => {
+                    refused += 1;
+                    sleep_until(Instant::now() + self.pause(refused)).await;
+                }
+                read => break read?,
+            }
+        };
+        let space = index.space().clone();
+        let building = tokio::task::spawn_blocking(move || build(&space, points, at));
+        let built = building.await;
+        let forest =
+            built.map_err(|error| protocol(format!("its points cannot be built: {error}")))?;
+        Ok((forest?, revision))
+    }
+
+    async fn read_all(&self, index: &ServedIndex, at: u64) -> Result<(Points, u64), Error> {
+        let mut parts = match &self.way {
+            Way::Grpc(way) => way.scan(index).await?,
+            #[cfg(feature = "zenoh")]
+            Way::Zenoh(way) => way.scan(index),
+        };
+        let mut points = Points::new(index.coordinates());
+        let (mut revision, mut announced) = (0, 0);
+        while let Some(part) = parts.try_next().await? {
+            (revision, announced) = (part.points.revision().number, part.total);
+            for point in part.points.iter() {
+                points.push_point(PointRef {
+                    id: point.id,
+                    tag: point.tag,
+                    revision: at,
+                    row: point.state,
+                });
+            }
+            if points.len() as u64 > announced {
+                break;
+            }
+        }
+        if points.len() as u64 != announced {
+            let found = points.len();
+            return Err(protocol(format!(
+                "a scan of {found} points that announced {announced}"
+            )));
+        }
+        Ok((points, revision))
+    }
+}
+
+/// True if the server holds as many revisions for scans as it may.
+fn is_scan_limit(error: &Error) -> bool {
+    let Error::Refused(refusal) = error else {
+        return false;
+    };
+    let limit = refusal.metadata.get("limit");
+    limit.is_some_and(|limit| limit == "max_held_scans")
+}
+
+/// A forest of the points, without anything left to merge.
+fn build(space: &Space, points: Points, at: u64) -> Result<Forest, Error> {
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
+    let applied = forest.apply(at, &points, &[]);
+    applied.map_err(|error| protocol(error.to_string()))?;
+    drop(points);
+    forest.settle();
+    Ok(forest)
+}

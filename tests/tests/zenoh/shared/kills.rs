@@ -1,0 +1,103 @@
+//! Writers over Zenoh and over gRPC grow one index while its server and the router are killed.
+
+use std::{collections::BTreeSet, sync::mpsc, thread};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wayfold::{Index, Status};
+use wayfold_index::Space;
+use wayfold_tests::{Signal, States};
+
+use super::{
+    history::{Content, History, Writer, check_copies, content, store_common, wait_for_all},
+    proxy::Proxy,
+    shared, wait_for_status,
+};
+use crate::robot::{Robot, router, server_behind};
+
+const SPACE: &str = "R2*SO2*SO3:0.15";
+const SEED: u64 = 18;
+const KILLS: u64 = 8;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_write_is_there_once_after_kills_of_server_and_router() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let data = ["--data", data.to_str().unwrap()];
+    let space: Space = SPACE.parse().unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(SEED);
+    let (mut router_process, at) = router("tcp/127.0.0.1:0");
+    let start = || server_behind(&at, &data, ("WAYFOLD_INDEX__GROWING_ROWS", "32"));
+    let mut server = start();
+
+    let way = Proxy::to(server.uri()).await;
+    let robots = [Robot::connect(&at).await, Robot::connect(&at).await];
+    let common = store_common(&shared(&robots[0], &space), SEED);
+    let reader = shared(&robots[1], &space);
+    let over_grpc = Index::shared(&way.uri, "arm").open().unwrap();
+    let indexes = [
+        shared(&robots[0], &space),
+        shared(&robots[1], &space),
+        over_grpc,
+    ];
+    let (turn, turns) = mpsc::sync_channel(0);
+    let writers: Vec<thread::JoinHandle<History>> = (0..)
+        .zip(&indexes)
+        .map(|(number, index)| {
+            let (writer, turn) = (Writer::new(index.clone(), number), turn.clone());
+            thread::spawn(move || writer.run(&turn))
+        })
+        .collect();
+    drop(turn);
+    let write = |count: u64| {
+        for _ in 0..count {
+            turns.recv().expect("a writer");
+        }
+    };
+    let mut of_reader = Vec::new();
+    let mut outage = |random: &mut ChaCha8Rng| {
+        write(random.random_range(1..200));
+        wait_for_status(&reader, |status| {
+            matches!(status, Status::Disconnected { .. })
+        });
+        of_reader.push(content(&reader));
+    };
+    for kill in 0..KILLS {
+        write(random.random_range(1..200));
+        if random.random_bool(0.5) {
+            indexes[0].flush().unwrap();
+        }
+        if kill % 3 == 2 {
+            router_process.stop(Signal::Kill);
+            outage(&mut random);
+            router_process = router(&at).0;
+        } else {
+            server.stop(Signal::Kill);
+            outage(&mut random);
+            server = start();
+            way.lead_to(server.uri());
+        }
+    }
+    drop(turns);
+    let histories: Vec<History> = writers.into_iter().map(|w| w.join().unwrap()).collect();
+
+    let fresh = shared(&robots[0], &space);
+    let copies: Vec<&Index> = indexes.iter().chain([&reader, &fresh]).collect();
+    wait_for_all(&fresh, &States::new(space.clone(), 99).row(), &copies);
+    let stored = content(&shared(&robots[1], &space));
+    check_copies(&stored, &space, &copies);
+    let mut expected = Content::new();
+    for history in &histories {
+        expected.extend(history.points());
+        history.check_prefixes(&of_reader);
+    }
+    let is_stored = |(id, point): (&u64, _)| stored.get(id) == Some(point);
+    assert!(expected.iter().all(is_stored));
+    // The last point, which the copies waited for, is no writer's.
+    let others = |id: &&u64| !expected.contains_key(id) && !common.contains(id);
+    assert_eq!(stored.keys().filter(others).count(), 1);
+    let given: Vec<u64> = histories.iter().flat_map(|h| h.assigned.clone()).collect();
+    let distinct: BTreeSet<u64> = given.iter().copied().collect();
+    assert_eq!(given.len(), distinct.len(), "an id was given twice");
+    println!("{} points given, {} stored", given.len(), stored.len());
+}
