@@ -180,6 +180,7 @@ impl Writer {
             }
             Step::Remove => drop(points.remove(id)?),
             Step::SetTag(tag) => drop(points.set_tag(id, tag)?),
+            Step::SetPayload(_) => drop(points.touch(id)?),
         }
         if let Some(rebased) = self.rebased.get_mut(&id) {
             rebased.push(step);
