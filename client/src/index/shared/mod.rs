@@ -78,6 +78,13 @@ impl SharedIndex {
         self.core.writer.lock().arrivals.take()
     }
 
+    pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
+        if self.core.is_forked() {
+            return MeanwhileAnswers::default();
+        }
+        self.core.wait_meanwhile(timeout)
+    }
+
     pub(super) fn take_unsent(&self) -> Vec<UnsentWrite> {
         self.core.take_unsent()
     }

@@ -4,6 +4,7 @@ use std::{
     collections::BTreeMap,
     sync::{Arc, Barrier},
     thread,
+    time::Duration,
 };
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
@@ -171,15 +172,14 @@ fn no_edge_between_processes_is_missed() {
             .collect()
     });
     let points = WRITERS * INSERTS;
+    let mut places = Vec::new();
     for index in &indexes {
-        while index.len().unwrap() < points {
-            thread::yield_now();
-        }
         loop {
-            let meanwhile = index.meanwhile();
+            let meanwhile = index.wait_meanwhile(Duration::from_secs(60));
             assert!(!meanwhile.has_dropped);
             for answer in meanwhile.answers {
                 assert!(!answer.is_superset);
+                places.push(answer.points_before);
                 let found = answer.neighbors.iter();
                 edges.extend(found.map(|neighbor| (answer.id, neighbor.id)));
             }
@@ -188,6 +188,9 @@ fn no_edge_between_processes_is_missed() {
             }
         }
     }
+    // Each point has a place of its own in the order.
+    places.sort_unstable();
+    assert!(places.into_iter().eq(0..points));
     let once = edges.len();
     let mut pairs: Vec<_> = edges.iter().map(|&(a, b)| (a.min(b), a.max(b))).collect();
     pairs.sort_unstable();
