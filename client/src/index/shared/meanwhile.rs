@@ -27,7 +27,7 @@ pub struct Meanwhile {
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct MeanwhileAnswers {
-    /// One for each question, in the order of the points.
+    /// One for each question.
     pub answers: Vec<Meanwhile>,
     /// The number of questions without an answer yet: the feed has not named their points.
     pub open: usize,

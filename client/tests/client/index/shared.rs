@@ -67,6 +67,12 @@ fn refuses_what_is_no_state() {
 }
 
 #[test]
+fn ends_a_search_that_takes_too_long() {
+    let server = Server::start();
+    conformance::ends_a_search_that_takes_too_long(|space| shared(&server, "index", space));
+}
+
+#[test]
 fn misses_no_edge_of_this_process() {
     let server = Server::start();
     conformance::misses_no_edge(|space| shared(&server, "index", space));
