@@ -33,6 +33,9 @@ pub(super) async fn run(core: Arc<Core>) {
         let began = Instant::now();
         let sent = match next(&core, &index) {
             Next::Nothing => {
+                // The feed may have confirmed the batch whose answer was lost.
+                failures = 0;
+                core.sending();
                 core.work.notified().await;
                 continue;
             }
