@@ -3,7 +3,7 @@
 //!     cargo run --release                     # the server
 //!     cargo run --release --example rrt       # in another terminal; WAYFOLD_SERVER names a server elsewhere
 //!
-//! Each search is a call here, which is simple and slow: `replica` shows how to search without the network.
+//! Each search is a call here, which is simple and slow: `wayfold::Index::shared` searches without the network.
 
 use std::{env, error::Error, iter};
 

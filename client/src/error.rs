@@ -146,23 +146,7 @@ pub enum Error {
     #[cfg(feature = "net")]
     #[error(transparent)]
     Snapshot(SnapshotError),
-    /// A replica has not heard from its server for longer than its bound on staleness.
-    #[error("the replica may miss what was published {age:?} ago, more than its bound {bound:?}")]
-    Stale {
-        /// The age that its points may have.
-        age: Duration,
-        /// The greatest age allowed.
-        bound: Duration,
-    },
-    /// A filter of a replica's search names a revision that the replica has not reached.
-    #[error("the replica is at revision {revision}, which is before revision {since}")]
-    Behind {
-        /// The filter's revision.
-        since: u64,
-        /// The replica's.
-        revision: u64,
-    },
-    /// A replica no longer follows its index.
+    /// A shared index no longer follows its server.
     #[error("the index is gone: {why}")]
     Ended {
         /// The reason.
@@ -197,9 +181,7 @@ impl Error {
             Error::Closed | Error::Forked | Error::OtherSpace { .. } => Code::FailedPrecondition,
             Error::Thread { .. } => Code::Unavailable,
             Error::SearchTimeout => Code::DeadlineExceeded,
-            Error::Connection { .. } | Error::Stale { .. } | Error::Behind { .. } => {
-                Code::Unavailable
-            }
+            Error::Connection { .. } => Code::Unavailable,
             Error::Ended { why } => why.code(),
             Error::Timeout { .. } => Code::DeadlineExceeded,
             Error::Refused(refusal) => refusal.code,

@@ -58,17 +58,12 @@
 //!
 //! **Streams** ([`Scan`], [`Watch`], [`Snapshot`], [`KnnAnswers`]) have a method `next`, which returns
 //! `Result<Option<_>, Error>`, and `into_stream`.
-//!
-//! **Replicas.** With the feature `replica`, `Client::replica` makes a copy of an index in this process, which follows
-//! the server's and is searched without the network.
 
 mod error;
 mod index;
 mod layout;
 #[cfg(feature = "net")]
 mod net;
-#[cfg(feature = "replica")]
-mod replica;
 mod search;
 mod state;
 
@@ -81,13 +76,9 @@ pub use index::{Meanwhile, MeanwhileAnswers, OpenRemote, OpenShared, Status, Uns
 pub use layout::{Coordinate, coordinate_names};
 #[cfg(feature = "net")]
 pub use net::*;
-#[cfg(feature = "replica")]
-pub use replica::{Replica, ReplicaNeighbors, ReplicaRequest, ReplicaStatus, ReplicaView, Write};
 pub use search::{Radius, ScaledRadius};
 pub use state::{FromState, State};
 
-#[cfg(feature = "replica")]
-pub use wayfold_index::Point as OwnedPoint;
 pub use wayfold_index::{
     Factor, Group, Neighbor, Scaling, Seen, Space, SpaceError, StateError, StateProblem, Term,
 };

@@ -24,7 +24,7 @@ impl From<ScaledRadius> for Radius {
 }
 
 /// The radius of PRM* and RRT*: r(n) = min(max, factor · (ln n / n)^(1/d)), for an index of n points in a space of
-/// dimension d. The server or the replica evaluates it, so that workers need not agree on n.
+/// dimension d. The index evaluates it, so that workers need not agree on n.
 ///
 /// n counts all points, also those that a filter leaves out. [`Scaling::prm_star_bound`] and
 /// [`Scaling::rrt_star_bound`] are the literature's least factors.

@@ -32,10 +32,9 @@ use wayfold_examples::{
         },
     },
     rigid::{
-        nearby::Source,
-        options::{Job, Options, Role, Source as Form},
+        options::{Job, Options, Role, Source},
         processes, replay,
-        roadmap::{self, Roadmap},
+        roadmap::Roadmap,
         scene::Rooms,
         worker::Worker,
     },
@@ -108,15 +107,15 @@ fn runtime() -> Runtime {
 }
 
 /// Three workers build a roadmap. One halts after some milestones.
-fn jobs(server: &str, batch: usize) -> Vec<Job> {
+fn jobs(server: &str, max_pending: usize) -> Vec<Job> {
     let job = |number| Job {
         server: server.to_owned(),
         index: "roadmap".to_owned(),
         number,
         seed: 11,
         milestones: MILESTONES,
-        source: [Form::Shared, Form::Remote][number % 2],
-        batch,
+        source: [Source::Shared, Source::Remote][number % 2],
+        max_pending,
         min_separation: 0.0,
         progress_ms: PROGRESS_MS,
         halt_at: (number == 0).then_some(HALF),
@@ -131,21 +130,18 @@ async fn index(server: &str) -> IndexHandle {
 }
 
 /// The roadmap as stored, and after its completion.
-async fn read(index: &IndexHandle) -> [Roadmap; 2] {
+async fn read(uri: &str, index: &IndexHandle) -> [Roadmap; 2] {
     index.info().await.unwrap();
     let as_left = Roadmap::read(index).await.unwrap();
-    let mut heir = Worker::new(&SCENE, index.clone(), Source::Server, 3, 11);
-    roadmap::adopt(index, &mut heir).await.unwrap();
+    let heir = Worker::open(&SCENE, (uri, "roadmap"), Source::Remote, 3, 11);
+    heir.await.unwrap().adopt(None).await.unwrap();
     [as_left, Roadmap::read(index).await.unwrap()]
 }
 
 /// Asserts that a single worker would have built the same roadmap, and that no state is stored twice.
 fn is_serial(roadmap: &Roadmap) {
     assert!(roadmap.len() as u64 >= MILESTONES && !roadmap.pending.contains(&true));
-    assert_eq!(
-        replay::stored(roadmap),
-        replay::edges(&SCENE, roadmap).unwrap()
-    );
+    assert_eq!(replay::stored(roadmap), replay::edges(&SCENE, roadmap));
     let states = roadmap.states.iter();
     let states = states.map(|state| state.iter().map(|x| x.to_bits()).collect::<Vec<_>>());
     assert_eq!(states.collect::<BTreeSet<_>>().len(), roadmap.len());
@@ -158,11 +154,12 @@ fn a_killed_worker_changes_nothing_but_speed() {
     let crew = run(&jobs(server.uri(), 4), Incident::WorkerKilled).unwrap();
     assert!(crew.killed.is_some_and(|(worker, _)| worker == 0));
 
-    let [as_left, roadmap] = runtime.block_on(read(&index));
+    let [as_left, roadmap] = runtime.block_on(read(server.uri(), &index));
     let of_the_dead = as_left.workers.iter().filter(|&&worker| worker == 0);
     let of_the_dead = of_the_dead.count() as u64;
     assert!((HALF..MILESTONES / 2).contains(&of_the_dead));
-    // Only the killed worker left milestones pending, at most those of its last two batches.
+    // Only the killed worker left milestones pending: those without a known place in the order, and as many whose
+    // completion was under way.
     let pending = (0..as_left.len()).filter(|&at| as_left.pending[at]);
     let pending: Vec<usize> = pending.collect();
     assert!(pending.len() <= 8);
@@ -178,7 +175,7 @@ fn a_killed_server_costs_a_pause_and_nothing_else() {
     let (killed, listened) = crew.restarted.unwrap();
     assert!(killed < listened);
 
-    let [as_left, roadmap] = runtime.block_on(read(&index));
+    let [as_left, roadmap] = runtime.block_on(read(&uri, &index));
     assert!(!as_left.pending.contains(&true), "all workers have lived");
     is_serial(&roadmap);
 }
@@ -198,7 +195,7 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
         number,
         seed: 5,
         max_vertices: 100_000,
-        source: [Form::Shared, Form::Remote][number % 2],
+        source: [Source::Shared, Source::Remote][number % 2],
         progress_ms: PROGRESS_MS,
         halt_at: (number == 2).then_some(HALF),
     };

@@ -45,7 +45,7 @@ impl<'a> Question<'a> {
 /// Everything that changed after some [`Seen`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Changes {
-    /// The points that were stored, and those whose tags changed, as they are now.
+    /// The points that were stored, and those whose tags or payloads changed, as they are now.
     pub stored: Points,
     /// The ids of the points that were removed and are not stored now.
     pub removed: Vec<u64>,
@@ -136,6 +136,12 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     /// # Errors
     /// The index cannot be written.
     fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Self::Error>;
+
+    /// Sets the payload of a point. False if there is no such point.
+    ///
+    /// # Errors
+    /// The index cannot be written.
+    fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Self::Error>;
 
     /// A copy of the point with this id.
     ///

@@ -145,6 +145,14 @@ impl Model {
                     Some((rows.next().expect("a state a put"), self.revision))
                 }
                 (StepKind::SetTag, Some(old)) => Some(old),
+                (StepKind::SetPayload, old) => {
+                    let payload = payloads.next().cloned().unwrap_or_default();
+                    missing += u64::from(old.is_none());
+                    if old.is_some() {
+                        self.payloads.insert(id, payload);
+                    }
+                    old
+                }
                 (StepKind::Replace, old) => {
                     let payload = payloads.next().cloned().unwrap_or_default();
                     let row = rows.next().expect("a state a replacement");
@@ -169,7 +177,7 @@ impl Model {
                 let point = PointRef {
                     id,
                     tag: match (kind, old_tag) {
-                        (StepKind::Replace, Some(tag)) => tag,
+                        (StepKind::Replace | StepKind::SetPayload, Some(tag)) => tag,
                         _ => request.tags.get(at).copied().unwrap_or_default(),
                     },
                     revision,

@@ -11,7 +11,7 @@ from processes import MAX_WAIT_S, Server
 
 INDEX = "prm"
 SEED = 5
-# The workers of the program `rigid`, and the source of their first neighbours.
+# The workers of the program `rigid`, and the source of their neighbours.
 SOURCES = ["remote", "shared"]
 FORMS = ["protobuf", "json"]
 # The minimum number of milestones of each worker over Zenoh.
@@ -58,7 +58,7 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
     try:
         for number, source in enumerate(SOURCES):
             job = {"server": server.uri, "index": INDEX, "number": number, "seed": SEED, "milestones": milestones}
-            job |= {"source": source, "batch": 3, "min-separation": 0.0, "progress-ms": 0}
+            job |= {"source": source, "max-pending": 3, "min-separation": 0.0, "progress-ms": 0}
             planners.append(Planner([rigid, "work", *(f"--{name}={value}" for name, value in job.items())]))
         for number, form in enumerate(FORMS, len(SOURCES)):
             job = [server.locator, INDEX, form, number, SEED, milestones, MIN_MILESTONES, programs, stubs]

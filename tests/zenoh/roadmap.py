@@ -42,7 +42,6 @@ class CheckedState:
 
     state: list[float]
     earlier: list[Candidate]
-    seen: object
     edges: list[int]
 
 
@@ -69,16 +68,20 @@ class Worker:
 
     def look(self, state: list[float]) -> CheckedState:
         """The first step: checks the motions to the k(n) nearest existing milestones."""
-        earlier, seen = self.nearest(state, k_factor=K_FACTOR)
-        return CheckedState(state, earlier, seen, self.check(state, earlier))
+        request = self.pb.KnnRequest(
+            index_name=self.index,
+            states=self.one(state),
+            include=self.types.Include(states=True),
+            min_revision=self.revision,
+            k_factor=K_FACTOR,
+        )
+        answer = self.face.ask(f"{self.index}/knn", request, self.pb.KnnResponse)
+        earlier = self.candidates(answer.neighbors)
+        return CheckedState(state, earlier, self.check(state, earlier))
 
     def insert(self, checked: CheckedState):
-        """The second step: stores the state with these edges; returns its id and the milestones that arrived meanwhile."""
-        around = self.pb.NeighborSpec(
-            k_factor=K_FACTOR,
-            filter=self.types.Filter(since_revision=checked.seen),
-            include=self.types.Include(states=True),
-        )
+        """The second step: stores the state with these edges; returns its id and its k(n) nearest earlier milestones."""
+        around = self.pb.NeighborSpec(k_factor=K_FACTOR, include=self.types.Include(states=True))
         request = self.pb.InsertRequest(
             index_name=self.index,
             states=self.one(checked.state),
@@ -92,20 +95,13 @@ class Worker:
         self.revision = answer.revision
         return answer.ids[0], self.candidates(answer.neighbors)
 
-    def complete(self, id: int, checked: CheckedState, meanwhile: list[Candidate]):
-        """The last step: checks the motions to the milestones that arrived meanwhile, and marks the milestone as complete."""
-        self.account["meanwhile"] += len(meanwhile)
-        # Ids are assigned from 0 on and nothing is ever removed, so the first id is the number of earlier milestones.
-        k = max(1, math.ceil(K_FACTOR * math.log(id))) if id > 1 else 1
-        known = checked.earlier + meanwhile
-        if len(checked.earlier) < k and len(known) < id:
-            # k(n) has grown by those that arrived.
-            free = {candidate.id: candidate.free for candidate in known}
-            known = self.nearest_before(checked.state, id, k)
-            for candidate in known:
-                candidate.free = free.get(candidate.id)
-        known.sort(key=lambda candidate: (candidate.distance, candidate.id))
-        edges = self.check(checked.state, known[:k])
+    def complete(self, id: int, checked: CheckedState, near: list[Candidate]):
+        """The last step: checks the motions that are not checked yet, and marks the milestone as complete."""
+        free = {candidate.id: candidate.free for candidate in checked.earlier}
+        self.account["meanwhile"] += sum(candidate.id not in free for candidate in near)
+        for candidate in near:
+            candidate.free = free.get(candidate.id)
+        edges = self.check(checked.state, near)
         request = self.pb.UpdateRequest(
             index_name=self.index,
             ids=[id],
@@ -125,28 +121,6 @@ class Worker:
             if candidate.free is None:
                 candidate.free = self.scene.is_free_way(state, candidate.state)
         return sorted(candidate.id for candidate in candidates if candidate.free)
-
-    def nearest_before(self, state: list[float], id: int, k: int) -> list[Candidate]:
-        """The k nearest of the milestones stored before the given one."""
-        asked = 2 * k
-        # The whole roadmap always suffices.
-        while True:
-            found, _ = self.nearest(state, k=asked)
-            before = [candidate for candidate in found if candidate.id < id]
-            if len(before) >= k or len(found) < asked:
-                return before[:k]
-            asked *= 2
-
-    def nearest(self, state: list[float], **wanted):
-        request = self.pb.KnnRequest(
-            index_name=self.index,
-            states=self.one(state),
-            include=self.types.Include(states=True),
-            min_revision=self.revision,
-            **wanted,
-        )
-        answer = self.face.ask(f"{self.index}/knn", request, self.pb.KnnResponse)
-        return self.candidates(answer.neighbors), answer.revision
 
     def candidates(self, neighbors) -> list[Candidate]:
         """The candidates in the answer about one state."""
@@ -172,16 +146,20 @@ def main():
     index_pb, pb, types = load_stubs(stubs)
     session = connect(locator)
     face = Json(session) if form == "json" else Protobuf(session, types.Status)
-    described = face.ask(f"{index}/info", index_pb.GetIndexRequest(index_name=index), index_pb.GetIndexResponse)
-    worker = Worker(face, pb, types, index, described.index.revision, Scene(Path(programs)), int(number), int(seed))
+
+    def described():
+        request = index_pb.GetIndexRequest(index_name=index)
+        return face.ask(f"{index}/info", request, index_pb.GetIndexResponse).index
+
+    worker = Worker(face, pb, types, index, described().revision, Scene(Path(programs)), int(number), int(seed))
     checked = worker.look(worker.sample())
     tell("ready")
     sys.stdin.readline()
     enough = False
     while not enough:
-        id, meanwhile = worker.insert(checked)
-        worker.complete(id, checked, meanwhile)
-        enough = id + 1 >= int(milestones) and worker.account["milestones"] >= int(least)
+        id, near = worker.insert(checked)
+        worker.complete(id, checked, near)
+        enough = described().point_count >= int(milestones) and worker.account["milestones"] >= int(least)
         if not enough:
             checked = worker.look(worker.sample())
     tell({"done": worker.account | {"checks": worker.scene.checks}})

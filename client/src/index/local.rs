@@ -60,6 +60,18 @@ impl LocalPoints {
         Ok(true)
     }
 
+    /// Notes that something of a point changed that is not held here; false if there is none with this id.
+    pub(super) fn touch(&mut self, id: u64) -> Result<bool, Error> {
+        if !self.forest.contains(id) {
+            return Ok(false);
+        }
+        self.one.clear();
+        let at = self.forest.revision() + 1;
+        self.forest.apply(at, &self.one, &[])?;
+        self.history.push(at, id);
+        Ok(true)
+    }
+
     /// Stores one point whose state was stored by change number `stored_at`.
     fn store_as_of(&mut self, id: u64, tag: u64, stored_at: u64, row: &[f64]) -> Result<(), Error> {
         self.one.clear();

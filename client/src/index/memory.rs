@@ -209,6 +209,17 @@ impl NearestNeighbors for Memory {
         Ok(is_stored)
     }
 
+    fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
+        let mut state = self.state.write();
+        let is_stored = state.points.touch(id)?;
+        match payload {
+            [] => drop(state.payloads.remove(&id)),
+            _ if is_stored => drop(state.payloads.insert(id, payload.to_vec())),
+            _ => {}
+        }
+        Ok(is_stored)
+    }
+
     fn get(&self, id: u64) -> Result<Option<Point>, Error> {
         Ok(self.state.read().points.get(id))
     }

@@ -18,7 +18,7 @@ mod search;
 #[cfg(feature = "net")]
 mod served;
 #[cfg(feature = "net")]
-pub(crate) mod shared;
+mod shared;
 
 pub use point::{Changes, Found, InsertOptions, InsertedPoint, StoredPoint, StoredPoints};
 #[cfg(feature = "net")]
@@ -190,6 +190,14 @@ impl Index {
     /// The index cannot be written.
     pub fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
         self.form.set_tag(id, tag)
+    }
+
+    /// Sets the payload of a point; its state and its tag stay. False if there is none with this id.
+    ///
+    /// # Errors
+    /// [`Error::Argument`]: it has more than 64 KiB. The index cannot be written.
+    pub fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
+        self.form.set_payload(id, payload)
     }
 
     /// The point with this id.

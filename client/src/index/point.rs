@@ -109,7 +109,7 @@ pub struct InsertedPoint {
 /// Everything that changed in an index after an earlier answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Changes {
-    /// The points that were stored, moved or tagged anew, as they are now.
+    /// The points that were stored or moved, or got another tag or payload, as they are now.
     pub stored: Vec<StoredPoint>,
     /// The ids of the points that were removed.
     pub removed: Vec<u64>,

@@ -279,6 +279,12 @@ impl NearestNeighbors for Remote {
         Ok(found(updated)?.is_some())
     }
 
+    fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
+        let update = self.index.update([id]).payloads([payload.to_vec()]);
+        let updated = wait_for(async move { update.await });
+        Ok(found(updated)?.is_some())
+    }
+
     fn get(&self, id: u64) -> Result<Option<Point>, Error> {
         let columns = Include::none().states().tags().revisions();
         let points = self.point(id, columns)?;

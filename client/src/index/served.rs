@@ -65,13 +65,22 @@ impl Index {
         self.shared.as_ref().map(|shared| shared.status())
     }
 
-    /// The neighbours of own points, inserted with a question, that others stored before them in the index's order and
-    /// that the insert could not see. Each is told once, when the feed has named the point. In the other forms an insert
-    /// sees all.
+    /// The answers about own points that were inserted with a question: the neighbours that others stored before them in
+    /// the index's order and that the insert could not see. Each point is answered once, when the feed has named it, also
+    /// without such neighbours. In the other forms an insert sees all.
     pub fn meanwhile(&self) -> MeanwhileAnswers {
         self.shared
             .as_ref()
             .map_or_else(MeanwhileAnswers::default, |shared| shared.meanwhile())
+    }
+
+    /// Acts like [`Index::meanwhile`], but waits for an answer, at most for `timeout`, if there is none and one is to
+    /// come.
+    pub fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
+        let shared = self.shared.as_ref();
+        shared.map_or_else(MeanwhileAnswers::default, |shared| {
+            shared.wait_meanwhile(timeout)
+        })
     }
 
     /// Every write from the first one on that the server refused for good, in order; the copy shows them no more. After

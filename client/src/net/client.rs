@@ -200,13 +200,6 @@ impl Client {
         }
     }
 
-    /// A copy of an index in this process, which follows it and is searched without the network: see
-    /// [`Replica`](crate::Replica).
-    #[cfg(feature = "replica")]
-    pub fn replica(&self, name: &str) -> crate::ReplicaRequest {
-        crate::ReplicaRequest::new(self.clone(), name)
-    }
-
     /// The uid of the index of this name, if it cannot be read.
     async fn damaged_uid(&self, name: &str) -> Result<Option<String>, Error> {
         let damaged = self.list_indexes().await?.damaged.into_iter();

@@ -24,8 +24,6 @@ pub use handle::IndexHandle;
 pub use include::Include;
 pub use info::{DamagedIndex, IndexInfo, IndexList};
 pub use limits::READ_ROWS;
-#[cfg(feature = "replica")]
-pub use neighbor_spec::Search as ReplicaSearch;
 pub use neighbor_spec::{Filter, NeighborSpec};
 pub use neighbors::{Neighbors, Row};
 pub use points::{Point, Points};

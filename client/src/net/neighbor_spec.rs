@@ -64,42 +64,6 @@ impl From<Radius> for neighbor_spec::RadiusForm {
     }
 }
 
-/// Gives a type with the fields `bounds` and `filter` its constructors and setters.
-macro_rules! bounded {
-    ($type:ident) => {
-        impl $type {
-            /// The `k` nearest, at least 1.
-            pub fn k(k: u32) -> $type {
-                $type::of(Some(K::Fixed(k)), None)
-            }
-
-            /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. The server or the replica
-            /// evaluates it, so that workers need not agree on n. PRM* takes
-            /// [`Scaling::K_FACTOR`](crate::Scaling::K_FACTOR).
-            pub fn k_factor(factor: f64) -> $type {
-                $type::of(Some(K::Scaled(factor)), None)
-            }
-
-            /// All at distance `radius` or nearer: a number, or a [`ScaledRadius`].
-            pub fn within(radius: impl Into<Radius>) -> $type {
-                $type::of(None, Some(radius.into()))
-            }
-
-            /// Only those at distance `radius` or nearer.
-            pub fn radius(mut self, radius: impl Into<Radius>) -> $type {
-                self.bounds.radius = Some(radius.into());
-                self
-            }
-
-            /// Only some of the points.
-            pub fn filter(mut self, filter: Filter) -> $type {
-                self.filter = filter;
-                self
-            }
-        }
-    };
-}
-
 /// The neighbours that an insert finds for its rows: those that each row has at the moment it is applied, stored by an
 /// earlier mutation or an earlier row.
 ///
@@ -116,9 +80,35 @@ pub struct NeighborSpec {
     pub(crate) include: Include,
 }
 
-bounded!(NeighborSpec);
-
 impl NeighborSpec {
+    /// The `k` nearest, at least 1.
+    pub fn k(k: u32) -> NeighborSpec {
+        NeighborSpec::of(Some(K::Fixed(k)), None)
+    }
+
+    /// The ⌈factor · ln n⌉ nearest, at least 1, for an index of n points. The server evaluates it, so that workers need
+    /// not agree on n. PRM* takes [`Scaling::K_FACTOR`](crate::Scaling::K_FACTOR).
+    pub fn k_factor(factor: f64) -> NeighborSpec {
+        NeighborSpec::of(Some(K::Scaled(factor)), None)
+    }
+
+    /// All at distance `radius` or nearer: a number, or a [`ScaledRadius`].
+    pub fn within(radius: impl Into<Radius>) -> NeighborSpec {
+        NeighborSpec::of(None, Some(radius.into()))
+    }
+
+    /// Only those at distance `radius` or nearer.
+    pub fn radius(mut self, radius: impl Into<Radius>) -> NeighborSpec {
+        self.bounds.radius = Some(radius.into());
+        self
+    }
+
+    /// Only some of the points.
+    pub fn filter(mut self, filter: Filter) -> NeighborSpec {
+        self.filter = filter;
+        self
+    }
+
     pub(crate) fn of(k: Option<K>, radius: Option<Radius>) -> NeighborSpec {
         NeighborSpec {
             bounds: Bounds { k, radius },
@@ -140,50 +130,5 @@ impl NeighborSpec {
             filter: self.filter.to_message(),
             include: self.include.to_message(),
         }
-    }
-}
-
-/// A search of a [`Replica`](crate::Replica): k, radius and filter.
-///
-/// ```
-/// use wayfold::{Filter, ReplicaSearch as Search, ScaledRadius};
-///
-/// let ten_near = Search::k(10).radius(0.5).filter(Filter::default().tag(0b1, 1));
-/// let of_rrt_star = Search::within(ScaledRadius::new(1.1).max(0.5));
-/// ```
-#[cfg(feature = "replica")]
-#[derive(Clone, Debug, PartialEq)]
-pub struct Search {
-    pub(crate) bounds: Bounds,
-    pub(crate) filter: Filter,
-    pub(crate) epsilon: f64,
-    pub(crate) timeout: Option<std::time::Duration>,
-}
-
-#[cfg(feature = "replica")]
-bounded!(Search);
-
-#[cfg(feature = "replica")]
-impl Search {
-    fn of(k: Option<K>, radius: Option<Radius>) -> Search {
-        Search {
-            bounds: Bounds { k, radius },
-            filter: Filter::default(),
-            epsilon: 0.0,
-            timeout: None,
-        }
-    }
-
-    /// Answers may be farther than the true ones by a factor of 1 + epsilon, and points beyond radius / (1 + epsilon)
-    /// may be missing; 0, exact, unless set.
-    pub fn epsilon(mut self, epsilon: f64) -> Search {
-        self.epsilon = epsilon;
-        self
-    }
-
-    /// Fails with [`Error::Timeout`](crate::Error::Timeout) if the search takes longer; without a limit unless set.
-    pub fn timeout(mut self, timeout: std::time::Duration) -> Search {
-        self.timeout = Some(timeout);
-        self
     }
 }

@@ -140,12 +140,6 @@ macro_rules! mutation {
                 self.operation_id = id.into();
                 self
             }
-
-            /// The index that it writes to.
-            #[cfg(feature = "replica")]
-            pub(crate) fn index(&self) -> &IndexHandle {
-                &self.index
-            }
         }
     };
 }

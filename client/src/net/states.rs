@@ -102,11 +102,6 @@ impl States {
         &self.coordinates
     }
 
-    #[cfg(feature = "replica")]
-    pub(crate) fn into_coordinates(self) -> Vec<f64> {
-        self.coordinates
-    }
-
     pub(crate) fn to_message(&self, rows: Range<usize>) -> v1::States {
         v1::States {
             // Requests are divided long before.

@@ -4,9 +4,6 @@
 
 #[path = "../../examples/hello.rs"]
 mod hello;
-#[cfg(feature = "replica")]
-#[path = "../../examples/replica.rs"]
-mod replica;
 #[path = "../../examples/rrt.rs"]
 mod rrt;
 #[path = "../../examples/shared_prm.rs"]
@@ -76,14 +73,6 @@ async fn workers_of_shared_prm_connect_all_milestones() {
         open.extend(later.map(|(&later, _)| later));
     }
     assert!(reached.iter().all(|reached| *reached));
-}
-
-#[cfg(feature = "replica")]
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn replica_answers_as_the_server() {
-    let server = Server::start();
-    // It compares the answers itself.
-    replica::replica(&server.uri).await.unwrap();
 }
 
 #[tokio::test]

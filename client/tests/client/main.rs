@@ -5,11 +5,8 @@
 mod backup;
 mod dividing;
 mod examples;
-#[cfg_attr(not(feature = "replica"), expect(dead_code, reason = "replicas scan"))]
 mod fake;
 mod index;
-#[cfg(feature = "replica")]
-mod replica;
 mod requests;
 mod retrying;
 mod revisions;

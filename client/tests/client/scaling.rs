@@ -1,4 +1,4 @@
-//! Numbers and radii by the size of the index: from the server, from a replica, and from brute force.
+//! Numbers and radii by the size of the index: from the server, and from brute force.
 
 use wayfold::{NeighborSpec, Neighbors, ScaledRadius, Scaling, Space};
 use wayfold_index::{Linear, Neighbor, PointRef, Search};
@@ -86,63 +86,6 @@ async fn the_server_evaluates_it_at_the_size_of_its_index() {
         expect(&all, at, &points, state, &within(usize::MAX, scaled));
         expect(&bounded, at, &points, state, &within(usize::MAX, 0.1));
         expect(&fixed, at, &points, state, &within(3, 0.5));
-    }
-}
-
-#[cfg(feature = "replica")]
-#[tokio::test]
-async fn a_replica_answers_and_refuses_as_the_server() {
-    use wayfold::{Error, Filter, ReplicaSearch as Search};
-
-    let server = Server::start();
-    let index = server.index("se2", SPACE).await;
-    index.insert(rows(0, 100)).await.unwrap();
-    let inserted = index.insert(rows(100, 50)).await.unwrap();
-    let replica = server.client().await.replica("se2").await.unwrap();
-    let [state] = rows(700, 1)[..] else {
-        panic!("one row")
-    };
-    let before = index.revision_at(inserted.revision.number - 1);
-    for filter in [Filter::default(), Filter::default().since(before)] {
-        let search = Search::k_factor(3.0).radius(0.6).filter(filter.clone());
-        let ours = replica.search(state, &search).unwrap();
-        let theirs = index.knn([state]).k_factor(3.0).radius(0.6).filter(filter);
-        let theirs = theirs.await.unwrap();
-        assert!(ours.iter().eq(theirs.row(0).iter()));
-        // 3 · ln 150 = 15.03, with the points that the filter leaves out.
-        assert!(ours.len() <= 16);
-    }
-    let radius = ScaledRadius::new(1.2).max(f64::INFINITY);
-    let ours = replica.query(state, radius).unwrap();
-    let theirs = index.query([state], radius).await.unwrap();
-    assert!(ours.iter().eq(theirs.row(0).iter()));
-    assert!(ours.len() > 1 && ours.len() < 150);
-
-    let scaled = |factor| ScaledRadius::new(factor);
-    for (search, spec) in [
-        (Search::k_factor(-1.0), NeighborSpec::k_factor(-1.0)),
-        (Search::k_factor(f64::NAN), NeighborSpec::k_factor(f64::NAN)),
-        (
-            Search::within(scaled(f64::INFINITY)),
-            NeighborSpec::within(scaled(f64::INFINITY)),
-        ),
-        (
-            Search::within(scaled(1.0).max(-1.0)),
-            NeighborSpec::within(scaled(1.0).max(-1.0)),
-        ),
-    ] {
-        let ours = replica.search(state, &search);
-        let theirs = index.insert([state]).neighbors(spec).await;
-        let (Error::Refused(theirs), Error::Refused(ours)) =
-            (theirs.unwrap_err(), ours.unwrap_err())
-        else {
-            panic!("{search:?}")
-        };
-        let of_theirs = theirs.fields[0].field.replace("neighbors.", "");
-        assert_eq!(
-            (ours.code, &ours.reason, &ours.fields[0].field),
-            (theirs.code, &theirs.reason, &of_theirs)
-        );
     }
 }
 

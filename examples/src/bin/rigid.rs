@@ -32,7 +32,7 @@ fn main() -> ExitCode {
         return ended;
     }
     let options = Options::parse();
-    // The main thread makes the calls and computes between them. The replica follows on the other thread.
+    // A worker computes and inserts on the main thread; the index has threads of its own.
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
         .enable_all()

@@ -16,7 +16,6 @@ pub mod host;
 pub mod options;
 pub mod panels;
 pub mod path;
-pub mod pending_call;
 pub mod pose;
 pub mod prm_star;
 pub mod problem;

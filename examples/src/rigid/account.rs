@@ -15,7 +15,7 @@ pub struct Account {
     pub milestones: u64,
     /// The number of their edges.
     pub edges: u64,
-    /// The number of neighbours that arrived between a search and its insert.
+    /// The number of neighbours that the search before the insert did not find.
     pub meanwhile: u64,
     /// The number of states that were checked for collisions.
     pub checks: u64,

@@ -6,9 +6,8 @@ use wayfold::{Client, IndexHandle};
 
 use super::{
     account::Account,
-    nearby::Source,
-    options::{Job, Options, Source as Form},
-    roadmap::{self, Roadmap},
+    options::{Job, Options, Source},
+    roadmap::Roadmap,
     scene::{Rooms, Task},
     worker::Worker,
 };
@@ -25,8 +24,8 @@ use crate::planning::{
 pub struct Built {
     /// The number of processes that built it.
     pub workers: usize,
-    /// The source of their first neighbours.
-    pub source: Form,
+    /// The source of their neighbours.
+    pub source: Source,
     /// The seed of the random states.
     pub seed: u64,
     /// The account of each worker.
@@ -97,7 +96,7 @@ async fn build_in(
         seed,
         milestones: options.milestones,
         source: options.source,
-        batch: options.batch,
+        max_pending: options.max_pending,
         min_separation: options.min_separation,
         progress_ms: PROGRESS_MS,
         halt_at: half.filter(|_| number == 0),
@@ -107,11 +106,10 @@ async fn build_in(
 
     // The questions are asked by one more worker. Their states become milestones like all others, and stay for later
     // questions.
-    let mut last = Worker::new(scene, index.clone(), Source::Server, options.workers, seed);
+    let at = (uri, index.name());
+    let mut last = Worker::open(scene, at, Source::Shared, options.workers, seed).await?;
     let start = Instant::now();
-    // Reads the workers' last revision: their reports are behind it.
-    index.info().await?;
-    let adopted = roadmap::adopt(index, &mut last).await?;
+    let adopted = last.adopt(None).await?;
     let adopting = start.elapsed();
 
     let start = Instant::now();
@@ -182,7 +180,7 @@ pub async fn compare(
     let mut all = Vec::new();
     for seed in seeds(options.seed, options.runs) {
         for workers in WORKERS {
-            for source in [Form::Shared, Form::Remote] {
+            for source in [Source::Shared, Source::Remote] {
                 eprintln!("{workers} workers, {}, seed {seed} ...", source.name());
                 let options = Options {
                     workers,

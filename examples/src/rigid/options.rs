@@ -15,7 +15,7 @@ use crate::planning::{
 const COOPERATION: [&str; 8] = [
     "workers",
     "source",
-    "batch",
+    "max_pending",
     "min_separation",
     "kill",
     "restart",
@@ -36,12 +36,12 @@ pub struct Options {
     /// The number of milestones of the roadmap
     #[arg(long, default_value_t = 4000)]
     pub milestones: u64,
-    /// The source of a state's first neighbours
+    /// The source of a state's neighbours: shared or remote
     #[arg(long, value_enum, default_value_t = Source::Shared)]
     pub source: Source,
-    /// The number of milestones that a worker inserts in one call
-    #[arg(long, default_value_t = 8, value_parser = at_least_one)]
-    pub batch: usize,
+    /// The number of own milestones without a known place in the index's order at which a worker waits for one
+    #[arg(long, default_value_t = 32, value_parser = at_least_one)]
+    pub max_pending: usize,
     /// Leaves out states that are nearer to a milestone than this
     #[arg(long, default_value_t = 0.0)]
     pub min_separation: f64,
@@ -62,7 +62,7 @@ pub struct Options {
     pub scaling: bool,
     /// Ends as soon as all questions are answered, and prints the time, --runs times; no picture. With --scaling, by 1,
     /// 2, 4 and 8 workers
-    #[arg(long, conflicts_with_all = ["kill", "restart", "batch"], group = "repeated")]
+    #[arg(long, conflicts_with_all = ["kill", "restart"], group = "repeated")]
     pub until_solved: bool,
     /// Builds it by one planner instead, with every source of neighbours from the same seeds, and prints the cost of
     /// planning with each; no picture
@@ -116,19 +116,19 @@ pub struct Job {
     /// The number of milestones of the roadmap
     #[arg(long)]
     pub milestones: u64,
-    /// The source of the first neighbours
+    /// The source of the neighbours
     #[arg(long, value_enum)]
     pub source: Source,
-    /// The number of milestones it inserts in one call
+    /// The number of own milestones without a known place in the order at which it waits for one
     #[arg(long)]
-    pub batch: usize,
+    pub max_pending: usize,
     /// Leaves out states that are nearer to a milestone than this
     #[arg(long)]
     pub min_separation: f64,
     /// The minimum interval of its progress reports
     #[arg(long, default_value_t = PROGRESS_MS)]
     pub progress_ms: u64,
-    /// The number of own milestones at which it reports a halt, with its last calls still under way, and waits for a
+    /// The number of own milestones at which it reports a halt, with its last writes still under way, and waits for a
     /// line
     #[arg(long)]
     pub halt_at: Option<u64>,
@@ -151,7 +151,7 @@ impl processes::Job for Job {
             ("seed", self.seed.to_string()),
             ("milestones", self.milestones.to_string()),
             ("source", self.source.name().to_owned()),
-            ("batch", self.batch.to_string()),
+            ("max-pending", self.max_pending.to_string()),
             ("min-separation", self.min_separation.to_string()),
             ("progress-ms", self.progress_ms.to_string()),
         ];

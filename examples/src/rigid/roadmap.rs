@@ -2,15 +2,13 @@
 
 use std::collections::HashMap;
 
-use wayfold::{Filter, Include, IndexHandle, Point, Space, States};
+use wayfold::{Include, IndexHandle, Space, States};
 
-use super::{
-    milestone::{self, PENDING},
-    worker::{Pending, Worker},
-};
+use super::milestone::{self, PENDING};
 use crate::planning::{error::PlanningError, path};
 
-/// All milestones at one revision, in the order of their ids, and their edges.
+/// All milestones and their edges at one revision, in the index's order: by the revisions that stored them, and within
+/// one by their ids.
 pub struct Roadmap {
     /// The states.
     pub states: States,
@@ -18,8 +16,6 @@ pub struct Roadmap {
     pub ids: Vec<u64>,
     /// The worker that made each milestone.
     pub workers: Vec<usize>,
-    /// The revision that stored each milestone.
-    pub revisions: Vec<u64>,
     /// The edges of each milestone, as positions of earlier milestones.
     pub edges: Vec<Vec<usize>>,
     /// True for each pending milestone.
@@ -33,28 +29,29 @@ impl Roadmap {
             states: States::new(index.coordinates()),
             ids: Vec::new(),
             workers: Vec::new(),
-            revisions: Vec::new(),
             edges: Vec::new(),
             pending: Vec::new(),
         };
-        let mut kept = Vec::new();
+        let mut parts = Vec::new();
         let mut scan = index.scan().include(Include::all()).await?;
         while let Some(part) = scan.next().await? {
-            for point in part.iter() {
-                let edges = point.payload.and_then(|payload| milestone::edges(payload));
-                kept.push(edges.ok_or(PlanningError::Payload { id: point.id })?);
-                roadmap.states.push(point.state)?;
-                roadmap.ids.push(point.id);
-                roadmap.workers.push(milestone::worker(point.tag));
-                roadmap.revisions.push(point.revision);
-                roadmap.pending.push(point.tag & PENDING != 0);
-            }
+            parts.push(part);
         }
-        let positions: HashMap<u64, usize> = roadmap.ids.iter().copied().zip(0..).collect();
-        for (id, edges) in roadmap.ids.iter().zip(kept) {
+        let mut points: Vec<_> = parts.iter().flat_map(|part| part.iter()).collect();
+        points.sort_unstable_by_key(|point| (point.revision, point.id));
+        let ids = points.iter().map(|point| point.id);
+        let positions: HashMap<u64, usize> = ids.zip(0..).collect();
+        for point in points {
+            let id = point.id;
+            roadmap.states.push(point.state)?;
+            roadmap.ids.push(id);
+            roadmap.workers.push(milestone::worker(point.tag));
+            roadmap.pending.push(point.tag & PENDING != 0);
+            let edges = point.payload.and_then(|payload| milestone::edges(payload));
+            let edges = edges.ok_or(PlanningError::Payload { id })?;
             let to = edges.iter().map(|other| positions.get(other).copied());
             let to: Option<Vec<usize>> = to.collect();
-            let to = to.ok_or(PlanningError::Payload { id: *id })?;
+            let to = to.ok_or(PlanningError::Payload { id })?;
             roadmap.edges.push(to);
         }
         Ok(roadmap)
@@ -85,27 +82,7 @@ impl Roadmap {
 
     /// The shortest path on the roadmap between two milestones.
     pub fn path(&self, space: &Space, start: u64, goal: u64) -> Option<Vec<Vec<f64>>> {
-        let at = |id| self.ids.binary_search(&id).ok();
+        let at = |id| self.ids.iter().position(|&of| of == id);
         path::shortest(space, &self.states, &self.edges, at(start)?, at(goal)?)
     }
-}
-
-/// Completes the milestones that dead workers left pending, with the same result as if the workers had lived. Returns
-/// their number.
-///
-/// Live workers are not disturbed: they would write the same completion.
-pub async fn adopt(index: &IndexHandle, by: &mut Worker<'_>) -> Result<usize, PlanningError> {
-    let pending = Filter::default().tag(PENDING, PENDING);
-    let scan = index.scan().filter(pending);
-    let mut scan = scan.include(Include::all()).await?;
-    let mut adopted = 0;
-    while let Some(part) = scan.next().await? {
-        let found =
-            |point: Point<'_>| Pending::found(point).ok_or(PlanningError::Payload { id: point.id });
-        let orphans: Result<Vec<Pending>, _> = part.iter().map(found).collect();
-        let orphans = orphans?;
-        adopted += orphans.len();
-        by.complete(orphans).await?;
-    }
-    Ok(adopted)
 }

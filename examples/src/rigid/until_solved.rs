@@ -5,6 +5,7 @@
 //! searches the paths. Workers can be ended at any time: a pending milestone lacks edges, but all its edges are free.
 
 use std::{
+    collections::HashMap,
     fmt::Write,
     time::{Duration, Instant},
 };
@@ -17,8 +18,7 @@ use super::{
     account::Account,
     build::WORKERS,
     milestone::{self, PENDING},
-    nearby::Source,
-    options::{Job, Options, Source as Form},
+    options::{Job, Options, Source},
     roadmap::Roadmap,
     scene::Rooms,
     worker::Worker,
@@ -37,7 +37,7 @@ use crate::planning::{
 
 /// A roadmap that answers all questions.
 struct SolvedRoadmap {
-    source: Form,
+    source: Source,
     workers: usize,
     seed: u64,
     /// The time from the first milestone to the last path.
@@ -109,8 +109,7 @@ async fn solve(
             seed,
             milestones: options.milestones,
             source: options.source,
-            // The milestone that answers the last question must arrive at once.
-            batch: 1,
+            max_pending: options.max_pending,
             min_separation: options.min_separation,
             // Each worker reports every milestone, so that the cost of a solution is exact.
             progress_ms: 0,
@@ -132,8 +131,9 @@ async fn solve(
         }
     }
 
+    let at = (uri, index.name());
+    let mut asker = Worker::open(scene, at, Source::Shared, options.workers, seed).await?;
     let start = Instant::now();
-    let mut asker = Worker::new(scene, index.clone(), Source::Server, options.workers, seed);
     let mut ends = Vec::new();
     for task in scene.tasks() {
         let (from, to) = (task.start.clone(), task.goal.clone());
@@ -183,7 +183,7 @@ async fn follow(
     accounts: &mut [Account],
     ends: &[(u64, u64)],
 ) -> Result<(), PlanningError> {
-    let mut parts = UnionFind::<usize>::new(0);
+    let (mut parts, mut positions) = (UnionFind::<usize>::new(0), HashMap::new());
     let mut done = vec![false; accounts.len()];
     loop {
         tokio::select! {
@@ -194,20 +194,22 @@ async fn follow(
                     Some(WatchEvent::Reset(_)) | None => return Err(PlanningError::Unfollowed),
                 };
                 for point in stored.iter() {
-                    // Ids are assigned from 0 on, and edges lead to smaller ones.
-                    let id = point.id as usize;
-                    while parts.len() <= id {
-                        parts.new_set();
-                    }
+                    let id = point.id;
+                    let at = *positions.entry(id).or_insert_with(|| parts.new_set());
                     let edges = point.payload.and_then(|payload| milestone::edges(payload));
-                    let edges = edges.ok_or(PlanningError::Payload { id: point.id })?;
+                    let edges = edges.ok_or(PlanningError::Payload { id })?;
                     // A pending milestone may have an edge that it will lose to a nearer neighbour.
                     let complete = point.tag & PENDING == 0;
                     for other in edges.into_iter().filter(|_| complete) {
-                        parts.try_union(id, other as usize).map_err(|_| PlanningError::Payload { id: point.id })?;
+                        // Edges lead to earlier milestones.
+                        let other = positions.get(&other).ok_or(PlanningError::Payload { id })?;
+                        parts.union(at, *other);
                     }
                 }
-                let connected = |&(from, to): &(u64, u64)| parts.try_equiv(from as usize, to as usize) == Ok(true);
+                let connected = |(from, to): &(u64, u64)| match (positions.get(from), positions.get(to)) {
+                    (Some(from), Some(to)) => parts.equiv(*from, *to),
+                    _ => false,
+                };
                 if ends.iter().all(connected) {
                     return Ok(());
                 }

@@ -1,111 +1,135 @@
-//! A worker: PRM*, batch after batch of milestones, on a roadmap that others extend too.
+//! A worker: PRM*, milestone after milestone, on a roadmap that others extend too.
 //!
 //! The PRM* of S. Karaman, E. Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 30(7), 2011, in
 //! its incremental form: a milestone tries the motions to its k(n) nearest among the n earlier milestones. These depend
 //! only on the order of the milestones. So any number of workers build the same roadmap as one worker that draws the
 //! same states in that order.
 //!
-//! The milestones of a batch share the calls: one search, one insert, one update. The cost of the calls is most of the
-//! cost of the service, and a batch pays it once. The insert reports an earlier milestone of the batch to a later one,
-//! like milestones of other workers.
+//! A worker does not wait for that order. It inserts a milestone with the motions that it has checked, and goes on. A
+//! shared index tells it later how many milestones came before, and which of the nearest it could not see then. A remote
+//! index tells it with the insert.
 
-use std::{collections::HashSet, time::Instant};
+use std::{
+    collections::{BTreeMap, HashMap},
+    time::{Duration, Instant},
+};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Filter, IndexHandle, NeighborSpec, Point, Revision, Scaling, Update};
+use wayfold::{
+    Client, Include, Index, IndexHandle, InsertOptions, Neighbor, NeighborSpec, RetryPolicy,
+    Scaling, Search,
+};
 
 use super::{
     account::Account,
     milestone::{self, PENDING},
-    nearby::{self, Candidate, SCALING, STATES, Source},
+    replay,
+    roadmap::Roadmap,
     scene::Rooms,
 };
 use crate::planning::{
-    error::PlanningError, pending_call::PendingCall, problem::Problem, sampling,
+    error::PlanningError, options::Source, prm_star::SCALING, problem::Problem, processes::lost,
+    sampling,
 };
+
+/// The longest wait for the server: another one may be starting in its place.
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A worker that samples, checks and inserts.
 pub struct Worker<'a> {
     scene: &'a Rooms,
-    index: IndexHandle,
-    source: Source,
+    index: Index,
+    /// True if the index is a copy, which tells an insert's place in the order later.
+    is_shared: bool,
+    /// The same index, for calls whose answers must be the server's.
+    server: IndexHandle,
     number: usize,
     rng: ChaCha8Rng,
-    batch: usize,
+    max_pending: usize,
     min_separation: f64,
+    /// The states of the milestones that it has met.
+    states: HashMap<u64, Vec<f64>>,
+    /// Its milestones without a known place in the order, by id.
+    unplaced: BTreeMap<u64, Unplaced>,
+    /// The number of its milestones whose place the index cannot tell.
+    lost: usize,
     account: Account,
 }
 
-/// Free states that are not stored yet. Their motions to the existing milestones are checked.
+/// A free state whose motions to existing milestones are checked.
 #[derive(Debug)]
-pub struct CheckedStates {
-    states: Vec<CheckedState>,
-    /// A revision up to which no milestone was missed.
-    seen: Revision,
+pub struct CheckedState {
+    /// The state, in canonical form.
+    pub state: Vec<f64>,
+    /// For each checked motion the milestone at its end, and whether it is free.
+    motions: BTreeMap<u64, bool>,
 }
 
-#[derive(Debug)]
-struct CheckedState {
-    state: Vec<f64>,
-    /// The nearest of the existing milestones.
-    earlier: Vec<Candidate>,
-    /// The ids at the ends of the free motions.
-    edges: Vec<u64>,
+/// A stored milestone that may lack edges.
+struct Unplaced {
+    checked: CheckedState,
+    /// Its nearest milestones at its insert.
+    found: Vec<Neighbor>,
+    /// The number of these that the insert asked for.
+    asked: usize,
 }
 
-/// A stored milestone that may lack edges, and its known candidates.
-#[derive(Debug)]
-pub struct Pending {
-    id: u64,
-    state: Vec<f64>,
-    /// The nearest milestones at the first search.
-    earlier: Vec<Candidate>,
-    /// The nearest milestones that were stored after that search and before this one.
-    meanwhile: Vec<Candidate>,
-    /// The edges that are stored with it.
-    stored: Vec<u64>,
-}
-
-impl Pending {
-    /// A milestone that another worker left pending, without known candidates. None if the point is not a milestone.
-    pub fn found(point: Point<'_>) -> Option<Pending> {
-        Some(Pending {
-            id: point.id,
-            state: point.state.to_vec(),
-            earlier: Vec::new(),
-            meanwhile: Vec::new(),
-            stored: milestone::edges(point.payload?)?,
-        })
+impl CheckedState {
+    /// The ids at the ends of the free motions, ascending.
+    pub fn edges(&self) -> Vec<u64> {
+        let free = self.motions.iter().filter(|(_, is_free)| **is_free);
+        free.map(|(id, _)| *id).collect()
     }
+}
+
+/// k(n).
+fn k(milestones: usize) -> usize {
+    SCALING.k(milestones).unwrap_or(usize::MAX)
 }
 
 impl<'a> Worker<'a> {
-    /// Creates worker `number` of those that extend an index. Each draws its own states from the same seed.
-    pub fn new(
+    /// Opens the index of this name on a server, for worker `number` of those that extend it. Each draws its own states
+    /// from the same seed.
+    pub async fn open(
         scene: &'a Rooms,
-        index: IndexHandle,
+        (uri, name): (&str, &str),
         source: Source,
         number: usize,
         seed: u64,
-    ) -> Worker<'a> {
+    ) -> Result<Worker<'a>, PlanningError> {
+        // The worker waits for a server that is being restarted.
+        let client = Client::builder().retry(RetryPolicy::until_deadline());
+        let server = client.connect(uri).await?.index(name).await?;
+        let index = match source {
+            Source::Shared => Index::shared(uri, name).timeout(TIMEOUT).open()?,
+            Source::Remote => Index::remote(uri, name).timeout(TIMEOUT).open()?,
+            other => {
+                let source_name = other.name();
+                return Err(PlanningError::Unshared { source_name });
+            }
+        };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(number as u64);
-        Worker {
+        Ok(Worker {
             scene,
             index,
-            source,
+            is_shared: source == Source::Shared,
+            server,
             number,
             rng,
-            batch: 1,
+            max_pending: 1,
             min_separation: 0.0,
+            states: HashMap::new(),
+            unplaced: BTreeMap::new(),
+            lost: 0,
             account: Account::default(),
-        }
+        })
     }
 
-    /// Sets the number of milestones in one insert while the worker extends the roadmap.
-    pub fn batch(mut self, milestones: usize) -> Worker<'a> {
-        self.batch = milestones;
+    /// Sets the number of own milestones without a known place in the order at which the worker waits for one.
+    pub fn max_pending(mut self, milestones: usize) -> Worker<'a> {
+        self.max_pending = milestones;
         self
     }
 
@@ -135,168 +159,268 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// Makes a free state a milestone with all its edges; returns its id, or None if it is too near to another one.
+    /// Makes a free state a milestone with all its edges, which the server has then; returns its id, or None if it is
+    /// too near to another one.
     pub async fn add(&mut self, state: Vec<f64>) -> Result<Option<u64>, PlanningError> {
-        let checked = self.look(vec![state]).await?;
-        let pending = self.insert(checked).await?;
-        let id = pending.first().map(|pending| pending.id);
-        self.complete(pending).await?;
+        let Some(checked) = self.look(state)? else {
+            return Ok(None);
+        };
+        let id = self.insert(checked).await?;
+        self.finish().await?;
         Ok(id)
     }
 
-    /// The first step: checks the motions of free states to existing milestones, and drops states that are too near to
-    /// one.
-    pub async fn look(&mut self, states: Vec<Vec<f64>>) -> Result<CheckedStates, PlanningError> {
+    /// The first step: checks the motions of a free state to existing milestones. None if it is too near to one.
+    pub fn look(&mut self, mut state: Vec<f64>) -> Result<Option<CheckedState>, PlanningError> {
+        let canonical = self.scene.space().canonicalize(&mut state);
+        canonical.map_err(|error| wayfold::Error::State { row: 0, error })?;
         let start = Instant::now();
-        let (near, seen) = self.source.nearest(&self.index, &states).await?;
+        let search = Search::k_factor(Scaling::K_FACTOR);
+        let near = self.index.search(&state[..], &search)?.neighbors;
         self.account.times.searching += start.elapsed();
-        let mut checked = Vec::with_capacity(states.len());
-        for (state, mut earlier) in states.into_iter().zip(near) {
-            let nearest = earlier.first();
-            if nearest.is_some_and(|nearest| nearest.distance < self.min_separation) {
+        let nearest = near.first();
+        if nearest.is_some_and(|nearest| nearest.distance < self.min_separation) {
+            return Ok(None);
+        }
+        let mut checked = CheckedState {
+            state,
+            motions: BTreeMap::new(),
+        };
+        self.check(&mut checked, &near)?;
+        Ok(Some(checked))
+    }
+
+    /// The second step: stores a state with the edges that are known. Returns its id; None if it is too near to another
+    /// milestone.
+    pub async fn insert(&mut self, checked: CheckedState) -> Result<Option<u64>, PlanningError> {
+        let start = Instant::now();
+        let payload = milestone::payload(&checked.edges());
+        let tag = milestone::tag(self.number) | PENDING;
+        if self.min_separation > 0.0 {
+            return self.insert_apart(checked, tag, payload).await;
+        }
+        let options = InsertOptions::new().tag(tag).payload(&payload);
+        let (asked, ask) = match self.is_shared {
+            true => {
+                // Enough, unless the roadmap more than doubles until the place is known.
+                let asked = k(2 * self.index.len()? + 100);
+                (asked, Search::k(u32::try_from(asked).unwrap_or(u32::MAX)))
+            }
+            // The server knows n.
+            false => (0, Search::k_factor(Scaling::K_FACTOR)),
+        };
+        let inserted = self
+            .index
+            .insert_with(&checked.state[..], options.ask(ask))?;
+        self.account.times.waiting += start.elapsed();
+        let (id, found) = (inserted.id, inserted.found.neighbors);
+        self.states.insert(id, checked.state.clone());
+        match self.is_shared {
+            true => {
+                let unplaced = Unplaced {
+                    checked,
+                    found,
+                    asked,
+                };
+                self.unplaced.insert(id, unplaced);
+            }
+            false => self.complete(id, checked, &found).await?,
+        }
+        Ok(Some(id))
+    }
+
+    /// Acts like [`Worker::insert`], but the server decides if the state is too near to a milestone.
+    async fn insert_apart(
+        &mut self,
+        checked: CheckedState,
+        tag: u64,
+        payload: bytes::Bytes,
+    ) -> Result<Option<u64>, PlanningError> {
+        let start = Instant::now();
+        let around = NeighborSpec::k_factor(Scaling::K_FACTOR);
+        let insert = self
+            .server
+            .insert([&checked.state])
+            .tags([tag])
+            .payloads([payload])
+            .min_separation(self.min_separation)
+            .neighbors(around.include(Include::none().states()));
+        let inserted = insert.await?;
+        self.account.times.waiting += start.elapsed();
+        let Some(id) = inserted.outcomes.first().and_then(|outcome| outcome.id()) else {
+            return Ok(None);
+        };
+        self.states.insert(id, checked.state.clone());
+        let mut found = Vec::new();
+        for row in inserted.neighbors.iter().flat_map(|near| near.rows()) {
+            for (at, near) in row.iter().enumerate() {
+                let state = row.state(at).unwrap_or_default();
+                self.states.entry(near.id).or_insert_with(|| state.to_vec());
+                found.push(near);
+            }
+        }
+        self.complete(id, checked, &found).await?;
+        Ok(Some(id))
+    }
+
+    /// The last step: completes the milestones whose places in the order have become known. With `is_waiting` it waits
+    /// for one.
+    pub async fn settle(&mut self, is_waiting: bool) -> Result<(), PlanningError> {
+        let start = Instant::now();
+        let told = match is_waiting {
+            true => self.index.wait_meanwhile(TIMEOUT),
+            false => self.index.meanwhile(),
+        };
+        self.account.times.waiting += start.elapsed();
+        if is_waiting && told.answers.is_empty() && told.open > 0 {
+            return Err(lost(self.number, "the server does not take its milestones"));
+        }
+        for answer in told.answers {
+            let Some(mut unplaced) = self.unplaced.remove(&answer.id) else {
+                continue;
+            };
+            let k = k(answer.points_before);
+            if answer.is_superset || k > unplaced.asked {
+                self.lost += 1;
                 continue;
             }
-            let at_once = nearby::without_spare(earlier.len());
-            let edges = self.check(&state, &mut earlier[..at_once]);
-            checked.push(CheckedState {
-                state,
-                earlier,
-                edges,
-            });
+            let mut near = std::mem::take(&mut unplaced.found);
+            near.extend(answer.neighbors);
+            near.sort_unstable();
+            near.truncate(k);
+            self.complete(answer.id, unplaced.checked, &near).await?;
         }
-        Ok(CheckedStates {
-            states: checked,
-            seen,
-        })
+        if told.open == 0 {
+            self.lost += self.unplaced.len();
+            self.unplaced.clear();
+        }
+        Ok(())
     }
 
-    /// The second step: stores the states with these edges. The response contains the milestones that arrived
-    /// meanwhile.
-    pub async fn insert(&mut self, checked: CheckedStates) -> Result<Vec<Pending>, PlanningError> {
-        if checked.states.is_empty() {
-            return Ok(Vec::new());
-        }
+    /// Completes a milestone, whose k(n) nearest earlier ones are `near`.
+    async fn complete(
+        &mut self,
+        id: u64,
+        mut checked: CheckedState,
+        near: &[Neighbor],
+    ) -> Result<(), PlanningError> {
+        let stored = checked.edges();
+        let is_new = |near: &&Neighbor| !checked.motions.contains_key(&near.id);
+        self.account.meanwhile += near.iter().filter(is_new).count() as u64;
+        self.check(&mut checked, near)?;
+        // Nearer ones that arrived meanwhile displace others.
+        let is_near = |id: &u64| near.iter().any(|near| near.id == *id);
+        checked.motions.retain(|id, _| is_near(id));
+        let edges = checked.edges();
+        self.account.milestones += 1;
+        self.account.edges += edges.len() as u64;
+        let changed = (edges != stored).then(|| milestone::payload(&edges));
         let start = Instant::now();
-        let pending = self.insertion(checked).await?;
-        self.account.times.waiting += start.elapsed();
-        Ok(pending)
-    }
-
-    /// The call of the second step, which can run while the worker does something else.
-    fn insertion(
-        &self,
-        checked: CheckedStates,
-    ) -> impl Future<Output = Result<Vec<Pending>, PlanningError>> + Send + use<> {
-        let meanwhile = Filter::default().since(checked.seen);
-        let around = NeighborSpec::k_factor(Scaling::K_FACTOR);
-        let around = around.filter(meanwhile).include(STATES);
-        let states = checked.states;
-        let tag = milestone::tag(self.number) | PENDING;
-        let insert = self
-            .index
-            .insert(states.iter().map(|one| &one.state))
-            .tags(vec![tag; states.len()])
-            .payloads(states.iter().map(|one| milestone::payload(&one.edges)))
-            .min_separation(self.min_separation)
-            .neighbors(around);
-        async move {
-            let inserted = insert.await?;
-            let around = inserted.neighbors.iter().flat_map(|near| near.rows());
-            let rows = states.into_iter().zip(inserted.outcomes).zip(around);
-            let pending = rows.filter_map(|((checked, outcome), meanwhile)| {
-                let mut meanwhile = nearby::candidates(meanwhile);
-                // The search may have seen a later revision than the one that all states of the batch have seen.
-                let earlier: HashSet<u64> = checked.earlier.iter().map(|one| one.id).collect();
-                meanwhile.retain(|one| !earlier.contains(&one.id));
-                Some(Pending {
-                    id: outcome.id()?,
-                    state: checked.state,
-                    earlier: checked.earlier,
-                    meanwhile,
-                    stored: checked.edges,
-                })
-            });
-            Ok(pending.collect())
+        if self.min_separation > 0.0 {
+            self.update(id, changed).await?;
+        } else {
+            // In this order: a milestone that is not pending has all its edges.
+            if let Some(payload) = changed {
+                self.index.set_payload(id, &payload)?;
+            }
+            self.index.set_tag(id, milestone::tag(self.number))?;
         }
-    }
-
-    /// The last step: checks the motions to the milestones that arrived meanwhile, and marks the milestones as
-    /// complete. It is idempotent, even if two workers do it at once.
-    pub async fn complete(&mut self, pending: Vec<Pending>) -> Result<(), PlanningError> {
-        if pending.is_empty() {
-            return Ok(());
-        }
-        let update = self.completion(pending).await?;
-        let start = Instant::now();
-        update.await?;
         self.account.times.waiting += start.elapsed();
         Ok(())
     }
 
-    /// The call of the last step, after its checks.
-    async fn completion(&mut self, pending: Vec<Pending>) -> Result<Update, PlanningError> {
-        let ids: Vec<u64> = pending.iter().map(|one| one.id).collect();
-        let (mut payloads, mut changed) = (Vec::with_capacity(ids.len()), false);
-        for mut one in pending {
-            self.account.meanwhile += one.meanwhile.len() as u64;
-            let stored = std::mem::take(&mut one.stored);
-            let edges = self.edges(one).await?;
-            changed |= edges != stored;
+    /// Marks any worker's milestone as complete, with other edges if there are any.
+    async fn update(&self, id: u64, edges: Option<bytes::Bytes>) -> Result<(), PlanningError> {
+        let update = self.server.update([id]).tags([0]).tag_mask(PENDING);
+        match edges {
+            Some(edges) => update.payloads([edges]).await?,
+            None => update.await?,
+        };
+        Ok(())
+    }
+
+    /// Checks the motions to these milestones that are not checked yet.
+    fn check(
+        &mut self,
+        checked: &mut CheckedState,
+        near: &[Neighbor],
+    ) -> Result<(), PlanningError> {
+        for near in near {
+            if checked.motions.contains_key(&near.id) {
+                continue;
+            }
+            self.meet(near.id)?;
+            let start = Instant::now();
+            let (scene, checks) = (self.scene, &mut self.account.checks);
+            let is_free = scene.is_free_way(&checked.state, &self.states[&near.id], checks);
+            checked.motions.insert(near.id, is_free);
+            self.account.times.checking += start.elapsed();
+        }
+        Ok(())
+    }
+
+    /// Makes sure that the state of a milestone is known.
+    fn meet(&mut self, id: u64) -> Result<(), PlanningError> {
+        if self.states.contains_key(&id) {
+            return Ok(());
+        }
+        let start = Instant::now();
+        let point = self.index.get(id)?.ok_or_else(|| PlanningError::Replay {
+            id,
+            problem: "it was removed".to_owned(),
+        })?;
+        self.states.insert(id, point.state);
+        self.account.times.searching += start.elapsed();
+        Ok(())
+    }
+
+    /// Completes all own milestones, and waits until the server has them.
+    async fn finish(&mut self) -> Result<(), PlanningError> {
+        while !self.unplaced.is_empty() {
+            self.settle(true).await?;
+        }
+        let start = Instant::now();
+        self.index.flush()?;
+        self.account.times.waiting += start.elapsed();
+        if self.lost > 0 {
+            self.adopt(Some(self.number)).await?;
+            self.lost = 0;
+        }
+        Ok(())
+    }
+
+    /// Completes the stored milestones that are pending, those of one worker or of all: with the same result as if their
+    /// workers had done it. Returns their number.
+    ///
+    /// Live workers are not disturbed: they would write the same completion.
+    pub async fn adopt(&mut self, of: Option<usize>) -> Result<usize, PlanningError> {
+        // The reads that follow see at least this revision.
+        self.server.info().await?;
+        let roadmap = Roadmap::read(&self.server).await?;
+        let mut adopted = 0;
+        for at in 0..roadmap.len() {
+            let is_wanted = of.is_none_or(|number| number == roadmap.workers[at]);
+            if !roadmap.pending[at] || !is_wanted {
+                continue;
+            }
+            let near = replay::nearest_before(self.scene.space(), &roadmap, at);
+            let start = Instant::now();
+            let checks = &mut self.account.checks;
+            let edges = replay::free(self.scene, &roadmap, at, &near, checks);
+            self.account.times.checking += start.elapsed();
             self.account.milestones += 1;
             self.account.edges += edges.len() as u64;
-            payloads.push(milestone::payload(&edges));
+            let edges = Vec::from_iter(edges);
+            self.update(roadmap.ids[at], Some(milestone::payload(&edges)))
+                .await?;
+            adopted += 1;
         }
-        let mut update = self.index.update(ids);
-        if changed {
-            update = update.payloads(payloads);
-        }
-        Ok(update.tags([0]).tag_mask(PENDING))
+        Ok(adopted)
     }
 
-    /// All edges of a stored milestone.
-    async fn edges(&mut self, pending: Pending) -> Result<Vec<u64>, PlanningError> {
-        // Ids are assigned from 0 on and nothing is ever removed, so the id is the number of earlier milestones.
-        let before = pending.id as usize;
-        let k = SCALING.k(before).unwrap_or(usize::MAX);
-        let mut candidates = pending.earlier;
-        let enough = candidates.len() >= k;
-        candidates.extend(pending.meanwhile);
-        if !enough && candidates.len() < before {
-            // k(n) has grown with the arrivals, or no candidates were known.
-            let start = Instant::now();
-            let all = nearby::nearest_before(&self.index, &pending.state, pending.id, k).await?;
-            let known = std::mem::replace(&mut candidates, all);
-            for candidate in &mut candidates {
-                let known = known.iter().find(|known| known.id == candidate.id);
-                candidate.free = known.and_then(|known| known.free);
-            }
-            self.account.times.searching += start.elapsed();
-        }
-        candidates.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
-        candidates.truncate(k);
-        Ok(self.check(&pending.state, &mut candidates))
-    }
-
-    /// Checks the unchecked motions; returns the ids at the ends of the free ones, ascending.
-    fn check(&mut self, state: &[f64], candidates: &mut [Candidate]) -> Vec<u64> {
-        let start = Instant::now();
-        for candidate in candidates.iter_mut() {
-            let (scene, checks) = (self.scene, &mut self.account.checks);
-            candidate
-                .free
-                .get_or_insert_with(|| scene.is_free_way(state, &candidate.state, checks));
-        }
-        self.account.times.checking += start.elapsed();
-        let free = candidates.iter().filter(|one| one.free == Some(true));
-        let mut ids: Vec<u64> = free.map(|candidate| candidate.id).collect();
-        ids.sort_unstable();
-        ids
-    }
-
-    /// Extends the roadmap to the given number of milestones, and reports each batch to `progress`.
+    /// Extends the roadmap to the given number of milestones, and reports each one to `progress`.
     ///
-    /// While an insert and an update are under way, the next states are drawn and checked. Their checks do not see the
-    /// milestones that are being inserted, but their own insert reports these, like those of other workers.
+    /// A worker may make milestones beyond that number, at most as many as it may leave without a place in the order.
     pub async fn extend(
         &mut self,
         milestones: u64,
@@ -304,37 +428,17 @@ impl<'a> Worker<'a> {
     ) -> Result<(), PlanningError> {
         let started = Instant::now();
         let before = self.account.times.total;
-        let (mut inserting, mut updating) = (PendingCall::default(), PendingCall::default());
-        // This is the known number; other workers may have made more.
-        let mut there_are = 0;
-        while there_are < milestones && !self.is_in_vain(milestones) {
-            let missing = usize::try_from(milestones - there_are).unwrap_or(usize::MAX);
-            let drawn = (0..self.batch.min(missing)).map(|_| self.sample());
-            let drawn = drawn.collect();
-            let next = self.look(drawn).await?;
-            let start = Instant::now();
-            let pending: Vec<Pending> = inserting.finish().await?.unwrap_or_default();
-            self.account.times.waiting += start.elapsed();
-            there_are = pending.last().map_or(there_are, |last| last.id + 1);
-            // States checked for surplus milestones are dropped.
-            if there_are < milestones && !next.states.is_empty() {
-                inserting.begin(self.insertion(next));
+        while (self.index.len()? as u64) < milestones && !self.is_in_vain(milestones) {
+            let state = self.sample();
+            if let Some(checked) = self.look(state)? {
+                self.insert(checked).await?;
             }
-            if !pending.is_empty() {
-                let update = self.completion(pending).await?;
-                let start = Instant::now();
-                updating.finish().await?;
-                self.account.times.waiting += start.elapsed();
-                updating.begin(async move { Ok(update.await?) });
-            }
+            let is_full = self.unplaced.len() >= self.max_pending;
+            self.settle(is_full).await?;
             self.account.times.total = before + started.elapsed();
             progress(&self.account)?;
         }
-        let start = Instant::now();
-        let pending: Vec<Pending> = inserting.finish().await?.unwrap_or_default();
-        updating.finish().await?;
-        self.account.times.waiting += start.elapsed();
-        self.complete(pending).await?;
+        self.finish().await?;
         self.account.times.total = before + started.elapsed();
         Ok(())
     }

@@ -5,13 +5,13 @@ use std::{collections::BTreeSet, sync::LazyLock};
 
 use wayfold::IndexHandle;
 use wayfold_examples::{
-    planning::{path, problem::Problem},
+    planning::{options::Source, path, problem::Problem},
     rigid::{
-        nearby::Source,
+        milestone::{self, PENDING},
         replay::{self, stored},
-        roadmap::{self, Roadmap},
+        roadmap::Roadmap,
         scene::Rooms,
-        worker::Worker,
+        worker::{CheckedState, Worker},
     },
 };
 
@@ -21,24 +21,18 @@ static SCENE: LazyLock<Rooms> = LazyLock::new(Rooms::new);
 const SPACE: &str = "R3*SO3:0.15";
 const SEED: u64 = 7;
 
-/// The number of milestones that each of four workers inserts in one call.
-const BATCHES: [usize; 4] = [1, 3, 1, 3];
+/// The number of milestones at which each of four workers waits for the place of one.
+const MAX_PENDING: [usize; 4] = [1, 3, 8, 3];
 
 /// A worker with a connection of its own.
-async fn worker(server: &Server, number: usize, replica: bool) -> Worker<'static> {
-    let client = server.client().await;
-    let index = client.index("roadmap").await.unwrap();
-    let source = match replica {
-        true => Source::Replica(client.replica("roadmap").await.unwrap()),
-        false => Source::Server,
-    };
-    Worker::new(&SCENE, index, source, number, SEED)
+async fn worker(server: &Server, number: usize, source: Source) -> Worker<'static> {
+    let opened = Worker::open(&SCENE, (&server.uri, "roadmap"), source, number, SEED);
+    opened.await.unwrap()
 }
 
-/// The expected edges of each milestone, as one worker would make them in the order of the revisions and of the rows of
-/// each insert.
+/// The expected edges of each milestone, as one worker would make them in the index's order.
 fn replayed(roadmap: &Roadmap) -> Vec<BTreeSet<u64>> {
-    replay::edges(&SCENE, roadmap).unwrap()
+    replay::edges(&SCENE, roadmap)
 }
 
 /// Extends the roadmap by concurrent workers.
@@ -66,33 +60,36 @@ async fn four_workers_build_what_one_would() {
     let server = Server::start();
     let index = server.index("roadmap", SPACE).await;
     let mut workers = Vec::new();
-    for number in 0..4 {
-        workers.push(worker(&server, number, number % 2 == 0).await);
+    for (number, max_pending) in MAX_PENDING.into_iter().enumerate() {
+        let source = [Source::Shared, Source::Remote][number % 2];
+        let worker = worker(&server, number, source).await;
+        workers.push(worker.max_pending(max_pending));
     }
-    // Each worker searches before any inserts, so in any schedule the inserts of all but one report another's
-    // milestones, and the later rows of a batch report the earlier ones.
+    // Each worker searches before any inserts, so in any schedule all milestones but the first have neighbours that
+    // their searches did not find.
     let mut looked = Vec::new();
-    for (worker, batch) in workers.iter_mut().zip(BATCHES) {
-        let states = (0..batch).map(|_| worker.sample()).collect();
-        looked.push(worker.look(states).await.unwrap());
+    for worker in &mut workers {
+        let states = [worker.sample(), worker.sample()];
+        looked.push(states.map(|state| worker.look(state).unwrap().unwrap()));
     }
-    for (worker, checked) in workers.iter_mut().zip(looked) {
-        let pending = worker.insert(checked).await.unwrap();
-        worker.complete(pending).await.unwrap();
+    for (worker, states) in workers.iter_mut().zip(looked) {
+        for checked in states {
+            worker.insert(checked).await.unwrap();
+        }
     }
-    let first: u64 = BATCHES.iter().sum::<usize>() as u64;
+    for worker in &mut workers {
+        while worker.account().milestones < 2 {
+            worker.settle(true).await.unwrap();
+        }
+    }
     let met: u64 = workers.iter().map(|one| one.account().meanwhile).sum();
-    assert!(met >= first - 1, "each but the first has met another");
-    let workers = workers.into_iter().zip(BATCHES);
-    let workers = workers.map(|(worker, batch)| worker.batch(batch));
-    extend(workers.collect(), 150).await;
+    assert!(met >= 7, "each but the first has met another");
+    extend(workers, 150).await;
 
     let roadmap = read(&index).await;
-    assert!((150..=158).contains(&roadmap.len()));
+    let surplus = MAX_PENDING.iter().sum::<usize>();
+    assert!((150..=150 + surplus).contains(&roadmap.len()));
     assert!(!roadmap.pending.contains(&true));
-    let shared = roadmap.revisions.windows(3);
-    let shared = shared.filter(|of| of[0] == of[2]).count();
-    assert!(shared >= 2, "rows of one insert");
     assert_eq!(BTreeSet::from_iter(&roadmap.workers).len(), 4);
     assert_eq!(stored(&roadmap), replayed(&roadmap));
 
@@ -119,22 +116,21 @@ fn the_questions_begin_and_end_in_free_states() {
 async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
     let server = Server::start();
     let index = server.index("roadmap", SPACE).await;
-    let (mut doomed, mut other) = (
-        worker(&server, 0, false).await,
-        worker(&server, 1, true).await,
-    );
+    let mut doomed = worker(&server, 0, Source::Remote).await;
+    let mut other = worker(&server, 1, Source::Shared).await;
     // The states are so many that each milestone has the next among its neighbours, and k(n) grows meanwhile.
     for _ in 0..40 {
         let state = other.sample();
         other.add(state).await.unwrap().unwrap();
     }
     // A worker that dies before it inserts leaves nothing behind.
-    let states = vec![doomed.sample(), doomed.sample()];
-    drop(doomed.look(states).await.unwrap());
-    // A worker dies after it inserted a batch; other milestones arrived meanwhile, the first of them next to one of the
-    // batch.
+    let state = doomed.sample();
+    drop(doomed.look(state).unwrap());
+    // A worker dies after it inserted several by one call; other milestones arrived meanwhile, the first of them next to
+    // one of these.
     let states: Vec<_> = (0..3).map(|_| doomed.sample()).collect();
-    let checked = doomed.look(states.clone()).await.unwrap();
+    let checked = states.iter().map(|state| doomed.look(state.clone()));
+    let checked: Vec<CheckedState> = checked.map(|checked| checked.unwrap().unwrap()).collect();
     let mut beside = states[1].clone();
     beside[0] += 1e-3;
     other.add(beside).await.unwrap().unwrap();
@@ -142,46 +138,50 @@ async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
         let state = other.sample();
         other.add(state).await.unwrap().unwrap();
     }
-    assert_eq!(doomed.insert(checked).await.unwrap().len(), 3);
     drop(doomed);
+    let edges = checked
+        .iter()
+        .map(|checked| milestone::payload(&checked.edges()));
+    let insert = index.insert(checked.iter().map(|checked| &checked.state));
+    let insert = insert.tags([PENDING; 3]).payloads(edges);
+    insert.await.unwrap();
     // The other workers see its milestones and go on.
-    let third = worker(&server, 2, false).await;
-    extend(vec![other.batch(4), third], 90).await;
+    let third = worker(&server, 2, Source::Remote).await;
+    extend(vec![other.max_pending(4), third], 90).await;
 
     let roadmap = read(&index).await;
     let pending = (0..roadmap.len()).filter(|&at| roadmap.pending[at]);
     let pending: Vec<usize> = pending.collect();
-    assert_eq!(pending, [61, 62, 63], "a batch was left pending");
+    assert_eq!(pending, [61, 62, 63], "those of one call were left pending");
     let (mut as_left, serial) = (stored(&roadmap), replayed(&roadmap));
-    assert!(!as_left[62].contains(&40), "the one beside it");
-    assert!(serial[62].contains(&40));
+    let beside = roadmap.ids[40];
+    assert!(!as_left[62].contains(&beside), "the one beside it");
+    assert!(serial[62].contains(&beside));
     // All stored edges are free, and no other edge is missing.
     for id in pending {
-        for &to in &as_left[id] {
-            let (state, other) = (roadmap.states.row(id), roadmap.states.row(to as usize));
+        for &to in &roadmap.edges[id] {
+            let (state, other) = (roadmap.states.row(id), roadmap.states.row(to));
             path::verify(&*SCENE, &[state.to_vec(), other.to_vec()]).unwrap();
         }
         as_left[id].clone_from(&serial[id]);
     }
     assert_eq!(as_left, serial);
 
-    let mut heir = worker(&server, 3, false).await;
-    assert_eq!(roadmap::adopt(&index, &mut heir).await.unwrap(), 3);
+    let mut heir = worker(&server, 3, Source::Remote).await;
+    assert_eq!(heir.adopt(None).await.unwrap(), 3);
     let roadmap = read(&index).await;
     assert!(!roadmap.pending.contains(&true));
     assert_eq!(stored(&roadmap), serial);
-    assert_eq!(roadmap::adopt(&index, &mut heir).await.unwrap(), 0);
+    assert_eq!(heir.adopt(None).await.unwrap(), 0);
 }
 
 #[tokio::test]
 async fn a_sparse_roadmap_has_no_two_milestones_too_near_to_each_other() {
     let server = Server::start();
     let index = server.index("roadmap", SPACE).await;
-    let (first, second) = (
-        worker(&server, 0, false).await,
-        worker(&server, 1, true).await,
-    );
-    let sparse = [first, second.batch(5)].map(|worker| worker.min_separation(1.2));
+    let first = worker(&server, 0, Source::Remote).await;
+    let second = worker(&server, 1, Source::Shared).await;
+    let sparse = [first, second].map(|worker| worker.min_separation(1.2));
     extend(sparse.into(), 60).await;
 
     let roadmap = read(&index).await;

@@ -2,7 +2,7 @@
 //!
 //! The server is one state machine, *mutation log → forest*. A mutation is evaluated, its [`Effects`] are submitted to
 //! the [`Journal`] as one [`Record`], and the apply loop of the index (`registry`) takes the record from the journal
-//! and applies it to the [`PointStore`] and the forest. A restart, a feed and a replica read the same records. A record
+//! and applies it to the [`PointStore`] and the forest. A restart and a feed read the same records. A record
 //! holds the effects of a mutation, never the request, so applying one decides nothing.
 //!
 //! The point store holds the sum of the records ([`View`]): the checkpoint from which a restart goes on, and the place

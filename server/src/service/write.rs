@@ -36,17 +36,34 @@ struct Steps {
     tags: Vec<u64>,
     /// One a put or replacement.
     rows: Rows,
-    /// One a put or replacement, or none.
+    /// One a put, replacement or step that sets one, or none.
     payloads: Vec<Bytes>,
 }
 
 /// The net effect of a batch on the point under an id.
 enum Net {
-    /// The put with this number stores it, with this tag.
-    Put(usize, u64),
-    /// It gets this tag.
-    Tagged(u64),
+    /// The put with this number stores it, with this tag and the payload with this number.
+    Put {
+        row: usize,
+        tag: u64,
+        payload: usize,
+    },
+    /// It gets this tag, and the payload with this number.
+    Updated {
+        tag: u64,
+        payload: Option<usize>,
+    },
     Removed,
+}
+
+/// True if a step of this kind has a state.
+fn has_state(kind: StepKind) -> bool {
+    matches!(kind, StepKind::Put | StepKind::Replace)
+}
+
+/// True if a step of this kind has a payload.
+fn has_payload(kind: StepKind) -> bool {
+    has_state(kind) || kind == StepKind::SetPayload
 }
 
 impl Service {
@@ -64,9 +81,9 @@ impl Service {
         let steps = Steps::check(request, &hosted, self.limits(), &mut pace).await?;
 
         let mut stored = ReadAhead::new(false, Arc::clone);
-        let tagged = steps.tagged();
+        let updated = steps.updated();
         loop {
-            let begun = self.begin_with(call, &hosted, Some(&claim), &mut stored, &tagged);
+            let begun = self.begin_with(call, &hosted, Some(&claim), &mut stored, &updated);
             let mut writer = match begun.await? {
                 Start::Remembered(response) => return Ok(response),
                 Start::Writing(writer) => writer,
@@ -117,11 +134,11 @@ impl Steps {
             violations.add("ids", "COUNT", text);
         }
         let mut steps = Vec::with_capacity(count);
-        let mut puts = 0;
+        let (mut states, mut payloads) = (0, 0);
         for (at, (&kind, &id)) in request.kinds.iter().zip(&request.ids).enumerate() {
             let kind = StepKind::try_from(kind).unwrap_or_default();
             if kind == StepKind::Unspecified {
-                let text = "it is none of PUT, REMOVE, SET_TAG and REPLACE";
+                let text = "it is none of PUT, REMOVE, SET_TAG, REPLACE and SET_PAYLOAD";
                 violations.add(format!("kinds[{at}]"), "UNKNOWN_VALUE", text);
             }
             if id >= END_OF_IDS {
@@ -131,24 +148,25 @@ impl Steps {
             if violations.are_enough() {
                 break;
             }
-            puts += usize::from(matches!(kind, StepKind::Put | StepKind::Replace));
+            states += usize::from(has_state(kind));
+            payloads += usize::from(has_payload(kind));
             steps.push((kind, id));
             if at % 1024 == 1023 {
                 pace.step().await?;
             }
         }
         check::column("tags", &request.tags, count, &mut violations);
-        check::column("payloads", &request.payloads, puts, &mut violations);
+        check::column("payloads", &request.payloads, payloads, &mut violations);
         check::payloads(&request.payloads, limits, &mut violations);
-        let states = request.states.unwrap_or_default();
-        if states.row_count as usize != puts {
+        let rows = request.states.unwrap_or_default();
+        if rows.row_count as usize != states {
             let text = format!(
-                "{} rows for {puts} puts and replacements: one each",
-                states.row_count
+                "{} rows for {states} puts and replacements: one each",
+                rows.row_count
             );
             violations.add("states.row_count", "COUNT", text);
         }
-        let rows = check::states(hosted.space(), Some(states), limits, pace, &mut violations);
+        let rows = check::states(hosted.space(), Some(rows), limits, pace, &mut violations);
         let rows = rows.await?;
         violations.finish()?;
         Ok(Self {
@@ -160,21 +178,19 @@ impl Steps {
         })
     }
 
-    /// The ids of points that get a tag, each once.
-    fn tagged(&self) -> Vec<u64> {
-        let tagged = self
-            .steps
-            .iter()
-            .filter(|(kind, _)| *kind == StepKind::SetTag);
-        let mut ids: Vec<u64> = tagged.map(|(_, id)| *id).collect();
+    /// The ids of points that get a tag or a payload, each once.
+    fn updated(&self) -> Vec<u64> {
+        let updates = |kind| matches!(kind, StepKind::SetTag | StepKind::SetPayload);
+        let updated = self.steps.iter().filter(|(kind, _)| updates(*kind));
+        let mut ids: Vec<u64> = updated.map(|(_, id)| *id).collect();
         ids.sort_unstable();
         ids.dedup();
         ids
     }
 
-    /// The effects on the writer's newest state, and the number of removals, tags and replacements of ids that were not
-    /// stored.
-    /// `stored` has the points that get a tag.
+    /// The effects on the writer's newest state, and the number of removals, tags, payloads and replacements of ids that
+    /// were not stored.
+    /// `stored` has the points that get a tag or a payload.
     async fn net(
         &self,
         hosted: &Hosted,
@@ -183,7 +199,7 @@ impl Steps {
         pace: &mut Pace,
     ) -> Result<(Effects, u64), Error> {
         let (mut nets, mut order) = (HashMap::new(), Vec::new());
-        let (mut missing, mut puts) = (0, 0);
+        let (mut missing, mut row, mut payload) = (0, 0, 0);
         for (at, &(kind, id)) in self.steps.iter().enumerate() {
             pace.step().await?;
             let tag = self.tags.get(at).copied().unwrap_or_default();
@@ -196,26 +212,36 @@ impl Steps {
             };
             // The tag that the point has before this step.
             let old_tag = match net {
-                Some(Net::Put(_, tag) | Net::Tagged(tag)) => Some(*tag),
+                Some(Net::Put { tag, .. } | Net::Updated { tag, .. }) => Some(*tag),
                 Some(Net::Removed) => None,
                 None => *held_tag,
             };
-            match (kind, old_tag, &net) {
-                (StepKind::Put, ..) => *net = Some(Net::Put(puts, tag)),
+            match (kind, old_tag, &mut *net) {
+                (StepKind::Put, ..) => *net = Some(Net::Put { row, tag, payload }),
                 (_, None, _) | (StepKind::Unspecified, ..) => missing += 1,
-                (StepKind::Replace, Some(old_tag), _) => *net = Some(Net::Put(puts, old_tag)),
+                (StepKind::Replace, Some(tag), _) => *net = Some(Net::Put { row, tag, payload }),
                 (StepKind::Remove, ..) => *net = Some(Net::Removed),
-                (StepKind::SetTag, _, Some(Net::Put(put, _))) => *net = Some(Net::Put(*put, tag)),
-                (StepKind::SetTag, ..) => *net = Some(Net::Tagged(tag)),
+                (
+                    StepKind::SetTag,
+                    _,
+                    Some(Net::Put { tag: new, .. } | Net::Updated { tag: new, .. }),
+                ) => *new = tag,
+                (StepKind::SetTag, ..) => *net = Some(Net::Updated { tag, payload: None }),
+                (StepKind::SetPayload, _, Some(Net::Put { payload: new, .. })) => *new = payload,
+                (StepKind::SetPayload, Some(tag), _) => {
+                    let payload = Some(payload);
+                    *net = Some(Net::Updated { tag, payload });
+                }
             }
-            puts += usize::from(matches!(kind, StepKind::Put | StepKind::Replace));
+            row += usize::from(has_state(kind));
+            payload += usize::from(has_payload(kind));
         }
         let mut effects = Effects::new(hosted.space().coordinates());
         let mut reserved = Vec::new();
         for id in order {
             pace.step().await?;
             match nets.remove(&id) {
-                Some((held_tag, Some(Net::Put(put, tag)))) => {
+                Some((held_tag, Some(Net::Put { row, tag, payload }))) => {
                     let is_held = held_tag.is_some();
                     let owner = writer.sessions().owner(id);
                     if !is_held && owner.is_some_and(|owner| owner != self.session) {
@@ -225,14 +251,24 @@ impl Steps {
                         true => Outcome::Replaced,
                         false => Outcome::Inserted,
                     };
-                    self.put(&mut effects, put, (id, tag, writer.revision() + 1), outcome);
+                    let point = PointRef {
+                        id,
+                        tag,
+                        revision: writer.revision() + 1,
+                        row: self.rows.row(row),
+                    };
+                    effects.store(point, outcome, self.payload(payload));
                 }
-                Some((_, Some(Net::Tagged(tag)))) => {
-                    if let Some(point) = stored.get(id).filter(|point| point.tag != tag) {
-                        let payload = point.payload.clone();
+                Some((_, Some(Net::Updated { tag, payload }))) => {
+                    let Some(held) = stored.get(id) else {
+                        continue;
+                    };
+                    let new = payload.map(|payload| self.payload(payload));
+                    let payload = new.unwrap_or_else(|| held.payload.clone());
+                    if tag != held.tag || payload != held.payload {
                         let point = PointRef {
                             tag,
-                            ..point.indexed()
+                            ..held.indexed()
                         };
                         effects.store(point, Outcome::Updated, payload);
                     }
@@ -250,23 +286,10 @@ impl Steps {
         }
     }
 
-    /// Adds the put with this number to the effects.
-    fn put(
-        &self,
-        effects: &mut Effects,
-        put: usize,
-        (id, tag, revision): (u64, u64, u64),
-        outcome: Outcome,
-    ) {
-        let point = PointRef {
-            id,
-            tag,
-            revision,
-            row: self.rows.row(put),
-        };
-        let payload = self.payloads.get(put);
+    /// The payload with this number.
+    fn payload(&self, number: usize) -> Bytes {
         // A copy: the request's payloads are slices that keep the whole message alive.
-        let payload = payload.map_or_else(Bytes::new, |it| Bytes::copy_from_slice(it));
-        effects.store(point, outcome, payload);
+        let payload = self.payloads.get(number);
+        payload.map_or_else(Bytes::new, |it| Bytes::copy_from_slice(it))
     }
 }

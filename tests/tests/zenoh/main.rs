@@ -12,7 +12,6 @@ mod follower;
 mod life;
 mod mute;
 mod parity;
-mod replica;
 mod robot;
 mod scan;
 mod shared;

@@ -8,7 +8,6 @@ mod kills;
 mod outage;
 #[path = "../e2e/shared/proxy.rs"]
 #[expect(dead_code, reason = "the suite over gRPC cuts connections too")]
-#[expect(clippy::duplicate_mod, reason = "the suite of replicas has it too")]
 mod proxy;
 mod relay;
 

@@ -135,7 +135,7 @@ fn of_client(error: &Error) -> (&str, &str) {
         Error::Connection { .. } => ("UNAVAILABLE", "UNREACHABLE"),
         Error::Timeout { .. } => ("DEADLINE_EXCEEDED", "TIMEOUT"),
         Error::Protocol { .. } => ("INTERNAL", "PROTOCOL"),
-        // The errors of replicas; the command makes no replica.
+        // The errors of indices in a planner's process; the command opens none.
         _ => ("UNKNOWN", "UNKNOWN"),
     }
 }

@@ -19,6 +19,7 @@ pub(super) enum Step<'a> {
     },
     Remove,
     SetTag(u64),
+    SetPayload(&'a [u8]),
 }
 
 /// A write that was not sent, or that the server refused.
@@ -54,6 +55,13 @@ pub enum UnsentWrite {
         /// The tag.
         tag: u64,
     },
+    /// A point got a payload.
+    SetPayload {
+        /// Its id.
+        id: u64,
+        /// The payload; empty for none.
+        payload: Vec<u8>,
+    },
 }
 
 /// Consecutive writes, which the server takes as one mutation.
@@ -65,8 +73,10 @@ pub(super) struct Batch {
     ids: Vec<u64>,
     tags: Vec<u64>,
     coordinates: Vec<f64>,
-    /// One a row, or none while no point has one.
+    /// One a row and one a step that sets one, in their order; none while all are empty.
     payloads: Vec<Bytes>,
+    /// The number of rows and of steps that set a payload.
+    payload_count: usize,
     rows: usize,
     bytes: usize,
     /// The revision that it made, once the server has acknowledged it.
@@ -99,6 +109,7 @@ impl Batch {
         match step {
             Step::Put { row, payload, .. } => STEP_BYTES + 8 * row.len() + payload.len(),
             Step::Replace { row } => STEP_BYTES + 8 * row.len(),
+            Step::SetPayload(payload) => STEP_BYTES + payload.len(),
             Step::Remove | Step::SetTag(_) => STEP_BYTES,
         }
     }
@@ -117,6 +128,10 @@ impl Batch {
             }
             Step::Remove => (StepKind::Remove, 0),
             Step::SetTag(tag) => (StepKind::SetTag, tag),
+            Step::SetPayload(payload) => {
+                self.push_payload(payload);
+                (StepKind::SetPayload, 0)
+            }
         };
         self.kinds.push(kind.into());
         self.tags.push(tag);
@@ -135,44 +150,53 @@ impl Batch {
     }
 
     fn push_row(&mut self, row: &[f64], payload: &[u8]) {
-        if !payload.is_empty() || !self.payloads.is_empty() {
-            self.payloads.resize(self.rows, Bytes::new());
-            self.payloads.push(Bytes::copy_from_slice(payload));
-        }
+        self.push_payload(payload);
         self.rows += 1;
         self.coordinates.extend_from_slice(row);
     }
 
+    fn push_payload(&mut self, payload: &[u8]) {
+        if !payload.is_empty() || !self.payloads.is_empty() {
+            self.payloads.resize(self.payload_count, Bytes::new());
+            self.payloads.push(Bytes::copy_from_slice(payload));
+        }
+        self.payload_count += 1;
+    }
+
     /// The steps with their ids, in order, for rows of `width` numbers.
     pub(super) fn steps(&self, width: usize) -> impl Iterator<Item = (u64, Step<'_>)> {
-        let mut rows = 0;
+        let mut rows = self.coordinates.chunks_exact(width);
+        let mut payloads = self.payloads.iter();
+        let mut payload = move || payloads.next().map_or(&[][..], |payload| payload);
         (0..self.len()).map(move |at| {
             let tag = self.tags[at];
             let step = match StepKind::try_from(self.kinds[at]) {
-                Ok(StepKind::Put) => {
-                    let row = &self.coordinates[rows * width..(rows + 1) * width];
-                    let payload = self.payloads.get(rows).map_or(&[][..], |payload| payload);
-                    rows += 1;
-                    Step::Put { tag, row, payload }
-                }
+                Ok(StepKind::Put) => Step::Put {
+                    tag,
+                    row: rows.next().unwrap_or_default(),
+                    payload: payload(),
+                },
                 Ok(StepKind::Replace) => {
-                    rows += 1;
-                    let row = &self.coordinates[(rows - 1) * width..rows * width];
-                    Step::Replace { row }
+                    payload();
+                    Step::Replace {
+                        row: rows.next().unwrap_or_default(),
+                    }
                 }
                 Ok(StepKind::SetTag) => Step::SetTag(tag),
+                Ok(StepKind::SetPayload) => Step::SetPayload(payload()),
                 _ => Step::Remove,
             };
             (self.ids[at], step)
         })
     }
 
-    /// The payload that its last put or replacement gives this id; None if it has no such step.
+    /// The payload that its last step with one gives this id; None if it has no such step.
     pub(super) fn payload(&self, width: usize, id: u64) -> Option<Vec<u8>> {
         let puts = self.steps(width).filter(|(of, _)| *of == id);
         let payloads = puts.filter_map(|(_, step)| match step {
             Step::Put { payload, .. } => Some(payload.to_vec()),
             Step::Replace { .. } => Some(Vec::new()),
+            Step::SetPayload(payload) => Some(payload.to_vec()),
             Step::Remove | Step::SetTag(_) => None,
         });
         payloads.last()
@@ -193,6 +217,10 @@ impl Batch {
             },
             Step::Remove => UnsentWrite::Remove { id },
             Step::SetTag(tag) => UnsentWrite::SetTag { id, tag },
+            Step::SetPayload(payload) => UnsentWrite::SetPayload {
+                id,
+                payload: payload.to_vec(),
+            },
         })
     }
 

@@ -10,8 +10,12 @@ use tokio::sync::Notify;
 use wayfold_index::Space;
 
 use super::{
-    batch::UnsentWrite, link::Link, meanwhile::Answerable, served_index::ServedIndex,
-    status::Status, writer::Writer,
+    batch::UnsentWrite,
+    link::Link,
+    meanwhile::{Answerable, MeanwhileAnswers},
+    served_index::ServedIndex,
+    status::Status,
+    writer::Writer,
 };
 use crate::{
     Error,
@@ -84,9 +88,10 @@ impl Core {
         index: Arc<ServedIndex>,
         revision: u64,
         points: LocalPoints,
-        writer: Writer,
+        mut writer: Writer,
         settings: Settings,
     ) -> Arc<Core> {
+        writer.published_points = points.forest.len();
         Arc::new_cyclic(|this| Core {
             space: index.space().clone(),
             link,
@@ -238,7 +243,22 @@ impl Core {
             let count = answerable.len();
             let answers = answerable.answer(&self.space);
             self.writer.lock().arrivals.add(count, answers);
+            self.progress.notify_all();
         }
+    }
+
+    /// Takes the answers to questions; waits for one if none is here and one is under way.
+    pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
+        let until = deadline(timeout);
+        let mut writer = self.writer.lock();
+        while writer.arrivals.are_awaited() && !self.has_ended() {
+            self.wake(&mut writer);
+            self.urgent.notify_one();
+            if self.progress.wait_until(&mut writer, until).timed_out() {
+                break;
+            }
+        }
+        writer.arrivals.take()
     }
 
     /// Gives back the writes that the server did not take, after which writing begins again.

@@ -4,7 +4,7 @@ mod call;
 mod grpc;
 mod load;
 #[cfg(feature = "zenoh")]
-pub(crate) mod publications;
+mod publications;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 

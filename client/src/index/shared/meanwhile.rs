@@ -1,4 +1,4 @@
-//! The neighbours of own points that came before them in the index's order, and that their inserts could not see.
+//! The places of own points in the index's order, and the neighbours before them that their inserts could not see.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -6,14 +6,16 @@ use wayfold_index::{Filter, Neighbor, Point, Search, Snapshot, Space};
 
 use crate::index::local::LocalPoints;
 
-/// The most neighbours of the answers that wait for the caller.
-const MAX_NEIGHBORS: usize = 1 << 20;
+/// The most bytes of the answers that wait for the caller.
+const MAX_BYTES: usize = 16 << 20;
 
-/// The neighbours that an own point had when the server stored it, beyond those that its insert found.
+/// An own point's place in the index's order, and the neighbours that it had there beyond those that its insert found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Meanwhile {
     /// The id of the own point.
     pub id: u64,
+    /// The number of points that the index had just before it; if `is_superset`, maybe at a later moment.
+    pub points_before: usize,
     /// Its neighbours, nearest first.
     pub neighbors: Vec<Neighbor>,
     /// True if some of them may have been in the answer of the insert, or come after the point: all points were read
@@ -25,7 +27,7 @@ pub struct Meanwhile {
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct MeanwhileAnswers {
-    /// Those with neighbours, each once.
+    /// One for each question.
     pub answers: Vec<Meanwhile>,
     /// The number of questions without an answer yet: the feed has not named their points.
     pub open: usize,
@@ -33,10 +35,18 @@ pub struct MeanwhileAnswers {
     pub has_dropped: bool,
 }
 
+impl Meanwhile {
+    fn bytes(&self) -> usize {
+        size_of::<Meanwhile>() + size_of_val(&self.neighbors[..])
+    }
+}
+
 /// The question of an insert that the server has not stored yet.
 #[derive(Clone, Debug)]
 pub(super) struct Question {
     id: u64,
+    /// The position of the insert in its batch.
+    pub(super) step: usize,
     row: Vec<f64>,
     filter: Filter,
     k: usize,
@@ -44,15 +54,17 @@ pub(super) struct Question {
     bound: f64,
     /// The change that stored the point in the copy.
     at: u64,
+    /// The number of published points before the insert, once it is published.
+    pub(super) points_before: usize,
     /// True if the copy was read again since.
     is_reloaded: bool,
 }
 
 impl Question {
-    /// The search with which the point `id` was inserted, and what it found: change number `at` of the copy stored the
-    /// point.
+    /// The search with which the point `id` was inserted by a step of its batch, and what it found: change number `at`
+    /// of the copy stored the point.
     pub(super) fn new(
-        id: u64,
+        (id, step): (u64, usize),
         row: &[f64],
         search: &Search<'_>,
         found: &[Neighbor],
@@ -61,11 +73,13 @@ impl Question {
         let farthest = found.last().filter(|_| found.len() >= search.k);
         Question {
             id,
+            step,
             row: row.to_vec(),
             filter: search.filter,
             k: search.k,
             bound: farthest.map_or(search.radius, |farthest| farthest.distance),
             at,
+            points_before: 0,
             is_reloaded: false,
         }
     }
@@ -92,8 +106,8 @@ pub(super) struct Arrivals {
     /// The points that others stored since the oldest open question.
     stored: VecDeque<Arrival>,
     answers: VecDeque<Meanwhile>,
-    /// The neighbours of all answers.
-    neighbors: usize,
+    /// The bytes of all answers.
+    bytes: usize,
     has_dropped: bool,
 }
 
@@ -175,20 +189,25 @@ impl Arrivals {
     pub(super) fn add(&mut self, questions: usize, answers: Vec<Meanwhile>) {
         self.close(questions);
         for answer in answers {
-            self.neighbors += answer.neighbors.len();
+            self.bytes += answer.bytes();
             self.answers.push_back(answer);
         }
-        while self.neighbors > MAX_NEIGHBORS
+        while self.bytes > MAX_BYTES
             && let Some(oldest) = self.answers.pop_front()
         {
-            self.neighbors -= oldest.neighbors.len();
+            self.bytes -= oldest.bytes();
             self.has_dropped = true;
         }
     }
 
+    /// True if an answer is under way and none is here.
+    pub(super) fn are_awaited(&self) -> bool {
+        self.open > 0 && self.answers.is_empty()
+    }
+
     /// The answers so far.
     pub(super) fn take(&mut self) -> MeanwhileAnswers {
-        self.neighbors = 0;
+        self.bytes = 0;
         MeanwhileAnswers {
             answers: self.answers.drain(..).collect(),
             open: self.open,
@@ -203,19 +222,18 @@ impl Answerable {
         self.questions.len()
     }
 
-    /// The answers that have neighbours.
+    /// The answers, in the order of the questions.
     pub(super) fn answer(self, space: &Space) -> Vec<Meanwhile> {
         let answers = self.questions.iter().map(|question| Meanwhile {
             id: question.id,
+            points_before: question.points_before,
             neighbors: match question.is_reloaded {
                 false => self.arrived(question, space),
                 true => self.superset(question),
             },
             is_superset: question.is_reloaded,
         });
-        answers
-            .filter(|answer| !answer.neighbors.is_empty())
-            .collect()
+        answers.collect()
     }
 
     /// The points that arrived after the question's, within its bound.

@@ -13,8 +13,6 @@ mod ids;
 mod link;
 mod meanwhile;
 mod open;
-#[cfg(all(feature = "zenoh", feature = "replica"))]
-pub(crate) use link::publications;
 mod rebased;
 mod sender;
 mod served_index;
@@ -80,6 +78,13 @@ impl SharedIndex {
         self.core.writer.lock().arrivals.take()
     }
 
+    pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
+        if self.core.is_forked() {
+            return MeanwhileAnswers::default();
+        }
+        self.core.wait_meanwhile(timeout)
+    }
+
     pub(super) fn take_unsent(&self) -> Vec<UnsentWrite> {
         self.core.take_unsent()
     }
@@ -107,6 +112,18 @@ impl SharedIndex {
         }
         self.core.written(&mut writer, &mut points);
         Ok(())
+    }
+
+    /// Refuses a payload that the server would not take.
+    fn check_payload(&self, payload: &[u8]) -> Result<(), Error> {
+        let (max, found) = (self.core.max_payload_bytes, payload.len());
+        match found > max {
+            true => Err(Error::Argument {
+                field: "payload",
+                problem: format!("{found} bytes; it has at most {max}"),
+            }),
+            false => Ok(()),
+        }
     }
 
     /// Changes a stored point; false if the copy has none with this id.
@@ -172,13 +189,7 @@ impl NearestNeighbors for SharedIndex {
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, Seen), Error> {
         check_id(point)?;
-        let (max, found_bytes) = (self.core.max_payload_bytes, point.payload.len());
-        if found_bytes > max {
-            return Err(Error::Argument {
-                field: "payload",
-                problem: format!("{found_bytes} bytes; it has at most {max}"),
-            });
-        }
+        self.check_payload(point.payload)?;
         let step = Step::Put {
             tag: point.tag,
             row: point.row,
@@ -251,6 +262,11 @@ impl NearestNeighbors for SharedIndex {
 
     fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
         self.change(id, &Step::SetTag(tag))
+    }
+
+    fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
+        self.check_payload(payload)?;
+        self.change(id, &Step::SetPayload(payload))
     }
 
     fn get(&self, id: u64) -> Result<Option<Point>, Error> {

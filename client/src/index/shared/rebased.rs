@@ -26,6 +26,8 @@ enum Change {
     Replace(Vec<f64>),
     Remove,
     SetTag(u64),
+    /// The copy holds no payloads.
+    SetPayload,
 }
 
 impl Change {
@@ -36,6 +38,7 @@ impl Change {
             Change::Replace(row) => point.map(|(tag, _)| (tag, row.clone())),
             Change::Remove => None,
             Change::SetTag(tag) => point.map(|(_, row)| (*tag, row)),
+            Change::SetPayload => point,
         }
     }
 }
@@ -54,6 +57,7 @@ impl Rebased {
             Step::Replace { row } => Change::Replace(row.to_vec()),
             Step::Remove => Change::Remove,
             Step::SetTag(tag) => Change::SetTag(tag),
+            Step::SetPayload(_) => Change::SetPayload,
         });
     }
 

@@ -40,6 +40,8 @@ pub(super) struct Writer {
     next_number: u64,
     /// Ids with pending writes other than inserts under ids of this session.
     rebased: HashMap<u64, Rebased>,
+    /// The number of points without the pending writes.
+    pub(super) published_points: usize,
     /// The bytes of `queue`.
     pub(super) bytes: usize,
     /// The ids that callers wait for.
@@ -72,6 +74,7 @@ impl Writer {
             queue: VecDeque::new(),
             next_number: 1,
             rebased: HashMap::new(),
+            published_points: 0,
             bytes: 0,
             wanted_ids: 0,
             written: 0,
@@ -140,9 +143,9 @@ impl Writer {
         at: u64,
     ) {
         if let Some(batch) = self.queue.back_mut() {
-            batch
-                .questions
-                .push(Question::new(id, row, search, found, at));
+            let step = batch.len() - 1;
+            let question = Question::new((id, step), row, search, found, at);
+            batch.questions.push(question);
             self.arrivals.open();
         }
     }
@@ -180,6 +183,7 @@ impl Writer {
             }
             Step::Remove => drop(points.remove(id)?),
             Step::SetTag(tag) => drop(points.set_tag(id, tag)?),
+            Step::SetPayload(_) => drop(points.touch(id)?),
         }
         if let Some(rebased) = self.rebased.get_mut(&id) {
             rebased.push(step);
@@ -289,29 +293,41 @@ impl Writer {
         is_newer: bool,
         points: &mut LocalPoints,
     ) -> Result<Option<Answerable>, Error> {
-        let Some(batch) = self.queue.pop_front() else {
+        let Some(mut batch) = self.queue.pop_front() else {
             return Ok(None);
         };
         self.bytes -= batch.bytes();
         if batch.revision.is_none() {
             self.settled += batch.len() as u64;
         }
-        if !self.rebased.is_empty() {
-            for (id, _) in batch.steps(self.width) {
-                let Some(rebased) = self.rebased.get_mut(&id) else {
-                    continue;
-                };
-                let is_settled = rebased.confirm(is_newer);
-                if is_newer {
-                    show(id, rebased, points)?;
-                }
-                if is_settled {
-                    self.rebased.remove(&id);
-                }
+        let mut questions = std::mem::take(&mut batch.questions);
+        if self.rebased.is_empty() && questions.is_empty() {
+            // The steps are inserts under ids of this session.
+            self.published_points += if is_newer { 0 } else { batch.len() };
+            return Ok(None);
+        }
+        let mut unplaced = questions.iter_mut().peekable();
+        for (at, (id, _)) in batch.steps(self.width).enumerate() {
+            if let Some(question) = unplaced.next_if(|question| question.step == at) {
+                question.points_before = self.published_points;
+            }
+            let Some(rebased) = self.rebased.get_mut(&id) else {
+                self.published_points += usize::from(!is_newer);
+                continue;
+            };
+            let was_stored = rebased.base.is_some();
+            let is_settled = rebased.confirm(is_newer);
+            self.published_points += usize::from(rebased.base.is_some());
+            self.published_points -= usize::from(was_stored);
+            if is_newer {
+                show(id, rebased, points)?;
+            }
+            if is_settled {
+                self.rebased.remove(&id);
             }
         }
         let oldest = self.queue.iter().find_map(|batch| batch.questions.first());
-        Ok(self.arrivals.answerable(batch.questions, oldest, points))
+        Ok(self.arrivals.answerable(questions, oldest, points))
     }
 
     /// Another writer has removed and stored points, as one record.
@@ -322,7 +338,7 @@ impl Writer {
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
         if self.rebased.is_empty() && !self.arrivals.are_wanted() {
-            return points.apply(stored, removed);
+            return self.publish(stored, removed, points);
         }
         let at = points.seen().0 + 1;
         let mut plain = Vec::new();
@@ -332,6 +348,8 @@ impl Writer {
             match self.rebased.get_mut(&row.id) {
                 None => plain.push(row),
                 Some(rebased) => {
+                    let was_stored = rebased.base.is_some();
+                    self.published_points += usize::from(!was_stored);
                     rebased.base = Some((row.tag, row.row.to_vec()));
                     show(row.id, rebased, points)?;
                 }
@@ -342,12 +360,26 @@ impl Writer {
             match self.rebased.get_mut(&id) {
                 None => plain_removed.push(id),
                 Some(rebased) => {
-                    rebased.base = None;
+                    let was_stored = rebased.base.take().is_some();
+                    self.published_points -= usize::from(was_stored);
                     show(id, rebased, points)?;
                 }
             }
         }
-        points.apply(plain.into_iter(), &plain_removed)
+        self.publish(plain.into_iter(), &plain_removed, points)
+    }
+
+    /// Stores and removes points on which no write is pending.
+    fn publish<'a>(
+        &mut self,
+        stored: impl Iterator<Item = NewRow<'a>>,
+        removed: &[u64],
+        points: &mut LocalPoints,
+    ) -> Result<(), Error> {
+        let shown = points.forest.len();
+        points.apply(stored, removed)?;
+        self.published_points = self.published_points + points.forest.len() - shown;
+        Ok(())
     }
 
     /// The copy was read again, at a revision: applies the pending writes to it. The server may have taken some of the
@@ -358,6 +390,7 @@ impl Writer {
         points: &mut LocalPoints,
     ) -> Result<Vec<Answerable>, Error> {
         self.rebased.clear();
+        self.published_points = points.forest.len();
         for question in self.queue.iter_mut().flat_map(|batch| &mut batch.questions) {
             question.reloaded();
         }

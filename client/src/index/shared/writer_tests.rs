@@ -1,7 +1,7 @@
 //! Lost answers, reloads and refusals, without a server.
 
 use super::*;
-use crate::index::local::LocalPoints;
+use crate::{Meanwhile, index::local::LocalPoints};
 use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
 
 fn space() -> Space {
@@ -184,6 +184,7 @@ fn a_question_is_answered_when_its_point_is_published() {
         .collect();
     assert_eq!(answers.len(), 1);
     assert_eq!((answers[0].id, answers[0].neighbors.len()), (first, 1));
+    assert_eq!(answers[0].points_before, 3);
     assert_eq!(
         (answers[0].neighbors[0].id, answers[0].is_superset),
         (3, false)
@@ -208,6 +209,7 @@ fn a_question_is_answered_when_its_point_is_published() {
         .flat_map(|it| it.answer(&space()))
         .collect();
     assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
+    assert_eq!(answers[0].points_before, 3);
     let found: Vec<u64> = answers[0]
         .neighbors
         .iter()
@@ -254,4 +256,58 @@ fn a_change_to_a_published_point_waits_for_no_insert() {
     writer.confirm(1, 1, &mut points).expect("a copy");
     foreign(&mut writer, &mut points, 120, 7, 3.0);
     assert_eq!(shown(&points, 120), Some((7, 3.0)));
+}
+
+/// Own and foreign changes between an insert and its place in the order.
+#[test]
+fn an_answer_counts_the_points_before_its_own() {
+    let (mut writer, mut points) = writer();
+    for id in [1, 2, 3] {
+        foreign(&mut writer, &mut points, id, 0, 0.0);
+    }
+    writer
+        .change(1, &Step::Remove, &mut points)
+        .expect("a point");
+    let ask = |writer: &mut Writer, points: &mut LocalPoints| {
+        let id = insert(writer, points, 1.0);
+        writer.ask(id, &[1.0], &Search::nearest_r(0.1), &[], points.seen().0);
+        id
+    };
+    let first = ask(&mut writer, &mut points);
+    writer
+        .change(2, &Step::Remove, &mut points)
+        .expect("a point");
+    insert(&mut writer, &mut points, 5.0);
+    let second = ask(&mut writer, &mut points);
+    // The first removal has no effect, and the second one has: point 4 comes, and points 1 and 3 go.
+    foreign(&mut writer, &mut points, 4, 0, 9.0);
+    writer
+        .apply(std::iter::empty(), &[1, 3], &mut points)
+        .expect("points");
+    writer.next(1, 0).expect("a batch");
+    let answers = writer.confirm(1, 1, &mut points).expect("a batch");
+    let answers = answers.expect("an own batch").into_iter();
+    let answers: Vec<_> = answers.flat_map(|it| it.answer(&space())).collect();
+    let counts: Vec<_> = answers.iter().map(|it| (it.id, it.points_before)).collect();
+    assert_eq!(counts, [(first, 2), (second, 3)]);
+    assert!(answers[0].neighbors.is_empty());
+    assert_eq!(writer.published_points, points.forest.len());
+}
+
+/// Answers without neighbours take memory too.
+#[test]
+fn answers_that_no_one_takes_are_dropped() {
+    let (mut writer, _) = writer();
+    let answer = |id| Meanwhile {
+        id,
+        points_before: 0,
+        neighbors: Vec::new(),
+        is_superset: false,
+    };
+    writer.arrivals.add(0, (0..1_000_000).map(answer).collect());
+    let taken = writer.arrivals.take();
+    assert!(taken.has_dropped);
+    assert!(taken.answers.len() * size_of::<Meanwhile>() <= 16 << 20);
+    assert_eq!(taken.answers.last().map(|it| it.id), Some(999_999));
+    assert!(!writer.arrivals.take().has_dropped);
 }

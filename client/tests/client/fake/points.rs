@@ -53,16 +53,24 @@ impl PointService for Fake {
 
     async fn open_session(
         &self,
-        _: Request<v1::OpenSessionRequest>,
+        request: Request<v1::OpenSessionRequest>,
     ) -> Result<Response<v1::OpenSessionResponse>, Status> {
-        Err(Status::unimplemented("the client opens no sessions"))
+        Ok(Response::new(v1::OpenSessionResponse {
+            session: 1,
+            reserved: Some(v1::IdBlock {
+                first_id: 1 << 32,
+                count: request.into_inner().reserve_count,
+            }),
+            idle_seconds: 60,
+            revision: revision(1),
+        }))
     }
 
     async fn write(
         &self,
         _: Request<v1::WriteRequest>,
     ) -> Result<Response<v1::WriteResponse>, Status> {
-        Err(Status::unimplemented("the client opens no sessions"))
+        Err(Status::unimplemented("write"))
     }
 
     async fn remove(

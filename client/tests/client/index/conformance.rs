@@ -1,6 +1,8 @@
 //! One suite over the forms, the spaces and the operations.
 
-use wayfold::{Error, Index, InsertOptions, Search, Space, StateProblem};
+use std::time::Duration;
+
+use wayfold::{Error, Index, InsertOptions, ScaledRadius, Search, Space, StateProblem};
 
 use super::model::Model;
 
@@ -55,7 +57,16 @@ pub(crate) fn refuses_what_is_no_state(make: impl Fn(&Space) -> Index) {
     let arguments = [
         (Search::k(0), "k"),
         (Search::k_factor(f64::NAN), "k_factor"),
+        (Search::k_factor(-1.0), "k_factor"),
         (Search::within(-1.0), "radius"),
+        (
+            Search::within(ScaledRadius::new(f64::INFINITY)),
+            "scaled_radius.factor",
+        ),
+        (
+            Search::within(ScaledRadius::new(1.0).max(-1.0)),
+            "scaled_radius.max",
+        ),
         (Search::k(1).epsilon(f64::INFINITY), "epsilon"),
         (Search::k(1).tag(0b1, 0b10), "tag"),
     ];
@@ -72,6 +83,17 @@ pub(crate) fn refuses_what_is_no_state(make: impl Fn(&Space) -> Index) {
         "{id:?}"
     );
     assert_eq!(index.len().unwrap(), 1);
+}
+
+/// A search that is out of time says so.
+pub(crate) fn ends_a_search_that_takes_too_long(make: impl Fn(&Space) -> Index) {
+    const POINTS: usize = 4_000;
+    let index = make(&"R1".parse().unwrap());
+    index.insert_many((0..POINTS).map(|x| [x as f64])).unwrap();
+    let all = Search::within(f64::INFINITY);
+    assert_eq!(index.search([0.0], &all).unwrap().neighbors.len(), POINTS);
+    let late = index.search([0.0], &all.timeout(Duration::ZERO));
+    assert!(matches!(late, Err(Error::SearchTimeout)), "{late:?}");
 }
 
 /// The later of any two inserts that ask finds the earlier one, on any threads.

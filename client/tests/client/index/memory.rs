@@ -24,6 +24,11 @@ fn refuses_what_is_no_state() {
 }
 
 #[test]
+fn ends_a_search_that_takes_too_long() {
+    conformance::ends_a_search_that_takes_too_long(in_memory);
+}
+
+#[test]
 fn misses_no_edge() {
     conformance::misses_no_edge(in_memory);
 }

@@ -47,7 +47,7 @@ impl Model {
     /// Random operations, each answer compared with brute force.
     pub(crate) fn run(&mut self, steps: usize) {
         for _ in 0..steps {
-            match self.rng.random_range(0..20) {
+            match self.rng.random_range(0..21) {
                 0..=5 => self.insert(),
                 6 => self.insert_with_an_id(),
                 7 => self.insert_many(),
@@ -55,9 +55,10 @@ impl Model {
                 9 => self.replace(),
                 10 => self.set_tag(),
                 11 => self.get(),
-                12 => self.search_many(),
-                13 => self.changed(),
-                14..=19 => self.search(),
+                12 => self.set_payload(),
+                13 => self.search_many(),
+                14 => self.changed(),
+                15..=20 => self.search(),
                 _ => unreachable!(),
             }
         }
@@ -211,6 +212,22 @@ impl Model {
         if let Some(point) = point.filter(|point| point.tag != tag) {
             self.changes += 1;
             self.store(id, tag, &point.row, point.revision);
+        }
+    }
+
+    fn set_payload(&mut self) {
+        let (id, payload) = (self.some_id(), self.payload());
+        let old = self.payloads.get(&id).cloned().unwrap_or_default();
+        if old == payload {
+            // The forms differ in whether that is a change.
+            return;
+        }
+        let is_stored = self.index.set_payload(id, &payload).unwrap();
+        assert_eq!(is_stored, self.points.get(id).is_some());
+        if is_stored {
+            self.changes += 1;
+            self.history.push((self.changes, id));
+            self.payloads.insert(id, payload);
         }
     }
 

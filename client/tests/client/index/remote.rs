@@ -30,6 +30,12 @@ fn refuses_what_is_no_state() {
 }
 
 #[test]
+fn ends_a_search_that_takes_too_long() {
+    let server = Server::start();
+    conformance::ends_a_search_that_takes_too_long(|space| remote(&server, "index", space));
+}
+
+#[test]
 fn misses_no_edge() {
     let server = Server::start();
     conformance::misses_no_edge(|space| remote(&server, "index", space));

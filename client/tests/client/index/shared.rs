@@ -4,6 +4,7 @@ use std::{
     collections::BTreeMap,
     sync::{Arc, Barrier},
     thread,
+    time::Duration,
 };
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
@@ -82,6 +83,7 @@ macro_rules! tests {
 tests!(
     equals_brute_force,
     refuses_what_is_no_state,
+    ends_a_search_that_takes_too_long,
     misses_no_edge_of_this_process,
     another_process_holds_the_same,
     racing_writers_agree,
@@ -132,6 +134,10 @@ fn equals_brute_force(way: Way) {
 
 fn refuses_what_is_no_state(way: Way) {
     conformance::refuses_what_is_no_state(|space| shared(&way, "index", space));
+}
+
+fn ends_a_search_that_takes_too_long(way: Way) {
+    conformance::ends_a_search_that_takes_too_long(|space| shared(&way, "index", space));
 }
 
 fn misses_no_edge_of_this_process(way: Way) {
@@ -232,15 +238,14 @@ fn no_edge_between_processes_is_missed(way: Way) {
             .collect()
     });
     let points = WRITERS * INSERTS;
+    let mut places = Vec::new();
     for index in &indexes {
-        while index.len().unwrap() < points {
-            thread::yield_now();
-        }
         loop {
-            let meanwhile = index.meanwhile();
+            let meanwhile = index.wait_meanwhile(Duration::from_secs(60));
             assert!(!meanwhile.has_dropped);
             for answer in meanwhile.answers {
                 assert!(!answer.is_superset);
+                places.push(answer.points_before);
                 let found = answer.neighbors.iter();
                 edges.extend(found.map(|neighbor| (answer.id, neighbor.id)));
             }
@@ -249,6 +254,9 @@ fn no_edge_between_processes_is_missed(way: Way) {
             }
         }
     }
+    // Each point has a place of its own in the order.
+    places.sort_unstable();
+    assert!(places.into_iter().eq(0..points));
     let once = edges.len();
     let mut pairs: Vec<_> = edges.iter().map(|&(a, b)| (a.min(b), a.max(b))).collect();
     pairs.sort_unstable();

@@ -68,6 +68,13 @@ impl SessionModel {
                     payloads.next();
                     missing_count += 1;
                 }
+                (StepKind::SetPayload, Some(point)) => {
+                    point.payload = payloads.next().cloned().unwrap_or_default();
+                }
+                (StepKind::SetPayload, None) => {
+                    payloads.next();
+                    missing_count += 1;
+                }
                 (StepKind::Remove | StepKind::SetTag, None) => missing_count += 1,
                 (StepKind::Unspecified, _) => panic!("{request:?}"),
             }
@@ -85,8 +92,10 @@ impl SessionModel {
             return Err(refused);
         }
         for (id, point) in &mut after.points {
-            let tag_before = before.points.get(id).map(|before| before.tag);
-            if point.stored <= before.revision && Some(point.tag) != tag_before {
+            let content_before = before.points.get(id).map(|it| (it.tag, &it.payload));
+            if point.stored <= before.revision
+                && Some((point.tag, &point.payload)) != content_before
+            {
                 point.modified = after.revision;
             }
         }

@@ -65,12 +65,16 @@ fn next_batch(requests: &mut Requests, model: &SessionModel, writer: &Writer) ->
             0 => requests.random.random_range(0..12),
             some => among[requests.random.random_range(0..some)],
         });
-        kinds.push(requests.random.random_range(1..=4));
+        kinds.push(requests.random.random_range(1..=5));
     }
-    let puts = kinds
-        .iter()
-        .filter(|&&kind| kind == i32::from(StepKind::Put) || kind == i32::from(StepKind::Replace))
-        .count();
+    let count_of = |wanted: &[StepKind]| {
+        let kinds = kinds
+            .iter()
+            .filter_map(|&kind| StepKind::try_from(kind).ok());
+        kinds.filter(|kind| wanted.contains(kind)).count()
+    };
+    let puts = count_of(&[StepKind::Put, StepKind::Replace]);
+    let payloads = puts + count_of(&[StepKind::SetPayload]);
     let tagged = requests.random.random_bool(0.7);
     let loaded = requests.random.random_bool(0.5);
     v1::WriteRequest {
@@ -81,7 +85,7 @@ fn next_batch(requests: &mut Requests, model: &SessionModel, writer: &Writer) ->
             Vec::new()
         },
         payloads: if loaded {
-            requests.payloads(puts)
+            requests.payloads(payloads)
         } else {
             Vec::new()
         },

@@ -27,7 +27,7 @@ async fn wrong_fields_are_named_and_change_nothing() {
     let cases = [
         (broken(|it| it.uid.clear()), "uid", "REQUIRED"),
         (broken(|it| it.kinds[1] = 0), "kinds[1]", "UNKNOWN_VALUE"),
-        (broken(|it| it.kinds[0] = 5), "kinds[0]", "UNKNOWN_VALUE"),
+        (broken(|it| it.kinds[0] = 6), "kinds[0]", "UNKNOWN_VALUE"),
         (broken(|it| it.ids[1] = 1 << 63), "ids[1]", "ID_TOO_LARGE"),
         (broken(|it| it.ids.truncate(1)), "ids", "COUNT"),
         (broken(|it| it.ids.push(4)), "ids", "COUNT"),

@@ -51,7 +51,10 @@ impl Tally {
                     match kind {
                         StepKind::Put => self.store(id, payloads.next().expect("a payload a put")),
                         StepKind::Remove => self.remove(id),
-                        StepKind::SetTag | StepKind::Replace | StepKind::Unspecified => {}
+                        StepKind::SetTag
+                        | StepKind::Replace
+                        | StepKind::SetPayload
+                        | StepKind::Unspecified => {}
                     }
                 }
             }

@@ -3,6 +3,7 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::{Arc, mpsc::SyncSender},
+    time::Duration,
 };
 
 use rand::{RngExt, seq::IndexedRandom};
@@ -54,13 +55,12 @@ pub(super) fn wait_for_all(marker: &Index, state: &[f64], copies: &[&Index]) {
 pub(super) fn take_answers(index: &Index) -> Vec<Meanwhile> {
     let mut answers = Vec::new();
     loop {
-        let taken = index.meanwhile();
+        let taken = index.wait_meanwhile(Duration::from_secs(60));
         assert!(!taken.has_dropped);
         answers.extend(taken.answers);
         if taken.open == 0 {
             return answers;
         }
-        std::thread::yield_now();
     }
 }
 

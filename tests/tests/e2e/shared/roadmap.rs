@@ -82,11 +82,12 @@ async fn check(ask: Search, replayed: wayfold_index::Search<'static>) {
     let client = Client::connect(server.uri()).await.unwrap();
     let order = order(&client).await;
     assert_eq!(order.len(), WORKERS * INSERTS);
-    let mut later = 0;
+    let (mut later, mut places) = (0, BTreeMap::new());
     for index in &indexes {
         for meanwhile in take_answers(index) {
             assert!(!meanwhile.is_superset);
             later += meanwhile.neighbors.len();
+            places.insert(meanwhile.id, meanwhile.points_before);
             let known = edges.get_mut(&meanwhile.id).unwrap();
             known.extend(meanwhile.neighbors);
         }
@@ -95,6 +96,7 @@ async fn check(ask: Search, replayed: wayfold_index::Search<'static>) {
     let mut all = 0;
     for (id, state) in order {
         let expected = brute_force::search(&points, &state, &replayed);
+        assert_eq!(places[&id], points.len());
         let mut found = edges.remove(&id).unwrap();
         found.sort_unstable();
         // The insert's answer holds some that nearer ones displaced.

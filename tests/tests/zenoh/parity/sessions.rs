@@ -78,6 +78,7 @@ pub(super) fn batch(it: &v1::WriteRequest) -> Value {
         2 => json!("REMOVE"),
         3 => json!("SET_TAG"),
         4 => json!("REPLACE"),
+        5 => json!("SET_PAYLOAD"),
         other => json!(other),
     };
     object([

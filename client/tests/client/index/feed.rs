@@ -1,0 +1,139 @@
+//! A shared index and its feed: messages that come in pieces, come twice, do not come, or are wrong.
+
+use std::thread;
+
+use tonic::Status as Answer;
+use wayfold::{Code, Error, Index, Status};
+use wayfold_proto::v1;
+
+use crate::{
+    fake::{self, Fake},
+    watching::{message, piece, points},
+};
+
+/// The points that a scan finds at a revision.
+fn scanned(revision: u64, found: &[(u64, f64)]) -> Vec<v1::ScanResponse> {
+    vec![v1::ScanResponse {
+        points: Some(points(revision, found)),
+        revision: fake::revision(revision),
+        point_count: found.len() as u64,
+        held_scan: String::new(),
+    }]
+}
+
+fn reset(reason: v1::ResetReason, revision: u64) -> v1::WatchResponse {
+    let mut reset = message(revision, vec![]);
+    reset.set_reset(reason);
+    reset
+}
+
+fn open(fake: &Fake) -> Index {
+    Index::shared(&fake.uri, "line").open().unwrap()
+}
+
+/// Waits until an index has these points and no others.
+fn wait_for(index: &Index, expected: &[(u64, f64)]) {
+    let content = || -> Vec<(u64, f64)> {
+        let points = index.scan().unwrap().map(Result::unwrap);
+        points.map(|point| (point.id, point.state[0])).collect()
+    };
+    while content() != expected {
+        thread::yield_now();
+    }
+}
+
+/// Waits until the fake was asked to watch this many times. Returns the `after_revision` of each of these requests.
+fn after_revisions(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
+    loop {
+        let requests = fake.watch_requests();
+        if requests.len() >= watches {
+            let requests = requests.into_iter().take(watches);
+            let after = requests.map(|request| request.after_revision);
+            return after.map(|after| after.map(|after| after.number)).collect();
+        }
+        thread::yield_now();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn a_feed_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0), (2, 10.0)]), true);
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(4, &[(3, 5.0)], &[], (0, false))])),
+        Ok(message(5, vec![piece(5, &[(4, 6.0)], &[], (0, true))])),
+        Err(Answer::unavailable("the server is stopping")),
+    ]);
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(5, &[(4, 6.0)], &[], (0, true))])),
+        Ok(message(5, vec![piece(5, &[], &[3], (1, false))])),
+    ]);
+    let index = open(&fake);
+    wait_for(&index, &[(1, 0.0), (2, 10.0), (4, 6.0)]);
+    assert_eq!(after_revisions(&fake, 2), [Some(3), Some(4)]);
+    while !matches!(index.status(), Some(Status::Following { behind: 0 })) {
+        thread::yield_now();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn a_gap_and_a_repeat_are_not_applied_but_asked_for_again() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], (0, false))])),
+    ]);
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(4, &[(4, 4.0)], &[], (0, false))])),
+        Ok(message(5, vec![piece(4, &[(4, 9.0)], &[1], (0, false))])),
+    ]);
+    fake.watch_tells(vec![
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![piece(5, &[(5, 5.0)], &[], (0, false))])),
+    ]);
+    let index = open(&fake);
+    wait_for(&index, &[(1, 0.0), (4, 4.0), (5, 5.0)]);
+    assert_eq!(after_revisions(&fake, 3), [Some(3), Some(3), Some(4)]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn after_a_reset_all_points_are_read_again() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    fake.watch_tells(vec![
+        Ok(message(9, vec![])),
+        Ok(message(9, vec![piece(4, &[(2, 1.0)], &[], (0, true))])),
+        Ok(reset(v1::ResetReason::WindowPassed, 9)),
+    ]);
+    // The first scan announces more points than it sends.
+    let mut short = scanned(9, &[(8, 1.0)]);
+    short[0].point_count = 2;
+    fake.scan_answers(short, true);
+    fake.watch_tells(vec![Ok(reset(v1::ResetReason::WindowPassed, 9))]);
+    fake.scan_answers(scanned(9, &[(9, 1.0)]), true);
+    fake.watch_tells(vec![Ok(message(9, vec![]))]);
+    let index = open(&fake);
+    wait_for(&index, &[(9, 1.0)]);
+    assert_eq!(after_revisions(&fake, 3), [Some(3), Some(3), Some(9)]);
+    while !matches!(index.status(), Some(Status::Following { behind: 0 })) {
+        thread::yield_now();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn a_server_that_cannot_be_followed_ends_it() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    fake.watch_tells(vec![Err(Answer::unimplemented("an old server"))]);
+    let index = open(&fake);
+    while !matches!(index.status(), Some(Status::Ended { .. })) {
+        thread::yield_now();
+    }
+    let error = index.nearest([0.0]).unwrap_err();
+    assert!(matches!(error, Error::Ended { .. }), "{error}");
+    assert_eq!(error.code(), Code::Unimplemented);
+}
