@@ -365,6 +365,48 @@ def ompl():
     return table(["ompl"], ["until all three questions are answered", "time, ms (least to most)", "collision checks"], rows)
 
 
+def over_memory(planner, flushed=False):
+    """The speed of a planner with a shared index over that with one in memory."""
+    total = lambda row: row["total_s"] + (row["flush_s"] if flushed else 0)
+    return middle(runs_of(planner, "memory", 1), total) / middle(runs_of(planner, "shared", 1), total)
+
+
+def sharing():
+    rows = []
+
+    def add(what, aim, figure, is_met):
+        rows.append([what, aim, figure if is_met else f"**{figure}**"])
+
+    for planner, least in (("maze", 0.8), ("bodies", 0.85), ("rigid", 0.95)):
+        value = over_memory(planner)
+        add(f"`{planner}`, speed over an index in memory", f"≥ {least}", f"{value:.2f}", value >= least)
+    add("`maze`, the same until all writes are durable", "–", f"{over_memory('maze', True):.2f}", True)
+    alone = middle(runs_of("maze-workers", "memory", 1), rate)
+    for count, least in ((2, 0.9), (4, 0.75), (8, 0.55)):
+        value = middle(runs_of("maze-workers", "shared", count), rate) / alone
+        what = f"`maze`, vertices a second of {count} workers over one with an index in memory"
+        add(what, f"≥ {least}", f"{value:.2f}", value >= least)
+    one = middle(runs_of("rigid-workers", "shared", 1), rate)
+    two = middle(runs_of("rigid-workers", "shared", 2), rate) / one
+    add("`rigid`, milestones a second of two workers over one", "≥ 1.75", f"{two:.2f}", two >= 1.75)
+    got = of("shared")
+    for title, short in (("insert, R3", "R3"), ("insert, R3*SO3:0.15", "SE3")):
+        call, due = got[title]["insert, the call alone"], got[title]["insert, from the time it was due"]
+        idle = got[title]["nothing, from the time it was due"]
+        add(f"an insert at 50,000 a second, {short}: p50", "≤ 3 µs", f"{digits(due['p50_us'])} µs", due["p50_us"] <= 3)
+        shown = f"{digits(due['p99_us'])} µs; the call alone {digits(call['p99_us'])} µs"
+        add(f"the same, p99 from the time it was due", "≤ 50 µs", shown, due["p99_us"] <= 50)
+        add("the same, p99.9; that of a thread that inserts nothing", "–",
+            f"{digits(due['p99.9_us'] / 1e3)} ms; {digits(idle['p99.9_us'] / 1e3)} ms", True)
+    for count, word in ((1, "one writer"), (4, "four writers")):
+        one = got[f"visible, R3*SO3:0.15, writers: {count}"]
+        seen, sync = (one[what]["p99_us"] / 1e3 for what in ("until the copy of another process has it", "append of 4 KiB and fdatasync"))
+        add(f"until another process finds a point, 50,000 a second by {word}, p99", f"≤ {sync + 5:.1f} ms", f"{digits(seen)} ms", seen <= sync + 5)
+    cost = got["visible, R3*SO3:0.15, writers: 1"]["the server's processor time an insert"]["figure"]
+    add("the server's processor time an insert, two subscribers", "≤ 7.5 µs", f"{digits(cost)} µs", cost <= 7.5)
+    return table([*PLANNERS, "maze-workers", "rigid-workers", "shared"], ["what", "aim", "measured"], rows)
+
+
 def seconds(source):
     return lambda: digits(middle(runs_of("maze", source, 1), lambda row: row["total_s"])) + " s"
 
@@ -374,7 +416,7 @@ TABLES = {
     "index-uneven": uneven, "index-processors": processors, "threads": threads, "slowest": slowest, "grpc": grpc, "loading": loading,
     "writers": writers, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
     "sources": sources, "roadmap-workers": lambda: workers("rigid-workers", roadmap_cell),
-    "tree-workers": lambda: workers("maze-workers", trees_cell), "ompl": ompl, "speed": readme_speed,
+    "sharing": sharing, "tree-workers": lambda: workers("maze-workers", trees_cell), "ompl": ompl, "speed": readme_speed,
     "maze-memory": seconds("memory"), "maze-shared": seconds("shared"), "maze-remote": seconds("remote"),
     "maze-brute": seconds("brute"), "index-nigh": nigh,
     "maze-nodes": lambda: nodes("maze"), "bodies-nodes": lambda: nodes("bodies"), "rigid-nodes": lambda: nodes("rigid"),

@@ -2,6 +2,8 @@
 //!
 //! Nothing here waits or sends. The caller holds the lock of the writer, and passes the points of the copy.
 
+mod outcome;
+
 use std::{
     collections::{HashMap, VecDeque},
     sync::Arc,
@@ -13,13 +15,10 @@ use wayfold_proto::v1;
 use super::{
     batch::{Batch, Step, UnsentWrite},
     ids::ReservedIds,
-    meanwhile::{Answerable, Arrivals, Question},
+    meanwhile::{Arrivals, Question},
     rebased::Rebased,
 };
-use crate::{
-    Error,
-    index::local::{LocalPoints, NewRow},
-};
+use crate::{Error, index::local::LocalPoints};
 
 /// The most steps of a batch: each waits for the slowest.
 const MAX_BATCH_STEPS: usize = 4_096;
@@ -231,235 +230,6 @@ impl Writer {
         Some(batch.message())
     }
 
-    /// The server has taken a batch of the session and made this revision of it; the copy has reached revision
-    /// `published`.
-    pub(super) fn acknowledge(
-        &mut self,
-        number: u64,
-        revision: u64,
-        published: u64,
-        points: &mut LocalPoints,
-    ) -> Result<Vec<Answerable>, Error> {
-        let session = self.session.unwrap_or(0);
-        let is_it = |batch: &&mut Batch| batch.session == session && batch.number == number;
-        let Some(batch) = self.queue.iter_mut().find(is_it) else {
-            return Ok(Vec::new());
-        };
-        if batch.revision.replace(revision).is_none() {
-            self.settled += batch.len() as u64;
-        }
-        // The copy was read at a later revision, so its feed does not name the batch.
-        self.confirm_up_to(published, points)
-    }
-
-    /// Confirms the batches that were published up to a revision which the copy has.
-    fn confirm_up_to(
-        &mut self,
-        published: u64,
-        points: &mut LocalPoints,
-    ) -> Result<Vec<Answerable>, Error> {
-        let mut answerable = Vec::new();
-        while let Some(first) = self.queue.front()
-            && first.revision.is_some_and(|revision| revision <= published)
-        {
-            answerable.extend(self.confirm_first(true, points)?);
-        }
-        Ok(answerable)
-    }
-
-    /// The feed has reached the own batch of this number. None if it waits for no such batch.
-    pub(super) fn confirm(
-        &mut self,
-        session: u64,
-        number: u64,
-        points: &mut LocalPoints,
-    ) -> Result<Option<Vec<Answerable>>, Error> {
-        let is_it = |batch: &Batch| batch.session == session && batch.number == number;
-        let Some(at) = self.queue.iter().position(is_it) else {
-            return Ok(None);
-        };
-        let mut answerable = Vec::new();
-        // The feed does not name a batch that was published before the copy was read.
-        for _ in 0..at {
-            answerable.extend(self.confirm_first(true, points)?);
-        }
-        answerable.extend(self.confirm_first(false, points)?);
-        Ok(Some(answerable))
-    }
-
-    /// The oldest batch is published; the copy's points have it already if they are newer.
-    fn confirm_first(
-        &mut self,
-        is_newer: bool,
-        points: &mut LocalPoints,
-    ) -> Result<Option<Answerable>, Error> {
-        let Some(mut batch) = self.queue.pop_front() else {
-            return Ok(None);
-        };
-        self.bytes -= batch.bytes();
-        if batch.revision.is_none() {
-            self.settled += batch.len() as u64;
-        }
-        let mut questions = std::mem::take(&mut batch.questions);
-        if self.rebased.is_empty() && questions.is_empty() {
-            // The steps are inserts under ids of this session.
-            self.published_points += if is_newer { 0 } else { batch.len() };
-            return Ok(None);
-        }
-        let mut unplaced = questions.iter_mut().peekable();
-        for (at, (id, _)) in batch.steps(self.width).enumerate() {
-            if let Some(question) = unplaced.next_if(|question| question.step == at) {
-                question.points_before = self.published_points;
-            }
-            let Some(rebased) = self.rebased.get_mut(&id) else {
-                self.published_points += usize::from(!is_newer);
-                continue;
-            };
-            let was_stored = rebased.base.is_some();
-            let is_settled = rebased.confirm(is_newer);
-            self.published_points += usize::from(rebased.base.is_some());
-            self.published_points -= usize::from(was_stored);
-            if is_newer {
-                show(id, rebased, points)?;
-            }
-            if is_settled {
-                self.rebased.remove(&id);
-            }
-        }
-        let oldest = self.queue.iter().find_map(|batch| batch.questions.first());
-        Ok(self.arrivals.answerable(questions, oldest, points))
-    }
-
-    /// Another writer has removed and stored points, as one record.
-    pub(super) fn apply<'a>(
-        &mut self,
-        stored: impl Iterator<Item = NewRow<'a>>,
-        removed: &[u64],
-        points: &mut LocalPoints,
-    ) -> Result<(), Error> {
-        if self.rebased.is_empty() && !self.arrivals.are_wanted() {
-            return self.publish(stored, removed, points);
-        }
-        let at = points.seen().0 + 1;
-        let mut plain = Vec::new();
-        for row in stored {
-            let held = if row.is_new { None } else { points.get(row.id) };
-            self.arrivals.push(at, row.id, held.map(|held| held.tag));
-            match self.rebased.get_mut(&row.id) {
-                None => plain.push(row),
-                Some(rebased) => {
-                    let was_stored = rebased.base.is_some();
-                    self.published_points += usize::from(!was_stored);
-                    rebased.base = Some((row.tag, row.row.to_vec()));
-                    show(row.id, rebased, points)?;
-                }
-            }
-        }
-        let mut plain_removed = Vec::new();
-        for &id in removed {
-            match self.rebased.get_mut(&id) {
-                None => plain_removed.push(id),
-                Some(rebased) => {
-                    let was_stored = rebased.base.take().is_some();
-                    self.published_points -= usize::from(was_stored);
-                    show(id, rebased, points)?;
-                }
-            }
-        }
-        self.publish(plain.into_iter(), &plain_removed, points)
-    }
-
-    /// Stores and removes points on which no write is pending.
-    fn publish<'a>(
-        &mut self,
-        stored: impl Iterator<Item = NewRow<'a>>,
-        removed: &[u64],
-        points: &mut LocalPoints,
-    ) -> Result<(), Error> {
-        let shown = points.forest.len();
-        points.apply(stored, removed)?;
-        self.published_points = self.published_points + points.forest.len() - shown;
-        Ok(())
-    }
-
-    /// The copy was read again, at a revision: applies the pending writes to it. The server may have taken some of the
-    /// others before.
-    pub(super) fn reloaded(
-        &mut self,
-        revision: u64,
-        points: &mut LocalPoints,
-    ) -> Result<Vec<Answerable>, Error> {
-        self.rebased.clear();
-        self.published_points = points.forest.len();
-        for question in self.queue.iter_mut().flat_map(|batch| &mut batch.questions) {
-            question.reloaded();
-        }
-        let answerable = self.confirm_up_to(revision, points)?;
-        for batch in &self.queue {
-            for (id, step) in batch.steps(self.width) {
-                let base = || points.get(id).map(|point| (point.tag, point.row));
-                let rebased = self
-                    .rebased
-                    .entry(id)
-                    .or_insert_with(|| Rebased::new(base()));
-                rebased.push(&step);
-            }
-        }
-        for (&id, rebased) in &self.rebased {
-            show(id, rebased, points)?;
-        }
-        Ok(answerable)
-    }
-
-    /// The server refused the oldest batch that it has not taken, for good: takes all writes from there on out of the
-    /// copy, and keeps them for the caller. Batches that it has taken wait for the feed as before.
-    pub(super) fn refuse(
-        &mut self,
-        why: Arc<Error>,
-        points: &mut LocalPoints,
-    ) -> Result<(), Error> {
-        self.refused.get_or_insert(why);
-        self.refusals += 1;
-        self.past_sessions.extend(self.session.take());
-        self.ids.clear();
-        let is_taken = |batch: &Batch| batch.revision.is_some();
-        let taken = self
-            .queue
-            .iter()
-            .take_while(|batch| is_taken(batch))
-            .count();
-        for batch in self.queue.split_off(taken) {
-            self.bytes -= batch.bytes();
-            self.arrivals.close(batch.questions.len());
-            self.settled += batch.len() as u64;
-            for (id, _) in batch.steps(self.width) {
-                match self.rebased.get_mut(&id) {
-                    // An insert under an id of this session.
-                    None => drop(points.remove(id)?),
-                    Some(rebased) => {
-                        let is_settled = rebased.give_up();
-                        show(id, rebased, points)?;
-                        if is_settled {
-                            self.rebased.remove(&id);
-                        }
-                    }
-                }
-            }
-            self.unsent.extend(batch.unsent(self.width));
-        }
-        Ok(())
-    }
-
-    /// The index was made again: nothing that was sent or published of it counts any more.
-    pub(super) fn forget_history(&mut self) {
-        self.past_sessions.clear();
-        for batch in self.queue.drain(..) {
-            self.arrivals.close(batch.questions.len());
-        }
-        self.rebased.clear();
-        self.bytes = 0;
-    }
-
     /// The writes that the server did not take, in their order. Writing may begin again.
     pub(super) fn take_unsent(&mut self) -> Vec<UnsentWrite> {
         self.refused = None;
@@ -473,22 +243,6 @@ impl Writer {
             .filter_map(|batch| batch.payload(self.width, id))
             .next()
     }
-}
-
-/// Makes the copy hold what an id shows.
-fn show(id: u64, rebased: &Rebased, points: &mut LocalPoints) -> Result<(), Error> {
-    match rebased.shown() {
-        None => drop(points.remove(id)?),
-        Some((tag, row)) => match points.get(id) {
-            Some(held) if held.row == row => {
-                if held.tag != tag {
-                    points.set_tag(id, tag)?;
-                }
-            }
-            _ => points.store(id, tag, &row)?,
-        },
-    }
-    Ok(())
 }
 
 #[cfg(test)]

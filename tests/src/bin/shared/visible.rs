@@ -11,7 +11,7 @@ use std::{
 
 use tokio::time::{MissedTickBehavior, interval};
 use wayfold::{Index, InsertOptions, Search};
-use wayfold_index::Space;
+use wayfold_index::{Seen, Space};
 use wayfold_tests::{Process, ServerProcess, States, figures::processor_seconds, measuring};
 
 use crate::{Arguments, SE3, report::Report};
@@ -45,9 +45,12 @@ pub(crate) fn measure(arguments: &Arguments, writers: u32, report: &mut Report) 
         })
         .collect();
     let at_first = Spent::now(&server, &processes);
+    let origin = vec![0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    // Before the first insert, so that no point is missed.
+    let empty = index.search(origin, &Search::k(1)).expect("an answer");
     processes.iter_mut().for_each(|process| process.say("go"));
     let count = (arguments.rate / writers * writers * arguments.seconds) as usize;
-    let mut delays = follow(&index, count);
+    let mut delays = follow(&index, empty.seen, count);
     let at_last = Spent::now(&server, &processes);
     let pending = processes.iter_mut().map(|process| {
         let line = process.line().expect("the most pending writes");
@@ -93,12 +96,9 @@ impl Spent {
     }
 }
 
-/// Looks for new points until there are `count`, whose tags tell their times. Returns their delays.
-fn follow(index: &Index, count: usize) -> Vec<Duration> {
+/// Looks for the points after `seen` until there are `count`, whose tags tell their times. Returns their delays.
+fn follow(index: &Index, mut seen: Seen, count: usize) -> Vec<Duration> {
     let mut delays = Vec::with_capacity(count);
-    let origin = vec![0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-    let first = index.search(origin, &Search::k(1)).expect("an answer");
-    let mut seen = first.seen;
     let mut progress = Instant::now();
     on_ticks(|| {
         let changes = index.changes(seen).expect("an index");
