@@ -4,10 +4,10 @@ use std::collections::{HashSet, VecDeque};
 
 use wayfold_index::Seen;
 
-/// The most changes that are kept, 24 bytes each.
+/// The most changes that are kept, 16 bytes each.
 const MAX_CHANGES: usize = 1 << 16;
 
-/// One change: an id and what became of it.
+/// One change: its number, and the id that it stored or removed.
 #[derive(Clone, Copy, Debug)]
 struct Change {
     at: u64,

@@ -1,6 +1,6 @@
 //! The thread that merges the levels of all indices of this process.
 //!
-//! It starts with the first merge. A merge runs without any lock, and its result is swapped in under the index's lock.
+//! It starts with the first change. A merge runs without any lock, and its result is swapped in under the index's lock.
 //! When an index rests, the thread packs its levels into few.
 
 use std::{

@@ -160,7 +160,8 @@ impl Index {
     /// Stores many states at once, and returns their ids, which ascend.
     ///
     /// # Errors
-    /// Those of [`Index::insert`]; the row in the error is the state's. Nothing is stored then.
+    /// Those of [`Index::insert`]; the row in the error is the state's. Nothing is stored then, except with
+    /// [`Error::Partial`]: rows before the failed part are stored.
     pub fn insert_many<S: State>(
         &self,
         states: impl IntoIterator<Item = S>,
@@ -195,7 +196,8 @@ impl Index {
     /// Sets the payload of a point; its state and its tag stay. False if there is none with this id.
     ///
     /// # Errors
-    /// [`Error::Argument`]: it has more than 64 KiB. The index cannot be written.
+    /// [`Error::Argument`], or a refusal of the server: it has more bytes than the server takes, 64 KiB unless set. In memory there
+    /// is no limit. The index cannot be written.
     pub fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
         self.form.set_payload(id, payload)
     }

@@ -18,6 +18,7 @@ use super::{
 use crate::{
     Client, Code, Error, Filter, Include, Index, IndexHandle, NeighborSpec, Neighbors, Outcome,
     Radius, ResetReason, ScaledRadius, WatchEvent,
+    net::request::LONGEST_WAIT,
     search::{Bounds, K},
 };
 
@@ -49,7 +50,7 @@ impl OpenRemote {
 
     /// The longest time of a call: 30 s unless set.
     pub fn timeout(mut self, timeout: Duration) -> OpenRemote {
-        self.timeout = timeout;
+        self.timeout = timeout.min(LONGEST_WAIT);
         self
     }
 

@@ -15,7 +15,7 @@ use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
 use crate::{
     Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, Query, Radius,
     Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
-    net::client::within,
+    net::{client::within, request::LONGEST_WAIT},
 };
 
 /// An index of a server, of one uid: when the index is deleted and created again, the calls of this handle fail with
@@ -71,7 +71,7 @@ impl IndexHandle {
     pub fn with_timeout(&self, timeout: Duration) -> IndexHandle {
         IndexHandle {
             shared: Arc::clone(&self.shared),
-            timeout,
+            timeout: timeout.min(LONGEST_WAIT),
         }
     }
 

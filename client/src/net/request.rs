@@ -28,11 +28,16 @@ pub use verify::{Verified, Verify};
 pub(crate) use watch::WatchStart;
 pub use watch::{Mutation, Reset, ResetReason, Watch, WatchEvent, WatchRequest};
 
+use std::time::Duration;
+
 use bytes::Bytes;
 use tokio::time;
 use tonic::Streaming;
 
 use crate::{Error, Filter, Include, IndexHandle};
+
+/// The longest timeout of a call, some decades: the time at which a longer one ends may have no number.
+pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(1 << 30);
 
 /// The bytes of an id and a tag in a request.
 const ID_AND_TAG_BYTES: usize = 16;

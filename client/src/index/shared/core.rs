@@ -6,7 +6,7 @@ use std::{
 };
 
 use parking_lot::{Condvar, Mutex, MutexGuard, RwLock};
-use tokio::sync::Notify;
+use tokio::{sync::Notify, task::block_in_place};
 use wayfold_index::Space;
 
 use super::{
@@ -24,6 +24,7 @@ use crate::{
         merger::{self, Merged},
         origin::Origin,
     },
+    net::request::LONGEST_WAIT,
 };
 
 /// Ids are asked for when fewer than this are left.
@@ -240,9 +241,15 @@ impl Core {
     /// Computes the answers to questions, and keeps them for the caller. Called without a lock.
     pub(super) fn answer(&self, questions: Vec<Answerable>) {
         for answerable in questions {
-            let count = answerable.len();
-            let answers = answerable.answer(&self.space);
-            self.writer.lock().arrivals.add(count, answers);
+            let keep = || {
+                for answer in answerable.answers(&self.space) {
+                    self.writer.lock().arrivals.add(answer);
+                }
+            };
+            match answerable.is_long() {
+                true => block_in_place(keep),
+                false => keep(),
+            }
             self.progress.notify_all();
         }
     }
@@ -356,8 +363,7 @@ impl Core {
 
 /// The end of a wait; of a very long one in some decades.
 fn deadline(timeout: Duration) -> Instant {
-    const LONGEST: Duration = Duration::from_secs(1 << 30);
-    Instant::now() + timeout.min(LONGEST)
+    Instant::now() + timeout.min(LONGEST_WAIT)
 }
 
 impl Merged for Core {

@@ -180,6 +180,7 @@ impl Follower {
         core.after_change(&mut points);
         *core.published.lock() = (Arc::clone(&index), revision);
         core.wake(&mut writer);
+        core.progress.notify_all();
         drop(points);
         drop(writer);
         drop(old);

@@ -9,6 +9,12 @@ use crate::index::local::LocalPoints;
 /// The most bytes of the answers that wait for the caller.
 const MAX_BYTES: usize = 16 << 20;
 
+/// The most points of others that wait for open questions, 32 bytes each.
+const MAX_ARRIVALS: usize = 1 << 20;
+
+/// The most distances that the thread of all calls computes at once: about a millisecond.
+const MAX_INLINE_DISTANCES: usize = 1 << 14;
+
 /// An own point's place in the index's order, and the neighbours that it had there beyond those that its insert found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Meanwhile {
@@ -50,8 +56,10 @@ pub(super) struct Question {
     row: Vec<f64>,
     filter: Filter,
     k: usize,
-    /// A neighbour that the answer could not see is no farther than this.
+    /// A neighbour that the answer could not see is no farther than this, unless a point of the answer has left.
     bound: f64,
+    /// The radius of the question, which bounds all neighbours.
+    radius: f64,
     /// The change that stored the point in the copy.
     at: u64,
     /// The number of published points before the insert, once it is published.
@@ -78,6 +86,7 @@ impl Question {
             filter: search.filter,
             k: search.k,
             bound: farthest.map_or(search.radius, |farthest| farthest.distance),
+            radius: search.radius,
             at,
             points_before: 0,
             is_reloaded: false,
@@ -105,6 +114,8 @@ pub(super) struct Arrivals {
     open: usize,
     /// The points that others stored since the oldest open question.
     stored: VecDeque<Arrival>,
+    /// The last change by which another writer removed or moved a point.
+    departure: u64,
     answers: VecDeque<Meanwhile>,
     /// The bytes of all answers.
     bytes: usize,
@@ -120,6 +131,8 @@ pub(super) struct Answerable {
     questions: Vec<Question>,
     /// The changes of each point, the oldest first, and the point.
     arrived: Vec<(Vec<Change>, Point)>,
+    /// The last change by which another writer removed or moved a point.
+    departure: u64,
     snapshot: Option<Snapshot>,
 }
 
@@ -149,6 +162,21 @@ impl Arrivals {
         }
     }
 
+    /// Another writer removed or moved a point, as change number `at` of the copy: it may have been in an answer.
+    pub(super) fn depart(&mut self, at: u64) {
+        self.departure = at;
+    }
+
+    /// True if the points that others stored take too much memory: the open questions are to be answered from all points.
+    pub(super) fn is_full(&self) -> bool {
+        self.stored.len() > MAX_ARRIVALS
+    }
+
+    /// Forgets the points that others stored.
+    pub(super) fn forget(&mut self) {
+        self.stored.clear();
+    }
+
     /// The server has stored the points of these questions: `points` are those up to them, and own points. Of the
     /// questions that stay open the oldest is `oldest`.
     pub(super) fn answerable(
@@ -170,6 +198,7 @@ impl Arrivals {
             .filter_map(|(id, changes)| Some((changes, points.get(id)?)));
         let answerable = Answerable {
             arrived: arrived.collect(),
+            departure: self.departure,
             snapshot: questions
                 .iter()
                 .any(|question| question.is_reloaded)
@@ -185,13 +214,11 @@ impl Arrivals {
         Some(answerable)
     }
 
-    /// Questions have these answers, and are closed.
-    pub(super) fn add(&mut self, questions: usize, answers: Vec<Meanwhile>) {
-        self.close(questions);
-        for answer in answers {
-            self.bytes += answer.bytes();
-            self.answers.push_back(answer);
-        }
+    /// A question has this answer, and is closed.
+    pub(super) fn add(&mut self, answer: Meanwhile) {
+        self.close(1);
+        self.bytes += answer.bytes();
+        self.answers.push_back(answer);
         while self.bytes > MAX_BYTES
             && let Some(oldest) = self.answers.pop_front()
         {
@@ -217,14 +244,14 @@ impl Arrivals {
 }
 
 impl Answerable {
-    /// The number of questions.
-    pub(super) fn len(&self) -> usize {
-        self.questions.len()
+    /// True if the answers take too long for a thread that other tasks wait for.
+    pub(super) fn is_long(&self) -> bool {
+        self.snapshot.is_some() || self.questions.len() * self.arrived.len() > MAX_INLINE_DISTANCES
     }
 
     /// The answers, in the order of the questions.
-    pub(super) fn answer(self, space: &Space) -> Vec<Meanwhile> {
-        let answers = self.questions.iter().map(|question| Meanwhile {
+    pub(super) fn answers(&self, space: &Space) -> impl Iterator<Item = Meanwhile> {
+        self.questions.iter().map(|question| Meanwhile {
             id: question.id,
             points_before: question.points_before,
             neighbors: match question.is_reloaded {
@@ -232,8 +259,7 @@ impl Answerable {
                 true => self.superset(question),
             },
             is_superset: question.is_reloaded,
-        });
-        answers.collect()
+        })
     }
 
     /// The points that arrived after the question's, within its bound.
@@ -252,7 +278,11 @@ impl Answerable {
             distance: space.distance(&question.row, &point.row),
             id: point.id,
         });
-        let near = neighbors.filter(|neighbor| neighbor.distance <= question.bound);
+        let bound = match self.departure > question.at {
+            true => question.radius,
+            false => question.bound,
+        };
+        let near = neighbors.filter(|neighbor| neighbor.distance <= bound);
         let mut neighbors: Vec<Neighbor> = near.collect();
         neighbors.sort_unstable();
         neighbors.truncate(question.k);

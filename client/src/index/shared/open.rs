@@ -18,7 +18,7 @@ use crate::{
         local::LocalPoints,
         runtime::{runtime, wait_for},
     },
-    net::request::fresh_operation_id,
+    net::request::{LONGEST_WAIT, fresh_operation_id},
 };
 
 /// Settings of a shared index: [`OpenShared::open`] reads all points and returns it.
@@ -77,7 +77,7 @@ impl OpenShared {
     /// The longest time that a call waits: for the connection, for room among the pending writes, for a flush. 30 s
     /// unless set.
     pub fn timeout(mut self, timeout: Duration) -> OpenShared {
-        self.timeout = timeout;
+        self.timeout = timeout.min(LONGEST_WAIT);
         self
     }
 

@@ -10,7 +10,7 @@ use super::{
     link::is_transient,
     served_index::ServedIndex,
 };
-use crate::{Error, net::request::fresh_operation_id};
+use crate::{Code, Error, net::request::fresh_operation_id};
 
 /// The time between the beginnings of two batches while no one waits for them. A call costs server and client more
 /// than its rows: with a batch at a time as fast as they go, planners of a maze on two cores lost a quarter of their
@@ -45,12 +45,17 @@ pub(super) async fn run(core: Arc<Core>) {
                 if opened.is_ok() {
                     operation_id = fresh_operation_id();
                 }
-                // The follower reads an index that was made again, and ends if there is none.
-                opened
+                match opened {
+                    Err(error) if is_final(&error) => {
+                        refuse(&core, &index, None, error);
+                        Ok(())
+                    }
+                    opened => opened,
+                }
             }
             Next::Batch(request) => match write(&core, &index, &request).await {
                 Err(error) if !is_transient(&error) => {
-                    refuse(&core, &index, request.session, error);
+                    refuse(&core, &index, Some(request.session), error);
                     Ok(())
                 }
                 written => written,
@@ -132,10 +137,20 @@ async fn write(core: &Core, index: &ServedIndex, request: &v1::WriteRequest) -> 
     Ok(())
 }
 
-/// The server refused a batch for good, unless the session is another one by now.
-fn refuse(core: &Core, index: &ServedIndex, session: u64, error: Error) {
+/// True if the server opens no session of the index. The follower reads an index that was made again, and ends if there
+/// is none.
+fn is_final(error: &Error) -> bool {
+    let is_other_index = matches!(
+        error.code(),
+        Code::NotFound | Code::FailedPrecondition | Code::Aborted
+    );
+    !is_transient(error) && !is_other_index
+}
+
+/// The server refused a batch or a session for good, unless the session is another one by now.
+fn refuse(core: &Core, index: &ServedIndex, session: Option<u64>, error: Error) {
     let mut writer = core.writer.lock();
-    if writer.session == Some(session) && core.is_current(index) {
+    if writer.session == session && core.is_current(index) {
         core.refuse(&mut writer, error);
     }
 }

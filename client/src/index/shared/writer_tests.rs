@@ -1,7 +1,10 @@
 //! Lost answers, reloads and refusals, without a server.
 
 use super::*;
-use crate::{Meanwhile, index::local::LocalPoints};
+use crate::{
+    Meanwhile,
+    index::local::{LocalPoints, NewRow},
+};
 use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
 
 fn space() -> Space {
@@ -180,7 +183,7 @@ fn a_question_is_answered_when_its_point_is_published() {
         .expect("an own batch");
     let answers: Vec<_> = answers
         .into_iter()
-        .flat_map(|it| it.answer(&space()))
+        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
         .collect();
     assert_eq!(answers.len(), 1);
     assert_eq!((answers[0].id, answers[0].neighbors.len()), (first, 1));
@@ -206,7 +209,7 @@ fn a_question_is_answered_when_its_point_is_published() {
         .expect("an own batch");
     let answers: Vec<_> = answers
         .into_iter()
-        .flat_map(|it| it.answer(&space()))
+        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
         .collect();
     assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
     assert_eq!(answers[0].points_before, 3);
@@ -287,7 +290,9 @@ fn an_answer_counts_the_points_before_its_own() {
     writer.next(1, 0).expect("a batch");
     let answers = writer.confirm(1, 1, &mut points).expect("a batch");
     let answers = answers.expect("an own batch").into_iter();
-    let answers: Vec<_> = answers.flat_map(|it| it.answer(&space())).collect();
+    let answers: Vec<_> = answers
+        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
+        .collect();
     let counts: Vec<_> = answers.iter().map(|it| (it.id, it.points_before)).collect();
     assert_eq!(counts, [(first, 2), (second, 3)]);
     assert!(answers[0].neighbors.is_empty());
@@ -304,10 +309,35 @@ fn answers_that_no_one_takes_are_dropped() {
         neighbors: Vec::new(),
         is_superset: false,
     };
-    writer.arrivals.add(0, (0..1_000_000).map(answer).collect());
+    (0..1_000_000).for_each(|id| writer.arrivals.add(answer(id)));
     let taken = writer.arrivals.take();
     assert!(taken.has_dropped);
     assert!(taken.answers.len() * size_of::<Meanwhile>() <= 16 << 20);
     assert_eq!(taken.answers.last().map(|it| it.id), Some(999_999));
     assert!(!writer.arrivals.take().has_dropped);
+}
+
+#[test]
+fn a_point_that_takes_the_place_of_a_removed_neighbor_is_answered() {
+    let (mut writer, mut points) = writer();
+    foreign(&mut writer, &mut points, 1, 0, 1.0);
+    let id = insert(&mut writer, &mut points, 0.0);
+    let found = [Neighbor {
+        distance: 1.0,
+        id: 1,
+    }];
+    let at = points.seen().0;
+    writer.ask(id, &[0.0], &Search::nearest_k(1), &found, at);
+    writer
+        .apply(std::iter::empty(), &[1], &mut points)
+        .expect("a point");
+    foreign(&mut writer, &mut points, 2, 0, 2.0);
+    writer.next(1, 0).expect("a batch");
+    let answers = writer.confirm(1, 1, &mut points).expect("a batch");
+    let answers = answers.expect("an own batch").into_iter();
+    let answers: Vec<_> = answers
+        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
+        .collect();
+    let ids = answers[0].neighbors.iter().map(|neighbor| neighbor.id);
+    assert_eq!(ids.collect::<Vec<_>>(), [2]);
 }

@@ -6,7 +6,7 @@ use tokio::time::{Instant, timeout_at};
 use tonic::transport::Endpoint;
 
 use super::Client;
-use crate::{Error, RetryPolicy};
+use crate::{Error, RetryPolicy, net::request::LONGEST_WAIT};
 
 /// Settings of a [`Client`].
 #[derive(Clone, Copy, Debug)]
@@ -30,7 +30,7 @@ impl ClientBuilder {
     /// The longest time of a call, attempts and pauses included: 30 s unless set. The server also stops work on the
     /// call then.
     pub fn timeout(mut self, timeout: Duration) -> ClientBuilder {
-        self.timeout = timeout;
+        self.timeout = timeout.min(LONGEST_WAIT);
         self
     }
 

@@ -83,6 +83,7 @@ macro_rules! tests {
 tests!(
     equals_brute_force,
     refuses_what_is_no_state,
+    any_timeout_is_taken,
     ends_a_search_that_takes_too_long,
     misses_no_edge_of_this_process,
     another_process_holds_the_same,
@@ -130,6 +131,14 @@ fn wait_for_same(index: &Index, other: &Index) {
 fn equals_brute_force(way: Way) {
     let name = names();
     conformance::equals_brute_force(|space| shared(&way, &name(), space), 600);
+}
+
+fn any_timeout_is_taken(way: Way) {
+    let space = "R2".parse().unwrap();
+    let index = way.index("index").create(&space).timeout(Duration::MAX);
+    let index = index.open().unwrap();
+    index.insert([1.0, 2.0]).unwrap();
+    index.flush().unwrap();
 }
 
 fn refuses_what_is_no_state(way: Way) {

@@ -125,6 +125,9 @@ impl Writer {
         let mut plain = Vec::new();
         for row in stored {
             let held = if row.is_new { None } else { points.get(row.id) };
+            if row.is_new && points.forest.contains(row.id) {
+                self.arrivals.depart(at);
+            }
             self.arrivals.push(at, row.id, held.map(|held| held.tag));
             match self.rebased.get_mut(&row.id) {
                 None => plain.push(row),
@@ -134,6 +137,15 @@ impl Writer {
                     rebased.base = Some((row.tag, row.row.to_vec()));
                     show(row.id, rebased, points)?;
                 }
+            }
+        }
+        if !removed.is_empty() {
+            self.arrivals.depart(at);
+        }
+        if self.arrivals.is_full() {
+            self.arrivals.forget();
+            for question in self.queue.iter_mut().flat_map(|batch| &mut batch.questions) {
+                question.reloaded();
             }
         }
         let mut plain_removed = Vec::new();
