@@ -119,7 +119,10 @@ impl Remote {
             }
         });
         match answered {
-            Err(Error::Timeout { .. }) if left.is_some() => Err(Error::SearchTimeout),
+            // The client or the server has noticed it first.
+            Err(error) if left.is_some() && error.code() == Code::DeadlineExceeded => {
+                Err(Error::SearchTimeout)
+            }
             answered => answered,
         }
     }
