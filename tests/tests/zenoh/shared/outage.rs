@@ -1,4 +1,4 @@
-//! What a shared index over Zenoh misses, or finds changed, while nothing reaches it.
+//! Outages of a shared index over Zenoh: a silent server, a passed window, an index that is deleted or made again.
 
 use std::time::Duration;
 

@@ -18,7 +18,7 @@ use zenoh::{
 /// The prefix of the relay.
 pub(super) const PREFIX: &str = "relay/v1";
 
-/// What becomes of a query.
+/// The fate of a query and its answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Fate {
     Answered,

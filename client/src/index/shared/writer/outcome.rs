@@ -1,4 +1,4 @@
-//! What becomes of the pending writes: the server acknowledges, publishes or refuses them.
+//! The outcome of pending writes: the server acknowledges, publishes or refuses them.
 
 use std::sync::Arc;
 
