@@ -196,8 +196,8 @@ impl Index {
     /// Sets the payload of a point; its state and its tag stay. False if there is none with this id.
     ///
     /// # Errors
-    /// [`Error::Argument`], or a refusal of the server: it has more bytes than the server takes, 64 KiB unless set. In memory there
-    /// is no limit. The index cannot be written.
+    /// [`Error::Argument`], or a refusal of the server: it has more bytes than the server takes, 64 KiB unless set. In
+    /// memory there is no limit. The index cannot be written.
     pub fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
         self.form.set_payload(id, payload)
     }

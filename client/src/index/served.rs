@@ -1,4 +1,4 @@
-//! The methods of an index that only a server's has use for.
+//! The methods that matter only for an index of a server.
 
 use std::{sync::Arc, time::Duration};
 

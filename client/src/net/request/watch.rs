@@ -63,7 +63,7 @@ pub struct Watch {
     over: bool,
 }
 
-/// What a watch knows before its first message.
+/// The settings of a watch before its first message.
 pub(crate) struct WatchStart {
     /// The server, as errors name it.
     pub(crate) server: String,

@@ -24,7 +24,7 @@ const K: usize = 8;
 /// What each point was told, by its insert and meanwhile.
 type Edges = BTreeMap<u64, Vec<Neighbor>>;
 
-/// Inserts from four threads, two of which share an index. Returns the neighbours that each point got.
+/// Inserts points from four threads; two of the threads share an index. Returns the neighbours of each point.
 fn build(indexes: &[Index; WORKERS], ask: Search) -> Edges {
     let start = Arc::new(Barrier::new(WORKERS));
     let threads: Vec<_> = (0..)
