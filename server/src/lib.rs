@@ -16,6 +16,7 @@ mod latency_gate;
 mod lifecycle;
 mod low_priority;
 mod observe;
+mod pages;
 mod run;
 mod status;
 mod zenoh;
@@ -23,6 +24,7 @@ mod zenoh;
 pub use cli::main;
 pub use grpc::GrpcError;
 pub use observe::{LogFormat, LoggingError};
+pub use pages::use_small_pages;
 pub use run::{ServerError, run};
 pub use zenoh::ZenohError;
 

@@ -30,6 +30,8 @@ where
     A: Parser,
     F: Future<Output = (Value, Option<PathBuf>)>,
 {
+    // All contestants have the server's allocator and its pages.
+    wayfold_server::use_small_pages();
     match role().as_deref() {
         Some("server") => return wayfold_server::main(),
         Some("echo") => return echo::main(),

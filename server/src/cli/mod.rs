@@ -17,7 +17,7 @@ use tokio::{net::TcpListener, runtime};
 
 use crate::{
     config::{Config, DEFAULTS},
-    observe,
+    observe, pages,
     run::{self, Addresses, ServerError},
     zenoh,
 };
@@ -44,6 +44,7 @@ pub fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => return fail(&*error, USAGE_STATUS),
     };
+    pages::use_small_pages();
     if let Some(Command::Repair { dry_run }) = flags.command {
         return repair::run(&config, dry_run);
     }

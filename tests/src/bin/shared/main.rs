@@ -67,6 +67,7 @@ impl Arguments {
 
 fn main() -> ExitCode {
     if measuring::role().as_deref() == Some(visible::WRITER) {
+        wayfold_server::use_small_pages();
         return visible::write();
     }
     measuring::main(async |arguments: Arguments| {
