@@ -7,15 +7,24 @@ use tokio::time::{Instant, sleep_until};
 use super::{
     core::{Core, Task},
     link::protocol,
+    meanwhile::Answerable,
     served_index::ServedIndex,
+    writer::Writer,
 };
-use crate::{Code, Error, Mutation, Reset, ResetReason, WatchEvent, index::local::NewRow};
+use crate::{
+    Code, Error, Mutation, Reset, ResetReason, Watch, WatchEvent,
+    index::local::{LocalPoints, NewRow},
+};
 
 /// The time for which no index may have the name: one that is deleted and created again has it soon.
 const MISSING_TIME: Duration = Duration::from_secs(5);
 
 /// The changes that a copy which is read again skips, so that writes go on while it is read.
 const RELOAD_CHANGES: u64 = 1 << 40;
+
+/// The rows after which the lock of the copy is given back between two mutations: inserts and searches wait for less
+/// than a millisecond.
+const MAX_LOCKED_ROWS: usize = 256;
 
 pub(super) struct Follower {
     core: Arc<Core>,
@@ -89,57 +98,45 @@ impl Follower {
         let watch = self.core.link.watch(&self.index, self.revision, session);
         let mut watch = watch.await?;
         loop {
-            while let Some(event) = watch.ready() {
-                match event {
-                    WatchEvent::Mutation(mutation) => self.apply(&mutation, session)?,
-                    WatchEvent::Reset(reset) => return Err(Stop::Reset(reset)),
-                }
-            }
             (self.missing, self.failures) = (None, 0);
             self.core
                 .following(watch.newest().number.saturating_sub(self.revision));
             match watch.next().await? {
-                Some(WatchEvent::Mutation(mutation)) => self.apply(&mutation, session)?,
-                Some(WatchEvent::Reset(reset)) => return Err(Stop::Reset(reset)),
+                Some(first) => self.apply(first, &mut watch, session)?,
                 None => return Err(Stop::Failed(protocol("the feed ended".to_owned()))),
             }
         }
     }
 
-    /// Applies the next mutation: readers see all of it at once. The feed leaves out the points that `left_out` wrote.
-    fn apply(&mut self, mutation: &Mutation, left_out: u64) -> Result<(), Stop> {
-        let core = &*self.core;
-        let number = mutation.revision.number;
+    /// Applies the next event and those of the same message: readers see them at once. The feed leaves out the points
+    /// that `left_out` wrote.
+    fn apply(&mut self, first: WatchEvent, watch: &mut Watch, left_out: u64) -> Result<(), Stop> {
+        let core = Arc::clone(&self.core);
         let mut writer = core.writer.lock();
         let mut points = core.points.write();
-        let session = mutation.session;
-        let confirmed = match session != 0 && writer.is_own(session) {
-            true => writer.confirm(session, mutation.batch, &mut points)?,
-            false => None,
-        };
-        let answerable = match confirmed {
-            Some(answerable) => answerable,
-            // A batch that was given back to the caller, and that the server had taken after all.
-            None if session != 0 && session == left_out => return Err(Stop::Unfiltered),
-            None => {
-                let stored = mutation.stored.iter().map(|point| NewRow {
-                    id: point.id,
-                    tag: point.tag,
-                    row: point.state,
-                    is_new: point.revision == number,
-                });
-                writer.apply(stored, &mutation.removed_ids, &mut points)?;
-                Vec::new()
-            }
-        };
+        let (mut answerable, mut rows) = (Vec::new(), 0);
+        let (mut next, mut applied) = (Some(first), Ok(()));
+        while let Some(event) = next {
+            applied = match event {
+                WatchEvent::Mutation(mutation) => {
+                    rows += mutation.stored.len() + mutation.removed_ids.len();
+                    apply(&mutation, left_out, &mut writer, &mut points).map(|answers| {
+                        answerable.extend(answers);
+                        (self.revision, self.reloads) = (mutation.revision.number, 0);
+                    })
+                }
+                WatchEvent::Reset(reset) => Err(Stop::Reset(reset)),
+            };
+            let goes_on = applied.is_ok() && rows < MAX_LOCKED_ROWS;
+            next = if goes_on { watch.ready() } else { None };
+        }
         core.progress.notify_all();
         core.after_change(&mut points);
-        core.published.lock().1 = number;
+        core.published.lock().1 = self.revision;
         drop(points);
         drop(writer);
-        (self.revision, self.reloads) = (number, 0);
         core.answer(answerable);
-        Ok(())
+        applied
     }
 
     /// Reads all points again, and shows them with the pending writes in place of the old ones.
@@ -208,4 +205,32 @@ impl Follower {
         sleep_until(Instant::now() + pause).await;
         Ok(())
     }
+}
+
+/// Applies a mutation to the copy. Returns the questions that it answers.
+fn apply(
+    mutation: &Mutation,
+    left_out: u64,
+    writer: &mut Writer,
+    points: &mut LocalPoints,
+) -> Result<Vec<Answerable>, Stop> {
+    let (session, number) = (mutation.session, mutation.revision.number);
+    if session != 0
+        && writer.is_own(session)
+        && let Some(answerable) = writer.confirm(session, mutation.batch, points)?
+    {
+        return Ok(answerable);
+    }
+    if session != 0 && session == left_out {
+        // A batch that was given back to the caller, and that the server had taken after all.
+        return Err(Stop::Unfiltered);
+    }
+    let stored = mutation.stored.iter().map(|point| NewRow {
+        id: point.id,
+        tag: point.tag,
+        row: point.state,
+        is_new: point.revision == number,
+    });
+    writer.apply(stored, &mutation.removed_ids, points)?;
+    Ok(Vec::new())
 }
