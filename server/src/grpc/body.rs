@@ -13,7 +13,7 @@ use http_body::{Body as HttpBody, Frame, SizeHint};
 use tokio::{sync::OwnedSemaphorePermit, time::Sleep};
 use tonic::{Code, Status, body::Body};
 
-use super::{refusals, status::ending};
+use super::{connections::ActiveCall, refusals, status::ending};
 use crate::observe::CallRecord;
 
 /// A call's response body. It holds the call's place in the server's capacity until its end: a client that saw the end
@@ -24,7 +24,22 @@ pub(crate) struct CallBody {
     deadline: Option<Instant>,
     /// Set at the body's first wait; the body of a unary answer never waits.
     timer: Option<Pin<Box<Sleep>>>,
-    place: Option<OwnedSemaphorePermit>,
+    place: Option<Place>,
+}
+
+/// A call's places in the server's capacity and on its connection.
+pub(crate) struct Place {
+    _admitted: OwnedSemaphorePermit,
+    _active: Option<ActiveCall>,
+}
+
+impl Place {
+    pub(super) fn new(admitted: OwnedSemaphorePermit, active: Option<ActiveCall>) -> Self {
+        Self {
+            _admitted: admitted,
+            _active: active,
+        }
+    }
 }
 
 impl CallBody {
@@ -32,7 +47,7 @@ impl CallBody {
     pub(crate) fn wrap(
         response: Response<Body>,
         mut record: CallRecord,
-        place: OwnedSemaphorePermit,
+        place: Place,
         deadline: Option<Instant>,
     ) -> Response<Body> {
         if let Some(code) = code_in(response.headers()) {

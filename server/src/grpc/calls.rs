@@ -16,7 +16,11 @@ use tonic::body::Body;
 use tower::{Layer, Service};
 use tracing::Instrument;
 
-use super::{body::CallBody, deadline, refusals};
+use super::{
+    body::{CallBody, Place},
+    connections::Activity,
+    deadline, refusals,
+};
 use crate::{
     admission::Admission,
     observe::{self, CallRecord, Ending},
@@ -88,6 +92,11 @@ where
     }
 
     fn call(&mut self, mut request: Request<Body>) -> ResponseFuture {
+        let active = match request.extensions().get::<Activity>().map(Activity::begin) {
+            // The connection is being cut, and its calls with it.
+            Some(None) => return Box::pin(std::future::pending()),
+            begun => begun.flatten(),
+        };
         let Some(rpc) = our_rpc(request.uri().path()) else {
             return Box::pin(self.inner.call(request));
         };
@@ -100,7 +109,8 @@ where
             .and_then(|deadline| {
                 let admission = &self.settings.admission;
                 let busy = || Box::new(refusals::busy(admission.limit()));
-                Ok((deadline, admission.take().ok_or_else(busy)?))
+                let place = admission.take().ok_or_else(busy)?;
+                Ok((deadline, Place::new(place, active)))
             });
         let (deadline, place) = match admitted {
             Ok(admitted) => admitted,

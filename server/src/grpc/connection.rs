@@ -1,9 +1,8 @@
-//! Accepts a limited number of TCP connections, without Nagle's delay, and can cut all of them at once.
+//! Accepts a limited number of TCP connections, without Nagle's delay, and can cut each of them, or all at once.
 
 use std::{
     io,
     pin::Pin,
-    sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
 };
@@ -12,12 +11,13 @@ use futures_util::{Stream, stream};
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::{TcpListener, TcpStream},
-    sync::{OwnedSemaphorePermit, Semaphore},
     time::{Instant, Sleep, sleep_until, timeout},
 };
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
-use tonic::transport::server::{Connected, TcpConnectInfo};
+use tonic::transport::server::Connected;
 use tracing::{debug, warn};
+
+use super::connections::{Activity, Connections, Open};
 
 /// The pause after a failure of the listener, which fails while the process has no file descriptors left.
 const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
@@ -25,26 +25,40 @@ const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
 /// Time that a finished connection waits for its client to close.
 const LINGER: Duration = Duration::from_secs(2);
 
-/// The connections made to `listener`, at most `limit` of them at a time: further ones wait in the listener's queue.
-/// `cut` fails all of them.
+/// Time in which a connection must send the preface of HTTP/2.
+const PREFACE_TIME: Duration = Duration::from_secs(10);
+
+/// Bytes of that preface.
+const PREFACE_BYTES: usize = 24;
+
+/// The connections made to `listener`, at most `limit` of them at a time: a further one waits until an idle one has made
+/// room. `cut` fails all of them.
 pub(crate) fn incoming(
     listener: TcpListener,
     limit: usize,
     cut: CancellationToken,
 ) -> impl Stream<Item = io::Result<Connection>> {
-    let slots = Arc::new(Semaphore::new(limit.min(Semaphore::MAX_PERMITS)));
-    stream::unfold((listener, slots, cut), async |(listener, slots, cut)| {
-        let slot = slots.clone().acquire_owned().await.ok()?;
-        let socket = accept(&listener, &cut).await;
-        let connection = Connection {
-            socket,
+    let connections = Connections::new(limit);
+    stream::unfold(
+        (listener, connections, cut),
+        async |(listener, connections, cut)| {
+            let socket = accept(&listener, &cut).await;
             // A child token: all connections would contend for the lock of a shared one.
-            cut: Box::pin(cut.child_token().cancelled_owned()),
-            lingering: None,
-            _slot: slot,
-        };
-        Some((Ok(connection), (listener, slots, cut)))
-    })
+            let own_cut = cut.child_token();
+            let open = connections.open(socket.peer_addr().ok(), own_cut.clone());
+            let connection = Connection {
+                open: open.await,
+                socket,
+                cut: Box::pin(own_cut.cancelled_owned()),
+                preface: Some((
+                    PREFACE_BYTES,
+                    Box::pin(sleep_until(Instant::now() + PREFACE_TIME)),
+                )),
+                lingering: None,
+            };
+            Some((Ok(connection), (listener, connections, cut)))
+        },
+    )
 }
 
 async fn accept(listener: &TcpListener, cut: &CancellationToken) -> TcpStream {
@@ -83,9 +97,11 @@ fn concerns_one_connection(error: &io::Error) -> bool {
 pub(crate) struct Connection {
     socket: TcpStream,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
+    /// The bytes that lack of the preface, and the end of the wait for them.
+    preface: Option<(usize, Pin<Box<Sleep>>)>,
     /// Set once this side has sent everything: the end of the wait for the other.
     lingering: Option<Pin<Box<Sleep>>>,
-    _slot: OwnedSemaphorePermit,
+    open: Open,
 }
 
 impl Connection {
@@ -93,7 +109,15 @@ impl Connection {
         if self.cut.as_mut().poll(context).is_ready() {
             return Err(io::Error::new(
                 io::ErrorKind::ConnectionAborted,
-                "the server stopped before this connection was done",
+                "the server stopped, or needed the place of this idle connection",
+            ));
+        }
+        if let Some((_, end)) = &mut self.preface
+            && end.as_mut().poll(context).is_ready()
+        {
+            return Err(io::Error::new(
+                io::ErrorKind::TimedOut,
+                "the connection sent no preface of HTTP/2",
             ));
         }
         Ok(())
@@ -101,10 +125,10 @@ impl Connection {
 }
 
 impl Connected for Connection {
-    type ConnectInfo = TcpConnectInfo;
+    type ConnectInfo = Activity;
 
-    fn connect_info(&self) -> TcpConnectInfo {
-        self.socket.connect_info()
+    fn connect_info(&self) -> Activity {
+        self.open.activity().clone()
     }
 }
 
@@ -115,7 +139,16 @@ impl AsyncRead for Connection {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         self.check(context)?;
-        Pin::new(&mut self.socket).poll_read(context, buffer)
+        let before = buffer.filled().len();
+        let read = Pin::new(&mut self.socket).poll_read(context, buffer);
+        let came = buffer.filled().len() - before;
+        if let Some((lacking, _)) = &mut self.preface {
+            *lacking = lacking.saturating_sub(came);
+            if *lacking == 0 {
+                self.preface = None;
+            }
+        }
+        read
     }
 }
 
@@ -170,5 +203,44 @@ impl AsyncWrite for Connection {
                 return Poll::Ready(Ok(()));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use futures_util::StreamExt;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    use super::*;
+
+    /// A connection to a listener of its own, and its peer, which has sent some bytes.
+    async fn connection(sent: &[u8]) -> (Connection, TcpStream) {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let mut peer = TcpStream::connect(address).await.unwrap();
+        peer.write_all(sent).await.unwrap();
+        let mut incoming = Box::pin(incoming(listener, 1, CancellationToken::new()));
+        let connection = incoming.next().await.unwrap().unwrap();
+        (connection, peer)
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_connection_without_a_preface_is_closed() {
+        for sent in [&b""[..], b"PRI * HTTP/2.0"] {
+            let (mut connection, _peer) = connection(sent).await;
+            let mut received = Vec::new();
+            let error = connection.read_to_end(&mut received).await.unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+            assert_eq!(received, sent);
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_connection_with_a_preface_may_be_silent() {
+        let (mut connection, _peer) = connection(&[0; PREFACE_BYTES]).await;
+        let mut received = [0; PREFACE_BYTES];
+        connection.read_exact(&mut received).await.unwrap();
+        let silence = timeout(100 * PREFACE_TIME, connection.read(&mut received));
+        assert!(silence.await.is_err());
     }
 }

@@ -3,6 +3,7 @@
 mod body;
 mod calls;
 mod connection;
+mod connections;
 mod deadline;
 mod health;
 mod index_service;
@@ -76,6 +77,8 @@ pub(crate) async fn serve(
         .then(|| Duration::from_millis(config.keepalive_interval_ms));
     Server::builder()
         .max_concurrent_streams(config.max_calls_per_connection)
+        // A client that cancels all its calls at once keeps its connection.
+        .http2_max_pending_accept_reset_streams(Some(config.max_calls_per_connection as usize))
         .http2_keepalive_interval(keepalive)
         .http2_keepalive_timeout(Some(Duration::from_millis(config.keepalive_timeout_ms)))
         .layer(CallsLayer {

@@ -5,6 +5,7 @@
 mod harness;
 mod raw;
 
+mod connections;
 mod deadlines;
 mod description;
 mod errors;

@@ -1,0 +1,164 @@
+//! The open connections, and the choice of the one that makes room for another.
+//!
+//! A client that only holds connections cannot lock others out: once all places are taken, a new connection gets the
+//! place of one without a call under way. Connections that never made a call go first, then those whose last call is
+//! the longest ago. A client reconnects at its next call.
+
+use std::{
+    collections::BTreeMap,
+    net::SocketAddr,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, AtomicUsize, Ordering::SeqCst},
+    },
+};
+
+use parking_lot::Mutex;
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
+use tokio_util::sync::CancellationToken;
+use tracing::debug;
+
+/// The calls of a connection that was given up.
+const GIVEN_UP: usize = usize::MAX;
+
+/// Set in [`State::rank`] by the first call.
+const HAS_CALLED: u64 = 1 << 63;
+
+/// The open connections of a listener.
+#[derive(Debug)]
+pub(super) struct Connections {
+    places: Arc<Semaphore>,
+    open: Mutex<BTreeMap<u64, Arc<State>>>,
+    /// Notified when the last call of a connection ends.
+    idle: Notify,
+    /// The number of connections and ended calls so far.
+    events: AtomicU64,
+}
+
+#[derive(Debug)]
+struct State {
+    /// The calls under way, or [`GIVEN_UP`].
+    calls: AtomicUsize,
+    /// The connection of the least rank makes room first: the number of its last event, and [`HAS_CALLED`].
+    rank: AtomicU64,
+    cut: CancellationToken,
+    peer: Option<SocketAddr>,
+}
+
+/// An open connection, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Open {
+    number: u64,
+    activity: Activity,
+    _place: OwnedSemaphorePermit,
+}
+
+/// The calls of a connection.
+#[derive(Clone, Debug)]
+pub(crate) struct Activity {
+    connections: Arc<Connections>,
+    state: Arc<State>,
+}
+
+/// A call under way, until it is dropped.
+#[derive(Debug)]
+pub(super) struct ActiveCall(Activity);
+
+impl Connections {
+    /// Room for `limit` connections.
+    pub(super) fn new(limit: usize) -> Arc<Self> {
+        Arc::new(Self {
+            places: Arc::new(Semaphore::new(limit.min(Semaphore::MAX_PERMITS))),
+            open: Mutex::default(),
+            idle: Notify::new(),
+            events: AtomicU64::new(0),
+        })
+    }
+
+    /// Waits for a place, which an idle connection gives up if there is no other. `cut` ends the connection.
+    pub(super) async fn open(
+        self: &Arc<Self>,
+        peer: Option<SocketAddr>,
+        cut: CancellationToken,
+    ) -> Open {
+        let place = self.place().await;
+        let number = self.events.fetch_add(1, SeqCst);
+        let state = Arc::new(State {
+            calls: AtomicUsize::new(0),
+            rank: AtomicU64::new(number),
+            cut,
+            peer,
+        });
+        self.open.lock().insert(number, Arc::clone(&state));
+        let connections = Arc::clone(self);
+        Open {
+            number,
+            activity: Activity { connections, state },
+            _place: place,
+        }
+    }
+
+    async fn place(&self) -> OwnedSemaphorePermit {
+        let mut is_given_up = false;
+        loop {
+            let idle = self.idle.notified();
+            if let Ok(place) = Arc::clone(&self.places).try_acquire_owned() {
+                return place;
+            }
+            is_given_up = is_given_up || self.give_one_up();
+            tokio::select! {
+                Ok(place) = Arc::clone(&self.places).acquire_owned() => return place,
+                () = idle => {}
+            }
+        }
+    }
+
+    /// Gives up one connection without calls; false if there is none.
+    fn give_one_up(&self) -> bool {
+        let open = self.open.lock();
+        let mut idle: Vec<&Arc<State>> = open.values().collect();
+        idle.sort_by_cached_key(|state| state.rank.load(SeqCst));
+        let given_up = idle.into_iter().find(|state| {
+            let given_up = state.calls.compare_exchange(0, GIVEN_UP, SeqCst, SeqCst);
+            given_up.is_ok()
+        });
+        if let Some(state) = given_up {
+            debug!(peer = ?state.peer, "an idle connection makes room for another");
+            state.cut.cancel();
+        }
+        given_up.is_some()
+    }
+}
+
+impl Open {
+    /// The calls of the connection.
+    pub(super) fn activity(&self) -> &Activity {
+        &self.activity
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        self.activity.connections.open.lock().remove(&self.number);
+    }
+}
+
+impl Activity {
+    /// A call begins; `None` if the connection was given up.
+    pub(super) fn begin(&self) -> Option<ActiveCall> {
+        let count = |calls| (calls != GIVEN_UP).then(|| calls + 1);
+        self.state.calls.fetch_update(SeqCst, SeqCst, count).ok()?;
+        Some(ActiveCall(self.clone()))
+    }
+}
+
+impl Drop for ActiveCall {
+    fn drop(&mut self) {
+        let Activity { connections, state } = &self.0;
+        let event = connections.events.fetch_add(1, SeqCst);
+        state.rank.store(event | HAS_CALLED, SeqCst);
+        if state.calls.fetch_sub(1, SeqCst) == 1 {
+            connections.idle.notify_waiters();
+        }
+    }
+}

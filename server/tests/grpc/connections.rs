@@ -1,0 +1,166 @@
+//! A client that holds connections does not lock others out.
+//!
+//! These clients speak bare HTTP/2: tonic's would hide that a connection ended by making another.
+
+use std::net::SocketAddr;
+
+use crate::harness::{TestServer, connect, insert, knn};
+use bytes::{BufMut, Bytes, BytesMut};
+use futures_util::future::{join_all, try_join_all};
+use h2::{Reason, client::SendRequest};
+use http::{Request, header};
+use prost::Message;
+use tokio::net::TcpStream;
+use tonic::{Status, transport::Channel};
+use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
+
+/// A connection of HTTP/2.
+struct Connection {
+    address: SocketAddr,
+    client: SendRequest<Bytes>,
+}
+
+impl Connection {
+    async fn open(address: SocketAddr) -> Self {
+        let socket = TcpStream::connect(address).await.unwrap();
+        let (client, connection) = h2::client::handshake(socket).await.unwrap();
+        tokio::spawn(connection);
+        Self { address, client }
+    }
+
+    fn request(&self, rpc: &str) -> Request<()> {
+        Request::post(format!("http://{}/wayfold.v1.{rpc}", self.address))
+            .header(header::CONTENT_TYPE, "application/grpc")
+            .header(header::TE, "trailers")
+            .body(())
+            .unwrap()
+    }
+
+    /// Makes a call, and returns once it has ended.
+    async fn call(&mut self) -> Result<Status, h2::Error> {
+        let request = self.request("IndexService/GetServer");
+        let (answer, mut body) = self
+            .client
+            .clone()
+            .ready()
+            .await?
+            .send_request(request, false)?;
+        body.send_data(frame(&v1::GetServerRequest {}), true)?;
+        let mut answer = answer.await?.into_body();
+        while let Some(bytes) = answer.data().await {
+            let length = bytes?.len();
+            answer.flow_control().release_capacity(length)?;
+        }
+        let trailers = answer.trailers().await?.unwrap();
+        Ok(Status::from_header_map(&trailers).unwrap())
+    }
+
+    async fn expect_call(&mut self) {
+        assert_eq!(self.call().await.unwrap().code(), tonic::Code::Ok);
+    }
+}
+
+fn frame(message: &impl Message) -> Bytes {
+    let mut frame = BytesMut::new();
+    frame.put_u8(0);
+    frame.put_u32(message.encoded_len() as u32);
+    message.encode(&mut frame).unwrap();
+    frame.freeze()
+}
+
+async fn server_for(connections: usize) -> TestServer {
+    TestServer::start(|config| config.grpc.max_connections = connections).await
+}
+
+/// A connection with a call under way: a stream of an index's mutations.
+struct Watcher {
+    client: PointServiceClient<Channel>,
+    mutations: tonic::Streaming<v1::WatchResponse>,
+}
+
+impl Watcher {
+    async fn start(address: SocketAddr) -> Self {
+        let mut client = PointServiceClient::new(connect(address).await);
+        let request = v1::WatchRequest {
+            index_name: "line".into(),
+            ..Default::default()
+        };
+        let mut mutations = client.watch(request).await.unwrap().into_inner();
+        mutations.message().await.unwrap().unwrap();
+        Self { client, mutations }
+    }
+
+    /// Inserts a point over the same connection, which the stream then names.
+    async fn expect_insert(&mut self) {
+        self.client.insert(insert("line", &[0.0])).await.unwrap();
+        let message = self.mutations.message().await.unwrap().unwrap();
+        assert_eq!(message.mutations.len(), 1);
+    }
+}
+
+#[tokio::test]
+async fn silent_connections_make_room_for_others_and_those_that_called_stay() {
+    let server = server_for(8).await;
+    let mut old = Connection::open(server.address).await;
+    old.expect_call().await;
+    let silent = (0..32).map(|_| TcpStream::connect(server.address));
+    let _silent = try_join_all(silent).await.unwrap();
+    let prefaces = (0..32).map(|_| Connection::open(server.address));
+    let _prefaces = join_all(prefaces).await;
+    Connection::open(server.address).await.expect_call().await;
+    old.expect_call().await;
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn the_connection_whose_last_call_is_longest_ago_makes_room() {
+    // One of the places is the harness's.
+    let server = server_for(3).await;
+    let mut first = Connection::open(server.address).await;
+    let mut second = Connection::open(server.address).await;
+    first.expect_call().await;
+    second.expect_call().await;
+    first.expect_call().await;
+    // It gets the harness's place.
+    let mut third = Connection::open(server.address).await;
+    third.expect_call().await;
+    let mut fourth = Connection::open(server.address).await;
+    fourth.expect_call().await;
+    assert!(second.call().await.is_err());
+    first.expect_call().await;
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_connection_waits_while_all_others_have_calls_under_way() {
+    let server = server_for(3).await;
+    server.create_line("line").await;
+    let mut first = Watcher::start(server.address).await;
+    let second = Watcher::start(server.address).await;
+    // It gets the harness's place.
+    let third = Watcher::start(server.address).await;
+    let mut client = PointServiceClient::new(connect(server.address).await);
+    let waiting = tokio::spawn(async move { client.knn(knn("line", &[0.0], 1)).await });
+    first.expect_insert().await;
+    assert!(!waiting.is_finished());
+    drop(second);
+    waiting.await.unwrap().unwrap();
+    let Watcher { mut mutations, .. } = third;
+    mutations.message().await.unwrap().unwrap();
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_client_that_cancels_all_its_calls_keeps_its_connection() {
+    let server = TestServer::start(|_| ()).await;
+    let mut connection = Connection::open(server.address).await;
+    connection.expect_call().await;
+    for _ in 0..200 {
+        let request = connection.request("PointService/Knn");
+        let client = connection.client.clone().ready().await.unwrap();
+        let (_answer, mut body) = { client }.send_request(request, false).unwrap();
+        body.send_reset(Reason::CANCEL);
+    }
+    connection.expect_call().await;
+    server.stop().await.unwrap().unwrap();
+}
