@@ -247,8 +247,17 @@ impl Error {
 
     /// True if the same call may succeed a little later.
     pub(crate) fn is_transient(&self) -> bool {
-        matches!(self, Error::Connection { .. } | Error::Refused(_))
-            && self.code() == Code::Unavailable
+        let is_unavailable = matches!(self, Error::Connection { .. } | Error::Refused(_))
+            && self.code() == Code::Unavailable;
+        is_unavailable || self.retry_after().is_some()
+    }
+
+    /// The pause that the server asks for before the same call.
+    pub(crate) fn retry_after(&self) -> Option<std::time::Duration> {
+        match self {
+            Error::Refused(refusal) => refusal.retry_after,
+            _ => None,
+        }
     }
 }
 

@@ -1,6 +1,9 @@
-//! Admission control: a bound on the calls in flight of one face (gRPC or Zenoh).
+//! Admission control: bounds on the calls in flight of one face (gRPC or Zenoh), and on the bytes that they hold.
 
-use std::sync::Arc;
+use std::sync::{
+    Arc,
+    atomic::{AtomicUsize, Ordering::Relaxed},
+};
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
@@ -34,5 +37,36 @@ impl Admission {
     /// Takes a slot for one call; dropping the permit frees it. None while `limit` calls are in flight.
     pub(crate) fn take(&self) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.free).try_acquire_owned().ok()
+    }
+}
+
+/// A bound on bytes that are held at a time.
+#[derive(Debug)]
+pub(crate) struct Bytes {
+    max: usize,
+    held: AtomicUsize,
+}
+
+impl Bytes {
+    /// Room for `max` bytes.
+    pub(crate) fn new(max: usize) -> Self {
+        let held = AtomicUsize::new(0);
+        Self { max, held }
+    }
+
+    /// The most bytes.
+    pub(crate) fn max(&self) -> usize {
+        self.max
+    }
+
+    /// Takes room for more bytes, until they are given back; false if there is not enough.
+    pub(crate) fn take(&self, bytes: usize) -> bool {
+        let add = |held: usize| held.checked_add(bytes).filter(|held| *held <= self.max);
+        self.held.fetch_update(Relaxed, Relaxed, add).is_ok()
+    }
+
+    /// Gives back room that was taken.
+    pub(crate) fn give_back(&self, bytes: usize) {
+        self.held.fetch_sub(bytes, Relaxed);
     }
 }

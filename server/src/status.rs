@@ -3,7 +3,7 @@
 //! [`v1::Status`] is a google.rpc.Status field for field, with details of google.rpc; each face puts it into its own
 //! form.
 
-use std::collections::HashMap;
+use std::{collections::HashMap, time::Duration};
 
 use prost::Message;
 use prost_types::Any;
@@ -18,6 +18,9 @@ pub(crate) const DOMAIN: &str = "wayfold";
 
 /// The descriptors of the details, the messages of google.rpc.
 pub(crate) const DETAIL_DESCRIPTORS: &[u8] = pb::FILE_DESCRIPTOR_SET;
+
+/// The pause that a busy server asks for: most calls take a few milliseconds.
+const BUSY_PAUSE: Duration = Duration::from_millis(50);
 
 // A status travels in HTTP/2 headers, which stock clients limit to 8 KiB in all, and its text goes twice. Text from a
 // caller has any length, so every part is bounded.
@@ -35,6 +38,8 @@ pub(crate) struct Status {
     pub(crate) message: String,
     metadata: HashMap<String, String>,
     detail: Option<Detail>,
+    /// The same call may succeed after this time.
+    retry_delay: Option<Duration>,
 }
 
 /// The machine-readable detail that accompanies the reason.
@@ -77,6 +82,7 @@ fn describing(error: &Error) -> Status {
         message: bounded(error, MAX_MESSAGE_BYTES),
         metadata: HashMap::new(),
         detail: None,
+        retry_delay: None,
     };
     status.detail = status.describe(error);
     status
@@ -95,9 +101,30 @@ pub(crate) fn limit(
         message,
         metadata: HashMap::new(),
         detail: None,
+        retry_delay: None,
     };
     status.detail = Some(status.quota(limit, value as u64));
     status
+}
+
+/// The status of a call that exceeds a limit of a face only because of other calls.
+pub(crate) fn busy(
+    reason: &'static str,
+    message: String,
+    limit: &'static str,
+    value: usize,
+) -> Status {
+    Status {
+        retry_delay: Some(BUSY_PAUSE),
+        ..self::limit(reason, message, limit, value)
+    }
+}
+
+/// The status of a call while as many others are under way as `limit` allows.
+pub(crate) fn too_many_calls(limit: &'static str, value: usize) -> Status {
+    let message =
+        format!("as many calls are under way as {limit} = {value} allows: try again later");
+    busy("TOO_MANY_CALLS", message, limit, value)
 }
 
 /// A page of the indices, with a status for each that cannot be read.
@@ -252,6 +279,10 @@ impl Status {
         };
         let mut details = vec![any("ErrorInfo", &info)];
         details.extend(self.detail.as_ref().map(|detail| self.encoded(detail)));
+        details.extend(self.retry_delay.map(|delay| {
+            let retry_delay = prost_types::Duration::try_from(delay).ok();
+            any("RetryInfo", &pb::RetryInfo { retry_delay })
+        }));
         v1::Status {
             code: number(self.code),
             message: self.message.clone(),

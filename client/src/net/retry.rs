@@ -7,11 +7,12 @@ use uuid::Uuid;
 
 use crate::Error;
 
-/// The number of retries, and the pauses before them, of a call that failed with `UNAVAILABLE` or lost its connection.
+/// The number of retries, and the pauses before them, of a call that failed with `UNAVAILABLE`, lost its connection, or
+/// was refused by a busy server.
 ///
 /// The client retries only calls that take effect once: reads, and mutations, which carry an operation id. The n-th
-/// pause is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. No attempt begins after the call's
-/// deadline.
+/// pause is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. It is longer if the server asks for a
+/// longer one. No attempt begins after the call's deadline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryPolicy {
     /// The most attempts, the first included.
@@ -21,6 +22,9 @@ pub struct RetryPolicy {
     /// The bound that no pause exceeds.
     pub longest: Duration,
 }
+
+/// A longer pause that a server asks for is cut to this one.
+const MAX_REQUESTED_PAUSE: Duration = Duration::from_secs(60);
 
 impl Default for RetryPolicy {
     /// Five attempts, within about two seconds.
@@ -61,13 +65,14 @@ impl RetryPolicy {
         Some(bound.mul_f64(0.5 + 0.5 * chance))
     }
 
-    /// The pause after `failures` failures in a row, for retries without an end.
-    pub(crate) fn endless_pause(&self, failures: u32) -> Duration {
+    /// The pause after `failures` failures in a row, the last with `error`, for retries without an end.
+    pub(crate) fn endless_pause(&self, failures: u32, error: Option<&Error>) -> Duration {
         let endless = RetryPolicy {
             attempts: u32::MAX,
             ..*self
         };
-        endless.pause(failures, chance()).unwrap_or(self.longest)
+        let pause = endless.pause(failures, chance()).unwrap_or(self.longest);
+        pause.max(requested_pause(error))
     }
 
     /// Makes attempts until one succeeds, fails for good, or the next would begin after `deadline`.
@@ -86,7 +91,7 @@ impl RetryPolicy {
             attempts += 1;
             let next = self
                 .pause(attempts, chance())
-                .map(|pause| Instant::now() + pause);
+                .map(|pause| Instant::now() + pause.max(requested_pause(Some(&error))));
             let Some(next) = next.filter(|next| *next < deadline) else {
                 return Err(error);
             };
@@ -94,6 +99,13 @@ impl RetryPolicy {
             tokio::time::sleep_until(next).await;
         }
     }
+}
+
+/// The pause that the server asks for, lengthened by a random part of itself: refused clients do not all come back at
+/// once.
+fn requested_pause(error: Option<&Error>) -> Duration {
+    let requested = error.and_then(Error::retry_after).unwrap_or_default();
+    requested.min(MAX_REQUESTED_PAUSE).mul_f64(1.0 + chance())
 }
 
 /// A random number in [0, 1], different in each client.
@@ -104,6 +116,8 @@ fn chance() -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use tonic_types::{ErrorDetails, StatusExt};
+
     use super::*;
     use crate::Refusal;
 
@@ -128,6 +142,20 @@ mod tests {
         assert_eq!(POLICY.pause(1, 0.0), Some(Duration::from_millis(50)));
         assert_eq!(POLICY.pause(1, 0.5), Some(Duration::from_millis(75)));
         assert!((0..1000).all(|_| (0.0..=1.0).contains(&chance())));
+    }
+
+    #[test]
+    fn a_pause_is_as_long_as_the_server_asks_for_and_not_endless() {
+        for (requested, least) in [(0, 0), (20, 20), (1_000_000, 60_000)] {
+            let details = ErrorDetails::with_retry_info(Some(Duration::from_millis(requested)));
+            let busy = tonic::Code::ResourceExhausted;
+            let status = tonic::Status::with_error_details(busy, "busy", details);
+            let error = Error::Refused(Box::new(Refusal::from_status(&status)));
+            assert!(error.is_transient());
+            let pause = requested_pause(Some(&error)).as_millis();
+            assert!((least..=2 * least).contains(&pause), "{requested}: {pause}");
+        }
+        assert_eq!(requested_pause(None), Duration::ZERO);
     }
 
     /// The clock is paused: it jumps ahead whenever all tasks wait.

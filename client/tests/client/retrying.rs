@@ -7,6 +7,7 @@ use tokio::{
     net::TcpListener,
 };
 use tonic::Status;
+use tonic_types::{ErrorDetails, StatusExt};
 use wayfold::{Client, Code, Error, RetryPolicy};
 
 use crate::fake::Fake;
@@ -87,6 +88,19 @@ async fn other_refusals_are_not_asked_again() {
         assert_eq!(index.knn([[0.0]]).await.unwrap_err().code(), code);
         assert_eq!(fake.calls(), 1, "{code:?}");
     }
+}
+
+#[tokio::test]
+async fn a_busy_server_is_asked_again() {
+    let fake = Fake::start().await;
+    let index = connect(&fake, quick(5)).await.index("line").await.unwrap();
+    let busy = || {
+        let details = ErrorDetails::with_retry_info(Some(Duration::from_millis(1)));
+        Status::with_error_details(Code::ResourceExhausted, "busy", details)
+    };
+    fake.fail(move |number, _| (number < 2).then(busy));
+    index.insert([[0.0]]).await.unwrap();
+    assert_eq!(fake.calls(), 3);
 }
 
 #[tokio::test]

@@ -49,6 +49,10 @@ pub struct GrpcConfig {
     pub max_calls_per_connection: u32,
     /// The most open connections.
     pub max_connections: usize,
+    /// The most bytes that the requests on their way in, and those of calls in flight, hold.
+    pub max_request_bytes: usize,
+    /// The time in which a request must arrive, in milliseconds.
+    pub receive_timeout_ms: u64,
     /// The most requests of one `StreamKnn` that are evaluated at a time.
     pub stream_window: usize,
     /// A connection is probed after this much silence, in milliseconds; 0 for never.

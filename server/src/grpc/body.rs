@@ -3,6 +3,7 @@
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     pin::Pin,
+    sync::Arc,
     task::{Context, Poll},
     time::Instant,
 };
@@ -13,7 +14,7 @@ use http_body::{Body as HttpBody, Frame, SizeHint};
 use tokio::{sync::OwnedSemaphorePermit, time::Sleep};
 use tonic::{Code, Status, body::Body};
 
-use super::{connections::ActiveCall, refusals, status::ending};
+use super::{connections::ActiveCall, refusals, request_body::HeldBytes, status::ending};
 use crate::observe::CallRecord;
 
 /// A call's response body. It holds the call's place in the server's capacity until its end: a client that saw the end
@@ -27,17 +28,23 @@ pub(crate) struct CallBody {
     place: Option<Place>,
 }
 
-/// A call's places in the server's capacity and on its connection.
+/// A call's places in the server's capacity and on its connection, and the bytes of its request.
 pub(crate) struct Place {
     _admitted: OwnedSemaphorePermit,
     _active: Option<ActiveCall>,
+    _held: Arc<HeldBytes>,
 }
 
 impl Place {
-    pub(super) fn new(admitted: OwnedSemaphorePermit, active: Option<ActiveCall>) -> Self {
+    pub(super) fn new(
+        admitted: OwnedSemaphorePermit,
+        active: Option<ActiveCall>,
+        held: Arc<HeldBytes>,
+    ) -> Self {
         Self {
             _admitted: admitted,
             _active: active,
+            _held: held,
         }
     }
 }

@@ -20,15 +20,20 @@ use super::{
     body::{CallBody, Place},
     connections::Activity,
     deadline, refusals,
+    request_body::{RequestBody, RequestLimits},
 };
 use crate::{
     admission::Admission,
     observe::{self, CallRecord, Ending},
     service::Call,
+    status,
 };
 
 /// The calls that this layer is for.
 const OURS: &str = "/wayfold.v1.";
+
+/// The calls whose requests are streams.
+const STREAMS: [&str; 2] = ["PointService/StreamKnn", "IndexService/RestoreIndex"];
 
 /// The deadline of a call, which the layer leaves in the request's extensions for the handler.
 #[derive(Clone, Copy, Debug)]
@@ -56,6 +61,7 @@ pub(crate) fn open<R: observe::Request>(request: tonic::Request<R>) -> (Call, R)
 pub(crate) struct CallsLayer {
     pub(crate) admission: Admission,
     pub(crate) max_message_bytes: usize,
+    pub(super) requests: RequestLimits,
 }
 
 impl<S> Layer<S> for CallsLayer {
@@ -92,7 +98,8 @@ where
     }
 
     fn call(&mut self, mut request: Request<Body>) -> ResponseFuture {
-        let active = match request.extensions().get::<Activity>().map(Activity::begin) {
+        let activity = request.extensions().get::<Activity>().cloned();
+        let active = match activity.as_ref().map(Activity::begin) {
             // The connection is being cut, and its calls with it.
             Some(None) => return Box::pin(std::future::pending()),
             begun => begun.flatten(),
@@ -103,16 +110,17 @@ where
         // The clock starts here, not inside the future: after this function returns, tonic starts its own timer for the
         // same header and answers CANCELLED when it ends. Ours must never be the later one.
         let started = Instant::now();
+        let is_stream = STREAMS.contains(&rpc);
         let mut record = CallRecord::begin(rpc, started);
         let admitted = deadline::read(request.headers(), started)
             .map_err(|problem| Box::new(refusals::malformed_timeout(&problem)))
             .and_then(|deadline| {
                 let admission = &self.settings.admission;
-                let busy = || Box::new(refusals::busy(admission.limit()));
+                let busy = || Box::new(status::too_many_calls("grpc.max_calls", admission.limit()));
                 let place = admission.take().ok_or_else(busy)?;
-                Ok((deadline, Place::new(place, active)))
+                Ok((deadline, place))
             });
-        let (deadline, place) = match admitted {
+        let (deadline, admitted) = match admitted {
             Ok(admitted) => admitted,
             Err(status) => {
                 record.end(Ending::Failed(status.code));
@@ -121,6 +129,11 @@ where
             }
         };
         request.extensions_mut().insert(Deadline(deadline));
+        let (parts, body) = request.into_parts();
+        let requests = &self.settings.requests;
+        let (body, held) = RequestBody::wrap(body, requests, activity, is_stream, started);
+        let request = Request::from_parts(parts, body);
+        let place = Place::new(admitted, active, held);
         let max_message_bytes = self.settings.max_message_bytes;
         let handler = AssertUnwindSafe(self.inner.call(request)).catch_unwind();
         let span = record.span().clone();
@@ -156,12 +169,15 @@ fn our_rpc(path: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
+    use std::{sync::Arc, time::Duration};
+
     use futures_util::stream;
     use http_body::Body as HttpBody;
     use tonic::{Code, Status};
     use tonic_types::StatusExt;
 
     use super::*;
+    use crate::admission::Bytes;
 
     /// Answers with the result of a function, or panics as it does.
     #[derive(Clone)]
@@ -186,6 +202,10 @@ mod tests {
         let layer = CallsLayer {
             admission: admission.clone(),
             max_message_bytes: 1000,
+            requests: RequestLimits {
+                all: Arc::new(Bytes::new(1000)),
+                time: Duration::from_secs(1),
+            },
         };
         let request = Request::post("/wayfold.v1.PointService/Knn").body(Body::empty());
         let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;

@@ -3,6 +3,7 @@
 use std::{
     io,
     pin::Pin,
+    sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
 };
@@ -31,14 +32,13 @@ const PREFACE_TIME: Duration = Duration::from_secs(10);
 /// Bytes of that preface.
 const PREFACE_BYTES: usize = 24;
 
-/// The connections made to `listener`, at most `limit` of them at a time: a further one waits until an idle one has made
-/// room. `cut` fails all of them.
+/// The connections made to `listener`, at most as many at a time as `connections` has room for: a further one waits until
+/// an idle one has made room. `cut` fails all of them.
 pub(crate) fn incoming(
     listener: TcpListener,
-    limit: usize,
+    connections: Arc<Connections>,
     cut: CancellationToken,
 ) -> impl Stream<Item = io::Result<Connection>> {
-    let connections = Connections::new(limit);
     stream::unfold(
         (listener, connections, cut),
         async |(listener, connections, cut)| {
@@ -219,7 +219,11 @@ mod tests {
         let address = listener.local_addr().unwrap();
         let mut peer = TcpStream::connect(address).await.unwrap();
         peer.write_all(sent).await.unwrap();
-        let mut incoming = Box::pin(incoming(listener, 1, CancellationToken::new()));
+        let mut incoming = Box::pin(incoming(
+            listener,
+            Connections::new(1, 0),
+            CancellationToken::new(),
+        ));
         let connection = incoming.next().await.unwrap().unwrap();
         (connection, peer)
     }

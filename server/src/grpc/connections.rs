@@ -18,6 +18,8 @@ use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
+use crate::admission::Bytes;
+
 /// The calls of a connection that was given up.
 const GIVEN_UP: usize = usize::MAX;
 
@@ -33,6 +35,8 @@ pub(super) struct Connections {
     idle: Notify,
     /// The number of connections and ended calls so far.
     events: AtomicU64,
+    /// The most bytes that the requests of one connection may hold.
+    max_request_bytes: usize,
 }
 
 #[derive(Debug)]
@@ -43,6 +47,8 @@ struct State {
     rank: AtomicU64,
     cut: CancellationToken,
     peer: Option<SocketAddr>,
+    /// What requests on their way in hold.
+    request_bytes: Bytes,
 }
 
 /// An open connection, until it is dropped.
@@ -65,13 +71,14 @@ pub(crate) struct Activity {
 pub(super) struct ActiveCall(Activity);
 
 impl Connections {
-    /// Room for `limit` connections.
-    pub(super) fn new(limit: usize) -> Arc<Self> {
+    /// Room for `limit` connections, whose requests may hold `max_request_bytes` each.
+    pub(super) fn new(limit: usize, max_request_bytes: usize) -> Arc<Self> {
         Arc::new(Self {
             places: Arc::new(Semaphore::new(limit.min(Semaphore::MAX_PERMITS))),
             open: Mutex::default(),
             idle: Notify::new(),
             events: AtomicU64::new(0),
+            max_request_bytes,
         })
     }
 
@@ -88,6 +95,7 @@ impl Connections {
             rank: AtomicU64::new(number),
             cut,
             peer,
+            request_bytes: Bytes::new(self.max_request_bytes),
         });
         self.open.lock().insert(number, Arc::clone(&state));
         let connections = Arc::clone(self);
@@ -149,6 +157,11 @@ impl Activity {
         let count = |calls| (calls != GIVEN_UP).then(|| calls + 1);
         self.state.calls.fetch_update(SeqCst, SeqCst, count).ok()?;
         Some(ActiveCall(self.clone()))
+    }
+
+    /// What its requests hold.
+    pub(super) fn request_bytes(&self) -> &Bytes {
+        &self.state.request_bytes
     }
 }
 

@@ -9,10 +9,11 @@ mod health;
 mod index_service;
 mod point_service;
 mod refusals;
+mod request_body;
 mod status;
 mod stream_knn;
 
-use std::{io, time::Duration};
+use std::{io, sync::Arc, time::Duration};
 
 use thiserror::Error;
 use tokio::net::TcpListener;
@@ -22,12 +23,19 @@ use tonic_health::pb::health_server::HealthServer;
 use wayfold_proto::v1::{self, index_service_server::IndexServiceServer};
 
 use calls::CallsLayer;
+use connections::Connections;
 use health::HealthFace;
 use index_service::IndexFace;
 use point_service::{PointFace, TolerantPointServer};
+use request_body::{HEADER_BYTES, RequestLimits};
 use stream_knn::KnnStreams;
 
-use crate::{admission::Admission, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
+use crate::{
+    admission::{Admission, Bytes},
+    config::GrpcConfig,
+    lifecycle::PhaseWatch,
+    service::Service,
+};
 
 /// The gRPC face could not be served.
 #[derive(Debug, Error)]
@@ -75,6 +83,9 @@ pub(crate) async fn serve(
         (descriptors().build_v1()?, descriptors().build_v1alpha()?);
     let keepalive = (config.keepalive_interval_ms > 0)
         .then(|| Duration::from_millis(config.keepalive_interval_ms));
+    // A quarter of all, but room for a message.
+    let share = (config.max_request_bytes / 4).max(config.max_message_bytes + HEADER_BYTES);
+    let connections = Connections::new(config.max_connections, share);
     Server::builder()
         .max_concurrent_streams(config.max_calls_per_connection)
         // A client that cancels all its calls at once keeps its connection.
@@ -84,6 +95,10 @@ pub(crate) async fn serve(
         .layer(CallsLayer {
             admission,
             max_message_bytes: config.max_message_bytes,
+            requests: RequestLimits {
+                all: Arc::new(Bytes::new(config.max_request_bytes)),
+                time: Duration::from_millis(config.receive_timeout_ms),
+            },
         })
         .add_service(indices)
         .add_service(points)
@@ -91,7 +106,7 @@ pub(crate) async fn serve(
         .add_service(reflection)
         .add_service(reflection_alpha)
         .serve_with_incoming_shutdown(
-            connection::incoming(listener, config.max_connections, cut),
+            connection::incoming(listener, connections, cut),
             phases.stopping(),
         )
         .await?;

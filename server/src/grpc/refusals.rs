@@ -3,7 +3,7 @@
 //! Tonic answers a message above the size limit with OUT_OF_RANGE and one that does not parse with INTERNAL, both
 //! without details. The contract says RESOURCE_EXHAUSTED with the limit, and INVALID_ARGUMENT; INTERNAL is a bug.
 
-use std::fmt::Display;
+use std::{fmt::Display, time::Duration};
 
 use http::{HeaderMap, Response};
 use tonic::{Code, Status, body::Body};
@@ -11,18 +11,18 @@ use tonic::{Code, Status, body::Body};
 use super::deadline::{self, MalformedTimeout};
 use crate::{
     service::{Error, Unavailability, Violation},
-    status::{Status as Refusal, from_error, limit},
+    status::{Status as Refusal, busy, from_error, limit},
 };
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
+const MAX_REQUEST_BYTES: &str = "grpc.max_request_bytes";
+const RECEIVE_TIMEOUT_MS: &str = "grpc.receive_timeout_ms";
 /// The remedy for a message that is too large.
 pub(crate) const SPLIT: &str = "split it into several calls";
 
 /// The remedy if that message is a part of a snapshot.
 pub(crate) const RAISE: &str =
     "a part of a snapshot has up to about 400 KiB and cannot be divided, so raise the limit";
-
-const MAX_CALLS: &str = "grpc.max_calls";
 
 /// Every status of this server has details: one without them is tonic's own.
 const DETAILS_HEADER: &str = "grpc-status-details-bin";
@@ -86,14 +86,22 @@ pub(crate) fn invalid(field: &str, reason: &'static str, description: String) ->
     })
 }
 
-/// The refusal of a call while `most` others are running.
-pub(crate) fn busy(most: usize) -> Refusal {
-    limit(
-        "TOO_MANY_CALLS",
-        format!("as many calls are under way as {MAX_CALLS} = {most} allows: try again later"),
-        MAX_CALLS,
-        most,
-    )
+/// The refusal of a request while all requests hold as many bytes as they may.
+pub(crate) fn too_many_bytes(most: usize) -> Refusal {
+    let message = format!(
+        "requests hold as many bytes as {MAX_REQUEST_BYTES} = {most} and a connection's share of it allow: try again \
+         later"
+    );
+    busy("TOO_MANY_BYTES", message, MAX_REQUEST_BYTES, most)
+}
+
+/// The refusal of a request that did not arrive in time.
+pub(crate) fn too_slow(time: Duration) -> Refusal {
+    let most = time.as_millis() as usize;
+    let message = format!(
+        "the request did not arrive within {RECEIVE_TIMEOUT_MS} = {most}: send smaller messages"
+    );
+    limit("TOO_SLOW", message, RECEIVE_TIMEOUT_MS, most)
 }
 
 /// The answer to a call that made the server panic.

@@ -27,7 +27,6 @@ use crate::{
     status::{self, Status},
 };
 
-const MAX_CALLS: &str = "zenoh.max_calls";
 const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 
 /// Answers queries.
@@ -67,7 +66,8 @@ impl Queries {
             return self.refuse(query, form, under_way, status);
         }
         let Some(place) = self.admission.take() else {
-            return self.refuse(query, form, under_way, self.busy());
+            let status = status::too_many_calls("zenoh.max_calls", self.admission.limit());
+            return self.refuse(query, form, under_way, status);
         };
         let is_short = self.is_short(&query);
         if is_short && let Some(payload) = query.payload_mut() {
@@ -206,16 +206,6 @@ impl Queries {
         answered.unwrap_or(Err(Error::DeadlineExceeded {
             doing: "before the call was done",
         }))
-    }
-
-    fn busy(&self) -> Status {
-        let limit = self.admission.limit();
-        status::limit(
-            "TOO_MANY_CALLS",
-            format!("as many calls are under way as {MAX_CALLS} = {limit} allows: try again later"),
-            MAX_CALLS,
-            limit,
-        )
     }
 
     fn too_large(&self, bytes: usize) -> Status {

@@ -4,69 +4,15 @@
 
 use std::net::SocketAddr;
 
-use crate::harness::{TestServer, connect, insert, knn};
-use bytes::{BufMut, Bytes, BytesMut};
+use crate::{
+    bare::Connection,
+    harness::{TestServer, connect, insert, knn},
+};
 use futures_util::future::{join_all, try_join_all};
-use h2::{Reason, client::SendRequest};
-use http::{Request, header};
-use prost::Message;
+use h2::Reason;
 use tokio::net::TcpStream;
-use tonic::{Status, transport::Channel};
+use tonic::transport::Channel;
 use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
-
-/// A connection of HTTP/2.
-struct Connection {
-    address: SocketAddr,
-    client: SendRequest<Bytes>,
-}
-
-impl Connection {
-    async fn open(address: SocketAddr) -> Self {
-        let socket = TcpStream::connect(address).await.unwrap();
-        let (client, connection) = h2::client::handshake(socket).await.unwrap();
-        tokio::spawn(connection);
-        Self { address, client }
-    }
-
-    fn request(&self, rpc: &str) -> Request<()> {
-        Request::post(format!("http://{}/wayfold.v1.{rpc}", self.address))
-            .header(header::CONTENT_TYPE, "application/grpc")
-            .header(header::TE, "trailers")
-            .body(())
-            .unwrap()
-    }
-
-    /// Makes a call, and returns once it has ended.
-    async fn call(&mut self) -> Result<Status, h2::Error> {
-        let request = self.request("IndexService/GetServer");
-        let (answer, mut body) = self
-            .client
-            .clone()
-            .ready()
-            .await?
-            .send_request(request, false)?;
-        body.send_data(frame(&v1::GetServerRequest {}), true)?;
-        let mut answer = answer.await?.into_body();
-        while let Some(bytes) = answer.data().await {
-            let length = bytes?.len();
-            answer.flow_control().release_capacity(length)?;
-        }
-        let trailers = answer.trailers().await?.unwrap();
-        Ok(Status::from_header_map(&trailers).unwrap())
-    }
-
-    async fn expect_call(&mut self) {
-        assert_eq!(self.call().await.unwrap().code(), tonic::Code::Ok);
-    }
-}
-
-fn frame(message: &impl Message) -> Bytes {
-    let mut frame = BytesMut::new();
-    frame.put_u8(0);
-    frame.put_u32(message.encoded_len() as u32);
-    message.encode(&mut frame).unwrap();
-    frame.freeze()
-}
 
 async fn server_for(connections: usize) -> TestServer {
     TestServer::start(|config| config.grpc.max_connections = connections).await
@@ -157,8 +103,7 @@ async fn a_client_that_cancels_all_its_calls_keeps_its_connection() {
     connection.expect_call().await;
     for _ in 0..200 {
         let request = connection.request("PointService/Knn");
-        let client = connection.client.clone().ready().await.unwrap();
-        let (_answer, mut body) = { client }.send_request(request, false).unwrap();
+        let (_answer, mut body) = connection.begin(request).await.unwrap();
         body.send_reset(Reason::CANCEL);
     }
     connection.expect_call().await;

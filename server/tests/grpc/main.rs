@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod bare;
 mod harness;
 mod raw;
 
@@ -13,6 +14,7 @@ mod extreme_integers;
 #[path = "../extremes/mod.rs"]
 mod extremes;
 mod health;
+mod receiving;
 mod reflection;
 mod refusals;
 mod shutdown;

@@ -114,6 +114,8 @@ async fn calls_beyond_the_capacity_are_refused_and_health_is_not() {
     let status = status.unwrap_err();
     assert_eq!(reason(&status, Code::ResourceExhausted), "TOO_MANY_CALLS");
     assert!(status.message().contains("grpc.max_calls = 1"), "{status}");
+    let retry = status.get_details_retry_info().unwrap();
+    assert!(retry.retry_delay.is_some_and(|delay| !delay.is_zero()));
     let check = server.health().check(HealthCheckRequest::default()).await;
     assert_eq!(check.unwrap().into_inner().status(), ServingStatus::Serving);
 

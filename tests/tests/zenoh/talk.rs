@@ -205,6 +205,7 @@ async fn oversized_requests_are_refused_with_a_message() {
             }
         };
         assert_eq!(reason(&refused), (8, "TOO_MANY_CALLS"));
+        assert!(refused.to_string().contains("google.rpc.RetryInfo"));
         let mut stubs = wayfold_tests::Stubs::connect(_server.uri()).await;
         let request = v1::InsertRequest {
             index_name: "arm".into(),

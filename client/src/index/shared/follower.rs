@@ -146,7 +146,7 @@ impl Follower {
         self.reloads += 1;
         if self.reloads > 1 {
             // Reading takes longer than the server keeps mutations.
-            sleep_until(Instant::now() + core.link.pause(self.reloads)).await;
+            sleep_until(Instant::now() + core.link.pause(self.reloads, None)).await;
         }
         let is_same = reset.reason == ResetReason::WindowPassed;
         let index = match is_same {
@@ -200,7 +200,7 @@ impl Follower {
             _ => self.missing = None,
         }
         self.failures = self.failures.saturating_add(1);
-        let pause = self.core.link.pause(self.failures);
+        let pause = self.core.link.pause(self.failures, Some(&error));
         self.core.disconnected(Task::Follower, error);
         sleep_until(Instant::now() + pause).await;
         Ok(())

@@ -91,14 +91,14 @@ impl Link {
         }
     }
 
-    /// The pause after this many failures in a row.
-    pub(super) fn pause(&self, failures: u32) -> Duration {
+    /// The pause after this many failures in a row, the last with `error`.
+    pub(super) fn pause(&self, failures: u32, error: Option<&Error>) -> Duration {
         let policy = match &self.way {
             Way::Grpc(way) => way.retry_policy(),
             #[cfg(feature = "zenoh")]
             Way::Zenoh(_) => RetryPolicy::default(),
         };
-        policy.endless_pause(failures)
+        policy.endless_pause(failures, error)
     }
 
     /// The index that has the name now.
@@ -210,7 +210,7 @@ pub(super) fn is_transient(error: &Error) -> bool {
                     | Code::Unknown
                     | Code::Cancelled
             );
-            may_end || refusal.retry_after.is_some()
+            may_end || error.retry_after().is_some()
         }
         _ => false,
     }

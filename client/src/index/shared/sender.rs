@@ -71,14 +71,7 @@ pub(super) async fn run(core: Arc<Core>) {
             continue;
         };
         failures += 1;
-        let asked = match &error {
-            Error::Refused(refusal) => refusal.retry_after,
-            _ => None,
-        };
-        let pause = core
-            .link
-            .pause(failures)
-            .max(asked.unwrap_or(Duration::ZERO));
+        let pause = core.link.pause(failures, Some(&error));
         core.disconnected(Task::Sender, error);
         sleep_until(Instant::now() + pause).await;
     }

@@ -95,6 +95,36 @@ tests!(
     a_closed_index_takes_no_writes_and_gives_none_back,
 );
 
+/// The feed of the copy and a foreign one take both places.
+#[test]
+fn a_busy_server_takes_the_writes_later() {
+    let server = Server::with(|config| config.grpc.max_calls = 2);
+    let space = "R2".parse().unwrap();
+    let index = Index::shared(&server.uri, "arm").create(&space).open();
+    let index = index.unwrap();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let watch = runtime.block_on(async {
+        let served = server.client().await.index("arm").await.unwrap();
+        served.watch().await.unwrap()
+    });
+    let ids: Vec<u64> = (0..1000)
+        .map(|number| index.insert([f64::from(number), 0.0]).unwrap())
+        .collect();
+    let refused = loop {
+        match index.status() {
+            Status::Disconnected { why, .. } => break why,
+            status => assert!(matches!(status, Status::Following { .. }), "{status:?}"),
+        }
+        thread::yield_now();
+    };
+    assert_eq!(refused.reason(), Some("TOO_MANY_CALLS"));
+    drop(watch);
+    index.flush().unwrap();
+    let other = Index::remote(&server.uri, "arm").open().unwrap();
+    assert_eq!(content(&other), content(&index));
+    assert_eq!(content(&index).into_keys().collect::<Vec<_>>(), ids);
+}
+
 /// A name for each index of a server.
 fn names() -> impl Fn() -> String {
     let next = std::cell::Cell::new(0);

@@ -39,7 +39,7 @@ impl Link {
                 }
                 Err(error) if is_scan_limit(&error) && Instant::now() < deadline => {
                     refused += 1;
-                    sleep_until(Instant::now() + self.pause(refused)).await;
+                    sleep_until(Instant::now() + self.pause(refused, None)).await;
                 }
                 read => break read?,
             }
