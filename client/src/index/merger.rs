@@ -20,9 +20,9 @@ use super::{local::LocalPoints, origin::Origin};
 /// An index rests when nothing changes for this long.
 const REST: Duration = Duration::from_millis(250);
 
-/// The nice value of the thread that merges. The planner's thread preempts it: on two cores the slowest hundredth of
-/// inserts into a shared index at 50,000 a second was 1 to 4 ms late where merges had the planner's priority, and less
-/// than 1 ms late at 5.
+/// The nice value of the thread that merges. A planner's thread preempts it: on two cores the slowest hundredth of
+/// inserts into a shared index at 50,000 a second came 2 to 4 ms late where merges had the planner's priority, and 1 to
+/// 3 ms late at 5. Two and four planners on two cores have the same speed with either.
 #[cfg(target_os = "linux")]
 const MERGE_NICE: i32 = 5;
 

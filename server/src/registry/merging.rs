@@ -1,25 +1,17 @@
 //! Merges in the background, so that no call waits for a merge.
 
-use std::{
-    io,
-    sync::{Arc, atomic::Ordering::Relaxed},
-};
+use std::sync::{Arc, atomic::Ordering::Relaxed};
 
+use tokio::task::JoinError;
 use tracing::{debug, error};
 use wayfold_index::{Merge, Merged};
 
 use super::{Hosted, Published, apply::Applied};
-use crate::low_priority;
-
-/// The nice value of a merge. On two cores, merges at the priority of calls delayed the slowest hundredth of a planner's
-/// inserts into a shared index by 1 to 4 ms; at 2 by less than 1 ms. Searches are slower until a merge is done: at 5,
-/// writers that ask for neighbours inserted a fifth fewer batches while all cores were busy.
-const MERGE_NICE: i32 = 2;
 
 /// A merge that ran and is not yet swapped in.
 pub(super) struct FinishedMerge {
     rows: usize,
-    merged: io::Result<Merged>,
+    merged: Result<Merged, JoinError>,
 }
 
 impl Hosted {
@@ -50,14 +42,12 @@ impl Hosted {
         }
     }
 
-    /// Waits for a merge permit, runs the merge on a low-priority thread, and swaps it in between two mutations. It
+    /// Waits for a merge permit, runs the merge on a blocking thread, and swaps it in between two mutations. It
     /// continues after the index is closed.
     async fn merge(self: Arc<Self>, merge: Merge) {
         let turn = self.host.merges.acquire().await;
         let rows = merge.rows();
-        let run = move || low_priority::run("wayfold-merge", MERGE_NICE, || merge.run());
-        let merged = tokio::task::spawn_blocking(run).await;
-        let merged = merged.map_err(io::Error::from).flatten();
+        let merged = tokio::task::spawn_blocking(move || merge.run()).await;
         drop(turn);
         self.finished_merges
             .lock()

@@ -26,10 +26,6 @@ const SMALL_FILES: u64 = 1024 * 1024;
 /// The interval at which the store is polled until it has caught up; it gives no signal.
 const CATCHING_UP: Duration = Duration::from_millis(2);
 
-/// The nice value of the store's own threads. At 5 they get a third of the processor time of a thread that answers
-/// calls, so a server that is never idle still moves points out of its journal.
-const STORE_NICE: i32 = 5;
-
 /// The store.
 pub(super) struct Store(RwLock<Option<Handles>>);
 
@@ -44,7 +40,7 @@ impl Store {
     /// Opens the store in a directory, or creates it.
     pub(super) fn open(directory: &Path, durability: Durability) -> fjall::Result<Self> {
         // The threads that fjall starts inherit this one's low priority. fjall may panic on unexpected files.
-        let opened = low_priority::run("wayfold-open", STORE_NICE, || -> fjall::Result<Handles> {
+        let opened = low_priority::run("wayfold-open", || -> fjall::Result<Handles> {
             let database = Database::builder(directory)
                 .max_journaling_size(JOURNAL_BYTES)
                 // The syncer hands batches to the operating system under `fsync`. Under `none` nothing does.
