@@ -107,7 +107,7 @@ pub(crate) fn limit(
     status
 }
 
-/// The status of a call that exceeds a limit of a face only because of other calls.
+/// The status of a call that exceeds a limit of a face now, and may not do so later.
 pub(crate) fn busy(
     reason: &'static str,
     message: String,

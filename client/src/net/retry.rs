@@ -23,7 +23,7 @@ pub struct RetryPolicy {
     pub longest: Duration,
 }
 
-/// A longer pause that a server asks for is cut to this one.
+/// A longer pause that a server asks for is cut to this one, before its random part is added.
 const MAX_REQUESTED_PAUSE: Duration = Duration::from_secs(60);
 
 impl Default for RetryPolicy {

@@ -97,7 +97,7 @@ fn concerns_one_connection(error: &io::Error) -> bool {
 pub(crate) struct Connection {
     socket: TcpStream,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
-    /// The bytes that lack of the preface, and the end of the wait for them.
+    /// The bytes of the preface that are missing, and the end of the wait for them.
     preface: Option<(usize, Pin<Box<Sleep>>)>,
     /// Set once this side has sent everything: the end of the wait for the other.
     lingering: Option<Pin<Box<Sleep>>>,
@@ -142,9 +142,9 @@ impl AsyncRead for Connection {
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.socket).poll_read(context, buffer);
         let came = buffer.filled().len() - before;
-        if let Some((lacking, _)) = &mut self.preface {
-            *lacking = lacking.saturating_sub(came);
-            if *lacking == 0 {
+        if let Some((missing, _)) = &mut self.preface {
+            *missing = missing.saturating_sub(came);
+            if *missing == 0 {
                 self.preface = None;
             }
         }
@@ -160,7 +160,9 @@ impl AsyncWrite for Connection {
     ) -> Poll<io::Result<usize>> {
         // A client that no longer reads keeps a connection here.
         self.check(context)?;
-        Pin::new(&mut self.socket).poll_write(context, bytes)
+        let written = Pin::new(&mut self.socket).poll_write(context, bytes);
+        self.open.activity().set_stalled(written.is_pending());
+        written
     }
 
     fn poll_write_vectored(
@@ -169,7 +171,9 @@ impl AsyncWrite for Connection {
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
         self.check(context)?;
-        Pin::new(&mut self.socket).poll_write_vectored(context, slices)
+        let written = Pin::new(&mut self.socket).poll_write_vectored(context, slices);
+        self.open.activity().set_stalled(written.is_pending());
+        written
     }
 
     fn is_write_vectored(&self) -> bool {

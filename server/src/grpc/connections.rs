@@ -2,23 +2,31 @@
 //!
 //! A client that only holds connections cannot lock others out: once all places are taken, a new connection gets the
 //! place of one without a call under way. Connections that never made a call go first, then those whose last call is
-//! the longest ago. A client reconnects at its next call.
+//! the longest ago. A client reconnects at its next call. Health and reflection are no calls of this kind.
 
 use std::{
     collections::BTreeMap,
     net::SocketAddr,
     sync::{
         Arc,
-        atomic::{AtomicU64, AtomicUsize, Ordering::SeqCst},
+        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::SeqCst},
     },
+    time::Duration,
 };
 
 use parking_lot::Mutex;
-use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
+use tokio::{
+    sync::{OwnedSemaphorePermit, Semaphore},
+    time::{Instant, timeout},
+};
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
 use crate::admission::Bytes;
+
+/// A connection keeps its place for this long after it was opened and after a call: its client may be about to call, and
+/// the end of an answer is about to leave.
+const MIN_IDLE: Duration = Duration::from_millis(100);
 
 /// The calls of a connection that was given up.
 const GIVEN_UP: usize = usize::MAX;
@@ -31,8 +39,6 @@ const HAS_CALLED: u64 = 1 << 63;
 pub(super) struct Connections {
     places: Arc<Semaphore>,
     open: Mutex<BTreeMap<u64, Arc<State>>>,
-    /// Notified when the last call of a connection ends.
-    idle: Notify,
     /// The number of connections and ended calls so far.
     events: AtomicU64,
     /// The most bytes that the requests of one connection may hold.
@@ -45,9 +51,13 @@ struct State {
     calls: AtomicUsize,
     /// The connection of the least rank makes room first: the number of its last event, and [`HAS_CALLED`].
     rank: AtomicU64,
+    /// The time of that event.
+    idle_since: Mutex<Instant>,
+    /// True while its client does not read an answer.
+    is_stalled: AtomicBool,
     cut: CancellationToken,
     peer: Option<SocketAddr>,
-    /// What requests on their way in hold.
+    /// The bytes that the requests of its calls hold.
     request_bytes: Bytes,
 }
 
@@ -76,7 +86,6 @@ impl Connections {
         Arc::new(Self {
             places: Arc::new(Semaphore::new(limit.min(Semaphore::MAX_PERMITS))),
             open: Mutex::default(),
-            idle: Notify::new(),
             events: AtomicU64::new(0),
             max_request_bytes,
         })
@@ -93,6 +102,8 @@ impl Connections {
         let state = Arc::new(State {
             calls: AtomicUsize::new(0),
             rank: AtomicU64::new(number),
+            idle_since: Mutex::new(Instant::now()),
+            is_stalled: AtomicBool::new(false),
             cut,
             peer,
             request_bytes: Bytes::new(self.max_request_bytes),
@@ -109,26 +120,33 @@ impl Connections {
     async fn place(&self) -> OwnedSemaphorePermit {
         let mut is_given_up = false;
         loop {
-            let idle = self.idle.notified();
             if let Ok(place) = Arc::clone(&self.places).try_acquire_owned() {
                 return place;
             }
             is_given_up = is_given_up || self.give_one_up();
-            tokio::select! {
-                Ok(place) = Arc::clone(&self.places).acquire_owned() => return place,
-                () = idle => {}
+            // The place of the connection that was given up, or of another that ends.
+            let free = Arc::clone(&self.places).acquire_owned();
+            if let Ok(Ok(place)) = timeout(MIN_IDLE, free).await {
+                return place;
             }
         }
     }
 
-    /// Gives up one connection without calls; false if there is none.
+    /// Gives up the first connection without calls; false if there is none, or not for long enough.
     fn give_one_up(&self) -> bool {
         let open = self.open.lock();
-        let mut idle: Vec<&Arc<State>> = open.values().collect();
-        idle.sort_by_cached_key(|state| state.rank.load(SeqCst));
-        let given_up = idle.into_iter().find(|state| {
-            let given_up = state.calls.compare_exchange(0, GIVEN_UP, SeqCst, SeqCst);
-            given_up.is_ok()
+        let idle = open
+            .values()
+            .filter(|state| state.calls.load(SeqCst) == 0 && !state.is_stalled.load(SeqCst));
+        let first = idle.min_by_key(|state| state.rank.load(SeqCst));
+        // A younger one is waited for: one that has called does not leave in its place.
+        let given_up = first.filter(|state| {
+            let is_old = state.idle_since.lock().elapsed() >= MIN_IDLE;
+            is_old
+                && state
+                    .calls
+                    .compare_exchange(0, GIVEN_UP, SeqCst, SeqCst)
+                    .is_ok()
         });
         if let Some(state) = given_up {
             debug!(peer = ?state.peer, "an idle connection makes room for another");
@@ -159,7 +177,12 @@ impl Activity {
         Some(ActiveCall(self.clone()))
     }
 
-    /// What its requests hold.
+    /// Notes that its client does not read what the server sends, or reads again.
+    pub(super) fn set_stalled(&self, is_stalled: bool) {
+        self.state.is_stalled.store(is_stalled, SeqCst);
+    }
+
+    /// The bytes that the requests of its calls hold.
     pub(super) fn request_bytes(&self) -> &Bytes {
         &self.state.request_bytes
     }
@@ -170,8 +193,7 @@ impl Drop for ActiveCall {
         let Activity { connections, state } = &self.0;
         let event = connections.events.fetch_add(1, SeqCst);
         state.rank.store(event | HAS_CALLED, SeqCst);
-        if state.calls.fetch_sub(1, SeqCst) == 1 {
-            connections.idle.notify_waiters();
-        }
+        *state.idle_since.lock() = Instant::now();
+        state.calls.fetch_sub(1, SeqCst);
     }
 }

@@ -84,7 +84,8 @@ pub(crate) async fn serve(
     let keepalive = (config.keepalive_interval_ms > 0)
         .then(|| Duration::from_millis(config.keepalive_interval_ms));
     // A quarter of all, but room for a message.
-    let share = (config.max_request_bytes / 4).max(config.max_message_bytes + HEADER_BYTES);
+    let message_bytes = config.max_message_bytes.saturating_add(HEADER_BYTES);
+    let share = (config.max_request_bytes / 4).max(message_bytes);
     let connections = Connections::new(config.max_connections, share);
     Server::builder()
         .max_concurrent_streams(config.max_calls_per_connection)
@@ -96,7 +97,7 @@ pub(crate) async fn serve(
             admission,
             max_message_bytes: config.max_message_bytes,
             requests: RequestLimits {
-                all: Arc::new(Bytes::new(config.max_request_bytes)),
+                all: Arc::new(Bytes::new(config.max_request_bytes.max(message_bytes))),
                 time: Duration::from_millis(config.receive_timeout_ms),
             },
         })

@@ -101,7 +101,7 @@ pub(crate) fn too_slow(time: Duration) -> Refusal {
     let message = format!(
         "the request did not arrive within {RECEIVE_TIMEOUT_MS} = {most}: send smaller messages"
     );
-    limit("TOO_SLOW", message, RECEIVE_TIMEOUT_MS, most)
+    busy("TOO_SLOW", message, RECEIVE_TIMEOUT_MS, most)
 }
 
 /// The answer to a call that made the server panic.

@@ -65,18 +65,24 @@ impl HeldBytes {
         true
     }
 
-    fn give_back_all(&self) {
-        let held = self.held.swap(0, Relaxed);
-        self.all.give_back(held);
-        if let Some(activity) = &self.activity {
-            activity.request_bytes().give_back(held);
+    /// Holds these bytes in place of those so far; false if they exceed a budget.
+    fn hold(&self, bytes: usize) -> bool {
+        let held = self.held.load(Relaxed);
+        if bytes > held {
+            return self.take(bytes - held);
         }
+        self.held.store(bytes, Relaxed);
+        self.all.give_back(held - bytes);
+        if let Some(activity) = &self.activity {
+            activity.request_bytes().give_back(held - bytes);
+        }
+        true
     }
 }
 
 impl Drop for HeldBytes {
     fn drop(&mut self) {
-        self.give_back_all();
+        self.hold(0);
     }
 }
 
@@ -88,9 +94,8 @@ pub(super) struct RequestBody {
     /// True if the request is a stream: it holds the bytes of the message on its way in only.
     is_stream: bool,
     messages: Messages,
-    /// The beginning of the request, or of the newest message of a stream.
     began: Instant,
-    /// Set at the first wait.
+    /// Set at the first wait for a message.
     timer: Option<Pin<Box<Sleep>>>,
 }
 
@@ -119,15 +124,14 @@ impl RequestBody {
     fn receive(&mut self, bytes: &Bytes) -> Result<(), Status> {
         let (was_between, ended) = (self.messages.are_whole(), self.messages.ended);
         self.messages.advance(bytes);
-        let mut more = bytes.len();
-        if self.is_stream {
-            if was_between || self.messages.ended > ended {
-                (self.began, self.timer) = (Instant::now(), None);
-            }
-            self.held.give_back_all();
-            more = self.messages.unfinished;
+        if was_between || self.messages.ended > ended {
+            self.timer = None;
         }
-        match self.held.take(more) {
+        let is_held = match self.is_stream {
+            true => self.held.hold(self.messages.unfinished),
+            false => self.held.take(bytes.len()),
+        };
+        match is_held {
             true => Ok(()),
             false => Err(refusals::too_many_bytes(self.limits.all.max()).into()),
         }
@@ -137,7 +141,13 @@ impl RequestBody {
         if self.is_stream && self.messages.are_whole() {
             return false;
         }
-        let end = self.began + self.limits.time;
+        // The time for which a stream was not read does not count.
+        let began = if self.is_stream {
+            Instant::now()
+        } else {
+            self.began
+        };
+        let end = began + self.limits.time;
         let timer = self
             .timer
             .get_or_insert_with(|| Box::pin(tokio::time::sleep_until(end.into())));

@@ -5,13 +5,13 @@
 use std::net::SocketAddr;
 
 use crate::{
-    bare::Connection,
+    bare::{Connection, frame, status},
     harness::{TestServer, connect, insert, knn},
 };
 use futures_util::future::{join_all, try_join_all};
 use h2::Reason;
 use tokio::net::TcpStream;
-use tonic::transport::Channel;
+use tonic::{Code, transport::Channel};
 use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
 
 async fn server_for(connections: usize) -> TestServer {
@@ -93,6 +93,28 @@ async fn a_connection_waits_while_all_others_have_calls_under_way() {
     waiting.await.unwrap().unwrap();
     let Watcher { mut mutations, .. } = third;
     mutations.message().await.unwrap().unwrap();
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_call_is_answered_though_another_connection_waits_for_its_place() {
+    let server = server_for(2).await;
+    server.create_line("line").await;
+    let _watcher = Watcher::start(server.address).await;
+    // It gets the harness's place.
+    let mut busy = Connection::open(server.address).await;
+    busy.expect_call().await;
+    let request = busy.request("PointService/Insert");
+    let (answer, mut body) = busy.begin(request).await.unwrap();
+    let whole = frame(&insert("line", &[0.0]));
+    body.send_data(whole.slice(..5), false).unwrap();
+    let mut client = PointServiceClient::new(connect(server.address).await);
+    let waiting = tokio::spawn(async move { client.knn(knn("line", &[0.0], 1)).await });
+    busy.expect_call().await;
+    assert!(!waiting.is_finished());
+    body.send_data(whole.slice(5..), true).unwrap();
+    assert_eq!(status(answer).await.unwrap().code(), Code::Ok);
+    waiting.await.unwrap().unwrap();
     server.stop().await.unwrap().unwrap();
 }
 

@@ -99,7 +99,7 @@ async fn half_sent_requests_of_all_connections_hold_the_bytes_of_the_server_at_m
 
 #[tokio::test]
 async fn a_request_that_does_not_arrive_in_time_is_refused() {
-    let server = TestServer::start(|config| config.grpc.receive_timeout_ms = 20).await;
+    let server = TestServer::start(|config| config.grpc.receive_timeout_ms = 200).await;
     server.create_line("line").await;
     let whole = almost_whole();
     // A stream may pause between its messages, and not within one.

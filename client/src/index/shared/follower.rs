@@ -22,7 +22,7 @@ const MISSING_TIME: Duration = Duration::from_secs(5);
 /// The changes that a copy which is read again skips, so that writes go on while it is read.
 const RELOAD_CHANGES: u64 = 1 << 40;
 
-/// The rows after which the lock of the copy is given back between two mutations: inserts and searches wait for less
+/// The rows and mutations after which the lock of the copy is given back between two mutations: inserts and searches wait for less
 /// than a millisecond.
 const MAX_LOCKED_ROWS: usize = 256;
 
@@ -108,8 +108,8 @@ impl Follower {
         }
     }
 
-    /// Applies the next event and those of the same message: readers see them at once. The feed leaves out the points
-    /// that `left_out` wrote.
+    /// Applies the next event, and those of the same message up to [`MAX_LOCKED_ROWS`]: readers see them at once. The
+    /// feed leaves out the points that `left_out` wrote.
     fn apply(&mut self, first: WatchEvent, watch: &mut Watch, left_out: u64) -> Result<(), Stop> {
         let core = Arc::clone(&self.core);
         let mut writer = core.writer.lock();
@@ -119,7 +119,7 @@ impl Follower {
         while let Some(event) = next {
             applied = match event {
                 WatchEvent::Mutation(mutation) => {
-                    rows += mutation.stored.len() + mutation.removed_ids.len();
+                    rows += 1 + mutation.stored.len() + mutation.removed_ids.len();
                     apply(&mutation, left_out, &mut writer, &mut points).map(|answers| {
                         answerable.extend(answers);
                         (self.revision, self.reloads) = (mutation.revision.number, 0);
