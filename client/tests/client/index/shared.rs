@@ -112,8 +112,11 @@ fn a_busy_server_takes_the_writes_later() {
         .collect();
     let refused = loop {
         match index.status() {
-            Status::Disconnected { why, .. } => break why,
-            status => assert!(matches!(status, Status::Following { .. }), "{status:?}"),
+            Some(Status::Disconnected { why, .. }) => break why,
+            status => assert!(
+                matches!(status, Some(Status::Following { .. })),
+                "{status:?}"
+            ),
         }
         thread::yield_now();
     };
