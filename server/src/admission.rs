@@ -42,12 +42,12 @@ impl Admission {
 
 /// A bound on bytes that are held at a time.
 #[derive(Debug)]
-pub(crate) struct Bytes {
+pub(crate) struct ByteBudget {
     max: usize,
     held: AtomicUsize,
 }
 
-impl Bytes {
+impl ByteBudget {
     /// Room for `max` bytes.
     pub(crate) fn new(max: usize) -> Self {
         let held = AtomicUsize::new(0);

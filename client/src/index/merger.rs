@@ -57,7 +57,7 @@ pub(super) fn after_change(points: &mut LocalPoints, index: impl Fn() -> Weak<dy
     let threads = threads.filter(|threads| threads.origin.is_here());
     if !points.is_watched {
         points.is_watched = true;
-        // A failed send means that the thread panicked, which the panic hook has told.
+        // A send fails only after the thread has panicked, and the panic hook has printed that.
         let _ = threads.map(|threads| threads.work.send(Work::Watch(index())));
     }
     if let Some(merge) = points.merge() {

@@ -177,7 +177,7 @@ mod tests {
     use tonic_types::StatusExt;
 
     use super::*;
-    use crate::admission::Bytes;
+    use crate::admission::ByteBudget;
 
     /// Answers with the result of a function, or panics as it does.
     #[derive(Clone)]
@@ -203,7 +203,7 @@ mod tests {
             admission: admission.clone(),
             max_message_bytes: 1000,
             requests: RequestLimits {
-                all: Arc::new(Bytes::new(1000)),
+                all: Arc::new(ByteBudget::new(1000)),
                 time: Duration::from_secs(1),
             },
         };

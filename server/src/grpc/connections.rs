@@ -22,7 +22,7 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
-use crate::admission::Bytes;
+use crate::admission::ByteBudget;
 
 /// A connection keeps its place for this long after it was opened and after a call: its client may be about to call, and
 /// the end of an answer is about to leave.
@@ -58,7 +58,7 @@ struct State {
     cut: CancellationToken,
     peer: Option<SocketAddr>,
     /// The bytes that the requests of its calls hold.
-    request_bytes: Bytes,
+    request_bytes: ByteBudget,
 }
 
 /// An open connection, until it is dropped.
@@ -106,7 +106,7 @@ impl Connections {
             is_stalled: AtomicBool::new(false),
             cut,
             peer,
-            request_bytes: Bytes::new(self.max_request_bytes),
+            request_bytes: ByteBudget::new(self.max_request_bytes),
         });
         self.open.lock().insert(number, Arc::clone(&state));
         let connections = Arc::clone(self);
@@ -183,7 +183,7 @@ impl Activity {
     }
 
     /// The bytes that the requests of its calls hold.
-    pub(super) fn request_bytes(&self) -> &Bytes {
+    pub(super) fn request_bytes(&self) -> &ByteBudget {
         &self.state.request_bytes
     }
 }

@@ -31,7 +31,7 @@ use request_body::{HEADER_BYTES, RequestLimits};
 use stream_knn::KnnStreams;
 
 use crate::{
-    admission::{Admission, Bytes},
+    admission::{Admission, ByteBudget},
     config::GrpcConfig,
     lifecycle::PhaseWatch,
     service::Service,
@@ -97,7 +97,7 @@ pub(crate) async fn serve(
             admission,
             max_message_bytes: config.max_message_bytes,
             requests: RequestLimits {
-                all: Arc::new(Bytes::new(config.max_request_bytes.max(message_bytes))),
+                all: Arc::new(ByteBudget::new(config.max_request_bytes.max(message_bytes))),
                 time: Duration::from_millis(config.receive_timeout_ms),
             },
         })

@@ -19,7 +19,7 @@ use tokio::time::Sleep;
 use tonic::{Status, body::Body};
 
 use super::{connections::Activity, refusals};
-use crate::admission::Bytes as Budget;
+use crate::admission::ByteBudget;
 
 /// Bytes before each message: a flag and the length.
 pub(super) const HEADER_BYTES: usize = 5;
@@ -28,7 +28,7 @@ pub(super) const HEADER_BYTES: usize = 5;
 #[derive(Clone, Debug)]
 pub(super) struct RequestLimits {
     /// The bytes of all requests.
-    pub(super) all: Arc<Budget>,
+    pub(super) all: Arc<ByteBudget>,
     /// The time of a request, and of each message of a stream.
     pub(super) time: Duration,
 }
@@ -36,13 +36,13 @@ pub(super) struct RequestLimits {
 /// The bytes that the request of one call holds, until it is dropped.
 #[derive(Debug)]
 pub(super) struct HeldBytes {
-    all: Arc<Budget>,
+    all: Arc<ByteBudget>,
     activity: Option<Activity>,
     held: AtomicUsize,
 }
 
 impl HeldBytes {
-    fn new(all: Arc<Budget>, activity: Option<Activity>) -> Self {
+    fn new(all: Arc<ByteBudget>, activity: Option<Activity>) -> Self {
         let held = AtomicUsize::new(0);
         Self {
             all,

@@ -22,8 +22,8 @@ const MISSING_TIME: Duration = Duration::from_secs(5);
 /// The changes that a copy which is read again skips, so that writes go on while it is read.
 const RELOAD_CHANGES: u64 = 1 << 40;
 
-/// The rows and mutations after which the lock of the copy is given back between two mutations: inserts and searches wait for less
-/// than a millisecond.
+/// The rows and mutations after which the lock of the copy is given back between two mutations: inserts and searches
+/// wait for less than a millisecond.
 const MAX_LOCKED_ROWS: usize = 256;
 
 pub(super) struct Follower {
