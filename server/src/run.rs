@@ -5,9 +5,10 @@ use std::{convert::Infallible, io, net::SocketAddr, pin::pin, sync::Arc, time::D
 use thiserror::Error;
 use tokio::{
     net::TcpListener,
+    runtime::Handle,
     time::{Instant, interval, sleep_until, timeout},
 };
-use tokio_util::sync::CancellationToken;
+use tokio_util::{sync::CancellationToken, task::TaskTracker};
 use tracing::{info, warn};
 
 use crate::{
@@ -91,9 +92,15 @@ pub(crate) async fn serve(
     let durability = config.data.directory().map(|_| config.data.durability);
     let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
-    let admission = Admission::new(config.grpc.max_calls);
+    let threads = Handle::current().metrics().num_workers();
+    let message_bytes = config
+        .grpc
+        .max_message_bytes
+        .max(config.zenoh.max_message_bytes);
+    let admission = Admission::new(&config.admission, threads, message_bytes);
+    let under_way = TaskTracker::new();
     let cut = CancellationToken::new();
-    let mut zenoh = ZenohFace::open(&config.zenoh, service.clone()).await?;
+    let mut zenoh = ZenohFace::open(&config.zenoh, service.clone(), admission.clone()).await?;
     let addresses = Addresses {
         grpc: address,
         zenoh: match &zenoh {
@@ -106,7 +113,8 @@ pub(crate) async fn serve(
         service.clone(),
         lifecycle.watch(),
         listener,
-        admission.clone(),
+        admission,
+        under_way.clone(),
         cut.clone(),
     ));
 
@@ -139,7 +147,7 @@ pub(crate) async fn serve(
     // The service refuses new calls first, so that all of them fail once the phase announces the shutdown.
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
-    drain(serving, zenoh, admission, cut, config.shutdown.grace_ms).await
+    drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await
 }
 
 fn warn_beyond_loopback(address: SocketAddr) {
@@ -156,13 +164,13 @@ fn warn_beyond_loopback(address: SocketAddr) {
 async fn drain(
     serving: impl Future<Output = Result<(), GrpcError>>,
     zenoh: Option<ZenohFace>,
-    grpc: Admission,
+    grpc: TaskTracker,
     cut: CancellationToken,
     grace_ms: u64,
 ) -> Result<(), ServerError> {
-    let faces: Vec<Admission> = [grpc]
+    let faces: Vec<TaskTracker> = [grpc]
         .into_iter()
-        .chain(zenoh.as_ref().map(ZenohFace::admission))
+        .chain(zenoh.as_ref().map(ZenohFace::under_way))
         .collect();
     info!(
         calls = in_use(&faces),
@@ -199,12 +207,12 @@ async fn drain(
 }
 
 /// The number of calls in flight over all faces.
-fn in_use(faces: &[Admission]) -> usize {
-    faces.iter().map(Admission::in_use).sum()
+fn in_use(faces: &[TaskTracker]) -> usize {
+    faces.iter().map(TaskTracker::len).sum()
 }
 
 /// Returns once no call has been in flight for [`IDLE_WAIT`].
-async fn idle(faces: &[Admission]) {
+async fn idle(faces: &[TaskTracker]) {
     let mut ticks = interval(IDLE_WAIT / 10);
     let mut since = Instant::now();
     loop {

@@ -11,7 +11,10 @@ use tonic_types::pb;
 use tracing::error;
 use wayfold_proto::v1;
 
-use crate::service::{Code, Damaged, Error, Listing, Violation};
+use crate::{
+    admission::{MAX_BYTES, Overloaded, QUEUE_TARGET_MS},
+    service::{Code, Damaged, Error, Listing, Violation},
+};
 
 /// The domain of every `ErrorInfo`.
 pub(crate) const DOMAIN: &str = "wayfold";
@@ -125,6 +128,23 @@ pub(crate) fn too_many_calls(limit: &'static str, value: usize) -> Status {
     let message =
         format!("as many calls are under way as {limit} = {value} allows: try again later");
     busy("TOO_MANY_CALLS", message, limit, value)
+}
+
+/// The status of a call that waited to begin for too long.
+pub(crate) fn overloaded(Overloaded(target): Overloaded) -> Status {
+    let most = target.as_millis() as usize;
+    let message =
+        format!("calls wait longer than {QUEUE_TARGET_MS} = {most} allows: try again later");
+    busy("OVERLOADED", message, QUEUE_TARGET_MS, most)
+}
+
+/// The status of a call while requests, calls and unread answers hold `most` bytes, or those of its flow their share.
+pub(crate) fn too_many_bytes(most: usize) -> Status {
+    let message = format!(
+        "requests, calls and unread answers hold as many bytes as {MAX_BYTES} = {most} and a connection's share of it \
+         allow: read the answers, and try again later"
+    );
+    busy("TOO_MANY_BYTES", message, MAX_BYTES, most)
 }
 
 /// A page of the indices, with a status for each that cannot be read.

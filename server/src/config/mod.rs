@@ -22,6 +22,8 @@ pub struct Config {
     pub grpc: GrpcConfig,
     /// The Zenoh face.
     pub zenoh: ZenohConfig,
+    /// What calls may take of the server's time and memory.
+    pub admission: AdmissionConfig,
     /// Limits on calls.
     pub limits: Limits,
     /// The structure of the indices in memory.
@@ -43,16 +45,16 @@ pub struct GrpcConfig {
     pub listen: String,
     /// The largest request message, in bytes.
     pub max_message_bytes: usize,
-    /// The most calls in flight.
-    pub max_calls: usize,
     /// The most calls in flight on one connection.
     pub max_calls_per_connection: u32,
     /// The most open connections.
     pub max_connections: usize,
-    /// The most bytes that the requests on their way in, and those of calls in flight, hold.
-    pub max_request_bytes: usize,
     /// The time in which a request must arrive, in milliseconds.
     pub receive_timeout_ms: u64,
+    /// The time in which a client must read some of the answers that wait for it, in milliseconds.
+    pub send_timeout_ms: u64,
+    /// The deadline of a call that has none and that is no stream, in milliseconds.
+    pub default_timeout_ms: u64,
     /// The most requests of one `StreamKnn` that are evaluated at a time.
     pub stream_window: usize,
     /// A connection is probed after this much silence, in milliseconds; 0 for never.
@@ -70,6 +72,8 @@ pub struct ZenohConfig {
     pub prefix: String,
     /// The most queries in flight.
     pub max_calls: usize,
+    /// The deadline of a query that has none, in milliseconds.
+    pub default_timeout_ms: u64,
     /// The largest payload of a query, in bytes.
     pub max_message_bytes: usize,
     /// Further settings of Zenoh, in JSON5.
@@ -84,6 +88,17 @@ impl ZenohConfig {
     pub(crate) fn is_off(&self) -> bool {
         self.listen == Self::OFF
     }
+}
+
+/// `[admission]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct AdmissionConfig {
+    /// The time that a call waits to begin while the queue stands, in milliseconds.
+    pub queue_target_ms: u64,
+    /// The time that it waits otherwise, in milliseconds: a queue that was not empty for longer stands.
+    pub burst_ms: u64,
+    /// The most bytes that requests, calls and unread answers hold.
+    pub max_bytes: usize,
 }
 
 /// `[index]`

@@ -50,13 +50,13 @@ mod tests {
     fn a_misspelt_name_finds_its_setting() {
         let known = [
             "grpc.listen",
-            "grpc.max_calls",
+            "grpc.max_connections",
             "limits.max_k",
             "log.filter",
         ];
         for (written, meant) in [
             ("grpc.listne", "grpc.listen"),
-            ("max_calls", "grpc.max_calls"),
+            ("max_connections", "grpc.max_connections"),
             ("server.listen", "grpc.listen"),
             ("limits.max_K", "limits.max_k"),
         ] {

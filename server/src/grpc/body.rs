@@ -1,4 +1,4 @@
-//! A response body that enforces a stream's deadline and records its outcome.
+//! A response body that counts what its client has not read, enforces a stream's deadline and records its outcome.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -11,67 +11,121 @@ use std::{
 use bytes::Bytes;
 use http::{HeaderMap, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
-use tokio::{sync::OwnedSemaphorePermit, time::Sleep};
+use tokio::time::Sleep;
+use tokio_util::task::task_tracker::TaskTrackerToken;
 use tonic::{Code, Status, body::Body};
 
-use super::{connections::ActiveCall, refusals, request_body::HeldBytes, status::ending};
-use crate::observe::CallRecord;
+use super::{
+    connections::{ActiveCall, Activity, Sending},
+    refusals,
+    status::ending,
+};
+use crate::{
+    admission::{CallTurns, HeldBytes},
+    observe::CallRecord,
+    status,
+};
 
-/// A call's response body. It holds the call's place in the server's capacity until its end: a client that saw the end
-/// finds the place free.
+/// A frame of an answer.
+pub(super) type AnswerFrame = Result<Frame<Bytes>, Status>;
+
+/// A call's response body. It holds what the call holds until its end: a client that saw the end finds the place free.
 pub(crate) struct CallBody {
     inner: Body,
+    /// A frame that was made with the answer's headers.
+    made: Option<AnswerFrame>,
     record: CallRecord,
     deadline: Option<Instant>,
     /// Set at the body's first wait; the body of a unary answer never waits.
     timer: Option<Pin<Box<Sleep>>>,
+    /// The turns in which the frames of a stream are made.
+    turns: Option<CallTurns>,
     place: Option<Place>,
 }
 
-/// A call's places in the server's capacity and on its connection, and the bytes of its request.
-pub(crate) struct Place {
-    _admitted: OwnedSemaphorePermit,
-    _active: Option<ActiveCall>,
-    _held: Arc<HeldBytes>,
+/// What a call holds: a place on its connection and among the calls under way, and bytes.
+pub(super) struct Place {
+    pub(super) activity: Option<Activity>,
+    pub(super) _active: Option<ActiveCall>,
+    pub(super) _under_way: TaskTrackerToken,
+    pub(super) held: Arc<HeldBytes>,
+}
+
+/// A frame that its client has not read. It is dropped once it is written.
+struct Unread {
+    bytes: Bytes,
+    _held: HeldBytes,
+    _sending: Option<Sending>,
+}
+
+impl AsRef<[u8]> for Unread {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
 }
 
 impl Place {
-    pub(super) fn new(
-        admitted: OwnedSemaphorePermit,
-        active: Option<ActiveCall>,
-        held: Arc<HeldBytes>,
-    ) -> Self {
-        Self {
-            _admitted: admitted,
-            _active: active,
-            _held: held,
-        }
+    /// Counts the bytes of `frame` until its client has read them.
+    fn count(&self, frame: Frame<Bytes>) -> Frame<Bytes> {
+        frame.map_data(|bytes| {
+            let held = self.held.flow().hold();
+            held.take_anyway(bytes.len());
+            Bytes::from_owner(Unread {
+                bytes,
+                _held: held,
+                _sending: self.activity.as_ref().map(Activity::send),
+            })
+        })
     }
 }
 
 impl CallBody {
-    /// Wraps the body of `response`; `record` ends with it.
-    pub(crate) fn wrap(
+    /// Wraps the body of `response`, of which a first frame may be `made`; `record` ends with it.
+    pub(super) fn wrap(
         response: Response<Body>,
+        made: Option<AnswerFrame>,
         mut record: CallRecord,
         place: Place,
         deadline: Option<Instant>,
+        turns: Option<CallTurns>,
     ) -> Response<Body> {
         if let Some(code) = code_in(response.headers()) {
             record.end(ending(code));
         }
-        if response.body().is_end_stream() {
+        if made.is_none() && response.body().is_end_stream() {
             return response;
         }
         response.map(|inner| {
             Body::new(Self {
                 inner,
+                made,
                 record,
                 deadline,
                 timer: None,
+                turns,
                 place: Some(place),
             })
         })
+    }
+
+    /// The next frame, made in a turn if the answer is a stream.
+    fn poll_made(&mut self, context: &mut Context<'_>) -> Poll<Option<AnswerFrame>> {
+        if let Some(made) = self.made.take() {
+            return Poll::Ready(Some(made));
+        }
+        let inner = Pin::new(&mut self.inner);
+        let make = |context: &mut Context<'_>| inner.poll_frame(context);
+        let polled = catch_unwind(AssertUnwindSafe(|| match &mut self.turns {
+            Some(turns) => turns.poll(context, make),
+            None => make(context).map(Ok),
+        }));
+        match polled {
+            Ok(Poll::Pending) => Poll::Pending,
+            Ok(Poll::Ready(Ok(made))) => Poll::Ready(made),
+            // It waited for its first turn for too long.
+            Ok(Poll::Ready(Err(overloaded))) => self.end(status::overloaded(overloaded).into()),
+            Err(_panic) => self.end(refusals::panicked(self.record.rpc()).into()),
+        }
     }
 
     /// Ends the body with `status` and drops its source, which stops the work.
@@ -112,33 +166,37 @@ impl HttpBody for CallBody {
         let this = &mut *self;
         let span = this.record.span().clone();
         let _entered = span.enter();
-        let inner = Pin::new(&mut this.inner);
-        let Ok(polled) = catch_unwind(AssertUnwindSafe(|| inner.poll_frame(context))) else {
-            let status = refusals::panicked(this.record.rpc());
-            return this.end(status.into());
-        };
-        match &polled {
+        match this.poll_made(context) {
             Poll::Pending if this.deadline_passed(context) => {
-                let status = refusals::deadline_exceeded();
-                return this.end(status.into());
+                this.end(refusals::deadline_exceeded().into())
             }
             Poll::Ready(Some(Ok(frame))) => {
+                let frame = match &this.place {
+                    Some(place) => place.count(frame),
+                    None => frame,
+                };
                 if let Some(code) = frame.trailers_ref().and_then(code_in) {
                     this.ended(code);
                 }
+                Poll::Ready(Some(Ok(frame)))
             }
-            Poll::Ready(Some(Err(status))) => this.ended(status.code()),
-            Poll::Pending | Poll::Ready(None) => {}
+            Poll::Ready(Some(Err(status))) => {
+                this.ended(status.code());
+                Poll::Ready(Some(Err(status)))
+            }
+            polled @ (Poll::Pending | Poll::Ready(None)) => polled,
         }
-        polled
     }
 
     fn is_end_stream(&self) -> bool {
-        self.inner.is_end_stream()
+        self.made.is_none() && self.inner.is_end_stream()
     }
 
     fn size_hint(&self) -> SizeHint {
-        self.inner.size_hint()
+        match self.made {
+            Some(_) => SizeHint::new(),
+            None => self.inner.size_hint(),
+        }
     }
 }
 

@@ -1,29 +1,35 @@
-//! The layer around every call: its span, deadline, share of the server's capacity, and the record of its end.
+//! The layer around every call: its span, deadline, share of the server's time and memory, and the record of its end.
 //!
-//! Health and reflection pass through: they must answer just when the server is busy.
+//! A request arrives whole before its call waits for a turn, unless it is a stream. Health and reflection pass through:
+//! they must answer just when the server is busy.
 
 use std::{
     convert::Infallible,
+    future::poll_fn,
     panic::AssertUnwindSafe,
-    pin::Pin,
+    pin::{Pin, pin},
+    sync::Arc,
     task::{Context, Poll},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
-use futures_util::FutureExt;
+use futures_util::{FutureExt, poll};
 use http::{Request, Response};
-use tonic::body::Body;
+use http_body::Body as HttpBody;
+use http_body_util::BodyExt;
+use tokio_util::task::TaskTracker;
+use tonic::{Status, body::Body};
 use tower::{Layer, Service};
 use tracing::Instrument;
 
 use super::{
-    body::{CallBody, Place},
+    body::{AnswerFrame, CallBody, Place},
     connections::Activity,
     deadline, refusals,
     request_body::{RequestBody, RequestLimits},
 };
 use crate::{
-    admission::Admission,
+    admission::{Admission, CALL_BYTES, Flow, HeldBytes},
     observe::{self, CallRecord, Ending},
     service::Call,
     status,
@@ -33,7 +39,16 @@ use crate::{
 const OURS: &str = "/wayfold.v1.";
 
 /// The calls whose requests are streams.
-const STREAMS: [&str; 2] = ["PointService/StreamKnn", "IndexService/RestoreIndex"];
+const REQUEST_STREAMS: [&str; 2] = ["PointService/StreamKnn", "IndexService/RestoreIndex"];
+
+/// The calls whose answers are streams.
+const ANSWER_STREAMS: [&str; 5] = [
+    "PointService/StreamKnn",
+    "PointService/Scan",
+    "PointService/Watch",
+    "IndexService/SnapshotIndex",
+    "IndexService/VerifyIndex",
+];
 
 /// The deadline of a call, which the layer leaves in the request's extensions for the handler.
 #[derive(Clone, Copy, Debug)]
@@ -56,12 +71,20 @@ pub(crate) fn open<R: observe::Request>(request: tonic::Request<R>) -> (Call, R)
     (call, message)
 }
 
+/// The flow of a call, which the layer leaves there too.
+pub(super) fn flow_of<T>(request: &tonic::Request<T>) -> Option<Arc<Flow>> {
+    request.extensions().get::<Arc<Flow>>().cloned()
+}
+
 /// Wraps services in [`Calls`].
 #[derive(Clone, Debug)]
 pub(crate) struct CallsLayer {
     pub(crate) admission: Admission,
-    pub(crate) max_message_bytes: usize,
+    /// The calls under way.
+    pub(crate) under_way: TaskTracker,
     pub(super) requests: RequestLimits,
+    /// The deadline of calls that have none and are no streams.
+    pub(super) default_timeout: Duration,
 }
 
 impl<S> Layer<S> for CallsLayer {
@@ -86,7 +109,10 @@ type ResponseFuture = Pin<Box<dyn Future<Output = Result<Response<Body>, Infalli
 
 impl<S> Service<Request<Body>> for Calls<S>
 where
-    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
+    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>
+        + Clone
+        + Send
+        + 'static,
     S::Future: Send + 'static,
 {
     type Response = Response<Body>;
@@ -97,7 +123,7 @@ where
         self.inner.poll_ready(context)
     }
 
-    fn call(&mut self, mut request: Request<Body>) -> ResponseFuture {
+    fn call(&mut self, request: Request<Body>) -> ResponseFuture {
         let activity = request.extensions().get::<Activity>().cloned();
         let active = match activity.as_ref().map(Activity::begin) {
             // The connection is being cut, and its calls with it.
@@ -109,56 +135,150 @@ where
         };
         // The clock starts here, not inside the future: after this function returns, tonic starts its own timer for the
         // same header and answers CANCELLED when it ends. Ours must never be the later one.
-        let started = Instant::now();
-        let is_stream = STREAMS.contains(&rpc);
-        let mut record = CallRecord::begin(rpc, started);
-        let admitted = deadline::read(request.headers(), started)
-            .map_err(|problem| Box::new(refusals::malformed_timeout(&problem)))
-            .and_then(|deadline| {
-                let admission = &self.settings.admission;
-                let busy = || Box::new(status::too_many_calls("grpc.max_calls", admission.limit()));
-                let place = admission.take().ok_or_else(busy)?;
-                Ok((deadline, place))
-            });
-        let (deadline, admitted) = match admitted {
-            Ok(admitted) => admitted,
+        let arrived = Instant::now();
+        let mut record = CallRecord::begin(rpc, arrived);
+        let settings = &self.settings;
+        let flow = settings.flow(rpc, activity.as_ref());
+        let held = Arc::new(flow.hold());
+        let is_stream = ANSWER_STREAMS.contains(&rpc) || REQUEST_STREAMS.contains(&rpc);
+        let deadline = match deadline::read(request.headers(), arrived) {
+            Err(problem) => Err(refusals::malformed_timeout(&problem)),
+            Ok(_) if !held.take(CALL_BYTES) => Err(status::too_many_bytes(flow.max_bytes())),
+            Ok(None) if !is_stream => Ok(arrived.checked_add(settings.default_timeout)),
+            Ok(deadline) => Ok(deadline),
+        };
+        // A call waits from its arrival on, not from the time that its task first runs.
+        let mut turns = flow.turns();
+        let deadline = deadline
+            .and_then(|deadline| turns.ask().map(|()| deadline).map_err(status::overloaded));
+        let deadline = match deadline {
+            Ok(deadline) => deadline,
             Err(status) => {
                 record.end(Ending::Failed(status.code));
-                let refusal = tonic::Status::from(*status).into_http();
+                let refusal = Status::from(status).into_http();
                 return Box::pin(std::future::ready(Ok(refusal)));
             }
         };
-        request.extensions_mut().insert(Deadline(deadline));
-        let (parts, body) = request.into_parts();
-        let requests = &self.settings.requests;
-        let (body, held) = RequestBody::wrap(body, requests, activity, is_stream, started);
-        let request = Request::from_parts(parts, body);
-        let place = Place::new(admitted, active, held);
-        let max_message_bytes = self.settings.max_message_bytes;
-        let handler = AssertUnwindSafe(self.inner.call(request)).catch_unwind();
+        let place = Place {
+            activity,
+            _active: active,
+            _under_way: settings.under_way.token(),
+            held: Arc::clone(&held),
+        };
+        let admitted = Admitted {
+            inner: self.inner.clone(),
+            limits: settings.requests.clone(),
+            held,
+            arrived,
+            deadline,
+            is_stream: REQUEST_STREAMS.contains(&rpc),
+        };
+        let is_answer_stream = ANSWER_STREAMS.contains(&rpc);
         let span = record.span().clone();
         let answer = async move {
-            let outcome = match deadline {
-                Some(at) => match tokio::time::timeout_at(at.into(), handler).await {
-                    Ok(outcome) => outcome,
-                    Err(_) => {
-                        let status = tonic::Status::from(refusals::deadline_exceeded());
-                        Ok(Ok(status.into_http()))
+            let answer = async {
+                let mut receiving = pin!(admitted.receive(request));
+                let received = match poll!(receiving.as_mut()) {
+                    Poll::Ready(received) => received,
+                    Poll::Pending => {
+                        // The turn of a call whose request is on its way is another's.
+                        turns.give_up();
+                        receiving.await
                     }
-                },
-                None => handler.await,
+                };
+                let (admitted, request) = received?;
+                let done = turns.run(admitted.answer(request)).await;
+                done.unwrap_or_else(|overloaded| Err(status::overloaded(overloaded).into()))
             };
-            let response = match outcome {
-                Ok(Ok(response)) => refusals::rewrite(response, max_message_bytes),
-                Ok(Err(never)) => match never {},
-                Err(_panic) => {
-                    let status = tonic::Status::from(refusals::panicked(record.rpc()));
-                    status.into_http()
-                }
+            let answer = AssertUnwindSafe(answer).catch_unwind();
+            let answered = match deadline {
+                Some(at) => tokio::time::timeout_at(at.into(), answer).await,
+                None => Ok(answer.await),
             };
-            Ok(CallBody::wrap(response, record, place, deadline))
+            let answered = match answered {
+                Ok(Ok(answered)) => answered,
+                Ok(Err(_panic)) => Err(refusals::panicked(record.rpc()).into()),
+                Err(_) => Err(refusals::deadline_exceeded().into()),
+            };
+            let (response, made) =
+                answered.unwrap_or_else(|status: Status| (status.into_http(), None));
+            Ok(CallBody::wrap(
+                response,
+                made,
+                record,
+                place,
+                deadline,
+                is_answer_stream.then_some(turns),
+            ))
         };
         Box::pin(answer.instrument(span))
+    }
+}
+
+impl CallsLayer {
+    /// The flow of a call: that of its connection, or that of an operator's short calls, which load does not close.
+    fn flow(&self, rpc: &str, activity: Option<&Activity>) -> Arc<Flow> {
+        let is_admin = rpc.starts_with("IndexService/")
+            && !ANSWER_STREAMS.contains(&rpc)
+            && !REQUEST_STREAMS.contains(&rpc);
+        match activity {
+            Some(activity) if !is_admin => Arc::clone(activity.flow()),
+            _ => self.admission.admin(),
+        }
+    }
+}
+
+/// A call that may wait for its turns.
+struct Admitted<S> {
+    inner: S,
+    limits: RequestLimits,
+    held: Arc<HeldBytes>,
+    arrived: Instant,
+    deadline: Option<Instant>,
+    /// True if its request is a stream.
+    is_stream: bool,
+}
+
+impl<S> Admitted<S>
+where
+    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
+{
+    /// Receives the request.
+    async fn receive(self, mut request: Request<Body>) -> Result<(Self, Request<Body>), Status> {
+        request.extensions_mut().insert(Deadline(self.deadline));
+        request
+            .extensions_mut()
+            .insert(Arc::clone(self.held.flow()));
+        let (parts, body) = request.into_parts();
+        let held = Arc::clone(&self.held);
+        let body = RequestBody::new(body, &self.limits, held, self.is_stream, self.arrived);
+        let body = match self.is_stream {
+            true => Body::new(body),
+            false => Body::new(body.collect().await?),
+        };
+        Ok((self, Request::from_parts(parts, body)))
+    }
+
+    /// Answers the request, and makes the first frame of the answer if that can be done at once.
+    async fn answer(
+        mut self,
+        request: Request<Body>,
+    ) -> Result<(Response<Body>, Option<AnswerFrame>), Status> {
+        if !self.held.has_room() {
+            return Err(status::too_many_bytes(self.held.flow().max_bytes()).into());
+        }
+        let response = match self.inner.call(request).await {
+            Ok(response) => response,
+            Err(never) => match never {},
+        };
+        let mut response = refusals::rewrite(response, self.limits.max_message_bytes);
+        let body = response.body_mut();
+        let first = poll_fn(|context| Poll::Ready(Pin::new(&mut *body).poll_frame(context)));
+        let made = match first.await {
+            Poll::Ready(made) => made,
+            Poll::Pending => None,
+        };
+        Ok((response, made))
     }
 }
 
@@ -169,15 +289,12 @@ fn our_rpc(path: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
-    use std::{sync::Arc, time::Duration};
-
     use futures_util::stream;
-    use http_body::Body as HttpBody;
-    use tonic::{Code, Status};
+    use tonic::Code;
     use tonic_types::StatusExt;
 
     use super::*;
-    use crate::admission::ByteBudget;
+    use crate::config::Config;
 
     /// Answers with the result of a function, or panics as it does.
     #[derive(Clone)]
@@ -198,54 +315,69 @@ mod tests {
         }
     }
 
-    async fn call(admission: &Admission, answer: fn() -> Response<Body>) -> Response<Body> {
+    fn admission() -> Admission {
+        Admission::new(&Config::default().admission, 1, 1000)
+    }
+
+    async fn call(
+        admission: &Admission,
+        under_way: &TaskTracker,
+        answer: fn() -> Response<Body>,
+    ) -> Response<Body> {
         let layer = CallsLayer {
             admission: admission.clone(),
-            max_message_bytes: 1000,
+            under_way: under_way.clone(),
             requests: RequestLimits {
-                all: Arc::new(ByteBudget::new(1000)),
+                max_message_bytes: 1000,
                 time: Duration::from_secs(1),
             },
+            default_timeout: Duration::from_secs(1),
         };
-        let request = Request::post("/wayfold.v1.PointService/Knn").body(Body::empty());
+        let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
         let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;
         answer.unwrap()
     }
 
     #[tokio::test]
-    async fn a_call_that_panics_is_a_bug_and_frees_its_place() {
-        let admission = Admission::new(1);
+    async fn a_call_that_panics_is_a_bug_and_frees_its_place_and_turn() {
+        let (admission, under_way) = (admission(), TaskTracker::new());
         for _ in 0..2 {
-            let answer = call(&admission, || panic!("a bug")).await;
+            let answer = call(&admission, &under_way, || panic!("a bug")).await;
             let status = Status::from_header_map(answer.headers()).unwrap();
             assert_eq!(status.code(), Code::Internal);
             assert_eq!(status.get_details_error_info().unwrap().reason, "INTERNAL");
-            assert_eq!(admission.in_use(), 0);
+            assert!(under_way.is_empty());
         }
     }
 
     #[tokio::test]
-    async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place() {
-        let admission = Admission::new(1);
-        let answer = call(&admission, || {
-            let parts = stream::once(async { panic!("a bug") });
-            let encoder = tonic_prost::ProstEncoder::<()>::default();
-            let body = tonic::codec::EncodeBody::new_server(
-                encoder,
-                parts,
-                None,
-                Default::default(),
-                None,
-            );
-            Response::new(Body::new(body))
-        })
-        .await;
-        assert_eq!(admission.in_use(), 1);
-        let mut body = answer.into_body();
-        let frame = std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await;
-        let trailers = frame.unwrap().unwrap().into_trailers().unwrap();
-        let status = Status::from_header_map(&trailers).unwrap();
-        assert_eq!(status.code(), Code::Internal);
-        assert_eq!(admission.in_use(), 0);
+    async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place_and_turn() {
+        let (admission, under_way) = (admission(), TaskTracker::new());
+        for _ in 0..2 {
+            let answer = call(&admission, &under_way, || {
+                let parts = stream::once(async {
+                    tokio::task::yield_now().await;
+                    panic!("a bug")
+                });
+                let encoder = tonic_prost::ProstEncoder::<()>::default();
+                let body = tonic::codec::EncodeBody::new_server(
+                    encoder,
+                    parts,
+                    None,
+                    Default::default(),
+                    None,
+                );
+                Response::new(Body::new(body))
+            })
+            .await;
+            assert_eq!(under_way.len(), 1);
+            let mut body = answer.into_body();
+            let frame =
+                std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await;
+            let trailers = frame.unwrap().unwrap().into_trailers().unwrap();
+            let status = Status::from_header_map(&trailers).unwrap();
+            assert_eq!(status.code(), Code::Internal);
+            assert!(under_way.is_empty());
+        }
     }
 }

@@ -216,6 +216,7 @@ mod tests {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
     use super::*;
+    use crate::{admission::Admission, config::Config};
 
     /// A connection to a listener of its own, and its peer, which has sent some bytes.
     async fn connection(sent: &[u8]) -> (Connection, TcpStream) {
@@ -225,7 +226,7 @@ mod tests {
         peer.write_all(sent).await.unwrap();
         let mut incoming = Box::pin(incoming(
             listener,
-            Connections::new(1, 0),
+            Connections::new(1, Admission::new(&Config::default().admission, 1, 0)),
             CancellationToken::new(),
         ));
         let connection = incoming.next().await.unwrap().unwrap();

@@ -17,12 +17,12 @@ use std::{
 use parking_lot::Mutex;
 use tokio::{
     sync::{OwnedSemaphorePermit, Semaphore},
-    time::{Instant, timeout},
+    time::{Instant, interval, timeout},
 };
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
-use crate::admission::ByteBudget;
+use crate::admission::{Admission, Flow};
 
 /// A connection keeps its place for this long after it was opened and after a call: its client may be about to call, and
 /// the end of an answer is about to leave.
@@ -41,8 +41,7 @@ pub(super) struct Connections {
     open: Mutex<BTreeMap<u64, Arc<State>>>,
     /// The number of connections and ended calls so far.
     events: AtomicU64,
-    /// The most bytes that the requests of one connection may hold.
-    max_request_bytes: usize,
+    admission: Admission,
 }
 
 #[derive(Debug)]
@@ -57,8 +56,16 @@ struct State {
     is_stalled: AtomicBool,
     cut: CancellationToken,
     peer: Option<SocketAddr>,
-    /// The bytes that the requests of its calls hold.
-    request_bytes: ByteBudget,
+    flow: Arc<Flow>,
+    unread: Mutex<Unread>,
+}
+
+/// The answers that wait for a client to read them.
+#[derive(Debug)]
+struct Unread {
+    frames: usize,
+    /// The time of the first of them, or that at which the client read another.
+    since: Instant,
 }
 
 /// An open connection, until it is dropped.
@@ -80,14 +87,18 @@ pub(crate) struct Activity {
 #[derive(Debug)]
 pub(super) struct ActiveCall(Activity);
 
+/// A frame of an answer on its way out, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Sending(Arc<State>);
+
 impl Connections {
-    /// Room for `limit` connections, whose requests may hold `max_request_bytes` each.
-    pub(super) fn new(limit: usize, max_request_bytes: usize) -> Arc<Self> {
+    /// Room for `limit` connections, each of which is a flow.
+    pub(super) fn new(limit: usize, admission: Admission) -> Arc<Self> {
         Arc::new(Self {
             places: Arc::new(Semaphore::new(limit.min(Semaphore::MAX_PERMITS))),
             open: Mutex::default(),
             events: AtomicU64::new(0),
-            max_request_bytes,
+            admission,
         })
     }
 
@@ -106,7 +117,11 @@ impl Connections {
             is_stalled: AtomicBool::new(false),
             cut,
             peer,
-            request_bytes: ByteBudget::new(self.max_request_bytes),
+            flow: self.admission.open(),
+            unread: Mutex::new(Unread {
+                frames: 0,
+                since: Instant::now(),
+            }),
         });
         self.open.lock().insert(number, Arc::clone(&state));
         let connections = Arc::clone(self);
@@ -154,6 +169,21 @@ impl Connections {
         }
         given_up.is_some()
     }
+
+    /// Cuts each connection whose client reads nothing of its answers for `most`.
+    pub(super) async fn cut_unread(&self, most: Duration) {
+        let mut looks = interval(most / 4);
+        loop {
+            looks.tick().await;
+            for state in self.open.lock().values() {
+                let unread = state.unread.lock();
+                if unread.frames > 0 && unread.since.elapsed() > most {
+                    debug!(peer = ?state.peer, "a client that does not read its answers is cut");
+                    state.cut.cancel();
+                }
+            }
+        }
+    }
 }
 
 impl Open {
@@ -182,9 +212,27 @@ impl Activity {
         self.state.is_stalled.store(is_stalled, SeqCst);
     }
 
-    /// The bytes that the requests of its calls hold.
-    pub(super) fn request_bytes(&self) -> &ByteBudget {
-        &self.state.request_bytes
+    /// The flow of its calls.
+    pub(super) fn flow(&self) -> &Arc<Flow> {
+        &self.state.flow
+    }
+
+    /// A frame of an answer waits for the client to read it, until the result is dropped.
+    pub(super) fn send(&self) -> Sending {
+        let mut unread = self.state.unread.lock();
+        if unread.frames == 0 {
+            unread.since = Instant::now();
+        }
+        unread.frames += 1;
+        Sending(Arc::clone(&self.state))
+    }
+}
+
+impl Drop for Sending {
+    fn drop(&mut self) {
+        let mut unread = self.0.unread.lock();
+        unread.frames -= 1;
+        unread.since = Instant::now();
     }
 }
 

@@ -17,7 +17,10 @@ use std::{io, sync::Arc, time::Duration};
 
 use thiserror::Error;
 use tokio::net::TcpListener;
-use tokio_util::sync::CancellationToken;
+use tokio_util::{
+    sync::CancellationToken,
+    task::{AbortOnDropHandle, TaskTracker},
+};
 use tonic::transport::Server;
 use tonic_health::pb::health_server::HealthServer;
 use wayfold_proto::v1::{self, index_service_server::IndexServiceServer};
@@ -27,15 +30,10 @@ use connections::Connections;
 use health::HealthFace;
 use index_service::IndexFace;
 use point_service::{PointFace, TolerantPointServer};
-use request_body::{HEADER_BYTES, RequestLimits};
+use request_body::RequestLimits;
 use stream_knn::KnnStreams;
 
-use crate::{
-    admission::{Admission, ByteBudget},
-    config::GrpcConfig,
-    lifecycle::PhaseWatch,
-    service::Service,
-};
+use crate::{admission::Admission, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
 
 /// The gRPC face could not be served.
 #[derive(Debug, Error)]
@@ -53,19 +51,21 @@ pub enum GrpcError {
 
 /// Serves `service` on `listener` until the server begins to stop and every call that was accepted is done.
 ///
-/// `admission` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
+/// `under_way` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
 pub(crate) async fn serve(
     config: &GrpcConfig,
     service: Service,
     phases: PhaseWatch,
     listener: TcpListener,
     admission: Admission,
+    under_way: TaskTracker,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
     let points = TolerantPointServer::new(PointFace {
         service: service.clone(),
         streams: KnnStreams {
             service: service.clone(),
+            admission: admission.clone(),
             phases: phases.clone(),
             window: config.stream_window,
             max_message_bytes: config.max_message_bytes,
@@ -83,10 +83,12 @@ pub(crate) async fn serve(
         (descriptors().build_v1()?, descriptors().build_v1alpha()?);
     let keepalive = (config.keepalive_interval_ms > 0)
         .then(|| Duration::from_millis(config.keepalive_interval_ms));
-    // A quarter of all, but room for a message.
-    let message_bytes = config.max_message_bytes.saturating_add(HEADER_BYTES);
-    let share = (config.max_request_bytes / 4).max(message_bytes);
-    let connections = Connections::new(config.max_connections, share);
+    let connections = Connections::new(config.max_connections, admission.clone());
+    let send_timeout = Duration::from_millis(config.send_timeout_ms);
+    let watched = Arc::clone(&connections);
+    let _watching = AbortOnDropHandle::new(tokio::spawn(async move {
+        watched.cut_unread(send_timeout).await;
+    }));
     Server::builder()
         .max_concurrent_streams(config.max_calls_per_connection)
         // A client that cancels all its calls at once keeps its connection.
@@ -94,12 +96,13 @@ pub(crate) async fn serve(
         .http2_keepalive_interval(keepalive)
         .http2_keepalive_timeout(Some(Duration::from_millis(config.keepalive_timeout_ms)))
         .layer(CallsLayer {
-            admission,
-            max_message_bytes: config.max_message_bytes,
             requests: RequestLimits {
-                all: Arc::new(ByteBudget::new(config.max_request_bytes.max(message_bytes))),
+                max_message_bytes: config.max_message_bytes,
                 time: Duration::from_millis(config.receive_timeout_ms),
             },
+            admission,
+            under_way,
+            default_timeout: Duration::from_millis(config.default_timeout_ms),
         })
         .add_service(indices)
         .add_service(points)

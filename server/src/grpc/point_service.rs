@@ -79,9 +79,9 @@ impl PointService for PointFace {
         &self,
         request: Request<Streaming<v1::StreamKnnRequest>>,
     ) -> Answer<Answers> {
-        let call = call_of(&request);
+        let (call, flow) = (call_of(&request), self.streams.flow_of(&request));
         let messages = request.into_inner().map(|message| message.map(Ok));
-        Ok(Response::new(self.streams.answer(call, messages)))
+        Ok(Response::new(self.streams.answer(call, flow, messages)))
     }
 
     type ScanStream = Messages<v1::ScanResponse>;

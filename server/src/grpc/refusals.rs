@@ -15,7 +15,6 @@ use crate::{
 };
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
-const MAX_REQUEST_BYTES: &str = "grpc.max_request_bytes";
 const RECEIVE_TIMEOUT_MS: &str = "grpc.receive_timeout_ms";
 /// The remedy for a message that is too large.
 pub(crate) const SPLIT: &str = "split it into several calls";
@@ -47,18 +46,22 @@ fn tonics_own(headers: &HeaderMap) -> Option<Status> {
 /// The contract's status for one that tonic made while it read a request; `advice` is for one that is too large.
 pub(crate) fn restate(status: Status, max_message_bytes: usize, advice: &str) -> Status {
     match status.code() {
-        Code::OutOfRange => limit(
-            "LIMIT_EXCEEDED",
-            format!(
-                "the request message exceeds the limit {MAX_MESSAGE_BYTES} = {max_message_bytes}: {advice}"
-            ),
-            MAX_MESSAGE_BYTES,
-            max_message_bytes,
-        )
-        .into(),
+        Code::OutOfRange => too_large(max_message_bytes, advice).into(),
         Code::Internal => malformed(status.message()).into(),
         _ => status,
     }
+}
+
+/// The refusal of a request message above the limit.
+pub(crate) fn too_large(max_message_bytes: usize, advice: &str) -> Refusal {
+    limit(
+        "LIMIT_EXCEEDED",
+        format!(
+            "the request message exceeds the limit {MAX_MESSAGE_BYTES} = {max_message_bytes}: {advice}"
+        ),
+        MAX_MESSAGE_BYTES,
+        max_message_bytes,
+    )
 }
 
 /// The refusal of a request message that does not decode.
@@ -84,15 +87,6 @@ pub(crate) fn invalid(field: &str, reason: &'static str, description: String) ->
             description,
         }],
     })
-}
-
-/// The refusal of a request while all requests hold as many bytes as they may.
-pub(crate) fn too_many_bytes(most: usize) -> Refusal {
-    let message = format!(
-        "requests hold as many bytes as {MAX_REQUEST_BYTES} = {most} and a connection's share of it allow: try again \
-         later"
-    );
-    busy("TOO_MANY_BYTES", message, MAX_REQUEST_BYTES, most)
 }
 
 /// The refusal of a request that did not arrive in time.

@@ -5,10 +5,7 @@
 
 use std::{
     pin::Pin,
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering::Relaxed},
-    },
+    sync::Arc,
     task::{Context, Poll},
     time::{Duration, Instant},
 };
@@ -18,72 +15,19 @@ use http_body::{Body as HttpBody, Frame, SizeHint};
 use tokio::time::Sleep;
 use tonic::{Status, body::Body};
 
-use super::{connections::Activity, refusals};
-use crate::admission::ByteBudget;
+use super::refusals;
+use crate::{admission::HeldBytes, status};
 
 /// Bytes before each message: a flag and the length.
 pub(super) const HEADER_BYTES: usize = 5;
 
-/// The most that requests may hold, and the time in which each must arrive.
+/// The largest message, and the time in which each must arrive.
 #[derive(Clone, Debug)]
 pub(super) struct RequestLimits {
-    /// The bytes of all requests.
-    pub(super) all: Arc<ByteBudget>,
+    /// The bytes of a message.
+    pub(super) max_message_bytes: usize,
     /// The time of a request, and of each message of a stream.
     pub(super) time: Duration,
-}
-
-/// The bytes that the request of one call holds, until it is dropped.
-#[derive(Debug)]
-pub(super) struct HeldBytes {
-    all: Arc<ByteBudget>,
-    activity: Option<Activity>,
-    held: AtomicUsize,
-}
-
-impl HeldBytes {
-    fn new(all: Arc<ByteBudget>, activity: Option<Activity>) -> Self {
-        let held = AtomicUsize::new(0);
-        Self {
-            all,
-            activity,
-            held,
-        }
-    }
-
-    /// Holds more bytes; false if they exceed a budget.
-    fn take(&self, bytes: usize) -> bool {
-        if !self.all.take(bytes) {
-            return false;
-        }
-        let own = self.activity.as_ref().map(Activity::request_bytes);
-        if own.is_some_and(|own| !own.take(bytes)) {
-            self.all.give_back(bytes);
-            return false;
-        }
-        self.held.fetch_add(bytes, Relaxed);
-        true
-    }
-
-    /// Holds these bytes in place of those so far; false if they exceed a budget.
-    fn hold(&self, bytes: usize) -> bool {
-        let held = self.held.load(Relaxed);
-        if bytes > held {
-            return self.take(bytes - held);
-        }
-        self.held.store(bytes, Relaxed);
-        self.all.give_back(held - bytes);
-        if let Some(activity) = &self.activity {
-            activity.request_bytes().give_back(held - bytes);
-        }
-        true
-    }
-}
-
-impl Drop for HeldBytes {
-    fn drop(&mut self) {
-        self.hold(0);
-    }
 }
 
 /// See the module.
@@ -100,40 +44,46 @@ pub(super) struct RequestBody {
 }
 
 impl RequestBody {
-    /// The body of a call that began at `began`, and the bytes that it holds.
-    pub(super) fn wrap(
+    /// The body of a call that began at `began`, and whose bytes are `held`.
+    pub(super) fn new(
         inner: Body,
         limits: &RequestLimits,
-        activity: Option<Activity>,
+        held: Arc<HeldBytes>,
         is_stream: bool,
         began: Instant,
-    ) -> (Body, Arc<HeldBytes>) {
-        let held = Arc::new(HeldBytes::new(Arc::clone(&limits.all), activity));
-        let body = Body::new(Self {
+    ) -> Self {
+        Self {
             inner,
             limits: limits.clone(),
-            held: Arc::clone(&held),
+            held,
             is_stream,
             messages: Messages::default(),
             began,
             timer: None,
-        });
-        (body, held)
+        }
     }
 
     fn receive(&mut self, bytes: &Bytes) -> Result<(), Status> {
-        let (was_between, ended) = (self.messages.are_whole(), self.messages.ended);
+        let before = (self.messages.unfinished, self.messages.ended);
         self.messages.advance(bytes);
-        if was_between || self.messages.ended > ended {
+        if before.0 == 0 || self.messages.ended > before.1 {
             self.timer = None;
         }
         let is_held = match self.is_stream {
-            true => self.held.hold(self.messages.unfinished),
+            true => {
+                self.held.give_back(before.0);
+                self.held.take(self.messages.unfinished)
+            }
+            false if self.messages.length > self.limits.max_message_bytes => {
+                return Err(
+                    refusals::too_large(self.limits.max_message_bytes, refusals::SPLIT).into(),
+                );
+            }
             false => self.held.take(bytes.len()),
         };
         match is_held {
             true => Ok(()),
-            false => Err(refusals::too_many_bytes(self.limits.all.max()).into()),
+            false => Err(status::too_many_bytes(self.held.flow().max_bytes()).into()),
         }
     }
 

@@ -3,7 +3,9 @@
 //! The generated server ends a stream at a message that does not parse. So this file serves this one method, with a
 //! codec that passes such messages on as refusals.
 
-use std::{panic::AssertUnwindSafe, pin::Pin, sync::Arc, task::Poll, time::Duration};
+use std::{
+    future::poll_fn, panic::AssertUnwindSafe, pin::Pin, sync::Arc, task::Poll, time::Duration,
+};
 
 use bytes::Buf;
 use futures_util::{FutureExt, Stream, StreamExt, stream, stream::BoxStream};
@@ -21,12 +23,16 @@ use tracing::Instrument;
 
 use wayfold_proto::v1;
 
-use super::{calls::call_of, refusals};
+use super::{
+    calls::{call_of, flow_of},
+    refusals,
+};
 use crate::{
+    admission::{Admission, Flow, HeldBytes},
     latency_gate::LatencyGate,
     lifecycle::PhaseWatch,
     service::{Call, Service},
-    status::{Status as Refusal, from_error},
+    status::{Status as Refusal, from_error, overloaded, too_many_bytes},
 };
 
 /// Answers to the requests of one stream, in their order.
@@ -42,6 +48,7 @@ const MAX_SEARCH_TIME: Duration = Duration::from_micros(20);
 #[derive(Clone)]
 pub(crate) struct KnnStreams {
     pub(crate) service: Service,
+    pub(crate) admission: Admission,
     pub(crate) phases: PhaseWatch,
     /// Requests of one stream that are evaluated at a time.
     pub(crate) window: usize,
@@ -57,10 +64,15 @@ impl KnnStreams {
         grpc.streaming(Tolerant(self), request).await
     }
 
+    /// The flow of a stream; one of its own if the layer around all calls is missing.
+    pub(crate) fn flow_of<T>(&self, request: &tonic::Request<T>) -> Arc<Flow> {
+        flow_of(request).unwrap_or_else(|| self.admission.open())
+    }
+
     /// Reads `messages` until they end, the server stops or a read fails; answers those read, then sends the cause of
     /// the end. It reads at most `window` requests ahead of the answers: a client that reads no answers is slowed down,
     /// not buffered for.
-    pub(crate) fn answer<M>(&self, call: Call, messages: M) -> Answers
+    pub(crate) fn answer<M>(&self, call: Call, flow: Arc<Flow>, messages: M) -> Answers
     where
         M: Stream<Item = Result<Incoming, Status>> + Send + Unpin + 'static,
     {
@@ -70,50 +82,108 @@ impl KnnStreams {
             max_message_bytes: self.max_message_bytes,
             ended: false,
         };
-        let service = self.service.clone();
-        let latency_gate = Arc::new(LatencyGate::new(MAX_SEARCH_TIME));
+        let ahead = Ahead {
+            service: self.service.clone(),
+            flow: Arc::clone(&flow),
+            others: Arc::new(()),
+        };
+        let searches = Searches {
+            service: self.service.clone(),
+            flow,
+            latency_gate: Arc::new(LatencyGate::new(MAX_SEARCH_TIME)),
+        };
         stream::unfold(reader, Reader::next)
-            .map(move |read| answer_one(service.clone(), Arc::clone(&latency_gate), call, read))
+            .then(move |read| ahead.clone().hold(read))
+            .map(move |(read, held)| {
+                let answered = searches.clone().answer(call, read);
+                answered.map(move |answer| (answer, held))
+            })
             .buffered(self.window)
+            .map(|(answer, _held)| answer)
             .boxed()
     }
 }
 
-/// The answer to one message; an error ends the stream.
-async fn answer_one(
+/// The bytes of answers by which a stream is ahead of its client.
+#[derive(Clone)]
+struct Ahead {
     service: Service,
+    flow: Arc<Flow>,
+    /// A clone for each request that is evaluated.
+    others: Arc<()>,
+}
+
+impl Ahead {
+    /// Waits for room for the answer to a request. The room is given back as the answer leaves the stream, where it
+    /// counts as unread.
+    async fn hold(self, read: Read) -> (Read, (HeldBytes, Arc<()>)) {
+        let (held, others) = (self.flow.hold(), self.others);
+        let Read::Request(request) = &read else {
+            return (read, (held, others));
+        };
+        let bytes = self.service.most_answer_bytes(request);
+        let taken = poll_fn(|_| match held.take(bytes) {
+            true => Poll::Ready(true),
+            // One clone is this one's, and one the stream's.
+            false if Arc::strong_count(&others) <= 2 => Poll::Ready(false),
+            // The stream polls this again after another answer has left it.
+            false => Poll::Pending,
+        });
+        let read = match taken.await {
+            true => read,
+            false => Read::Bad(Box::new(too_many_bytes(self.flow.max_bytes()))),
+        };
+        (read, (held, others))
+    }
+}
+
+/// The searches of one stream.
+#[derive(Clone)]
+struct Searches {
+    service: Service,
+    flow: Arc<Flow>,
     latency_gate: Arc<LatencyGate>,
-    call: Call,
-    read: Read,
-) -> Result<v1::StreamKnnResponse, Status> {
-    let request = match read {
-        Read::Request(request) => request,
-        Read::Bad(status) => return Ok(refused(&status)),
-        Read::End(status) => return Err(*status),
-    };
-    // A stream that always has a request ready yields now and then.
-    tokio::task::consume_budget().await;
-    let search = async move { service.knn(&call, request).await };
-    let mut search = Box::pin(AssertUnwindSafe(search).catch_unwind());
-    let answered = match latency_gate.attempt(search.as_mut()) {
-        Poll::Ready(answered) => answered,
-        Poll::Pending => {
-            // A task of its own: one stream can use all cores. A dropped stream aborts its tasks.
-            let task = AbortOnDropHandle::new(tokio::spawn(search.in_current_span()));
-            match task.await {
-                Ok(answered) => answered,
-                // Only the end of the runtime cancels an awaited task.
-                Err(_) => return Err(refusals::stopping().into()),
+}
+
+impl Searches {
+    /// The answer to one message; an error ends the stream.
+    async fn answer(self, call: Call, read: Read) -> Result<v1::StreamKnnResponse, Status> {
+        let Self {
+            service,
+            flow,
+            latency_gate,
+        } = self;
+        let request = match read {
+            Read::Request(request) => request,
+            Read::Bad(status) => return Ok(refused(&status)),
+            Read::End(status) => return Err(*status),
+        };
+        // A stream that always has a request ready yields now and then.
+        tokio::task::consume_budget().await;
+        let search = async move { service.knn(&call, request).await };
+        let mut search = Box::pin(AssertUnwindSafe(search).catch_unwind());
+        let answered = match latency_gate.attempt(search.as_mut()) {
+            Poll::Ready(answered) => answered,
+            Poll::Pending => {
+                // A task of its own: one stream can use all cores. A dropped stream aborts its tasks.
+                let in_turns = async move { flow.turns_of_stream().run(search).await };
+                let task = AbortOnDropHandle::new(tokio::spawn(in_turns.in_current_span()));
+                match task.await {
+                    Ok(Ok(answered)) => answered,
+                    Ok(Err(late)) => return Ok(refused(&overloaded(late))),
+                    // Only the end of the runtime cancels an awaited task.
+                    Err(_) => return Err(refusals::stopping().into()),
+                }
             }
-        }
-    };
-    Ok(match answered {
-        Ok(Ok(answer)) => v1::StreamKnnResponse {
-            result: Some(v1::stream_knn_response::Result::Knn(answer)),
-        },
-        Ok(Err(error)) => refused(&from_error(&error)),
-        Err(_panic) => refused(&refusals::panicked("PointService/StreamKnn")),
-    })
+        };
+        Ok(match answered {
+            Ok(Ok(answer)) => v1::StreamKnnResponse {
+                result: Some(v1::stream_knn_response::Result::Knn(answer)),
+            },
+            Ok(Err(error)) => refused(&from_error(&error)),
+            Err(_panic) => refused(&refusals::panicked("PointService/StreamKnn")),
+        })
+    }
 }
 
 fn refused(status: &Refusal) -> v1::StreamKnnResponse {
@@ -176,8 +246,8 @@ impl StreamingService<Incoming> for Tolerant {
     type Future = std::future::Ready<Result<tonic::Response<Answers>, Status>>;
 
     fn call(&mut self, request: tonic::Request<tonic::Streaming<Incoming>>) -> Self::Future {
-        let call = call_of(&request);
-        let answers = self.0.answer(call, request.into_inner());
+        let (call, flow) = (call_of(&request), self.0.flow_of(&request));
+        let answers = self.0.answer(call, flow, request.into_inner());
         std::future::ready(Ok(tonic::Response::new(answers)))
     }
 }

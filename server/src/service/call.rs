@@ -6,9 +6,10 @@ use std::{
 };
 
 use super::Error;
+use crate::admission::end_slice;
 
 /// The time that a call computes before it yields.
-const MAX_STEP_TIME: Duration = Duration::from_micros(500);
+const MAX_STEP_TIME: Duration = Duration::from_micros(100);
 
 /// The context of one call.
 #[derive(Clone, Copy, Debug, Default)]
@@ -69,7 +70,7 @@ impl Pace {
             return Ok(());
         }
         self.check()?;
-        tokio::task::yield_now().await;
+        end_slice().await;
         self.began = Instant::now();
         Ok(())
     }

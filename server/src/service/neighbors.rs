@@ -12,6 +12,9 @@ use super::{
 
 const DOING: &str = "while searching";
 
+/// The most bytes of a neighbour without its state and payload: id, distance, tag, revision.
+const NEIGHBOR_BYTES: usize = 8 + 8 + 8 + 10;
+
 /// The request of either verb.
 struct NeighborRequest {
     index: String,
@@ -49,6 +52,25 @@ impl Service {
             neighbors: Some(neighbors),
             revision: Some(revision),
         })
+    }
+
+    /// The most bytes of the answer to `request`, as far as the request alone tells.
+    pub(crate) fn most_answer_bytes(&self, request: &v1::KnnRequest) -> usize {
+        let most = self.limits().max_answer_bytes;
+        let include = request.include.unwrap_or_default();
+        let (Some(v1::knn_request::KForm::K(k)), false) = (&request.k_form, include.payloads)
+        else {
+            return most;
+        };
+        let (rows, coordinates) = request.states.as_ref().map_or((0, 0), |states| {
+            (states.row_count as usize, states.coordinates.len())
+        });
+        let bytes = rows.saturating_mul(NEIGHBOR_BYTES);
+        let bytes = match include.states {
+            true => bytes.saturating_add(coordinates.saturating_mul(8)),
+            false => bytes,
+        };
+        bytes.saturating_mul(*k as usize).min(most)
     }
 
     /// All points within a radius of each state, the closed ball, nearest first.

@@ -6,7 +6,7 @@ use tracing::debug;
 use zenoh::{Wait, key_expr::KeyExpr, query::Query};
 
 use super::{codec::Form, message::Named};
-use crate::status::Status;
+use crate::{admission::HeldBytes, status::Status};
 use wayfold_proto::v1;
 
 /// The replies to one query, each under its own key.
@@ -19,6 +19,8 @@ pub(super) struct Response {
     pub(super) result: Result<Replies, Status>,
     /// The permit of the query or of its refusal; `None` for a refusal beyond the limit of those.
     pub(super) place: Option<OwnedSemaphorePermit>,
+    /// The bytes of the query and of its replies.
+    pub(super) held: Option<HeldBytes>,
     pub(super) under_way: TaskTrackerToken,
 }
 
@@ -36,6 +38,7 @@ impl Response {
             form,
             result,
             place,
+            held,
             under_way,
         } = self;
         match result {
@@ -48,7 +51,7 @@ impl Response {
         }
         // The drop ends the query for the caller, before its place is free.
         drop(query);
-        drop(place);
+        drop((place, held));
         drop(under_way);
     }
 }

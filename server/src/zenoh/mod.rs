@@ -10,6 +10,7 @@ mod answer;
 mod codec;
 mod dispatch;
 mod feed;
+mod flows;
 mod inline;
 mod message;
 mod peers;
@@ -21,7 +22,7 @@ mod wildcard;
 
 use std::{sync::Arc, time::Duration};
 
-use tokio::{runtime::Handle, time::interval};
+use tokio::{runtime::Handle, sync::Semaphore, time::interval};
 use tokio_util::{
     sync::CancellationToken,
     task::{AbortOnDropHandle, TaskTracker},
@@ -33,6 +34,7 @@ pub use session::ZenohError;
 
 use crate::{admission::Admission, config::ZenohConfig, service::Service};
 use feed::Announcer;
+use flows::Flows;
 use inline::Inline;
 use peers::ServerWatch;
 use queries::Queries;
@@ -65,6 +67,7 @@ impl ZenohFace {
     pub(crate) async fn open(
         config: &ZenohConfig,
         service: Service,
+        admission: Admission,
     ) -> Result<Option<Self>, ZenohError> {
         if config.is_off() {
             return Ok(None);
@@ -74,8 +77,11 @@ impl ZenohFace {
         let queries = Arc::new(Queries {
             service,
             prefix: config.prefix.clone(),
-            admission: Admission::new(config.max_calls),
-            refusals: Admission::new(MAX_REFUSALS),
+            flows: Flows::new(admission),
+            places: Arc::new(Semaphore::new(config.max_calls.min(Semaphore::MAX_PERMITS))),
+            max_calls: config.max_calls,
+            refusals: Arc::new(Semaphore::new(MAX_REFUSALS)),
+            default_timeout: Duration::from_millis(config.default_timeout_ms),
             max_message_bytes: config.max_message_bytes,
             stopping: CancellationToken::new(),
             inline: Arc::new(Inline::new(Handle::current())),
@@ -110,9 +116,9 @@ impl ZenohFace {
         locators.iter().map(ToString::to_string).collect()
     }
 
-    /// The limit of concurrent queries, and their number.
-    pub(crate) fn admission(&self) -> Admission {
-        self.queries.admission.clone()
+    /// The queries in progress.
+    pub(crate) fn under_way(&self) -> TaskTracker {
+        self.queries.under_way.clone()
     }
 
     /// Begins to announce the indices; the service must have them.

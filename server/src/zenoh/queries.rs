@@ -1,9 +1,13 @@
 //! Arriving queries: their number is bounded, and each gets one answer or a refusal with its reason.
 
-use std::{panic::AssertUnwindSafe, sync::Arc, time::Instant};
+use std::{
+    panic::AssertUnwindSafe,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use futures_util::FutureExt;
-use tokio::sync::OwnedSemaphorePermit;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::{
     sync::CancellationToken,
     task::{TaskTracker, task_tracker::TaskTrackerToken},
@@ -15,13 +19,14 @@ use super::{
     answer::{Replies, Response},
     codec::Form,
     dispatch::dispatch,
+    flows::Flows,
     inline::{self, Inline},
     request::Request,
     verb::Target,
     wildcard,
 };
 use crate::{
-    admission::Admission,
+    admission::{CALL_BYTES, CallTurns, HeldBytes},
     observe::{CallRecord, Ending},
     service::{Error, Service, Unavailability},
     status::{self, Status},
@@ -33,9 +38,14 @@ const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 pub(super) struct Queries {
     pub(super) service: Service,
     pub(super) prefix: String,
-    pub(super) admission: Admission,
+    pub(super) flows: Flows,
+    /// Bounds the queries in flight: each may wait for its link on a thread of its own.
+    pub(super) places: Arc<Semaphore>,
+    pub(super) max_calls: usize,
     /// Bounds the refusals that wait for their links.
-    pub(super) refusals: Admission,
+    pub(super) refusals: Arc<Semaphore>,
+    /// The deadline of queries that have none.
+    pub(super) default_timeout: Duration,
     pub(super) max_message_bytes: usize,
     /// Set once the server stops: every later query is refused and takes no place.
     pub(super) stopping: CancellationToken,
@@ -50,6 +60,8 @@ struct Accepted {
     form: Result<Form, Error>,
     arrived: Instant,
     place: OwnedSemaphorePermit,
+    held: HeldBytes,
+    turns: CallTurns,
     under_way: TaskTrackerToken,
 }
 
@@ -65,11 +77,23 @@ impl Queries {
             let status = status::from_error(&Error::Unavailable { why });
             return self.refuse(query, form, under_way, status);
         }
-        let Some(place) = self.admission.take() else {
-            let status = status::too_many_calls("zenoh.max_calls", self.admission.limit());
+        let Ok(place) = Arc::clone(&self.places).try_acquire_owned() else {
+            let status = status::too_many_calls("zenoh.max_calls", self.max_calls);
             return self.refuse(query, form, under_way, status);
         };
+        let flow = self.flows.of_reader();
+        let held = flow.hold();
+        let bytes = query.payload().map_or(0, |payload| payload.len());
+        if !held.take(bytes.saturating_add(CALL_BYTES)) {
+            let status = status::too_many_bytes(flow.max_bytes());
+            return self.refuse(query, form, under_way, status);
+        }
         let is_short = self.is_short(&query);
+        let mut turns = flow.turns();
+        // A short search waits for its link, and must not have a turn meanwhile.
+        if !is_short && let Err(late) = turns.ask() {
+            return self.refuse(query, form, under_way, status::overloaded(late));
+        }
         if is_short && let Some(payload) = query.payload_mut() {
             // A copy of a few bytes: a slice would keep Zenoh's read buffer alive and make it allocate another.
             *payload = ZBytes::from(payload.to_bytes().into_owned());
@@ -79,6 +103,8 @@ impl Queries {
             form,
             arrived,
             place,
+            held,
+            turns,
             under_way,
         });
         if is_short {
@@ -105,9 +131,10 @@ impl Queries {
             form: form.unwrap_or(Form::Json),
             result: Err(status),
             place: None,
+            held: None,
             under_way,
         };
-        let room = self.refusals.take();
+        let room = Arc::clone(&self.refusals).try_acquire_owned().ok();
         if room.is_some() {
             self.inline.send(vec![Response {
                 place: room,
@@ -132,6 +159,8 @@ impl Queries {
             form,
             arrived,
             place,
+            held,
+            mut turns,
             under_way,
         } = accepted;
         let answer_in = *form.as_ref().unwrap_or(&Form::Json);
@@ -142,9 +171,16 @@ impl Queries {
         };
         let mut record = CallRecord::begin(format!("Zenoh/{rpc}"), arrived);
         let span = record.span().clone();
-        let answering = AssertUnwindSafe(self.ask(&query, form, target, arrived)).catch_unwind();
+        let asked = async {
+            if !held.has_room() {
+                return Err(status::too_many_bytes(held.flow().max_bytes()));
+            }
+            self.ask(&query, form, target, arrived).await
+        };
+        let answering = AssertUnwindSafe(turns.run(asked)).catch_unwind();
         let result = match answering.instrument(span).await {
-            Ok(answer) => answer,
+            Ok(Ok(answer)) => answer,
+            Ok(Err(late)) => Err(status::overloaded(late)),
             Err(_panic) => Err(status::from_error(&Error::Internal {
                 what: format!("Zenoh/{rpc} panicked"),
             })),
@@ -153,12 +189,18 @@ impl Queries {
             Ok(_) => Ending::Ok,
             Err(status) => Ending::Failed(status.code),
         });
-        Response {
+        let response = Response {
             query,
             form: answer_in,
             result,
             place: Some(place),
+            held: None,
             under_way,
+        };
+        held.take_anyway(response.bytes());
+        Response {
+            held: Some(held),
+            ..response
         }
     }
 
@@ -187,7 +229,9 @@ impl Queries {
         let form = form?;
         let key: &keyexpr = query.key_expr();
         let index = target.as_ref().map_or("", |target| target.index);
-        let (request, call) = Request::of(query, form, index, arrived)?;
+        let (request, mut call) = Request::of(query, form, index, arrived)?;
+        let default = || arrived.checked_add(self.default_timeout);
+        call.deadline = call.deadline.or_else(default);
         let answered = async {
             if key.is_wild() {
                 let replies = wildcard::answer(&self.service, &call, &self.prefix, key, form);

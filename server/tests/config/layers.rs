@@ -70,22 +70,23 @@ fn the_limits_of_sessions_are_settings() {
 
 #[test]
 fn each_layer_wins_over_the_one_before() {
-    let file =
-        file("[grpc]\nlisten = 'file'\nmax_calls = 7\nstream_window = 7\n[log]\nfilter = 'warn'\n");
+    let file = file(
+        "[grpc]\nlisten = 'file'\nmax_connections = 7\nstream_window = 7\n[log]\nfilter = 'warn'\n",
+    );
     let environment = environment(&[
         ("WAYFOLD_GRPC__LISTEN", "environment"),
-        ("WAYFOLD_GRPC__MAX_CALLS", "8"),
+        ("WAYFOLD_GRPC__MAX_CONNECTIONS", "8"),
         ("HOME", "/home/somebody"),
     ]);
     let flags = [("grpc.listen", "flag".to_owned())];
     let config = Config::load(Some(&file.path), &environment, &flags).unwrap();
     assert_eq!(config.grpc.listen, "flag");
-    assert_eq!(config.grpc.max_calls, 8);
+    assert_eq!(config.grpc.max_connections, 8);
     assert_eq!(config.grpc.stream_window, 7);
     assert_eq!(config.log.filter, "warn");
     let mut expected = Config::default();
     expected.grpc.listen = "flag".into();
-    expected.grpc.max_calls = 8;
+    expected.grpc.max_connections = 8;
     expected.grpc.stream_window = 7;
     expected.log.filter = "warn".into();
     assert_eq!(config, expected);
@@ -103,8 +104,16 @@ fn an_unknown_key_is_named_with_its_place_and_the_nearest_one() {
     for (text, key, nearest) in [
         ("[grpc]\nlisten_on = 'x'", "grpc.listen_on", "grpc.listen"),
         ("[limits]\nmax_ks = 3", "limits.max_ks", "limits.max_k"),
-        ("max_calls = 3", "max_calls", "grpc.max_calls"),
-        ("[gprc]\nmax_calls = 3", "gprc.max_calls", "grpc.max_calls"),
+        (
+            "max_connections = 3",
+            "max_connections",
+            "grpc.max_connections",
+        ),
+        (
+            "[gprc]\nmax_connections = 3",
+            "gprc.max_connections",
+            "grpc.max_connections",
+        ),
         ("[shutdwon]", "shutdwon", "shutdown.grace_ms"),
     ] {
         let file = file(text);
@@ -139,10 +148,10 @@ fn an_unknown_variable_is_named_with_the_nearest_one() {
 #[test]
 fn a_wrong_type_is_named() {
     for (text, key) in [
-        ("[grpc]\nmax_calls = 'many'", "grpc.max_calls"),
-        ("[grpc]\nmax_calls = true", "grpc.max_calls"),
-        ("[grpc]\nmax_calls = 1.5", "grpc.max_calls"),
-        ("[grpc]\nmax_calls = [1]", "grpc.max_calls"),
+        ("[grpc]\nmax_connections = 'many'", "grpc.max_connections"),
+        ("[grpc]\nmax_connections = true", "grpc.max_connections"),
+        ("[grpc]\nmax_connections = 1.5", "grpc.max_connections"),
+        ("[grpc]\nmax_connections = [1]", "grpc.max_connections"),
         ("[grpc]\nlisten = 50051", "grpc.listen"),
         ("grpc = 3", "grpc"),
     ] {
@@ -150,17 +159,20 @@ fn a_wrong_type_is_named() {
         assert!(message.contains(&format!("`{key}`")), "{message}");
         assert!(message.contains("wayfold.toml"), "{message}");
     }
-    let error = load_variable("WAYFOLD_GRPC__MAX_CALLS", "many").unwrap_err();
+    let error = load_variable("WAYFOLD_GRPC__MAX_CONNECTIONS", "many").unwrap_err();
     let message = error.to_string();
-    assert!(message.contains("WAYFOLD_GRPC__MAX_CALLS"), "{message}");
+    assert!(
+        message.contains("WAYFOLD_GRPC__MAX_CONNECTIONS"),
+        "{message}"
+    );
     assert!(message.contains("an integer, not \"many\""), "{message}");
 }
 
 #[test]
 fn a_value_out_of_range_is_named() {
     for (text, key) in [
-        ("[grpc]\nmax_calls = 0", "grpc.max_calls"),
-        ("[grpc]\nmax_calls = -1", "grpc.max_calls"),
+        ("[grpc]\nmax_connections = 0", "grpc.max_connections"),
+        ("[grpc]\nmax_connections = -1", "grpc.max_connections"),
         ("[shutdown]\ngrace_ms = -1", "shutdown.grace_ms"),
         (
             "[grpc]\nmax_calls_per_connection = 5_000_000_000",

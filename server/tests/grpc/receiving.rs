@@ -18,7 +18,8 @@ use wayfold_proto::v1;
 async fn small_server() -> TestServer {
     let server = TestServer::start(|config| {
         config.grpc.max_message_bytes = 100_000;
-        config.grpc.max_request_bytes = 1_000_000;
+        config.zenoh.max_message_bytes = 100_000;
+        config.admission.max_bytes = 1_100_000;
     });
     let server = server.await;
     server.create_line("line").await;
@@ -52,7 +53,7 @@ async fn half_sent_requests_of_a_connection_hold_its_share_at_most() {
     let server = small_server().await;
     let mut connection = Connection::open(server.address).await;
     let (mut answers, mut held) = (FuturesUnordered::new(), Vec::new());
-    // Three times 80 kB are less than a quarter of 1 MB.
+    // Three times 88 kB, of which 8 are the call's own, are less than a quarter of 1.1 MB.
     for _ in 0..4 {
         let (answer, body) = half_send(&mut connection).await;
         answers.push(answer);
@@ -80,7 +81,7 @@ async fn half_sent_requests_of_a_connection_hold_its_share_at_most() {
 async fn half_sent_requests_of_all_connections_hold_the_bytes_of_the_server_at_most() {
     let server = small_server().await;
     let (mut answers, mut held) = (FuturesUnordered::new(), Vec::new());
-    // Twelve times 80 kB are less than 1 MB.
+    // Twelve times 88 kB are less than 1.1 MB.
     for _ in 0..13 {
         let mut connection = Connection::open(server.address).await;
         let (answer, body) = half_send(&mut connection).await;

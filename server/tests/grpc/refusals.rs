@@ -4,7 +4,6 @@ use crate::{
     harness::{TestServer, column, insert, knn, reason, uid_of},
     raw::Raw,
 };
-use futures_util::{StreamExt, stream};
 use http::uri::PathAndQuery;
 use tokio::sync::oneshot;
 use tonic::{Code, Request, Status};
@@ -102,28 +101,46 @@ async fn stock_limits_let_an_answer_through_that_a_stock_client_takes() {
 }
 
 #[tokio::test]
-async fn calls_beyond_the_capacity_are_refused_and_health_is_not() {
-    let server = TestServer::start(|config| config.grpc.max_calls = 1).await;
-    server.create_ruler("line", 3).await;
-    let (hang_up, hung_up) = oneshot::channel::<v1::StreamKnnRequest>();
-    // This stream sends no request; it ends when its sender is dropped.
-    let requests = stream::once(hung_up).filter_map(async |request| request.ok());
-    let answers = server.points().stream_knn(requests).await.unwrap();
+async fn a_call_that_waits_for_too_long_is_refused_and_health_and_administration_are_not() {
+    // One thread, and no patience.
+    let server = TestServer::start(|config| {
+        config.admission.queue_target_ms = 0;
+        config.admission.burst_ms = 0;
+    });
+    let server = server.await;
+    server.create_ruler("line", 1000).await;
+    let (refused, mut was_refused) = oneshot::channel();
+    let heavy = async {
+        while was_refused.try_recv().is_err() {
+            let answer = server.points().knn(knn("line", &[0.0; 1000], 100)).await;
+            if let Err(status) = answer {
+                expect_overloaded(&status);
+            }
+        }
+    };
+    let light = async {
+        let status = loop {
+            if let Err(status) = server.points().knn(knn("line", &[0.0], 1)).await {
+                break status;
+            }
+        };
+        expect_overloaded(&status);
+        let text = "admission.queue_target_ms = 0";
+        assert!(status.message().contains(text), "{status}");
+        let retry = status.get_details_retry_info().unwrap();
+        assert!(retry.retry_delay.is_some_and(|delay| !delay.is_zero()));
+        let check = server.health().check(HealthCheckRequest::default()).await;
+        assert_eq!(check.unwrap().into_inner().status(), ServingStatus::Serving);
+        refused.send(()).unwrap();
+    };
+    tokio::join!(heavy, light);
+    server.stop().await.unwrap().unwrap();
+}
 
-    let status = server.points().knn(knn("line", &[0.0], 1)).await;
-    let status = status.unwrap_err();
-    assert_eq!(reason(&status, Code::ResourceExhausted), "TOO_MANY_CALLS");
-    assert!(status.message().contains("grpc.max_calls = 1"), "{status}");
+fn expect_overloaded(status: &Status) {
+    assert_eq!(reason(status, Code::ResourceExhausted), "OVERLOADED");
+    let text = "admission.queue_target_ms = 0";
+    assert!(status.message().contains(text), "{status}");
     let retry = status.get_details_retry_info().unwrap();
     assert!(retry.retry_delay.is_some_and(|delay| !delay.is_zero()));
-    let check = server.health().check(HealthCheckRequest::default()).await;
-    assert_eq!(check.unwrap().into_inner().status(), ServingStatus::Serving);
-
-    // A call frees its place before its client learns of its end.
-    drop(hang_up);
-    assert_eq!(answers.into_inner().count().await, 0);
-    for _ in 0..10 {
-        server.points().knn(knn("line", &[0.0], 1)).await.unwrap();
-    }
-    server.stop().await.unwrap().unwrap();
 }

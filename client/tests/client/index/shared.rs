@@ -95,17 +95,21 @@ tests!(
     a_closed_index_takes_no_writes_and_gives_none_back,
 );
 
-/// The feed of the copy and a foreign one take both places.
+/// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows.
 #[test]
 fn a_busy_server_takes_the_writes_later() {
-    let server = Server::with(|config| config.grpc.max_calls = 2);
+    let server = Server::with(|config| {
+        config.grpc.max_message_bytes = 20_000;
+        config.zenoh.max_message_bytes = 20_000;
+        config.admission.max_bytes = 1;
+    });
     let space = "R2".parse().unwrap();
     let index = Index::shared(&server.uri, "arm").create(&space).open();
     let index = index.unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
-    let watch = runtime.block_on(async {
+    let watches = runtime.block_on(async {
         let served = server.client().await.index("arm").await.unwrap();
-        served.watch().await.unwrap()
+        [served.watch().await.unwrap(), served.watch().await.unwrap()]
     });
     let ids: Vec<u64> = (0..1000)
         .map(|number| index.insert([f64::from(number), 0.0]).unwrap())
@@ -120,8 +124,8 @@ fn a_busy_server_takes_the_writes_later() {
         }
         thread::yield_now();
     };
-    assert_eq!(refused.reason(), Some("TOO_MANY_CALLS"));
-    drop(watch);
+    assert_eq!(refused.reason(), Some("TOO_MANY_BYTES"));
+    drop(watches);
     index.flush().unwrap();
     let other = Index::remote(&server.uri, "arm").open().unwrap();
     assert_eq!(content(&other), content(&index));

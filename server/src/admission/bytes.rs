@@ -1,0 +1,44 @@
+//! A bound on bytes that are held at a time.
+
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct ByteBudget {
+    max: usize,
+    held: AtomicUsize,
+}
+
+impl ByteBudget {
+    /// Room for `max` bytes.
+    pub(super) fn new(max: usize) -> Self {
+        let held = AtomicUsize::new(0);
+        Self { max, held }
+    }
+
+    /// The most bytes.
+    pub(super) fn max(&self) -> usize {
+        self.max
+    }
+
+    /// Takes room for more bytes, until they are given back; false if there is not enough.
+    pub(super) fn take(&self, bytes: usize) -> bool {
+        let add = |held: usize| held.checked_add(bytes).filter(|held| *held <= self.max);
+        self.held.fetch_update(Relaxed, Relaxed, add).is_ok()
+    }
+
+    /// Takes room for bytes that exist already, beyond the bound too.
+    pub(super) fn take_anyway(&self, bytes: usize) {
+        self.held.fetch_add(bytes, Relaxed);
+    }
+
+    /// Gives back room that was taken.
+    pub(super) fn give_back(&self, bytes: usize) {
+        self.held.fetch_sub(bytes, Relaxed);
+    }
+
+    /// True if more is held than the bound allows.
+    pub(super) fn is_exceeded(&self) -> bool {
+        self.held.load(Relaxed) > self.max
+    }
+}

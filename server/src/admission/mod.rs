@@ -1,0 +1,275 @@
+//! Admission, for both faces: what the calls of one flow may take of the server's time and memory.
+//!
+//! A flow is a connection of gRPC or a link of Zenoh. Its calls take [turns](turns) to compute, and hold bytes from the
+//! first byte of a request to the last byte of its answer that the caller reads.
+
+mod bytes;
+mod turns;
+
+use std::{
+    cell::Cell,
+    future::poll_fn,
+    pin::{Pin, pin},
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering::Relaxed},
+    },
+    task::{Context, Poll, Waker, ready},
+    time::{Duration, Instant},
+};
+
+use self::{
+    bytes::ByteBudget,
+    turns::{Asked, FlowNumber, Turns},
+};
+use crate::config::AdmissionConfig;
+pub(crate) use turns::Overloaded;
+
+/// The setting of the bytes that calls hold.
+pub(crate) const MAX_BYTES: &str = "admission.max_bytes";
+
+/// The setting of the time that calls wait under lasting load.
+pub(crate) const QUEUE_TARGET_MS: &str = "admission.queue_target_ms";
+
+/// The bytes that a call holds beside its request and its answer, about.
+pub(crate) const CALL_BYTES: usize = 8 * 1024;
+
+/// A flow holds at most this part of all bytes, and so do all calls of administration.
+const SHARES: usize = 4;
+
+/// See the module. Clones share it.
+#[derive(Clone, Debug)]
+pub(crate) struct Admission {
+    turns: Arc<Turns>,
+    all: Arc<ByteBudget>,
+    /// The most bytes of one flow.
+    share: usize,
+    /// The flow of administration, whose bytes are its own: no load takes them.
+    admin: Arc<Flow>,
+}
+
+/// The calls that share turns and bytes.
+#[derive(Debug)]
+pub(crate) struct Flow {
+    turns: Arc<Turns>,
+    number: FlowNumber,
+    all: Arc<ByteBudget>,
+    own: ByteBudget,
+}
+
+impl Admission {
+    /// As many calls compute at a time as there are `threads`. There is room for a message of `message_bytes`, whatever
+    /// the settings are.
+    pub(crate) fn new(config: &AdmissionConfig, threads: usize, message_bytes: usize) -> Self {
+        let turns = Turns::new(
+            threads,
+            Duration::from_millis(config.queue_target_ms),
+            Duration::from_millis(config.burst_ms),
+        );
+        let one_call = message_bytes.saturating_add(CALL_BYTES);
+        let share = (config.max_bytes / SHARES).max(one_call);
+        let all = Arc::new(ByteBudget::new(config.max_bytes.max(one_call)));
+        let reserve = Arc::new(ByteBudget::new(all.max()));
+        Self {
+            admin: Arc::new(Flow::new(Arc::clone(&turns), reserve, share)),
+            turns,
+            all,
+            share,
+        }
+    }
+
+    /// A flow of its own.
+    pub(crate) fn open(&self) -> Arc<Flow> {
+        Arc::new(Flow::new(
+            Arc::clone(&self.turns),
+            Arc::clone(&self.all),
+            self.share,
+        ))
+    }
+
+    /// The flow of the calls that an operator needs under load.
+    pub(crate) fn admin(&self) -> Arc<Flow> {
+        Arc::clone(&self.admin)
+    }
+}
+
+impl Flow {
+    fn new(turns: Arc<Turns>, all: Arc<ByteBudget>, share: usize) -> Self {
+        Self {
+            number: turns.open(),
+            turns,
+            all,
+            own: ByteBudget::new(share),
+        }
+    }
+
+    /// Begins to count the bytes of a call.
+    pub(crate) fn hold(self: &Arc<Self>) -> HeldBytes {
+        HeldBytes {
+            flow: Arc::clone(self),
+            held: AtomicUsize::new(0),
+        }
+    }
+
+    /// The most bytes that all flows hold.
+    pub(crate) fn max_bytes(&self) -> usize {
+        self.all.max()
+    }
+
+    /// The turns of a call.
+    pub(crate) fn turns(self: &Arc<Self>) -> CallTurns {
+        CallTurns {
+            flow: Arc::clone(self),
+            has_begun: false,
+            next: None,
+        }
+    }
+
+    /// The turns of a request of a stream that has begun: it waits, and is not refused for it.
+    pub(crate) fn turns_of_stream(self: &Arc<Self>) -> CallTurns {
+        CallTurns {
+            has_begun: true,
+            ..self.turns()
+        }
+    }
+}
+
+impl Drop for Flow {
+    fn drop(&mut self) {
+        self.turns.close(self.number);
+    }
+}
+
+/// The bytes that a call holds, until it is dropped.
+#[derive(Debug)]
+pub(crate) struct HeldBytes {
+    flow: Arc<Flow>,
+    held: AtomicUsize,
+}
+
+impl HeldBytes {
+    /// Holds more bytes; false if there is no room for them.
+    #[must_use]
+    pub(crate) fn take(&self, bytes: usize) -> bool {
+        let Flow { all, own, .. } = &*self.flow;
+        if !all.take(bytes) {
+            return false;
+        }
+        if !own.take(bytes) {
+            all.give_back(bytes);
+            return false;
+        }
+        self.held.fetch_add(bytes, Relaxed);
+        true
+    }
+
+    /// Holds bytes that exist already, with room or without.
+    pub(crate) fn take_anyway(&self, bytes: usize) {
+        self.flow.all.take_anyway(bytes);
+        self.flow.own.take_anyway(bytes);
+        self.held.fetch_add(bytes, Relaxed);
+    }
+
+    /// Gives back some of the bytes.
+    pub(crate) fn give_back(&self, bytes: usize) {
+        self.held.fetch_sub(bytes, Relaxed);
+        self.flow.own.give_back(bytes);
+        self.flow.all.give_back(bytes);
+    }
+
+    /// False while the flow, or all flows together, hold more than they may: answers were not read.
+    pub(crate) fn has_room(&self) -> bool {
+        !self.flow.own.is_exceeded() && !self.flow.all.is_exceeded()
+    }
+
+    /// The flow of the call.
+    pub(crate) fn flow(&self) -> &Arc<Flow> {
+        &self.flow
+    }
+}
+
+impl Drop for HeldBytes {
+    fn drop(&mut self) {
+        self.give_back(self.held.load(Relaxed));
+    }
+}
+
+/// The turns of one call, one for each slice of its work.
+#[derive(Debug)]
+pub(crate) struct CallTurns {
+    flow: Arc<Flow>,
+    has_begun: bool,
+    /// The turn of the next slice.
+    next: Option<Asked>,
+}
+
+thread_local! {
+    /// The waker of work that is about to be pending and can go on at once.
+    static GOES_ON: Cell<Option<Waker>> = const { Cell::new(None) };
+}
+
+/// Ends a slice of work that goes on: others may have a turn before.
+pub(crate) async fn end_slice() {
+    poll_fn(|context| {
+        GOES_ON.set(Some(context.waker().clone()));
+        Poll::Ready(())
+    })
+    .await;
+    tokio::task::yield_now().await;
+}
+
+impl CallTurns {
+    /// Asks for the next turn: it is kept for the call, or the call waits for it from now on.
+    pub(crate) fn ask(&mut self) -> Result<(), Overloaded> {
+        if self.next.is_none() {
+            let Flow { turns, number, .. } = &*self.flow;
+            self.next = Some(turns.ask(*number, !self.has_begun, Instant::now())?);
+        }
+        Ok(())
+    }
+
+    /// Gives up the turn that was asked for.
+    pub(crate) fn give_up(&mut self) {
+        self.next = None;
+    }
+
+    /// Polls `work` in a turn. It is pending while the call waits for one, and the task is woken for it.
+    pub(crate) fn poll<T>(
+        &mut self,
+        context: &mut Context<'_>,
+        work: impl FnOnce(&mut Context<'_>) -> Poll<T>,
+    ) -> Poll<Result<T, Overloaded>> {
+        self.ask()?;
+        if let Some(Asked::Waits(granted)) = &mut self.next {
+            let granted = ready!(Pin::new(granted).poll(context));
+            self.next = None;
+            // The sender is dropped only with the flow, which this call keeps.
+            let turn = granted.unwrap_or(Err(Overloaded(Duration::ZERO)))?;
+            self.next = Some(Asked::Granted(turn));
+        }
+        let Some(Asked::Granted(turn)) = self.next.take() else {
+            return Poll::Pending;
+        };
+        self.has_begun = true;
+        GOES_ON.set(None);
+        let began = Instant::now();
+        let polled = work(context);
+        let took = began.elapsed();
+        // Work that is polled for a task of its own has another waker.
+        let goes_on = GOES_ON
+            .take()
+            .is_some_and(|waker| waker.will_wake(context.waker()));
+        if polled.is_pending() && goes_on {
+            self.next = Some(self.flow.turns.give_way(turn, took));
+        } else {
+            turn.end(took);
+        }
+        polled.map(Ok)
+    }
+
+    /// Does `work` in turns.
+    pub(crate) async fn run<F: Future>(&mut self, work: F) -> Result<F::Output, Overloaded> {
+        let mut work = pin!(work);
+        poll_fn(|context| self.poll(context, |context| work.as_mut().poll(context))).await
+    }
+}
