@@ -8,7 +8,10 @@ use tokio::{
     runtime::Handle,
     time::{Instant, interval, sleep_until, timeout},
 };
-use tokio_util::{sync::CancellationToken, task::TaskTracker};
+use tokio_util::{
+    sync::CancellationToken,
+    task::{AbortOnDropHandle, TaskTracker},
+};
 use tracing::{info, warn};
 
 use crate::{
@@ -99,6 +102,7 @@ pub(crate) async fn serve(
         .max(config.zenoh.max_message_bytes);
     let admission = Admission::new(&config.admission, threads, message_bytes);
     let under_way = TaskTracker::new();
+    let _reporting = AbortOnDropHandle::new(tokio::spawn(admission.clone().report()));
     let cut = CancellationToken::new();
     let mut zenoh = ZenohFace::open(&config.zenoh, service.clone(), admission.clone()).await?;
     let addresses = Addresses {

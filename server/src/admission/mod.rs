@@ -12,11 +12,14 @@ use std::{
     pin::{Pin, pin},
     sync::{
         Arc,
-        atomic::{AtomicUsize, Ordering::Relaxed},
+        atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed},
     },
     task::{Context, Poll, Waker, ready},
     time::{Duration, Instant},
 };
+
+use tokio::time::interval;
+use tracing::warn;
 
 use self::{
     bytes::ByteBudget,
@@ -33,6 +36,9 @@ pub(crate) const QUEUE_TARGET_MS: &str = "admission.queue_target_ms";
 
 /// The bytes that a call holds beside its request and its answer, about.
 pub(crate) const CALL_BYTES: usize = 8 * 1024;
+
+/// The interval of the lines about refused calls.
+const REPORT_INTERVAL: Duration = Duration::from_secs(10);
 
 /// A flow holds at most this part of all bytes, and so do all calls of administration.
 const SHARES: usize = 4;
@@ -55,7 +61,14 @@ pub(crate) struct Flow {
     number: FlowNumber,
     all: Arc<ByteBudget>,
     own: ByteBudget,
+    opened: Instant,
+    /// The last time that everything its client had sent was read, in nanoseconds since `opened`; [`UNKNOWN`] for
+    /// links.
+    caught_up_ns: AtomicU64,
 }
+
+/// The value of [`Flow::caught_up_ns`] while it is not known.
+const UNKNOWN: u64 = u64::MAX;
 
 impl Admission {
     /// As many calls compute at a time as there are `threads`. There is room for a message of `message_bytes`, whatever
@@ -87,6 +100,29 @@ impl Admission {
         ))
     }
 
+    /// The refusal of a call that would wait for too long.
+    pub(crate) fn overloaded(&self) -> Overloaded {
+        self.turns.overloaded()
+    }
+
+    /// Writes a line now and then while calls are refused: one for each would be a load of its own.
+    pub(crate) async fn report(self) {
+        let mut looks = interval(REPORT_INTERVAL);
+        let mut before = 0;
+        loop {
+            looks.tick().await;
+            let refused = self.turns.refused();
+            if refused > before {
+                warn!(
+                    calls = refused - before,
+                    seconds = REPORT_INTERVAL.as_secs(),
+                    "calls were refused: they would have waited for longer than {QUEUE_TARGET_MS}"
+                );
+            }
+            before = refused;
+        }
+    }
+
     /// The flow of the calls that an operator needs under load.
     pub(crate) fn admin(&self) -> Arc<Flow> {
         Arc::clone(&self.admin)
@@ -100,6 +136,22 @@ impl Flow {
             turns,
             all,
             own: ByteBudget::new(share),
+            opened: Instant::now(),
+            caught_up_ns: AtomicU64::new(UNKNOWN),
+        }
+    }
+
+    /// Notes that everything its client has sent is read.
+    pub(crate) fn catch_up(&self) {
+        let since = self.opened.elapsed().as_nanos() as u64;
+        self.caught_up_ns.store(since, Relaxed);
+    }
+
+    /// The time since then.
+    fn behind(&self, now: Instant) -> Duration {
+        match self.caught_up_ns.load(Relaxed) {
+            UNKNOWN => Duration::ZERO,
+            since => now.saturating_duration_since(self.opened + Duration::from_nanos(since)),
         }
     }
 
@@ -223,7 +275,9 @@ impl CallTurns {
     pub(crate) fn ask(&mut self) -> Result<(), Overloaded> {
         if self.next.is_none() {
             let Flow { turns, number, .. } = &*self.flow;
-            self.next = Some(turns.ask(*number, !self.has_begun, Instant::now())?);
+            let now = Instant::now();
+            let behind = self.flow.behind(now);
+            self.next = Some(turns.ask(*number, !self.has_begun, behind, now)?);
         }
         Ok(())
     }

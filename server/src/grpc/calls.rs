@@ -14,7 +14,7 @@ use std::{
 };
 
 use futures_util::{FutureExt, poll};
-use http::{Request, Response};
+use http::{HeaderMap, Request, Response};
 use http_body::Body as HttpBody;
 use http_body_util::BodyExt;
 use tokio_util::task::TaskTracker;
@@ -85,6 +85,8 @@ pub(crate) struct CallsLayer {
     pub(super) requests: RequestLimits,
     /// The deadline of calls that have none and are no streams.
     pub(super) default_timeout: Duration,
+    /// The headers of the refusal of a call that would wait for too long.
+    pub(super) overloaded: Arc<HeaderMap>,
 }
 
 impl<S> Layer<S> for CallsLayer {
@@ -133,12 +135,20 @@ where
         let Some(rpc) = our_rpc(request.uri().path()) else {
             return Box::pin(self.inner.call(request));
         };
+        let settings = &self.settings;
+        let flow = settings.flow(rpc, activity.as_ref());
+        // A call waits from its arrival on, not from the time that its task first runs.
+        let mut turns = flow.turns();
+        if turns.ask().is_err() {
+            // Under overload most calls end here: this must cost next to nothing.
+            let mut refusal = Response::new(Body::empty());
+            *refusal.headers_mut() = HeaderMap::clone(&settings.overloaded);
+            return Box::pin(std::future::ready(Ok(refusal)));
+        }
         // The clock starts here, not inside the future: after this function returns, tonic starts its own timer for the
         // same header and answers CANCELLED when it ends. Ours must never be the later one.
         let arrived = Instant::now();
         let mut record = CallRecord::begin(rpc, arrived);
-        let settings = &self.settings;
-        let flow = settings.flow(rpc, activity.as_ref());
         let held = Arc::new(flow.hold());
         let is_stream = ANSWER_STREAMS.contains(&rpc) || REQUEST_STREAMS.contains(&rpc);
         let deadline = match deadline::read(request.headers(), arrived) {
@@ -147,10 +157,6 @@ where
             Ok(None) if !is_stream => Ok(arrived.checked_add(settings.default_timeout)),
             Ok(deadline) => Ok(deadline),
         };
-        // A call waits from its arrival on, not from the time that its task first runs.
-        let mut turns = flow.turns();
-        let deadline = deadline
-            .and_then(|deadline| turns.ask().map(|()| deadline).map_err(status::overloaded));
         let deadline = match deadline {
             Ok(deadline) => deadline,
             Err(status) => {
@@ -332,6 +338,7 @@ mod tests {
                 time: Duration::from_secs(1),
             },
             default_timeout: Duration::from_secs(1),
+            overloaded: Arc::default(),
         };
         let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
         let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;

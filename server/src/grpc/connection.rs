@@ -32,6 +32,12 @@ const PREFACE_TIME: Duration = Duration::from_secs(10);
 /// Bytes of that preface.
 const PREFACE_BYTES: usize = 24;
 
+/// A connection that reads on after a shorter pause keeps up with its client, whatever that sends.
+const SHORT_PAUSE: Duration = Duration::from_millis(1);
+
+/// Bytes that a connection reads before others have their turn: about fifty small calls.
+const MAX_READ_BYTES: usize = 8 * 1024;
+
 /// The connections made to `listener`, at most as many at a time as `connections` has room for: a further one waits until
 /// an idle one has made room. `cut` fails all of them.
 pub(crate) fn incoming(
@@ -49,6 +55,9 @@ pub(crate) fn incoming(
             let connection = Connection {
                 open: open.await,
                 socket,
+                read_bytes: 0,
+                was_silent: true,
+                paused: None,
                 cut: Box::pin(own_cut.cancelled_owned()),
                 preface: Some((
                     PREFACE_BYTES,
@@ -97,6 +106,12 @@ fn concerns_one_connection(error: &io::Error) -> bool {
 pub(crate) struct Connection {
     socket: TcpStream,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
+    /// The bytes that were read since others had their turn.
+    read_bytes: usize,
+    /// True if there was nothing to read.
+    was_silent: bool,
+    /// The time since which others have their turn.
+    paused: Option<Instant>,
     /// The bytes of the preface that are missing, and the end of the wait for them.
     preface: Option<(usize, Pin<Box<Sleep>>)>,
     /// Set once this side has sent everything: the end of the wait for the other.
@@ -139,9 +154,28 @@ impl AsyncRead for Connection {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         self.check(context)?;
+        if self.read_bytes >= MAX_READ_BYTES {
+            self.read_bytes = 0;
+            self.paused = Some(Instant::now());
+            context.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        let paused = self.paused.take();
+        if paused.is_some_and(|since| since.elapsed() < SHORT_PAUSE) {
+            self.open.activity().flow().catch_up();
+        }
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.socket).poll_read(context, buffer);
         let came = buffer.filled().len() - before;
+        // What comes after silence has just come.
+        if read.is_pending() || self.was_silent {
+            self.open.activity().flow().catch_up();
+        }
+        self.was_silent = read.is_pending();
+        self.read_bytes = match self.was_silent {
+            true => 0,
+            false => self.read_bytes + came,
+        };
         if let Some((missing, _)) = &mut self.preface {
             *missing = missing.saturating_sub(came);
             if *missing == 0 {

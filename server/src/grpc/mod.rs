@@ -100,6 +100,9 @@ pub(crate) async fn serve(
                 max_message_bytes: config.max_message_bytes,
                 time: Duration::from_millis(config.receive_timeout_ms),
             },
+            overloaded: Arc::new(refusals::headers(crate::status::overloaded(
+                admission.overloaded(),
+            ))),
             admission,
             under_way,
             default_timeout: Duration::from_millis(config.default_timeout_ms),

@@ -52,6 +52,12 @@ pub(crate) fn restate(status: Status, max_message_bytes: usize, advice: &str) ->
     }
 }
 
+/// The headers of a refusal.
+pub(crate) fn headers(refusal: Refusal) -> HeaderMap {
+    let (parts, _) = Status::from(refusal).into_http::<Body>().into_parts();
+    parts.headers
+}
+
 /// The refusal of a request message above the limit.
 pub(crate) fn too_large(max_message_bytes: usize, advice: &str) -> Refusal {
     limit(

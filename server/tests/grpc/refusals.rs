@@ -102,10 +102,10 @@ async fn stock_limits_let_an_answer_through_that_a_stock_client_takes() {
 
 #[tokio::test]
 async fn a_call_that_waits_for_too_long_is_refused_and_health_and_administration_are_not() {
-    // One thread, and no patience.
+    // One thread, and little patience.
     let server = TestServer::start(|config| {
-        config.admission.queue_target_ms = 0;
-        config.admission.burst_ms = 0;
+        config.admission.queue_target_ms = 1;
+        config.admission.burst_ms = 1;
     });
     let server = server.await;
     server.create_ruler("line", 1000).await;
@@ -125,7 +125,7 @@ async fn a_call_that_waits_for_too_long_is_refused_and_health_and_administration
             }
         };
         expect_overloaded(&status);
-        let text = "admission.queue_target_ms = 0";
+        let text = "admission.queue_target_ms = 1";
         assert!(status.message().contains(text), "{status}");
         let retry = status.get_details_retry_info().unwrap();
         assert!(retry.retry_delay.is_some_and(|delay| !delay.is_zero()));
@@ -139,7 +139,7 @@ async fn a_call_that_waits_for_too_long_is_refused_and_health_and_administration
 
 fn expect_overloaded(status: &Status) {
     assert_eq!(reason(status, Code::ResourceExhausted), "OVERLOADED");
-    let text = "admission.queue_target_ms = 0";
+    let text = "admission.queue_target_ms = 1";
     assert!(status.message().contains(text), "{status}");
     let retry = status.get_details_retry_info().unwrap();
     assert!(retry.retry_delay.is_some_and(|delay| !delay.is_zero()));
