@@ -6,13 +6,19 @@
 //! It starts the server program, of this version or another, in memory, and fills an index of SE(3) (`R3*SO3:0.15`).
 //! The server has one core, all callers share another. What a server answers is counted, whatever it is.
 
+mod burst;
 mod generator;
 mod goodput;
+mod half_sent;
+mod heavy;
+mod left;
 mod pin;
 mod probe;
 mod report;
 mod server;
+mod silent;
 mod tally;
+mod unread;
 mod wire;
 
 use std::{
@@ -72,19 +78,39 @@ impl Arguments {
 enum Scenario {
     /// Two and four times as many calls as the server can answer.
     Goodput,
+    /// Workers that all ask at once every second.
+    Burst,
+    /// Inserts that never end.
+    HalfSent,
+    /// Large answers that nobody reads.
+    Unread,
+    /// One connection with 250 large searches.
+    Heavy,
+    /// Connections that say nothing, and calls of headers alone.
+    Silent,
+    /// Queries over Zenoh whose client has left.
+    Left,
 }
 
 impl Scenario {
     fn run(self, arguments: &Arguments, report: &mut Report) {
         match self {
             Self::Goodput => goodput::run(arguments, report),
+            Self::Burst => burst::run(arguments, report),
+            Self::HalfSent => half_sent::run(arguments, report),
+            Self::Unread => unread::run(arguments, report),
+            Self::Heavy => heavy::run(arguments, report),
+            Self::Silent => silent::run(arguments, report),
+            Self::Left => left::run(arguments, report),
         }
     }
 }
 
 fn main() -> ExitCode {
-    if measuring::role().as_deref() == Some(server::PINNED) {
-        return server::become_server();
+    match measuring::role().as_deref() {
+        Some(server::PINNED) => return server::become_server(),
+        Some(left::LEAVER) => return left::leave(),
+        _ => {}
     }
     measuring::main(async |arguments: Arguments| {
         let report = tokio::task::block_in_place(|| measure(&arguments));
@@ -107,7 +133,10 @@ fn measure(arguments: &Arguments) -> Report {
     for scenario in scenarios {
         let began = Instant::now();
         scenario.run(arguments, &mut report);
-        progress(&format!("{scenario:?}: done in {:.0} s", began.elapsed().as_secs_f64()));
+        progress(&format!(
+            "{scenario:?}: done in {:.0} s",
+            began.elapsed().as_secs_f64()
+        ));
     }
     report
 }

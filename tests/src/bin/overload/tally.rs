@@ -118,11 +118,17 @@ impl Tally {
         );
         figures.add("open after 5 s more", self.open() as f64);
         figures.add("connections lost, GOAWAY", self.connections_lost.0 as f64);
-        figures.add("connections lost, otherwise", self.connections_lost.1 as f64);
+        figures.add(
+            "connections lost, otherwise",
+            self.connections_lost.1 as f64,
+        );
         figures.add("accepted p50, ms", self.quantile(0.5));
         figures.add("accepted p99, ms", self.quantile(0.99));
         if self.offered * 100 < self.due * 98 {
-            figures.add("GENERATOR TOO SLOW: of the rate", self.offered as f64 / self.due as f64);
+            figures.add(
+                "GENERATOR TOO SLOW: of the rate",
+                self.offered as f64 / self.due as f64,
+            );
         }
         figures
     }
