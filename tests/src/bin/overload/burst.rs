@@ -36,7 +36,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     figures.add("rows of a call", rows as f64);
     figures.add("bursts", f64::from(arguments.seconds));
     figures.add("refused", tally.refusals() as f64);
-    figures.extend(tally.figures(rows_per_second / rows as f64));
+    figures.extend(tally.figures(None));
     figures.extend(health.finish());
     let mut table = Table::default();
     table.column("burst", figures);

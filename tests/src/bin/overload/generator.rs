@@ -187,9 +187,7 @@ impl Calls {
                 self.resume(link);
                 let ended = connection.await;
                 lock(&self.links[link].0).client = None;
-                let go_away = ended.is_err_and(|error| error.is_go_away());
-                let lost = &mut lock(&self.tally).connections_lost;
-                *(if go_away { &mut lost.0 } else { &mut lost.1 }) += 1;
+                lock(&self.tally).record_lost(ended);
             }
             opened = wire::open(self.load.address, READING).await.ok();
             if opened.is_none() {
@@ -277,12 +275,14 @@ impl Calls {
             let value = wire::timeout_header(left);
             headers.headers_mut().insert("grpc-timeout", value);
         }
-        match self.begin(link, headers, message) {
-            // The stream is reset with CANCEL when its handles are dropped, as by stock clients.
-            Ok(response) => timeout_at(due + deadline, wire::outcome(response))
-                .await
-                .unwrap_or(Outcome::Expired),
-            Err(outcome) => outcome,
+        // The stream is reset with CANCEL when its handle is dropped, as by stock clients.
+        let outcome = match self.begin(link, headers, message) {
+            Ok(response) => timeout_at(due + deadline, wire::outcome(response)).await,
+            Err(outcome) => Ok(outcome),
+        };
+        match outcome {
+            Ok(outcome) if due.elapsed() <= deadline => outcome,
+            _ => Outcome::Expired,
         }
     }
 

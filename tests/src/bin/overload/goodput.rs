@@ -9,7 +9,7 @@ use crate::{
     generator::{Load, apart},
     probe::Health,
     progress,
-    report::{Figures, Report, Table},
+    report::{Report, Table},
     server::{Server, knn_frames},
     tally::Tally,
 };
@@ -19,23 +19,23 @@ const DEADLINE: Duration = Duration::from_millis(500);
 /// The longest time for which the work of a phase may go on after it.
 const SETTLE: Duration = Duration::from_secs(20);
 
-/// The calls of one size: the rows of each, the number of different ones, and the number in flight at the peak.
+/// The calls of one size: the rows of each, the number of different ones, and the numbers in flight of which the best is the peak.
 struct Size {
     rows: usize,
     requests: usize,
-    in_flight: u64,
+    in_flight: [u64; 2],
 }
 
 pub(crate) const ROWS: usize = 200;
 const ONE: Size = Size {
     rows: 1,
     requests: 5_000,
-    in_flight: 100,
+    in_flight: [100, 400],
 };
 const MANY: Size = Size {
     rows: ROWS,
     requests: 64,
-    in_flight: 16,
+    in_flight: [16, 50],
 };
 
 pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
@@ -49,13 +49,20 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
             ..load.clone()
         };
         let unloaded = closed(unloaded, 1, arguments.length().min(Duration::from_secs(4)));
-        let health = Health::start(server.address);
-        let peak = closed(load.clone(), size.in_flight, arguments.length());
-        let rate = peak.rate();
         let mut table = Table::default();
-        table.column("one at a time", unloaded.figures(rate));
-        table.column("peak", beside(peak.figures(rate), health));
-        server.until_idle(SETTLE);
+        let peaks = size.in_flight.map(|in_flight| {
+            let health = Health::start(server.address);
+            let peak = closed(load.clone(), in_flight, arguments.length());
+            server.until_idle(SETTLE);
+            (in_flight, peak, health.finish())
+        });
+        let rate = best(peaks.iter().map(|(_, peak, _)| peak));
+        table.column("one at a time", unloaded.figures(Some(rate)));
+        for (in_flight, peak, health) in peaks {
+            let mut column = peak.figures(Some(rate));
+            column.extend(health);
+            table.column(&format!("{in_flight} in flight"), column);
+        }
         for times in [2, 4] {
             for deadline in [None, Some(DEADLINE)] {
                 let callers = deadline.map_or("patient", |_| "500 ms");
@@ -70,17 +77,14 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
                 let tally = on_schedule(load, arguments.length(), move |n| {
                     Duration::from_secs_f64(n as f64 * gap)
                 });
-                table.column(&phase, beside(tally.figures(rate), health));
+                let mut column = tally.figures(Some(rate));
+                column.extend(health.finish());
+                table.column(&phase, column);
                 server.until_idle(SETTLE);
             }
         }
         report.table(&name, &table);
     }
-}
-
-fn beside(mut figures: Figures, health: Health) -> Figures {
-    figures.extend(health.finish());
-    figures
 }
 
 /// Calls over 50 connections whose callers are patient.
@@ -96,9 +100,17 @@ fn load(server: &Server, requests: Arc<Vec<Bytes>>) -> Load {
 /// Calls of 200 rows that a server can answer in a second.
 pub(crate) fn peak(server: &Server, length: Duration) -> f64 {
     let load = load(server, knn_frames(MANY.requests, MANY.rows, 10));
-    let peak = closed(load, MANY.in_flight, length).rate();
-    server.until_idle(SETTLE);
-    peak
+    let peaks = MANY.in_flight.map(|in_flight| {
+        let peak = closed(load.clone(), in_flight, length);
+        server.until_idle(SETTLE);
+        peak
+    });
+    best(peaks.iter())
+}
+
+/// The highest rate.
+fn best<'a>(peaks: impl Iterator<Item = &'a Tally>) -> f64 {
+    peaks.map(Tally::rate).fold(0.0, f64::max)
 }
 
 fn closed(load: Load, in_flight: u64, length: Duration) -> Tally {

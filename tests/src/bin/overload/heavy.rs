@@ -32,7 +32,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     beside.part("after");
     let memory = memory.after_the_load();
     let mut table = Table::default();
-    table.column("heavy calls", heavy.figures(heavy.rate()));
+    table.column("heavy calls", heavy.figures(None));
     report.table("heavy, 250 Knn on one connection", &table);
     report.table("heavy, memory", &memory);
     report.table("heavy, others", &beside.finish());

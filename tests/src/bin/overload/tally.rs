@@ -2,6 +2,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
+use h2::Reason;
 use tokio::time::Instant;
 use tonic::Code;
 use wayfold_tests::figures::quantile_ms;
@@ -26,10 +27,10 @@ pub(crate) struct Tally {
     accepted: Vec<Duration>,
     refused: BTreeMap<i32, u64>,
     expired: u64,
-    reset: u64,
+    reset: BTreeMap<u32, u64>,
     lost: u64,
-    /// The connections that the server ended by GOAWAY, and otherwise.
-    pub(crate) connections_lost: (u64, u64),
+    /// The connections that ended, by the reason.
+    connections_lost: BTreeMap<String, u64>,
     recorded: u64,
 }
 
@@ -45,9 +46,9 @@ impl Tally {
             accepted: Vec::new(),
             refused: BTreeMap::new(),
             expired: 0,
-            reset: 0,
+            reset: BTreeMap::new(),
             lost: 0,
-            connections_lost: (0, 0),
+            connections_lost: BTreeMap::new(),
             recorded: 0,
         }
     }
@@ -63,9 +64,20 @@ impl Tally {
             }
             Outcome::Status(code) => *self.refused.entry(code.into()).or_default() += 1,
             Outcome::Expired => self.expired += 1,
-            Outcome::Reset => self.reset += 1,
+            Outcome::Reset(reason) => *self.reset.entry(reason).or_default() += 1,
             Outcome::Lost => self.lost += 1,
         }
+    }
+
+    /// Records the end of a connection.
+    pub(crate) fn record_lost(&mut self, ended: Result<(), h2::Error>) {
+        let reason = match ended {
+            Err(error) if error.is_go_away() => {
+                format!("{:?}", error.reason().unwrap_or(Reason::NO_ERROR))
+            }
+            _ => "otherwise".into(),
+        };
+        *self.connections_lost.entry(reason).or_default() += 1;
     }
 
     /// The calls that were taken on and have no outcome yet.
@@ -84,7 +96,7 @@ impl Tally {
 
     /// The number of calls that were refused by a status or a reset.
     pub(crate) fn refusals(&self) -> u64 {
-        self.refused.values().sum::<u64>() + self.reset
+        self.refused.values().chain(self.reset.values()).sum()
     }
 
     /// Sorts the times.
@@ -98,18 +110,23 @@ impl Tally {
         quantile_ms(&self.accepted, q)
     }
 
-    /// All figures; `peak` is the rate to compare with.
-    pub(crate) fn figures(&self, peak: f64) -> Figures {
+    /// All figures; `peak` is a rate to compare with.
+    pub(crate) fn figures(&self, peak: Option<f64>) -> Figures {
         let mut figures = Figures::default();
         figures.add("due/s", self.per_second(self.due));
         figures.add("offered/s", self.per_second(self.offered));
         figures.add("answered in time/s", self.rate());
-        figures.add("of the peak", self.rate() / peak);
+        if let Some(peak) = peak {
+            figures.add("of the peak", self.rate() / peak);
+        }
         for (&code, &count) in &self.refused {
             let name = format!("refused/s, {:?}", Code::from_i32(code));
             figures.add(&name, self.per_second(count));
         }
-        figures.add("reset by the server/s", self.per_second(self.reset));
+        for (&reason, &count) in &self.reset {
+            let name = format!("reset/s, {:?}", Reason::from(reason));
+            figures.add(&name, self.per_second(count));
+        }
         figures.add("expired/s", self.per_second(self.expired));
         figures.add("lost with a connection/s", self.per_second(self.lost));
         figures.add(
@@ -117,11 +134,9 @@ impl Tally {
             self.per_second(self.not_sent),
         );
         figures.add("open after 5 s more", self.open() as f64);
-        figures.add("connections lost, GOAWAY", self.connections_lost.0 as f64);
-        figures.add(
-            "connections lost, otherwise",
-            self.connections_lost.1 as f64,
-        );
+        for (reason, &count) in &self.connections_lost {
+            figures.add(&format!("connections lost, {reason}"), count as f64);
+        }
         figures.add("accepted p50, ms", self.quantile(0.5));
         figures.add("accepted p99, ms", self.quantile(0.99));
         if self.offered * 100 < self.due * 98 {

@@ -29,18 +29,17 @@ pub(crate) enum Outcome {
     Status(Code),
     /// The client gave the call up at its deadline.
     Expired,
-    /// The server reset the stream.
-    Reset,
+    /// The server reset the stream, for this reason.
+    Reset(u32),
     /// The connection ended.
     Lost,
 }
 
 impl From<h2::Error> for Outcome {
     fn from(error: h2::Error) -> Self {
-        if error.is_reset() {
-            Self::Reset
-        } else {
-            Self::Lost
+        match error.reason() {
+            Some(reason) if error.is_reset() => Self::Reset(reason.into()),
+            _ => Self::Lost,
         }
     }
 }
