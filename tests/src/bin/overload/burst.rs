@@ -37,7 +37,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     figures.add("bursts", f64::from(arguments.seconds));
     figures.add("refused", tally.refusals() as f64);
     figures.extend(tally.figures(None));
-    figures.extend(health.finish());
+    figures.extend(health.finish(server.settle()));
     let mut table = Table::default();
     table.column("burst", figures);
     report.table("burst, 64 workers once a second", &table);

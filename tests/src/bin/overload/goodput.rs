@@ -16,8 +16,6 @@ use crate::{
 
 const CONNECTIONS: usize = 50;
 const DEADLINE: Duration = Duration::from_millis(500);
-/// The longest time for which the work of a phase may go on after it.
-const SETTLE: Duration = Duration::from_secs(20);
 
 /// The calls of one size: the rows of each, the number of different ones, and the numbers in flight of which the best is the peak.
 struct Size {
@@ -53,8 +51,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
         let peaks = size.in_flight.map(|in_flight| {
             let health = Health::start(server.address);
             let peak = closed(load.clone(), in_flight, arguments.length());
-            server.until_idle(SETTLE);
-            (in_flight, peak, health.finish())
+            (in_flight, peak, health.finish(server.settle()))
         });
         let rate = best(peaks.iter().map(|(_, peak, _)| peak));
         table.column("one at a time", unloaded.figures(Some(rate)));
@@ -78,9 +75,8 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
                     Duration::from_secs_f64(n as f64 * gap)
                 });
                 let mut column = tally.figures(Some(rate));
-                column.extend(health.finish());
+                column.extend(health.finish(server.settle()));
                 table.column(&phase, column);
-                server.until_idle(SETTLE);
             }
         }
         report.table(&name, &table);
@@ -102,7 +98,7 @@ pub(crate) fn peak(server: &Server, length: Duration) -> f64 {
     let load = load(server, knn_frames(MANY.requests, MANY.rows, 10));
     let peaks = MANY.in_flight.map(|in_flight| {
         let peak = closed(load.clone(), in_flight, length);
-        server.until_idle(SETTLE);
+        server.settle();
         peak
     });
     best(peaks.iter())

@@ -5,6 +5,9 @@
 //!
 //! It starts the server program, of this version or another, in memory, and fills an index of SE(3) (`R3*SO3:0.15`).
 //! The server has one core, all callers share another. What a server answers is counted, whatever it is.
+//!
+//! Calls on a schedule count from the time at which they were due, and so do those of the callers beside a load. A call
+//! without an answer counts there with the time that it waited.
 
 mod burst;
 mod generator;

@@ -164,9 +164,8 @@ impl Health {
         }
     }
 
-    /// Ends it and reports all of its time.
-    pub(crate) fn finish(self) -> Figures {
-        let end = Instant::now();
+    /// Ends it, and reports the calls that were due until then.
+    pub(crate) fn finish(self, end: Instant) -> Figures {
         figures("health", &self.probe.finish(), self.began, end)
     }
 }

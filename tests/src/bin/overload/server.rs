@@ -37,6 +37,9 @@ const WIDTH: usize = 7;
 /// The rows of an insert of the setup.
 const ROWS: usize = 1_000;
 
+/// The longest time for which the work of a phase may go on after it.
+const SETTLE: Duration = Duration::from_secs(20);
+
 /// Pins this process to the core that its first argument names, and runs the program that its other arguments name.
 pub(crate) fn become_server() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
@@ -79,12 +82,19 @@ impl Server {
             address,
             zenoh,
         };
-        server.until_idle(Duration::from_secs(20));
+        server.settle();
         server
     }
 
     pub(crate) fn id(&self) -> u32 {
         self.process.process().id()
+    }
+
+    /// Waits until the work of a phase is done, and returns the time at which the wait began.
+    pub(crate) fn settle(&self) -> Instant {
+        let end = Instant::now();
+        self.until_idle(SETTLE);
+        end
     }
 
     /// Waits until it does little, and returns the processor time that it took meanwhile, in seconds.

@@ -73,7 +73,12 @@ impl Tally {
     pub(crate) fn record_lost(&mut self, ended: Result<(), h2::Error>) {
         let reason = match ended {
             Err(error) if error.is_go_away() => {
-                format!("{:?}", error.reason().unwrap_or(Reason::NO_ERROR))
+                let by = if error.is_remote() {
+                    "server"
+                } else {
+                    "client"
+                };
+                format!("{by}: {:?}", error.reason().unwrap_or(Reason::NO_ERROR))
             }
             _ => "otherwise".into(),
         };

@@ -55,6 +55,9 @@ pub(crate) async fn open(
     Ok(Builder::new()
         .initial_window_size(window)
         .initial_connection_window_size(window)
+        // By default this library itself ends a connection once many answers come to calls that were given up.
+        .max_concurrent_reset_streams(100_000)
+        .max_local_error_reset_streams(None)
         .handshake(socket)
         .await?)
 }
