@@ -20,7 +20,7 @@ use tonic::Code;
 
 use crate::{
     tally::Tally,
-    wire::{self, Client, KNN, Outcome, READING},
+    wire::{self, Client, KNN, LARGE_WINDOW, Outcome},
 };
 
 /// The most calls of one connection that wait in the client.
@@ -159,7 +159,7 @@ impl Calls {
         }
         let connect_by = Instant::now() + CONNECT;
         let firsts = (0..load.connections)
-            .map(|_| timeout_at(connect_by, wire::open(load.address, READING)));
+            .map(|_| timeout_at(connect_by, wire::open(load.address, LARGE_WINDOW)));
         let firsts = join_all(firsts).await;
         let began = Instant::now() + Duration::from_millis(20);
         let calls = Arc::new(Self {
@@ -189,7 +189,7 @@ impl Calls {
                 lock(&self.links[link].0).client = None;
                 lock(&self.tally).record_lost(ended);
             }
-            opened = wire::open(self.load.address, READING).await.ok();
+            opened = wire::open(self.load.address, LARGE_WINDOW).await.ok();
             if opened.is_none() {
                 sleep_until(Instant::now() + RETRY).await;
             }

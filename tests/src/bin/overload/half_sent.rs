@@ -23,8 +23,8 @@ use crate::{
     probe::Beside,
     progress,
     report::{Figures, Report, Table},
-    server::{Server, insert_frame},
-    wire::{self, INSERT, Outcome, UNREAD},
+    server::{Server, insert_frame, pause},
+    wire::{self, DEFAULT_WINDOW, INSERT, Outcome},
 };
 
 const CALLS: usize = 250;
@@ -49,9 +49,13 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     progress("half-sent");
     let memory = server.memory();
     let mut beside = Beside::start(server.address);
+    beside.part("before");
+    pause(arguments.length() / 2);
     beside.part("during");
     let inserts = apart(send(server.address)).join();
     let inserts = inserts.expect("the generator's thread");
+    beside.part("after");
+    let memory = memory.after_the_load();
     let mut figures = Figures::default();
     figures.add("inserts begun", CALLS as f64);
     figures.add("taken, MiB", inserts.sent_bytes as f64 / 1024.0 / 1024.0);
@@ -59,7 +63,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     let mut table = Table::default();
     table.column("inserts", figures);
     report.table("half-sent, inserts", &table);
-    report.table("half-sent, memory", &memory.after_the_load());
+    report.table("half-sent, memory", &memory);
     report.table("half-sent, others", &beside.finish());
 }
 
@@ -67,7 +71,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
 async fn send(address: SocketAddr) -> Inserts {
     let end = Instant::now() + LONGEST;
     let mut inserts = Inserts::default();
-    let Ok(client) = wire::connect(address, UNREAD).await else {
+    let Ok(client) = wire::connect(address, DEFAULT_WINDOW).await else {
         return inserts;
     };
     let message = insert_frame(ROWS);

@@ -1,5 +1,9 @@
 //! Cores and priorities of threads. Linux only: elsewhere nothing is pinned.
 
+/// The nice value of the threads that make load.
+#[cfg(target_os = "linux")]
+const NICE: i32 = 5;
+
 /// Pins this thread, and the threads and processes that it starts from now on.
 ///
 /// # Panics
@@ -19,7 +23,7 @@ pub(crate) fn to_core(core: usize) {
 /// Lowers the priority of this thread, so that the threads that take times go first on their common core.
 pub(crate) fn lower_priority() {
     #[cfg(target_os = "linux")]
-    let _ = rustix::process::setpriority_process(None, 5);
+    let _ = rustix::process::setpriority_process(None, NICE);
 }
 
 /// Raises the limit of open files as far as this process may. The server inherits it.

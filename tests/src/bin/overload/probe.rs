@@ -15,7 +15,7 @@ use wayfold_tests::figures::quantile_ms;
 use crate::{
     report::{Figures, Table},
     server::knn_frames,
-    wire::{self, Client, HEALTH, KNN, Outcome, READING},
+    wire::{self, Client, HEALTH, KNN, LARGE_WINDOW, Outcome},
 };
 
 const HEALTH_PACE: Duration = Duration::from_millis(20);
@@ -97,7 +97,7 @@ impl Caller {
     async fn call(&mut self) -> Outcome {
         let client = match self.client.take() {
             Some(client) => client,
-            None => match timeout(CONNECT, wire::connect(self.address, READING)).await {
+            None => match timeout(CONNECT, wire::connect(self.address, LARGE_WINDOW)).await {
                 Ok(Ok(client)) => client,
                 _ => return Outcome::Lost,
             },

@@ -17,7 +17,7 @@ use crate::{
     progress,
     report::{Figures, Report, Table},
     server::{Server, knn_frames, pause},
-    wire::{self, HEALTH, KNN, Outcome, READING, UNREAD},
+    wire::{self, DEFAULT_WINDOW, HEALTH, KNN, LARGE_WINDOW, Outcome},
 };
 
 const SILENT: usize = 1_150;
@@ -79,7 +79,8 @@ async fn silent(address: SocketAddr, length: Duration) -> Figures {
 /// Holds calls of which only the headers are sent.
 async fn headers(address: SocketAddr, length: Duration) -> Figures {
     let connect_by = Instant::now() + CONNECT;
-    let clients = (0..CONNECTIONS).map(|_| timeout_at(connect_by, wire::connect(address, UNREAD)));
+    let clients =
+        (0..CONNECTIONS).map(|_| timeout_at(connect_by, wire::connect(address, DEFAULT_WINDOW)));
     let clients: Vec<_> = join_all(clients)
         .await
         .into_iter()
@@ -119,7 +120,7 @@ async fn newcomer(address: SocketAddr, figures: &mut Figures) {
     for (name, path, message) in [("health", HEALTH, check), ("Knn", KNN, search)] {
         let began = Instant::now();
         let call = async {
-            let client = wire::connect(address, READING).await?;
+            let client = wire::connect(address, LARGE_WINDOW).await?;
             let headers = wire::headers(address, path);
             Ok(wire::call(&client, headers, message).await)
         };

@@ -13,7 +13,7 @@ use crate::{
     progress,
     report::Report,
     server::{Server, knn, knn_frames, pause, until_idle},
-    wire::{self, Client, KNN, STREAM_KNN, UNREAD},
+    wire::{self, Client, DEFAULT_WINDOW, KNN, STREAM_KNN},
 };
 
 const K: u32 = 10_000;
@@ -49,7 +49,7 @@ fn measure(
     beside.part("during");
     let (address, process) = (server.address, server.id());
     let held = apart(async move {
-        let client = wire::connect(address, UNREAD).await;
+        let client = wire::connect(address, DEFAULT_WINDOW).await;
         let unread = client.as_ref().map(|client| begin(client, address));
         sleep_until(Instant::now() + Duration::from_secs(1)).await;
         until_idle(process, LONGEST).await;

@@ -16,14 +16,14 @@ pub(crate) const INSERT: &str = "wayfold.v1.PointService/Insert";
 pub(crate) const HEALTH: &str = "grpc.health.v1.Health/Check";
 
 /// The flow-control windows of a client that reads its answers, in bytes.
-pub(crate) const READING: u32 = 4 * 1024 * 1024;
-/// The smallest windows, which are also those of HTTP/2 itself.
-pub(crate) const UNREAD: u32 = 65_535;
+pub(crate) const LARGE_WINDOW: u32 = 4 * 1024 * 1024;
+/// The windows of HTTP/2 without a setting, for a client that reads nothing or sends only.
+pub(crate) const DEFAULT_WINDOW: u32 = 65_535;
 
 pub(crate) type Client = SendRequest<Bytes>;
 
 /// The end of a call.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Outcome {
     /// The server answered with this status.
     Status(Code),
