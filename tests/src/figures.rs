@@ -22,10 +22,23 @@ pub fn quantile_ms(taken: &[Duration], q: f64) -> f64 {
 
 /// The resident memory of a process, if the system reports it.
 pub fn resident_bytes(process: u32) -> Option<u64> {
+    status_bytes(process, "VmRSS:")
+}
+
+/// The highest resident memory of a process since [`reset_peak`], if the system reports it.
+pub fn peak_resident_bytes(process: u32) -> Option<u64> {
+    status_bytes(process, "VmHWM:")
+}
+
+/// Makes [`peak_resident_bytes`] start again from the memory of now, where the system allows it.
+pub fn reset_peak(process: u32) {
+    let _ = fs::write(format!("/proc/{process}/clear_refs"), "5");
+}
+
+/// A line of a process's status, in bytes.
+fn status_bytes(process: u32, name: &str) -> Option<u64> {
     let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let line = status.lines().find_map(|line| line.strip_prefix(name))?;
     let kib: u64 = line.trim().trim_end_matches(" kB").parse().ok()?;
     Some(kib * 1024)
 }

@@ -104,7 +104,16 @@ pub fn start(role: &str, arguments: &[&str]) -> ServerProcess {
 /// # Panics
 /// If it cannot be started.
 pub fn spawn(role: &str, arguments: &[&str]) -> Process {
+    Process::spawn(command(role).args(arguments))
+}
+
+/// The command that starts this program in a role.
+///
+/// # Panics
+/// If the system does not name this program.
+pub fn command(role: &str) -> Command {
     let program = env::current_exe().expect("this program");
     let mut command = Command::new(program);
-    Process::spawn(command.env(ROLE, role).args(arguments))
+    command.env(ROLE, role);
+    command
 }

@@ -1,0 +1,124 @@
+//! The answers in time of a server that gets two and four times as many calls as it can answer.
+
+use std::{sync::Arc, time::Duration};
+
+use bytes::Bytes;
+
+use crate::{
+    Arguments,
+    generator::{Load, apart},
+    probe::Health,
+    progress,
+    report::{Report, Table},
+    server::{Server, knn_frames},
+    tally::Tally,
+};
+
+const CONNECTIONS: usize = 50;
+const DEADLINE: Duration = Duration::from_millis(500);
+
+/// The calls of one size: the rows of each, the number of different ones, and the numbers in flight of which the best is the peak.
+struct Size {
+    rows: usize,
+    requests: usize,
+    in_flight: [u64; 2],
+}
+
+pub(crate) const ROWS: usize = 200;
+const ONE: Size = Size {
+    rows: 1,
+    requests: 5_000,
+    in_flight: [100, 400],
+};
+const MANY: Size = Size {
+    rows: ROWS,
+    requests: 64,
+    in_flight: [16, 50],
+};
+
+pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
+    for size in [ONE, MANY] {
+        let server = Server::start(arguments);
+        let load = load(&server, knn_frames(size.requests, size.rows, 10));
+        let name = format!("goodput, Knn of {} rows", size.rows);
+        progress(&format!("{name}: unloaded and peak"));
+        let unloaded = Load {
+            connections: 1,
+            ..load.clone()
+        };
+        let unloaded = closed(unloaded, 1, arguments.length().min(Duration::from_secs(4)));
+        let mut table = Table::default();
+        let peaks = size.in_flight.map(|in_flight| {
+            let health = Health::start(server.address);
+            let peak = closed(load.clone(), in_flight, arguments.length());
+            (in_flight, peak, health.finish(server.settle()))
+        });
+        let rate = best(peaks.iter().map(|(_, peak, _)| peak));
+        table.column("one at a time", unloaded.figures(Some(rate)));
+        for (in_flight, peak, health) in peaks {
+            let mut column = peak.figures(Some(rate));
+            column.extend(health);
+            table.column(&format!("{in_flight} in flight"), column);
+        }
+        for times in [2, 4] {
+            for deadline in [None, Some(DEADLINE)] {
+                let callers = deadline.map_or("patient", |_| "500 ms");
+                let phase = format!("{times}x {callers}");
+                progress(&format!("{name}: {phase}"));
+                let load = Load {
+                    deadline,
+                    ..load.clone()
+                };
+                let gap = 1.0 / (rate * f64::from(times));
+                let health = Health::start(server.address);
+                let tally = on_schedule(load, arguments.length(), move |n| {
+                    Duration::from_secs_f64(n as f64 * gap)
+                });
+                let mut column = tally.figures(Some(rate));
+                column.extend(health.finish(server.settle()));
+                table.column(&phase, column);
+            }
+        }
+        report.table(&name, &table);
+    }
+}
+
+/// Calls over 50 connections whose callers are patient.
+fn load(server: &Server, requests: Arc<Vec<Bytes>>) -> Load {
+    Load {
+        address: server.address,
+        connections: CONNECTIONS,
+        requests,
+        deadline: None,
+    }
+}
+
+/// Calls of 200 rows that a server can answer in a second.
+pub(crate) fn peak(server: &Server, length: Duration) -> f64 {
+    let load = load(server, knn_frames(MANY.requests, MANY.rows, 10));
+    let peaks = MANY.in_flight.map(|in_flight| {
+        let peak = closed(load.clone(), in_flight, length);
+        server.settle();
+        peak
+    });
+    best(peaks.iter())
+}
+
+/// The highest rate.
+fn best<'a>(peaks: impl Iterator<Item = &'a Tally>) -> f64 {
+    peaks.map(Tally::rate).fold(0.0, f64::max)
+}
+
+fn closed(load: Load, in_flight: u64, length: Duration) -> Tally {
+    let phase = apart(load.closed(in_flight, length));
+    phase.join().expect("the generator's thread")
+}
+
+pub(crate) fn on_schedule(
+    load: Load,
+    length: Duration,
+    due: impl Fn(u64) -> Duration + Send + 'static,
+) -> Tally {
+    let phase = apart(load.on_schedule(length, due));
+    phase.join().expect("the generator's thread")
+}
