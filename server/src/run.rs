@@ -18,6 +18,7 @@ use crate::{
     log::{FjallLog, Log, MemoryLog, OpenError},
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
+    watermark::Watermarks,
     zenoh::{ZenohError, ZenohFace},
 };
 
@@ -111,7 +112,11 @@ pub(crate) async fn serve(
     ));
 
     // Meanwhile connections are accepted, and calls get UNAVAILABLE.
-    let opening = open_registry(config.index.options(), config.data);
+    let opening = open_registry(
+        config.index.options(),
+        config.data.clone(),
+        config.watermarks(),
+    );
     let live = async {
         let registry = Arc::new(opening.await?);
         service.set_registry(Arc::clone(&registry));
@@ -221,13 +226,14 @@ async fn idle(faces: &[Admission]) {
 async fn open_registry(
     options: RegistryOptions,
     data: DataConfig,
+    watermarks: Watermarks,
 ) -> Result<Registry, ServerError> {
     let open = move || {
         let log = match data.directory() {
             Some(directory) => Log::from(Arc::new(FjallLog::open(directory, data.durability)?)),
             None => Log::from(Arc::new(MemoryLog::new())),
         };
-        let registry = Registry::new(log, options);
+        let registry = Registry::with_watermarks(log, options, watermarks);
         registry.replay()?;
         Ok(registry)
     };

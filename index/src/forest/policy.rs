@@ -39,7 +39,10 @@ impl Shape {
 pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let idle = idle(shapes);
     carry(shapes, &idle, max_rows).or_else(|| {
-        let alone = |wanted: fn(&Shape) -> bool| idle.iter().copied().find(|&i| wanted(&shapes[i]));
+        let alone = |wanted: fn(&Shape) -> bool| {
+            let fits = |shape: &Shape| wanted(shape) && shape.live() <= max_rows;
+            idle.iter().copied().find(|&i| fits(&shapes[i]))
+        };
         alone(|shape| !shape.built)
             .or_else(|| alone(|shape| shape.dead * 2 > shape.rows))
             .map(|i| vec![i])

@@ -24,13 +24,16 @@ pub enum Committed {
 
 impl Hosted {
     /// Commits a mutation that was evaluated under `writer`: submits the non-empty `effects`, and returns once they are
-    /// published. From the first poll on the commit completes, even if the caller drops the future.
+    /// published. Above a watermark a mutation that stores points is refused. From the first poll on the commit completes, even if the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,
         effects: Effects,
         window: OperationWindow,
     ) -> Result<Committed, RegistryError> {
+        if !effects.stored().is_empty() {
+            self.host.watermarks.admit(effects.bytes() as u64)?;
+        }
         self.operations.lock().set_window(window);
         let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
         // The log reads a point before it replaces or removes it.
