@@ -230,7 +230,15 @@ async fn open_registry(
 ) -> Result<Registry, ServerError> {
     let open = move || {
         let log = match data.directory() {
-            Some(directory) => Log::from(Arc::new(FjallLog::open(directory, data.durability)?)),
+            Some(directory) => {
+                let memory = watermarks.memory.as_ref().and_then(|memory| memory.limit());
+                let memory = memory.unwrap_or(u64::MAX);
+                Log::from(Arc::new(FjallLog::open_within(
+                    directory,
+                    data.durability,
+                    memory,
+                )?))
+            }
             None => Log::from(Arc::new(MemoryLog::new())),
         };
         let registry = Registry::with_watermarks(log, options, watermarks);

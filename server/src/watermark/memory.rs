@@ -6,6 +6,8 @@ use std::{
     sync::Arc,
 };
 
+// Linked for `mi_collect`.
+use mimalloc as _;
 use tracing::{info, warn};
 
 use super::{Level, Resource, Watermark};
@@ -27,8 +29,13 @@ pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<A
     let low = limit / 100 * low_percent.min(high_percent);
     info!(limit, high, low, used, "watermarks of memory");
     let level = move || {
+        let mut used = self::used()?;
+        if used > low {
+            give_back();
+            used = self::used()?;
+        }
         Ok(Level {
-            used: self::used()?,
+            used,
             high,
             low,
             limit,
@@ -71,6 +78,23 @@ fn group_limit(root: &Path, groups: &str) -> Option<u64> {
 /// The bytes that only the process holds. Pages of files are not counted: the kernel takes them back.
 fn used() -> io::Result<u64> {
     kilobytes(&fs::read_to_string("/proc/self/status")?, "RssAnon:")
+}
+
+/// Gives freed memory that the allocator keeps back to the system.
+fn give_back() {
+    #[expect(
+        unsafe_code,
+        reason = "the allocator offers this function to C only; it takes a flag and may be called at any time"
+    )]
+    unsafe {
+        mi_collect(true);
+    }
+}
+
+#[expect(unsafe_code, reason = "a function of the allocator")]
+unsafe extern "C" {
+    /// Of mimalloc: frees what it keeps, and if forced gives all of it back to the system.
+    fn mi_collect(force: bool);
 }
 
 /// The bytes in the line that begins with `name`, which gives them in units of 1,024.

@@ -148,6 +148,11 @@ impl Watermark {
         Some(level.limit.saturating_sub(level.used))
     }
 
+    /// The bytes that there are; None if the resource cannot be measured.
+    pub fn limit(&self) -> Option<u64> {
+        Some((self.probe)().ok()?.limit)
+    }
+
     /// The newest measurement, or a new one if it is due.
     fn level(&self, state: &mut State) -> Option<Level> {
         if let Some((at, level)) = state.measured
