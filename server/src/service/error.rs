@@ -196,7 +196,7 @@ pub enum Error {
     },
     /// The memory or the disk is above its watermark, and the call would grow the server.
     #[error(
-        "{full}: reads, removals and deletions go on; remove points, delete an index, or {}",
+        "{full}. Reads, removals and deletions go on: remove points, delete an index, or {}",
         match full.resource {
             Resource::Memory => "give the server more memory (memory.limit_bytes)",
             Resource::Disk => "free space on its disk (disk.min_free_bytes)",

@@ -33,3 +33,20 @@ fn room(directory: &Path) -> io::Result<(u64, u64)> {
 fn room(_: &Path) -> io::Result<(u64, u64)> {
     Err(io::ErrorKind::Unsupported.into())
 }
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn at_most_a_tenth_of_the_disk_stays_free() {
+        let directory = tempfile::tempdir().unwrap();
+        assert!(disk(directory.path(), 0).is_none());
+        let whole = disk(directory.path(), u64::MAX).unwrap();
+        let limit = whole.limit().unwrap();
+        let full = whole.fits(limit).unwrap_err();
+        assert_eq!((full.high, full.limit), (limit - limit / 10, limit));
+        let little = disk(directory.path(), 1000).unwrap();
+        assert_eq!(little.fits(limit).unwrap_err().high, limit - 1000);
+    }
+}

@@ -68,7 +68,10 @@ pub struct Level {
 
 /// The refusal of growth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{used} bytes of {resource} are above the watermark of {high} ({}, of {limit} bytes)", resource.setting())]
+#[error(
+    "{used} of {limit} bytes of {resource} would be used, and growth is refused above {high} until {low} ({})",
+    resource.setting()
+)]
 pub struct Full {
     /// The resource.
     pub resource: Resource,
@@ -76,6 +79,8 @@ pub struct Full {
     pub used: u64,
     /// The high watermark.
     pub high: u64,
+    /// The low watermark.
+    pub low: u64,
     /// The bytes that there are.
     pub limit: u64,
 }
@@ -192,6 +197,7 @@ impl Watermark {
             resource: self.resource,
             used,
             high: level.high,
+            low: level.low,
             limit: level.limit,
         }
     }

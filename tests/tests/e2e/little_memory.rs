@@ -9,7 +9,7 @@ use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
 use wayfold_tests::{Process, Refusal, ServerProcess, Signal, States, Stubs, row_states};
 
 const MIB: u64 = 1024 * 1024;
-const LIMIT: u64 = 128 * MIB;
+const LIMIT: u64 = 96 * MIB;
 const WIDTH: usize = 32;
 const ROWS: usize = 2_000;
 /// The longest wait for freed memory.
@@ -36,14 +36,14 @@ fn used(server: &ServerProcess) -> u64 {
 /// The inserts of one program.
 struct Inserts {
     stubs: Stubs,
-    states: States,
+    rows: Vec<f64>,
 }
 
 impl Inserts {
     async fn next(&mut self, name: &str) -> Result<(), Status> {
         let request = InsertRequest {
             index_name: name.into(),
-            states: Some(row_states(&self.states.rows(ROWS), WIDTH)),
+            states: Some(row_states(&self.rows, WIDTH)),
             ..Default::default()
         };
         self.stubs.points.insert(request).await.map(drop)
@@ -58,7 +58,7 @@ async fn a_full_server_refuses_inserts_and_serves_what_it_can_after_a_start() {
     stubs.create("arm", &format!("R{WIDTH}")).await;
     let mut inserts = Inserts {
         stubs: stubs.clone(),
-        states: States::new(format!("R{WIDTH}").parse().unwrap(), 1),
+        rows: States::new(format!("R{WIDTH}").parse().unwrap(), 1).rows(ROWS),
     };
     let (mut stored, mut peak) = (0, 0);
     // A refusal may end once points are moved to the disk; this many in a row say that memory is full.
