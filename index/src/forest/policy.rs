@@ -174,6 +174,12 @@ mod tests {
         assert_eq!(next_merge(&[level(600), level(600)], 1000), None);
         let shapes = [level(600), level(300), level(300)];
         assert_eq!(next_merge(&shapes, 1000), Some(vec![1, 2]));
+        let unbuilt = Shape {
+            built: false,
+            ..level(600)
+        };
+        assert_eq!(next_merge(&[unbuilt], 600), Some(vec![0]));
+        assert_eq!(next_merge(&[unbuilt], 599), None);
     }
 
     #[test]

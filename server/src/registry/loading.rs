@@ -21,11 +21,12 @@ pub(super) fn loaded_bytes(space: &Space, points: usize) -> u64 {
 }
 
 impl Host {
-    /// The greatest number of points that a merge may copy in the memory that is left, above the watermarks too: the
-    /// old levels, their points as rows and the new level exist at a time.
+    /// The greatest number of points that a merge may copy in its share of the memory that is left, above the watermarks
+    /// too: the old levels, their points as rows and the new level exist at a time.
     pub(super) fn merge_rows(&self, space: &Space) -> usize {
         let left = self.watermarks.memory.as_ref().and_then(|it| it.left());
-        let rows = |left: u64| left / (3 * point_bytes(space) as u64);
+        let bytes = 3 * point_bytes(space) * self.options.merge_threads.max(1);
+        let rows = |left: u64| left / bytes as u64;
         left.map_or(usize::MAX, |left| {
             usize::try_from(rows(left)).unwrap_or(usize::MAX)
         })

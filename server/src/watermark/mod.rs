@@ -149,8 +149,9 @@ impl Watermark {
 
     /// The bytes up to the limit, above the watermarks; None if the resource cannot be measured.
     pub fn left(&self) -> Option<u64> {
-        let level = (self.probe)().ok()?;
-        Some(level.limit.saturating_sub(level.used))
+        let mut state = self.state.lock();
+        let level = self.level(&mut state)?;
+        Some(level.limit.saturating_sub(level.used + state.added))
     }
 
     /// The bytes that there are; None if the resource cannot be measured.

@@ -341,3 +341,27 @@ async fn a_start_without_memory_lists_and_deletes_and_loads_the_rest_later() {
     );
     assert_eq!(error.await.unwrap_err().code(), Code::NotFound);
 }
+
+/// Near the watermark the points of an index go into the forest in parts, and nothing is merged that does not fit.
+#[tokio::test]
+async fn an_index_that_just_fits_is_loaded_in_parts() {
+    let log = Arc::new(MemoryLog::new());
+    let before = service_with(Arc::clone(&log), Limits::default());
+    create(&before, "arm", "R3").await;
+    let rows = cube(1, 70_000);
+    before.insert(&CALL, insertion(&rows, &[])).await.unwrap();
+    let ask = knn(&rows[..20], 9);
+    let answer = before.knn(&CALL, ask.clone()).await.unwrap();
+    drop(before);
+
+    let point_bytes = 56;
+    for (free, is_loaded) in [(100_000 * point_bytes, true), (60_000 * point_bytes, false)] {
+        let (memory, disk) = (Used::default(), Used::default());
+        memory.set(HIGH - free);
+        let (_registry, service) = over(Arc::clone(&log), watermarks(&memory, &disk));
+        match service.knn(&CALL, ask.clone()).await {
+            Ok(found) => assert!(is_loaded && found == answer),
+            Err(error) => assert!(!is_loaded && error.reason() == "NOT_LOADED", "{error}"),
+        }
+    }
+}
