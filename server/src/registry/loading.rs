@@ -38,7 +38,7 @@ pub(super) enum LoadError {
     /// It would take more memory than there is.
     Full(Full),
     /// These points are refused.
-    Refused(Points, ApplyError),
+    Refused(Box<Points>, ApplyError),
 }
 
 /// A forest that gets its points in the order of their ids.
@@ -91,7 +91,7 @@ impl Loader {
         );
         match self.forest.load(&points) {
             Ok(()) => Ok(()),
-            Err(error) => Err(LoadError::Refused(points, error)),
+            Err(error) => Err(LoadError::Refused(Box::new(points), error)),
         }
     }
 
@@ -102,7 +102,7 @@ impl Loader {
         }
         if revision > 0 {
             if let Err(error) = self.forest.apply(revision, &self.points, &[]) {
-                return Err(LoadError::Refused(self.points, error));
+                return Err(LoadError::Refused(Box::new(self.points), error));
             }
             drop(self.points);
             let (host, space) = (&self.host, self.forest.space().clone());

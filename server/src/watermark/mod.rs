@@ -216,7 +216,7 @@ pub struct Watermarks {
 impl Watermarks {
     /// Takes in about `bytes` more, or refuses them.
     pub fn admit(&self, bytes: u64) -> Result<(), Full> {
-        let watermarks = [&self.memory, &self.disk].into_iter().flatten();
-        watermarks.map(|it| it.admit(bytes)).collect()
+        let mut watermarks = [&self.memory, &self.disk].into_iter().flatten();
+        watermarks.try_for_each(|it| it.admit(bytes))
     }
 }
