@@ -12,6 +12,10 @@ use crate::log::{Effects, LogError, Operation, Receipt, Record};
 pub(super) const MAX_INLINE_POINTS: usize = 1024;
 pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 
+/// The number of times that memory and disk have the bytes of a mutation: as a record, as points in the store, and in the
+/// forest or in the files that the store writes again.
+const STORED_COPIES: u64 = 3;
+
 /// The outcome of a commit.
 #[must_use]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,7 +36,9 @@ impl Hosted {
         window: OperationWindow,
     ) -> Result<Committed, RegistryError> {
         if !effects.stored().is_empty() {
-            self.host.watermarks.admit(effects.bytes() as u64)?;
+            self.host
+                .watermarks
+                .admit(STORED_COPIES * effects.bytes() as u64)?;
         }
         self.operations.lock().set_window(window);
         let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;

@@ -9,7 +9,7 @@ use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
 use wayfold_tests::{Process, Refusal, ServerProcess, Signal, States, Stubs, row_states};
 
 const MIB: u64 = 1024 * 1024;
-const LIMIT: u64 = 96 * MIB;
+const LIMIT: u64 = 128 * MIB;
 const WIDTH: usize = 32;
 const ROWS: usize = 2_000;
 /// The longest wait for freed memory.
