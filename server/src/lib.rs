@@ -1,6 +1,6 @@
 //! The Wayfold server: shared nearest-neighbour indices for motion planners.
 //!
-//! Dependencies point one way: `log ← registry ← service ← grpc, zenoh ← run ← cli`. The [`service`] knows no
+//! Dependencies point one way: `log, watermark ← registry ← service ← grpc, zenoh ← run ← cli`. The [`service`] knows no
 //! transport. `grpc` and `zenoh` translate and hold no policy. The mutation [`log`] is the only record of an index's
 //! past.
 
@@ -8,6 +8,7 @@ pub mod config;
 pub mod log;
 pub mod registry;
 pub mod service;
+pub mod watermark;
 
 mod admission;
 mod cli;

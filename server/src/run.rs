@@ -22,6 +22,7 @@ use crate::{
     log::{FjallLog, Log, MemoryLog, OpenError},
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
+    watermark::Watermarks,
     zenoh::{ZenohError, ZenohFace},
 };
 
@@ -123,7 +124,11 @@ pub(crate) async fn serve(
     ));
 
     // Meanwhile connections are accepted, and calls get UNAVAILABLE.
-    let opening = open_registry(config.index.options(), config.data);
+    let opening = open_registry(
+        config.index.options(),
+        config.data.clone(),
+        config.watermarks(),
+    );
     let live = async {
         let registry = Arc::new(opening.await?);
         service.set_registry(Arc::clone(&registry));
@@ -233,13 +238,22 @@ async fn idle(faces: &[TaskTracker]) {
 async fn open_registry(
     options: RegistryOptions,
     data: DataConfig,
+    watermarks: Watermarks,
 ) -> Result<Registry, ServerError> {
     let open = move || {
         let log = match data.directory() {
-            Some(directory) => Log::from(Arc::new(FjallLog::open(directory, data.durability)?)),
+            Some(directory) => {
+                let memory = watermarks.memory.as_ref().and_then(|memory| memory.limit());
+                let memory = memory.unwrap_or(u64::MAX);
+                Log::from(Arc::new(FjallLog::open_within(
+                    directory,
+                    data.durability,
+                    memory,
+                )?))
+            }
             None => Log::from(Arc::new(MemoryLog::new())),
         };
-        let registry = Registry::new(log, options);
+        let registry = Registry::with_watermarks(log, options, watermarks);
         registry.replay()?;
         Ok(registry)
     };

@@ -25,6 +25,9 @@ pub(crate) const DETAIL_DESCRIPTORS: &[u8] = pb::FILE_DESCRIPTOR_SET;
 /// The pause that a busy server asks for: most calls take a few milliseconds.
 const BUSY_PAUSE: Duration = Duration::from_millis(50);
 
+/// The pause that a server with full memory or a full disk asks for: somebody has to remove points first.
+const FULL_PAUSE: Duration = Duration::from_secs(1);
+
 // A status travels in HTTP/2 headers, which stock clients limit to 8 KiB in all, and its text goes twice. Text from a
 // caller has any length, so every part is bounded.
 const MAX_MESSAGE_BYTES: usize = 512;
@@ -85,7 +88,7 @@ fn describing(error: &Error) -> Status {
         message: bounded(error, MAX_MESSAGE_BYTES),
         metadata: HashMap::new(),
         detail: None,
-        retry_delay: None,
+        retry_delay: matches!(error, Error::Full { .. }).then_some(FULL_PAUSE),
     };
     status.detail = status.describe(error);
     status
@@ -241,6 +244,32 @@ impl Status {
             } => {
                 self.set("requested", requested);
                 self.quota(limit, *value)
+            }
+            Error::Full { full } => {
+                self.set("used", full.used);
+                self.quota(full.resource.setting(), full.high)
+            }
+            Error::QuotaExceeded {
+                index,
+                limit,
+                value,
+                requested,
+            } => {
+                self.set("index", index);
+                self.set("requested", requested);
+                self.quota(limit, *value)
+            }
+            Error::NotLoaded {
+                index,
+                points,
+                needed,
+                full,
+            } => {
+                self.set("index", index);
+                self.set("points", points);
+                self.set("needed", needed);
+                self.set("used", full.used);
+                self.quota(full.resource.setting(), full.high)
             }
             Error::IdsExhausted { index } => {
                 self.set("index", index);

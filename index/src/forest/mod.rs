@@ -196,6 +196,18 @@ impl Forest {
         Ok(self.apply_checked(revision, stored, removed))
     }
 
+    /// Adds points to the newest revision: a forest that is built from stored points gets them in parts. No id may be
+    /// in the forest.
+    ///
+    /// # Errors
+    /// The rows are not canonical states of the space, two have the same id, or there are more than
+    /// [`KdTree::MAX_POINTS`]; nothing is changed then.
+    pub fn load(&mut self, points: &Points) -> Result<(), ApplyError> {
+        points.check(&self.head.space)?;
+        self.store(points);
+        Ok(())
+    }
+
     /// Acts like [`Forest::apply`] for a higher revision and points that were checked.
     pub(crate) fn apply_checked(
         &mut self,
@@ -283,13 +295,20 @@ impl Forest {
     /// levels may begin meanwhile. While writes pause, levels are merged until the levels other than the largest are
     /// together less than a sixteenth of it.
     pub fn begin_merge(&mut self) -> Option<Merge> {
+        self.begin_merge_up_to(KdTree::MAX_POINTS)
+    }
+
+    /// Like [`Forest::begin_merge`], for merges that make levels of at most `max_rows` points: a merge needs memory for
+    /// the new level while the old ones still exist.
+    pub fn begin_merge_up_to(&mut self, max_rows: usize) -> Option<Merge> {
+        let max_rows = max_rows.min(KdTree::MAX_POINTS);
         let paused = self.paused_at == Some(self.head.revision);
         if paused && self.head.growing.rows() >= policy::MIN_ROWS {
             self.seal();
         }
         let shapes = self.shapes();
-        let due = policy::next_merge(&shapes, KdTree::MAX_POINTS).or_else(|| {
-            let next = || policy::next_while_paused(&shapes, KdTree::MAX_POINTS);
+        let due = policy::next_merge(&shapes, max_rows).or_else(|| {
+            let next = || policy::next_while_paused(&shapes, max_rows);
             paused.then(next).flatten()
         })?;
         Some(self.begin(&due))
@@ -357,7 +376,13 @@ impl Forest {
 
     /// Runs every merge that is due, on this thread.
     pub fn settle(&mut self) {
-        while let Some(due) = policy::next_merge(&self.shapes(), KdTree::MAX_POINTS) {
+        self.settle_up_to(|| KdTree::MAX_POINTS);
+    }
+
+    /// Like [`Forest::settle`], for merges that make levels of at most `max_rows` points.
+    pub fn settle_up_to(&mut self, max_rows: impl Fn() -> usize) {
+        let most = || max_rows().min(KdTree::MAX_POINTS);
+        while let Some(due) = policy::next_merge(&self.shapes(), most()) {
             let merge = self.begin(&due);
             self.finish_merge(merge.run());
         }

@@ -39,7 +39,10 @@ impl Shape {
 pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let idle = idle(shapes);
     carry(shapes, &idle, max_rows).or_else(|| {
-        let alone = |wanted: fn(&Shape) -> bool| idle.iter().copied().find(|&i| wanted(&shapes[i]));
+        let alone = |wanted: fn(&Shape) -> bool| {
+            let fits = |shape: &Shape| wanted(shape) && shape.live() <= max_rows;
+            idle.iter().copied().find(|&i| fits(&shapes[i]))
+        };
         alone(|shape| !shape.built)
             .or_else(|| alone(|shape| shape.dead * 2 > shape.rows))
             .map(|i| vec![i])
@@ -171,6 +174,12 @@ mod tests {
         assert_eq!(next_merge(&[level(600), level(600)], 1000), None);
         let shapes = [level(600), level(300), level(300)];
         assert_eq!(next_merge(&shapes, 1000), Some(vec![1, 2]));
+        let unbuilt = Shape {
+            built: false,
+            ..level(600)
+        };
+        assert_eq!(next_merge(&[unbuilt], 600), Some(vec![0]));
+        assert_eq!(next_merge(&[unbuilt], 599), None);
     }
 
     #[test]

@@ -201,3 +201,43 @@ fn snapshots_of_a_growing_tree_stay_unchanged() {
         }
     }
 }
+
+/// A forest that gets its points in parts, also without merges between them, equals one that gets them at once.
+#[test]
+fn points_can_be_loaded_in_parts() {
+    let space = Space::se2();
+    let rows = states(&space, Shape::Uniform, 3000, &mut rng(5));
+    let mut points = Points::new(space.coordinates());
+    let mut loaded = Forest::new(space.clone(), ForestOptions::for_space(&space));
+    for (id, row) in (0..).zip(&rows) {
+        points.push(id, id % 3, 1 + id % 7, row);
+        if points.len() == 1000 {
+            loaded.load(&points).unwrap();
+            points = Points::new(space.coordinates());
+        }
+    }
+    loaded.apply(7, &points, &[]).unwrap();
+    loaded.settle_up_to(|| 1500);
+    loaded.validate().unwrap();
+    assert_eq!((loaded.len(), loaded.revision()), (3000, 7));
+    let search = Search::nearest_k(10);
+    let ask = |forest: &Forest| -> Vec<_> {
+        let found = rows.iter().step_by(100);
+        found
+            .map(|row| forest.search(row, &search).unwrap().neighbors)
+            .collect()
+    };
+    let in_parts = ask(&loaded);
+    loaded.settle();
+    assert_eq!(ask(&loaded), in_parts);
+    let mut whole = Points::new(space.coordinates());
+    for (id, row) in (0..).zip(&rows) {
+        whole.push(id, id % 3, 1 + id % 7, row);
+    }
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
+    forest.apply(7, &whole, &[]).unwrap();
+    forest.settle();
+    assert_eq!(ask(&forest), in_parts);
+    // Points of another width are refused.
+    assert!(loaded.load(&Points::new(1)).is_err());
+}

@@ -15,11 +15,15 @@ const PREFIX: &str = "WAYFOLD_";
 const SEPARATOR: &str = "__";
 
 /// Settings that may be 0; `default.toml` says what 0 means for each.
-const MAY_BE_ZERO: [&str; 6] = [
+const MAY_BE_ZERO: [&str; 10] = [
+    "disk.min_free_bytes",
     "index.growing_rows",
     "grpc.keepalive_interval_ms",
     "limits.max_operations",
     "limits.max_operation_bytes",
+    "limits.max_points_per_index",
+    "limits.max_state_bytes_per_index",
+    "memory.limit_bytes",
     "runtime.workers",
     "shutdown.grace_ms",
 ];
@@ -176,6 +180,13 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
     let expected = match (&default.kind, &value.kind) {
         (ValueKind::I64(_), ValueKind::I64(number)) => {
             let least = i64::from(!MAY_BE_ZERO.contains(&key));
+            if key.ends_with("_percent") && *number > 100 {
+                return Err(ConfigError::Value {
+                    origin: origin.to_owned(),
+                    key: key.to_owned(),
+                    problem: format!("{number} is too large; at most 100"),
+                });
+            }
             if *number >= least {
                 return Ok(());
             }

@@ -10,7 +10,13 @@ use serde::Deserialize;
 
 pub use error::ConfigError;
 
-use crate::{log::Durability, observe::LogFormat, registry::RegistryOptions, service::Limits};
+use crate::{
+    log::Durability,
+    observe::LogFormat,
+    registry::RegistryOptions,
+    service::Limits,
+    watermark::{self, Watermarks},
+};
 
 /// The default settings, commented.
 pub const DEFAULTS: &str = include_str!("../default.toml");
@@ -36,6 +42,10 @@ pub struct Config {
     pub log: LogConfig,
     /// Storage of the indices.
     pub data: DataConfig,
+    /// The watermarks of memory.
+    pub memory: MemoryConfig,
+    /// The watermark of the disk.
+    pub disk: DiskConfig,
 }
 
 /// `[grpc]`
@@ -170,7 +180,39 @@ impl DataConfig {
     }
 }
 
+/// `[memory]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct MemoryConfig {
+    /// The memory that the process may use; 0 to ask the system.
+    pub limit_bytes: u64,
+    /// The percentage of the limit above which growth is refused.
+    pub high_percent: u64,
+    /// The percentage of the limit from which it is accepted again.
+    pub low_percent: u64,
+}
+
+/// `[disk]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct DiskConfig {
+    /// The free bytes of the disk below which growth is refused; 0 for none.
+    pub min_free_bytes: u64,
+}
+
 impl Config {
+    /// The watermarks of memory and disk, by these settings.
+    pub(crate) fn watermarks(&self) -> Watermarks {
+        let MemoryConfig {
+            limit_bytes,
+            high_percent,
+            low_percent,
+        } = self.memory;
+        let disk = self.data.directory();
+        Watermarks {
+            memory: watermark::memory(limit_bytes, high_percent, low_percent),
+            disk: disk.and_then(|directory| watermark::disk(directory, self.disk.min_free_bytes)),
+        }
+    }
+
     /// Loads the settings from all layers: the defaults, the `file` if given, the `environment`, and the `flags`, which
     /// are pairs of a key such as `grpc.listen` and its value. A later layer overrides an earlier one.
     pub fn load(

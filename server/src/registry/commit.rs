@@ -12,6 +12,10 @@ use crate::log::{Effects, LogError, Operation, Receipt, Record};
 pub(super) const MAX_INLINE_POINTS: usize = 1024;
 pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 
+/// The number of times that memory and disk have the bytes of a mutation: as a record, as points in the store, and in the
+/// forest or in the files that the store writes again.
+const STORED_COPIES: u64 = 3;
+
 /// The outcome of a commit.
 #[must_use]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,13 +28,18 @@ pub enum Committed {
 
 impl Hosted {
     /// Commits a mutation that was evaluated under `writer`: submits the non-empty `effects`, and returns once they are
-    /// published. From the first poll on the commit completes, even if the caller drops the future.
+    /// published. Above a watermark a mutation that stores points is refused. From the first poll on the commit completes, even if the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,
         effects: Effects,
         window: OperationWindow,
     ) -> Result<Committed, RegistryError> {
+        if !effects.stored().is_empty() {
+            self.host
+                .watermarks
+                .admit(STORED_COPIES * effects.bytes() as u64)?;
+        }
         self.operations.lock().set_window(window);
         let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
         // The log reads a point before it replaces or removes it.

@@ -3,7 +3,10 @@
 use thiserror::Error;
 use wayfold_index::Space;
 
-use crate::log::{LogError, Uid};
+use crate::{
+    log::{LogError, Uid},
+    watermark::Full,
+};
 
 /// The error of a call of the registry.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -31,6 +34,21 @@ pub enum RegistryError {
     Full {
         /// The limit.
         limit: usize,
+    },
+    /// The server takes in nothing that grows it.
+    #[error(transparent)]
+    NoRoom(#[from] Full),
+    /// The index is not in memory: at the start it would have taken too much.
+    #[error(
+        "its {points} points take about {needed} bytes of memory, too many at the start: {full}"
+    )]
+    NotLoaded {
+        /// The number of its points.
+        points: usize,
+        /// About the bytes that they take.
+        needed: u64,
+        /// The memory when it was loaded.
+        full: Full,
     },
     /// A task of the index panicked or was aborted: a bug.
     #[error("a task of the index did not finish")]

@@ -57,6 +57,11 @@ impl Registry {
                 }
                 hosted.merge_if_idle();
             }
+            if self.is_any_loadable() {
+                let registry = Arc::clone(&self);
+                // The join fails only if the task panicked; the panic hook has printed it.
+                let _ = tokio::task::spawn_blocking(move || registry.load_rest()).await;
+            }
             if now >= trimmed_at + TRIM_INTERVAL && self.failure().is_none() {
                 trimmed_at = now;
                 self.trim();
@@ -145,6 +150,37 @@ impl Registry {
         let states = self.indexes.read();
         let hosted = states.values().filter_map(|state| state.hosted().ok());
         hosted.cloned().collect()
+    }
+
+    /// True if there is memory now for an index that was not loaded.
+    fn is_any_loadable(&self) -> bool {
+        let states = self.indexes.read();
+        states.values().any(|state| self.is_loadable(state))
+    }
+
+    fn is_loadable(&self, state: &IndexState) -> bool {
+        match state {
+            IndexState::Damaged(_, RegistryError::NotLoaded { needed, .. }) => {
+                let memory = self.host.watermarks.memory.as_ref();
+                memory.is_none_or(|memory| memory.fits(*needed).is_ok())
+            }
+            IndexState::Hosted(_) | IndexState::Damaged(..) => false,
+        }
+    }
+
+    /// Loads the indices that were not loaded, as far as there is memory for them now. Blocks.
+    pub fn load_rest(&self) {
+        let _change = self.change_lock.lock();
+        let Ok(entries) = self.host.log.catalogue.indexes() else {
+            return;
+        };
+        for entry in &entries {
+            let state = self.indexes.read().get(&entry.name).cloned();
+            if state.is_some_and(|state| self.is_loadable(&state)) {
+                let state = replay::replay_or_damaged(&self.host, entry);
+                self.change(|indexes| indexes.insert(entry.name.clone(), state));
+            }
+        }
     }
 
     /// Resumes an index whose calls failed with an unknown outcome. That is safe: its next record is refused if a

@@ -16,10 +16,12 @@ pub(super) struct FinishedMerge {
 
 impl Hosted {
     /// Starts the merges that are due. An index runs at most as many merge tasks as all indices may run merges. Further
-    /// levels wait in the forest, where they may become part of one merge instead of several.
+    /// levels wait in the forest, where they may become part of one merge instead of several. So do those whose merge
+    /// would take more memory than is left.
     pub(super) fn start_merging(self: &Arc<Self>, applied: &mut Applied) {
         while applied.mergers < self.host.options.merge_threads.max(1)
-            && let Some(merge) = applied.forest.begin_merge()
+            && let rows = self.host.merge_rows(self.space())
+            && let Some(merge) = applied.forest.begin_merge_up_to(rows)
         {
             applied.mergers += 1;
             tokio::spawn(Arc::clone(self).merge(merge));

@@ -8,13 +8,15 @@
 //! - The holder of the [`Writer`] evaluates a mutation against the published state and the records that are not yet
 //!   part of it, and submits the effects (`commit`). From then on nothing depends on the caller, so a dropped call
 //!   takes effect whole or not at all. If another writer was first, the mutation is evaluated again.
-//! - The registry knows no requests and no transport, and of the limits only the number of indices.
+//! - The registry knows no requests and no transport, and of the limits only the number of indices. It takes in nothing
+//!   that grows it above the watermarks of memory and disk.
 
 mod apply;
 mod commit;
 mod error;
 mod hosted;
 mod in_flight;
+mod loading;
 mod maintenance;
 mod merging;
 mod operations;
@@ -30,7 +32,10 @@ use tokio::sync::{Semaphore, watch};
 use tracing::info;
 use wayfold_index::{Forest, ForestOptions, Space};
 
-use crate::log::{Entry, Log, LogError, RunId, Uid};
+use crate::{
+    log::{Entry, Log, LogError, RunId, Uid},
+    watermark::Watermarks,
+};
 pub use commit::Committed;
 pub use error::RegistryError;
 pub use hosted::{Hosted, Published};
@@ -93,7 +98,7 @@ pub struct Registry {
 #[derive(Clone)]
 enum IndexState {
     Hosted(Arc<Hosted>),
-    /// An index that could not be replayed, and the cause. It can be deleted.
+    /// An index that was not replayed, and the cause: it is damaged, or takes too much memory. It can be deleted.
     Damaged(Uid, RegistryError),
 }
 
@@ -121,9 +126,10 @@ pub enum Listed {
     },
 }
 
-/// The log, the options and the merge slots that all indices share.
+/// The log, the options, the watermarks and the merge slots that all indices share.
 struct Host {
     log: Log,
+    watermarks: Watermarks,
     options: RegistryOptions,
     /// A permit per merge that may run.
     merges: Semaphore,
@@ -131,12 +137,22 @@ struct Host {
 }
 
 impl Registry {
-    /// An empty registry over `log`. [`Registry::replay`] fills it.
+    /// An empty registry over `log`, without watermarks. [`Registry::replay`] fills it.
     pub fn new(log: impl Into<Log>, options: RegistryOptions) -> Self {
+        Self::with_watermarks(log, options, Watermarks::default())
+    }
+
+    /// An empty registry over `log`, which refuses growth above the watermarks.
+    pub fn with_watermarks(
+        log: impl Into<Log>,
+        options: RegistryOptions,
+        watermarks: Watermarks,
+    ) -> Self {
         let merges = Semaphore::new(options.merge_threads.max(1));
         Self {
             host: Arc::new(Host {
                 log: log.into(),
+                watermarks,
                 options,
                 merges,
                 run: *Uid::unique().as_bytes(),
@@ -148,7 +164,8 @@ impl Registry {
     }
 
     /// Hosts every index that the log holds. Call it once, before the first call is answered; with an empty log it does
-    /// nothing. A damaged index does not prevent the others: [`Registry::get`] returns its error.
+    /// nothing. A damaged index, or one that takes more memory than there is, does not prevent the others:
+    /// [`Registry::get`] returns its error.
     pub fn replay(&self) -> Result<(), RegistryError> {
         let entries = self.host.log.catalogue.indexes()?;
         for (done, entry) in entries.iter().enumerate() {
@@ -246,6 +263,7 @@ impl Registry {
         if self.indexes.read().len() >= limit {
             return Err(RegistryError::Full { limit });
         }
+        self.host.watermarks.admit(0)?;
         let entry = Entry {
             uid: Uid::unique(),
             name: name.into(),

@@ -3,15 +3,23 @@
 use std::sync::Arc;
 
 use tracing::{error, info};
-use wayfold_index::{ApplyError, Points, PointsError};
+use wayfold_index::{ApplyError, Forest, Points, PointsError};
 
-use super::{Host, Hosted, IndexState, RegistryError, operations::Operations};
-use crate::log::{Entry, LogError, StoredPoint};
+use super::{
+    Host, Hosted, IndexState, RegistryError,
+    loading::{LoadError, Loader, loaded_bytes},
+    operations::Operations,
+};
+use crate::{
+    log::{Entry, LogError, StoredPoint},
+    watermark::Full,
+};
 
 /// Replay logs its progress once per this many points.
 const PROGRESS_POINTS: usize = 1_000_000;
 
-/// Replays the index of an entry. A failed replay marks it as damaged.
+/// Replays the index of an entry. A failed replay marks it as damaged, and one for which there is not enough memory as
+/// not loaded.
 pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     match replay(host, entry) {
         Ok(hosted) => IndexState::Hosted(hosted),
@@ -25,16 +33,12 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
 /// Builds an index from its points and from the operations that the log remembers. The log does not remember a call
 /// that changed nothing: the server evaluates its retry as a new call, with the same outcome.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
-    let mut points = Points::new(entry.space.coordinates());
-    let mut visit = |point: &StoredPoint| push(&mut points, entry, point);
-    let view = host.log.points.load(entry.uid, &mut visit)?;
-    let mut forest = host.options.forest(&entry.space);
-    if view.revision() > 0 {
-        forest
-            .apply(view.revision(), &points, &[])
-            .map_err(|error| damaged(entry, view.revision(), &points, &error))?;
-        forest.settle();
-    }
+    let mut stored = StoredPoints::new(host, entry);
+    let view = host
+        .log
+        .points
+        .load(entry.uid, &mut |point| stored.push(point))?;
+    let forest = stored.forest(view.revision())?;
     let mut operations = Operations::new();
     for operation in host.log.points.operations(entry.uid)? {
         operations.remember(operation);
@@ -47,6 +51,78 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
         "replayed an index"
     );
     Ok(Hosted::new(host, entry, forest, view, operations))
+}
+
+/// The points of an index while they are read.
+struct StoredPoints<'a> {
+    entry: &'a Entry,
+    /// Their forest, until memory runs out: the rest of the points are only counted.
+    loader: Result<Loader, Full>,
+    count: usize,
+    last: Option<u64>,
+}
+
+impl<'a> StoredPoints<'a> {
+    fn new(host: &Arc<Host>, entry: &'a Entry) -> Self {
+        Self {
+            entry,
+            loader: Ok(Loader::new(host, &entry.space)),
+            count: 0,
+            last: None,
+        }
+    }
+
+    fn push(&mut self, point: &StoredPoint) -> Result<(), LogError> {
+        let entry = self.entry;
+        if point.state.len() != entry.space.coordinates() {
+            return Err(LogError::Damaged {
+                uid: entry.uid,
+                revision: point.modified,
+                what: "a state has not the width of the space",
+            });
+        }
+        if self.last.is_some_and(|last| last >= point.id) {
+            return Err(LogError::DamagedPoint {
+                uid: entry.uid,
+                id: point.id,
+                what: "it is stored twice",
+            });
+        }
+        self.last = Some(point.id);
+        self.count += 1;
+        if let Ok(loader) = &mut self.loader {
+            match loader.push(point.indexed()) {
+                Ok(()) => {}
+                // The loader is dropped, and the memory of its points is free for other indices.
+                Err(LoadError::Full(full)) => self.loader = Err(full),
+                Err(LoadError::Refused(points, error)) => {
+                    return Err(damaged(entry, point.modified, &points, &error));
+                }
+            }
+        }
+        if self.count.is_multiple_of(PROGRESS_POINTS) {
+            info!(index = entry.name, points = self.count, "reading points");
+        }
+        Ok(())
+    }
+
+    fn forest(self, revision: u64) -> Result<Forest, RegistryError> {
+        let points = self.count;
+        let forest = match self.loader {
+            Ok(loader) => loader.finish(revision),
+            Err(full) => Err(LoadError::Full(full)),
+        };
+        forest.map_err(|error| match error {
+            LoadError::Full(full) => RegistryError::NotLoaded {
+                points,
+                needed: loaded_bytes(&self.entry.space, points),
+                full,
+            },
+            LoadError::Refused(points, error) => {
+                damaged(self.entry, revision, &points, &error).into()
+            }
+        })
+    }
 }
 
 /// The error of stored points that the forest refuses: they differ from the written ones.
@@ -70,20 +146,4 @@ fn damaged(entry: &Entry, revision: u64, points: &Points, error: &ApplyError) ->
             what: "its points do not make a forest",
         },
     }
-}
-
-/// Adds a stored point to those of a forest.
-fn push(points: &mut Points, entry: &Entry, point: &StoredPoint) -> Result<(), LogError> {
-    if point.state.len() != entry.space.coordinates() {
-        return Err(LogError::Damaged {
-            uid: entry.uid,
-            revision: point.modified,
-            what: "a state has not the width of the space",
-        });
-    }
-    points.push_point(point.indexed());
-    if points.len().is_multiple_of(PROGRESS_POINTS) {
-        info!(index = entry.name, points = points.len(), "reading points");
-    }
-    Ok(())
 }

@@ -3,9 +3,13 @@
 use std::sync::Arc;
 
 use tracing::info;
-use wayfold_index::{Points, Space};
+use wayfold_index::Space;
 
-use super::{Host, Hosted, IndexState, Registry, RegistryError, operations::Operations};
+use super::{
+    Host, Hosted, IndexState, Registry, RegistryError,
+    loading::{LoadError, Loader},
+    operations::Operations,
+};
 use crate::log::{Entry, Origin, Restoring, Sessions, StoredPoint, Uid};
 
 /// An index that is being restored. If it is dropped before [`Registry::host`], nothing is left behind.
@@ -15,7 +19,7 @@ pub struct Restore {
     origin: Origin,
     limit: usize,
     stored: Box<dyn Restoring>,
-    points: Points,
+    loader: Loader,
 }
 
 impl Registry {
@@ -30,6 +34,7 @@ impl Registry {
         origin: Origin,
     ) -> Result<Restore, RegistryError> {
         self.room_for(name, limit)?;
+        self.host.watermarks.admit(0)?;
         let entry = Entry {
             uid: Uid::unique(),
             name: name.into(),
@@ -37,7 +42,7 @@ impl Registry {
         };
         Ok(Restore {
             stored: self.host.log.points.restore(entry.clone(), origin)?,
-            points: Points::new(entry.space.coordinates()),
+            loader: Loader::new(&self.host, &entry.space),
             host: Arc::clone(&self.host),
             entry,
             origin,
@@ -54,21 +59,16 @@ impl Registry {
             origin,
             limit,
             stored,
-            points,
+            loader,
         } = restore;
-        let mut forest = host.options.forest(&entry.space);
-        if origin.revision > 0 {
-            forest
-                .apply(origin.revision, &points, &[])
-                .expect("restored points are checked as they arrive");
-            forest.settle();
-        }
+        let points = loader.len();
+        let forest = loader.finish(origin.revision).map_err(unloaded)?;
         let _change = self.change_lock.lock();
         self.room_for(&entry.name, limit)?;
         stored.finish(sessions)?;
         let view = host.log.points.view(entry.uid)?;
         let hosted = Hosted::new(&host, &entry, forest, view, Operations::new());
-        info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points = points.len(), "restored an index");
+        info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points, "restored an index");
         let state = IndexState::Hosted(Arc::clone(&hosted));
         self.change(|indexes| indexes.insert(entry.name, state));
         Ok(hosted)
@@ -90,10 +90,20 @@ impl Restore {
     /// Adds the next points, by ascending id: canonical rows of the space with ids below the origin's next id. Blocks
     /// on the log.
     pub fn add(&mut self, points: &[StoredPoint]) -> Result<(), RegistryError> {
+        let bytes = |point: &StoredPoint| 8 * point.state.len() + point.payload.len();
+        let bytes: usize = points.iter().map(bytes).sum();
+        self.host.watermarks.admit(bytes as u64)?;
         self.stored.add(points)?;
         for point in points {
-            self.points.push_point(point.indexed());
+            self.loader.push(point.indexed()).map_err(unloaded)?;
         }
         Ok(())
+    }
+}
+
+fn unloaded(error: LoadError) -> RegistryError {
+    match error {
+        LoadError::Full(full) => full.into(),
+        LoadError::Refused(..) => unreachable!("restored points are checked as they arrive"),
     }
 }

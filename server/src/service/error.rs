@@ -5,6 +5,8 @@ use std::fmt;
 use thiserror::Error;
 use wayfold_index::SearchError;
 
+use crate::watermark::{Full, Resource};
+
 /// The kinds of failure a caller can tell apart: the eleven codes of the contract, named as gRPC names them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Code {
@@ -16,9 +18,9 @@ pub enum Code {
     AlreadyExists,
     /// The index is not in the state that the request requires.
     FailedPrecondition,
-    /// The call exceeds a limit of the server.
+    /// The call exceeds a limit of the server, or its memory or disk is full.
     ResourceExhausted,
-    /// The server is starting or stopping, or its disk cannot be written: try again.
+    /// The server is starting or stopping, its disk cannot be written, or it has no memory for the index: try again.
     Unavailable,
     /// The call ran out of time.
     DeadlineExceeded,
@@ -192,6 +194,47 @@ pub enum Error {
         /// The remedy.
         advice: &'static str,
     },
+    /// The memory or the disk is above its watermark, and the call would grow the server.
+    #[error(
+        "{full}. Reads, removals and deletions go on: remove points, delete an index, or {}",
+        match full.resource {
+            Resource::Memory => "give the server more memory (memory.limit_bytes)",
+            Resource::Disk => "free space on its disk (disk.min_free_bytes)",
+        }
+    )]
+    Full {
+        /// The resource and its use.
+        full: Full,
+    },
+    /// The index would exceed a quota.
+    #[error(
+        "index \"{index}\": {requested} exceed its quota {limit} = {value}: remove points, or raise it"
+    )]
+    QuotaExceeded {
+        /// The index.
+        index: String,
+        /// The quota's name in the settings.
+        limit: &'static str,
+        /// Its value.
+        value: u64,
+        /// What the index would hold after the call.
+        requested: u64,
+    },
+    /// The index is not in memory.
+    #[error(
+        "index \"{index}\" is not loaded: its {points} points take about {needed} bytes of memory, too many when it was to be \
+         loaded ({full}). Delete indices, or give the server more memory (memory.limit_bytes); then it loads the index"
+    )]
+    NotLoaded {
+        /// The index.
+        index: String,
+        /// The number of its points.
+        points: usize,
+        /// About the bytes that they take.
+        needed: u64,
+        /// The memory when it was loaded.
+        full: Full,
+    },
     /// No ids are left to assign.
     #[error(
         "index \"{index}\" has no ids left to assign below 2^63, since one near it was given: give ids yourself, or \
@@ -313,10 +356,14 @@ impl Error {
             | Error::ScanEnded { .. }
             | Error::SessionRefused { .. } => Code::FailedPrecondition,
             Error::LimitExceeded { .. }
+            | Error::Full { .. }
+            | Error::QuotaExceeded { .. }
             | Error::IdsExhausted { .. }
             | Error::ScanTooLong { .. }
             | Error::HeldTooLong { .. } => Code::ResourceExhausted,
-            Error::Unavailable { .. } | Error::StorageFailed { .. } => Code::Unavailable,
+            Error::Unavailable { .. } | Error::StorageFailed { .. } | Error::NotLoaded { .. } => {
+                Code::Unavailable
+            }
             Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
             Error::DataLoss { .. } => Code::DataLoss,
             Error::Internal { .. } => Code::Internal,
@@ -340,6 +387,12 @@ impl Error {
             Error::UidMismatch { .. } => "UID_MISMATCH",
             Error::RevisionConflict { .. } => "REVISION_CONFLICT",
             Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",
+            Error::Full { full } => match full.resource {
+                Resource::Memory => "MEMORY_FULL",
+                Resource::Disk => "DISK_FULL",
+            },
+            Error::QuotaExceeded { .. } => "QUOTA_EXCEEDED",
+            Error::NotLoaded { .. } => "NOT_LOADED",
             Error::IdsExhausted { .. } => "IDS_EXHAUSTED",
             Error::ScanTooLong { .. } => "SCAN_TOO_LONG",
             Error::ScanEnded { .. } => "SCAN_ENDED",

@@ -9,6 +9,17 @@ pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
     match error {
         RegistryError::Deleted => Error::IndexNotFound { name: index.into() },
         RegistryError::Log(error) => log_error(index, error),
+        RegistryError::NoRoom(full) => Error::Full { full },
+        RegistryError::NotLoaded {
+            points,
+            needed,
+            full,
+        } => Error::NotLoaded {
+            index: index.into(),
+            points,
+            needed,
+            full,
+        },
         RegistryError::Exists { .. }
         | RegistryError::Taken
         | RegistryError::OtherUid { .. }
@@ -33,6 +44,7 @@ pub(super) fn catalog_error(error: RegistryError) -> Error {
     let what = error.to_string();
     match error {
         RegistryError::Log(error) => storage_error(what, error),
+        RegistryError::NoRoom(full) => Error::Full { full },
         _ => Error::Internal { what },
     }
 }

@@ -3,6 +3,9 @@
 use std::time::Duration;
 
 use serde::Deserialize;
+use wayfold_index::Space;
+
+use super::Error;
 
 /// Limits that protect the server and its clients; a call that exceeds one is refused with the limit's name and value.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -34,6 +37,10 @@ pub struct Limits {
     pub max_session_idle_seconds: u64,
     /// The most ids that one `OpenSession` or `Write` reserves.
     pub max_reserved_ids: u64,
+    /// The most points of one index; 0 for any number.
+    pub max_points_per_index: u64,
+    /// The most bytes of the states of one index; 0 for any number.
+    pub max_state_bytes_per_index: u64,
     /// The most bytes of one payload. Fixed by the contract, no setting.
     #[serde(skip)]
     pub max_payload_bytes: usize,
@@ -57,8 +64,41 @@ impl Default for Limits {
             max_sessions: 65_536,
             max_session_idle_seconds: 7 * 24 * 3600,
             max_reserved_ids: 1 << 20,
+            max_points_per_index: 0,
+            max_state_bytes_per_index: 0,
             max_payload_bytes: 64 * 1024,
             min_revision_wait: Duration::from_secs(5),
         }
+    }
+}
+
+impl Limits {
+    /// Refuses `points` points of `space` in one index if they exceed a quota of it.
+    pub(super) fn check_quotas(
+        &self,
+        index: &str,
+        space: &Space,
+        points: u64,
+    ) -> Result<(), Error> {
+        let state_bytes = points.saturating_mul(8 * space.coordinates() as u64);
+        let quotas = [
+            ("max_points_per_index", self.max_points_per_index, points),
+            (
+                "max_state_bytes_per_index",
+                self.max_state_bytes_per_index,
+                state_bytes,
+            ),
+        ];
+        for (limit, value, requested) in quotas {
+            if value > 0 && requested > value {
+                return Err(Error::QuotaExceeded {
+                    index: index.into(),
+                    limit,
+                    value,
+                    requested,
+                });
+            }
+        }
+        Ok(())
     }
 }

@@ -197,6 +197,12 @@ impl Service {
         response: &impl Message,
     ) -> Result<Committed, Error> {
         call.check("before anything was changed")?;
+        let inserted = effects.inserted();
+        if inserted > 0 {
+            let points = writer.points() + inserted - effects.removed().len();
+            let (index, limits) = (hosted.name(), self.limits());
+            limits.check_quotas(index, hosted.space(), points as u64)?;
+        }
         let window = OperationWindow {
             count: self.limits().max_operations,
             bytes: self.limits().max_operation_bytes,

@@ -134,7 +134,9 @@ impl Draft {
                     next_id: header.next_id,
                     digest: *self.reader.digest(),
                 };
-                let limit = service.limits().max_indexes;
+                let limits = service.limits();
+                limits.check_quotas(name, &header.space, header.point_count)?;
+                let limit = limits.max_indexes;
                 let begun = service
                     .registry()?
                     .restore(name, header.space, limit, origin);

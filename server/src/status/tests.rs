@@ -3,7 +3,10 @@
 use std::collections::BTreeSet;
 
 use super::*;
-use crate::service::Unavailability;
+use crate::{
+    service::Unavailability,
+    watermark::{Full, Resource},
+};
 
 /// A message of google.rpc among the details of a status.
 fn decoded<M: Message + Default>(status: &Status, name: &str) -> M {
@@ -11,6 +14,16 @@ fn decoded<M: Message + Default>(status: &Status, name: &str) -> M {
     let is_asked = |any: &&Any| any.type_url.ends_with(&format!("google.rpc.{name}"));
     let found = details.iter().find(is_asked).expect(name);
     M::decode(&*found.value).unwrap()
+}
+
+fn full(resource: Resource) -> Full {
+    Full {
+        resource,
+        used: 90,
+        high: 85,
+        low: 80,
+        limit: 100,
+    }
 }
 
 /// One error of every kind, the code it must have on the wire, and the kind of detail it must carry.
@@ -112,6 +125,26 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
             Some("QuotaFailure"),
         ),
         (
+            Error::QuotaExceeded {
+                index: index.clone(),
+                limit: "max_points_per_index",
+                value: 30,
+                requested: 31,
+            },
+            Code::ResourceExhausted,
+            Some("QuotaFailure"),
+        ),
+        (
+            Error::NotLoaded {
+                index: index.clone(),
+                points: 30,
+                needed: 300,
+                full: full(Resource::Memory),
+            },
+            Code::Unavailable,
+            Some("QuotaFailure"),
+        ),
+        (
             Error::IdsExhausted { index },
             Code::ResourceExhausted,
             Some("QuotaFailure"),
@@ -207,4 +240,26 @@ fn fields_ids_and_limits_can_be_read_by_a_program() {
     let violations = decoded::<pb::QuotaFailure>(&status, "QuotaFailure").violations;
     assert_eq!(violations[0].subject, "max_k");
     assert_eq!(violations[0].quota_value, 10);
+}
+
+#[test]
+fn a_full_server_says_when_to_come_back_and_names_its_watermark() {
+    for (resource, reason, setting) in [
+        (Resource::Memory, "MEMORY_FULL", "memory.high_percent"),
+        (Resource::Disk, "DISK_FULL", "disk.min_free_bytes"),
+    ] {
+        let full = full(resource);
+        let status = from_error(&Error::Full { full });
+        assert_eq!(
+            (status.code, status.reason),
+            (Code::ResourceExhausted, reason)
+        );
+        let retry: pb::RetryInfo = decoded(&status, "RetryInfo");
+        assert_eq!(retry.retry_delay.unwrap().seconds, 1);
+        let violations = decoded::<pb::QuotaFailure>(&status, "QuotaFailure").violations;
+        assert_eq!(violations[0].subject, setting);
+        assert_eq!(violations[0].quota_value, 85);
+        let metadata = decoded::<pb::ErrorInfo>(&status, "ErrorInfo").metadata;
+        assert_eq!(metadata["used"], "90");
+    }
 }

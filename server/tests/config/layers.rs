@@ -189,6 +189,15 @@ fn a_value_out_of_range_is_named() {
 }
 
 #[test]
+fn a_percentage_is_at_most_100() {
+    assert!(load_file("[memory]\nhigh_percent = 100").is_ok());
+    let error = load_file("[memory]\nhigh_percent = 101").unwrap_err();
+    let text = error.to_string();
+    assert!(text.contains("memory.high_percent"), "{text}");
+    assert!(text.contains("at most 100"), "{text}");
+}
+
+#[test]
 fn a_file_that_cannot_be_read_is_named() {
     let message = load_file("[grpc").unwrap_err().to_string();
     assert!(message.contains("wayfold.toml"), "{message}");

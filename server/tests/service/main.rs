@@ -45,3 +45,4 @@ mod support;
 mod update;
 mod verify;
 mod watch;
+mod watermarks;

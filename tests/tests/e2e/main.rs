@@ -10,6 +10,8 @@ mod clients;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
+#[cfg(target_os = "linux")]
+mod little_memory;
 mod no_missed_edge;
 mod planners;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]

@@ -37,10 +37,12 @@ pub(super) struct Engine {
 }
 
 impl Engine {
-    /// Opens the existing store of a directory, or returns the error that prevents it.
+    /// Opens the existing store of a directory in a server that may use `memory` bytes, or returns the error that prevents
+    /// it.
     pub(super) fn open(
         directory: &Arc<Directory>,
         durability: Durability,
+        memory: u64,
         marks: (Marks, &Marked),
     ) -> Result<Self, LogError> {
         let (mut marks, marked) = marks;
@@ -51,7 +53,7 @@ impl Engine {
         manifest_copy::mend(directory)?;
         manifest::check(&path)?;
         journal::make_certain(directory).map_err(shut)?;
-        let store = Store::open(&path, durability).map_err(unopened)?;
+        let store = Store::open_within(&path, durability, memory).map_err(unopened)?;
         let store = Arc::new(store);
         let renamed = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;
         let handles = store.handles()?;

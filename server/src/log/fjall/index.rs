@@ -280,7 +280,9 @@ impl Index {
     /// Writes the record after the head, and its points, in one batch.
     fn write(&self, handles: &Handles, state: &mut State, record: &Record) -> Result<(), LogError> {
         handles.wait_for_room()?;
-        let Handles { database, keyspace } = handles;
+        let Handles {
+            database, keyspace, ..
+        } = handles;
         let mut batch = database.batch();
         let mut sum = self.put(handles, &mut batch, record, state.head.sum)?;
         let changes = state.sessions.changes(record);

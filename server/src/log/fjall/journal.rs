@@ -200,7 +200,9 @@ mod tests {
         let mut numbers = Vec::new();
         for round in 0..3u8 {
             let value = [b'a' + round; 100];
-            let Handles { database, keyspace } = &*store.handles().unwrap();
+            let Handles {
+                database, keyspace, ..
+            } = &*store.handles().unwrap();
             let mut batch = database.batch();
             batch.insert(keyspace, [round], value);
             batch.commit().unwrap();

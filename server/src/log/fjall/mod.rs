@@ -101,6 +101,8 @@ pub struct FjallLog {
     /// Held while the store is reopened.
     reopening: Mutex<()>,
     durability: Durability,
+    /// The memory of the server.
+    memory: u64,
     directory: Arc<Directory>,
 }
 
@@ -116,6 +118,15 @@ impl FjallLog {
     /// A store that cannot be read is not an error here: a supervisor would restart the server forever. Instead, every
     /// call fails with the cause, and [`Catalogue::lost`] names the indices.
     pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
+        Self::open_within(directory, durability, u64::MAX)
+    }
+
+    /// Like [`FjallLog::open`], in a server that may use `memory` bytes: the store takes a quarter of them at most.
+    pub fn open_within(
+        directory: &Path,
+        durability: Durability,
+        memory: u64,
+    ) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
         directory.upgrade()?;
         let failed = |path: &Path, source| OpenError::Io {
@@ -131,6 +142,7 @@ impl FjallLog {
             opened: RwLock::new(Opened::Not(LogError::Closed, Marked::default())),
             reopening: Mutex::default(),
             durability,
+            memory,
             directory,
         };
         let directory = log.directory.path().display();
@@ -158,7 +170,8 @@ impl FjallLog {
     fn open_engine(&self) -> Result<Engine, LogError> {
         rebuild::finish(&self.directory).map_err(shut)?;
         let (marks, marked) = Marks::open(&self.directory.join(MARKS)).map_err(shut)?;
-        Engine::open(&self.directory, self.durability, (marks, &marked))
+        let marks = (marks, &marked);
+        Engine::open(&self.directory, self.durability, self.memory, marks)
     }
 
     /// Fails if the disk would prevent the store from being reopened. `failed` is the store, if it is still open.

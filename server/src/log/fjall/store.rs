@@ -20,6 +20,14 @@ const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 const MEMTABLES_THAT_HALT: usize = 4;
 const RUNS_THAT_STALL: usize = 20;
 
+/// The bytes of read blocks that the store keeps in memory, and those of points that it collects there before it moves
+/// them to its files, if there is memory enough.
+const CACHE_BYTES: u64 = 32 * 1024 * 1024;
+const MEMTABLE_BYTES: u64 = 64 * 1024 * 1024;
+
+/// The cache, and each of the memtables, get at most this part of the memory of the server.
+const MEMORY_SHARE: u64 = 16;
+
 /// An upper bound on the size of a nearly empty store.
 const SMALL_FILES: u64 = 1024 * 1024;
 
@@ -34,20 +42,37 @@ pub(super) struct Handles {
     pub(super) database: Database,
     /// The only keyspace; [`layout`](super::layout) describes its content.
     pub(super) keyspace: Keyspace,
+    /// The bytes of a memtable.
+    memtable_bytes: u64,
 }
 
 impl Store {
     /// Opens the store in a directory, or creates it.
     pub(super) fn open(directory: &Path, durability: Durability) -> fjall::Result<Self> {
+        Self::open_within(directory, durability, u64::MAX)
+    }
+
+    /// Like [`Store::open`], in a server that may use `memory` bytes.
+    pub(super) fn open_within(
+        directory: &Path,
+        durability: Durability,
+        memory: u64,
+    ) -> fjall::Result<Self> {
+        let share = memory / MEMORY_SHARE;
         // The threads that fjall starts inherit this one's low priority. fjall may panic on unexpected files.
         let opened = low_priority::run("wayfold-open", || -> fjall::Result<Handles> {
             let database = Database::builder(directory)
                 .max_journaling_size(JOURNAL_BYTES)
+                .cache_size(share.min(CACHE_BYTES))
                 // The syncer hands batches to the operating system under `fsync`. Under `none` nothing does.
                 .manual_journal_persist(durability != Durability::Os)
                 .open()?;
             let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
-            Ok(Handles { database, keyspace })
+            Ok(Handles {
+                database,
+                keyspace,
+                memtable_bytes: share.min(MEMTABLE_BYTES),
+            })
         });
         let handles = opened.unwrap_or_else(|error| match error.raw_os_error() {
             // The thread could not be started.
@@ -92,6 +117,13 @@ impl Handles {
     /// Waits until the store has caught up so far that a batch does not block inside fjall. Fails if the store has
     /// failed.
     pub(super) fn wait_for_room(&self) -> Result<(), LogError> {
+        // fjall keeps the size that a store was made with, so that a smaller one is enforced here.
+        let sealed = self.keyspace.sealed_memtable_count() as u64;
+        if self.memtable_bytes < MEMTABLE_BYTES
+            && self.unmoved() > (sealed + 1) * self.memtable_bytes
+        {
+            self.keyspace.rotate_memtable().map_err(storage)?;
+        }
         while self.keyspace.sealed_memtable_count() + 1 >= MEMTABLES_THAT_HALT {
             // This is the only call that reports a failure without writing anything.
             self.database

@@ -1,0 +1,113 @@
+//! Builds the forest of an index from its points, in the memory that there is.
+
+use std::sync::Arc;
+
+use wayfold_index::{ApplyError, Forest, PointRef, Points, Space};
+
+use super::Host;
+use crate::watermark::Full;
+
+/// Memory is checked once per this many points.
+const CHECKED_POINTS: usize = 65_536;
+
+/// The bytes that a point takes in each of its forms: the rows that are read, and a tree.
+fn point_bytes(space: &Space) -> usize {
+    8 * space.coordinates() + 32
+}
+
+/// About the bytes that loading this many points takes.
+pub(super) fn loaded_bytes(space: &Space, points: usize) -> u64 {
+    (points * point_bytes(space)) as u64 + (CHECKED_POINTS * point_bytes(space)) as u64
+}
+
+impl Host {
+    /// The greatest number of points that a merge may copy in its share of the memory that is left, above the watermarks
+    /// too: the old levels, their points as rows and the new level exist at a time.
+    pub(super) fn merge_rows(&self, space: &Space) -> usize {
+        let left = self.watermarks.memory.as_ref().and_then(|it| it.left());
+        let bytes = 3 * point_bytes(space) * self.options.merge_threads.max(1);
+        let rows = |left: u64| left / bytes as u64;
+        left.map_or(usize::MAX, |left| {
+            usize::try_from(rows(left)).unwrap_or(usize::MAX)
+        })
+    }
+}
+
+/// The error of a forest that is not built.
+pub(super) enum LoadError {
+    /// It would take more memory than there is.
+    Full(Full),
+    /// These points are refused.
+    Refused(Box<Points>, ApplyError),
+}
+
+/// A forest that gets its points in the order of their ids.
+pub(super) struct Loader {
+    host: Arc<Host>,
+    forest: Forest,
+    /// The points that are not in the forest yet.
+    points: Points,
+    len: usize,
+}
+
+impl Loader {
+    pub(super) fn new(host: &Arc<Host>, space: &Space) -> Self {
+        Self {
+            host: Arc::clone(host),
+            forest: host.options.forest(space),
+            points: Points::new(space.coordinates()),
+            len: 0,
+        }
+    }
+
+    /// The number of points.
+    pub(super) fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Adds a point.
+    pub(super) fn push(&mut self, point: PointRef<'_>) -> Result<(), LoadError> {
+        self.points.push_point(point);
+        self.len += 1;
+        match self.points.len().is_multiple_of(CHECKED_POINTS) {
+            true => self.make_room(),
+            false => Ok(()),
+        }
+    }
+
+    /// Moves the points into the forest if there is not enough memory to build all of it at once later.
+    fn make_room(&mut self) -> Result<(), LoadError> {
+        let Some(memory) = &self.host.watermarks.memory else {
+            return Ok(());
+        };
+        let bytes = (self.points.len() * point_bytes(self.forest.space())) as u64;
+        if memory.fits(4 * bytes).is_ok() {
+            return Ok(());
+        }
+        memory.fits(bytes).map_err(LoadError::Full)?;
+        let points = std::mem::replace(
+            &mut self.points,
+            Points::new(self.forest.space().coordinates()),
+        );
+        match self.forest.load(&points) {
+            Ok(()) => Ok(()),
+            Err(error) => Err(LoadError::Refused(Box::new(points), error)),
+        }
+    }
+
+    /// The forest of all points at a revision.
+    pub(super) fn finish(mut self, revision: u64) -> Result<Forest, LoadError> {
+        if !self.points.is_empty() {
+            self.make_room()?;
+        }
+        if revision > 0 {
+            if let Err(error) = self.forest.apply(revision, &self.points, &[]) {
+                return Err(LoadError::Refused(Box::new(self.points), error));
+            }
+            drop(self.points);
+            let (host, space) = (&self.host, self.forest.space().clone());
+            self.forest.settle_up_to(|| host.merge_rows(&space));
+        }
+        Ok(self.forest)
+    }
+}

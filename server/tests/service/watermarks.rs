@@ -1,0 +1,367 @@
+//! Above the watermarks of memory and disk the server takes in nothing that grows it, and goes on with the rest. An
+//! index keeps to its quotas.
+
+use std::{
+    io,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
+    time::Duration,
+};
+
+use wayfold_proto::v1;
+use wayfold_server::{
+    log::{Log, MemoryLog},
+    registry::Registry,
+    service::{Code, Error, Limits, Service},
+    watermark::{Full, Level, Resource, Watermark, Watermarks},
+};
+
+use crate::support::*;
+
+const HIGH: u64 = 85_000_000;
+const LOW: u64 = 80_000_000;
+const LIMIT: u64 = 100_000_000;
+
+/// The used bytes that a watermark measures.
+#[derive(Clone, Default)]
+struct Used(Arc<AtomicU64>);
+
+impl Used {
+    fn set(&self, used: u64) {
+        self.0.store(used, Relaxed);
+    }
+
+    fn watermark(&self, resource: Resource) -> Option<Arc<Watermark>> {
+        let used = Arc::clone(&self.0);
+        let level = move || {
+            Ok(Level {
+                used: used.load(Relaxed),
+                high: HIGH,
+                low: LOW,
+                limit: LIMIT,
+            })
+        };
+        let watermark = Watermark::new(resource, level);
+        Some(Arc::new(watermark.measured_every(Duration::ZERO)))
+    }
+}
+
+fn watermarks(memory: &Used, disk: &Used) -> Watermarks {
+    Watermarks {
+        memory: memory.watermark(Resource::Memory),
+        disk: disk.watermark(Resource::Disk),
+    }
+}
+
+fn over(log: impl Into<Log>, watermarks: Watermarks) -> (Arc<Registry>, Service) {
+    let registry = Arc::new(Registry::with_watermarks(log, options(), watermarks));
+    registry.replay().unwrap();
+    let service = Service::starting(Limits::default());
+    service.set_registry(Arc::clone(&registry));
+    service.set_ready();
+    (registry, service)
+}
+
+/// Asserts that a call is refused, and returns what the refusal says.
+fn full<T: std::fmt::Debug>(answer: Result<T, Error>) -> Full {
+    let error = answer.unwrap_err();
+    assert_eq!(error.code(), Code::ResourceExhausted);
+    match error {
+        Error::Full { full } => full,
+        other => panic!("{other}"),
+    }
+}
+
+#[tokio::test]
+async fn above_a_watermark_only_growth_is_refused_until_the_low_one() {
+    for (resource, reason) in [
+        (Resource::Memory, "MEMORY_FULL"),
+        (Resource::Disk, "DISK_FULL"),
+    ] {
+        let (memory, disk) = (Used::default(), Used::default());
+        let (_registry, service) = over(Arc::new(MemoryLog::new()), watermarks(&memory, &disk));
+        let used = match resource {
+            Resource::Memory => memory,
+            Resource::Disk => disk,
+        };
+        let uid = create(&service, "arm", "R3").await;
+        let first = v1::InsertRequest {
+            operation_id: "first".into(),
+            ..insertion(&cube(1, 20), &[])
+        };
+        let answer = service.insert(&CALL, first.clone()).await.unwrap();
+        let session = v1::OpenSessionRequest {
+            index_name: "arm".into(),
+            uid: uid.clone(),
+            reserve_count: 10,
+            ..Default::default()
+        };
+        let session = service.open_session(&CALL, session.clone()).await.unwrap();
+        let write = |batch, kind: v1::StepKind, id, rows: &[[f64; 3]]| v1::WriteRequest {
+            index_name: "arm".into(),
+            uid: uid.clone(),
+            session: session.session,
+            batch,
+            kinds: vec![kind.into()],
+            ids: vec![id],
+            states: states(rows),
+            ..Default::default()
+        };
+        let put = write(1, v1::StepKind::Put, 20, &[[0.5; 3]]);
+        let written = service.write(&CALL, put.clone()).await.unwrap();
+
+        used.set(HIGH + 1);
+        let refused = service.insert(&CALL, insertion(&[[0.1; 3]], &[])).await;
+        let error = refused.clone().unwrap_err();
+        assert_eq!(error.reason(), reason);
+        let text = error.to_string();
+        assert!(text.contains(resource.setting()), "{text}");
+        assert!(text.contains(&HIGH.to_string()), "{text}");
+        let found = full(refused);
+        assert_eq!((found.resource, found.high), (resource, HIGH));
+        assert!(found.used > HIGH && found.used < HIGH + 1000, "{found:?}");
+        let update = v1::UpdateRequest {
+            index_name: "arm".into(),
+            ids: vec![0],
+            tags: vec![7],
+            ..Default::default()
+        };
+        full(service.update(&CALL, update.clone()).await);
+        let second = write(2, v1::StepKind::Put, 21, &[[0.6; 3]]);
+        full(service.write(&CALL, second.clone()).await);
+        full(service.create_index(&CALL, creation("leg", "R3")).await);
+
+        // Acknowledged operations keep their answers, and what changes nothing is no growth.
+        assert_eq!(service.insert(&CALL, first).await.unwrap(), answer);
+        assert_eq!(service.write(&CALL, put).await.unwrap(), written);
+        create(&service, "arm", "R3").await;
+        let same = insertion(&cube(1, 20)[..3], &[0, 1, 2]);
+        service.insert(&CALL, same).await.unwrap();
+        // Reads and removals go on.
+        service.knn(&CALL, knn(&[[0.5; 3]], 5)).await.unwrap();
+        assert_eq!(everything(&service).await.point_count, 21);
+        let removed = service.remove(&CALL, removal(&[3])).await.unwrap();
+        assert_eq!(removed.removed_count, 1);
+
+        // Between the marks nothing changes.
+        used.set(LOW + 1);
+        full(service.insert(&CALL, insertion(&[[0.1; 3]], &[])).await);
+        used.set(LOW);
+        service
+            .insert(&CALL, insertion(&[[0.1; 3]], &[]))
+            .await
+            .unwrap();
+        used.set(HIGH - 10_000);
+        service.update(&CALL, update).await.unwrap();
+        // The refused batch is the next one of its session.
+        service.write(&CALL, second).await.unwrap();
+
+        used.set(HIGH + 1);
+        full(service.create_index(&CALL, creation("leg", "R3")).await);
+        let deletion = v1::DeleteIndexRequest {
+            index_name: "arm".into(),
+            ..Default::default()
+        };
+        service.delete_index(&CALL, deletion).await.unwrap();
+    }
+}
+
+/// A large mutation that would cross the watermark does not close it for small ones.
+#[tokio::test]
+async fn a_mutation_is_refused_by_its_own_size() {
+    let (memory, disk) = (Used::default(), Used::default());
+    let (_registry, service) = over(Arc::new(MemoryLog::new()), watermarks(&memory, &disk));
+    create(&service, "arm", "R3").await;
+    memory.set(HIGH - 20_000);
+    full(service.insert(&CALL, insertion(&cube(1, 1000), &[])).await);
+    service
+        .insert(&CALL, insertion(&cube(1, 10), &[]))
+        .await
+        .unwrap();
+}
+
+/// Bytes that were taken in since the last measurement count.
+#[test]
+fn what_was_taken_in_counts_before_it_is_measured() {
+    let used = Used::default();
+    let watermark = used.watermark(Resource::Memory).unwrap();
+    let watermark = Arc::into_inner(watermark).unwrap();
+    let watermark = watermark.measured_every(Duration::MAX);
+    used.set(HIGH - 600_000);
+    watermark.admit(400_000).unwrap();
+    assert_eq!(watermark.admit(400_000).unwrap_err().used, HIGH + 200_000);
+    watermark.admit(200_000).unwrap();
+    watermark.admit(1).unwrap_err();
+}
+
+#[test]
+fn a_resource_that_cannot_be_measured_refuses_nothing() {
+    let watermark = Watermark::new(Resource::Disk, || Err(io::ErrorKind::Unsupported.into()));
+    watermark.admit(u64::MAX).unwrap();
+    watermark.fits(u64::MAX).unwrap();
+    assert_eq!(watermark.left(), None);
+}
+
+#[tokio::test]
+async fn quotas_of_an_index_are_exact_also_after_a_restart() {
+    let quota = |error: Error| match error {
+        Error::QuotaExceeded {
+            index,
+            limit,
+            value,
+            requested,
+        } => (index, limit, value, requested),
+        other => panic!("{other}"),
+    };
+    let limits = Limits {
+        max_points_per_index: 30,
+        ..Limits::default()
+    };
+    let log = Arc::new(MemoryLog::new());
+    let service = service_with(Arc::clone(&log), limits.clone());
+    create(&service, "arm", "R3").await;
+    let ids: Vec<u64> = (0..29).collect();
+    let insert = insertion(&cube(1, 29), &ids);
+    service.insert(&CALL, insert.clone()).await.unwrap();
+    let two = service.insert(&CALL, insertion(&cube(2, 2), &[])).await;
+    let expected = ("arm".to_owned(), "max_points_per_index", 30, 31);
+    assert_eq!(quota(two.unwrap_err()), expected);
+
+    let service = restarted_with(log, options(), limits);
+    let two = service.insert(&CALL, insertion(&cube(2, 2), &[])).await;
+    assert_eq!(two.clone().unwrap_err().reason(), "QUOTA_EXCEEDED");
+    assert_eq!(quota(two.unwrap_err()), expected);
+    service
+        .insert(&CALL, insertion(&cube(2, 1), &[]))
+        .await
+        .unwrap();
+    // A full index still takes what makes it no larger.
+    service.insert(&CALL, insert).await.unwrap();
+    let replacing = v1::InsertRequest {
+        on_conflict: v1::OnConflict::Replace.into(),
+        ..insertion(&cube(3, 1), &[0])
+    };
+    service.insert(&CALL, replacing).await.unwrap();
+    let third = service.insert(&CALL, insertion(&cube(3, 1), &[]));
+    assert_eq!(quota(third.await.unwrap_err()), expected);
+    service.remove(&CALL, removal(&[0])).await.unwrap();
+    service
+        .insert(&CALL, insertion(&cube(3, 1), &[]))
+        .await
+        .unwrap();
+    // Every index has its own quota.
+    create(&service, "leg", "R3").await;
+    let elsewhere = v1::InsertRequest {
+        index_name: "leg".into(),
+        ..insertion(&cube(1, 30), &[])
+    };
+    service.insert(&CALL, elsewhere).await.unwrap();
+
+    let limits = Limits {
+        max_state_bytes_per_index: 24 * 10,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    create(&service, "arm", "R3").await;
+    let eleven = service.insert(&CALL, insertion(&cube(1, 11), &[])).await;
+    let expected = ("arm".to_owned(), "max_state_bytes_per_index", 240, 264);
+    assert_eq!(quota(eleven.unwrap_err()), expected);
+    service
+        .insert(&CALL, insertion(&cube(1, 10), &[]))
+        .await
+        .unwrap();
+}
+
+#[tokio::test]
+async fn a_start_without_memory_lists_and_deletes_and_loads_the_rest_later() {
+    let log = Arc::new(MemoryLog::new());
+    let before = service_with(Arc::clone(&log), Limits::default());
+    for name in ["arm", "empty", "leg"] {
+        create(&before, name, "R3").await;
+    }
+    for name in ["arm", "leg"] {
+        let insert = v1::InsertRequest {
+            index_name: name.into(),
+            ..insertion(&cube(1, 100), &[])
+        };
+        before.insert(&CALL, insert).await.unwrap();
+    }
+    let answer = before.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap();
+    drop(before);
+
+    let (memory, disk) = (Used::default(), Used::default());
+    memory.set(HIGH - 1000);
+    let (registry, service) = over(log, watermarks(&memory, &disk));
+    let listing = service
+        .list_indexes(&CALL, v1::ListIndexesRequest::default())
+        .await
+        .unwrap();
+    let names: Vec<_> = listing.indexes.iter().map(|index| &index.name).collect();
+    assert_eq!(names, ["empty"]);
+    let unloaded: Vec<_> = listing.damaged.iter().map(|index| &index.name).collect();
+    assert_eq!(unloaded, ["arm", "leg"]);
+    for error in [
+        listing.damaged[0].error.clone(),
+        service.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap_err(),
+        service.remove(&CALL, removal(&[3])).await.unwrap_err(),
+    ] {
+        assert_eq!(
+            (error.code(), error.reason()),
+            (Code::Unavailable, "NOT_LOADED")
+        );
+        assert!(
+            matches!(error, Error::NotLoaded { points: 100, needed, .. } if needed > 2400),
+            "{error}"
+        );
+    }
+    let deletion = v1::DeleteIndexRequest {
+        index_name: "leg".into(),
+        ..Default::default()
+    };
+    service.delete_index(&CALL, deletion).await.unwrap();
+    registry.load_rest();
+    service
+        .knn(&CALL, knn(&[[0.5; 3]], 9))
+        .await
+        .expect_err("there is no memory yet");
+
+    memory.set(LOW / 2);
+    registry.load_rest();
+    assert_eq!(
+        service.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap(),
+        answer
+    );
+    let error = service.get_index(
+        &CALL,
+        v1::GetIndexRequest {
+            index_name: "leg".into(),
+        },
+    );
+    assert_eq!(error.await.unwrap_err().code(), Code::NotFound);
+}
+
+/// Near the watermark the points of an index go into the forest in parts, and nothing is merged that does not fit.
+#[tokio::test]
+async fn an_index_that_just_fits_is_loaded_in_parts() {
+    let log = Arc::new(MemoryLog::new());
+    let before = service_with(Arc::clone(&log), Limits::default());
+    create(&before, "arm", "R3").await;
+    let rows = cube(1, 70_000);
+    before.insert(&CALL, insertion(&rows, &[])).await.unwrap();
+    let ask = knn(&rows[..20], 9);
+    let answer = before.knn(&CALL, ask.clone()).await.unwrap();
+    drop(before);
+
+    let point_bytes = 56;
+    for (free, is_loaded) in [(100_000 * point_bytes, true), (60_000 * point_bytes, false)] {
+        let (memory, disk) = (Used::default(), Used::default());
+        memory.set(HIGH - free);
+        let (_registry, service) = over(Arc::clone(&log), watermarks(&memory, &disk));
+        match service.knn(&CALL, ask.clone()).await {
+            Ok(found) => assert!(is_loaded && found == answer),
+            Err(error) => assert!(!is_loaded && error.reason() == "NOT_LOADED", "{error}"),
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! A server with little memory refuses inserts before it is killed, and starts again with less than its indices take:
+//! they can be listed and deleted then, and inserts go on.
+
+use std::{fs, path::Path, process::Command, time::Duration};
+
+use tokio::time::timeout;
+use tonic::{Code, Status};
+use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
+use wayfold_tests::{Process, Refusal, ServerProcess, Signal, States, Stubs, row_states};
+
+const MIB: u64 = 1024 * 1024;
+const LIMIT: u64 = 128 * MIB;
+const WIDTH: usize = 32;
+const ROWS: usize = 2_000;
+/// The longest wait for freed memory.
+const MAX_WAIT: Duration = Duration::from_secs(60);
+
+fn serve(data: &Path, limit: u64) -> ServerProcess {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--data"])
+        .arg(data)
+        .env("WAYFOLD_MEMORY__LIMIT_BYTES", limit.to_string());
+    ServerProcess::ready(Process::spawn(&mut command))
+}
+
+/// The bytes that only the server's process holds.
+fn used(server: &ServerProcess) -> u64 {
+    let status = format!("/proc/{}/status", server.process().id());
+    let status = fs::read_to_string(status).unwrap();
+    let line = status.lines().find(|line| line.starts_with("RssAnon:"));
+    let kilobytes = line.unwrap().split_whitespace().nth(1).unwrap();
+    kilobytes.parse::<u64>().unwrap() * 1024
+}
+
+/// The inserts of one program.
+struct Inserts {
+    stubs: Stubs,
+    rows: Vec<f64>,
+}
+
+impl Inserts {
+    async fn next(&mut self, name: &str) -> Result<(), Status> {
+        let request = InsertRequest {
+            index_name: name.into(),
+            states: Some(row_states(&self.rows, WIDTH)),
+            ..Default::default()
+        };
+        self.stubs.points.insert(request).await.map(drop)
+    }
+}
+
+#[tokio::test]
+async fn a_full_server_refuses_inserts_and_serves_what_it_can_after_a_start() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = serve(directory.path(), LIMIT);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", &format!("R{WIDTH}")).await;
+    let mut inserts = Inserts {
+        stubs: stubs.clone(),
+        rows: States::new(format!("R{WIDTH}").parse().unwrap(), 1).rows(ROWS),
+    };
+    let (mut stored, mut peak) = (0, 0);
+    // A refusal may end once points are moved to the disk; this many in a row say that memory is full.
+    let mut refused = 0;
+    while refused < 50 {
+        match inserts.next("arm").await {
+            Ok(()) => (stored, refused) = (stored + ROWS as u64, 0),
+            Err(status) => {
+                let refusal = Refusal::of(&status);
+                let expected = (Code::ResourceExhausted, "MEMORY_FULL");
+                assert_eq!((refusal.code, &*refusal.reason), expected, "{status:?}");
+                refused += 1;
+            }
+        }
+        peak = peak.max(used(&server));
+    }
+    println!("{stored} points, peak {} MiB", peak / MIB);
+    assert!(peak < LIMIT, "{peak}");
+    assert_eq!(stubs.describe("arm").await.point_count, stored);
+    let finished = server.stop(Signal::Kill);
+    assert!(!finished.stderr.contains("ERROR"), "{}", finished.stderr);
+
+    let server = serve(directory.path(), LIMIT);
+    let mut again = Stubs::connect(server.uri()).await;
+    assert_eq!(again.describe("arm").await.point_count, stored);
+    assert!(used(&server) < LIMIT, "{}", used(&server));
+    server.stop(Signal::Kill);
+
+    let server = serve(directory.path(), LIMIT / 2);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let listed = stubs.indexes.list_indexes(ListIndexesRequest::default());
+    let listed = listed.await.unwrap().into_inner();
+    assert_eq!((listed.indexes.len(), listed.damaged.len()), (0, 1));
+    assert_eq!(listed.damaged[0].name, "arm");
+    let mut inserts = Inserts { stubs, ..inserts };
+    let refusal = Refusal::of(&inserts.next("arm").await.unwrap_err());
+    assert_eq!(
+        (refusal.code, &*refusal.reason),
+        (Code::Unavailable, "NOT_LOADED")
+    );
+    assert!(used(&server) < LIMIT / 2, "{}", used(&server));
+    inserts.stubs.delete("arm").await;
+    inserts.stubs.create("arm", &format!("R{WIDTH}")).await;
+    let accepted = async { while inserts.next("arm").await.is_err() {} };
+    timeout(MAX_WAIT, accepted).await.unwrap();
+    assert_eq!(inserts.stubs.describe("arm").await.point_count, ROWS as u64);
+    let finished = server.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+}
