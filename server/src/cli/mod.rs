@@ -63,9 +63,6 @@ fn fail(error: &dyn Error, status: u8) -> ExitCode {
 /// The most threads for the store, merges and other blocking work: tokio's default.
 const BLOCKING_THREADS: usize = 512;
 
-/// A thread looks for arrived bytes after this many slices of work: while calls wait for turns, it never runs out of them.
-const POLLS_PER_LOOK: u32 = 8;
-
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     let mut threads = runtime::Builder::new_multi_thread();
     if config.runtime.workers > 0 {
@@ -73,7 +70,6 @@ fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     }
     let waiting = zenoh::max_senders(&config.zenoh);
     threads.max_blocking_threads(BLOCKING_THREADS.saturating_add(waiting));
-    threads.event_interval(POLLS_PER_LOOK);
     let runtime = threads.enable_all().build()?;
     let ended = runtime.block_on(listen_and_serve(config));
     // Tasks that still run belong to calls that were cut.

@@ -148,7 +148,8 @@ where
         // The clock starts here, not inside the future: after this function returns, tonic starts its own timer for the
         // same header and answers CANCELLED when it ends. Ours must never be the later one.
         let arrived = Instant::now();
-        let mut record = CallRecord::begin(rpc, arrived);
+        let peer = activity.as_ref().and_then(Activity::peer);
+        let mut record = CallRecord::begin(rpc, arrived).of_peer(peer);
         let held = Arc::new(flow.hold());
         let is_stream = ANSWER_STREAMS.contains(&rpc) || REQUEST_STREAMS.contains(&rpc);
         let deadline = match deadline::read(request.headers(), arrived) {
@@ -260,7 +261,7 @@ where
         let body = RequestBody::new(body, &self.limits, held, self.is_stream, self.arrived);
         let body = match self.is_stream {
             true => Body::new(body),
-            false => Body::new(body.collect().await?),
+            false => Body::new(body.collect().await.map_err(unless_left)?),
         };
         Ok((self, Request::from_parts(parts, body)))
     }
@@ -285,6 +286,14 @@ where
             Poll::Pending => None,
         };
         Ok((response, made))
+    }
+}
+
+/// Our own refusal of a request, or the end of a call whose client cut it: that is no fault of the server.
+fn unless_left(status: Status) -> Status {
+    match status.details().is_empty() {
+        true => Status::cancelled("the request was cut"),
+        false => status,
     }
 }
 

@@ -212,6 +212,11 @@ impl Activity {
         self.state.is_stalled.store(is_stalled, SeqCst);
     }
 
+    /// The address of its client.
+    pub(super) fn peer(&self) -> Option<SocketAddr> {
+        self.state.peer
+    }
+
     /// The flow of its calls.
     pub(super) fn flow(&self) -> &Arc<Flow> {
         &self.state.flow

@@ -1,6 +1,10 @@
-//! `grpc.health.v1`: NOT_SERVING until the server answers calls, and again once it begins to stop.
+//! `grpc.health.v1`: NOT_SERVING until the server answers calls, and again once it begins to stop. One name tells apart
+//! whether points can be added.
 
-use futures_util::{StreamExt, stream, stream::BoxStream};
+use std::{pin::Pin, time::Duration};
+
+use futures_util::{Stream, StreamExt, stream, stream::BoxStream};
+use tokio::time::{Interval, interval};
 use tonic::{Request, Response, Status};
 use tonic_health::pb::{
     HealthCheckRequest, HealthCheckResponse, health_check_response::ServingStatus,
@@ -8,7 +12,10 @@ use tonic_health::pb::{
 };
 use wayfold_proto::v1::{index_service_server, point_service_server};
 
-use crate::lifecycle::{Phase, PhaseWatch};
+use crate::{
+    lifecycle::{Phase, PhaseWatch},
+    service::Service,
+};
 
 /// The names of the health service: the server as a whole and its services, which share one state.
 const NAMES: [&str; 3] = [
@@ -17,14 +24,69 @@ const NAMES: [&str; 3] = [
     point_service_server::SERVICE_NAME,
 ];
 
+/// The name of a state of its own: NOT_SERVING too while points cannot be added.
+const WRITING: &str = "wayfold.writing";
+
+/// The interval at which a watch of [`WRITING`] looks.
+const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+
 /// Answers health checks from the server's phase.
-#[derive(Debug)]
-pub(crate) struct HealthFace(PhaseWatch);
+pub(crate) struct HealthFace {
+    phases: PhaseWatch,
+    service: Service,
+}
 
 impl HealthFace {
-    /// Reports the phases that `phases` sees.
-    pub(crate) fn new(phases: PhaseWatch) -> Self {
-        Self(phases)
+    /// Reports the phases that `phases` sees, and whether `service` takes points.
+    pub(crate) fn new(phases: PhaseWatch, service: Service) -> Self {
+        Self { phases, service }
+    }
+
+    /// The status under a name; None for an unknown one.
+    fn status(&self, name: &str) -> Option<ServingStatus> {
+        let phase = status_in(self.phases.current());
+        match name {
+            WRITING if !self.service.accepts_growth() => Some(ServingStatus::NotServing),
+            WRITING => Some(phase),
+            _ => NAMES.contains(&name).then_some(phase),
+        }
+    }
+
+    /// The status of [`WRITING`] at each change, until the server begins to stop.
+    fn watch_writing(&self) -> impl Stream<Item = ServingStatus> + Send + use<> {
+        let looks = Looks {
+            health: Self::new(self.phases.clone(), self.service.clone()),
+            stopping: Box::pin(self.phases.clone().stopping()),
+            ticks: interval(LOOK_INTERVAL),
+            reported: None,
+        };
+        stream::unfold(Some(looks), async |looks| looks?.next().await)
+    }
+}
+
+/// The looks of one watch of [`WRITING`].
+struct Looks {
+    health: HealthFace,
+    stopping: Pin<Box<dyn Future<Output = ()> + Send>>,
+    ticks: Interval,
+    reported: Option<ServingStatus>,
+}
+
+impl Looks {
+    /// The next status that differs, and the looks after it; none after that of a stopping server.
+    async fn next(mut self) -> Option<(ServingStatus, Option<Self>)> {
+        loop {
+            tokio::select! {
+                biased;
+                () = &mut self.stopping => return Some((ServingStatus::NotServing, None)),
+                _ = self.ticks.tick() => {}
+            }
+            let status = self.health.status(WRITING);
+            if let Some(status) = status.filter(|_| status != self.reported) {
+                self.reported = Some(status);
+                return Some((status, Some(self)));
+            }
+        }
     }
 }
 
@@ -35,13 +97,16 @@ impl Health for HealthFace {
         request: Request<HealthCheckRequest>,
     ) -> Result<Response<HealthCheckResponse>, Status> {
         let name = request.into_inner().service;
-        if !NAMES.contains(&name.as_str()) {
-            return Err(Status::not_found(format!(
-                "no service `{name}`; there are {}, {} and the empty name for the whole server",
+        let unknown = || {
+            Status::not_found(format!(
+                "no service `{name}`; there are {}, {}, {WRITING} and the empty name for the whole server",
                 NAMES[1], NAMES[2]
-            )));
-        }
-        Ok(Response::new(report(status_in(self.0.current()))))
+            ))
+        };
+        self.status(&name)
+            .map(report)
+            .map(Response::new)
+            .ok_or_else(unknown)
     }
 
     type WatchStream = BoxStream<'static, Result<HealthCheckResponse, Status>>;
@@ -52,9 +117,13 @@ impl Health for HealthFace {
         &self,
         request: Request<HealthCheckRequest>,
     ) -> Result<Response<Self::WatchStream>, Status> {
-        let known = NAMES.contains(&request.get_ref().service.as_str());
-        let phases = self.0.clone();
-        if !known {
+        let name = &request.get_ref().service;
+        if name == WRITING {
+            let reports = self.watch_writing().map(|status| Ok(report(status)));
+            return Ok(Response::new(reports.boxed()));
+        }
+        let phases = self.phases.clone();
+        if self.status(name).is_none() {
             let unknown = stream::iter([Ok(report(ServingStatus::ServiceUnknown))]);
             let until_stopping = stream::once(phases.stopping()).filter_map(async |()| None);
             return Ok(Response::new(unknown.chain(until_stopping).boxed()));
@@ -92,7 +161,18 @@ fn report(status: ServingStatus) -> HealthCheckResponse {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lifecycle::Lifecycle;
+    use std::sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::SeqCst},
+    };
+
+    use crate::{
+        lifecycle::Lifecycle,
+        log::{Log, MemoryLog},
+        registry::{Registry, RegistryOptions},
+        service::Limits,
+        watermark::{Level, Resource, Watermark, Watermarks},
+    };
 
     fn request(service: &str) -> Request<HealthCheckRequest> {
         Request::new(HealthCheckRequest {
@@ -108,7 +188,7 @@ mod tests {
     #[tokio::test]
     async fn check_follows_the_phases_under_every_name() {
         let lifecycle = Lifecycle::starting();
-        let health = HealthFace::new(lifecycle.watch());
+        let health = HealthFace::new(lifecycle.watch(), Service::starting(Limits::default()));
         for (phase, expected) in [
             (Phase::Starting, ServingStatus::NotServing),
             (Phase::Serving, ServingStatus::Serving),
@@ -126,7 +206,7 @@ mod tests {
     #[tokio::test]
     async fn watch_tells_each_change_and_ends_with_the_server() {
         let lifecycle = Lifecycle::starting();
-        let health = HealthFace::new(lifecycle.watch());
+        let health = HealthFace::new(lifecycle.watch(), Service::starting(Limits::default()));
         let mut watch = health.watch(request("")).await.unwrap().into_inner();
         let mut reported = Vec::new();
         for phase in [Phase::Serving, Phase::Stopping] {
@@ -149,11 +229,50 @@ mod tests {
     #[tokio::test]
     async fn watch_of_an_unknown_name_says_so_and_ends_with_the_server() {
         let lifecycle = Lifecycle::starting();
-        let health = HealthFace::new(lifecycle.watch());
+        let health = HealthFace::new(lifecycle.watch(), Service::starting(Limits::default()));
         let mut watch = health.watch(request("other")).await.unwrap().into_inner();
         let first = watch.next().await.unwrap().unwrap();
         assert_eq!(first.status(), ServingStatus::ServiceUnknown);
         lifecycle.advance(Phase::Stopping);
+        assert!(watch.next().await.is_none());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn writing_is_told_apart_from_serving() {
+        let used = Arc::new(AtomicU64::new(0));
+        let probed = Arc::clone(&used);
+        let memory = Watermark::new(Resource::Memory, move || {
+            Ok(Level {
+                used: probed.load(SeqCst),
+                high: 85,
+                low: 80,
+                limit: 100,
+            })
+        });
+        let watermarks = Watermarks {
+            memory: Some(Arc::new(memory.measured_every(Duration::ZERO))),
+            disk: None,
+        };
+        let log = Log::from(Arc::new(MemoryLog::new()));
+        let registry = Registry::with_watermarks(log, RegistryOptions::default(), watermarks);
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let lifecycle = Lifecycle::starting();
+        lifecycle.advance(Phase::Serving);
+        let health = HealthFace::new(lifecycle.watch(), service);
+        let mut watch = health.watch(request(WRITING)).await.unwrap().into_inner();
+        let (up, down) = (ServingStatus::Serving, ServingStatus::NotServing);
+        // The use in percent; at 82 it depends on where it comes from.
+        for (percent, expected) in [(0, up), (90, down), (82, down), (79, up), (82, up)] {
+            used.store(percent, SeqCst);
+            assert_eq!(check(&health, WRITING).await, expected, "{percent}");
+            assert_eq!(check(&health, "").await, up);
+            if percent != 82 {
+                assert_eq!(watch.next().await.unwrap().unwrap().status(), expected);
+            }
+        }
+        lifecycle.advance(Phase::Stopping);
+        assert_eq!(watch.next().await.unwrap().unwrap().status(), down);
         assert!(watch.next().await.is_none());
     }
 }

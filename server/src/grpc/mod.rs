@@ -71,6 +71,7 @@ pub(crate) async fn serve(
             max_message_bytes: config.max_message_bytes,
         },
     });
+    let health = HealthServer::new(HealthFace::new(phases.clone(), service.clone()));
     // Sent messages have no limit: the service refuses a large answer before a mutation takes effect, and a second
     // limit here could only fail a call that took effect.
     let indices = IndexServiceServer::new(IndexFace {
@@ -78,7 +79,6 @@ pub(crate) async fn serve(
         max_message_bytes: config.max_message_bytes,
     })
     .max_decoding_message_size(config.max_message_bytes);
-    let health = HealthServer::new(HealthFace::new(phases.clone()));
     let (reflection, reflection_alpha) =
         (descriptors().build_v1()?, descriptors().build_v1alpha()?);
     let keepalive = (config.keepalive_interval_ms > 0)

@@ -1,6 +1,6 @@
 //! The span of a call, its log line at the end, and the fields of its request.
 
-use std::{fmt, time::Instant};
+use std::{fmt, net::SocketAddr, time::Instant};
 
 use tracing::{Span, debug, field, info_span, warn};
 use wayfold_proto::v1;
@@ -51,6 +51,7 @@ pub(crate) struct CallRecord {
     started: Instant,
     span: Span,
     ending: Ending,
+    peer: Option<SocketAddr>,
 }
 
 impl CallRecord {
@@ -62,7 +63,14 @@ impl CallRecord {
             rpc,
             started,
             ending: Ending::Left,
+            peer: None,
         }
+    }
+
+    /// The same call, made by this peer.
+    pub(crate) fn of_peer(mut self, peer: Option<SocketAddr>) -> Self {
+        self.peer = peer;
+        self
     }
 
     /// The name of the called method.
@@ -85,10 +93,11 @@ impl Drop for CallRecord {
     fn drop(&mut self) {
         let code = self.ending;
         let duration_us = u64::try_from(self.started.elapsed().as_micros()).unwrap_or(u64::MAX);
+        let peer = self.peer.map(field::display);
         if code.is_fault() {
-            warn!(parent: &self.span, ?code, duration_us, "call failed");
+            warn!(parent: &self.span, peer, ?code, duration_us, "call failed");
         } else {
-            debug!(parent: &self.span, ?code, duration_us, "call ended");
+            debug!(parent: &self.span, peer, ?code, duration_us, "call ended");
         }
     }
 }

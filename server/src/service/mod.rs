@@ -134,6 +134,12 @@ impl Service {
         self.unavailability().is_none()
     }
 
+    /// True if mutations that add points are accepted now.
+    pub(crate) fn accepts_growth(&self) -> bool {
+        let registry = self.inner.registry.get();
+        self.is_serving() && registry.is_some_and(|registry| registry.accepts_growth())
+    }
+
     /// Ends when the server begins to stop.
     async fn stopping(&self) {
         self.inner.stopping.cancelled().await;
