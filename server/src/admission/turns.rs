@@ -11,6 +11,8 @@
 //!   for that time. What a connection has not read yet waits too. B. Maurer, *Fail at Scale*, ACM Queue 13(8), 2015,
 //!   after CoDel.
 //!
+//! The target is for long calls only: to refuse a short one costs as much as to answer it.
+//!
 //! A thread has one long turn at a time, or many short ones: they wait for it together while it reads and writes, and a
 //! bystander waits for their sum at most.
 
@@ -170,12 +172,11 @@ impl Turns {
         if is_free {
             state.was_empty = now;
         }
-        if is_first {
-            let (limit, stands) = self.limit(&mut state, behind, now);
+        if is_first && size == SHORT_TURNS {
             // Another call of a flow whose calls wait for long would wait in vain.
-            let waits = state.flows.get(&flow).map_or(Duration::ZERO, Flow::wait);
-            let is_late = behind > limit || 2 * waits > limit;
-            if is_late && stands {
+            let wait = state.flows.get(&flow).map_or(Duration::ZERO, Flow::wait);
+            let (limit, stands) = self.limit(&mut state, behind, now);
+            if stands && (behind > limit || 2 * wait > limit) {
                 self.refuse(&mut state, now);
                 return Err(self.overloaded());
             }
@@ -240,7 +241,11 @@ impl Turns {
         state.free += size;
         while let Some((flow, size, next)) = state.next(now) {
             let wait = now.saturating_duration_since(next.since);
-            let is_late = next.is_first && wait > self.limit(&mut state, wait, now).0;
+            let limit = match size {
+                SHORT_TURNS => self.limit(&mut state, wait, now).0,
+                _ => self.burst,
+            };
+            let is_late = next.is_first && wait > limit;
             if is_late {
                 self.refuse(&mut state, now);
             }
