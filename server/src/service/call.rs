@@ -9,7 +9,7 @@ use super::Error;
 use crate::admission::end_slice;
 
 /// The time that a call computes before it yields.
-const MAX_STEP_TIME: Duration = Duration::from_micros(100);
+const MAX_STEP_TIME: Duration = Duration::from_micros(500);
 
 /// The context of one call.
 #[derive(Clone, Copy, Debug, Default)]
