@@ -1,7 +1,7 @@
 //! Watermarks of memory and disk: above the high one the server takes in nothing that grows it, until the use falls to
 //! the low one. Reads, removals and deletions go on.
 //!
-//! The use is measured when it is needed, at most once in [`INTERVAL`] or once per [`MAX_UNMEASURED_BYTES`] taken in.
+//! The use is measured when it is needed, at most once in 100 ms or once per MiB taken in.
 
 mod disk;
 mod memory;
