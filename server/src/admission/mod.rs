@@ -23,7 +23,7 @@ use tracing::warn;
 
 use self::{
     bytes::ByteBudget,
-    turns::{Asked, FlowNumber, Turns},
+    turns::{Asked, FlowNumber, MAX_AT_ONCE, Stage, Turns},
 };
 use crate::config::AdmissionConfig;
 pub(crate) use turns::Overloaded;
@@ -61,6 +61,8 @@ pub(crate) struct Flow {
     number: FlowNumber,
     all: Arc<ByteBudget>,
     own: ByteBudget,
+    /// The calls that have come.
+    calls: AtomicU64,
     opened: Instant,
     /// The last time that everything its client had sent was read, in nanoseconds since `opened`; [`UNKNOWN`] for
     /// links.
@@ -136,9 +138,15 @@ impl Flow {
             turns,
             all,
             own: ByteBudget::new(share),
+            calls: AtomicU64::new(0),
             opened: Instant::now(),
             caught_up_ns: AtomicU64::new(UNKNOWN),
         }
+    }
+
+    /// The number of calls that have come.
+    pub(crate) fn calls(&self) -> u64 {
+        self.calls.load(Relaxed)
     }
 
     /// Notes that everything its client has sent is read.
@@ -170,9 +178,11 @@ impl Flow {
 
     /// The turns of a call.
     pub(crate) fn turns(self: &Arc<Self>) -> CallTurns {
+        self.calls.fetch_add(1, Relaxed);
         CallTurns {
             flow: Arc::clone(self),
-            has_begun: false,
+            stage: Stage::New,
+            at_once: Duration::ZERO,
             next: None,
         }
     }
@@ -180,7 +190,7 @@ impl Flow {
     /// The turns of a request of a stream that has begun: it waits, and is not refused for it.
     pub(crate) fn turns_of_stream(self: &Arc<Self>) -> CallTurns {
         CallTurns {
-            has_begun: true,
+            stage: Stage::GoesOn,
             ..self.turns()
         }
     }
@@ -250,7 +260,9 @@ impl Drop for HeldBytes {
 #[derive(Debug)]
 pub(crate) struct CallTurns {
     flow: Arc<Flow>,
-    has_begun: bool,
+    stage: Stage,
+    /// Its work since it last went behind others of its flow.
+    at_once: Duration,
     /// The turn of the next slice.
     next: Option<Asked>,
 }
@@ -277,7 +289,7 @@ impl CallTurns {
             let Flow { turns, number, .. } = &*self.flow;
             let now = Instant::now();
             let behind = self.flow.behind(now);
-            self.next = Some(turns.ask(*number, !self.has_begun, behind, now)?);
+            self.next = Some(turns.ask(*number, self.stage, behind, now)?);
         }
         Ok(())
     }
@@ -304,17 +316,22 @@ impl CallTurns {
         let Some(Asked::Granted(turn)) = self.next.take() else {
             return Poll::Pending;
         };
-        self.has_begun = true;
         GOES_ON.set(None);
         let began = Instant::now();
         let polled = work(context);
         let took = began.elapsed();
+        self.at_once += took;
+        self.stage = Stage::GoesOn;
+        if self.at_once >= MAX_AT_ONCE {
+            self.at_once = Duration::ZERO;
+            self.stage = Stage::GoesBehind;
+        }
         // Work that is polled for a task of its own has another waker.
         let goes_on = GOES_ON
             .take()
             .is_some_and(|waker| waker.will_wake(context.waker()));
         if polled.is_pending() && goes_on {
-            self.next = Some(self.flow.turns.give_way(turn, took));
+            self.next = Some(self.flow.turns.give_way(turn, took, self.stage));
         } else {
             turn.end(took);
         }

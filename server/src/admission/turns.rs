@@ -5,7 +5,8 @@
 //!
 //! - *Fair:* the flow that has computed least goes first (start-time fair queueing). A flow that was idle gets no credit
 //!   for that. P. Goyal, H. M. Vin, H. Cheng, *Start-time Fair Queuing*, SIGCOMM 1996.
-//! - *First come, first served* within a flow: a call that has begun goes before those that have not.
+//! - *First come, first served* within a flow. Calls that take longer than [`MAX_AT_ONCE`] wait apart after that time of
+//!   work, and these and the others of the flow take turns: a short call does not wait for all long ones.
 //! - *Measured:* a call that has not begun is refused once it has waited for too long: for the time of a burst, or for
 //!   the target while the queue stands. It stands once it was not empty for the time of a burst, until no call was late
 //!   for that time. What a connection has not read yet waits too. B. Maurer, *Fail at Scale*, ACM Queue 13(8), 2015,
@@ -35,6 +36,9 @@ const SHORT_TURNS: usize = 128;
 /// A flow whose turns take longer on average has long turns.
 const MAX_SHORT_NS: u64 = 50_000;
 
+/// A call gives way to the others of its flow after so much work.
+pub(super) const MAX_AT_ONCE: Duration = Duration::from_millis(2);
+
 /// The mean of a flow's turns covers about this many of them.
 const MEAN_TURNS: u64 = 8;
 
@@ -63,7 +67,9 @@ struct State {
     order: BTreeSet<(u64, FlowNumber)>,
     /// The `used_ns` at which the last turn began.
     clock_ns: u64,
-    /// The last time that nobody waited.
+    /// The waiting calls that have not begun.
+    new: usize,
+    /// The last time that there were none.
     was_empty: Instant,
     /// The queue stands until then.
     stands_until: Instant,
@@ -80,15 +86,30 @@ struct Flow {
     mean_ns: Option<u64>,
     /// The wait of the last of its calls that has begun.
     last_wait: Duration,
+    /// Those that have not begun, after one that goes on.
     waiting: VecDeque<Waiting>,
+    /// Those that have computed for long.
+    behind: VecDeque<Waiting>,
+    /// One of these is due: they and the others take turns.
+    behind_is_due: bool,
 }
 
 #[derive(Debug)]
 struct Waiting {
     since: Instant,
-    /// True for a call that has not begun.
-    is_first: bool,
+    stage: Stage,
     granted: oneshot::Sender<Granted>,
+}
+
+/// How far a call has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stage {
+    /// It has not begun, and can be refused.
+    New,
+    /// It goes on before the other calls of its flow.
+    GoesOn,
+    /// It goes on after them, as one of those that have computed for long.
+    GoesBehind,
 }
 
 /// The right to compute, until it is dropped.
@@ -121,6 +142,7 @@ impl Turns {
                 flows: HashMap::new(),
                 order: BTreeSet::new(),
                 clock_ns: 0,
+                new: 0,
                 was_empty: Instant::now(),
                 stands_until: Instant::now(),
                 next_flow: 0,
@@ -155,24 +177,24 @@ impl Turns {
         let mut state = self.state.lock();
         if let Some(closed) = state.flows.remove(&flow) {
             state.order.remove(&(closed.used_ns, flow));
+            let is_new = |waiting: &&Waiting| waiting.stage == Stage::New;
+            state.new -= closed.waiting.iter().filter(is_new).count();
         }
     }
 
-    /// Asks for a turn for a call of `flow`; `is_first` if it has not begun. Its connection has more to read for `behind`.
+    /// Asks for a turn for a call of `flow`. Its connection has more to read for `behind`.
     pub(super) fn ask(
         self: &Arc<Self>,
         flow: FlowNumber,
-        is_first: bool,
+        stage: Stage,
         behind: Duration,
         now: Instant,
     ) -> Result<Asked, Overloaded> {
         let mut state = self.state.lock();
-        let size = state.size(flow, is_first);
+        let size = state.size(flow, stage);
         let is_free = state.order.is_empty() && state.free >= size;
-        if is_free {
-            state.was_empty = now;
-        }
-        if is_first && size == SHORT_TURNS {
+        state.look(now);
+        if stage == Stage::New && size == SHORT_TURNS {
             // Another call of a flow whose calls wait for long would wait in vain.
             let wait = state.flows.get(&flow).map_or(Duration::ZERO, Flow::wait);
             let (limit, stands) = self.limit(&mut state, behind, now);
@@ -186,13 +208,20 @@ impl Turns {
             state.begin(flow);
             return Ok(Asked::Granted(self.turn(flow, size)));
         }
-        Ok(Asked::Waits(state.enqueue(flow, is_first, now)))
+        Ok(Asked::Waits(state.enqueue(flow, stage, now)))
     }
 
     /// Charges the flow of `turn` for work that goes on. The turn is handed on if others wait.
-    pub(super) fn give_way(self: &Arc<Self>, mut turn: Turn, took: Duration) -> Asked {
+    pub(super) fn give_way(
+        self: &Arc<Self>,
+        mut turn: Turn,
+        took: Duration,
+        stage: Stage,
+    ) -> Asked {
+        let now = Instant::now();
         let mut state = self.state.lock();
         state.charge(turn.flow, took);
+        state.look(now);
         // A turn that goes on is a long one.
         let more = SHORT_TURNS - turn.size;
         if state.order.is_empty() && state.free >= more {
@@ -200,7 +229,7 @@ impl Turns {
             turn.size = SHORT_TURNS;
             return Asked::Granted(turn);
         }
-        let granted = state.enqueue(turn.flow, false, Instant::now());
+        let granted = state.enqueue(turn.flow, stage, now);
         drop(state);
         turn.took = Duration::ZERO;
         Asked::Waits(granted)
@@ -245,7 +274,7 @@ impl Turns {
                 SHORT_TURNS => self.limit(&mut state, wait, now).0,
                 _ => self.burst,
             };
-            let is_late = next.is_first && wait > limit;
+            let is_late = next.stage == Stage::New && wait > limit;
             if is_late {
                 self.refuse(&mut state, now);
             }
@@ -264,9 +293,7 @@ impl Turns {
             }
             state.free += size;
         }
-        if state.order.is_empty() {
-            state.was_empty = now;
-        }
+        state.look(now);
     }
 }
 
@@ -278,9 +305,45 @@ impl Flow {
             false => self.last_wait,
         }
     }
+
+    /// True if none of its calls waits.
+    fn is_idle(&self) -> bool {
+        self.waiting.is_empty() && self.behind.is_empty()
+    }
+
+    /// The stage of the call that has the next turn.
+    fn next_stage(&self) -> Option<Stage> {
+        let first = self.waiting.front().map(|waiting| waiting.stage);
+        match first {
+            Some(Stage::GoesOn) => first,
+            Some(_) if self.behind.is_empty() || !self.behind_is_due => first,
+            _ => self.behind.front().map(|waiting| waiting.stage),
+        }
+    }
+
+    fn pop(&mut self, stage: Stage) -> Option<Waiting> {
+        match stage {
+            Stage::GoesOn => self.waiting.pop_front(),
+            Stage::New => {
+                self.behind_is_due = true;
+                self.waiting.pop_front()
+            }
+            Stage::GoesBehind => {
+                self.behind_is_due = false;
+                self.behind.pop_front()
+            }
+        }
+    }
 }
 
 impl State {
+    /// Notes whether a call waits that has not begun.
+    fn look(&mut self, now: Instant) {
+        if self.new == 0 {
+            self.was_empty = now;
+        }
+    }
+
     /// A turn of `flow` begins, for which nobody waited.
     fn begin(&mut self, flow: FlowNumber) {
         let flow = self.flows.entry(flow).or_default();
@@ -291,23 +354,27 @@ impl State {
     fn enqueue(
         &mut self,
         number: FlowNumber,
-        is_first: bool,
+        stage: Stage,
         since: Instant,
     ) -> oneshot::Receiver<Granted> {
         let flow = self.flows.entry(number).or_default();
-        if flow.waiting.is_empty() {
+        if flow.is_idle() {
             flow.used_ns = flow.used_ns.max(self.clock_ns);
             self.order.insert((flow.used_ns, number));
         }
         let (granted, receiver) = oneshot::channel();
         let waiting = Waiting {
             since,
-            is_first,
+            stage,
             granted,
         };
-        match is_first {
-            true => flow.waiting.push_back(waiting),
-            false => flow.waiting.push_front(waiting),
+        match stage {
+            Stage::GoesOn => flow.waiting.push_front(waiting),
+            Stage::New => {
+                self.new += 1;
+                flow.waiting.push_back(waiting);
+            }
+            Stage::GoesBehind => flow.behind.push_back(waiting),
         }
         receiver
     }
@@ -315,15 +382,16 @@ impl State {
     /// Takes the next call out of the queue if there is a turn for it.
     fn next(&mut self, now: Instant) -> Option<(FlowNumber, usize, Waiting)> {
         let &(used_ns, number) = self.order.first()?;
-        let is_first = self.flows.get(&number)?.waiting.front()?.is_first;
-        let size = self.size(number, is_first);
+        let stage = self.flows.get(&number)?.next_stage()?;
+        let size = self.size(number, stage);
         self.free = self.free.checked_sub(size)?;
         let flow = self.flows.get_mut(&number)?;
-        let next = flow.waiting.pop_front()?;
-        if is_first {
+        let next = flow.pop(stage)?;
+        if stage == Stage::New {
+            self.new -= 1;
             flow.last_wait = now.saturating_duration_since(next.since);
         }
-        if flow.waiting.is_empty() {
+        if flow.is_idle() {
             self.order.remove(&(used_ns, number));
         }
         self.clock_ns = used_ns;
@@ -331,10 +399,10 @@ impl State {
     }
 
     /// The short turns that a turn of this flow takes.
-    fn size(&self, number: FlowNumber, is_first: bool) -> usize {
+    fn size(&self, number: FlowNumber, stage: Stage) -> usize {
         let mean_ns = self.flows.get(&number).and_then(|flow| flow.mean_ns);
         match mean_ns {
-            Some(mean_ns) if is_first && mean_ns <= MAX_SHORT_NS => 1,
+            Some(mean_ns) if stage == Stage::New && mean_ns <= MAX_SHORT_NS => 1,
             _ => SHORT_TURNS,
         }
     }
@@ -370,194 +438,4 @@ impl Drop for Turn {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const MS: Duration = Duration::from_millis(1);
-    const TARGET: Duration = Duration::from_millis(100);
-    const BURST: Duration = Duration::from_secs(3600);
-
-    /// A turn at once.
-    fn take(turns: &Arc<Turns>, flow: FlowNumber) -> Turn {
-        match turns
-            .ask(flow, true, Duration::ZERO, Instant::now())
-            .unwrap()
-        {
-            Asked::Granted(turn) => turn,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    /// A call that waits since some time ago.
-    fn wait(
-        turns: &Arc<Turns>,
-        flow: FlowNumber,
-        is_first: bool,
-        ago: Duration,
-    ) -> oneshot::Receiver<Granted> {
-        match turns
-            .ask(flow, is_first, Duration::ZERO, Instant::now() - ago)
-            .unwrap()
-        {
-            Asked::Waits(granted) => granted,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    /// Ends `turn` after `took`; returns the number of the waiting call that has the next turn, and the turn.
-    fn next(
-        turn: Turn,
-        took: Duration,
-        waiting: &mut [oneshot::Receiver<Granted>],
-    ) -> Option<(usize, Turn)> {
-        turn.end(took);
-        let granted = |granted: &mut oneshot::Receiver<Granted>| granted.try_recv().ok();
-        waiting
-            .iter_mut()
-            .enumerate()
-            .find_map(|(number, waits)| Some((number, granted(waits)?.unwrap())))
-    }
-
-    #[test]
-    fn the_flow_that_has_computed_least_goes_first() {
-        let turns = Turns::new(1, TARGET, BURST);
-        let (heavy, light) = (turns.open(), turns.open());
-        // The time before anybody waited counts for nobody.
-        take(&turns, heavy).end(1000 * MS);
-        let turn = take(&turns, heavy);
-        let mut waiting = vec![
-            wait(&turns, heavy, true, MS),
-            wait(&turns, heavy, true, MS),
-            wait(&turns, light, true, MS),
-            wait(&turns, light, true, MS),
-        ];
-        let (first, turn) = next(turn, 3 * MS, &mut waiting).unwrap();
-        let (second, turn) = next(turn, MS, &mut waiting).unwrap();
-        let (third, turn) = next(turn, 3 * MS, &mut waiting).unwrap();
-        let (fourth, turn) = next(turn, MS, &mut waiting).unwrap();
-        assert_eq!([first, second, third, fourth], [2, 3, 0, 1]);
-        assert!(next(turn, MS, &mut waiting).is_none());
-        // An idle flow has saved nothing: both are even again.
-        let turn = take(&turns, heavy);
-        turn.end(5 * MS);
-        let turn = take(&turns, light);
-        let mut waiting = vec![wait(&turns, light, true, MS), wait(&turns, heavy, true, MS)];
-        let (first, _turn) = next(turn, 10 * MS, &mut waiting).unwrap();
-        assert_eq!(first, 1);
-    }
-
-    #[test]
-    fn a_call_that_has_begun_goes_before_others_of_its_flow() {
-        let turns = Turns::new(1, TARGET, BURST);
-        let flow = turns.open();
-        let turn = take(&turns, flow);
-        let mut waiting = vec![wait(&turns, flow, true, MS), wait(&turns, flow, false, MS)];
-        let (first, _turn) = next(turn, MS, &mut waiting).unwrap();
-        assert_eq!(first, 1);
-    }
-
-    #[test]
-    fn work_that_goes_on_gives_way_only_if_others_wait() {
-        let turns = Turns::new(1, TARGET, BURST);
-        let (heavy, light) = (turns.open(), turns.open());
-        let turn = match turns.give_way(take(&turns, heavy), 5 * MS) {
-            Asked::Granted(turn) => turn,
-            waits => panic!("{waits:?}"),
-        };
-        let mut first = wait(&turns, light, true, MS);
-        let mut going_on = match turns.give_way(turn, 5 * MS) {
-            Asked::Waits(waits) => waits,
-            granted => panic!("{granted:?}"),
-        };
-        assert!(going_on.try_recv().is_err());
-        first.try_recv().unwrap().unwrap().end(MS);
-        going_on.try_recv().unwrap().unwrap().end(MS);
-    }
-
-    #[test]
-    fn who_has_left_is_passed_over_and_returns_the_turn() {
-        let turns = Turns::new(1, TARGET, BURST);
-        let flow = turns.open();
-        let turn = take(&turns, flow);
-        drop(wait(&turns, flow, true, MS));
-        let granted = wait(&turns, flow, true, MS);
-        let mut last = vec![wait(&turns, flow, true, MS)];
-        turn.end(MS);
-        // It has its turn, and does not use it.
-        drop(granted);
-        let turn = last.remove(0).try_recv().unwrap().unwrap();
-        assert!(next(turn, MS, &mut []).is_none());
-        take(&turns, flow).end(MS);
-    }
-
-    #[test]
-    fn a_call_of_a_burst_waits() {
-        let turns = Turns::new(1, TARGET, BURST);
-        let flow = turns.open();
-        let turn = take(&turns, flow);
-        let mut late = wait(&turns, flow, true, 2 * TARGET);
-        turn.end(MS);
-        late.try_recv().unwrap().unwrap().end(MS);
-        assert_eq!(turns.refused(), 0);
-    }
-
-    #[test]
-    fn a_late_call_of_a_standing_queue_is_refused_and_so_are_those_that_would_be_late() {
-        let turns = Turns::new(1, TARGET, MS);
-        let flow = turns.open();
-        let turn = take(&turns, flow);
-        let mut begun = wait(&turns, flow, false, 2 * TARGET);
-        let mut late = wait(&turns, flow, true, 2 * TARGET);
-        let mut in_time = wait(&turns, flow, true, TARGET * 3 / 4);
-        let mut last = wait(&turns, flow, true, MS);
-        turn.end(MS);
-        begun.try_recv().unwrap().unwrap().end(MS);
-        assert_eq!(late.try_recv().unwrap().err(), Some(Overloaded(TARGET)));
-        let turn = in_time.try_recv().unwrap().unwrap();
-        let other = turns.ask(flow, true, Duration::ZERO, Instant::now());
-        assert_eq!(other.err(), Some(Overloaded(TARGET)));
-        turn.end(MS);
-        last.try_recv().unwrap().unwrap().end(MS);
-        assert_eq!(turns.refused(), 2);
-    }
-
-    #[test]
-    fn a_thread_has_one_long_turn_or_many_short_ones() {
-        let turns = Turns::new(1, TARGET, BURST);
-        // Turns are long until they are known to be short.
-        let (long, short) = (turns.open(), turns.open());
-        take(&turns, short).end(MS / 1000);
-        let mut held: Vec<Turn> = (0..SHORT_TURNS).map(|_| take(&turns, short)).collect();
-        let mut third = wait(&turns, long, true, MS);
-        let mut fourth = wait(&turns, short, true, MS);
-        let last = held.pop();
-        drop(held);
-        assert!(third.try_recv().is_err() && fourth.try_recv().is_err());
-        drop(last);
-        let third = third.try_recv().unwrap().unwrap();
-        assert!(fourth.try_recv().is_err());
-        third.end(MS);
-        fourth.try_recv().unwrap().unwrap().end(MS);
-    }
-
-    #[test]
-    fn as_many_long_turns_as_threads_and_none_is_lost() {
-        let turns = Turns::new(3, TARGET, BURST);
-        let flow = turns.open();
-        take(&turns, flow).end(MS);
-        let held: Vec<Turn> = (0..3).map(|_| take(&turns, flow)).collect();
-        let mut waiting: Vec<_> = (0..5).map(|_| wait(&turns, flow, true, MS)).collect();
-        assert!(waiting.iter_mut().all(|waits| waits.try_recv().is_err()));
-        drop(held);
-        let mut granted: Vec<Turn> = waiting
-            .iter_mut()
-            .filter_map(|waits| waits.try_recv().ok()?.ok())
-            .collect();
-        assert_eq!(granted.len(), 3);
-        turns.close(flow);
-        granted.clear();
-        let other = turns.open();
-        take(&turns, other).end(MS);
-        let _all: Vec<Turn> = (0..3).map(|_| take(&turns, other)).collect();
-    }
-}
+mod tests;

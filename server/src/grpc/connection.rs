@@ -38,6 +38,9 @@ const SHORT_PAUSE: Duration = Duration::from_millis(1);
 /// Bytes that a connection reads before others have their turn: about fifty small calls.
 const MAX_READ_BYTES: usize = 8 * 1024;
 
+/// The same while no call comes with them. Requests as large take their own time to come: they do not wait.
+const MAX_BODY_BYTES: usize = 64 * 1024;
+
 /// The connections made to `listener`, at most as many at a time as `connections` has room for: a further one waits until
 /// an idle one has made room. `cut` fails all of them.
 pub(crate) fn incoming(
@@ -56,6 +59,7 @@ pub(crate) fn incoming(
                 open: open.await,
                 socket,
                 read_bytes: 0,
+                read_calls: 0,
                 was_silent: true,
                 paused: None,
                 cut: Box::pin(own_cut.cancelled_owned()),
@@ -108,6 +112,8 @@ pub(crate) struct Connection {
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
     /// The bytes that were read since others had their turn.
     read_bytes: usize,
+    /// The calls of the flow at the last turn of others.
+    read_calls: u64,
     /// True if there was nothing to read.
     was_silent: bool,
     /// The time since which others have their turn.
@@ -154,8 +160,14 @@ impl AsyncRead for Connection {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         self.check(context)?;
-        if self.read_bytes >= MAX_READ_BYTES {
+        let calls = self.open.activity().flow().calls();
+        let has_calls = calls != self.read_calls;
+        if self.read_bytes >= MAX_BODY_BYTES && !has_calls {
+            self.open.activity().flow().catch_up();
+        }
+        if self.read_bytes >= MAX_BODY_BYTES || self.read_bytes >= MAX_READ_BYTES && has_calls {
             self.read_bytes = 0;
+            self.read_calls = calls;
             self.paused = Some(Instant::now());
             context.waker().wake_by_ref();
             return Poll::Pending;

@@ -7,8 +7,8 @@ use wayfold_index::{ApplyError, Forest, PointRef, Points, Space};
 use super::Host;
 use crate::watermark::Full;
 
-/// Memory is checked once per this many points.
-const CHECKED_POINTS: usize = 65_536;
+/// Memory is checked each time that the points that were read take this much more.
+const CHECKED_BYTES: usize = 4 * 1024 * 1024;
 
 /// The bytes that a point takes in each of its forms: the rows that are read, and a tree.
 fn point_bytes(space: &Space) -> usize {
@@ -17,7 +17,7 @@ fn point_bytes(space: &Space) -> usize {
 
 /// About the bytes that loading this many points takes.
 pub(super) fn loaded_bytes(space: &Space, points: usize) -> u64 {
-    (points * point_bytes(space)) as u64 + (CHECKED_POINTS * point_bytes(space)) as u64
+    (points * point_bytes(space) + CHECKED_BYTES) as u64
 }
 
 impl Host {
@@ -69,7 +69,8 @@ impl Loader {
     pub(super) fn push(&mut self, point: PointRef<'_>) -> Result<(), LoadError> {
         self.points.push_point(point);
         self.len += 1;
-        match self.points.len().is_multiple_of(CHECKED_POINTS) {
+        let checked_points = CHECKED_BYTES / point_bytes(self.forest.space());
+        match self.points.len().is_multiple_of(checked_points.max(1)) {
             true => self.make_room(),
             false => Ok(()),
         }
@@ -81,10 +82,10 @@ impl Loader {
             return Ok(());
         };
         let bytes = (self.points.len() * point_bytes(self.forest.space())) as u64;
-        if memory.fits(4 * bytes).is_ok() {
+        if memory.fits_at_start(4 * bytes).is_ok() {
             return Ok(());
         }
-        memory.fits(bytes).map_err(LoadError::Full)?;
+        memory.fits_at_start(bytes).map_err(LoadError::Full)?;
         let points = std::mem::replace(
             &mut self.points,
             Points::new(self.forest.space().coordinates()),

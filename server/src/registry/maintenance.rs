@@ -168,7 +168,7 @@ impl Registry {
         match state {
             IndexState::Damaged(_, RegistryError::NotLoaded { needed, .. }) => {
                 let memory = self.host.watermarks.memory.as_ref();
-                memory.is_none_or(|memory| memory.fits(*needed).is_ok())
+                memory.is_none_or(|memory| memory.fits_at_start(*needed).is_ok())
             }
             IndexState::Hosted(_) | IndexState::Damaged(..) => false,
         }

@@ -44,9 +44,9 @@ mod tests {
         assert!(disk(directory.path(), 0).is_none());
         let whole = disk(directory.path(), u64::MAX).unwrap();
         let limit = whole.limit().unwrap();
-        let full = whole.fits(limit).unwrap_err();
+        let full = whole.admit(limit).unwrap_err();
         assert_eq!((full.high, full.limit), (limit - limit / 10, limit));
         let little = disk(directory.path(), 1000).unwrap();
-        assert_eq!(little.fits(limit).unwrap_err().high, limit - 1000);
+        assert_eq!(little.admit(limit).unwrap_err().high, limit - 1000);
     }
 }

@@ -8,7 +8,7 @@ use std::{
 
 // Linked for `mi_collect`.
 use mimalloc as _;
-use tracing::{info, warn};
+use tracing::{debug, warn};
 
 use super::{Level, Resource, Watermark};
 
@@ -27,7 +27,7 @@ pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<A
     };
     let high = limit / 100 * high_percent;
     let low = limit / 100 * low_percent.min(high_percent);
-    info!(limit, high, low, used, "watermarks of memory");
+    debug!(limit, high, low, used, "watermarks of memory");
     let level = move || {
         let mut used = self::used()?;
         if used > low {

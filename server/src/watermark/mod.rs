@@ -137,13 +137,17 @@ impl Watermark {
         Ok(())
     }
 
-    /// Fails if `bytes` more are above the high watermark now. It measures every time, and ignores earlier refusals.
-    pub fn fits(&self, bytes: u64) -> Result<(), Full> {
-        match (self.probe)() {
-            Ok(level) if level.used + bytes > level.high => {
-                Err(self.full(&level, level.used + bytes))
-            }
-            Ok(_) | Err(_) => Ok(()),
+    /// Fails if a start that takes `bytes` more comes too near to the limit. It may pass the high watermark by half of
+    /// what is above: all that was taken in below it has to fit again. It measures every time.
+    pub fn fits_at_start(&self, bytes: u64) -> Result<(), Full> {
+        let Ok(mut level) = (self.probe)() else {
+            return Ok(());
+        };
+        level.high += level.limit.saturating_sub(level.high) / 2;
+        let used = level.used + bytes;
+        match used > level.high {
+            true => Err(self.full(&level, used)),
+            false => Ok(()),
         }
     }
 

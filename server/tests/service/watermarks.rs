@@ -200,7 +200,7 @@ fn what_was_taken_in_counts_before_it_is_measured() {
 fn a_resource_that_cannot_be_measured_refuses_nothing() {
     let watermark = Watermark::new(Resource::Disk, || Err(io::ErrorKind::Unsupported.into()));
     watermark.admit(u64::MAX).unwrap();
-    watermark.fits(u64::MAX).unwrap();
+    watermark.fits_at_start(u64::MAX).unwrap();
     assert_eq!(watermark.left(), None);
 }
 

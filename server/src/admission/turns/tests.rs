@@ -1,0 +1,213 @@
+use super::{Stage::*, *};
+
+const MS: Duration = Duration::from_millis(1);
+const TARGET: Duration = Duration::from_millis(100);
+const BURST: Duration = Duration::from_secs(3600);
+
+/// A turn at once.
+fn take(turns: &Arc<Turns>, flow: FlowNumber) -> Turn {
+    match turns
+        .ask(flow, New, Duration::ZERO, Instant::now())
+        .unwrap()
+    {
+        Asked::Granted(turn) => turn,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A call that waits since some time ago.
+fn wait(
+    turns: &Arc<Turns>,
+    flow: FlowNumber,
+    stage: Stage,
+    ago: Duration,
+) -> oneshot::Receiver<Granted> {
+    match turns
+        .ask(flow, stage, Duration::ZERO, Instant::now() - ago)
+        .unwrap()
+    {
+        Asked::Waits(granted) => granted,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Ends `turn` after `took`; returns the number of the waiting call that has the next turn, and the turn.
+fn next(
+    turn: Turn,
+    took: Duration,
+    waiting: &mut [oneshot::Receiver<Granted>],
+) -> Option<(usize, Turn)> {
+    turn.end(took);
+    let granted = |granted: &mut oneshot::Receiver<Granted>| granted.try_recv().ok();
+    waiting
+        .iter_mut()
+        .enumerate()
+        .find_map(|(number, waits)| Some((number, granted(waits)?.unwrap())))
+}
+
+#[test]
+fn the_flow_that_has_computed_least_goes_first() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let (heavy, light) = (turns.open(), turns.open());
+    // The time before anybody waited counts for nobody.
+    take(&turns, heavy).end(1000 * MS);
+    let turn = take(&turns, heavy);
+    let mut waiting = vec![
+        wait(&turns, heavy, New, MS),
+        wait(&turns, heavy, New, MS),
+        wait(&turns, light, New, MS),
+        wait(&turns, light, New, MS),
+    ];
+    let (first, turn) = next(turn, 3 * MS, &mut waiting).unwrap();
+    let (second, turn) = next(turn, MS, &mut waiting).unwrap();
+    let (third, turn) = next(turn, 3 * MS, &mut waiting).unwrap();
+    let (fourth, turn) = next(turn, MS, &mut waiting).unwrap();
+    assert_eq!([first, second, third, fourth], [2, 3, 0, 1]);
+    assert!(next(turn, MS, &mut waiting).is_none());
+    // An idle flow has saved nothing: both are even again.
+    let turn = take(&turns, heavy);
+    turn.end(5 * MS);
+    let turn = take(&turns, light);
+    let mut waiting = vec![wait(&turns, light, New, MS), wait(&turns, heavy, New, MS)];
+    let (first, _turn) = next(turn, 10 * MS, &mut waiting).unwrap();
+    assert_eq!(first, 1);
+}
+
+#[test]
+fn a_call_that_has_begun_goes_first_until_it_has_computed_for_long() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let flow = turns.open();
+    let turn = take(&turns, flow);
+    let mut waiting = vec![
+        wait(&turns, flow, GoesBehind, MS),
+        wait(&turns, flow, New, MS),
+        wait(&turns, flow, New, MS),
+        wait(&turns, flow, GoesOn, MS),
+    ];
+    let mut turn = Some(turn);
+    for expected in [3, 1, 0, 2] {
+        let (first, following) = next(turn.take().unwrap(), MS, &mut waiting).unwrap();
+        assert_eq!(first, expected);
+        turn = Some(following);
+    }
+}
+
+#[test]
+fn work_that_goes_on_gives_way_only_if_others_wait() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let (heavy, light) = (turns.open(), turns.open());
+    let turn = match turns.give_way(take(&turns, heavy), 5 * MS, GoesOn) {
+        Asked::Granted(turn) => turn,
+        waits => panic!("{waits:?}"),
+    };
+    let mut first = wait(&turns, light, New, MS);
+    let mut going_on = match turns.give_way(turn, 5 * MS, GoesOn) {
+        Asked::Waits(waits) => waits,
+        granted => panic!("{granted:?}"),
+    };
+    assert!(going_on.try_recv().is_err());
+    first.try_recv().unwrap().unwrap().end(MS);
+    going_on.try_recv().unwrap().unwrap().end(MS);
+}
+
+#[test]
+fn who_has_left_is_passed_over_and_returns_the_turn() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let flow = turns.open();
+    let turn = take(&turns, flow);
+    drop(wait(&turns, flow, New, MS));
+    let granted = wait(&turns, flow, New, MS);
+    let mut last = vec![wait(&turns, flow, New, MS)];
+    turn.end(MS);
+    // It has its turn, and does not use it.
+    drop(granted);
+    let turn = last.remove(0).try_recv().unwrap().unwrap();
+    assert!(next(turn, MS, &mut []).is_none());
+    take(&turns, flow).end(MS);
+}
+
+#[test]
+fn a_call_of_a_burst_waits() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let flow = turns.open();
+    let turn = take(&turns, flow);
+    let mut late = wait(&turns, flow, New, 2 * TARGET);
+    turn.end(MS);
+    late.try_recv().unwrap().unwrap().end(MS);
+    assert_eq!(turns.refused(), 0);
+}
+
+#[test]
+fn one_long_call_alone_is_no_queue() {
+    let turns = Turns::new(1, MS, TARGET);
+    let flow = turns.open();
+    let turn = take(&turns, flow);
+    turns.state.lock().was_empty -= 2 * TARGET;
+    let Asked::Granted(turn) = turns.give_way(turn, 2 * TARGET, GoesOn) else {
+        panic!("nobody else waits");
+    };
+    let mut waits = wait(&turns, flow, New, TARGET / 2);
+    turn.end(MS);
+    waits.try_recv().unwrap().unwrap().end(MS);
+    assert_eq!(turns.refused(), 0);
+}
+
+#[test]
+fn a_late_call_of_a_standing_queue_is_refused_and_so_are_those_that_would_be_late() {
+    let turns = Turns::new(1, TARGET, MS);
+    let flow = turns.open();
+    let turn = take(&turns, flow);
+    let mut begun = wait(&turns, flow, GoesOn, 2 * TARGET);
+    let mut late = wait(&turns, flow, New, 2 * TARGET);
+    let mut in_time = wait(&turns, flow, New, TARGET * 3 / 4);
+    let mut last = wait(&turns, flow, New, MS);
+    turn.end(MS);
+    begun.try_recv().unwrap().unwrap().end(MS);
+    assert_eq!(late.try_recv().unwrap().err(), Some(Overloaded(TARGET)));
+    let turn = in_time.try_recv().unwrap().unwrap();
+    let other = turns.ask(flow, New, Duration::ZERO, Instant::now());
+    assert_eq!(other.err(), Some(Overloaded(TARGET)));
+    turn.end(MS);
+    last.try_recv().unwrap().unwrap().end(MS);
+    assert_eq!(turns.refused(), 2);
+}
+
+#[test]
+fn a_thread_has_one_long_turn_or_many_short_ones() {
+    let turns = Turns::new(1, TARGET, BURST);
+    // Turns are long until they are known to be short.
+    let (long, short) = (turns.open(), turns.open());
+    take(&turns, short).end(MS / 1000);
+    let mut held: Vec<Turn> = (0..SHORT_TURNS).map(|_| take(&turns, short)).collect();
+    let mut third = wait(&turns, long, New, MS);
+    let mut fourth = wait(&turns, short, New, MS);
+    let last = held.pop();
+    drop(held);
+    assert!(third.try_recv().is_err() && fourth.try_recv().is_err());
+    drop(last);
+    let third = third.try_recv().unwrap().unwrap();
+    assert!(fourth.try_recv().is_err());
+    third.end(MS);
+    fourth.try_recv().unwrap().unwrap().end(MS);
+}
+
+#[test]
+fn as_many_long_turns_as_threads_and_none_is_lost() {
+    let turns = Turns::new(3, TARGET, BURST);
+    let flow = turns.open();
+    take(&turns, flow).end(MS);
+    let held: Vec<Turn> = (0..3).map(|_| take(&turns, flow)).collect();
+    let mut waiting: Vec<_> = (0..5).map(|_| wait(&turns, flow, New, MS)).collect();
+    assert!(waiting.iter_mut().all(|waits| waits.try_recv().is_err()));
+    drop(held);
+    let mut granted: Vec<Turn> = waiting
+        .iter_mut()
+        .filter_map(|waits| waits.try_recv().ok()?.ok())
+        .collect();
+    assert_eq!(granted.len(), 3);
+    turns.close(flow);
+    granted.clear();
+    let other = turns.open();
+    take(&turns, other).end(MS);
+    let _all: Vec<Turn> = (0..3).map(|_| take(&turns, other)).collect();
+}
