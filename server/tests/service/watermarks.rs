@@ -23,6 +23,8 @@ use crate::support::*;
 const HIGH: u64 = 85_000_000;
 const LOW: u64 = 80_000_000;
 const LIMIT: u64 = 100_000_000;
+/// What a start may take.
+const START: u64 = HIGH + (LIMIT - HIGH) / 2;
 
 /// The used bytes that a watermark measures.
 #[derive(Clone, Default)]
@@ -292,7 +294,7 @@ async fn a_start_without_memory_lists_and_deletes_and_loads_the_rest_later() {
     drop(before);
 
     let (memory, disk) = (Used::default(), Used::default());
-    memory.set(HIGH - 1000);
+    memory.set(START - 1000);
     let (registry, service) = over(log, watermarks(&memory, &disk));
     let listing = service
         .list_indexes(&CALL, v1::ListIndexesRequest::default())
@@ -357,7 +359,7 @@ async fn an_index_that_just_fits_is_loaded_in_parts() {
     let point_bytes = 56;
     for (free, is_loaded) in [(100_000 * point_bytes, true), (60_000 * point_bytes, false)] {
         let (memory, disk) = (Used::default(), Used::default());
-        memory.set(HIGH - free);
+        memory.set(START - free);
         let (_registry, service) = over(Arc::clone(&log), watermarks(&memory, &disk));
         match service.knn(&CALL, ask.clone()).await {
             Ok(found) => assert!(is_loaded && found == answer),
