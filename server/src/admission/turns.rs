@@ -37,7 +37,7 @@ const SHORT_TURNS: usize = 128;
 const MAX_SHORT_NS: u64 = 50_000;
 
 /// A call gives way to the others of its flow after so much work.
-pub(super) const MAX_AT_ONCE: Duration = Duration::from_millis(2);
+pub(super) const MAX_AT_ONCE: Duration = Duration::from_millis(25);
 
 /// The mean of a flow's turns covers about this many of them.
 const MEAN_TURNS: u64 = 8;
