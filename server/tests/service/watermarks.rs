@@ -23,7 +23,7 @@ use crate::support::*;
 const HIGH: u64 = 85_000_000;
 const LOW: u64 = 80_000_000;
 const LIMIT: u64 = 100_000_000;
-/// What a start may take.
+/// A start may use so much memory.
 const START: u64 = HIGH + (LIMIT - HIGH) / 2;
 
 /// The used bytes that a watermark measures.

@@ -49,7 +49,7 @@ fn next(
 fn the_flow_that_has_computed_least_goes_first() {
     let turns = Turns::new(1, TARGET, BURST);
     let (heavy, light) = (turns.open(), turns.open());
-    // The time before anybody waited counts for nobody.
+    // Work before the first call waits is not charged to the order.
     take(&turns, heavy).end(1000 * MS);
     let turn = take(&turns, heavy);
     let mut waiting = vec![
