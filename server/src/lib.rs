@@ -12,6 +12,7 @@ pub mod watermark;
 
 mod admission;
 mod cli;
+mod faces;
 mod grpc;
 mod latency_gate;
 mod lifecycle;

@@ -17,9 +17,11 @@ use tracing::{info, warn};
 use crate::{
     admission::Admission,
     config::{Config, DataConfig},
+    faces::Shared,
     grpc::{self, GrpcError},
     lifecycle::{Lifecycle, Phase},
     log::{FjallLog, Log, MemoryLog, OpenError},
+    observe::SlowCalls,
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
     watermark::Watermarks,
@@ -101,11 +103,15 @@ pub(crate) async fn serve(
         .grpc
         .max_message_bytes
         .max(config.zenoh.max_message_bytes);
-    let admission = Admission::new(&config.admission, threads, message_bytes);
+    let shared = Shared {
+        service: service.clone(),
+        admission: Admission::new(&config.admission, threads, message_bytes),
+        slow_calls: SlowCalls::new(config.log.slow_call_ms),
+    };
     let under_way = TaskTracker::new();
-    let _reporting = AbortOnDropHandle::new(tokio::spawn(admission.clone().report()));
+    let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
     let cut = CancellationToken::new();
-    let mut zenoh = ZenohFace::open(&config.zenoh, service.clone(), admission.clone()).await?;
+    let mut zenoh = ZenohFace::open(&config.zenoh, shared.clone()).await?;
     let addresses = Addresses {
         grpc: address,
         zenoh: match &zenoh {
@@ -115,17 +121,16 @@ pub(crate) async fn serve(
     };
     let mut serving = pin!(grpc::serve(
         &config.grpc,
-        service.clone(),
+        shared,
         lifecycle.watch(),
         listener,
-        admission,
         under_way.clone(),
         cut.clone(),
     ));
 
     // Meanwhile connections are accepted, and calls get UNAVAILABLE.
     let opening = open_registry(
-        config.index.options(),
+        config.index.options(&config.limits),
         config.data.clone(),
         config.watermarks(),
     );

@@ -184,6 +184,9 @@ impl Flow {
             stage: Stage::New,
             at_once: Duration::ZERO,
             next: None,
+            asked: Instant::now(),
+            queued: Duration::ZERO,
+            computed: Duration::ZERO,
         }
     }
 
@@ -265,6 +268,12 @@ pub(crate) struct CallTurns {
     at_once: Duration,
     /// The turn of the next slice.
     next: Option<Asked>,
+    /// The time since which it asks for that turn.
+    asked: Instant,
+    /// The time that it has waited for turns.
+    queued: Duration,
+    /// The time that it has had in turns.
+    computed: Duration,
 }
 
 thread_local! {
@@ -288,10 +297,16 @@ impl CallTurns {
         if self.next.is_none() {
             let Flow { turns, number, .. } = &*self.flow;
             let now = Instant::now();
+            self.asked = now;
             let behind = self.flow.behind(now);
             self.next = Some(turns.ask(*number, self.stage, behind, now)?);
         }
         Ok(())
+    }
+
+    /// The time that the call has waited for turns, and the time that it has had in them.
+    pub(crate) fn times(&self) -> (Duration, Duration) {
+        (self.queued, self.computed)
     }
 
     /// Gives up the turn that was asked for.
@@ -318,8 +333,11 @@ impl CallTurns {
         };
         GOES_ON.set(None);
         let began = Instant::now();
+        self.queued += began - self.asked;
         let polled = work(context);
         let took = began.elapsed();
+        self.computed += took;
+        self.asked = began + took;
         self.at_once += took;
         self.stage = Stage::GoesOn;
         if self.at_once >= MAX_AT_ONCE {

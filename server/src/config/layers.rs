@@ -15,14 +15,16 @@ const PREFIX: &str = "WAYFOLD_";
 const SEPARATOR: &str = "__";
 
 /// Settings that may be 0; `default.toml` says what 0 means for each.
-const MAY_BE_ZERO: [&str; 10] = [
+const MAY_BE_ZERO: [&str; 12] = [
     "disk.min_free_bytes",
     "index.growing_rows",
     "grpc.keepalive_interval_ms",
     "limits.max_operations",
     "limits.max_operation_bytes",
+    "limits.max_payload_bytes_per_index",
     "limits.max_points_per_index",
     "limits.max_state_bytes_per_index",
+    "log.slow_call_ms",
     "memory.limit_bytes",
     "runtime.workers",
     "shutdown.grace_ms",

@@ -127,13 +127,14 @@ pub struct IndexConfig {
 }
 
 impl IndexConfig {
-    pub(crate) fn options(&self) -> RegistryOptions {
+    pub(crate) fn options(&self, limits: &Limits) -> RegistryOptions {
         RegistryOptions {
             growing_rows: (self.growing_rows > 0).then_some(self.growing_rows),
             leaf_rows: Some(self.leaf_rows),
             merge_threads: self.merge_threads,
             window_bytes: self.window_bytes,
             window: Duration::from_secs(self.window_seconds),
+            counts_payloads: limits.max_payload_bytes_per_index > 0,
         }
     }
 }
@@ -159,6 +160,8 @@ pub struct LogConfig {
     pub filter: String,
     /// The form of log lines.
     pub format: LogFormat,
+    /// The time from which on a call with one answer is slow, in milliseconds; 0: never.
+    pub slow_call_ms: u64,
 }
 
 /// `[data]`

@@ -30,7 +30,7 @@ use super::{
 };
 use crate::{
     admission::{Admission, CALL_BYTES, Flow, HeldBytes},
-    observe::{self, CallRecord, Ending},
+    observe::{self, CallRecord, Ending, SlowCalls, Times},
     service::Call,
     status,
 };
@@ -87,6 +87,7 @@ pub(crate) struct CallsLayer {
     pub(super) default_timeout: Duration,
     /// The headers of the refusal of a call that would wait for too long.
     pub(super) overloaded: Arc<HeaderMap>,
+    pub(super) slow_calls: SlowCalls,
 }
 
 impl<S> Layer<S> for CallsLayer {
@@ -182,18 +183,21 @@ where
         };
         let is_answer_stream = ANSWER_STREAMS.contains(&rpc);
         let span = record.span().clone();
+        let slow_calls = settings.slow_calls.clone();
         let answer = async move {
+            let mut received = None;
             let answer = async {
                 let mut receiving = pin!(admitted.receive(request));
-                let received = match poll!(receiving.as_mut()) {
-                    Poll::Ready(received) => received,
+                let arriving = match poll!(receiving.as_mut()) {
+                    Poll::Ready(arrived) => arrived,
                     Poll::Pending => {
                         // The turn of a call whose request is on its way is another's.
                         turns.give_up();
                         receiving.await
                     }
                 };
-                let (admitted, request) = received?;
+                let (admitted, request) = arriving?;
+                received = Some(arrived.elapsed());
                 let done = turns.run(admitted.answer(request)).await;
                 done.unwrap_or_else(|overloaded| Err(status::overloaded(overloaded).into()))
             };
@@ -207,6 +211,17 @@ where
                 Ok(Err(_panic)) => Err(refusals::panicked(record.rpc()).into()),
                 Err(_) => Err(refusals::deadline_exceeded().into()),
             };
+            if !is_stream {
+                let answered = arrived.elapsed();
+                let (queued, computed) = turns.times();
+                let times = Times {
+                    received: received.unwrap_or(answered),
+                    queued,
+                    computed,
+                    answered,
+                };
+                record.took(times, &slow_calls);
+            }
             let (response, made) =
                 answered.unwrap_or_else(|status: Status| (status.into_http(), None));
             Ok(CallBody::wrap(
@@ -348,6 +363,7 @@ mod tests {
             },
             default_timeout: Duration::from_secs(1),
             overloaded: Arc::default(),
+            slow_calls: SlowCalls::new(0),
         };
         let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
         let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;

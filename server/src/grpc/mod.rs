@@ -33,7 +33,7 @@ use point_service::{PointFace, TolerantPointServer};
 use request_body::RequestLimits;
 use stream_knn::KnnStreams;
 
-use crate::{admission::Admission, config::GrpcConfig, lifecycle::PhaseWatch, service::Service};
+use crate::{config::GrpcConfig, faces::Shared, lifecycle::PhaseWatch};
 
 /// The gRPC face could not be served.
 #[derive(Debug, Error)]
@@ -49,18 +49,22 @@ pub enum GrpcError {
     Listener(#[from] io::Error),
 }
 
-/// Serves `service` on `listener` until the server begins to stop and every call that was accepted is done.
+/// Serves `shared` on `listener` until the server begins to stop and every call that was accepted is done.
 ///
 /// `under_way` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
 pub(crate) async fn serve(
     config: &GrpcConfig,
-    service: Service,
+    shared: Shared,
     phases: PhaseWatch,
     listener: TcpListener,
-    admission: Admission,
     under_way: TaskTracker,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
+    let Shared {
+        service,
+        admission,
+        slow_calls,
+    } = shared;
     let points = TolerantPointServer::new(PointFace {
         service: service.clone(),
         streams: KnnStreams {
@@ -106,6 +110,7 @@ pub(crate) async fn serve(
             admission,
             under_way,
             default_timeout: Duration::from_millis(config.default_timeout_ms),
+            slow_calls,
         })
         .add_service(indices)
         .add_service(points)

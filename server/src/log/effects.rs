@@ -147,6 +147,11 @@ impl Effects {
         self.payloads.get(slot).cloned().unwrap_or_default()
     }
 
+    /// True if a stored point has a payload.
+    pub fn has_payloads(&self) -> bool {
+        !self.payloads.is_empty()
+    }
+
     /// The ids of the points it removes. All of them were stored before, and none of them is in `stored`.
     pub fn removed(&self) -> &[u64] {
         &self.removed

@@ -5,6 +5,7 @@ use std::{fmt, net::SocketAddr, time::Instant};
 use tracing::{Span, debug, field, info_span, warn};
 use wayfold_proto::v1;
 
+use super::slow::{SlowCalls, Times};
 use crate::service::Code;
 
 /// The end of a call.
@@ -52,6 +53,7 @@ pub(crate) struct CallRecord {
     span: Span,
     ending: Ending,
     peer: Option<SocketAddr>,
+    times: Option<(SlowCalls, Times)>,
 }
 
 impl CallRecord {
@@ -64,6 +66,7 @@ impl CallRecord {
             started,
             ending: Ending::Left,
             peer: None,
+            times: None,
         }
     }
 
@@ -83,6 +86,11 @@ impl CallRecord {
         &self.span
     }
 
+    /// Notes the parts of the call's time, for a line if it turns out to be slow.
+    pub(crate) fn took(&mut self, times: Times, slow_calls: &SlowCalls) {
+        self.times = Some((slow_calls.clone(), times));
+    }
+
     /// Sets the outcome of the call.
     pub(crate) fn end(&mut self, ending: Ending) {
         self.ending = ending;
@@ -92,7 +100,11 @@ impl CallRecord {
 impl Drop for CallRecord {
     fn drop(&mut self) {
         let code = self.ending;
-        let duration_us = u64::try_from(self.started.elapsed().as_micros()).unwrap_or(u64::MAX);
+        let whole = self.started.elapsed();
+        if let Some((slow_calls, times)) = &self.times {
+            slow_calls.report(&self.span, self.peer, whole, times);
+        }
+        let duration_us = u64::try_from(whole.as_micros()).unwrap_or(u64::MAX);
         let peer = self.peer.map(field::display);
         if code.is_fault() {
             warn!(parent: &self.span, peer, ?code, duration_us, "call failed");

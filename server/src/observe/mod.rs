@@ -2,7 +2,9 @@
 
 mod call;
 mod logging;
+mod slow;
 
 pub(crate) use call::{CallRecord, Ending, Request, request};
 pub(crate) use logging::start;
 pub use logging::{LogFormat, LoggingError};
+pub(crate) use slow::{SlowCalls, Times};

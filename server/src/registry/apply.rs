@@ -183,6 +183,7 @@ impl Hosted {
             revision: record.revision(),
             what: "its rows are not states of the space",
         })?;
+        self.payload_sizes.lock().apply(record);
         if let Some(operation) = effects.operation() {
             self.operations.lock().remember(Arc::clone(operation));
         }

@@ -21,9 +21,10 @@ use super::{
     in_flight::{InFlight, notify},
     merging::FinishedMerge,
     operations::Operations,
+    payload_sizes::PayloadSizes,
     recent::RecentRecords,
 };
-use crate::log::{Entry, LogError, Record, Retention, Uid, View};
+use crate::log::{Effects, Entry, LogError, Record, Retention, Uid, View};
 
 /// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
@@ -47,6 +48,7 @@ pub struct Hosted {
     pub(super) applied: Arc<Mutex<Applied>>,
     pub(super) in_flight: parking_lot::Mutex<InFlight>,
     pub(super) operations: parking_lot::Mutex<Operations>,
+    pub(super) payload_sizes: parking_lot::Mutex<PayloadSizes>,
     /// The newest revision that may have removed or changed points.
     pub(super) last_change: AtomicU64,
     /// Merges that wait to be swapped in.
@@ -74,12 +76,12 @@ struct State {
 }
 
 impl Hosted {
-    /// Serves an index from the points of `view`, which `forest` also holds, and follows the log from there on. Needs a
+    /// Serves an index from the points of `view`, which are in the forest and the sizes too, and follows the log from there on. Needs a
     /// runtime.
     pub(super) fn new(
         host: &Arc<Host>,
         entry: &Entry,
-        forest: Forest,
+        (forest, payload_sizes): (Forest, PayloadSizes),
         view: Arc<dyn View>,
         operations: Operations,
     ) -> Arc<Self> {
@@ -99,6 +101,7 @@ impl Hosted {
             applied: Arc::new(Mutex::new(Applied { forest, mergers: 0 })),
             in_flight: parking_lot::Mutex::default(),
             operations: parking_lot::Mutex::new(operations),
+            payload_sizes: parking_lot::Mutex::new(payload_sizes),
             last_change: AtomicU64::new(published.revision),
             finished_merges: parking_lot::Mutex::default(),
             last_seen_revision: AtomicU64::new(u64::MAX),
@@ -115,6 +118,11 @@ impl Hosted {
                 closed: None,
             }),
         })
+    }
+
+    /// The bytes of its payloads after `effects`, which follow the records of `writer`; 0 if they are not counted.
+    pub fn payload_bytes(&self, writer: &Writer, effects: &Effects) -> u64 {
+        self.payload_sizes.lock().after(writer.pending(), effects)
     }
 
     /// Its name.

@@ -20,6 +20,7 @@ mod loading;
 mod maintenance;
 mod merging;
 mod operations;
+mod payload_sizes;
 mod recent;
 mod replay;
 mod restore;
@@ -41,6 +42,7 @@ pub use error::RegistryError;
 pub use hosted::{Hosted, Published};
 pub use operations::OperationWindow;
 use operations::Operations;
+use payload_sizes::PayloadSizes;
 pub use restore::Restore;
 pub use writer::{WriteGuard, Writer};
 
@@ -57,6 +59,8 @@ pub struct RegistryOptions {
     pub window_bytes: usize,
     /// The age above which each index forgets records.
     pub window: Duration,
+    /// True if the sizes of payloads are kept for their quota.
+    pub counts_payloads: bool,
 }
 
 impl Default for RegistryOptions {
@@ -67,6 +71,7 @@ impl Default for RegistryOptions {
             merge_threads: 2,
             window_bytes: 64 * 1024 * 1024,
             window: Duration::from_secs(3600),
+            counts_payloads: false,
         }
     }
 }
@@ -272,7 +277,8 @@ impl Registry {
         self.host.log.catalogue.create(entry.clone())?;
         let forest = self.host.options.forest(&entry.space);
         let view = self.host.log.points.view(entry.uid)?;
-        let hosted = Hosted::new(&self.host, &entry, forest, view, Operations::new());
+        let sizes = PayloadSizes::new(self.host.options.counts_payloads);
+        let hosted = Hosted::new(&self.host, &entry, (forest, sizes), view, Operations::new());
         let state = IndexState::Hosted(Arc::clone(&hosted));
         self.change(|indexes| indexes.insert(entry.name, state));
         info!(index = name, uid = %entry.uid, space = %entry.space, "created an index");

@@ -9,6 +9,7 @@ use super::{
     Host, Hosted, IndexState, RegistryError,
     loading::{LoadError, Loader, loaded_bytes},
     operations::Operations,
+    payload_sizes::PayloadSizes,
 };
 use crate::{
     log::{Entry, LogError, StoredPoint},
@@ -38,7 +39,7 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
         .log
         .points
         .load(entry.uid, &mut |point| stored.push(point))?;
-    let forest = stored.forest(view.revision())?;
+    let (forest, sizes) = stored.finish(view.revision())?;
     let mut operations = Operations::new();
     for operation in host.log.points.operations(entry.uid)? {
         operations.remember(operation);
@@ -50,7 +51,7 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
         points = forest.len(),
         "replayed an index"
     );
-    Ok(Hosted::new(host, entry, forest, view, operations))
+    Ok(Hosted::new(host, entry, (forest, sizes), view, operations))
 }
 
 /// The points of an index while they are read.
@@ -58,6 +59,7 @@ struct StoredPoints<'a> {
     entry: &'a Entry,
     /// Their forest, until memory runs out: the rest of the points are only counted.
     loader: Result<Loader, Full>,
+    payload_sizes: PayloadSizes,
     count: usize,
     last: Option<u64>,
 }
@@ -67,6 +69,7 @@ impl<'a> StoredPoints<'a> {
         Self {
             entry,
             loader: Ok(Loader::new(host, &entry.space)),
+            payload_sizes: PayloadSizes::new(host.options.counts_payloads),
             count: 0,
             last: None,
         }
@@ -90,6 +93,7 @@ impl<'a> StoredPoints<'a> {
         }
         self.last = Some(point.id);
         self.count += 1;
+        self.payload_sizes.set(point.id, point.payload.len());
         if let Ok(loader) = &mut self.loader {
             match loader.push(point.indexed()) {
                 Ok(()) => {}
@@ -106,13 +110,13 @@ impl<'a> StoredPoints<'a> {
         Ok(())
     }
 
-    fn forest(self, revision: u64) -> Result<Forest, RegistryError> {
+    fn finish(self, revision: u64) -> Result<(Forest, PayloadSizes), RegistryError> {
         let points = self.count;
         let forest = match self.loader {
             Ok(loader) => loader.finish(revision),
             Err(full) => Err(LoadError::Full(full)),
         };
-        forest.map_err(|error| match error {
+        let forest = forest.map_err(|error| match error {
             LoadError::Full(full) => RegistryError::NotLoaded {
                 points,
                 needed: loaded_bytes(&self.entry.space, points),
@@ -121,7 +125,8 @@ impl<'a> StoredPoints<'a> {
             LoadError::Refused(points, error) => {
                 damaged(self.entry, revision, &points, &error).into()
             }
-        })
+        })?;
+        Ok((forest, self.payload_sizes))
     }
 }
 

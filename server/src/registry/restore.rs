@@ -9,6 +9,7 @@ use super::{
     Host, Hosted, IndexState, Registry, RegistryError,
     loading::{LoadError, Loader},
     operations::Operations,
+    payload_sizes::PayloadSizes,
 };
 use crate::log::{Entry, Origin, Restoring, Sessions, StoredPoint, Uid};
 
@@ -20,6 +21,7 @@ pub struct Restore {
     limit: usize,
     stored: Box<dyn Restoring>,
     loader: Loader,
+    payload_sizes: PayloadSizes,
 }
 
 impl Registry {
@@ -43,6 +45,7 @@ impl Registry {
         Ok(Restore {
             stored: self.host.log.points.restore(entry.clone(), origin)?,
             loader: Loader::new(&self.host, &entry.space),
+            payload_sizes: PayloadSizes::new(self.host.options.counts_payloads),
             host: Arc::clone(&self.host),
             entry,
             origin,
@@ -60,6 +63,7 @@ impl Registry {
             limit,
             stored,
             loader,
+            payload_sizes,
         } = restore;
         let points = loader.len();
         let forest = loader.finish(origin.revision).map_err(unloaded)?;
@@ -67,7 +71,13 @@ impl Registry {
         self.room_for(&entry.name, limit)?;
         stored.finish(sessions)?;
         let view = host.log.points.view(entry.uid)?;
-        let hosted = Hosted::new(&host, &entry, forest, view, Operations::new());
+        let hosted = Hosted::new(
+            &host,
+            &entry,
+            (forest, payload_sizes),
+            view,
+            Operations::new(),
+        );
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points, "restored an index");
         let state = IndexState::Hosted(Arc::clone(&hosted));
         self.change(|indexes| indexes.insert(entry.name, state));
@@ -87,6 +97,11 @@ impl Registry {
 }
 
 impl Restore {
+    /// The bytes of the payloads so far; 0 if they are not counted.
+    pub fn payload_bytes(&self) -> u64 {
+        self.payload_sizes.total()
+    }
+
     /// Adds the next points, by ascending id: canonical rows of the space with ids below the origin's next id. Blocks
     /// on the log.
     pub fn add(&mut self, points: &[StoredPoint]) -> Result<(), RegistryError> {
@@ -96,6 +111,7 @@ impl Restore {
         self.stored.add(points)?;
         for point in points {
             self.loader.push(point.indexed()).map_err(unloaded)?;
+            self.payload_sizes.set(point.id, point.payload.len());
         }
         Ok(())
     }

@@ -41,6 +41,8 @@ pub struct Limits {
     pub max_points_per_index: u64,
     /// The most bytes of the states of one index; 0 for any number.
     pub max_state_bytes_per_index: u64,
+    /// The most bytes of the payloads of one index; 0 for any number.
+    pub max_payload_bytes_per_index: u64,
     /// The most bytes of one payload. Fixed by the contract, no setting.
     #[serde(skip)]
     pub max_payload_bytes: usize,
@@ -66,6 +68,7 @@ impl Default for Limits {
             max_reserved_ids: 1 << 20,
             max_points_per_index: 0,
             max_state_bytes_per_index: 0,
+            max_payload_bytes_per_index: 0,
             max_payload_bytes: 64 * 1024,
             min_revision_wait: Duration::from_secs(5),
         }
@@ -89,16 +92,25 @@ impl Limits {
                 state_bytes,
             ),
         ];
-        for (limit, value, requested) in quotas {
-            if value > 0 && requested > value {
-                return Err(Error::QuotaExceeded {
-                    index: index.into(),
-                    limit,
-                    value,
-                    requested,
-                });
-            }
-        }
-        Ok(())
+        quotas.into_iter().try_for_each(|quota| check(index, quota))
     }
+
+    /// Refuses payloads of so many bytes in one index.
+    pub(super) fn check_payloads(&self, index: &str, bytes: u64) -> Result<(), Error> {
+        let value = self.max_payload_bytes_per_index;
+        check(index, ("max_payload_bytes_per_index", value, bytes))
+    }
+}
+
+/// Refuses a request above a quota that is not 0.
+fn check(index: &str, (limit, value, requested): (&'static str, u64, u64)) -> Result<(), Error> {
+    if value == 0 || requested <= value {
+        return Ok(());
+    }
+    Err(Error::QuotaExceeded {
+        index: index.into(),
+        limit,
+        value,
+        requested,
+    })
 }

@@ -197,11 +197,14 @@ impl Service {
         response: &impl Message,
     ) -> Result<Committed, Error> {
         call.check("before anything was changed")?;
+        let (index, limits) = (hosted.name(), self.limits());
         let inserted = effects.inserted();
         if inserted > 0 {
             let points = writer.points() + inserted - effects.removed().len();
-            let (index, limits) = (hosted.name(), self.limits());
             limits.check_quotas(index, hosted.space(), points as u64)?;
+        }
+        if limits.max_payload_bytes_per_index > 0 && effects.has_payloads() {
+            limits.check_payloads(index, hosted.payload_bytes(&writer, &effects))?;
         }
         let window = OperationWindow {
             count: self.limits().max_operations,

@@ -146,6 +146,9 @@ impl Draft {
                 restore
                     .add(&stored(points, &modified))
                     .map_err(|error| not_restored(name, error))?;
+                service
+                    .limits()
+                    .check_payloads(name, restore.payload_bytes())?;
             }
             (Content::Sessions(sessions), Some(_)) => {
                 add_restored(&mut self.sessions, sessions, service.limits())?;

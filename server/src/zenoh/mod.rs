@@ -32,7 +32,7 @@ use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
 
 pub use session::ZenohError;
 
-use crate::{admission::Admission, config::ZenohConfig, service::Service};
+use crate::{config::ZenohConfig, faces::Shared};
 use feed::Announcer;
 use flows::Flows;
 use inline::Inline;
@@ -66,18 +66,23 @@ impl ZenohFace {
     /// service serves.
     pub(crate) async fn open(
         config: &ZenohConfig,
-        service: Service,
-        admission: Admission,
+        shared: Shared,
     ) -> Result<Option<Self>, ZenohError> {
         if config.is_off() {
             return Ok(None);
         }
+        let Shared {
+            service,
+            admission,
+            slow_calls,
+        } = shared;
         check_prefix(&config.prefix)?;
         let (session, connects_to) = session::open(config).await?;
         let queries = Arc::new(Queries {
             service,
             prefix: config.prefix.clone(),
             flows: Flows::new(admission),
+            slow_calls,
             places: Arc::new(Semaphore::new(config.max_calls.min(Semaphore::MAX_PERMITS))),
             max_calls: config.max_calls,
             refusals: Arc::new(Semaphore::new(MAX_REFUSALS)),

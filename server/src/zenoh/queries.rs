@@ -27,7 +27,7 @@ use super::{
 };
 use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
-    observe::{CallRecord, Ending},
+    observe::{CallRecord, Ending, SlowCalls, Times},
     service::{Error, Service, Unavailability},
     status::{self, Status},
 };
@@ -39,6 +39,7 @@ pub(super) struct Queries {
     pub(super) service: Service,
     pub(super) prefix: String,
     pub(super) flows: Flows,
+    pub(super) slow_calls: SlowCalls,
     /// Bounds the queries in flight: each may wait for its link on a thread of its own.
     pub(super) places: Arc<Semaphore>,
     pub(super) max_calls: usize,
@@ -185,6 +186,14 @@ impl Queries {
                 what: format!("Zenoh/{rpc} panicked"),
             })),
         };
+        let (queued, computed) = turns.times();
+        let times = Times {
+            received: Duration::ZERO,
+            queued,
+            computed,
+            answered: arrived.elapsed(),
+        };
+        record.took(times, &self.slow_calls);
         record.end(match &result {
             Ok(_) => Ending::Ok,
             Err(status) => Ending::Failed(status.code),

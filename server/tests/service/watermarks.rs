@@ -2,6 +2,7 @@
 //! index keeps to its quotas.
 
 use std::{
+    collections::BTreeMap,
     io,
     sync::{
         Arc,
@@ -10,10 +11,12 @@ use std::{
     time::Duration,
 };
 
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use wayfold_proto::v1;
 use wayfold_server::{
     log::{Log, MemoryLog},
-    registry::Registry,
+    registry::{Registry, RegistryOptions},
     service::{Code, Error, Limits, Service},
     watermark::{Full, Level, Resource, Watermark, Watermarks},
 };
@@ -274,6 +277,81 @@ async fn quotas_of_an_index_are_exact_also_after_a_restart() {
         .insert(&CALL, insertion(&cube(1, 10), &[]))
         .await
         .unwrap();
+}
+
+#[tokio::test]
+async fn the_quota_of_payloads_follows_their_sizes() {
+    const QUOTA: u64 = 100;
+    let limits = Limits {
+        max_payload_bytes_per_index: QUOTA,
+        ..Limits::default()
+    };
+    let counting = RegistryOptions {
+        counts_payloads: true,
+        ..options()
+    };
+    let log = Arc::new(MemoryLog::new());
+    let mut service = restarted_with(Arc::clone(&log), counting, limits.clone());
+    create(&service, "arm", "R3").await;
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut sizes = BTreeMap::<u64, u64>::new();
+    let (mut taken, mut refused) = (0, 0);
+    for step in 0..400 {
+        if step % 50 == 0 {
+            service = restarted_with(Arc::clone(&log), counting, limits.clone());
+        }
+        let id = rng.random_range(0..8);
+        let bytes = rng.random_range(0..40);
+        let payloads = vec![vec![7; bytes as usize].into()];
+        let done = match rng.random_range(0..4) {
+            0 => {
+                service.remove(&CALL, removal(&[id])).await.unwrap();
+                sizes.remove(&id);
+                continue;
+            }
+            1 if sizes.contains_key(&id) => {
+                let update = v1::UpdateRequest {
+                    index_name: "arm".into(),
+                    ids: vec![id],
+                    payloads,
+                    ..Default::default()
+                };
+                service.update(&CALL, update).await.map(drop)
+            }
+            _ => {
+                let insert = v1::InsertRequest {
+                    on_conflict: v1::OnConflict::Replace.into(),
+                    payloads,
+                    ..insertion(&cube(step, 1), &[id])
+                };
+                service.insert(&CALL, insert).await.map(drop)
+            }
+        };
+        let mut after = sizes.clone();
+        after.insert(id, bytes);
+        let requested: u64 = after.values().sum();
+        match done {
+            Ok(()) => {
+                // What makes the payloads no larger is taken, whatever their sum.
+                assert!(requested <= QUOTA || bytes == 0, "{after:?}");
+                sizes = after;
+                taken += 1;
+            }
+            Err(Error::QuotaExceeded {
+                limit,
+                value,
+                requested: named,
+                ..
+            }) => {
+                assert_eq!((limit, value), ("max_payload_bytes_per_index", QUOTA));
+                assert_eq!(named, requested);
+                assert!(requested > QUOTA, "{after:?}");
+                refused += 1;
+            }
+            Err(other) => panic!("{other}"),
+        }
+    }
+    assert!(taken > 50 && refused > 50, "{taken}, {refused}");
 }
 
 #[tokio::test]

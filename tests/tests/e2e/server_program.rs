@@ -1,12 +1,14 @@
 //! The server as a program: its output, its reaction to signals, and its exit status.
 
-use std::{fs, net::TcpListener};
+use std::{fs, net::TcpListener, time::Duration};
 
 use tokio_stream::pending;
-use tonic::transport::Channel;
+use tonic::{Code, Request, transport::Channel};
 use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
 use wayfold_proto::v1;
-use wayfold_tests::{Process, ProcessOutput, ServerProcess, Signal, Stubs, row_states, server};
+use wayfold_tests::{
+    Process, ProcessOutput, ServerProcess, Signal, Stubs, revision, row_states, server,
+};
 
 async fn reflection(server: &ServerProcess) -> ServerReflectionClient<Channel> {
     let channel = Channel::from_shared(server.uri().to_owned()).unwrap();
@@ -140,6 +142,42 @@ async fn a_missing_file_of_marks_is_reported_once() {
         assert_eq!(warnings(start()), 1);
         assert_eq!(warnings(start()), 0);
     }
+}
+
+#[tokio::test]
+async fn a_slow_call_has_a_line_that_says_where_its_time_went() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    fs::write(
+        file.path(),
+        "[log]\nformat = \"json\"\nslow_call_ms = 100\n",
+    )
+    .unwrap();
+    let mut server = server!("--config", file.path().to_str().unwrap());
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("line", "R1").await.revision.unwrap().uid;
+    // A revision that never comes: the call waits until its deadline.
+    let mut waiting = Request::new(v1::GetRequest {
+        index_name: "line".into(),
+        ids: vec![1],
+        min_revision: revision(&uid, 7),
+        ..Default::default()
+    });
+    waiting.set_timeout(Duration::from_secs(1));
+    let status = stubs.points.get(waiting).await.unwrap_err();
+    assert_eq!(status.code(), Code::DeadlineExceeded, "{status:?}");
+    let line = server.log_until("slow call").pop().unwrap();
+    let line: serde_json::Value = serde_json::from_str(&line).unwrap();
+    assert_eq!(line["span"]["rpc"], "PointService/Get", "{line}");
+    assert_eq!(line["span"]["index"], "line", "{line}");
+    assert!(line["fields"]["peer"].is_string(), "{line}");
+    let ms = |field: &str| line["fields"][field].as_u64().unwrap();
+    let (total, waited) = (ms("total_ms"), ms("waiting_ms"));
+    assert!(total >= 1_000, "{line}");
+    let others = ["receiving_ms", "queued_ms", "computing_ms", "sending_ms"];
+    let others: u64 = others.map(ms).iter().sum();
+    // Each part is cut to milliseconds.
+    assert!((total - 5..=total).contains(&(waited + others)), "{line}");
+    assert!(waited > others, "{line}");
 }
 
 #[test]

@@ -20,6 +20,7 @@ mod probe;
 mod report;
 mod server;
 mod silent;
+mod soak;
 mod tally;
 mod unread;
 mod wire;
@@ -93,6 +94,8 @@ enum Scenario {
     Silent,
     /// Queries over Zenoh whose client has left.
     Left,
+    /// Twice the load that the server can answer, by processes that are killed in turn; `--seconds 600` for ten minutes.
+    Soak,
 }
 
 impl Scenario {
@@ -105,6 +108,7 @@ impl Scenario {
             Self::Heavy => heavy::run(arguments, report),
             Self::Silent => silent::run(arguments, report),
             Self::Left => left::run(arguments, report),
+            Self::Soak => soak::run(arguments, report),
         }
     }
 }
@@ -113,6 +117,7 @@ fn main() -> ExitCode {
     match measuring::role().as_deref() {
         Some(server::PINNED) => return server::become_server(),
         Some(left::LEAVER) => return left::leave(),
+        Some(soak::LOADER) => return soak::load(),
         _ => {}
     }
     measuring::main(async |arguments: Arguments| {

@@ -33,7 +33,7 @@ pub(crate) const PINNED: &str = "pinned";
 
 const SPACE: &str = "R3*SO3:0.15";
 pub(crate) const INDEX: &str = "arm";
-const WIDTH: usize = 7;
+pub(crate) const WIDTH: usize = 7;
 /// The rows of an insert of the setup.
 const ROWS: usize = 1_000;
 
@@ -166,8 +166,7 @@ pub(crate) async fn until_idle(process: u32, longest: Duration) -> f64 {
 async fn fill(uri: &str, points: usize) {
     let mut stubs = Stubs::connect(uri).await;
     stubs.create(INDEX, SPACE).await;
-    let rows = States::new(space(), 1).rows(points);
-    for rows in rows.chunks(ROWS * WIDTH) {
+    for rows in filler(points).chunks(ROWS * WIDTH) {
         let request = InsertRequest {
             index_name: INDEX.into(),
             states: Some(row_states(rows, WIDTH)),
@@ -177,7 +176,12 @@ async fn fill(uri: &str, points: usize) {
     }
 }
 
-fn space() -> Space {
+/// The states of the setup, in the order of their ids.
+pub(crate) fn filler(points: usize) -> Vec<f64> {
+    States::new(space(), 1).rows(points)
+}
+
+pub(crate) fn space() -> Space {
     SPACE.parse().expect("a space")
 }
 

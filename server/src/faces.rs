@@ -1,0 +1,11 @@
+//! The parts of the server that both faces use.
+
+use crate::{admission::Admission, observe::SlowCalls, service::Service};
+
+/// See the module. Clones share them.
+#[derive(Clone)]
+pub(crate) struct Shared {
+    pub(crate) service: Service,
+    pub(crate) admission: Admission,
+    pub(crate) slow_calls: SlowCalls,
+}
