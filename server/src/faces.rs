@@ -1,6 +1,6 @@
 //! The parts of the server that both faces use.
 
-use crate::{admission::Admission, observe::SlowCalls, service::Service};
+use crate::{admission::Admission, identity::Identities, observe::SlowCalls, service::Service};
 
 /// See the module. Clones share them.
 #[derive(Clone)]
@@ -8,4 +8,5 @@ pub(crate) struct Shared {
     pub(crate) service: Service,
     pub(crate) admission: Admission,
     pub(crate) slow_calls: SlowCalls,
+    pub(crate) identities: Identities,
 }

@@ -12,8 +12,10 @@ pub mod watermark;
 
 mod admission;
 mod cli;
+mod exposure;
 mod faces;
 mod grpc;
+pub mod identity;
 mod latency_gate;
 mod lifecycle;
 mod low_priority;
@@ -24,7 +26,8 @@ mod status;
 mod zenoh;
 
 pub use cli::main;
-pub use grpc::GrpcError;
+pub use exposure::ExposedError;
+pub use grpc::{GrpcError, TlsError};
 pub use observe::{LogFormat, LoggingError};
 pub use pages::use_small_pages;
 pub use run::{ServerError, run};

@@ -16,16 +16,18 @@ use tracing::{info, warn};
 
 use crate::{
     admission::Admission,
-    config::{Config, DataConfig},
+    config::{Config, DataConfig, ON},
+    exposure::{self, Exposed, ExposedError},
     faces::Shared,
-    grpc::{self, GrpcError},
+    grpc::{self, GrpcError, Tls, TlsError},
+    identity::{Identities, TableError},
     lifecycle::{Lifecycle, Phase},
     log::{FjallLog, Log, MemoryLog, OpenError},
     observe::SlowCalls,
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
     watermark::Watermarks,
-    zenoh::{ZenohError, ZenohFace},
+    zenoh::{self, ZenohError, ZenohFace},
 };
 
 /// A stopping server waits this long for connections without calls to close. A live peer closes at once, after it has
@@ -47,6 +49,15 @@ pub enum ServerError {
     /// Zenoh failed.
     #[error(transparent)]
     Zenoh(#[from] ZenohError),
+    /// The certificates cannot be used.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
+    /// The identities cannot be used.
+    #[error(transparent)]
+    Identities(#[from] TableError),
+    /// Callers beyond this machine could do everything.
+    #[error(transparent)]
+    Exposed(#[from] ExposedError),
     /// The data directory could not be opened.
     #[error(transparent)]
     Data(#[from] OpenError),
@@ -94,7 +105,14 @@ pub(crate) async fn serve(
     ready: impl FnOnce(&Addresses),
 ) -> Result<(), ServerError> {
     let address = listener.local_addr()?;
-    warn_beyond_loopback(address);
+    let tls = Tls::open(&config.tls)?;
+    check_exposure(&config, address, tls.is_some())?;
+    let identities = Identities::open(config.access.identities())?;
+    let publishes = !identities.are_required() || config.access.publish_events == ON;
+    let _following = AbortOnDropHandle::new(tokio::spawn(identities.clone().follow()));
+    let _renewing = tls
+        .clone()
+        .map(|tls| AbortOnDropHandle::new(tokio::spawn(tls.follow())));
     let durability = config.data.directory().map(|_| config.data.durability);
     let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
@@ -107,6 +125,7 @@ pub(crate) async fn serve(
         service: service.clone(),
         admission: Admission::new(&config.admission, threads, message_bytes),
         slow_calls: SlowCalls::new(config.log.slow_call_ms),
+        identities,
     };
     let under_way = TaskTracker::new();
     let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
@@ -123,7 +142,7 @@ pub(crate) async fn serve(
         &config.grpc,
         shared,
         lifecycle.watch(),
-        listener,
+        (listener, tls),
         under_way.clone(),
         cut.clone(),
     ));
@@ -144,7 +163,7 @@ pub(crate) async fn serve(
             info!(%address, "serving");
         }
         if let Some(face) = &mut zenoh {
-            face.announce();
+            face.announce(publishes);
         }
         ready(&addresses);
         registry
@@ -164,14 +183,18 @@ pub(crate) async fn serve(
     drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await
 }
 
-fn warn_beyond_loopback(address: SocketAddr) {
+/// Refuses to reach beyond this machine without TLS and identities, unless that is allowed.
+fn check_exposure(config: &Config, address: SocketAddr, has_tls: bool) -> Result<(), ServerError> {
+    let mut exposed = zenoh::exposed(&config.zenoh)?;
     if !address.ip().is_loopback() {
-        warn!(
-            %address,
-            "listening beyond this machine without authentication and encryption, which do not exist yet: \
-             anyone who can reach this address can read and change every index"
-        );
+        exposed.push(Exposed {
+            at: format!("grpc.listen: {address}"),
+            has_tls,
+        });
     }
+    let has_identities = config.access.identities().is_some();
+    let is_allowed = config.access.insecure == ON;
+    Ok(exposure::check(&exposed, has_identities, is_allowed)?)
 }
 
 /// Finishes the accepted calls for at most the grace time, then cuts the rest. `serving` ends once gRPC has stopped.

@@ -13,6 +13,7 @@ use wayfold_proto::v1;
 
 use crate::{
     admission::{MAX_BYTES, Overloaded, QUEUE_TARGET_MS},
+    identity::Denial,
     service::{Code, Damaged, Error, Listing, Violation},
 };
 
@@ -288,7 +289,24 @@ impl Status {
                 what: _,
                 max_scan_seconds,
             } => self.quota("max_scan_seconds", *max_scan_seconds),
-            Error::Unavailable { why: _ }
+            Error::Denied {
+                why: Denial::Role { identity, needed },
+            } => {
+                self.set("identity", identity);
+                self.set("needed", needed);
+                return None;
+            }
+            Error::Denied {
+                why: Denial::Index { identity, index },
+            } => {
+                self.set("identity", identity);
+                self.set("index", index);
+                return None;
+            }
+            Error::Denied {
+                why: Denial::Unknown(_),
+            }
+            | Error::Unavailable { why: _ }
             | Error::DeadlineExceeded { doing: _ }
             | Error::StorageFailed { what: _ }
             | Error::DataLoss { what: _ }

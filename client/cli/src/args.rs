@@ -4,7 +4,7 @@ use std::{ffi::OsString, time::Duration};
 
 use clap::{CommandFactory, Parser, Subcommand, error::ErrorKind};
 
-use super::{output::Format, parse, status::Status, verb};
+use super::{connection::ConnectionArgs, output::Format, parse, status::Status, verb};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -63,6 +63,9 @@ pub(super) struct Args {
     #[arg(long, global = true, help_heading = "Options of every command", value_name = "TIME", default_value = "5s", value_parser = parse::duration)]
     pub(super) timeout: Duration,
 
+    #[command(flatten)]
+    pub(super) connection: ConnectionArgs,
+
     #[command(subcommand)]
     pub(super) command: Command,
 }
@@ -94,6 +97,7 @@ pub(super) enum Command {
     /// It calls grpc.health.v1.Health. The exit status is 0 if the server serves, 1 if it is starting or stopping, and
     /// 4 if there is no answer.
     Health,
+    Token(verb::TokenArgs),
     Completions(verb::CompletionsArgs),
     Man(verb::ManArgs),
 }

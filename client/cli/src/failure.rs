@@ -45,6 +45,16 @@ pub(super) enum Failure {
         reason: &'static str,
         problem: String,
     },
+    #[error("{option}: cannot read {}: {source}", path.display())]
+    Credential {
+        option: &'static str,
+        path: PathBuf,
+        source: io::Error,
+    },
+    #[error("--cert and --key are given together: a certificate needs its private key")]
+    HalfCertificate,
+    #[error("the system gives no random numbers: {0}")]
+    Random(String),
     #[error("--server names no server")]
     NoServer,
     #[error("the process cannot start its threads: {0}")]
@@ -105,9 +115,11 @@ impl Failure {
             Failure::Disagreement { .. } | Failure::Damaged { .. } | Failure::NotServing { .. } => {
                 Status::Negative
             }
-            Failure::Client(Error::Address { .. }) | Failure::NoServer | Failure::Terminal => {
-                Status::Usage
-            }
+            Failure::Client(Error::Address { .. })
+            | Failure::Credential { .. }
+            | Failure::HalfCertificate
+            | Failure::NoServer
+            | Failure::Terminal => Status::Usage,
             Failure::Unreachable { .. } | Failure::Late { .. } => Status::NoAnswer,
             Failure::Stopped { source, .. } => source.status(),
             Failure::Client(_)
@@ -119,6 +131,7 @@ impl Failure {
             | Failure::Interrupted
             | Failure::Snapshot { .. }
             | Failure::Reset { .. }
+            | Failure::Random(_)
             | Failure::Runtime(_)
             | Failure::Replaceable { .. } => Status::Failed,
         }

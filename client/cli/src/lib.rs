@@ -5,6 +5,7 @@
 
 mod args;
 mod atomic_file;
+mod connection;
 mod failure;
 mod input;
 mod interrupt;
@@ -68,10 +69,11 @@ fn refuse(error: &clap::Error) -> Status {
 }
 
 fn run(args: Args) -> Result<(), Failure> {
-    // These two call no server.
+    // These call no server.
     match &args.command {
         Command::Completions(completions) => return verb::completions(completions),
         Command::Man(man) => return verb::man(man),
+        Command::Token(token) => return verb::token(token, args.output),
         _ => {}
     }
     // Two threads: the connection stays alive while the command waits for standard input.
@@ -99,9 +101,10 @@ impl Context {
 async fn execute(args: Args) -> Result<(), Failure> {
     let builder = Client::builder()
         .timeout(args.timeout)
-        .retry(RetryPolicy::until_deadline());
+        .retry(RetryPolicy::until_deadline())
+        .credentials(args.connection.credentials()?);
     let connect = async |server: &str| {
-        let connected = builder.connect(server).await;
+        let connected = builder.clone().connect(server).await;
         connected.map_err(|error| Failure::from(error).explained(args.timeout))
     };
     let (first, rest) = args.server.split_first().ok_or(Failure::NoServer)?;
@@ -134,7 +137,7 @@ async fn execute(args: Args) -> Result<(), Failure> {
         Command::Verify(args) => verb::verify(args, context).await,
         Command::Server => verb::server(context).await,
         Command::Health => verb::health(context).await,
-        Command::Completions(_) | Command::Man(_) => Ok(()),
+        Command::Completions(_) | Command::Man(_) | Command::Token(_) => Ok(()),
     };
     // Results that came before an error are printed.
     let flushed = context.output.flush();

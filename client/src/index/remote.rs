@@ -16,8 +16,8 @@ use super::{
     runtime::{runtime, wait_for},
 };
 use crate::{
-    Client, Code, Error, Filter, Include, Index, IndexHandle, NeighborSpec, Neighbors, Outcome,
-    Radius, ResetReason, ScaledRadius, WatchEvent,
+    Client, Code, Credentials, Error, Filter, Include, Index, IndexHandle, NeighborSpec, Neighbors,
+    Outcome, Radius, ResetReason, ScaledRadius, WatchEvent,
     net::request::LONGEST_WAIT,
     search::{Bounds, K},
 };
@@ -30,6 +30,7 @@ pub struct OpenRemote {
     name: String,
     space: Option<Space>,
     timeout: Duration,
+    credentials: Credentials,
 }
 
 impl OpenRemote {
@@ -39,6 +40,7 @@ impl OpenRemote {
             name: name.to_owned(),
             space: None,
             timeout: Duration::from_secs(30),
+            credentials: Credentials::default(),
         }
     }
 
@@ -54,6 +56,12 @@ impl OpenRemote {
         self
     }
 
+    /// The certificates and the token of the connection: none unless set.
+    pub fn credentials(mut self, credentials: Credentials) -> OpenRemote {
+        self.credentials = credentials;
+        self
+    }
+
     /// Connects and opens the index.
     ///
     /// # Errors
@@ -62,6 +70,7 @@ impl OpenRemote {
     pub fn open(self) -> Result<Index, Error> {
         let index = wait_for(async move {
             let client = Client::builder().timeout(self.timeout);
+            let client = client.credentials(self.credentials);
             let client = client.connect(&self.uri).await?;
             match &self.space {
                 Some(space) => client.create_index(&self.name, space).await,

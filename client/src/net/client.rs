@@ -10,7 +10,7 @@ use std::{
 };
 
 use tokio::time::{Instant, timeout_at};
-use tonic::{Code, transport::Channel};
+use tonic::{Code, service::interceptor::InterceptedService, transport::Channel};
 use wayfold_index::Space;
 use wayfold_proto::{
     space,
@@ -21,6 +21,7 @@ use wayfold_proto::{
 };
 
 pub use self::builder::ClientBuilder;
+use super::credentials::Bearer;
 use crate::{
     DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, Limits, RetryPolicy, ServerInfo,
 };
@@ -30,7 +31,7 @@ use crate::{
 /// The next call restores a broken connection.
 #[derive(Clone)]
 pub struct Client {
-    channel: Channel,
+    channel: Transport,
     uri: Arc<str>,
     settings: ClientBuilder,
     /// The limits by which requests are divided; `None` until a request needs them.
@@ -260,7 +261,7 @@ impl Client {
     }
 
     /// The stub of the calls about points.
-    pub(crate) fn points(&self) -> PointServiceClient<Channel> {
+    pub(crate) fn points(&self) -> PointStub {
         PointServiceClient::new(self.channel.clone())
             .max_decoding_message_size(self.settings.max_message_bytes)
     }
@@ -278,7 +279,13 @@ impl Client {
     }
 }
 
-type IndexStub = IndexServiceClient<Channel>;
+/// A connection whose calls have the client's token.
+type Transport = InterceptedService<Channel, Bearer>;
+
+type IndexStub = IndexServiceClient<Transport>;
+
+/// The stub of the calls about points.
+pub(crate) type PointStub = PointServiceClient<Transport>;
 
 /// A request that the server gives up after `remaining`.
 pub(crate) fn within<Q>(remaining: Duration, message: Q) -> tonic::Request<Q> {

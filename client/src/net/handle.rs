@@ -8,13 +8,13 @@ use std::{
     time::Duration,
 };
 
-use tonic::transport::Channel;
 use wayfold_index::Space;
-use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
+use wayfold_proto::v1;
 
 use crate::{
     Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, Query, Radius,
     Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
+    net::client::PointStub,
     net::{client::within, request::LONGEST_WAIT},
 };
 
@@ -241,7 +241,7 @@ impl IndexHandle {
     ) -> Result<A, Error>
     where
         M: Fn() -> Q,
-        F: Fn(PointServiceClient<Channel>, tonic::Request<Q>) -> Fut,
+        F: Fn(PointStub, tonic::Request<Q>) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
         let stub = self.shared.client.points();

@@ -5,10 +5,9 @@
 
 use std::ops::Range;
 
-use tonic::{Code, transport::Channel};
-use wayfold_proto::v1::point_service_client::PointServiceClient;
+use tonic::Code;
 
-use crate::{Client, Error, IndexHandle, Limits};
+use crate::{Client, Error, IndexHandle, Limits, net::client::PointStub};
 
 /// The most states or ids that the client puts into one read, so that a call keeps within its timeout.
 pub const READ_ROWS: usize = 1_000;
@@ -51,7 +50,7 @@ impl<'a> Division<'a> {
         mut append: impl FnMut(A, usize) -> Result<(), Error>,
     ) -> Result<(), Error>
     where
-        F: Fn(PointServiceClient<Channel>, tonic::Request<Q>) -> Fut,
+        F: Fn(PointStub, tonic::Request<Q>) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
         let mut limits = self.index.limits(self.call, self.rows).await?;

@@ -4,6 +4,7 @@
 //! too large for one call, `retry` repeats what found no server. The other files are what travels.
 
 pub(crate) mod client;
+mod credentials;
 mod handle;
 mod include;
 mod info;
@@ -20,6 +21,7 @@ mod snapshot;
 mod states;
 
 pub use client::{Client, ClientBuilder};
+pub use credentials::Credentials;
 pub use handle::IndexHandle;
 pub use include::Include;
 pub use info::{DamagedIndex, IndexInfo, IndexList};

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, env, path::PathBuf};
 use clap::{Parser, Subcommand};
 
 use crate::{
-    config::{Config, ConfigError},
+    config::{Config, ConfigError, ON},
     observe::LogFormat,
 };
 
@@ -33,7 +33,7 @@ Examples:
   wayfold-server --zenoh off                 gRPC only
   wayfold-server --data /var/lib/wayfold     keeps the indices there
   wayfold-server --data memory               loses the indices when it stops
-  wayfold-server --grpc 0.0.0.0:50051        every network, without authentication
+  wayfold-server --config my.toml            TLS and identities, for every network
   wayfold-server --print-config > my.toml    a file to edit, for --config my.toml
   wayfold-server --log wayfold_server=debug  a log line for every call
   wayfold-server repair --dry-run            reports the damage of a store
@@ -125,6 +125,9 @@ pub(super) struct Flags {
         global = true
     )]
     log_format: Option<LogFormat>,
+    /// Listen beyond this machine without TLS or identities
+    #[arg(long)]
+    insecure: bool,
     /// Print all settings with defaults and explanations, and exit
     #[arg(long)]
     pub(super) print_config: bool,
@@ -165,6 +168,7 @@ impl Flags {
             ("data.dir", self.data.clone()),
             ("log.filter", self.log.clone()),
             ("log.format", format),
+            ("access.insecure", self.insecure.then(|| ON.to_owned())),
         ]
         .into_iter()
         .filter_map(|(key, value)| Some((key, value?)))

@@ -9,7 +9,7 @@ use std::{
 
 use config::{File, FileFormat, Source, Value, ValueKind};
 
-use super::{Config, ConfigError, DEFAULTS, nearest::nearest};
+use super::{Config, ConfigError, DEFAULTS, OFF, ON, nearest::nearest};
 
 const PREFIX: &str = "WAYFOLD_";
 const SEPARATOR: &str = "__";
@@ -29,6 +29,9 @@ const MAY_BE_ZERO: [&str; 12] = [
     "runtime.workers",
     "shutdown.grace_ms",
 ];
+
+/// Settings that are either [`ON`] or [`OFF`].
+const SWITCHES: [&str; 2] = ["access.insecure", "access.publish_events"];
 
 /// Settings by dotted key.
 type Settings = BTreeMap<String, Value>;
@@ -205,7 +208,16 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
                 problem: "it is empty; leave the setting out to get the default".to_owned(),
             });
         }
-        (ValueKind::String(_), ValueKind::String(_)) => return Ok(()),
+        (ValueKind::String(_), ValueKind::String(text)) => {
+            if SWITCHES.contains(&key) && text != ON && text != OFF {
+                return Err(ConfigError::Value {
+                    origin: origin.to_owned(),
+                    key: key.to_owned(),
+                    problem: format!("\"{text}\" is neither \"{ON}\" nor \"{OFF}\""),
+                });
+            }
+            return Ok(());
+        }
         (ValueKind::I64(_), _) => "an integer",
         _ => "a string",
     };

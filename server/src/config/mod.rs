@@ -26,6 +26,10 @@ pub const DEFAULTS: &str = include_str!("../default.toml");
 pub struct Config {
     /// The gRPC face.
     pub grpc: GrpcConfig,
+    /// The certificates of the gRPC face.
+    pub tls: TlsConfig,
+    /// Who may call.
+    pub access: AccessConfig,
     /// The Zenoh face.
     pub zenoh: ZenohConfig,
     /// What calls may take of the server's time and memory.
@@ -71,6 +75,62 @@ pub struct GrpcConfig {
     pub keepalive_interval_ms: u64,
     /// A probed connection is closed without an answer after this time, in milliseconds.
     pub keepalive_timeout_ms: u64,
+}
+
+/// `[tls]`: files in PEM, or [`OFF`].
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct TlsConfig {
+    /// The certificate of the server, and those between it and its authority.
+    pub certificate: String,
+    /// Its private key.
+    pub key: String,
+    /// The authorities of the certificates of clients.
+    pub client_ca: String,
+}
+
+impl TlsConfig {
+    /// The file of the certificate, if there is one.
+    pub(crate) fn certificate(&self) -> Option<&Path> {
+        file(&self.certificate)
+    }
+
+    /// The file of the key, if there is one.
+    pub(crate) fn key(&self) -> Option<&Path> {
+        file(&self.key)
+    }
+
+    /// The file of the authorities, if there is one.
+    pub(crate) fn client_ca(&self) -> Option<&Path> {
+        file(&self.client_ca)
+    }
+}
+
+/// `[access]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct AccessConfig {
+    /// The file of the identities, or [`OFF`].
+    pub identities: String,
+    /// [`ON`] if the mutations of indices are published over Zenoh to every subscriber, whoever it is.
+    pub publish_events: String,
+    /// [`ON`] if the server may listen beyond this machine without TLS or identities.
+    pub insecure: String,
+}
+
+impl AccessConfig {
+    /// The file of the identities, if there is one.
+    pub(crate) fn identities(&self) -> Option<&Path> {
+        file(&self.identities)
+    }
+}
+
+/// The value of a setting that is turned off.
+pub const OFF: &str = "off";
+
+/// The value of a switch that is turned on.
+pub const ON: &str = "on";
+
+fn file(setting: &str) -> Option<&Path> {
+    (setting != OFF).then(|| Path::new(setting))
 }
 
 /// `[zenoh]`

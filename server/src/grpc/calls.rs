@@ -14,7 +14,7 @@ use std::{
 };
 
 use futures_util::{FutureExt, poll};
-use http::{HeaderMap, Request, Response};
+use http::{HeaderMap, Request, Response, header};
 use http_body::Body as HttpBody;
 use http_body_util::BodyExt;
 use tokio_util::task::TaskTracker;
@@ -30,8 +30,9 @@ use super::{
 };
 use crate::{
     admission::{Admission, CALL_BYTES, Flow, HeldBytes},
+    identity::{Caller, Denial, Identities, Stranger},
     observe::{self, CallRecord, Ending, SlowCalls, Times},
-    service::Call,
+    service::{Call, Error},
     status,
 };
 
@@ -50,18 +51,22 @@ const ANSWER_STREAMS: [&str; 5] = [
     "IndexService/VerifyIndex",
 ];
 
-/// The deadline of a call, which the layer leaves in the request's extensions for the handler.
-#[derive(Clone, Copy, Debug)]
-struct Deadline(Option<Instant>);
-
-/// The service's context of a call.
+/// The service's context of a call, which the layer leaves in the request's extensions for the handler.
 pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
-    Call {
-        deadline: request
-            .extensions()
-            .get::<Deadline>()
-            .and_then(|deadline| deadline.0),
-    }
+    let call = request.extensions().get::<Call>().cloned();
+    // Without the layer there is no right.
+    call.unwrap_or(Call {
+        deadline: None,
+        caller: Caller::Unknown(Stranger::NoCredential),
+    })
+}
+
+/// The token of a call: `authorization: Bearer TOKEN`.
+fn token(headers: &HeaderMap) -> Option<&[u8]> {
+    const SCHEME: &[u8] = b"bearer ";
+    let value = headers.get(header::AUTHORIZATION)?.as_bytes();
+    let (scheme, token) = value.split_at_checked(SCHEME.len())?;
+    scheme.eq_ignore_ascii_case(SCHEME).then_some(token)
 }
 
 /// The preamble of every handler: the context of the call, and its message, recorded in the call's span.
@@ -88,6 +93,7 @@ pub(crate) struct CallsLayer {
     /// The headers of the refusal of a call that would wait for too long.
     pub(super) overloaded: Arc<HeaderMap>,
     pub(super) slow_calls: SlowCalls,
+    pub(super) identities: Identities,
 }
 
 impl<S> Layer<S> for CallsLayer {
@@ -150,14 +156,25 @@ where
         // same header and answers CANCELLED when it ends. Ours must never be the later one.
         let arrived = Instant::now();
         let peer = activity.as_ref().and_then(Activity::peer);
-        let mut record = CallRecord::begin(rpc, arrived).of_peer(peer);
+        let certificate = activity.as_ref().and_then(Activity::certificate);
+        let caller = settings
+            .identities
+            .caller(token(request.headers()), certificate);
+        let mut record = CallRecord::begin(rpc, arrived)
+            .of_peer(peer)
+            .of_caller(&caller);
         let held = Arc::new(flow.hold());
         let is_stream = ANSWER_STREAMS.contains(&rpc) || REQUEST_STREAMS.contains(&rpc);
-        let deadline = match deadline::read(request.headers(), arrived) {
-            Err(problem) => Err(refusals::malformed_timeout(&problem)),
-            Ok(_) if !held.take(CALL_BYTES) => Err(status::too_many_bytes(flow.max_bytes())),
-            Ok(None) if !is_stream => Ok(arrived.checked_add(settings.default_timeout)),
-            Ok(deadline) => Ok(deadline),
+        // The service checks the caller too; here a stranger is refused before it sends its request.
+        let deadline = match (caller.check(), deadline::read(request.headers(), arrived)) {
+            (Err(why), _) => {
+                let why = Denial::Unknown(why);
+                Err(status::from_error(&Error::Denied { why }))
+            }
+            (Ok(()), Err(problem)) => Err(refusals::malformed_timeout(&problem)),
+            _ if !held.take(CALL_BYTES) => Err(status::too_many_bytes(flow.max_bytes())),
+            (_, Ok(None)) if !is_stream => Ok(arrived.checked_add(settings.default_timeout)),
+            (_, Ok(deadline)) => Ok(deadline),
         };
         let deadline = match deadline {
             Ok(deadline) => deadline,
@@ -178,7 +195,7 @@ where
             limits: settings.requests.clone(),
             held,
             arrived,
-            deadline,
+            call: Call { deadline, caller },
             is_stream: REQUEST_STREAMS.contains(&rpc),
         };
         let is_answer_stream = ANSWER_STREAMS.contains(&rpc);
@@ -256,7 +273,7 @@ struct Admitted<S> {
     limits: RequestLimits,
     held: Arc<HeldBytes>,
     arrived: Instant,
-    deadline: Option<Instant>,
+    call: Call,
     /// True if its request is a stream.
     is_stream: bool,
 }
@@ -267,7 +284,7 @@ where
 {
     /// Receives the request.
     async fn receive(self, mut request: Request<Body>) -> Result<(Self, Request<Body>), Status> {
-        request.extensions_mut().insert(Deadline(self.deadline));
+        request.extensions_mut().insert(self.call.clone());
         request
             .extensions_mut()
             .insert(Arc::clone(self.held.flow()));
@@ -364,6 +381,7 @@ mod tests {
             default_timeout: Duration::from_secs(1),
             overloaded: Arc::default(),
             slow_calls: SlowCalls::new(0),
+            identities: Identities::default(),
         };
         let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
         let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;

@@ -14,11 +14,17 @@ use tokio::{
     net::{TcpListener, TcpStream},
     time::{Instant, Sleep, sleep_until, timeout},
 };
-use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
+use tokio_util::{
+    either::Either,
+    sync::{CancellationToken, WaitForCancellationFutureOwned},
+};
 use tonic::transport::server::Connected;
 use tracing::{debug, warn};
 
-use super::connections::{Activity, Connections, Open};
+use super::{
+    connections::{Activity, Connections, Open},
+    tls::{Tls, TlsSocket},
+};
 
 /// The pause after a failure of the listener, which fails while the process has no file descriptors left.
 const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
@@ -46,18 +52,23 @@ const MAX_BODY_BYTES: usize = 64 * 1024;
 pub(crate) fn incoming(
     listener: TcpListener,
     connections: Arc<Connections>,
+    tls: Option<Tls>,
     cut: CancellationToken,
 ) -> impl Stream<Item = io::Result<Connection>> {
     stream::unfold(
-        (listener, connections, cut),
-        async |(listener, connections, cut)| {
+        (listener, connections, tls, cut),
+        async |(listener, connections, tls, cut)| {
             let socket = accept(&listener, &cut).await;
             // A child token: all connections would contend for the lock of a shared one.
             let own_cut = cut.child_token();
             let open = connections.open(socket.peer_addr().ok(), own_cut.clone());
+            let open = open.await;
             let connection = Connection {
-                open: open.await,
-                socket,
+                socket: match &tls {
+                    None => Either::Left(socket),
+                    Some(tls) => Either::Right(tls.accept(socket, open.activity().clone())),
+                },
+                open,
                 read_bytes: 0,
                 read_calls: 0,
                 was_silent: true,
@@ -69,7 +80,7 @@ pub(crate) fn incoming(
                 )),
                 lingering: None,
             };
-            Some((Ok(connection), (listener, connections, cut)))
+            Some((Ok(connection), (listener, connections, tls, cut)))
         },
     )
 }
@@ -106,9 +117,8 @@ fn concerns_one_connection(error: &io::Error) -> bool {
 }
 
 /// One accepted connection.
-#[derive(Debug)]
 pub(crate) struct Connection {
-    socket: TcpStream,
+    socket: Either<TcpStream, TlsSocket>,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
     /// The bytes that were read since others had their turn.
     read_bytes: usize,
@@ -273,6 +283,7 @@ mod tests {
         let mut incoming = Box::pin(incoming(
             listener,
             Connections::new(1, Admission::new(&Config::default().admission, 1, 0)),
+            None,
             CancellationToken::new(),
         ));
         let connection = incoming.next().await.unwrap().unwrap();

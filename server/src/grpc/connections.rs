@@ -8,7 +8,7 @@ use std::{
     collections::BTreeMap,
     net::SocketAddr,
     sync::{
-        Arc,
+        Arc, OnceLock,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::SeqCst},
     },
     time::Duration,
@@ -56,6 +56,8 @@ struct State {
     is_stalled: AtomicBool,
     cut: CancellationToken,
     peer: Option<SocketAddr>,
+    /// The names in the verified certificate of its client, once the handshake is done.
+    certificate: OnceLock<Vec<String>>,
     flow: Arc<Flow>,
     unread: Mutex<Unread>,
 }
@@ -117,6 +119,7 @@ impl Connections {
             is_stalled: AtomicBool::new(false),
             cut,
             peer,
+            certificate: OnceLock::new(),
             flow: self.admission.open(),
             unread: Mutex::new(Unread {
                 frames: 0,
@@ -215,6 +218,16 @@ impl Activity {
     /// The address of its client.
     pub(super) fn peer(&self) -> Option<SocketAddr> {
         self.state.peer
+    }
+
+    /// The names in the verified certificate of its client, if it has one.
+    pub(super) fn certificate(&self) -> Option<&[String]> {
+        self.state.certificate.get().map(Vec::as_slice)
+    }
+
+    /// Notes these names. A connection has one handshake.
+    pub(super) fn set_certificate(&self, names: Vec<String>) {
+        let _ = self.state.certificate.set(names);
     }
 
     /// The flow of its calls.

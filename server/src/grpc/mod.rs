@@ -12,6 +12,7 @@ mod refusals;
 mod request_body;
 mod status;
 mod stream_knn;
+mod tls;
 
 use std::{io, sync::Arc, time::Duration};
 
@@ -32,6 +33,8 @@ use index_service::IndexFace;
 use point_service::{PointFace, TolerantPointServer};
 use request_body::RequestLimits;
 use stream_knn::KnnStreams;
+pub(crate) use tls::Tls;
+pub use tls::TlsError;
 
 use crate::{config::GrpcConfig, faces::Shared, lifecycle::PhaseWatch};
 
@@ -56,7 +59,7 @@ pub(crate) async fn serve(
     config: &GrpcConfig,
     shared: Shared,
     phases: PhaseWatch,
-    listener: TcpListener,
+    (listener, tls): (TcpListener, Option<Tls>),
     under_way: TaskTracker,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
@@ -64,6 +67,7 @@ pub(crate) async fn serve(
         service,
         admission,
         slow_calls,
+        identities,
     } = shared;
     let points = TolerantPointServer::new(PointFace {
         service: service.clone(),
@@ -111,6 +115,7 @@ pub(crate) async fn serve(
             under_way,
             default_timeout: Duration::from_millis(config.default_timeout_ms),
             slow_calls,
+            identities,
         })
         .add_service(indices)
         .add_service(points)
@@ -118,7 +123,7 @@ pub(crate) async fn serve(
         .add_service(reflection)
         .add_service(reflection_alpha)
         .serve_with_incoming_shutdown(
-            connection::incoming(listener, connections, cut),
+            connection::incoming(listener, connections, tls, cut),
             phases.stopping(),
         )
         .await?;

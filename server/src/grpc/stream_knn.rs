@@ -95,7 +95,7 @@ impl KnnStreams {
         stream::unfold(reader, Reader::next)
             .then(move |read| ahead.clone().hold(read))
             .map(move |(read, held)| {
-                let answered = searches.clone().answer(call, read);
+                let answered = searches.clone().answer(call.clone(), read);
                 answered.map(move |answer| (answer, held))
             })
             .buffered(self.window)

@@ -6,7 +6,7 @@ use tracing::{Span, debug, field, info_span, warn};
 use wayfold_proto::v1;
 
 use super::slow::{SlowCalls, Times};
-use crate::service::Code;
+use crate::{identity::Caller, service::Code};
 
 /// The end of a call.
 #[derive(Clone, Copy, PartialEq)]
@@ -61,7 +61,13 @@ impl CallRecord {
     pub(crate) fn begin(rpc: impl Into<String>, started: Instant) -> Self {
         let rpc = rpc.into();
         Self {
-            span: info_span!("call", rpc, index = field::Empty, rows = field::Empty),
+            span: info_span!(
+                "call",
+                rpc,
+                identity = field::Empty,
+                index = field::Empty,
+                rows = field::Empty
+            ),
             rpc,
             started,
             ending: Ending::Left,
@@ -73,6 +79,14 @@ impl CallRecord {
     /// The same call, made by this peer.
     pub(crate) fn of_peer(mut self, peer: Option<SocketAddr>) -> Self {
         self.peer = peer;
+        self
+    }
+
+    /// The same call, made by this caller.
+    pub(crate) fn of_caller(self, caller: &Caller) -> Self {
+        if let Some(name) = caller.name() {
+            self.span.record("identity", name);
+        }
         self
     }
 

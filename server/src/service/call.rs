@@ -6,16 +6,21 @@ use std::{
 };
 
 use super::Error;
-use crate::admission::end_slice;
+use crate::{
+    admission::end_slice,
+    identity::{Caller, Denial},
+};
 
 /// The time that a call computes before it yields.
 const MAX_STEP_TIME: Duration = Duration::from_micros(500);
 
 /// The context of one call.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Call {
     /// When the caller stops waiting; None: never. Long batches check it too.
     pub deadline: Option<Instant>,
+    /// Who calls.
+    pub caller: Caller,
 }
 
 impl Call {
@@ -33,8 +38,11 @@ impl Call {
             .map_err(|_| Error::DeadlineExceeded { doing })
     }
 
-    /// Fails if the deadline has passed.
+    /// Fails if the deadline has passed, or if the caller lost its rights since the call began.
     pub(super) fn check(&self, doing: &'static str) -> Result<(), Error> {
+        self.caller.check().map_err(|why| Error::Denied {
+            why: Denial::Unknown(why),
+        })?;
         match self.deadline {
             Some(deadline) if Instant::now() >= deadline => Err(Error::DeadlineExceeded { doing }),
             _ => Ok(()),
@@ -44,7 +52,7 @@ impl Call {
     /// Begins work that may be long.
     pub(super) fn pace(&self, doing: &'static str) -> Pace {
         Pace {
-            call: *self,
+            call: self.clone(),
             doing,
             began: Instant::now(),
         }

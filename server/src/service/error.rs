@@ -5,7 +5,10 @@ use std::fmt;
 use thiserror::Error;
 use wayfold_index::SearchError;
 
-use crate::watermark::{Full, Resource};
+use crate::{
+    identity::{Denial, Stranger},
+    watermark::{Full, Resource},
+};
 
 /// The kinds of failure a caller can tell apart: the eleven codes of the contract, named as gRPC names them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -290,6 +293,12 @@ pub enum Error {
         /// The reason.
         why: Unavailability,
     },
+    /// The caller may not make this call.
+    #[error("{why}")]
+    Denied {
+        /// The reason.
+        why: Denial,
+    },
     /// The deadline passed.
     #[error("the deadline passed {doing}")]
     DeadlineExceeded {
@@ -364,6 +373,10 @@ impl Error {
             Error::Unavailable { .. } | Error::StorageFailed { .. } | Error::NotLoaded { .. } => {
                 Code::Unavailable
             }
+            Error::Denied { why } => match why {
+                Denial::Unknown(_) => Code::Unauthenticated,
+                Denial::Role { .. } | Denial::Index { .. } => Code::PermissionDenied,
+            },
             Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
             Error::DataLoss { .. } => Code::DataLoss,
             Error::Internal { .. } => Code::Internal,
@@ -400,6 +413,14 @@ impl Error {
             Error::Unavailable { why } => match why {
                 Unavailability::Starting => "STARTING",
                 Unavailability::Stopping => "STOPPING",
+            },
+            Error::Denied { why } => match why {
+                Denial::Unknown(Stranger::NoCredential) => "NO_CREDENTIAL",
+                Denial::Unknown(Stranger::WrongCredential) => "WRONG_CREDENTIAL",
+                Denial::Unknown(Stranger::Expired) => "IDENTITY_EXPIRED",
+                Denial::Unknown(Stranger::Revoked) => "IDENTITY_REVOKED",
+                Denial::Role { .. } => "ROLE_TOO_LOW",
+                Denial::Index { .. } => "INDEX_NOT_ALLOWED",
             },
             Error::DeadlineExceeded { .. } => "DEADLINE_EXCEEDED",
             Error::OperationMismatch { .. } => "OPERATION_MISMATCH",

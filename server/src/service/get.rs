@@ -9,6 +9,7 @@ use super::{
     read_view::{ReadView, revision, revision_number},
     stored::BATCH_ROWS,
 };
+use crate::identity::Role;
 
 const DOING: &str = "while reading points";
 
@@ -19,8 +20,7 @@ impl Service {
         call: &Call,
         request: v1::GetRequest,
     ) -> Result<v1::GetResponse, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, "")?;
+        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
         let mut pace = call.pace(DOING);
         check::id_count(&request.ids, self.limits())?;
         let mut violations = Violations::default();

@@ -13,7 +13,10 @@ use super::{
     error_map::{catalog_error, registry_error},
     read_view::revision,
 };
-use crate::registry::{Hosted, Listed, Published, Registry, RegistryError};
+use crate::{
+    identity::Role,
+    registry::{Hosted, Listed, Published, Registry, RegistryError},
+};
 
 /// A page of the indices, by name. Both lists together are consecutive.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -53,7 +56,7 @@ impl Service {
         call: &Call,
         request: v1::CreateIndexRequest,
     ) -> Result<v1::CreateIndexResponse, Error> {
-        self.accept(call)?;
+        self.accept(call, Role::Admin, Some(&request.name))?;
         let mut violations = Violations::default();
         check_name(&request.name, &mut violations);
         let space = read_space(request.space_form, &mut violations);
@@ -92,8 +95,7 @@ impl Service {
         call: &Call,
         request: v1::GetIndexRequest,
     ) -> Result<v1::GetIndexResponse, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, "")?;
+        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
         Ok(v1::GetIndexResponse {
             index: Some(describe(&hosted, &hosted.published())),
         })
@@ -106,7 +108,7 @@ impl Service {
         call: &Call,
         request: v1::ListIndexesRequest,
     ) -> Result<Listing, Error> {
-        self.accept(call)?;
+        self.accept(call, Role::Read, None)?;
         let size = match request.page_size {
             0 => 100,
             size => size.min(1000) as usize,
@@ -144,6 +146,10 @@ impl Service {
                 page.next_page_token = write_token(&last);
                 break;
             }
+            if !call.caller.sees(&name) {
+                last = Some(name);
+                continue;
+            }
             match entry {
                 Ok(index) => page.indexes.push(index),
                 Err(damaged) => page.damaged.push(damaged),
@@ -160,7 +166,7 @@ impl Service {
         call: &Call,
         request: v1::DeleteIndexRequest,
     ) -> Result<v1::DeleteIndexResponse, Error> {
-        self.accept(call)?;
+        self.accept(call, Role::Admin, Some(&request.index_name))?;
         let (name, uid) = (request.index_name.clone(), request.uid.clone());
         let deleted = self.blocking(move |registry| {
             registry.delete(&name, Some(&*uid).filter(|uid| !uid.is_empty()))

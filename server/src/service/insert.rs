@@ -21,7 +21,10 @@ use super::{
     read_view::revision,
     stored::MAX_READS_AHEAD,
 };
-use crate::registry::{Committed, Hosted, Published};
+use crate::{
+    identity::Role,
+    registry::{Committed, Hosted, Published},
+};
 
 const DOING: &str = "while evaluating the rows; nothing was changed";
 
@@ -46,8 +49,7 @@ impl Service {
         call: &Call,
         request: v1::InsertRequest,
     ) -> Result<v1::InsertResponse, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, &request.uid)?;
+        let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
         let mut pace = call.pace(DOING);
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
         let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;

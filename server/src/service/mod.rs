@@ -56,7 +56,7 @@ use std::sync::{
 
 use tokio_util::sync::CancellationToken;
 
-use crate::{log::Durability, registry::Registry};
+use crate::{identity::Role, log::Durability, registry::Registry};
 pub use call::Call;
 pub use catalog_watch::CatalogWatch;
 pub use error::{Code, Error, Unavailability, Violation};
@@ -155,8 +155,12 @@ impl Service {
         }
     }
 
-    /// Accepts a call, or refuses it; the first thing that every verb does.
-    fn accept(&self, call: &Call) -> Result<(), Error> {
+    /// Accepts a call that needs `role` on an index, or refuses it; the first thing that every verb does. The rights
+    /// count before the existence of the index: a stranger does not learn of it.
+    fn accept(&self, call: &Call, role: Role, index: Option<&str>) -> Result<(), Error> {
+        call.caller
+            .authorize(role, index)
+            .map_err(|why| Error::Denied { why })?;
         if let Some(why) = self.unavailability() {
             return Err(Error::Unavailable { why });
         }

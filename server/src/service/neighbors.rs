@@ -9,6 +9,7 @@ use super::{
     neighbor_spec::NeighborSpec,
     read_view::{ReadView, revision, revision_number},
 };
+use crate::identity::Role;
 
 const DOING: &str = "while searching";
 
@@ -109,8 +110,7 @@ impl Service {
         call: &Call,
         request: NeighborRequest,
     ) -> Result<(v1::Neighbors, v1::Revision), Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index, "")?;
+        let hosted = self.index(call, Role::Read, &request.index, "")?;
         let (limits, space) = (self.limits(), hosted.space());
         let mut pace = call.pace(DOING);
         let mut violations = Violations::default();

@@ -14,13 +14,22 @@ use super::{
     stored,
 };
 use crate::{
+    identity::Role,
     log::View,
     registry::{Hosted, Published},
 };
 
 impl Service {
-    /// The index of this name, which must have `uid` unless that is empty.
-    pub(super) fn index(&self, name: &str, uid: &str) -> Result<Arc<Hosted>, Error> {
+    /// Accepts a call of an index, as [`Service::accept`] does, and finds the index, which must have `uid` unless that is
+    /// empty.
+    pub(super) fn index(
+        &self,
+        call: &Call,
+        role: Role,
+        name: &str,
+        uid: &str,
+    ) -> Result<Arc<Hosted>, Error> {
+        self.accept(call, role, Some(name))?;
         let hosted = self.registry()?.get(name);
         let hosted = hosted.map_err(|error| registry_error(name, error))?;
         check_uid(&hosted, uid)?;

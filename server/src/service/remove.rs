@@ -8,7 +8,7 @@ use super::{
     mutation::{Claim, Start},
     read_view::revision,
 };
-use crate::{log::Effects, registry::Committed};
+use crate::{identity::Role, log::Effects, registry::Committed};
 
 impl Service {
     /// Removes points by id, and counts those that were not stored.
@@ -17,8 +17,7 @@ impl Service {
         call: &Call,
         request: v1::RemoveRequest,
     ) -> Result<v1::RemoveResponse, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, &request.uid)?;
+        let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
         let mut pace = call.pace("while looking up the points; nothing was changed");
         let claim = Claim::of("Remove", &request.operation_id, &request, &mut pace).await?;
         check::id_count(&request.ids, self.limits())?;

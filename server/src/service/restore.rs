@@ -15,6 +15,7 @@ use super::{
     session_pages::add_restored,
 };
 use crate::{
+    identity::Role,
     log::{Origin, Sessions, StoredPoint},
     registry::{RegistryError, Restore},
 };
@@ -44,10 +45,10 @@ struct Draft {
 impl Service {
     /// Begins to restore an index from a snapshot.
     pub fn restore_index(&self, call: &Call) -> Result<Restoring, Error> {
-        self.accept(call)?;
+        self.accept(call, Role::Admin, None)?;
         Ok(Restoring {
             service: self.clone(),
-            call: *call,
+            call: call.clone(),
             name: None,
             draft: Some(Draft::default()),
         })
@@ -58,6 +59,8 @@ impl Restoring {
     /// Takes the next part. After an error every part is refused.
     pub async fn add(&mut self, request: v1::RestoreIndexRequest) -> Result<(), Error> {
         let name = self.name(request.name)?;
+        let rights = self.call.caller.authorize(Role::Admin, Some(&name));
+        rights.map_err(|why| Error::Denied { why })?;
         let Some(part) = request.part else {
             return Err(refused("REQUIRED", "a message without a part".into()));
         };

@@ -13,7 +13,10 @@ use super::{
     revision_pin::RevisionPin,
     stored::BATCH_ROWS,
 };
-use crate::registry::{Hosted, Published};
+use crate::{
+    identity::Role,
+    registry::{Hosted, Published},
+};
 
 /// Most rows of a part.
 const PART_ROWS: usize = 4096;
@@ -39,8 +42,7 @@ pub struct Scan {
 impl Service {
     /// Begins to read all points at one pinned revision, in the order of their ids.
     pub async fn scan(&self, call: &Call, request: v1::ScanRequest) -> Result<Scan, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, "")?;
+        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
         let mut violations = Violations::default();
         let filter = check::filter("filter", request.filter, &hosted, &mut violations)?;
         let min = request.min_revision.as_ref();
@@ -60,7 +62,7 @@ impl Service {
             size => PART_ROWS.min(size as usize),
         };
         Ok(Scan {
-            call: *call,
+            call: call.clone(),
             hosted,
             pin,
             part_rows,

@@ -3,7 +3,7 @@
 use wayfold_proto::v1;
 
 use super::{Call, Error, Service};
-use crate::log::Durability;
+use crate::{identity::Role, log::Durability};
 
 impl Service {
     /// Describes the server to the caller of a face that reads requests of at most `max_request_bytes` bytes.
@@ -13,7 +13,7 @@ impl Service {
         _: v1::GetServerRequest,
         max_request_bytes: usize,
     ) -> Result<v1::GetServerResponse, Error> {
-        self.accept(call)?;
+        self.accept(call, Role::Read, None)?;
         let durability = match self.inner.durability {
             None => v1::Durability::Memory,
             Some(Durability::None) => v1::Durability::None,

@@ -16,6 +16,7 @@ use super::{
     read_view::revision,
 };
 use crate::{
+    identity::Role,
     log::{Batch, Effects},
     registry::{Committed, Hosted, Writer},
 };
@@ -27,8 +28,7 @@ impl Service {
         call: &Call,
         request: v1::OpenSessionRequest,
     ) -> Result<v1::OpenSessionResponse, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, &request.uid)?;
+        let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
         let limits = self.limits();
         let mut violations = Violations::default();
         check::operation_id(&request.operation_id, &mut violations);

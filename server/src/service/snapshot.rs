@@ -12,6 +12,7 @@ use super::{
     session_pages::SessionPages, stored,
 };
 use crate::{
+    identity::Role,
     log::{LogError, StoredPoint, View},
     registry::{Hosted, Published},
 };
@@ -51,8 +52,7 @@ impl Service {
         call: &Call,
         request: v1::SnapshotIndexRequest,
     ) -> Result<Snapshot, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, "")?;
+        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
         let mut violations = Violations::default();
         let min = request.min_revision.as_ref();
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
@@ -61,7 +61,7 @@ impl Service {
         let limits = self.limits();
         let published = self.published(call, &hosted, min).await?;
         Ok(Snapshot {
-            call: *call,
+            call: call.clone(),
             hosted,
             pin: RevisionPin::new(published, limits.max_scan_seconds),
             part_bytes: PART_BYTES.min(limits.max_answer_bytes / 2),

@@ -15,6 +15,7 @@ use super::{
     stored::ReadAhead,
 };
 use crate::{
+    identity::Role,
     log::{Effects, Outcome, StoredPoint},
     registry::{Committed, Hosted},
 };
@@ -28,8 +29,7 @@ impl Service {
         call: &Call,
         request: v1::UpdateRequest,
     ) -> Result<v1::UpdateResponse, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, &request.uid)?;
+        let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
         let mut pace = call.pace(DOING);
         let claim = Claim::of("Update", &request.operation_id, &request, &mut pace).await?;
         let if_revision = check_update(&request, &hosted, self.limits(), &mut pace).await?;

@@ -9,6 +9,7 @@ use super::{
     read_view::revision,
 };
 use crate::{
+    identity::Role,
     log::{LogError, Record},
     registry::{Hosted, RegistryError},
 };
@@ -53,7 +54,7 @@ enum State {
 impl Service {
     /// Begins to follow an index.
     pub async fn watch(&self, call: &Call, request: v1::WatchRequest) -> Result<Watch, Error> {
-        self.accept(call)?;
+        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
         let mut violations = Violations::default();
         let after = request.after_revision;
         if after.as_ref().is_some_and(|after| after.uid.is_empty()) {
@@ -64,13 +65,12 @@ impl Service {
             let text = "it is the greatest revision: none comes after it";
             violations.add("after_revision.number", "OUT_OF_RANGE", text);
         }
-        let hosted = self.index(&request.index_name, "")?;
         violations.finish()?;
         let is_other_uid = |after: &v1::Revision| after.uid != hosted.uid_text();
         let is_other_uid = after.as_ref().is_some_and(is_other_uid);
         Ok(Watch {
             service: self.clone(),
-            call: *call,
+            call: call.clone(),
             from_newest: after.is_none(),
             after: after.map_or(0, |after| after.number),
             next: VecDeque::new(),
@@ -146,6 +146,8 @@ impl Watch {
                 Err(error) => return Err(registry_error(self.hosted.name(), error)),
             }
         }
+        // The wait may have been long.
+        self.call.check("while watching")?;
         let mut message = self.message(self.hosted.published().revision);
         let mut left = self.message_bytes;
         while left > 0
@@ -185,7 +187,7 @@ impl Watch {
         let reached = self.call.bound("while watching", reached);
         let reached = tokio::select! {
             // Without this branch a call that waits for a mutation would delay the shutdown forever.
-            () = self.service.stopping() => return self.service.accept(&self.call),
+            () = self.service.stopping() => return self.service.accept(&self.call, Role::Read, None),
             reached = reached => reached?,
         };
         reached.map_err(|error| registry_error(self.hosted.name(), error))?;

@@ -22,6 +22,7 @@ use super::{
     stored::ReadAhead,
 };
 use crate::{
+    identity::Role,
     log::{Effects, Outcome, StoredPoint},
     registry::{Committed, Hosted, Writer},
 };
@@ -73,8 +74,7 @@ impl Service {
         call: &Call,
         mut request: v1::WriteRequest,
     ) -> Result<v1::WriteResponse, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, &request.uid)?;
+        let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
         let mut pace = call.pace(DOING);
         let mut claim = Claim::of_batch(&mut request, &mut pace).await?;
         let reserve_count = request.reserve_count;

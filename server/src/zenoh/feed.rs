@@ -35,6 +35,8 @@ pub(super) struct Announcer {
     pub(super) prefix: String,
     /// Set once the server stops.
     pub(super) stopping: CancellationToken,
+    /// False if no mutations are published: Zenoh delivers them to every subscriber, whoever it is.
+    pub(super) publishes: bool,
 }
 
 /// The announcements of one index.
@@ -125,7 +127,7 @@ impl Announcer {
         }
         for (name, known) in announced {
             for (at, (form, last)) in FEEDS.into_iter().enumerate() {
-                match (followed[at], &known.feeds[at]) {
+                match (followed[at] && self.publishes, &known.feeds[at]) {
                     (true, None) => {
                         let feed = Feed {
                             service: self.service.clone(),

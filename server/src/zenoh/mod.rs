@@ -31,6 +31,7 @@ use tracing::{debug, info, warn};
 use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
 
 pub use session::ZenohError;
+pub(crate) use session::exposed;
 
 use crate::{config::ZenohConfig, faces::Shared};
 use feed::Announcer;
@@ -75,6 +76,7 @@ impl ZenohFace {
             service,
             admission,
             slow_calls,
+            identities,
         } = shared;
         check_prefix(&config.prefix)?;
         let (session, connects_to) = session::open(config).await?;
@@ -83,6 +85,7 @@ impl ZenohFace {
             prefix: config.prefix.clone(),
             flows: Flows::new(admission),
             slow_calls,
+            identities,
             places: Arc::new(Semaphore::new(config.max_calls.min(Semaphore::MAX_PERMITS))),
             max_calls: config.max_calls,
             refusals: Arc::new(Semaphore::new(MAX_REFUSALS)),
@@ -111,7 +114,8 @@ impl ZenohFace {
             _servers: servers,
             _links: links,
         };
-        face.warn_beyond_this_machine().await;
+        let locators = face.locators().await;
+        info!(?locators, prefix = config.prefix, "Zenoh is open");
         Ok(Some(face))
     }
 
@@ -126,13 +130,14 @@ impl ZenohFace {
         self.queries.under_way.clone()
     }
 
-    /// Begins to announce the indices; the service must have them.
-    pub(crate) fn announce(&mut self) {
+    /// Begins to announce the indices, and to publish their mutations if `publishes`; the service must have them.
+    pub(crate) fn announce(&mut self, publishes: bool) {
         let announcer = Announcer {
             service: self.queries.service.clone(),
             session: self.session.clone(),
             prefix: self.queries.prefix.clone(),
             stopping: self.queries.stopping.clone(),
+            publishes,
         };
         self.announcing = Some(AbortOnDropHandle::new(tokio::spawn(announcer.run())));
     }
@@ -150,22 +155,6 @@ impl ZenohFace {
         if let Err(error) = self.session.close().await {
             warn!(%error, "the Zenoh session did not close well");
         }
-    }
-
-    async fn warn_beyond_this_machine(&self) {
-        let locators = self.locators().await;
-        let is_here = |locator: &String| {
-            let address = locator.split_once('/').map_or(&**locator, |(_, rest)| rest);
-            address.starts_with("127.") || address.starts_with("[::1]")
-        };
-        if !locators.iter().all(is_here) {
-            warn!(
-                ?locators,
-                "Zenoh listens beyond this machine: unless zenoh.config sets TLS and access control, anyone who can \
-                 reach this address can read and change every index"
-            );
-        }
-        info!(?locators, prefix = self.queries.prefix, "Zenoh is open");
     }
 }
 

@@ -27,6 +27,7 @@ use super::{
 };
 use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
+    identity::{Caller, Denial, Identities},
     observe::{CallRecord, Ending, SlowCalls, Times},
     service::{Error, Service, Unavailability},
     status::{self, Status},
@@ -40,6 +41,7 @@ pub(super) struct Queries {
     pub(super) prefix: String,
     pub(super) flows: Flows,
     pub(super) slow_calls: SlowCalls,
+    pub(super) identities: Identities,
     /// Bounds the queries in flight: each may wait for its link on a thread of its own.
     pub(super) places: Arc<Semaphore>,
     pub(super) max_calls: usize,
@@ -170,13 +172,14 @@ impl Queries {
             Ok(target) => target.verb.name(),
             Err(_) => "other",
         };
-        let mut record = CallRecord::begin(format!("Zenoh/{rpc}"), arrived);
+        let caller = self.caller(&query);
+        let mut record = CallRecord::begin(format!("Zenoh/{rpc}"), arrived).of_caller(&caller);
         let span = record.span().clone();
         let asked = async {
             if !held.has_room() {
                 return Err(status::too_many_bytes(held.flow().max_bytes()));
             }
-            self.ask(&query, form, target, arrived).await
+            self.ask(&query, form, target, (arrived, caller)).await
         };
         let answering = AssertUnwindSafe(turns.run(asked)).catch_unwind();
         let result = match answering.instrument(span).await {
@@ -218,13 +221,13 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        arrived: Instant,
+        of: (Instant, Caller),
     ) -> Result<Replies, Status> {
         let bytes = query.payload().map_or(0, |payload| payload.len());
         if bytes > self.max_message_bytes {
             return Err(self.too_large(bytes));
         }
-        let replies = self.replies(query, form, target, arrived).await;
+        let replies = self.replies(query, form, target, of).await;
         replies.map_err(|error| status::from_error(&error))
     }
 
@@ -233,14 +236,19 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        arrived: Instant,
+        (arrived, caller): (Instant, Caller),
     ) -> Result<Replies, Error> {
+        // The service checks the caller too; here a stranger is refused before its request is parsed.
+        caller.check().map_err(|why| Error::Denied {
+            why: Denial::Unknown(why),
+        })?;
         let form = form?;
         let key: &keyexpr = query.key_expr();
         let index = target.as_ref().map_or("", |target| target.index);
         let (request, mut call) = Request::of(query, form, index, arrived)?;
         let default = || arrived.checked_add(self.default_timeout);
         call.deadline = call.deadline.or_else(default);
+        call.caller = caller;
         let answered = async {
             if key.is_wild() {
                 let replies = wildcard::answer(&self.service, &call, &self.prefix, key, form);
@@ -259,6 +267,12 @@ impl Queries {
         answered.unwrap_or(Err(Error::DeadlineExceeded {
             doing: "before the call was done",
         }))
+    }
+
+    /// The caller by the token in the attachment.
+    fn caller(&self, query: &Query) -> Caller {
+        let token = query.attachment().map(ZBytes::to_bytes);
+        self.identities.caller(token.as_deref(), None)
     }
 
     fn too_large(&self, bytes: usize) -> Status {

@@ -64,7 +64,11 @@ impl<'a> Request<'a> {
             payload: payload.unwrap_or_default(),
         };
         let deadline = deadline.flatten();
-        Ok((request, Call { deadline }))
+        let call = Call {
+            deadline,
+            ..Call::default()
+        };
+        Ok((request, call))
     }
 
     /// Refuses a mutation without a payload.

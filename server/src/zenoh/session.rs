@@ -6,7 +6,10 @@ use serde_json::{Value, json};
 use thiserror::Error;
 use zenoh::{Config, Session, config::EndPoint};
 
-use crate::config::ZenohConfig;
+use crate::{
+    config::ZenohConfig,
+    exposure::{Exposed, is_local},
+};
 
 /// Time after which a peer that does not read its answers is disconnected, in microseconds.
 const WAIT_FOR_PEER_US: u64 = 1_000_000;
@@ -107,6 +110,48 @@ fn is_in_use(listen: &str) -> bool {
     let endpoint = listen.parse::<EndPoint>().ok();
     let bound = endpoint.map(|endpoint| TcpListener::bind(endpoint.address().as_str()));
     matches!(bound, Some(Err(error)) if error.kind() == io::ErrorKind::AddrInUse)
+}
+
+/// The addresses that reach beyond this machine.
+pub(crate) fn exposed(config: &ZenohConfig) -> Result<Vec<Exposed>, ZenohError> {
+    if config.is_off() {
+        return Ok(Vec::new());
+    }
+    let settings = settings(config)?;
+    let mut exposed = Vec::new();
+    for setting in ["listen/endpoints", "connect/endpoints"] {
+        let endpoints = settings.get_json(setting).unwrap_or_default();
+        let endpoints = serde_json::from_str(&endpoints).unwrap_or(Value::Null);
+        for endpoint in texts(&endpoints) {
+            let (protocol, address) = endpoint.split_once('/').unwrap_or(("", endpoint));
+            let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+            if !is_local(host) {
+                exposed.push(Exposed {
+                    at: format!("Zenoh's {setting}: {endpoint}"),
+                    has_tls: protocol == "tls",
+                });
+            }
+        }
+    }
+    for scouting in ["scouting/multicast/enabled", "scouting/gossip/enabled"] {
+        if settings.get_json(scouting).is_ok_and(|on| on == "true") {
+            exposed.push(Exposed {
+                at: format!("Zenoh's {scouting}"),
+                has_tls: false,
+            });
+        }
+    }
+    Ok(exposed)
+}
+
+/// All texts in a value: endpoints may be listed, and by the mode of the session.
+fn texts(value: &Value) -> Vec<&str> {
+    match value {
+        Value::String(text) => vec![text],
+        Value::Array(values) => values.iter().flat_map(texts).collect(),
+        Value::Object(values) => values.values().flat_map(texts).collect(),
+        _ => Vec::new(),
+    }
 }
 
 fn check_listen(listen: &str) -> Result<(), ZenohError> {
@@ -215,6 +260,27 @@ mod tests {
         );
         assert_eq!(at(&config, "scouting/gossip/enabled"), json!(true));
         assert_eq!(at(&config, "scouting/multicast/enabled"), json!(false));
+    }
+
+    #[test]
+    fn every_way_beyond_this_machine_is_named() {
+        let exposed = |listen: &str, config: &str| {
+            let config = ZenohConfig {
+                listen: listen.into(),
+                config: config.into(),
+                ..crate::config::Config::default().zenoh
+            };
+            let exposed = exposed(&config).unwrap().into_iter();
+            exposed.map(|it| it.has_tls).collect::<Vec<_>>()
+        };
+        for local in ["tcp/127.0.0.1:0", "tcp/localhost:0", "tcp/[::1]:0", "off"] {
+            assert!(exposed(local, "{}").is_empty(), "{local}");
+        }
+        assert_eq!(exposed("tls/0.0.0.0:1", "{}"), [true]);
+        let router = "{ connect: { endpoints: { peer: ['tcp/10.0.0.7:7447'] } } }";
+        assert_eq!(exposed("tcp/[::]:0", router), [false, false]);
+        let scouting = "{ scouting: { multicast: { enabled: true } } }";
+        assert_eq!(exposed("tcp/127.0.0.1:0", scouting), [false]);
     }
 
     #[test]

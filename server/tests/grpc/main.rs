@@ -6,6 +6,7 @@ mod bare;
 mod harness;
 mod raw;
 
+mod access;
 mod connections;
 mod deadlines;
 mod description;

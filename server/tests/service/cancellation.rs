@@ -88,6 +88,7 @@ fn in_20_ms() -> (Call, Instant) {
     let deadline = Instant::now() + Duration::from_millis(20);
     let call = Call {
         deadline: Some(deadline),
+        ..Call::default()
     };
     (call, deadline)
 }
@@ -100,6 +101,7 @@ async fn a_deadline_ends_the_wait_for_the_writer() {
     drop(poll_into_evaluation(&service, &mut long).await);
     let call = Call {
         deadline: Some(Instant::now() + Duration::from_secs(3600)),
+        ..Call::default()
     };
     let answer = service.insert(&call, insertion(&[[1.0; 3]], &[])).await;
     assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
@@ -110,6 +112,7 @@ async fn a_call_whose_deadline_has_passed_does_nothing() {
     let (service, _) = arm("R3").await;
     let call = Call {
         deadline: Some(Instant::now()),
+        ..Call::default()
     };
     let answer = service.insert(&call, insertion(&[[1.0; 3]], &[])).await;
     assert_eq!(refusal(answer).0, Code::DeadlineExceeded);

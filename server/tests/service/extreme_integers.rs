@@ -112,7 +112,15 @@ async fn every_verb_answers_or_refuses_extreme_integers() {
         for (what, variant) in variants(&request) {
             println!("{what}");
             let deadline = Some(Instant::now() + Duration::from_secs(3600));
-            let answer = quietly(ask(&service, &Call { deadline }, &variant)).await;
+            let answer = quietly(ask(
+                &service,
+                &Call {
+                    deadline,
+                    ..Call::default()
+                },
+                &variant,
+            ))
+            .await;
             if let Err(error) = answer {
                 assert_ne!(error.code(), Code::Internal, "{error}");
                 assert_ne!(error.code(), Code::DataLoss, "{error}");
@@ -128,6 +136,7 @@ async fn the_requests_that_are_varied_are_good_ones() {
     for request in requests(&uid) {
         let call = Call {
             deadline: Some(Instant::now() + Duration::from_secs(3600)),
+            ..Call::default()
         };
         let answer = ask(&service, &call, &request).await;
         let code = answer.map_err(|error| error.code());

@@ -194,9 +194,14 @@ async fn the_wait_for_a_revision_ends_after_five_seconds_or_at_the_deadline() {
     let hour = Duration::from_secs(3600);
     let with_deadline = Call {
         deadline: Some(Instant::now() + hour),
+        ..Call::default()
     };
     for (call, not_yet, done) in [
-        (CALL, Duration::from_millis(4990), Duration::from_millis(20)),
+        (
+            CALL.clone(),
+            Duration::from_millis(4990),
+            Duration::from_millis(20),
+        ),
         (with_deadline, hour / 2, hour),
     ] {
         let mut waiting = pin!(service.get(&call, request.clone()));

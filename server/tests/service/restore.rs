@@ -384,6 +384,7 @@ async fn a_server_that_stops_and_a_deadline_end_it() {
     let parts = snapshot(&source, "arm").await;
     let past = wayfold_server::service::Call {
         deadline: Some(std::time::Instant::now()),
+        ..Default::default()
     };
     let late = source.restore_index(&past);
     assert_eq!(refusal(late.map(drop)).0, Code::DeadlineExceeded);

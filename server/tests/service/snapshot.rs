@@ -135,6 +135,7 @@ async fn snapshots_of_missing_indices_or_revisions_are_refused() {
     assert_eq!(ask("arm", revision("", 3)).await, without_uid);
     let past = wayfold_server::service::Call {
         deadline: Some(std::time::Instant::now()),
+        ..Default::default()
     };
     let late = service.snapshot_index(&past, request()).await;
     assert_eq!(refusal(late.map(drop)).0, Code::DeadlineExceeded);

@@ -238,7 +238,10 @@ async fn a_watch_ends_with_its_index_its_deadline_and_its_server() {
         Some(std::time::Instant::now() + Duration::from_millis(1)),
         None,
     ] {
-        let call = Call { deadline };
+        let call = Call {
+            deadline,
+            ..Call::default()
+        };
         waiting.push(service.watch(&call, now.clone()).await.unwrap());
     }
     for watch in &mut waiting {

@@ -20,7 +20,7 @@ fn lose_a_mutation(directory: &Path) -> Vec<String> {
     let registry = Registry::new(Arc::new(log), RegistryOptions::default());
     let service = Service::new(registry, Limits::default());
     service.set_ready();
-    let call = Call { deadline: None };
+    let call = Call::default();
     // The end of the runtime ends all running tasks, and closes the store.
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let uids = runtime.block_on(async move {

@@ -19,7 +19,9 @@ use wayfold_proto::{
 use super::served_index::ServedIndex;
 #[cfg(feature = "zenoh")]
 use crate::RetryPolicy;
-use crate::{Code, Error, Include, IndexInfo, Limits, Points, Revision, ServerInfo, Watch};
+use crate::{
+    Code, Credentials, Error, Include, IndexInfo, Limits, Points, Revision, ServerInfo, Watch,
+};
 use call::Call;
 use grpc::GrpcLink;
 
@@ -58,17 +60,18 @@ impl Link {
         address: Address,
         name: &str,
         timeout: Duration,
+        credentials: &Credentials,
     ) -> Result<(Link, Limits), Error> {
         let request = v1::GetServerRequest {};
         let (way, answer) = match address {
             Address::Grpc { uri } => {
-                let way = GrpcLink::connect(&uri, timeout).await?;
+                let way = GrpcLink::connect(&uri, timeout, credentials.clone()).await?;
                 let answer = way.call(&request).await?;
                 (Way::Grpc(way), answer)
             }
             #[cfg(feature = "zenoh")]
             Address::Zenoh { session, prefix } => {
-                let way = zenoh::ZenohLink::new(session, &prefix, name, timeout)?;
+                let way = zenoh::ZenohLink::new(session, (&prefix, name), timeout, credentials)?;
                 // A session cannot tell a server that it has not found yet from one that is not there.
                 let answer = way.call(&request, RetryPolicy::until_deadline()).await?;
                 (Way::Zenoh(way), answer)

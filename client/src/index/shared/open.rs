@@ -13,7 +13,7 @@ use super::{
     writer::Writer,
 };
 use crate::{
-    Error, Index,
+    Credentials, Error, Index,
     index::{
         local::LocalPoints,
         runtime::{runtime, wait_for},
@@ -40,6 +40,7 @@ pub struct OpenShared {
     space: Option<Space>,
     timeout: Duration,
     max_pending_bytes: usize,
+    credentials: Credentials,
 }
 
 impl OpenShared {
@@ -65,6 +66,7 @@ impl OpenShared {
             space: None,
             timeout: Duration::from_secs(30),
             max_pending_bytes: 16 << 20,
+            credentials: Credentials::default(),
         }
     }
 
@@ -87,6 +89,13 @@ impl OpenShared {
         self
     }
 
+    /// The certificates and the token of the connection: none unless set. Over Zenoh only the token counts; the session has
+    /// its own certificates.
+    pub fn credentials(mut self, credentials: Credentials) -> OpenShared {
+        self.credentials = credentials;
+        self
+    }
+
     /// Connects, opens a writer session, reads all points and begins to follow the index.
     ///
     /// # Errors
@@ -105,7 +114,8 @@ impl OpenShared {
     }
 
     async fn connect(self) -> Result<Arc<Core>, Error> {
-        let (link, limits) = Link::open(self.address, &self.name, self.timeout).await?;
+        let (link, limits) =
+            Link::open(self.address, &self.name, self.timeout, &self.credentials).await?;
         let index = Arc::new(match &self.space {
             Some(space) => link.create(space).await?,
             None => link.index().await?,

@@ -3,17 +3,18 @@
 use std::{sync::Arc, time::Duration};
 
 use tokio::time::{Instant, timeout_at};
-use tonic::transport::Endpoint;
+use tonic::{service::interceptor::InterceptedService, transport::Endpoint};
 
 use super::Client;
-use crate::{Error, RetryPolicy, net::request::LONGEST_WAIT};
+use crate::{Credentials, Error, RetryPolicy, net::request::LONGEST_WAIT};
 
 /// Settings of a [`Client`].
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct ClientBuilder {
     pub(super) timeout: Duration,
     pub(super) max_message_bytes: usize,
     pub(super) retry: RetryPolicy,
+    credentials: Credentials,
 }
 
 impl Default for ClientBuilder {
@@ -22,6 +23,7 @@ impl Default for ClientBuilder {
             timeout: Duration::from_secs(30),
             max_message_bytes: 4 * 1024 * 1024,
             retry: RetryPolicy::default(),
+            credentials: Credentials::default(),
         }
     }
 }
@@ -47,13 +49,21 @@ impl ClientBuilder {
         self
     }
 
-    /// Connects to the server at `uri`, `http://HOST:PORT` or just `HOST:PORT`.
+    /// The certificates and the token of the connection: none unless set.
+    pub fn credentials(mut self, credentials: Credentials) -> ClientBuilder {
+        self.credentials = credentials;
+        self
+    }
+
+    /// Connects to the server at `uri`: `https://HOST:PORT`, which needs the certificate of an authority,
+    /// `http://HOST:PORT`, or just `HOST:PORT`.
     ///
     /// # Errors
-    /// [`Error::Address`], or [`Error::Connection`] if no attempt reaches a server within the timeout.
+    /// [`Error::Address`]; [`Error::Argument`]: a token that is none; or [`Error::Connection`] if no attempt reaches a server within the timeout.
     pub async fn connect(self, uri: &str) -> Result<Client, Error> {
         const CALL: &str = "connect";
-        let endpoint = endpoint(uri)?
+        let bearer = self.credentials.bearer()?;
+        let endpoint = endpoint(uri, &self.credentials)?
             .tcp_nodelay(true)
             .connect_timeout(self.timeout)
             // The keep-alive lets a waiting stream notice that its peer is gone.
@@ -82,7 +92,7 @@ impl ClientBuilder {
             other => other,
         })?;
         Ok(Client {
-            channel,
+            channel: InterceptedService::new(channel, bearer),
             uri,
             settings: self,
             limits: Arc::default(),
@@ -91,23 +101,38 @@ impl ClientBuilder {
 }
 
 /// The endpoint at `uri`, whose scheme may be left out.
-fn endpoint(uri: &str) -> Result<Endpoint, Error> {
+fn endpoint(uri: &str, credentials: &Credentials) -> Result<Endpoint, Error> {
     let refused = |problem: &str| Error::Address {
         uri: uri.to_owned(),
         problem: problem.to_owned(),
     };
     let full = match uri.split_once("://") {
+        None if credentials.wants_tls() => format!("https://{uri}"),
         None => format!("http://{uri}"),
-        Some(("http", _)) => uri.to_owned(),
+        Some(("http", _)) if credentials.wants_tls() => {
+            return Err(refused(
+                "it speaks http, and certificates need https: https://HOST:PORT",
+            ));
+        }
+        Some(("http" | "https", _)) => uri.to_owned(),
         Some((scheme, _)) => {
             return Err(refused(&format!(
-                "it speaks {scheme}, and this client only http"
+                "it speaks {scheme}, and this client only http and https"
             )));
         }
     };
     let endpoint = Endpoint::from_shared(full).map_err(|error| refused(&error.to_string()))?;
-    match endpoint.uri().host() {
-        None | Some("") => Err(refused("it names no host")),
-        Some(_) => Ok(endpoint),
+    if let None | Some("") = endpoint.uri().host() {
+        return Err(refused("it names no host"));
     }
+    if endpoint.uri().scheme_str() != Some("https") {
+        return Ok(endpoint);
+    }
+    let Some(tls) = credentials.tls() else {
+        return Err(refused(
+            "https needs the certificate of the authority that certifies the server",
+        ));
+    };
+    let endpoint = endpoint.tls_config(tls);
+    endpoint.map_err(|error| refused(&format!("its certificates cannot be used: {error}")))
 }

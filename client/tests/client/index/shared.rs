@@ -1,7 +1,7 @@
 //! The shared form, against a real server in this process, over gRPC and over Zenoh.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     sync::{Arc, Barrier},
     thread,
     time::Duration,
@@ -9,7 +9,9 @@ use std::{
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Error, Index, InsertOptions, OpenShared, Search, Space, Status};
+use wayfold::{
+    Client, Error, Index, InsertOptions, OpenShared, RetryPolicy, Search, Space, Status,
+};
 
 use super::{conformance, model::Model};
 use crate::server::Server;
@@ -95,7 +97,8 @@ tests!(
     a_closed_index_takes_no_writes_and_gives_none_back,
 );
 
-/// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows.
+/// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2 MB
+/// of pending writes and a client with one call wait until there is room.
 #[test]
 fn a_busy_server_takes_the_writes_later() {
     let server = Server::with(|config| {
@@ -103,17 +106,21 @@ fn a_busy_server_takes_the_writes_later() {
         config.zenoh.max_message_bytes = 20_000;
         config.admission.max_bytes = 1;
     });
-    let space = "R2".parse().unwrap();
+    let space = "R10".parse().unwrap();
     let index = Index::shared(&server.uri, "arm").create(&space).open();
     let index = index.unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
-    let watches = runtime.block_on(async {
-        let served = server.client().await.index("arm").await.unwrap();
-        [served.watch().await.unwrap(), served.watch().await.unwrap()]
+    let (served, watches) = runtime.block_on(async {
+        let patient = Client::builder().retry(RetryPolicy::until_deadline());
+        let client = patient.connect(&server.uri).await.unwrap();
+        let served = client.index("arm").await.unwrap();
+        let watches = [served.watch().await.unwrap(), served.watch().await.unwrap()];
+        (served, watches)
     });
-    let ids: Vec<u64> = (0..1000)
-        .map(|number| index.insert([f64::from(number), 0.0]).unwrap())
+    let ids: Vec<u64> = (0..25_000)
+        .map(|number| index.insert([f64::from(number); 10]).unwrap())
         .collect();
+    let inserting = runtime.spawn(served.insert([[0.5; 10]]).into_future());
     let refused = loop {
         match index.status() {
             Some(Status::Disconnected { why, .. }) => break why,
@@ -125,11 +132,20 @@ fn a_busy_server_takes_the_writes_later() {
         thread::yield_now();
     };
     assert_eq!(refused.reason(), Some("TOO_MANY_BYTES"));
+    assert_eq!(index.pending(), ids.len() as u64);
+    assert!(!inserting.is_finished());
     drop(watches);
     index.flush().unwrap();
+    let inserted = runtime.block_on(inserting).unwrap().unwrap();
+    let inserted: Vec<_> = inserted.outcomes.iter().map(|row| row.id()).collect();
     let other = Index::remote(&server.uri, "arm").open().unwrap();
-    assert_eq!(content(&other), content(&index));
-    assert_eq!(content(&index).into_keys().collect::<Vec<_>>(), ids);
+    wait_for_same(&other, &index);
+    let ids: BTreeSet<u64> = ids
+        .into_iter()
+        .chain(inserted.into_iter().flatten())
+        .collect();
+    assert_eq!(ids.len(), 25_001);
+    assert_eq!(content(&index).into_keys().collect::<BTreeSet<_>>(), ids);
 }
 
 /// A name for each index of a server.

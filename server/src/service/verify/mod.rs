@@ -19,6 +19,7 @@ use super::{
     revision_pin::RevisionPin, stored,
 };
 use crate::{
+    identity::Role,
     log::{StoredPoint, View},
     registry::{Hosted, Published},
 };
@@ -61,8 +62,7 @@ impl Service {
         call: &Call,
         request: v1::VerifyIndexRequest,
     ) -> Result<Verification, Error> {
-        self.accept(call)?;
-        let hosted = self.index(&request.index_name, "")?;
+        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
         let mut violations = Violations::default();
         let min = request.min_revision.as_ref();
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
@@ -81,7 +81,7 @@ impl Service {
         let published = self.published(call, &hosted, min).await?;
         let comparison = Comparison::new(hosted.space(), queries.div_ceil(2), request.seed);
         Ok(Verification {
-            call: *call,
+            call: call.clone(),
             hosted,
             pin: RevisionPin::new(published, self.limits().max_scan_seconds),
             queries,

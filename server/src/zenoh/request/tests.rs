@@ -74,6 +74,7 @@ async fn assert_answered(service: &Service, key: &str, request: &Request<'_>) {
     let target = Target::of("wayfold/v1", key.as_str().try_into().unwrap()).unwrap();
     let call = Call {
         deadline: Some(Instant::now() + Duration::from_secs(3600)),
+        ..Call::default()
     };
     // Waits end at once: the test runs in paused time.
     if let Err(error) = dispatch(service, &call, target.verb, request, 1 << 20).await {

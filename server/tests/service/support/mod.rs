@@ -8,6 +8,7 @@ use wayfold_proto::v1::{
     neighbor_spec::{KForm, RadiusForm},
 };
 use wayfold_server::{
+    identity::Caller,
     log::{Log, MemoryLog},
     registry::{Registry, RegistryOptions},
     service::{Call, Code, Error, Limits, Service},
@@ -16,7 +17,10 @@ use wayfold_server::{
 pub(crate) mod snapshots;
 
 /// No deadline.
-pub(crate) const CALL: Call = Call { deadline: None };
+pub(crate) static CALL: Call = Call {
+    deadline: None,
+    caller: Caller::Anyone,
+};
 
 /// Trees and leaves are small, so that a few dozen points reach every branch of the code.
 pub(crate) fn options() -> RegistryOptions {

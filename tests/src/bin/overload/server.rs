@@ -62,13 +62,19 @@ pub(crate) struct Server {
 impl Server {
     /// Starts it and fills the index.
     pub(crate) fn start(arguments: &Arguments) -> Self {
+        Self::start_with(arguments, &[])
+    }
+
+    /// Starts it with these settings, below those of the arguments.
+    pub(crate) fn start_with(arguments: &Arguments, settings: &[(&str, &str)]) -> Self {
         let mut command = measuring::command(PINNED);
         command
             .arg(arguments.server_core.to_string())
             .arg(&arguments.server)
             .args(["--grpc", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"])
             .args(["--data", "memory"]);
-        for (key, value) in &arguments.set {
+        let given = arguments.set.iter().map(|(key, value)| (&**key, &**value));
+        for (key, value) in settings.iter().copied().chain(given) {
             let key = key.to_uppercase().replace('.', "__");
             command.env(format!("WAYFOLD_{key}"), value);
         }

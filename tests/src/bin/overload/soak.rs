@@ -17,7 +17,7 @@ use crate::{
     Arguments,
     generator::Load,
     goodput,
-    probe::Beside,
+    probe::Health,
     progress,
     report::{Figures, Report, Table},
     server::{Server, knn_frames, pause},
@@ -35,6 +35,11 @@ const TIMES: f64 = 2.0;
 /// One loader is killed, and another one started, so often.
 const KILL_EVERY: u32 = 5;
 const PHASE: Duration = Duration::from_secs(4);
+/// The mutations and operations that an index keeps fill their windows within the first minute, and not after an hour.
+const WINDOWS: [(&str, &str); 2] = [
+    ("index.window_bytes", "4194304"),
+    ("limits.max_operation_bytes", "1048576"),
+];
 const QUARTERS: [&str; 4] = [
     "first quarter",
     "second quarter",
@@ -43,7 +48,7 @@ const QUARTERS: [&str; 4] = [
 ];
 
 pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
-    let server = Server::start(arguments);
+    let server = Server::start_with(arguments, &WINDOWS);
     progress("soak: peak");
     let peak = goodput::peak(&server, Duration::from_secs(4));
     let start = || {
@@ -55,11 +60,10 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     let mut loaders: Vec<Process> = (0..LOADERS).map(|_| start()).collect();
     let mut load = Seen::default();
     let mut table = Table::default();
-    let mut beside = Beside::start(server.address);
+    let health = Health::start(server.address);
     let began = Instant::now();
     let mut second = 0;
     for (quarter, name) in (1..).zip(QUARTERS) {
-        beside.part(name);
         progress(&format!("soak: {name}"));
         let mut resident = Vec::new();
         while second < arguments.seconds * quarter / 4 {
@@ -76,7 +80,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
         }
         table.column(name, memory(&resident));
     }
-    beside.part("after");
+    let health = health.finish(Instant::now());
     for loader in loaders {
         load.add(&loader.stop(Signal::Kill).stdout);
     }
@@ -85,9 +89,9 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     let after: Vec<u64> = resident_bytes(server.id()).into_iter().collect();
     table.column("after", memory(&after));
     report.table("soak, memory", &table);
-    report.table("soak, others", &beside.finish());
     let (figures, wrong) = written.compare(&server, arguments.points);
     let mut all = load.figures(peak);
+    all.extend(health);
     all.extend(figures);
     let mut table = Table::default();
     table.column("soak", all);

@@ -9,8 +9,8 @@ use super::{
     load::{COLUMNS, Part, Parts},
 };
 use crate::{
-    Client, Error, IndexHandle, RetryPolicy, Watch, index::shared::served_index::ServedIndex,
-    net::client::within,
+    Client, Credentials, Error, IndexHandle, RetryPolicy, Watch,
+    index::shared::served_index::ServedIndex, net::client::within,
 };
 
 /// A connection to a server.
@@ -18,8 +18,13 @@ use crate::{
 pub(super) struct GrpcLink(Client);
 
 impl GrpcLink {
-    pub(super) async fn connect(uri: &str, timeout: Duration) -> Result<GrpcLink, Error> {
-        let connected = Client::builder().timeout(timeout).connect(uri).await;
+    pub(super) async fn connect(
+        uri: &str,
+        timeout: Duration,
+        credentials: Credentials,
+    ) -> Result<GrpcLink, Error> {
+        let builder = Client::builder().timeout(timeout);
+        let connected = builder.credentials(credentials).connect(uri).await;
         connected.map(GrpcLink)
     }
 

@@ -23,7 +23,7 @@ use super::{
     publications,
 };
 use crate::{
-    Error, Points, Refusal, RetryPolicy, Revision, Watch,
+    Credentials, Error, Points, Refusal, RetryPolicy, Revision, Watch,
     index::{runtime::runtime, shared::served_index::ServedIndex},
 };
 
@@ -39,6 +39,8 @@ pub(super) struct ZenohLink {
     /// The prefix of the index's keys.
     index: Arc<str>,
     pub(super) timeout: Duration,
+    /// The token of every call.
+    token: Option<Arc<str>>,
 }
 
 /// A session whose last clone is dropped on the thread that talks to servers. That drop waits for the network, and
@@ -73,9 +75,9 @@ impl Deref for HeldSession {
 impl ZenohLink {
     pub(super) fn new(
         session: Session,
-        prefix: &str,
-        name: &str,
+        (prefix, name): (&str, &str),
         timeout: Duration,
+        credentials: &Credentials,
     ) -> Result<ZenohLink, Error> {
         check_key("prefix", prefix)?;
         check_key("name", name)?;
@@ -84,6 +86,7 @@ impl ZenohLink {
             prefix: prefix.into(),
             index: format!("{prefix}/{name}").into(),
             timeout,
+            token: credentials.attachment(),
         })
     }
 
@@ -171,6 +174,7 @@ impl ZenohLink {
         let query = query.encoding(Encoding::APPLICATION_PROTOBUF);
         // The first answer counts. Without this it would come after the last one.
         let query = query.consolidation(ConsolidationMode::None);
+        let query = query.attachment(self.token.as_deref().map(ZBytes::from));
         let replies = query.await.map_err(|error| lost(call, key, error))?;
         let mut failed = None;
         loop {

@@ -1,0 +1,140 @@
+//! `wayfold token create`, which calls no server.
+
+use std::{
+    fmt::Write as _,
+    fs::OpenOptions,
+    io::{self, Write},
+    path::{Path, PathBuf},
+};
+
+use clap::{Subcommand, ValueEnum};
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use crate::{
+    failure::Failure,
+    output::{Format, Output},
+};
+
+const EXAMPLES: &str = "\
+Examples:
+  wayfold token create cell-3 --role write --index 'cell-3-*' --to cell-3.token >> identities.toml
+  wayfold --token-file cell-3.token knn cell-3-arm --state 0,0,0,0,0,0,1
+
+The entry goes to standard output, for the file of the setting access.identities; the server reads it
+within a second. It has only the SHA-256 of the token. Without --to the token goes to standard error.";
+
+/// Makes tokens for the identities of a server
+#[derive(Debug, clap::Args)]
+pub(crate) struct TokenArgs {
+    #[command(subcommand)]
+    command: TokenCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum TokenCommand {
+    /// Makes a token of 256 random bits, and prints the entry of its identity
+    #[command(after_help = EXAMPLES)]
+    Create(CreateArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct CreateArgs {
+    /// The name of the identity, which log lines show
+    name: String,
+    /// The rights: read; write, which includes read; admin, which includes both
+    #[arg(long, value_enum)]
+    role: Role,
+    /// The indices by name; * stands for any characters. Give it again for more
+    #[arg(long = "index", value_name = "PATTERN", required = true)]
+    indexes: Vec<String>,
+    /// The end of its rights: 2027-01-31T00:00:00Z
+    #[arg(long, value_name = "TIME")]
+    expires: Option<String>,
+    /// Write the token to a new file that only its owner can read
+    #[arg(long, value_name = "FILE")]
+    to: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Role {
+    Read,
+    Write,
+    Admin,
+}
+
+#[derive(Serialize)]
+struct Created<'a> {
+    /// Absent if it is in a file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    token: Option<&'a str>,
+    entry: &'a str,
+}
+
+pub(crate) fn token(args: &TokenArgs, format: Format) -> Result<(), Failure> {
+    let TokenCommand::Create(args) = &args.command;
+    let mut secret = [0; 32];
+    getrandom::fill(&mut secret).map_err(|error| Failure::Random(error.to_string()))?;
+    let token = format!("wayfold_{}", hex(&secret));
+    let entry = entry(args, &token);
+    let shown = match &args.to {
+        Some(file) => {
+            write_secret(file, &token)?;
+            None
+        }
+        None => Some(&*token),
+    };
+    let mut output = Output::stdout(format);
+    match format {
+        Format::Json => output.json(&Created {
+            token: shown,
+            entry: &entry,
+        })?,
+        Format::Text => {
+            output.text(entry.trim_end())?;
+            if let Some(token) = shown {
+                writeln!(io::stderr(), "the token, shown only now: {token}")?;
+            }
+        }
+    }
+    Ok(output.flush()?)
+}
+
+/// The entry of the file of identities.
+fn entry(args: &CreateArgs, token: &str) -> String {
+    let role = args.role.to_possible_value();
+    let role = role.as_ref().map_or("", |value| value.get_name());
+    // The strings of JSON are strings of TOML.
+    let text = |text: &str| serde_json::Value::from(text).to_string();
+    let indexes: Vec<String> = args.indexes.iter().map(|index| text(index)).collect();
+    let mut entry = format!(
+        "[[identity]]\nname = {}\nrole = {}\nindexes = [{}]\ntoken_sha256 = \"{}\"\n",
+        text(&args.name),
+        text(role),
+        indexes.join(", "),
+        hex(&Sha256::digest(token))
+    );
+    if let Some(expires) = &args.expires {
+        // Writing to a string does not fail.
+        let _ = writeln!(entry, "expires = {}", text(expires));
+    }
+    entry
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn write_secret(file: &Path, token: &str) -> Result<(), Failure> {
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let written = options
+        .open(file)
+        .and_then(|mut file| writeln!(file, "{token}"));
+    written.map_err(|source| Failure::File {
+        path: file.to_owned(),
+        source,
+    })
+}

@@ -1,0 +1,84 @@
+//! Beyond this machine nothing is served without TLS and identities, unless the operator asks for it by name.
+
+use thiserror::Error;
+use tracing::warn;
+
+/// An address that reaches callers beyond this machine: one that is listened on, or a router to connect to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Exposed {
+    /// The address, with its setting.
+    pub(crate) at: String,
+    /// True if it speaks TLS.
+    pub(crate) has_tls: bool,
+}
+
+/// Callers beyond this machine could read and change every index.
+#[derive(Debug, Error)]
+#[error(
+    "{at} reaches beyond this machine without {missing}: everyone there could read and change every index\n  \
+     set {settings}, use an address of this machine (127.0.0.1), or allow it with --insecure"
+)]
+pub struct ExposedError {
+    at: String,
+    missing: &'static str,
+    settings: &'static str,
+}
+
+/// Refuses `exposed` addresses without TLS or identities. With `is_allowed`, they are a warning.
+pub(crate) fn check(
+    exposed: &[Exposed],
+    has_identities: bool,
+    is_allowed: bool,
+) -> Result<(), ExposedError> {
+    for Exposed { at, has_tls } in exposed {
+        let (missing, settings) = match (has_tls, has_identities) {
+            (true, true) => continue,
+            (false, true) => ("TLS", "tls.certificate and tls.key, or a locator tls/…"),
+            (true, false) => ("identities", "access.identities"),
+            (false, false) => (
+                "TLS and identities",
+                "tls.certificate and tls.key (for Zenoh, a locator tls/…) and access.identities",
+            ),
+        };
+        if !is_allowed {
+            return Err(ExposedError {
+                at: at.clone(),
+                missing,
+                settings,
+            });
+        }
+        warn!(
+            at,
+            missing, "insecure: everyone who reaches this address can read and change every index"
+        );
+    }
+    Ok(())
+}
+
+/// True if a host is this machine, by its loopback interface.
+pub(crate) fn is_local(host: &str) -> bool {
+    host == "localhost" || host.starts_with("127.") || host == "[::1]" || host == "::1"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_needs_both_or_leave() {
+        for (has_tls, has_identities, missing) in [
+            (true, true, None),
+            (false, true, Some("TLS")),
+            (true, false, Some("identities")),
+            (false, false, Some("TLS and identities")),
+        ] {
+            let exposed = [Exposed {
+                at: "grpc.listen = 0.0.0.0:1".into(),
+                has_tls,
+            }];
+            let refused = check(&exposed, has_identities, false);
+            assert_eq!(refused.err().map(|error| error.missing), missing);
+            check(&exposed, has_identities, true).unwrap();
+        }
+    }
+}

@@ -1,0 +1,270 @@
+//! TLS for gRPC. The certificates are read again when their files change: new connections get the new ones, and those
+//! that are open go on.
+
+use std::{
+    fmt, io,
+    path::{Path, PathBuf},
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll, ready},
+};
+
+use parking_lot::RwLock;
+use thiserror::Error;
+use tokio::{
+    io::{AsyncRead, AsyncWrite, ReadBuf},
+    net::TcpStream,
+    time::interval,
+};
+use tokio_rustls::{
+    Accept, TlsAcceptor,
+    rustls::{
+        self, RootCertStore, ServerConfig,
+        crypto::ring,
+        pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
+        server::WebPkiClientVerifier,
+    },
+    server::TlsStream,
+};
+use tracing::{error, info};
+use x509_parser::{extensions::GeneralName, prelude::FromDer, prelude::X509Certificate};
+
+use super::connections::Activity;
+use crate::{
+    config::TlsConfig,
+    identity::{LOOK_INTERVAL, Stamp},
+};
+
+/// The certificates cannot be used.
+#[derive(Debug, Error)]
+pub enum TlsError {
+    /// A file is missing or wrong.
+    #[error("{setting}: cannot use {}: {problem}", file.display())]
+    File {
+        /// The setting.
+        setting: &'static str,
+        /// The file.
+        file: PathBuf,
+        /// The problem.
+        problem: String,
+    },
+    /// The files do not fit together.
+    #[error("tls.certificate and tls.key do not fit: {0}")]
+    Pair(#[from] rustls::Error),
+    /// One of the two is missing.
+    #[error("tls.certificate and tls.key are set together, or both are \"off\"")]
+    Half,
+}
+
+/// The certificates of the server. Clones share them.
+#[derive(Clone)]
+pub(crate) struct Tls {
+    files: Arc<Files>,
+    acceptor: Arc<RwLock<TlsAcceptor>>,
+}
+
+struct Files {
+    certificate: PathBuf,
+    key: PathBuf,
+    client_ca: Option<PathBuf>,
+}
+
+impl Tls {
+    /// Reads the certificates that the settings name; None if there are none.
+    pub(crate) fn open(config: &TlsConfig) -> Result<Option<Self>, TlsError> {
+        let (certificate, key) = match (config.certificate(), config.key()) {
+            (Some(certificate), Some(key)) => (certificate.into(), key.into()),
+            (None, None) if config.client_ca().is_none() => return Ok(None),
+            _ => return Err(TlsError::Half),
+        };
+        let files = Files {
+            certificate,
+            key,
+            client_ca: config.client_ca().map(Path::to_owned),
+        };
+        let acceptor = Arc::new(RwLock::new(files.read()?));
+        Ok(Some(Self {
+            files: Arc::new(files),
+            acceptor,
+        }))
+    }
+
+    /// A connection that begins with a handshake. `activity` gets the names of a client certificate.
+    pub(super) fn accept(&self, socket: TcpStream, activity: Activity) -> TlsSocket {
+        let handshake = self.acceptor.read().accept(socket);
+        TlsSocket {
+            state: State::Shaking(Box::new(handshake)),
+            activity,
+        }
+    }
+
+    /// Reads the certificates again whenever their files change. Files that are wrong change nothing.
+    pub(crate) async fn follow(self) {
+        let mut known = self.files.stamps();
+        let mut looks = interval(LOOK_INTERVAL);
+        loop {
+            looks.tick().await;
+            let now = self.files.stamps();
+            if now == known {
+                continue;
+            }
+            known = now;
+            match self.files.read() {
+                Ok(acceptor) => {
+                    *self.acceptor.write() = acceptor;
+                    info!("certificates read");
+                }
+                // A certificate is often written before its key: the next change of either leads here again.
+                Err(error) => error!(%error, "the certificates stay as they were"),
+            }
+        }
+    }
+}
+
+impl Files {
+    fn stamps(&self) -> [Stamp; 3] {
+        let client_ca = self.client_ca.as_ref().unwrap_or(&self.key);
+        [&self.certificate, &self.key, client_ca].map(|file| Stamp::of(file))
+    }
+
+    fn read(&self) -> Result<TlsAcceptor, TlsError> {
+        let provider = Arc::new(ring::default_provider());
+        let builder = ServerConfig::builder_with_provider(Arc::clone(&provider))
+            .with_safe_default_protocol_versions()?;
+        let builder = match &self.client_ca {
+            None => builder.with_no_client_auth(),
+            Some(file) => {
+                let mut roots = RootCertStore::empty();
+                for root in certificates("tls.client_ca", file)? {
+                    roots.add(root).map_err(in_file("tls.client_ca", file))?;
+                }
+                // A client without a certificate may have a token.
+                let verifier =
+                    WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider)
+                        .allow_unauthenticated()
+                        .build();
+                let verifier = verifier.map_err(in_file("tls.client_ca", file))?;
+                builder.with_client_cert_verifier(verifier)
+            }
+        };
+        let chain = certificates("tls.certificate", &self.certificate)?;
+        let key = PrivateKeyDer::from_pem_file(&self.key).map_err(in_file("tls.key", &self.key))?;
+        let mut config = builder.with_single_cert(chain, key)?;
+        config.alpn_protocols = vec![b"h2".to_vec()];
+        Ok(TlsAcceptor::from(Arc::new(config)))
+    }
+}
+
+fn certificates(
+    setting: &'static str,
+    file: &Path,
+) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    let read = CertificateDer::pem_file_iter(file).and_then(Iterator::collect);
+    let read: Vec<_> = read.map_err(in_file(setting, file))?;
+    match read.is_empty() {
+        true => Err(in_file(setting, file)("it has no certificate")),
+        false => Ok(read),
+    }
+}
+
+fn in_file<E: fmt::Display>(setting: &'static str, file: &Path) -> impl Fn(E) -> TlsError {
+    move |problem| TlsError::File {
+        setting,
+        file: file.to_owned(),
+        problem: problem.to_string(),
+    }
+}
+
+/// A connection with TLS, whose handshake takes place as it is first read or written.
+pub(super) struct TlsSocket {
+    state: State,
+    activity: Activity,
+}
+
+enum State {
+    Shaking(Box<Accept<TcpStream>>),
+    Open(Box<TlsStream<TcpStream>>),
+}
+
+impl TlsSocket {
+    fn poll_open(
+        &mut self,
+        context: &mut Context<'_>,
+    ) -> Poll<io::Result<Pin<&mut TlsStream<TcpStream>>>> {
+        if let State::Shaking(handshake) = &mut self.state {
+            let stream = ready!(Pin::new(handshake).poll(context))?;
+            let chain = stream.get_ref().1.peer_certificates();
+            if let Some(certificate) = chain.and_then(<[_]>::first) {
+                self.activity.set_certificate(names(certificate));
+            }
+            self.state = State::Open(Box::new(stream));
+        }
+        match &mut self.state {
+            State::Open(stream) => Poll::Ready(Ok(Pin::new(stream))),
+            State::Shaking(_) => Poll::Pending,
+        }
+    }
+}
+
+/// The common names, DNS names and URIs of a certificate that was verified.
+fn names(certificate: &[u8]) -> Vec<String> {
+    let Ok((_, certificate)) = X509Certificate::from_der(certificate) else {
+        return Vec::new();
+    };
+    let common = certificate.subject().iter_common_name();
+    let common = common.filter_map(|name| name.as_str().ok());
+    let alternative = certificate.subject_alternative_name().ok().flatten();
+    let alternative = alternative.map(|extension| &extension.value.general_names);
+    let others = alternative
+        .into_iter()
+        .flatten()
+        .filter_map(|name| match name {
+            GeneralName::DNSName(name) | GeneralName::URI(name) => Some(*name),
+            _ => None,
+        });
+    common.chain(others).map(str::to_owned).collect()
+}
+
+impl AsyncRead for TlsSocket {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        ready!(self.poll_open(context))?.poll_read(context, buffer)
+    }
+}
+
+impl AsyncWrite for TlsSocket {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        ready!(self.poll_open(context))?.poll_write(context, bytes)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        slices: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        ready!(self.poll_open(context))?.poll_write_vectored(context, slices)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        true
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        ready!(self.poll_open(context))?.poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        match &mut self.state {
+            // There is nothing to end.
+            State::Shaking(_) => Poll::Ready(Ok(())),
+            State::Open(stream) => Pin::new(stream).poll_shutdown(context),
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! Who calls, and what they may do. Absent rights are no rights.
+//!
+//! A face finds the [`Caller`] of a call by its token or its client certificate; the service checks the caller's rights
+//! once, for every verb. Identities come from a [file](table) that is read again when it changes.
+
+mod source;
+mod table;
+
+use std::{
+    fmt,
+    sync::Arc,
+    sync::atomic::{AtomicBool, Ordering::Relaxed},
+    time::SystemTime,
+};
+
+use serde::Deserialize;
+
+pub(crate) use source::{Identities, LOOK_INTERVAL, Stamp};
+pub use table::TableError;
+
+/// The rights of an identity. Each includes those before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Searches, scans, watches, descriptions, snapshots and verifications.
+    Read,
+    /// Inserts, updates, removals and writer sessions too.
+    Write,
+    /// Creation, deletion and restoring of indices too.
+    Admin,
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Role::Read => "read",
+            Role::Write => "write",
+            Role::Admin => "admin",
+        })
+    }
+}
+
+/// An identity of the file.
+#[derive(Debug)]
+pub struct Identity {
+    name: String,
+    role: Role,
+    indexes: Vec<Pattern>,
+    expires: Option<SystemTime>,
+    /// True once the file has no such identity any more.
+    is_revoked: AtomicBool,
+}
+
+/// The names of indices: exact, or with a `*` for any characters.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Pattern(String);
+
+/// The reason why a caller has no rights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stranger {
+    /// The call has neither a token nor a client certificate.
+    NoCredential,
+    /// No identity has the token or the certificate.
+    WrongCredential,
+    /// The identity has expired.
+    Expired,
+    /// The identity was removed or changed after the call had begun.
+    Revoked,
+}
+
+/// The reason why a caller may not make a call.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Denial {
+    /// The caller is not identified.
+    Unknown(Stranger),
+    /// The identity has a lesser role than this one.
+    Role {
+        /// The identity.
+        identity: String,
+        /// The role that the call needs.
+        needed: Role,
+    },
+    /// The identity has no rights on the index.
+    Index {
+        /// The identity.
+        identity: String,
+        /// The index.
+        index: String,
+    },
+}
+
+/// The caller of a call.
+#[derive(Clone, Debug, Default)]
+pub enum Caller {
+    /// The server knows no identities: every caller may do everything.
+    #[default]
+    Anyone,
+    /// An identity.
+    Known(Arc<Identity>),
+    /// Not identified.
+    Unknown(Stranger),
+}
+
+impl Caller {
+    /// The name of the identity.
+    pub fn name(&self) -> Option<&str> {
+        match self {
+            Caller::Known(identity) => Some(&identity.name),
+            Caller::Anyone | Caller::Unknown(_) => None,
+        }
+    }
+
+    /// Refuses a caller whose identity is missing, expired or revoked.
+    pub fn check(&self) -> Result<(), Stranger> {
+        match self {
+            Caller::Anyone => Ok(()),
+            Caller::Unknown(stranger) => Err(*stranger),
+            Caller::Known(identity) if identity.is_revoked.load(Relaxed) => Err(Stranger::Revoked),
+            Caller::Known(identity) => match identity.expires {
+                Some(expires) if SystemTime::now() >= expires => Err(Stranger::Expired),
+                _ => Ok(()),
+            },
+        }
+    }
+
+    /// Refuses a caller without `role` on `index`; without an index, on any.
+    pub fn authorize(&self, role: Role, index: Option<&str>) -> Result<(), Denial> {
+        self.check().map_err(Denial::Unknown)?;
+        let Caller::Known(identity) = self else {
+            return Ok(());
+        };
+        if identity.role < role {
+            return Err(Denial::Role {
+                identity: identity.name.clone(),
+                needed: role,
+            });
+        }
+        match index {
+            Some(index) if !self.sees(index) => Err(Denial::Index {
+                identity: identity.name.clone(),
+                index: index.to_owned(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// True if the caller has rights on an index of this name.
+    pub fn sees(&self, index: &str) -> bool {
+        match self {
+            Caller::Anyone => true,
+            Caller::Unknown(_) => false,
+            Caller::Known(identity) => identity.indexes.iter().any(|it| it.matches(index)),
+        }
+    }
+}
+
+impl Pattern {
+    fn matches(&self, name: &str) -> bool {
+        let mut parts = self.0.split('*');
+        let first = parts.next().unwrap_or_default();
+        let Some(mut rest) = name.strip_prefix(first) else {
+            return false;
+        };
+        let Some(last) = parts.next_back() else {
+            return rest.is_empty();
+        };
+        for part in parts {
+            match rest.split_once(part) {
+                Some((_, after)) => rest = after,
+                None => return false,
+            }
+        }
+        rest.ends_with(last)
+    }
+}
+
+impl fmt::Display for Stranger {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Stranger::NoCredential => {
+                "the call has neither a token nor a client certificate: give it one of an identity of this server"
+            }
+            Stranger::WrongCredential => {
+                "no identity of this server has this token or client certificate"
+            }
+            Stranger::Expired => "the identity has expired: ask for another token",
+            Stranger::Revoked => "the identity was removed or changed: call again with a credential that is valid now",
+        })
+    }
+}
+
+impl fmt::Display for Denial {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Denial::Unknown(stranger) => stranger.fmt(f),
+            Denial::Role { identity, needed } => {
+                write!(
+                    f,
+                    "the identity \"{identity}\" needs the role {needed} for this call"
+                )
+            }
+            Denial::Index { identity, index } => {
+                write!(
+                    f,
+                    "the identity \"{identity}\" has no rights on the index \"{index}\""
+                )
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The same by trying every length of the first star.
+    fn matches_by_definition(pattern: &[u8], name: &[u8]) -> bool {
+        match (pattern.split_first(), name.split_first()) {
+            (None, None) => true,
+            (Some((b'*', rest)), _) => {
+                (0..=name.len()).any(|skipped| matches_by_definition(rest, &name[skipped..]))
+            }
+            (Some((first, rest)), Some((same, others))) if first == same => {
+                matches_by_definition(rest, others)
+            }
+            _ => false,
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn patterns_match_as_defined(pattern in "[ab*]{0,6}", name in "[ab]{0,8}") {
+            let expected = matches_by_definition(pattern.as_bytes(), name.as_bytes());
+            prop_assert_eq!(Pattern(pattern).matches(&name), expected);
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! The identities of a running server, which follow their file.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use parking_lot::RwLock;
+use tokio::time::interval;
+use tracing::{error, info};
+
+use super::{Caller, Stranger, TableError, table::Table};
+
+/// The interval at which files are looked at: a revoked identity has its rights for so long at most.
+pub(crate) const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The identities of the server. Clones share them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Identities {
+    /// None: the server has none, and every caller may do everything.
+    source: Option<Arc<Source>>,
+}
+
+#[derive(Debug)]
+struct Source {
+    file: PathBuf,
+    table: RwLock<Table>,
+}
+
+/// A state of a file, by which a change shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stamp(Option<(SystemTime, u64)>);
+
+impl Stamp {
+    /// The state of a file now. A file that cannot be looked at has a state of its own.
+    pub(crate) fn of(file: &Path) -> Self {
+        let looked = fs::metadata(file).and_then(|it| io::Result::Ok((it.modified()?, it.len())));
+        Self(looked.ok())
+    }
+}
+
+impl Identities {
+    /// The identities of a file; none without one.
+    pub(crate) fn open(file: Option<&Path>) -> Result<Self, TableError> {
+        let Some(file) = file else {
+            return Ok(Self::default());
+        };
+        let table = Table::read(file)?;
+        info!(file = %file.display(), identities = table.len(), "identities read");
+        Ok(Self {
+            source: Some(Arc::new(Source {
+                file: file.to_owned(),
+                table: RwLock::new(table),
+            })),
+        })
+    }
+
+    /// True if callers need an identity.
+    pub(crate) fn are_required(&self) -> bool {
+        self.source.is_some()
+    }
+
+    /// The caller with a token, a certificate for these names, or neither. The token counts if there are both.
+    pub(crate) fn caller(&self, token: Option<&[u8]>, certificate: Option<&[String]>) -> Caller {
+        let Some(source) = &self.source else {
+            return Caller::Anyone;
+        };
+        match (token, certificate) {
+            (Some(token), _) => source.table.read().of_token(token),
+            (None, Some(names)) => source.table.read().of_certificate(names),
+            (None, None) => Caller::Unknown(Stranger::NoCredential),
+        }
+    }
+
+    /// Reads the file again whenever it changes. A file that is wrong changes nothing.
+    pub(crate) async fn follow(self) {
+        let Some(source) = self.source else {
+            return;
+        };
+        let mut known = Stamp::of(&source.file);
+        let mut looks = interval(LOOK_INTERVAL);
+        loop {
+            looks.tick().await;
+            let now = Stamp::of(&source.file);
+            if now != known {
+                known = now;
+                source.read_again();
+            }
+        }
+    }
+}
+
+impl Source {
+    fn read_again(&self) {
+        match Table::read(&self.file) {
+            Ok(table) => {
+                let mut current = self.table.write();
+                let table = table.succeed(&current);
+                info!(file = %self.file.display(), identities = table.len(), "identities read");
+                *current = table;
+            }
+            Err(error) => error!(%error, "the identities stay as they were"),
+        }
+    }
+}

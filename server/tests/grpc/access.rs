@@ -1,0 +1,292 @@
+//! Every call against every kind of credential. A call without a row fails the test.
+
+use std::{fs, path::Path};
+
+use futures_util::stream;
+use prost::Message;
+use prost_types::FileDescriptorSet;
+use sha2::{Digest, Sha256};
+use tonic::{Code, Request, Status, client::Grpc, codegen::http::uri::PathAndQuery};
+use tonic_types::StatusExt;
+use wayfold_proto::v1;
+use wayfold_server::identity::Role;
+
+use crate::{
+    harness::{TestServer, reason},
+    raw::Raw,
+};
+
+/// The identities by name, which is their token too: the name says the role, and what is special.
+const IDENTITIES: [(&str, Role, &str); 6] = [
+    ("reader", Role::Read, "*"),
+    ("writer", Role::Write, "arm*"),
+    ("admin", Role::Admin, "a*m"),
+    ("admin of the leg", Role::Admin, "leg"),
+    ("expired", Role::Admin, "*"),
+    ("revoked", Role::Admin, "*"),
+];
+
+fn write_identities(file: &Path, but: &str) {
+    let mut text = String::new();
+    for (name, role, pattern) in IDENTITIES {
+        if name == but {
+            continue;
+        }
+        let digest: String = Sha256::digest(name)
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        text += &format!(
+            "[[identity]]\nname = \"{name}\"\nrole = \"{role}\"\nindexes = [\"{pattern}\"]\n\
+             token_sha256 = \"{digest}\"\n"
+        );
+        if name == "expired" {
+            text += "expires = \"2001-01-01T00:00:00Z\"\n";
+        }
+    }
+    // A file that is renamed is never read in part.
+    let whole = file.with_extension("new");
+    fs::write(&whole, text).unwrap();
+    fs::rename(whole, file).unwrap();
+}
+
+async fn start(file: &Path) -> TestServer {
+    write_identities(file, "");
+    let file = file.to_str().unwrap().to_owned();
+    TestServer::start(|config| config.access.identities = file).await
+}
+
+/// The role that a call needs, whether the index counts, and a request for the index `arm`.
+fn row(method: &str) -> (Role, bool, Vec<u8>) {
+    let index_name = || "arm".to_owned();
+    macro_rules! of {
+        ($request:ident, $role:ident) => {
+            (
+                Role::$role,
+                true,
+                v1::$request {
+                    index_name: index_name(),
+                    ..Default::default()
+                }
+                .encode_to_vec(),
+            )
+        };
+    }
+    match method {
+        "IndexService/GetServer" | "IndexService/ListIndexes" => (Role::Read, false, Vec::new()),
+        "IndexService/CreateIndex" => {
+            let request = v1::CreateIndexRequest {
+                name: index_name(),
+                ..Default::default()
+            };
+            (Role::Admin, true, request.encode_to_vec())
+        }
+        "IndexService/RestoreIndex" => {
+            let request = v1::RestoreIndexRequest {
+                name: index_name(),
+                ..Default::default()
+            };
+            (Role::Admin, true, request.encode_to_vec())
+        }
+        "IndexService/GetIndex" => of!(GetIndexRequest, Read),
+        "IndexService/DeleteIndex" => of!(DeleteIndexRequest, Admin),
+        "IndexService/SnapshotIndex" => of!(SnapshotIndexRequest, Read),
+        "IndexService/VerifyIndex" => of!(VerifyIndexRequest, Read),
+        "PointService/Insert" => of!(InsertRequest, Write),
+        "PointService/Update" => of!(UpdateRequest, Write),
+        "PointService/Remove" => of!(RemoveRequest, Write),
+        "PointService/OpenSession" => of!(OpenSessionRequest, Write),
+        "PointService/Write" => of!(WriteRequest, Write),
+        "PointService/Get" => of!(GetRequest, Read),
+        "PointService/Knn" => of!(KnnRequest, Read),
+        "PointService/Query" => of!(QueryRequest, Read),
+        "PointService/Scan" => of!(ScanRequest, Read),
+        "PointService/Watch" => of!(WatchRequest, Read),
+        "PointService/StreamKnn" => {
+            let knn = v1::KnnRequest {
+                index_name: index_name(),
+                ..Default::default()
+            };
+            let request = v1::StreamKnnRequest { knn: Some(knn) };
+            (Role::Read, true, request.encode_to_vec())
+        }
+        other => panic!("{other} has no row: which role does it need?"),
+    }
+}
+
+/// The calls of the contract.
+fn methods() -> Vec<String> {
+    let files = FileDescriptorSet::decode(v1::FILE_DESCRIPTOR_SET).unwrap();
+    let ours = files
+        .file
+        .iter()
+        .filter(|file| file.package() == "wayfold.v1");
+    let services = ours.flat_map(|file| &file.service);
+    let methods = services.flat_map(|service| {
+        let name = |method: &prost_types::MethodDescriptorProto| {
+            format!("{}/{}", service.name(), method.name())
+        };
+        service.method.iter().map(name).collect::<Vec<_>>()
+    });
+    methods.collect()
+}
+
+/// Calls with a token, and returns the first answer or the refusal.
+async fn call(
+    server: &TestServer,
+    method: &str,
+    authorization: Option<&str>,
+) -> Result<(), Status> {
+    let mut grpc = Grpc::new(server.channel.clone());
+    grpc.ready().await.unwrap();
+    let mut request = Request::new(stream::iter([row(method).2]));
+    if let Some(value) = authorization {
+        let metadata = request.metadata_mut();
+        metadata.insert("authorization", value.parse().unwrap());
+    }
+    let path: PathAndQuery = format!("/wayfold.v1.{method}").parse().unwrap();
+    let mut answers = grpc.streaming(request, path, Raw).await?.into_inner();
+    let Some(answer) = answers.message().await? else {
+        return Ok(());
+    };
+    if method != "PointService/StreamKnn" {
+        return Ok(());
+    }
+    match v1::StreamKnnResponse::decode(&*answer).unwrap().result {
+        Some(v1::stream_knn_response::Result::Error(status)) => Err(Status::with_details(
+            Code::from_i32(status.code),
+            status.message.clone(),
+            status.encode_to_vec().into(),
+        )),
+        _ => Ok(()),
+    }
+}
+
+fn bearer(token: &str) -> String {
+    format!("Bearer {token}")
+}
+
+#[tokio::test]
+async fn every_call_refuses_every_wrong_credential() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("identities.toml");
+    let server = start(&file).await;
+    call(&server, "PointService/Knn", Some(&bearer("revoked")))
+        .await
+        .unwrap_err();
+    write_identities(&file, "revoked");
+    // The server looks at the file once a second.
+    while let Err(status) = call(&server, "PointService/Knn", Some(&bearer("revoked"))).await
+        && status.code() != Code::Unauthenticated
+    {}
+    let methods = methods();
+    assert_eq!(methods.len(), 19);
+    for method in methods {
+        let (role, has_index, _) = row(&method);
+        let strangers = [
+            (None, "NO_CREDENTIAL"),
+            (Some("Basic YWRtaW46".to_owned()), "NO_CREDENTIAL"),
+            (Some("Bearer".to_owned()), "NO_CREDENTIAL"),
+            (Some(bearer("")), "WRONG_CREDENTIAL"),
+            (Some(bearer("adminx")), "WRONG_CREDENTIAL"),
+            (Some(bearer("expired")), "IDENTITY_EXPIRED"),
+            (Some(bearer("revoked")), "WRONG_CREDENTIAL"),
+        ];
+        for (value, expected) in strangers {
+            let status = call(&server, &method, value.as_deref()).await.unwrap_err();
+            let found = reason(&status, Code::Unauthenticated);
+            assert_eq!(found, expected, "{method} {value:?}");
+        }
+        for (name, own, pattern) in &IDENTITIES[..4] {
+            let answer = call(&server, &method, Some(&bearer(name))).await;
+            let expected = match () {
+                () if *own < role => Some("ROLE_TOO_LOW"),
+                () if has_index && *pattern == "leg" => Some("INDEX_NOT_ALLOWED"),
+                () => None,
+            };
+            match (answer, expected) {
+                (Err(status), Some(expected)) => {
+                    let found = reason(&status, Code::PermissionDenied);
+                    assert_eq!(found, expected, "{method} {name}");
+                    let info = status.get_details_error_info().unwrap();
+                    assert_eq!(info.metadata["identity"], *name);
+                }
+                (Err(status), None) => {
+                    let denied = [Code::PermissionDenied, Code::Unauthenticated];
+                    assert!(
+                        !denied.contains(&status.code()),
+                        "{method} {name} {status:?}"
+                    );
+                }
+                (Ok(()), None) => {}
+                (Ok(()), Some(expected)) => panic!("{method} {name}: not {expected}"),
+            }
+        }
+    }
+    server.stop().await.unwrap().unwrap();
+}
+
+fn with_token<Q>(token: &str, message: Q) -> Request<Q> {
+    let mut request = Request::new(message);
+    let value = bearer(token).parse().unwrap();
+    request.metadata_mut().insert("authorization", value);
+    request
+}
+
+#[tokio::test]
+async fn lists_show_what_the_identity_may_see_and_a_watch_ends_with_its_rights() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("identities.toml");
+    let server = start(&file).await;
+    for (token, name) in [("admin", "arm"), ("admin of the leg", "leg")] {
+        let request = v1::CreateIndexRequest {
+            name: name.into(),
+            space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+        };
+        let request = with_token(token, request);
+        server.indices().create_index(request).await.unwrap();
+    }
+    for (token, expected) in [
+        ("reader", vec!["arm", "leg"]),
+        ("writer", vec!["arm"]),
+        ("admin of the leg", vec!["leg"]),
+    ] {
+        let mut names = Vec::new();
+        let mut page_token = String::new();
+        loop {
+            let request = v1::ListIndexesRequest {
+                page_size: 1,
+                page_token,
+            };
+            let request = with_token(token, request);
+            let page = server.indices().list_indexes(request).await.unwrap();
+            let page = page.into_inner();
+            names.extend(page.indexes.into_iter().map(|index| index.name));
+            page_token = page.next_page_token;
+            if page_token.is_empty() {
+                break;
+            }
+        }
+        assert_eq!(names, expected, "{token}");
+    }
+
+    let watch = v1::WatchRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    let watch = server.points().watch(with_token("reader", watch)).await;
+    let mut watch = watch.unwrap().into_inner();
+    watch.message().await.unwrap().unwrap();
+    write_identities(&file, "reader");
+    let looked = || async {
+        let request = with_token("reader", v1::GetServerRequest {});
+        server.indices().get_server(request).await
+    };
+    while looked().await.is_ok() {}
+    let insert = crate::harness::insert("arm", &[1.0]);
+    let inserted = server.points().insert(with_token("writer", insert)).await;
+    inserted.unwrap();
+    let status = watch.message().await.unwrap_err();
+    assert_eq!(reason(&status, Code::Unauthenticated), "IDENTITY_REVOKED");
+    server.stop().await.unwrap().unwrap();
+}
