@@ -83,6 +83,10 @@ pub enum ServerError {
 /// The addresses that a server listens on.
 pub(crate) struct Addresses {
     pub(crate) grpc: SocketAddr,
+    /// True if gRPC speaks TLS.
+    pub(crate) has_tls: bool,
+    /// True if callers need an identity.
+    pub(crate) has_identities: bool,
     /// Zenoh's locators; empty if Zenoh is off.
     pub(crate) zenoh: Vec<String>,
 }
@@ -133,6 +137,8 @@ pub(crate) async fn serve(
     let mut zenoh = ZenohFace::open(&config.zenoh, shared.clone()).await?;
     let addresses = Addresses {
         grpc: address,
+        has_tls: tls.is_some(),
+        has_identities: shared.identities.are_required(),
         zenoh: match &zenoh {
             Some(face) => face.locators().await,
             None => Vec::new(),

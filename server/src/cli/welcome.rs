@@ -40,13 +40,22 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
             "Indices are kept in memory and are lost when the server stops (Ctrl-C).".to_owned()
         }
     };
-    let client = if address.port() == DEFAULT_PORT {
-        client.to_owned()
-    } else {
-        format!("{client} --server http://{}", reachable(address))
+    let scheme = match addresses.has_tls {
+        true => "https",
+        false => "http",
     };
+    let mut client = client.to_owned();
+    if addresses.has_tls || address.port() != DEFAULT_PORT {
+        client += &format!(" --server {scheme}://{}", reachable(address));
+    }
+    if addresses.has_tls {
+        client += " --ca CA.pem";
+    }
+    if addresses.has_identities {
+        client += " --token-file TOKEN";
+    }
     format!(
-        "listening on http://{address}\n\
+        "listening on {scheme}://{address}\n\
          {zenoh}\
          \n\
          {storage} Next, in another terminal:\n\
@@ -76,6 +85,8 @@ mod tests {
     fn at(grpc: &str, zenoh: &[&str]) -> Addresses {
         Addresses {
             grpc: grpc.parse().unwrap(),
+            has_tls: false,
+            has_identities: false,
             zenoh: zenoh.iter().map(ToString::to_string).collect(),
         }
     }
@@ -112,5 +123,19 @@ mod tests {
         assert!(text.contains("\nIndices are kept in data. Next"));
         assert!(text.starts_with("listening on http://0.0.0.0:4000\n"));
         assert!(text.contains("  wayfold --server http://127.0.0.1:4000 create arm "));
+    }
+
+    #[test]
+    fn commands_have_the_credentials_that_the_server_asks_for() {
+        let addresses = Addresses {
+            has_tls: true,
+            has_identities: true,
+            ..at("127.0.0.1:50051", &[])
+        };
+        let text = text(&addresses, None, "wayfold");
+        assert!(text.starts_with("listening on https://127.0.0.1:50051\n"));
+        let command =
+            "  wayfold --server https://127.0.0.1:50051 --ca CA.pem --token-file TOKEN create";
+        assert!(text.contains(command), "{text}");
     }
 }

@@ -1,0 +1,388 @@
+//! A server with TLS and identities: certificates that are renewed under load, and callers with and without rights.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+};
+
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair};
+use tokio::net::TcpStream;
+use tokio_rustls::{
+    TlsConnector,
+    rustls::{ClientConfig, RootCertStore, pki_types::CertificateDer},
+};
+use wayfold::{Client, Code, Credentials, Error, Index, RetryPolicy, Space};
+use wayfold_tests::{Process, ProcessOutput, ServerProcess, Signal, measuring};
+
+const CALLERS: u64 = 4;
+/// The calls of one connection of a caller.
+const CALLS: usize = 10;
+
+/// An authority, in a directory with its files.
+struct Authority {
+    issuer: CertifiedIssuer<'static, KeyPair>,
+    directory: PathBuf,
+}
+
+impl Authority {
+    fn new(directory: &Path) -> Self {
+        let mut params = CertificateParams::default();
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        let issuer = CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap();
+        fs::write(directory.join("ca.pem"), issuer.pem()).unwrap();
+        Self {
+            issuer,
+            directory: directory.to_owned(),
+        }
+    }
+
+    /// Certifies a name, for 127.0.0.1 too: writes NAME.pem and NAME.key, each whole or not at all.
+    fn certify(&self, name: &str) -> CertificateDer<'static> {
+        let names = [name.to_owned(), "127.0.0.1".to_owned()];
+        let mut params = CertificateParams::new(names).unwrap();
+        params.distinguished_name.push(DnType::CommonName, name);
+        let key = KeyPair::generate().unwrap();
+        let certificate = params.signed_by(&key, &self.issuer).unwrap();
+        for (end, pem) in [("key", key.serialize_pem()), ("pem", certificate.pem())] {
+            let whole = self.directory.join("whole");
+            fs::write(&whole, pem).unwrap();
+            fs::rename(whole, self.file(name, end)).unwrap();
+        }
+        certificate.der().clone()
+    }
+
+    fn file(&self, name: &str, end: &str) -> PathBuf {
+        self.directory.join(format!("{name}.{end}"))
+    }
+
+    fn read(&self, name: &str, end: &str) -> Vec<u8> {
+        fs::read(self.file(name, end)).unwrap()
+    }
+
+    fn credentials(&self) -> Credentials {
+        Credentials::new().ca_certificate(self.read("ca", "pem"))
+    }
+
+    /// Makes a token with the command line, and returns it; its entry joins the file of identities.
+    fn token(&self, name: &str, role: &str, index: &str) -> String {
+        let token = self.file(name, "token");
+        let arguments = ["token", "create", name, "--role", role, "--index", index];
+        let to = ["--to", token.to_str().unwrap()];
+        let made = wayfold(&[&arguments[..], &to].concat());
+        assert!(made.status.success(), "{}", made.stderr);
+        let before = fs::read_to_string(self.file("identities", "toml")).unwrap_or_default();
+        let entry = made.stdout.join("\n");
+        fs::write(
+            self.file("identities", "toml"),
+            format!("{before}{entry}\n"),
+        )
+        .unwrap();
+        fs::read_to_string(token).unwrap().trim().to_owned()
+    }
+
+    /// The command of a server with the certificate `server` and these identities.
+    fn command(&self) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+        command
+            .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
+            .env("WAYFOLD_TLS__CERTIFICATE", self.file("server", "pem"))
+            .env("WAYFOLD_TLS__KEY", self.file("server", "key"))
+            .env("WAYFOLD_TLS__CLIENT_CA", self.file("ca", "pem"))
+            .env(
+                "WAYFOLD_ACCESS__IDENTITIES",
+                self.file("identities", "toml"),
+            );
+        command
+    }
+}
+
+/// Runs the command line.
+fn wayfold(arguments: &[&str]) -> ProcessOutput {
+    Process::start(env!("CARGO_BIN_EXE_cli-process"), arguments).finish()
+}
+
+/// The certificate that a server presents to a new connection.
+async fn presented(authority: &Authority, server: &ServerProcess) -> CertificateDer<'static> {
+    let mut roots = RootCertStore::empty();
+    roots.add(authority.issuer.der().clone()).unwrap();
+    let mut config = ClientConfig::builder()
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    config.alpn_protocols = vec![b"h2".to_vec()];
+    let address = server.uri().trim_start_matches("https://");
+    let socket = TcpStream::connect(address).await.unwrap();
+    let connector = TlsConnector::from(Arc::new(config));
+    let name = "127.0.0.1".try_into().unwrap();
+    let stream = connector.connect(name, socket).await.unwrap();
+    let chain = stream.get_ref().1.peer_certificates().unwrap();
+    chain[0].clone().into_owned()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn certificates_are_renewed_without_a_failed_call() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    let first = authority.certify("server");
+    let token = authority.token("admin", "admin", "*");
+    let server = ServerProcess::ready(Process::spawn(&mut authority.command()));
+    let uri = server.uri().to_owned();
+    let credentials = authority.credentials().token(token);
+    let client = Client::builder().credentials(credentials.clone());
+    let client = client.connect(&uri).await.unwrap();
+    let space: Space = "R1".parse().unwrap();
+    let index = client.create_index("arm", &space).await.unwrap();
+    assert_eq!(presented(&authority, &server).await, first);
+
+    let done = Arc::new(AtomicBool::new(false));
+    let callers = (0..CALLERS).map(|caller| {
+        let (uri, credentials, done) = (uri.clone(), credentials.clone(), Arc::clone(&done));
+        tokio::spawn(async move {
+            let mut inserted = 0;
+            while !done.load(Relaxed) {
+                let client = Client::builder().credentials(credentials.clone());
+                let index = client.connect(&uri).await.unwrap().index("arm").await;
+                let index = index.unwrap();
+                for _ in 0..CALLS {
+                    index.insert([[caller as f64]]).await.unwrap();
+                    inserted += 1;
+                }
+            }
+            inserted
+        })
+    });
+    let callers: Vec<_> = callers.collect();
+    let second = authority.certify("server");
+    while presented(&authority, &server).await != second {}
+    // Files that do not fit leave it in use.
+    fs::write(authority.file("server", "pem"), "no certificate").unwrap();
+    let third = authority.certify("server");
+    while presented(&authority, &server).await != third {}
+    done.store(true, Relaxed);
+    let mut inserted = 0;
+    for caller in callers {
+        inserted += caller.await.unwrap();
+    }
+    // The first connection is the same since before.
+    assert_eq!(index.info().await.unwrap().point_count, inserted);
+    let finished = server.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    authority.certify("server");
+    authority.certify("planner.example");
+    authority.certify("nobody.example");
+    let admin = authority.token("admin", "admin", "*");
+    let identities = authority.file("identities", "toml");
+    let entry = "[[identity]]\nname = \"planner\"\nrole = \"read\"\nindexes = [\"arm\"]\n\
+                 certificate = \"planner.example\"\n";
+    let before = fs::read_to_string(&identities).unwrap();
+    fs::write(&identities, before + entry).unwrap();
+    let server = ServerProcess::ready(Process::spawn(&mut authority.command()));
+    let uri = server.uri().to_owned();
+    let connect = async |credentials: Credentials| {
+        let builder = Client::builder().credentials(credentials);
+        builder.connect(&uri).await
+    };
+    let client = connect(authority.credentials().token(&*admin)).await;
+    let space: Space = "R1".parse().unwrap();
+    let client = client.unwrap();
+    let index = client.create_index("arm", &space).await.unwrap();
+    index.insert([[1.0]]).await.unwrap();
+
+    let with = |name: &str| {
+        let (certificate, key) = (authority.read(name, "pem"), authority.read(name, "key"));
+        authority.credentials().client_certificate(certificate, key)
+    };
+    let planner = connect(with("planner.example")).await.unwrap();
+    let seen = planner.index("arm").await.unwrap();
+    assert_eq!(seen.knn([[0.0]]).k(1).await.unwrap().row(0).len(), 1);
+    let refused = seen.insert([[2.0]]).await.unwrap_err();
+    assert_eq!(refused.code(), Code::PermissionDenied);
+    assert_eq!(refused.reason(), Some("ROLE_TOO_LOW"));
+    for (credentials, reason) in [
+        (with("nobody.example"), "WRONG_CREDENTIAL"),
+        (authority.credentials(), "NO_CREDENTIAL"),
+        (
+            authority.credentials().token("wayfold_of_a_stranger"),
+            "WRONG_CREDENTIAL",
+        ),
+    ] {
+        let client = connect(credentials).await.unwrap();
+        let refused = client.index("arm").await.unwrap_err();
+        assert_eq!(refused.code(), Code::Unauthenticated, "{refused}");
+        assert_eq!(refused.reason(), Some(reason));
+        // Probes have no identity.
+        assert!(client.is_serving().await.unwrap());
+    }
+    // Another authority's certificate ends the handshake, and so does plain text.
+    let other = tempfile::tempdir().unwrap();
+    let other = Authority::new(other.path());
+    other.certify("planner.example");
+    let (certificate, key) = (
+        other.read("planner.example", "pem"),
+        other.read("planner.example", "key"),
+    );
+    let forged = authority.credentials().client_certificate(certificate, key);
+    let quick = Client::builder().retry(RetryPolicy::never());
+    let strangers = [
+        (uri.clone(), forged),
+        (uri.clone(), other.credentials()),
+        (uri.replace("https", "http"), Credentials::new()),
+    ];
+    for (uri, credentials) in strangers {
+        let connected = quick.clone().credentials(credentials).connect(&uri).await;
+        let failed = match connected {
+            Ok(client) => client.index("arm").await.map(drop).unwrap_err(),
+            Err(error) => error,
+        };
+        assert_eq!(failed.code(), Code::Unavailable, "{failed}");
+    }
+    let log = server.stop(Signal::Terminate).stderr;
+    for token in [&*admin, "wayfold_of_a_stranger"] {
+        assert!(!log.contains(token), "a token is in the log: {log}");
+    }
+}
+
+#[test]
+fn the_command_line_takes_certificates_and_tokens_and_says_what_is_wrong() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    authority.certify("server");
+    authority.token("cell", "admin", "cell-*");
+    let server = ServerProcess::ready(Process::spawn(&mut authority.command()));
+    let uri = server.uri().to_owned();
+    let ca = authority.file("ca", "pem");
+    let token = authority.file("cell", "token");
+    let (ca, token) = (ca.to_str().unwrap(), token.to_str().unwrap());
+    let known = ["--server", &uri, "--ca", ca, "--token-file", token];
+    let run = |options: &[&str], command: &[&str]| wayfold(&[options, command].concat());
+    let created = run(&known, &["create", "cell-1", "--space", "R1"]);
+    assert!(created.status.success(), "{}", created.stderr);
+    for (options, command, status, part) in [
+        (
+            &known[..],
+            &["create", "arm", "--space", "R1"][..],
+            3,
+            "no rights on the index",
+        ),
+        (
+            &known[..4],
+            &["info", "cell-1"],
+            3,
+            "neither a token nor a client certificate",
+        ),
+        (
+            &known[..2],
+            &["info", "cell-1"],
+            2,
+            "https needs the certificate",
+        ),
+        (
+            &["--ca", "missing.pem"],
+            &["list"],
+            2,
+            "--ca: cannot read missing.pem",
+        ),
+        (&["--cert", ca], &["list"], 2, "--cert and --key"),
+    ] {
+        let refused = run(options, command);
+        assert_eq!(refused.status.code(), Some(status), "{}", refused.stderr);
+        assert!(refused.stderr.contains(part), "{}", refused.stderr);
+    }
+    // A token is written once, where no one else reads it.
+    let again = [
+        "token", "create", "x", "--role", "read", "--index", "*", "--to", token,
+    ];
+    assert!(wayfold(&again).stderr.contains("File exists"));
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        assert_eq!(
+            fs::metadata(token).unwrap().permissions().mode() & 0o777,
+            0o600
+        );
+    }
+}
+
+#[test]
+fn beyond_this_machine_nothing_is_served_without_both() {
+    let open = |arguments: &[&str]| {
+        let program = env!("CARGO_BIN_EXE_server-process");
+        let all = [&["--data", "memory"], arguments].concat();
+        let refused = Process::start(program, &all).finish();
+        assert_eq!(refused.status.code(), Some(1), "{}", refused.stderr);
+        refused.stderr
+    };
+    let log = open(&["--grpc", "0.0.0.0:0", "--zenoh", "off"]);
+    assert!(log.contains("without TLS and identities"), "{log}");
+    assert!(log.contains("--insecure"), "{log}");
+    let log = open(&["--grpc", "127.0.0.1:0", "--zenoh", "tls/0.0.0.0:0"]);
+    assert!(log.contains("without identities"), "{log}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn over_zenoh_a_token_is_the_attachment_and_events_stay_unpublished_unless_allowed() {
+    for publishes in ["off", "on"] {
+        let directory = tempfile::tempdir().unwrap();
+        let authority = Authority::new(directory.path());
+        let token = authority.token("robot", "admin", "*");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+        command
+            .args([
+                "--grpc",
+                "127.0.0.1:0",
+                "--zenoh",
+                "tcp/127.0.0.1:0",
+                "--data",
+                "memory",
+            ])
+            .env(
+                "WAYFOLD_ACCESS__IDENTITIES",
+                authority.file("identities", "toml"),
+            )
+            .env("WAYFOLD_ACCESS__PUBLISH_EVENTS", publishes);
+        let mut server = ServerProcess::ready(Process::spawn(&mut command));
+        let session = measuring::connect(&server.zenoh()).await;
+        let events = session.declare_subscriber("wayfold/v1/*/events").await;
+        let events = events.unwrap();
+        let space: Space = "R1".parse().unwrap();
+        let open = |credentials: Credentials| {
+            let (session, space) = (session.clone(), space.clone());
+            let open = move || {
+                let index = Index::shared_over_zenoh(session, "wayfold/v1", "arm");
+                index.create(&space).credentials(credentials).open()
+            };
+            tokio::task::spawn_blocking(open)
+        };
+        let stranger = open(Credentials::new()).await.unwrap().unwrap_err();
+        assert_eq!(stranger.reason(), Some("NO_CREDENTIAL"), "{stranger}");
+        let index = open(Credentials::new().token(token))
+            .await
+            .unwrap()
+            .unwrap();
+        let written = tokio::task::spawn_blocking(move || {
+            // A server that publishes has sent the first mutations before it acknowledges the last.
+            (0..20).try_for_each(|number| {
+                index.insert([f64::from(number)])?;
+                index.flush()
+            })
+        });
+        written
+            .await
+            .unwrap()
+            .unwrap_or_else(|error: Error| panic!("{error}"));
+        match publishes {
+            "on" => drop(events.recv_async().await.unwrap()),
+            _ => assert!(events.try_recv().unwrap().is_none()),
+        }
+    }
+}
