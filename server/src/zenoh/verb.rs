@@ -38,7 +38,7 @@ pub(super) enum Verb {
 }
 
 impl PointVerb {
-    const ALL: [(&str, Self); 11] = [
+    pub(super) const ALL: [(&str, Self); 11] = [
         ("knn", Self::Knn),
         ("query", Self::Query),
         ("insert", Self::Insert),
@@ -54,7 +54,7 @@ impl PointVerb {
 }
 
 impl IndexVerb {
-    const ALL: [(&str, Self); 4] = [
+    pub(super) const ALL: [(&str, Self); 4] = [
         ("server", Self::Server),
         ("create", Self::Create),
         ("list", Self::List),
