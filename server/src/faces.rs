@@ -1,6 +1,11 @@
 //! The parts of the server that both faces use.
 
-use crate::{admission::Admission, identity::Identities, observe::SlowCalls, service::Service};
+use crate::{
+    admission::Admission,
+    identity::Identities,
+    observe::{Metrics, SlowCalls},
+    service::Service,
+};
 
 /// See the module. Clones share them.
 #[derive(Clone)]
@@ -9,4 +14,5 @@ pub(crate) struct Shared {
     pub(crate) admission: Admission,
     pub(crate) slow_calls: SlowCalls,
     pub(crate) identities: Identities,
+    pub(crate) metrics: Metrics,
 }

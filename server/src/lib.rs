@@ -15,6 +15,7 @@ mod cli;
 mod exposure;
 mod faces;
 mod grpc;
+mod http;
 pub mod identity;
 mod latency_gate;
 mod lifecycle;

@@ -12,18 +12,19 @@ use tokio_util::{
     sync::CancellationToken,
     task::{AbortOnDropHandle, TaskTracker},
 };
-use tracing::{info, warn};
+use tracing::{error, info, warn};
 
 use crate::{
     admission::Admission,
-    config::{Config, DataConfig, ON},
+    config::{Config, DataConfig, HttpConfig, OFF, ON},
     exposure::{self, Exposed, ExposedError},
     faces::Shared,
     grpc::{self, GrpcError, Tls, TlsError},
+    http::{self, Pages, State},
     identity::{Identities, TableError},
-    lifecycle::{Lifecycle, Phase},
-    log::{FjallLog, Log, MemoryLog, OpenError},
-    observe::SlowCalls,
+    lifecycle::{Lifecycle, Phase, PhaseWatch},
+    log::{FjallLog, Log, MemoryLog, OpenError, SYNCS},
+    observe::{Metrics, SlowCalls},
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
     watermark::Watermarks,
@@ -55,6 +56,17 @@ pub enum ServerError {
     /// The identities cannot be used.
     #[error(transparent)]
     Identities(#[from] TableError),
+    /// The pages for operators have no address.
+    #[error(
+        "cannot listen on {listen} for /metrics: {source}\n  \
+         choose another address with http.listen (--http 127.0.0.1:0 takes any free port, --http off does without)"
+    )]
+    Pages {
+        /// The address.
+        listen: String,
+        /// The problem.
+        source: io::Error,
+    },
     /// Callers beyond this machine could do everything.
     #[error(transparent)]
     Exposed(#[from] ExposedError),
@@ -83,6 +95,8 @@ pub enum ServerError {
 /// The addresses that a server listens on.
 pub(crate) struct Addresses {
     pub(crate) grpc: SocketAddr,
+    /// The pages for operators, if there are any.
+    pub(crate) pages: Option<SocketAddr>,
     /// True if gRPC speaks TLS.
     pub(crate) has_tls: bool,
     /// True if callers need an identity.
@@ -110,7 +124,9 @@ pub(crate) async fn serve(
 ) -> Result<(), ServerError> {
     let address = listener.local_addr()?;
     let tls = Tls::open(&config.tls)?;
-    check_exposure(&config, address, tls.is_some())?;
+    let pages = bind_pages(&config.http).await?;
+    let pages_at = pages.as_ref().map(TcpListener::local_addr).transpose()?;
+    check_exposure(&config, address, pages_at, tls.is_some())?;
     let identities = Identities::open(config.access.identities())?;
     let publishes = !identities.are_required() || config.access.publish_events == ON;
     let _following = AbortOnDropHandle::new(tokio::spawn(identities.clone().follow()));
@@ -130,6 +146,7 @@ pub(crate) async fn serve(
         admission: Admission::new(&config.admission, threads, message_bytes),
         slow_calls: SlowCalls::new(config.log.slow_call_ms),
         identities,
+        metrics: Metrics::new(),
     };
     let under_way = TaskTracker::new();
     let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
@@ -137,6 +154,7 @@ pub(crate) async fn serve(
     let mut zenoh = ZenohFace::open(&config.zenoh, shared.clone()).await?;
     let addresses = Addresses {
         grpc: address,
+        pages: pages_at,
         has_tls: tls.is_some(),
         has_identities: shared.identities.are_required(),
         zenoh: match &zenoh {
@@ -144,6 +162,17 @@ pub(crate) async fn serve(
             None => Vec::new(),
         },
     };
+    let _pages = pages.map(|listener| {
+        let is_local = pages_at.is_some_and(|at| at.ip().is_loopback());
+        // A machine trusts itself: a probe on it needs no certificate.
+        let tls = tls.clone().filter(|_| !is_local);
+        AbortOnDropHandle::new(tokio::spawn(serve_pages(
+            listener,
+            tls,
+            shared.clone(),
+            lifecycle.watch(),
+        )))
+    });
     let mut serving = pin!(grpc::serve(
         &config.grpc,
         shared,
@@ -189,14 +218,60 @@ pub(crate) async fn serve(
     drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await
 }
 
+/// The listener of the pages for operators, unless they are off.
+async fn bind_pages(config: &HttpConfig) -> Result<Option<TcpListener>, ServerError> {
+    if config.listen == OFF {
+        return Ok(None);
+    }
+    let bound = TcpListener::bind(&config.listen).await;
+    bound.map(Some).map_err(|source| ServerError::Pages {
+        listen: config.listen.clone(),
+        source,
+    })
+}
+
+/// Serves the pages for operators.
+async fn serve_pages(listener: TcpListener, tls: Option<Tls>, shared: Shared, phases: PhaseWatch) {
+    let Shared {
+        service,
+        admission,
+        identities,
+        metrics,
+        slow_calls: _,
+    } = shared;
+    metrics.add_syncs(SYNCS.clone());
+    metrics.add(State {
+        service: service.clone(),
+        admission,
+        phases: phases.clone(),
+    });
+    let pages = Pages {
+        metrics,
+        identities,
+        phases,
+        service,
+    };
+    if let Err(error) = http::serve(listener, tls, pages).await {
+        error!(%error, "the pages for operators are not served any more");
+    }
+}
+
 /// Refuses to reach beyond this machine without TLS and identities, unless that is allowed.
-fn check_exposure(config: &Config, address: SocketAddr, has_tls: bool) -> Result<(), ServerError> {
+fn check_exposure(
+    config: &Config,
+    address: SocketAddr,
+    pages: Option<SocketAddr>,
+    has_tls: bool,
+) -> Result<(), ServerError> {
     let mut exposed = zenoh::exposed(&config.zenoh)?;
-    if !address.ip().is_loopback() {
-        exposed.push(Exposed {
-            at: format!("grpc.listen: {address}"),
-            has_tls,
-        });
+    let listens = [("grpc.listen", Some(address)), ("http.listen", pages)];
+    for (setting, address) in listens {
+        if let Some(address) = address.filter(|address| !address.ip().is_loopback()) {
+            exposed.push(Exposed {
+                at: format!("{setting}: {address}"),
+                has_tls,
+            });
+        }
     }
     let has_identities = config.access.identities().is_some();
     let is_allowed = config.access.insecure == ON;

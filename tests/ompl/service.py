@@ -39,7 +39,7 @@ class Server:
     def __enter__(self):
         self.stderr = tempfile.TemporaryFile(mode="w+")
         self.process = subprocess.Popen(
-            [self.binary, "--grpc", "127.0.0.1:0", "--zenoh", "off", "--data", "memory"],
+            [self.binary, "--grpc", "127.0.0.1:0", "--zenoh", "off", "--http", "off", "--data", "memory"],
             stdout=subprocess.PIPE,
             stderr=self.stderr,
             text=True,

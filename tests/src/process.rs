@@ -58,13 +58,15 @@ impl Process {
         Self::spawn(Command::new(program.as_ref()).args(arguments))
     }
 
-    /// Starts a command. A server speaks Zenoh only if a flag enables it: its usual port may be another's.
+    /// Starts a command. A server speaks Zenoh, and has pages for operators, only if a flag enables it: the usual
+    /// ports may be another's.
     ///
     /// # Panics
     /// If it cannot be started.
     pub fn spawn(command: &mut Command) -> Self {
         let mut child = command
             .env("WAYFOLD_ZENOH__LISTEN", "off")
+            .env("WAYFOLD_HTTP__LISTEN", "off")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -285,6 +287,17 @@ impl ServerProcess {
         let line = self.process.line().unwrap_or_default();
         let locator = line.strip_prefix("listening on ");
         locator.expect("a server that speaks Zenoh").to_owned()
+    }
+
+    /// The address of its pages for operators, read here from the next line that it says.
+    ///
+    /// # Panics
+    /// If it has none, or was asked before.
+    pub fn pages(&mut self) -> String {
+        let line = self.process.line().unwrap_or_default();
+        let address = line.strip_prefix("metrics at http://");
+        let address = address.and_then(|address| address.strip_suffix("/metrics"));
+        address.expect("a server with pages").to_owned()
     }
 
     /// Its gRPC address: `http://127.0.0.1:PORT`.

@@ -4,7 +4,7 @@ use std::net::TcpListener;
 
 use tokio::sync::oneshot;
 use wayfold::{Client, IndexHandle};
-use wayfold_server::config::{Config, DataConfig, ZenohConfig};
+use wayfold_server::config::{Config, DataConfig, OFF, ZenohConfig};
 
 /// Stops when it is dropped. The drop does not wait for the stop: the connections to close may belong to its thread.
 pub(crate) struct Server {
@@ -22,6 +22,7 @@ impl Server {
         let mut config = Config::default();
         config.data.dir = DataConfig::MEMORY.into();
         config.zenoh.listen = ZenohConfig::OFF.into();
+        config.http.listen = OFF.into();
         adapt(&mut config);
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         listener.set_nonblocking(true).unwrap();

@@ -101,7 +101,9 @@ fn spawn(address: &str, data: Option<&TempDir>) -> Result<Child, PlanningError> 
     let program = env::current_exe().map_err(PlanningError::Server)?;
     let child = Command::new(program)
         .env(ROLE, "server")
-        .args(["--grpc", address, "--zenoh", "off", "--log", "warn"])
+        .args([
+            "--grpc", address, "--zenoh", "off", "--http", "off", "--log", "warn",
+        ])
         .arg("--data")
         .arg(data)
         // The child's handle holds it, and the system closes it if this process is killed.

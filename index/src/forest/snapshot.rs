@@ -119,6 +119,11 @@ impl Snapshot {
         }
     }
 
+    /// The number of its trees, the growing one included.
+    pub fn levels(&self) -> usize {
+        self.levels.len() + 1
+    }
+
     /// An estimate of the bytes that the snapshot keeps alive.
     pub fn memory_bytes(&self) -> usize {
         let levels = self.levels.iter().map(|level| level.memory_bytes());

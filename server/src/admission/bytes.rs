@@ -1,19 +1,25 @@
 //! A bound on bytes that are held at a time.
 
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
 
 /// See the module.
 #[derive(Debug)]
 pub(super) struct ByteBudget {
     max: usize,
     held: AtomicUsize,
+    /// The requests that found no room.
+    refused: AtomicU64,
 }
 
 impl ByteBudget {
     /// Room for `max` bytes.
     pub(super) fn new(max: usize) -> Self {
         let held = AtomicUsize::new(0);
-        Self { max, held }
+        Self {
+            max,
+            held,
+            refused: AtomicU64::new(0),
+        }
     }
 
     /// The most bytes.
@@ -24,7 +30,26 @@ impl ByteBudget {
     /// Takes room for more bytes, until they are given back; false if there is not enough.
     pub(super) fn take(&self, bytes: usize) -> bool {
         let add = |held: usize| held.checked_add(bytes).filter(|held| *held <= self.max);
-        self.held.fetch_update(Relaxed, Relaxed, add).is_ok()
+        let taken = self.held.fetch_update(Relaxed, Relaxed, add).is_ok();
+        if !taken {
+            self.refuse();
+        }
+        taken
+    }
+
+    /// The bytes that are held.
+    pub(super) fn held(&self) -> usize {
+        self.held.load(Relaxed)
+    }
+
+    /// The requests that found no room.
+    pub(super) fn refused(&self) -> u64 {
+        self.refused.load(Relaxed)
+    }
+
+    /// Counts a request that found no room.
+    pub(super) fn refuse(&self) {
+        self.refused.fetch_add(1, Relaxed);
     }
 
     /// Takes room for bytes that exist already, beyond the bound too.

@@ -125,6 +125,19 @@ impl Admission {
         }
     }
 
+    /// The bytes that are held, and the most.
+    pub(crate) fn bytes(&self) -> (u64, u64) {
+        (self.all.held() as u64, self.all.max() as u64)
+    }
+
+    /// The numbers of calls that were refused so far, by reason.
+    pub(crate) fn refused(&self) -> [(&'static str, u64); 2] {
+        [
+            ("OVERLOADED", self.turns.refused()),
+            ("TOO_MANY_BYTES", self.all.refused()),
+        ]
+    }
+
     /// The flow of the calls that an operator needs under load.
     pub(crate) fn admin(&self) -> Arc<Flow> {
         Arc::clone(&self.admin)
@@ -221,6 +234,7 @@ impl HeldBytes {
             return false;
         }
         if !own.take(bytes) {
+            all.refuse();
             all.give_back(bytes);
             return false;
         }

@@ -45,8 +45,8 @@ Examples:
 
 Output:
   Once the server answers calls, it prints a line `listening on http://ADDRESS`
-  to standard output, a line `listening on tcp/ADDRESS` for Zenoh, and the next
-  commands to type. Log lines go to standard error.
+  to standard output, a line `listening on tcp/ADDRESS` for Zenoh, a line `metrics
+  at http://ADDRESS/metrics`, and the next commands to type. Log lines go to standard error.
 
 Data:
   Indices are kept in ./wayfold-data, and every acknowledged mutation is on disk;
@@ -111,6 +111,9 @@ pub(super) struct Flags {
     /// Zenoh locator to listen on, or off [default: tcp/127.0.0.1:7448]
     #[arg(long, value_name = "LOCATOR")]
     zenoh: Option<String>,
+    /// Address of /metrics and of probes, or off [default: 127.0.0.1:8080]
+    #[arg(long, value_name = "ADDR")]
+    http: Option<String>,
     /// Directory of the indices, or memory [default: ./wayfold-data]
     #[arg(long, value_name = "DIR", global = true)]
     data: Option<String>,
@@ -165,6 +168,7 @@ impl Flags {
         [
             ("grpc.listen", self.grpc.clone()),
             ("zenoh.listen", self.zenoh.clone()),
+            ("http.listen", self.http.clone()),
             ("data.dir", self.data.clone()),
             ("log.filter", self.log.clone()),
             ("log.format", format),
@@ -206,6 +210,7 @@ mod tests {
         let config = Config::default();
         for default in [
             &config.grpc.listen,
+            &config.http.listen,
             &config.zenoh.listen,
             &config.log.filter,
             &config.data.dir,

@@ -34,6 +34,14 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
     let zenoh: String = zenoh
         .map(|locator| format!("listening on {locator}\n"))
         .collect();
+    let pages = addresses.pages.map(|at| {
+        let scheme = match addresses.has_tls && !at.ip().is_loopback() {
+            true => "https",
+            false => "http",
+        };
+        format!("metrics at {scheme}://{at}/metrics\n")
+    });
+    let pages = pages.unwrap_or_default();
     let storage = match directory {
         Some(directory) => format!("Indices are kept in {}.", directory.display()),
         None => {
@@ -56,7 +64,7 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
     }
     format!(
         "listening on {scheme}://{address}\n\
-         {zenoh}\
+         {zenoh}{pages}\
          \n\
          {storage} Next, in another terminal:\n\
          \x20 {client} create arm --space 'R3*SO3:0.15'\n\
@@ -85,6 +93,7 @@ mod tests {
     fn at(grpc: &str, zenoh: &[&str]) -> Addresses {
         Addresses {
             grpc: grpc.parse().unwrap(),
+            pages: None,
             has_tls: false,
             has_identities: false,
             zenoh: zenoh.iter().map(ToString::to_string).collect(),

@@ -32,6 +32,8 @@ pub struct Config {
     pub access: AccessConfig,
     /// The Zenoh face.
     pub zenoh: ZenohConfig,
+    /// The pages for operators.
+    pub http: HttpConfig,
     /// What calls may take of the server's time and memory.
     pub admission: AdmissionConfig,
     /// Limits on calls.
@@ -158,6 +160,13 @@ impl ZenohConfig {
     pub(crate) fn is_off(&self) -> bool {
         self.listen == Self::OFF
     }
+}
+
+/// `[http]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct HttpConfig {
+    /// The address to listen on, as `host:port`, or [`OFF`].
+    pub listen: String,
 }
 
 /// `[admission]`

@@ -31,7 +31,7 @@ use super::{
 use crate::{
     admission::{Admission, CALL_BYTES, Flow, HeldBytes},
     identity::{Caller, Denial, Identities, Stranger},
-    observe::{self, CallRecord, Ending, SlowCalls, Times},
+    observe::{self, CallRecord, Ending, Metrics, SlowCalls, Times},
     service::{Call, Error},
     status,
 };
@@ -51,18 +51,41 @@ const ANSWER_STREAMS: [&str; 5] = [
     "IndexService/VerifyIndex",
 ];
 
+/// All calls, and their verbs in metrics.
+const VERBS: [(&str, &str); 19] = [
+    ("IndexService/GetServer", "server"),
+    ("IndexService/CreateIndex", "create"),
+    ("IndexService/GetIndex", "info"),
+    ("IndexService/ListIndexes", "list"),
+    ("IndexService/DeleteIndex", "delete"),
+    ("IndexService/SnapshotIndex", "snapshot"),
+    ("IndexService/RestoreIndex", "restore"),
+    ("IndexService/VerifyIndex", "verify"),
+    ("PointService/Insert", "insert"),
+    ("PointService/Update", "update"),
+    ("PointService/Remove", "remove"),
+    ("PointService/OpenSession", "session"),
+    ("PointService/Write", "write"),
+    ("PointService/Get", "get"),
+    ("PointService/Knn", "knn"),
+    ("PointService/Query", "query"),
+    ("PointService/StreamKnn", "stream_knn"),
+    ("PointService/Scan", "scan"),
+    ("PointService/Watch", "watch"),
+];
+
 /// The service's context of a call, which the layer leaves in the request's extensions for the handler.
 pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
     let call = request.extensions().get::<Call>().cloned();
     // Without the layer there is no right.
     call.unwrap_or(Call {
-        deadline: None,
         caller: Caller::Unknown(Stranger::NoCredential),
+        ..Call::default()
     })
 }
 
 /// The token of a call: `authorization: Bearer TOKEN`.
-fn token(headers: &HeaderMap) -> Option<&[u8]> {
+pub(crate) fn token(headers: &HeaderMap) -> Option<&[u8]> {
     const SCHEME: &[u8] = b"bearer ";
     let value = headers.get(header::AUTHORIZATION)?.as_bytes();
     let (scheme, token) = value.split_at_checked(SCHEME.len())?;
@@ -94,6 +117,7 @@ pub(crate) struct CallsLayer {
     pub(super) overloaded: Arc<HeaderMap>,
     pub(super) slow_calls: SlowCalls,
     pub(super) identities: Identities,
+    pub(super) metrics: Metrics,
 }
 
 impl<S> Layer<S> for CallsLayer {
@@ -160,7 +184,8 @@ where
         let caller = settings
             .identities
             .caller(token(request.headers()), certificate);
-        let mut record = CallRecord::begin(rpc, arrived)
+        let verb = ("grpc", verb(rpc));
+        let mut record = CallRecord::begin(rpc, verb, arrived, &settings.metrics)
             .of_peer(peer)
             .of_caller(&caller);
         let held = Arc::new(flow.hold());
@@ -195,7 +220,11 @@ where
             limits: settings.requests.clone(),
             held,
             arrived,
-            call: Call { deadline, caller },
+            call: Call {
+                deadline,
+                caller,
+                index: Arc::clone(record.index()),
+            },
             is_stream: REQUEST_STREAMS.contains(&rpc),
         };
         let is_answer_stream = ANSWER_STREAMS.contains(&rpc);
@@ -329,6 +358,12 @@ fn unless_left(status: Status) -> Status {
     }
 }
 
+/// The verb of a call in metrics. A call that does not exist has none of its own: its name may be anything.
+fn verb(rpc: &str) -> &'static str {
+    let known = VERBS.iter().find(|(known, _)| *known == rpc);
+    known.map_or("other", |(_, verb)| verb)
+}
+
 /// `PointService/Knn` of `/wayfold.v1.PointService/Knn`; None for paths of other packages.
 fn our_rpc(path: &str) -> Option<&str> {
     path.strip_prefix(OURS)
@@ -382,6 +417,7 @@ mod tests {
             overloaded: Arc::default(),
             slow_calls: SlowCalls::new(0),
             identities: Identities::default(),
+            metrics: Metrics::new(),
         };
         let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
         let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;

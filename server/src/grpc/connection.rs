@@ -66,7 +66,7 @@ pub(crate) fn incoming(
             let connection = Connection {
                 socket: match &tls {
                     None => Either::Left(socket),
-                    Some(tls) => Either::Right(tls.accept(socket, open.activity().clone())),
+                    Some(tls) => Either::Right(tls.accept(socket, Some(open.activity().clone()))),
                 },
                 open,
                 read_bytes: 0,

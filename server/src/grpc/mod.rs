@@ -27,14 +27,15 @@ use tonic_health::pb::health_server::HealthServer;
 use wayfold_proto::v1::{self, index_service_server::IndexServiceServer};
 
 use calls::CallsLayer;
+pub(crate) use calls::token;
 use connections::Connections;
 use health::HealthFace;
 use index_service::IndexFace;
 use point_service::{PointFace, TolerantPointServer};
 use request_body::RequestLimits;
 use stream_knn::KnnStreams;
-pub(crate) use tls::Tls;
 pub use tls::TlsError;
+pub(crate) use tls::{Tls, TlsSocket};
 
 use crate::{config::GrpcConfig, faces::Shared, lifecycle::PhaseWatch};
 
@@ -68,6 +69,7 @@ pub(crate) async fn serve(
         admission,
         slow_calls,
         identities,
+        metrics,
     } = shared;
     let points = TolerantPointServer::new(PointFace {
         service: service.clone(),
@@ -116,6 +118,7 @@ pub(crate) async fn serve(
             default_timeout: Duration::from_millis(config.default_timeout_ms),
             slow_calls,
             identities,
+            metrics,
         })
         .add_service(indices)
         .add_service(points)

@@ -89,8 +89,8 @@ impl Tls {
         }))
     }
 
-    /// A connection that begins with a handshake. `activity` gets the names of a client certificate.
-    pub(super) fn accept(&self, socket: TcpStream, activity: Activity) -> TlsSocket {
+    /// A connection that begins with a handshake. `activity`, if there is one, gets the names of a client certificate.
+    pub(crate) fn accept(&self, socket: TcpStream, activity: Option<Activity>) -> TlsSocket {
         let handshake = self.acceptor.read().accept(socket);
         TlsSocket {
             state: State::Shaking(Box::new(handshake)),
@@ -150,7 +150,8 @@ impl Files {
         let chain = certificates("tls.certificate", &self.certificate)?;
         let key = PrivateKeyDer::from_pem_file(&self.key).map_err(in_file("tls.key", &self.key))?;
         let mut config = builder.with_single_cert(chain, key)?;
-        config.alpn_protocols = vec![b"h2".to_vec()];
+        // The second is for the pages of operators.
+        config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
         Ok(TlsAcceptor::from(Arc::new(config)))
     }
 }
@@ -176,9 +177,9 @@ fn in_file<E: fmt::Display>(setting: &'static str, file: &Path) -> impl Fn(E) ->
 }
 
 /// A connection with TLS, whose handshake takes place as it is first read or written.
-pub(super) struct TlsSocket {
+pub(crate) struct TlsSocket {
     state: State,
-    activity: Activity,
+    activity: Option<Activity>,
 }
 
 enum State {
@@ -194,8 +195,10 @@ impl TlsSocket {
         if let State::Shaking(handshake) = &mut self.state {
             let stream = ready!(Pin::new(handshake).poll(context))?;
             let chain = stream.get_ref().1.peer_certificates();
-            if let Some(certificate) = chain.and_then(<[_]>::first) {
-                self.activity.set_certificate(names(certificate));
+            if let (Some(certificate), Some(activity)) =
+                (chain.and_then(<[_]>::first), &self.activity)
+            {
+                activity.set_certificate(names(certificate));
             }
             self.state = State::Open(Box::new(stream));
         }

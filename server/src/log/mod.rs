@@ -35,6 +35,7 @@ use bytes::Bytes;
 use futures_util::{future::BoxFuture, stream::BoxStream};
 use wayfold_index::{PointRef, Space};
 
+pub(crate) use self::fjall::SYNCS;
 #[cfg(fuzzing)]
 pub use self::fjall::fuzzing;
 pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport, repair};

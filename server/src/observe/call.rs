@@ -5,7 +5,10 @@ use std::{fmt, net::SocketAddr, time::Instant};
 use tracing::{Span, debug, field, info_span, warn};
 use wayfold_proto::v1;
 
-use super::slow::{SlowCalls, Times};
+use super::{
+    metrics::{Ended, IndexLabel, Metrics},
+    slow::{SlowCalls, Times},
+};
 use crate::{identity::Caller, service::Code};
 
 /// The end of a call.
@@ -24,6 +27,16 @@ pub(crate) enum Ending {
 impl Ending {
     /// The number of UNKNOWN. Only a fault of the server causes it.
     const UNKNOWN: i32 = 2;
+
+    /// Its name in metrics.
+    fn name(self) -> &'static str {
+        match self {
+            Ending::Ok => "OK",
+            Ending::Failed(code) => code.name(),
+            Ending::Left => "CANCELLED",
+            Ending::Transport(_) => "TRANSPORT",
+        }
+    }
 
     fn is_fault(self) -> bool {
         match self {
@@ -54,13 +67,26 @@ pub(crate) struct CallRecord {
     ending: Ending,
     peer: Option<SocketAddr>,
     times: Option<(SlowCalls, Times)>,
+    metrics: Metrics,
+    face: &'static str,
+    verb: &'static str,
+    index: IndexLabel,
 }
 
 impl CallRecord {
-    /// A call of `rpc`, such as `PointService/Knn`, that arrived at `started`.
-    pub(crate) fn begin(rpc: impl Into<String>, started: Instant) -> Self {
+    /// A call of `verb` on a face that arrived at `started`. Log lines name it `rpc`, such as `PointService/Knn`.
+    pub(crate) fn begin(
+        rpc: impl Into<String>,
+        (face, verb): (&'static str, &'static str),
+        started: Instant,
+        metrics: &Metrics,
+    ) -> Self {
         let rpc = rpc.into();
         Self {
+            metrics: metrics.clone(),
+            face,
+            verb,
+            index: IndexLabel::default(),
             span: info_span!(
                 "call",
                 rpc,
@@ -88,6 +114,11 @@ impl CallRecord {
             self.span.record("identity", name);
         }
         self
+    }
+
+    /// Gets the label of the index, once the service has found it.
+    pub(crate) fn index(&self) -> &IndexLabel {
+        &self.index
     }
 
     /// The name of the called method.
@@ -118,6 +149,14 @@ impl Drop for CallRecord {
         if let Some((slow_calls, times)) = &self.times {
             slow_calls.report(&self.span, self.peer, whole, times);
         }
+        self.metrics.count(&Ended {
+            face: self.face,
+            verb: self.verb,
+            index: &self.index,
+            outcome: code.name(),
+            took: whole,
+            queued: self.times.as_ref().map(|(_, times)| times.queued),
+        });
         let duration_us = u64::try_from(whole.as_micros()).unwrap_or(u64::MAX);
         let peer = self.peer.map(field::display);
         if code.is_fault() {

@@ -2,9 +2,11 @@
 
 mod call;
 mod logging;
+mod metrics;
 mod slow;
 
 pub(crate) use call::{CallRecord, Ending, Request, request};
 pub(crate) use logging::start;
 pub use logging::{LogFormat, LoggingError};
+pub(crate) use metrics::{IndexLabel, Metrics};
 pub(crate) use slow::{SlowCalls, Times};

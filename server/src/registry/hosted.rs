@@ -39,6 +39,8 @@ pub struct Published {
 /// One index.
 pub struct Hosted {
     name: String,
+    /// The name in metrics, or [`OTHERS`].
+    label: Arc<str>,
     uid: Uid,
     uid_text: String,
     space: Arc<Space>,
@@ -93,6 +95,7 @@ impl Hosted {
         let space = Arc::new(entry.space.clone());
         Arc::new_cyclic(|hosted| Self {
             name: entry.name.clone(),
+            label: host.label(&entry.name),
             uid: entry.uid,
             uid_text: entry.uid.to_string(),
             host: Arc::clone(host),
@@ -128,6 +131,21 @@ impl Hosted {
     /// Its name.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Its name in metrics; all indices beyond the first hundred share one.
+    pub fn label(&self) -> &Arc<str> {
+        &self.label
+    }
+
+    /// The same if it is its own.
+    pub(crate) fn own_label(&self) -> Option<&Arc<str>> {
+        (*self.label == *self.name).then_some(&self.label)
+    }
+
+    /// The number of records that are submitted and not readable yet.
+    pub(crate) fn records_in_flight(&self) -> usize {
+        self.in_flight.lock().len()
     }
 
     /// Its uid.

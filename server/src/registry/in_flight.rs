@@ -42,6 +42,11 @@ impl InFlight {
         self.refusals
     }
 
+    /// The number of submitted records.
+    pub(super) fn len(&self) -> usize {
+        self.records.len()
+    }
+
     /// Adds the next record, evaluated when the refusals were at this number. It is refused at once if another record
     /// has its revision, or if a record that it follows was refused. The error is then the revision to wait for before
     /// the next attempt.

@@ -26,7 +26,12 @@ mod replay;
 mod restore;
 mod writer;
 
-use std::{collections::BTreeMap, ops::Bound, sync::Arc, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::Bound,
+    sync::Arc,
+    time::Duration,
+};
 
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::{Semaphore, watch};
@@ -35,7 +40,7 @@ use wayfold_index::{Forest, ForestOptions, Space};
 
 use crate::{
     log::{Entry, Log, LogError, RunId, Uid},
-    watermark::Watermarks,
+    watermark::{Level, Watermarks},
 };
 pub use commit::Committed;
 pub use error::RegistryError;
@@ -139,9 +144,41 @@ struct Host {
     /// A permit per merge that may run.
     merges: Semaphore,
     run: RunId,
+    /// The names of indices that have a label of their own in metrics.
+    labels: Mutex<BTreeSet<Arc<str>>>,
+}
+
+/// The most names of indices in metrics: each is a series of its own for ever.
+const MAX_LABELS: usize = 100;
+
+/// The label of all others. No index has this name.
+const OTHERS: &str = "(others)";
+
+impl Host {
+    /// The label of an index in metrics.
+    fn label(&self, name: &str) -> Arc<str> {
+        let mut labels = self.labels.lock();
+        if let Some(known) = labels.get(name) {
+            return Arc::clone(known);
+        }
+        if labels.len() >= MAX_LABELS {
+            return OTHERS.into();
+        }
+        let label: Arc<str> = name.into();
+        labels.insert(Arc::clone(&label));
+        label
+    }
 }
 
 impl Registry {
+    /// The levels of memory and disk now, by name.
+    pub(crate) fn levels(&self) -> Vec<(&'static str, Level)> {
+        let Watermarks { memory, disk } = &self.host.watermarks;
+        let memory = memory.iter().filter_map(|it| Some(("memory", it.now()?)));
+        let disk = disk.iter().filter_map(|it| Some(("disk", it.now()?)));
+        memory.chain(disk).collect()
+    }
+
     /// An empty registry over `log`, without watermarks. [`Registry::replay`] fills it.
     pub fn new(log: impl Into<Log>, options: RegistryOptions) -> Self {
         Self::with_watermarks(log, options, Watermarks::default())
@@ -161,6 +198,7 @@ impl Registry {
                 options,
                 merges,
                 run: *Uid::unique().as_bytes(),
+                labels: Mutex::default(),
             }),
             indexes: RwLock::default(),
             change_lock: Mutex::new(()),

@@ -2,6 +2,7 @@
 
 use std::{
     future::Future,
+    sync::{Arc, OnceLock},
     time::{Duration, Instant},
 };
 
@@ -21,6 +22,8 @@ pub struct Call {
     pub deadline: Option<Instant>,
     /// Who calls.
     pub caller: Caller,
+    /// Gets the label of the index of the call, for its metrics, once the index is found.
+    pub index: Arc<OnceLock<Arc<str>>>,
 }
 
 impl Call {

@@ -56,7 +56,12 @@ use std::sync::{
 
 use tokio_util::sync::CancellationToken;
 
-use crate::{identity::Role, log::Durability, registry::Registry};
+use crate::{
+    identity::Role,
+    log::Durability,
+    registry::{Listed, Registry},
+    watermark::Level,
+};
 pub use call::Call;
 pub use catalog_watch::CatalogWatch;
 pub use error::{Code, Error, Unavailability, Violation};
@@ -138,6 +143,21 @@ impl Service {
     pub(crate) fn accepts_growth(&self) -> bool {
         let registry = self.inner.registry.get();
         self.is_serving() && registry.is_some_and(|registry| registry.accepts_growth())
+    }
+
+    /// The levels of memory and disk, by name.
+    pub(crate) fn watermarks(&self) -> Vec<(&'static str, Level)> {
+        let registry = self.inner.registry.get();
+        registry
+            .map(|registry| registry.levels())
+            .unwrap_or_default()
+    }
+
+    /// All indices; none before they are read.
+    pub(crate) fn listed(&self) -> Vec<Listed> {
+        let registry = self.inner.registry.get();
+        let listed = registry.and_then(|registry| registry.page(None, usize::MAX).ok());
+        listed.unwrap_or_default()
     }
 
     /// Ends when the server begins to stop.

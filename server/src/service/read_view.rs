@@ -33,6 +33,8 @@ impl Service {
         let hosted = self.registry()?.get(name);
         let hosted = hosted.map_err(|error| registry_error(name, error))?;
         check_uid(&hosted, uid)?;
+        // A call of a stream finds it more than once.
+        let _ = call.index.set(Arc::clone(hosted.label()));
         Ok(hosted)
     }
 

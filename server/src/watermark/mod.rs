@@ -158,6 +158,11 @@ impl Watermark {
         Some(level.limit.saturating_sub(level.used + state.added))
     }
 
+    /// The resource now; None if it cannot be measured.
+    pub(crate) fn now(&self) -> Option<Level> {
+        (self.probe)().ok()
+    }
+
     /// The bytes that there are; None if the resource cannot be measured.
     pub fn limit(&self) -> Option<u64> {
         Some((self.probe)().ok()?.limit)

@@ -77,6 +77,7 @@ impl ZenohFace {
             admission,
             slow_calls,
             identities,
+            metrics,
         } = shared;
         check_prefix(&config.prefix)?;
         let (session, connects_to) = session::open(config).await?;
@@ -86,6 +87,7 @@ impl ZenohFace {
             flows: Flows::new(admission),
             slow_calls,
             identities,
+            metrics,
             places: Arc::new(Semaphore::new(config.max_calls.min(Semaphore::MAX_PERMITS))),
             max_calls: config.max_calls,
             refusals: Arc::new(Semaphore::new(MAX_REFUSALS)),

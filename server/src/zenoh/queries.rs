@@ -28,7 +28,7 @@ use super::{
 use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
     identity::{Caller, Denial, Identities},
-    observe::{CallRecord, Ending, SlowCalls, Times},
+    observe::{CallRecord, Ending, IndexLabel, Metrics, SlowCalls, Times},
     service::{Error, Service, Unavailability},
     status::{self, Status},
 };
@@ -42,6 +42,7 @@ pub(super) struct Queries {
     pub(super) flows: Flows,
     pub(super) slow_calls: SlowCalls,
     pub(super) identities: Identities,
+    pub(super) metrics: Metrics,
     /// Bounds the queries in flight: each may wait for its link on a thread of its own.
     pub(super) places: Arc<Semaphore>,
     pub(super) max_calls: usize,
@@ -173,13 +174,20 @@ impl Queries {
             Err(_) => "other",
         };
         let caller = self.caller(&query);
-        let mut record = CallRecord::begin(format!("Zenoh/{rpc}"), arrived).of_caller(&caller);
+        let mut record = CallRecord::begin(
+            format!("Zenoh/{rpc}"),
+            ("zenoh", rpc),
+            arrived,
+            &self.metrics,
+        )
+        .of_caller(&caller);
+        let of = (arrived, caller, Arc::clone(record.index()));
         let span = record.span().clone();
         let asked = async {
             if !held.has_room() {
                 return Err(status::too_many_bytes(held.flow().max_bytes()));
             }
-            self.ask(&query, form, target, (arrived, caller)).await
+            self.ask(&query, form, target, of).await
         };
         let answering = AssertUnwindSafe(turns.run(asked)).catch_unwind();
         let result = match answering.instrument(span).await {
@@ -221,7 +229,7 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        of: (Instant, Caller),
+        of: (Instant, Caller, IndexLabel),
     ) -> Result<Replies, Status> {
         let bytes = query.payload().map_or(0, |payload| payload.len());
         if bytes > self.max_message_bytes {
@@ -236,7 +244,7 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        (arrived, caller): (Instant, Caller),
+        (arrived, caller, label): (Instant, Caller, IndexLabel),
     ) -> Result<Replies, Error> {
         // The service checks the caller too; here a stranger is refused before its request is parsed.
         caller.check().map_err(|why| Error::Denied {
@@ -249,6 +257,7 @@ impl Queries {
         let default = || arrived.checked_add(self.default_timeout);
         call.deadline = call.deadline.or_else(default);
         call.caller = caller;
+        call.index = label;
         let answered = async {
             if key.is_wild() {
                 let replies = wildcard::answer(&self.service, &call, &self.prefix, key, form);

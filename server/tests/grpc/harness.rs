@@ -16,7 +16,7 @@ use wayfold_proto::v1::{
 };
 use wayfold_server::{
     ServerError,
-    config::{Config, DataConfig, ZenohConfig},
+    config::{Config, DataConfig, OFF, ZenohConfig},
 };
 
 /// A running server.
@@ -33,6 +33,7 @@ impl TestServer {
         let mut config = Config::default();
         config.data.dir = DataConfig::MEMORY.into();
         config.zenoh.listen = ZenohConfig::OFF.into();
+        config.http.listen = OFF.into();
         adapt(&mut config);
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();

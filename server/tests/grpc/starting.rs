@@ -34,6 +34,7 @@ async fn calls_are_refused_as_starting_until_the_indices_are_read() {
     );
     let mut config = Config::default();
     config.zenoh.listen = ZenohConfig::OFF.into();
+    config.http.listen = wayfold_server::config::OFF.into();
     config.data.dir = directory.path().to_str().unwrap().into();
     assert_eq!(config.data.durability, Durability::Fsync);
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();

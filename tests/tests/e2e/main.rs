@@ -13,6 +13,7 @@ mod crash;
 mod disk_failure;
 #[cfg(target_os = "linux")]
 mod little_memory;
+mod metrics;
 mod no_missed_edge;
 mod planners;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]

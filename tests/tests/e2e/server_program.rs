@@ -1,9 +1,9 @@
 //! The server as a program: its output, its reaction to signals, and its exit status.
 
-use std::{fs, net::TcpListener, time::Duration};
+use std::{fs, net::TcpListener};
 
 use tokio_stream::pending;
-use tonic::{Code, Request, transport::Channel};
+use tonic::{Code, transport::Channel};
 use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
 use wayfold_proto::v1;
 use wayfold_tests::{
@@ -149,20 +149,19 @@ async fn a_slow_call_has_a_line_that_says_where_its_time_went() {
     let file = tempfile::NamedTempFile::new().unwrap();
     fs::write(
         file.path(),
-        "[log]\nformat = \"json\"\nslow_call_ms = 100\n",
+        "[log]\nformat = \"json\"\nslow_call_ms = 100\n[grpc]\ndefault_timeout_ms = 1000\n",
     )
     .unwrap();
     let mut server = server!("--config", file.path().to_str().unwrap());
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = stubs.create("line", "R1").await.revision.unwrap().uid;
     // A revision that never comes: the call waits until its deadline.
-    let mut waiting = Request::new(v1::GetRequest {
+    let waiting = v1::GetRequest {
         index_name: "line".into(),
         ids: vec![1],
         min_revision: revision(&uid, 7),
         ..Default::default()
-    });
-    waiting.set_timeout(Duration::from_secs(1));
+    };
     let status = stubs.points.get(waiting).await.unwrap_err();
     assert_eq!(status.code(), Code::DeadlineExceeded, "{status:?}");
     let line = server.log_until("slow call").pop().unwrap();

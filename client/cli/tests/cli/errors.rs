@@ -54,8 +54,13 @@ fn no_server_is_named_with_what_to_do() {
     ] {
         assert!(message.contains(part), "{message} has no {part:?}");
     }
-    let run = run_alone(&["list", "--server", "https://127.0.0.1:0"]);
-    assert!(run.error(2).contains("only http"), "{}", run.stderr);
+    for (server, part) in [
+        ("https://127.0.0.1:0", "https needs the certificate"),
+        ("ftp://127.0.0.1:0", "only http"),
+    ] {
+        let run = run_alone(&["list", "--server", server]);
+        assert!(run.error(2).contains(part), "{}", run.stderr);
+    }
 }
 
 #[test]

@@ -48,6 +48,7 @@ use tracing::{error, info};
 
 pub use directory::OpenError;
 pub use rebuild::{RepairError, RepairReport, repair};
+pub(crate) use syncer::SYNCS;
 
 use super::{
     Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, PointVisitor,

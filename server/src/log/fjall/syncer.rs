@@ -4,9 +4,14 @@
 //! syncs once for all batches announced meanwhile, writes the sync marks, and only then wakes the waiting writers. If
 //! many writers shared the last sync, the thread first waits briefly for their next batches.
 
-use std::{sync::Arc, thread::JoinHandle, time::Duration};
+use std::{
+    sync::{Arc, LazyLock},
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
 
 use parking_lot::{Condvar, Mutex};
+use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 
 use super::{
     failure::Failure,
@@ -22,6 +27,10 @@ const MIN_SHARED_BATCHES: usize = 8;
 /// The maximum wait for those next batches: about the duration of a sync. Each saved sync leaves processor time to the
 /// writers.
 const MAX_WAIT: Duration = Duration::from_micros(200);
+
+/// The times of the syncs of this process, in seconds from 0.1 ms to 3 s. A process has one store at a time.
+pub(crate) static SYNCS: LazyLock<Histogram> =
+    LazyLock::new(|| Histogram::new(exponential_buckets(1e-4, 2.0, 16)));
 
 /// The thread that syncs, and its shared state.
 pub(super) struct Syncer {
@@ -140,7 +149,10 @@ impl Shared {
                 return;
             }
             last = reached.len();
-            let synced = journal.sync().and_then(|()| {
+            let began = Instant::now();
+            let synced = journal.sync();
+            SYNCS.observe(began.elapsed().as_secs_f64());
+            let synced = synced.and_then(|()| {
                 let reached = reached.iter().map(|(index, mark)| (index.number, mark));
                 let written = marks.write(reached);
                 written.map_err(|error| LogError::Storage {

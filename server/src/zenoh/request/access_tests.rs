@@ -66,8 +66,8 @@ async fn every_key_refuses_every_wrong_caller() {
                 payload: payload.as_bytes().into(),
             };
             let call = Call {
-                deadline: None,
                 caller,
+                ..Call::default()
             };
             let answer = dispatch(&service, &call, verb, &request, 1 << 20).await;
             answer.map_err(|error| error.reason()).err()

@@ -1,0 +1,103 @@
+//! The listener for operators: `/metrics`, and the probes `/healthz` and `/readyz`.
+//!
+//! Probes answer everyone. Everything else needs an identity where the server has identities, as a bearer token.
+
+mod state;
+
+use std::{io, sync::Arc, time::Duration};
+
+use axum::{
+    Router,
+    extract::State as Shared,
+    http::{HeaderMap, StatusCode, header},
+    response::{IntoResponse, Response},
+    routing::get,
+    serve::Listener,
+};
+use tokio::net::{TcpListener, TcpStream};
+use tokio_util::either::Either;
+
+use crate::{
+    grpc::{Tls, TlsSocket, token},
+    identity::{Identities, Role},
+    lifecycle::{Phase, PhaseWatch},
+    observe::Metrics,
+    service::Service,
+};
+pub(crate) use state::State;
+
+/// The media type of OpenMetrics.
+const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// The pause after a failure of the listener.
+const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
+
+/// What the pages show, and to whom.
+#[derive(Clone)]
+pub(crate) struct Pages {
+    pub(crate) metrics: Metrics,
+    pub(crate) identities: Identities,
+    pub(crate) phases: PhaseWatch,
+    pub(crate) service: Service,
+}
+
+/// Serves the pages on `listener`, over TLS if there is any, until it is dropped.
+pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages) -> io::Result<()> {
+    let routes = Router::new()
+        .route("/metrics", get(metrics))
+        .route("/healthz", get(async || "alive\n"))
+        .route("/readyz", get(ready))
+        .with_state(Arc::new(pages));
+    axum::serve(Secured { listener, tls }, routes).await
+}
+
+async fn metrics(Shared(pages): Shared<Arc<Pages>>, headers: HeaderMap) -> Response {
+    let caller = pages.identities.caller(token(&headers), None);
+    if let Err(why) = caller.authorize(Role::Read, None) {
+        let challenge = [(header::WWW_AUTHENTICATE, "Bearer")];
+        return (StatusCode::UNAUTHORIZED, challenge, format!("{why}\n")).into_response();
+    }
+    match pages.metrics.text() {
+        Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
+        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{error}\n")).into_response(),
+    }
+}
+
+/// 200 while calls are answered; the text tells whether points can be added too.
+async fn ready(Shared(pages): Shared<Arc<Pages>>) -> (StatusCode, &'static str) {
+    match pages.phases.current() {
+        Phase::Serving if pages.service.accepts_growth() => (StatusCode::OK, "reading, writing\n"),
+        Phase::Serving => (StatusCode::OK, "degraded: reading only\n"),
+        Phase::Starting => (StatusCode::SERVICE_UNAVAILABLE, "starting\n"),
+        Phase::Stopping => (StatusCode::SERVICE_UNAVAILABLE, "stopping\n"),
+    }
+}
+
+/// A listener with TLS, or without.
+struct Secured {
+    listener: TcpListener,
+    tls: Option<Tls>,
+}
+
+impl Listener for Secured {
+    type Io = Either<TcpStream, TlsSocket>;
+    type Addr = std::net::SocketAddr;
+
+    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
+        loop {
+            let Ok((socket, peer)) = self.listener.accept().await else {
+                tokio::time::sleep(ACCEPT_RETRY_PAUSE).await;
+                continue;
+            };
+            let socket = match &self.tls {
+                None => Either::Left(socket),
+                Some(tls) => Either::Right(tls.accept(socket, None)),
+            };
+            return (socket, peer);
+        }
+    }
+
+    fn local_addr(&self) -> io::Result<Self::Addr> {
+        self.listener.local_addr()
+    }
+}

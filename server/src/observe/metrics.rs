@@ -1,0 +1,129 @@
+//! What is counted for `/metrics`: the calls, the syncs, and what the server holds at the time of a look.
+
+use std::{
+    fmt,
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
+
+use parking_lot::Mutex;
+use prometheus_client::{
+    collector::Collector,
+    encoding::{EncodeLabelSet, text},
+    metrics::{family::Family, histogram::Histogram},
+    registry::{Registry, Unit},
+};
+
+/// The upper bounds of the buckets of times, in seconds.
+const SECONDS: [f64; 16] = [
+    0.000_1, 0.000_25, 0.000_5, 0.001, 0.002_5, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5,
+    10.0, 60.0,
+];
+
+/// The label of an index, once the service has found it. Clones share it.
+pub(crate) type IndexLabel = Arc<OnceLock<Arc<str>>>;
+
+/// A histogram of times.
+fn times() -> Histogram {
+    Histogram::new(SECONDS)
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct CallLabels {
+    face: &'static str,
+    verb: &'static str,
+    /// Empty for a call of no index, or of one that does not exist: strangers' names make no series.
+    index: Arc<str>,
+    outcome: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct FaceLabels {
+    face: &'static str,
+}
+
+/// The metrics of a server. Clones share them.
+#[derive(Clone, Debug)]
+pub(crate) struct Metrics {
+    registry: Arc<Mutex<Registry>>,
+    calls: Family<CallLabels, Histogram, fn() -> Histogram>,
+    queued: Family<FaceLabels, Histogram, fn() -> Histogram>,
+    no_index: Arc<str>,
+}
+
+/// A call that has ended.
+pub(super) struct Ended<'a> {
+    pub(super) face: &'static str,
+    pub(super) verb: &'static str,
+    pub(super) index: &'a IndexLabel,
+    pub(super) outcome: &'static str,
+    pub(super) took: Duration,
+    /// The wait for turns; None for a call that had none.
+    pub(super) queued: Option<Duration>,
+}
+
+impl Metrics {
+    pub(crate) fn new() -> Self {
+        let calls = Family::new_with_constructor(times as fn() -> Histogram);
+        let queued = Family::new_with_constructor(times as fn() -> Histogram);
+        let mut registry = Registry::with_prefix("wayfold");
+        registry.register_with_unit(
+            "call",
+            "Calls by face, verb, index and outcome, from their arrival to the last byte of the answer",
+            Unit::Seconds,
+            calls.clone(),
+        );
+        registry.register_with_unit(
+            "queue",
+            "The waits of calls for their turns to compute",
+            Unit::Seconds,
+            queued.clone(),
+        );
+        Self {
+            registry: Arc::new(Mutex::new(registry)),
+            calls,
+            queued,
+            no_index: "".into(),
+        }
+    }
+
+    /// Adds the times of the syncs of the log.
+    pub(crate) fn add_syncs(&self, syncs: Histogram) {
+        self.registry.lock().register_with_unit(
+            "log_sync",
+            "Syncs of the journal to the disk",
+            Unit::Seconds,
+            syncs,
+        );
+    }
+
+    /// Adds what is measured at each look.
+    pub(crate) fn add(&self, collector: impl Collector) {
+        let mut registry = self.registry.lock();
+        registry.register_collector(Box::new(collector));
+    }
+
+    /// The metrics in the text format of OpenMetrics.
+    pub(crate) fn text(&self) -> Result<String, fmt::Error> {
+        let mut written = String::new();
+        text::encode(&mut written, &self.registry.lock())?;
+        Ok(written)
+    }
+
+    pub(super) fn count(&self, ended: &Ended<'_>) {
+        let Ended { face, verb, .. } = *ended;
+        let labels = CallLabels {
+            face,
+            verb,
+            index: Arc::clone(ended.index.get().unwrap_or(&self.no_index)),
+            outcome: ended.outcome,
+        };
+        let seconds = ended.took.as_secs_f64();
+        self.calls.get_or_create(&labels).observe(seconds);
+        if let Some(queued) = ended.queued {
+            let labels = FaceLabels { face };
+            let queue = self.queued.get_or_create(&labels);
+            queue.observe(queued.as_secs_f64());
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! The pages for operators: what they count is what clients counted.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    io::{Read, Write},
+    net::TcpStream,
+};
+
+use tonic::Code;
+use wayfold_proto::v1;
+use wayfold_tests::{ServerProcess, Signal, Stubs, measuring, row_states, server};
+
+const KNNS: u64 = 37;
+const INSERTS: u64 = 5;
+const MISSING: u64 = 3;
+const QUERIES: u64 = 4;
+
+/// The status and the body of a page.
+fn page(address: &str, path: &str, header: &str) -> (u16, String) {
+    let mut socket = TcpStream::connect(address).unwrap();
+    let request = format!("GET {path} HTTP/1.1\r\nHost: here\r\n{header}Connection: close\r\n\r\n");
+    socket.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    socket.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, body.to_owned())
+}
+
+/// The figures of `/metrics` by name and labels.
+fn figures(address: &str) -> BTreeMap<String, f64> {
+    let (status, text) = page(address, "/metrics", "");
+    assert_eq!(status, 200, "{text}");
+    assert!(text.ends_with("# EOF\n"), "{text}");
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    let figures = lines.map(|line| {
+        let (name, figure) = line.rsplit_once(' ').unwrap();
+        (name.to_owned(), figure.parse().unwrap())
+    });
+    figures.collect()
+}
+
+fn calls(face: &str, verb: &str, index: &str, outcome: &str) -> String {
+    format!(
+        "wayfold_call_seconds_count{{face=\"{face}\",verb=\"{verb}\",index=\"{index}\",outcome=\"{outcome}\"}}"
+    )
+}
+
+fn server(arguments: &[&str]) -> ServerProcess {
+    let program = env!("CARGO_BIN_EXE_server-process");
+    ServerProcess::start(program, &[&["--http", "127.0.0.1:0"], arguments].concat())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_counts_are_those_of_the_clients() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let data = data.to_str().unwrap();
+    let mut server = server(&["--zenoh", "tcp/127.0.0.1:0", "--data", data]);
+    let zenoh = server.zenoh();
+    let address = server.pages();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R1").await;
+    let knn = |index: &str| v1::KnnRequest {
+        index_name: index.into(),
+        states: Some(row_states(&[0.0], 1)),
+        k_form: Some(v1::knn_request::KForm::K(1)),
+        ..Default::default()
+    };
+    for _ in 0..INSERTS {
+        let request = v1::InsertRequest {
+            index_name: "arm".into(),
+            states: Some(row_states(&[1.0, 2.0], 1)),
+            ..Default::default()
+        };
+        stubs.insert(request).await;
+    }
+    for _ in 0..KNNS {
+        stubs.points.knn(knn("arm")).await.unwrap();
+    }
+    for number in 0..MISSING {
+        let status = stubs.points.knn(knn(&format!("missing-{number}"))).await;
+        assert_eq!(status.unwrap_err().code(), Code::NotFound);
+    }
+    let session = measuring::connect(&zenoh).await;
+    for _ in 0..QUERIES {
+        let answers = session.get("wayfold/v1/arm/info").await.unwrap();
+        answers.recv_async().await.unwrap().into_result().unwrap();
+    }
+
+    let figures = figures(&address);
+    for (name, expected) in [
+        (calls("grpc", "knn", "arm", "OK"), KNNS),
+        (calls("grpc", "insert", "arm", "OK"), INSERTS),
+        (calls("grpc", "create", "", "OK"), 1),
+        // Names that a stranger makes up make no series of their own.
+        (calls("grpc", "knn", "", "NOT_FOUND"), MISSING),
+        (calls("zenoh", "info", "arm", "OK"), QUERIES),
+        ("wayfold_index_points{index=\"arm\"}".into(), 2 * INSERTS),
+        ("wayfold_index_revision{index=\"arm\"}".into(), INSERTS),
+        ("wayfold_indices{state=\"served\"}".into(), 1),
+        (
+            "wayfold_refused_calls_total{reason=\"OVERLOADED\"}".into(),
+            0,
+        ),
+        ("wayfold_ready{state=\"reading\"}".into(), 1),
+        ("wayfold_ready{state=\"writing\"}".into(), 1),
+    ] {
+        assert_eq!(
+            figures.get(&name),
+            Some(&(expected as f64)),
+            "{name} in {figures:#?}"
+        );
+    }
+    let all: f64 = figures
+        .iter()
+        .filter(|(name, _)| name.starts_with("wayfold_call_seconds_count"))
+        .map(|(_, count)| count)
+        .sum();
+    let made = KNNS + INSERTS + MISSING + QUERIES + 1;
+    assert_eq!(all, made as f64, "{figures:#?}");
+    let queued = figures["wayfold_queue_seconds_count{face=\"grpc\"}"];
+    assert_eq!(queued, (made - QUERIES) as f64);
+    // The mutations were acknowledged one after the other, so each has its own sync.
+    let syncs = figures["wayfold_log_sync_seconds_count"];
+    assert!(syncs >= INSERTS as f64, "{syncs}");
+    assert!(figures["wayfold_resource_bytes{resource=\"memory\",of=\"used\"}"] > 1e6);
+}
+
+#[test]
+fn probes_answer_everyone_and_metrics_those_with_an_identity() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    // The SHA-256 of "password".
+    let digest = "5e884898da28047151d0e56f8dc6292773603d0d6aabbdd62a11ef721d1542d8";
+    let entry = format!(
+        "[[identity]]\nname = \"prometheus\"\nrole = \"read\"\nindexes = []\ntoken_sha256 = \"{digest}\"\n"
+    );
+    fs::write(file.path(), entry).unwrap();
+    let mut settings = tempfile::NamedTempFile::new().unwrap();
+    write!(settings, "[access]\nidentities = {:?}\n", file.path()).unwrap();
+    let mut server = server(&["--config", settings.path().to_str().unwrap()]);
+    let address = server.pages();
+    for (path, header, status, part) in [
+        ("/healthz", "", 200, "alive"),
+        ("/readyz", "", 200, "reading, writing"),
+        ("/metrics", "", 401, "neither a token"),
+        (
+            "/metrics",
+            "Authorization: Bearer wrong\r\n",
+            401,
+            "no identity",
+        ),
+        (
+            "/metrics",
+            "Authorization: Bearer password\r\n",
+            200,
+            "wayfold_build",
+        ),
+        ("/", "", 404, ""),
+    ] {
+        let (found, body) = page(&address, path, header);
+        assert_eq!(found, status, "{path} {body}");
+        assert!(body.contains(part), "{path} {body}");
+    }
+    let finished = server.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+}
+
+#[test]
+fn an_address_that_is_taken_is_named() {
+    let mut first = server(&[]);
+    let taken = first.pages();
+    let program = env!("CARGO_BIN_EXE_server-process");
+    let arguments = [
+        "--grpc",
+        "127.0.0.1:0",
+        "--data",
+        "memory",
+        "--http",
+        &taken,
+    ];
+    let refused = wayfold_tests::Process::start(program, &arguments).finish();
+    assert_eq!(refused.status.code(), Some(1), "{}", refused.stderr);
+    assert!(refused.stderr.contains(&taken) && refused.stderr.contains("--http off"));
+    // A server of the test's own, without pages, is not in its way.
+    drop(server!());
+}
