@@ -4,7 +4,7 @@
 
 mod state;
 
-use std::{io, sync::Arc, time::Duration};
+use std::{future::pending, io, sync::Arc, time::Duration};
 
 use axum::{
     Router,
@@ -14,7 +14,10 @@ use axum::{
     routing::get,
     serve::Listener,
 };
-use tokio::net::{TcpListener, TcpStream};
+use tokio::{
+    net::{TcpListener, TcpStream},
+    time::timeout,
+};
 use tokio_util::either::Either;
 
 use crate::{
@@ -86,7 +89,8 @@ impl Listener for Secured {
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
         loop {
             let Ok((socket, peer)) = self.listener.accept().await else {
-                tokio::time::sleep(ACCEPT_RETRY_PAUSE).await;
+                // The listener fails while the process has no file descriptors left.
+                let _ = timeout(ACCEPT_RETRY_PAUSE, pending::<()>()).await;
                 continue;
             };
             let socket = match &self.tls {
