@@ -1,6 +1,6 @@
 //! Services to test, and short constructors of requests.
 
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use wayfold_index::Space;
 use wayfold_proto::v1::{
@@ -8,7 +8,6 @@ use wayfold_proto::v1::{
     neighbor_spec::{KForm, RadiusForm},
 };
 use wayfold_server::{
-    identity::Caller,
     log::{Log, MemoryLog},
     registry::{Registry, RegistryOptions},
     service::{Call, Code, Error, Limits, Service},
@@ -17,10 +16,7 @@ use wayfold_server::{
 pub(crate) mod snapshots;
 
 /// No deadline.
-pub(crate) static CALL: Call = Call {
-    deadline: None,
-    caller: Caller::Anyone,
-};
+pub(crate) static CALL: LazyLock<Call> = LazyLock::new(Call::default);
 
 /// Trees and leaves are small, so that a few dozen points reach every branch of the code.
 pub(crate) fn options() -> RegistryOptions {
