@@ -88,7 +88,11 @@ fn row(method: &str) -> (Role, bool, Vec<u8>) {
             };
             (Role::Admin, true, request.encode_to_vec())
         }
-        "IndexService/GetIndex" => of!(GetIndexRequest, Read),
+        "IndexService/GetIndex" => {
+            let index_name = index_name();
+            let request = v1::GetIndexRequest { index_name };
+            (Role::Read, true, request.encode_to_vec())
+        }
         "IndexService/DeleteIndex" => of!(DeleteIndexRequest, Admin),
         "IndexService/SnapshotIndex" => of!(SnapshotIndexRequest, Read),
         "IndexService/VerifyIndex" => of!(VerifyIndexRequest, Read),
