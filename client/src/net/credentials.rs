@@ -62,7 +62,8 @@ impl Credentials {
     /// The token in the form of a query's attachment.
     #[cfg(feature = "zenoh")]
     pub(crate) fn attachment(&self) -> Option<Arc<str>> {
-        self.token.clone()
+        let token = self.token.as_ref()?;
+        Some(format!("token={token}").into())
     }
 
     /// True if a connection needs TLS.

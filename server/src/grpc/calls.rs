@@ -84,6 +84,11 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
     })
 }
 
+/// The place of a call in a trace.
+fn traceparent(headers: &HeaderMap) -> Option<&str> {
+    headers.get("traceparent")?.to_str().ok()
+}
+
 /// The token of a call: `authorization: Bearer TOKEN`.
 pub(crate) fn token(headers: &HeaderMap) -> Option<&[u8]> {
     const SCHEME: &[u8] = b"bearer ";
@@ -187,6 +192,7 @@ where
         let verb = ("grpc", verb(rpc));
         let mut record = CallRecord::begin(rpc, verb, arrived, &settings.metrics)
             .of_peer(peer)
+            .of_trace(traceparent(request.headers()))
             .of_caller(&caller);
         let held = Arc::new(flow.hold());
         let is_stream = ANSWER_STREAMS.contains(&rpc) || REQUEST_STREAMS.contains(&rpc);

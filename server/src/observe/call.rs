@@ -8,6 +8,7 @@ use wayfold_proto::v1;
 use super::{
     metrics::{Ended, IndexLabel, Metrics},
     slow::{SlowCalls, Times},
+    trace::trace_id,
 };
 use crate::{identity::Caller, service::Code};
 
@@ -91,6 +92,7 @@ impl CallRecord {
                 "call",
                 rpc,
                 identity = field::Empty,
+                trace = field::Empty,
                 index = field::Empty,
                 rows = field::Empty
             ),
@@ -105,6 +107,14 @@ impl CallRecord {
     /// The same call, made by this peer.
     pub(crate) fn of_peer(mut self, peer: Option<SocketAddr>) -> Self {
         self.peer = peer;
+        self
+    }
+
+    /// The same call, as a part of the trace that its `traceparent` names.
+    pub(crate) fn of_trace(self, traceparent: Option<&str>) -> Self {
+        if let Some(trace) = traceparent.and_then(trace_id) {
+            self.span.record("trace", trace);
+        }
         self
     }
 

@@ -4,6 +4,7 @@ mod call;
 mod logging;
 mod metrics;
 mod slow;
+mod trace;
 
 pub(crate) use call::{CallRecord, Ending, Request, request};
 pub(crate) use logging::start;

@@ -13,7 +13,11 @@ use tokio_util::{
     task::{TaskTracker, task_tracker::TaskTrackerToken},
 };
 use tracing::Instrument;
-use zenoh::{bytes::ZBytes, key_expr::keyexpr, query::Query};
+use zenoh::{
+    bytes::ZBytes,
+    key_expr::keyexpr,
+    query::{Parameters, Query},
+};
 
 use super::{
     answer::{Replies, Response},
@@ -173,13 +177,17 @@ impl Queries {
             Ok(target) => target.verb.name(),
             Err(_) => "other",
         };
-        let caller = self.caller(&query);
+        let attached = attached(&query);
+        let caller = self
+            .identities
+            .caller(attached.get("token").map(str::as_bytes), None);
         let mut record = CallRecord::begin(
             format!("Zenoh/{rpc}"),
             ("zenoh", rpc),
             arrived,
             &self.metrics,
         )
+        .of_trace(attached.get("traceparent"))
         .of_caller(&caller);
         let of = (arrived, caller, Arc::clone(record.index()));
         let span = record.span().clone();
@@ -278,12 +286,6 @@ impl Queries {
         }))
     }
 
-    /// The caller by the token in the attachment.
-    fn caller(&self, query: &Query) -> Caller {
-        let token = query.attachment().map(ZBytes::to_bytes);
-        self.identities.caller(token.as_deref(), None)
-    }
-
     fn too_large(&self, bytes: usize) -> Status {
         let limit = self.max_message_bytes;
         status::limit(
@@ -296,4 +298,11 @@ impl Queries {
             limit,
         )
     }
+}
+
+/// The attachment of a query, `token=TOKEN;traceparent=…`. What is no such text is empty.
+fn attached(query: &Query) -> Parameters<'static> {
+    let bytes = query.attachment().map(ZBytes::to_bytes);
+    let text = bytes.and_then(|bytes| String::from_utf8(bytes.into_owned()).ok());
+    Parameters::from(text.unwrap_or_default())
 }

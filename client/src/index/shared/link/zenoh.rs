@@ -39,8 +39,8 @@ pub(super) struct ZenohLink {
     /// The prefix of the index's keys.
     index: Arc<str>,
     pub(super) timeout: Duration,
-    /// The token of every call.
-    token: Option<Arc<str>>,
+    /// The attachment of every call.
+    attachment: Option<Arc<str>>,
 }
 
 /// A session whose last clone is dropped on the thread that talks to servers. That drop waits for the network, and
@@ -86,7 +86,7 @@ impl ZenohLink {
             prefix: prefix.into(),
             index: format!("{prefix}/{name}").into(),
             timeout,
-            token: credentials.attachment(),
+            attachment: credentials.attachment(),
         })
     }
 
@@ -174,7 +174,7 @@ impl ZenohLink {
         let query = query.encoding(Encoding::APPLICATION_PROTOBUF);
         // The first answer counts. Without this it would come after the last one.
         let query = query.consolidation(ConsolidationMode::None);
-        let query = query.attachment(self.token.as_deref().map(ZBytes::from));
+        let query = query.attachment(self.attachment.as_deref().map(ZBytes::from));
         let replies = query.await.map_err(|error| lost(call, key, error))?;
         let mut failed = None;
         loop {
