@@ -3,7 +3,7 @@
 use std::{fs, net::TcpListener};
 
 use tokio_stream::pending;
-use tonic::{Code, transport::Channel};
+use tonic::{Code, Request, transport::Channel};
 use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
 use wayfold_proto::v1;
 use wayfold_tests::{
@@ -156,18 +156,23 @@ async fn a_slow_call_has_a_line_that_says_where_its_time_went() {
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = stubs.create("line", "R1").await.revision.unwrap().uid;
     // A revision that never comes: the call waits until its deadline.
-    let waiting = v1::GetRequest {
+    let mut waiting = Request::new(v1::GetRequest {
         index_name: "line".into(),
         ids: vec![1],
         min_revision: revision(&uid, 7),
         ..Default::default()
-    };
+    });
+    const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
+    let parent = format!("00-{TRACE}-00f067aa0ba902b7-01");
+    let metadata = waiting.metadata_mut();
+    metadata.insert("traceparent", parent.parse().unwrap());
     let status = stubs.points.get(waiting).await.unwrap_err();
     assert_eq!(status.code(), Code::DeadlineExceeded, "{status:?}");
     let line = server.log_until("slow call").pop().unwrap();
     let line: serde_json::Value = serde_json::from_str(&line).unwrap();
     assert_eq!(line["span"]["rpc"], "PointService/Get", "{line}");
     assert_eq!(line["span"]["index"], "line", "{line}");
+    assert_eq!(line["span"]["trace"], TRACE, "{line}");
     assert!(line["fields"]["peer"].is_string(), "{line}");
     let ms = |field: &str| line["fields"][field].as_u64().unwrap();
     let (total, waited) = (ms("total_ms"), ms("waiting_ms"));

@@ -14,10 +14,11 @@ use tokio::{
     runtime::Handle,
     time::{Instant, sleep_until},
 };
+use wayfold::{Client, Credentials};
 use wayfold_index::Space;
 use wayfold_proto::v1::{InsertRequest, KnnRequest, knn_request::KForm};
 use wayfold_tests::{
-    Process, ServerProcess, States, Stubs,
+    Process, ServerProcess, States,
     figures::{peak_resident_bytes, processor_seconds, reset_peak, resident_bytes},
     measuring, row_states,
 };
@@ -170,15 +171,21 @@ pub(crate) async fn until_idle(process: u32, longest: Duration) -> f64 {
 }
 
 async fn fill(uri: &str, points: usize) {
-    let mut stubs = Stubs::connect(uri).await;
-    stubs.create(INDEX, SPACE).await;
+    let credentials = Credentials::new();
+    let credentials = match wire::TOKEN.get() {
+        Some(token) => credentials.token(token),
+        None => credentials,
+    };
+    let client = Client::builder()
+        .credentials(credentials)
+        .connect(uri)
+        .await;
+    let client = client.expect("a connection");
+    let index = client.create_index(INDEX, &space()).await;
+    let index = index.expect("an index");
     for rows in filler(points).chunks(ROWS * WIDTH) {
-        let request = InsertRequest {
-            index_name: INDEX.into(),
-            states: Some(row_states(rows, WIDTH)),
-            ..Default::default()
-        };
-        stubs.insert(request).await;
+        let inserted = index.insert(rows.chunks(WIDTH)).await;
+        inserted.expect("an insert");
     }
 }
 
