@@ -3,13 +3,14 @@
 use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
+use wayfold_tests::figures::processor_seconds;
 
 use crate::{
     Arguments,
     generator::{Load, apart},
     probe::Health,
     progress,
-    report::{Report, Table},
+    report::{Figures, Report, Table},
     server::{Server, knn_frames},
     tally::Tally,
 };
@@ -46,17 +47,23 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
             connections: 1,
             ..load.clone()
         };
-        let unloaded = closed(unloaded, 1, arguments.length().min(Duration::from_secs(4)));
+        let short = arguments.length().min(Duration::from_secs(4));
+        let (unloaded, cost) = costing(&server, || closed(unloaded, 1, short));
         let mut table = Table::default();
         let peaks = size.in_flight.map(|in_flight| {
             let health = Health::start(server.address);
-            let peak = closed(load.clone(), in_flight, arguments.length());
-            (in_flight, peak, health.finish(server.settle()))
+            let (peak, cost) = costing(&server, || {
+                closed(load.clone(), in_flight, arguments.length())
+            });
+            (in_flight, peak, cost, health.finish(server.settle()))
         });
-        let rate = best(peaks.iter().map(|(_, peak, _)| peak));
-        table.column("one at a time", unloaded.figures(Some(rate)));
-        for (in_flight, peak, health) in peaks {
+        let rate = best(peaks.iter().map(|(_, peak, ..)| peak));
+        let mut column = unloaded.figures(Some(rate));
+        column.extend(cost);
+        table.column("one at a time", column);
+        for (in_flight, peak, cost, health) in peaks {
             let mut column = peak.figures(Some(rate));
+            column.extend(cost);
             column.extend(health);
             table.column(&format!("{in_flight} in flight"), column);
         }
@@ -102,6 +109,17 @@ pub(crate) fn peak(server: &Server, length: Duration) -> f64 {
         peak
     });
     best(peaks.iter())
+}
+
+/// A phase, and the server's processor time for each of its answers.
+fn costing(server: &Server, phase: impl FnOnce() -> Tally) -> (Tally, Figures) {
+    let seconds = || processor_seconds(server.id()).unwrap_or(f64::NAN);
+    let before = seconds();
+    let tally = phase();
+    let mut figures = Figures::default();
+    let each = (seconds() - before) / tally.answered() as f64;
+    figures.add("server's processor time an answer, us", each * 1e6);
+    (tally, figures)
 }
 
 /// The highest rate.

@@ -99,6 +99,11 @@ impl Tally {
         self.per_second(self.in_time)
     }
 
+    /// The number of calls that were accepted.
+    pub(crate) fn answered(&self) -> usize {
+        self.accepted.len()
+    }
+
     /// The number of calls that were refused by a status or a reset.
     pub(crate) fn refusals(&self) -> u64 {
         self.refused.values().chain(self.reset.values()).sum()
