@@ -23,6 +23,10 @@ pub(crate) enum LoadError {
     ScenarioFile { path: PathBuf, source: io::Error },
     #[error("{}: {problem}", path.display())]
     Scenario { path: PathBuf, problem: String },
+    #[error("cannot write the report {}: {source}; nothing was sent", path.display())]
+    Report { path: PathBuf, source: io::Error },
+    #[error("cannot write the report {}: {source}", path.display())]
+    ReportLost { path: PathBuf, source: io::Error },
     #[error(
         "index {index} holds no points, and get needs some: leave out --fill 0, or get from --mix"
     )]
@@ -50,6 +54,8 @@ impl LoadError {
             LoadError::Session { .. } => Status::NoAnswer,
             LoadError::ScenarioFile { .. }
             | LoadError::Scenario { .. }
+            | LoadError::Report { .. }
+            | LoadError::ReportLost { .. }
             | LoadError::NothingToGet { .. }
             | LoadError::Thread { .. }
             | LoadError::Worker
@@ -67,6 +73,7 @@ impl LoadError {
             LoadError::ScenarioFile { .. } | LoadError::Scenario { .. } => {
                 ("INVALID_ARGUMENT", "SCENARIO")
             }
+            LoadError::Report { .. } | LoadError::ReportLost { .. } => ("UNKNOWN", "FILE"),
             LoadError::NothingToGet { .. } => ("FAILED_PRECONDITION", "NO_POINTS"),
             LoadError::Thread { .. } | LoadError::Worker => ("INTERNAL", "RUNTIME"),
             LoadError::NoAnswer { .. } => ("UNAVAILABLE", "NO_CALL_ANSWERED"),

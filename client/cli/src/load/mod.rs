@@ -2,8 +2,9 @@
 //!
 //! `settings` and `scenario` say what to do, `run` does it with a thread for each `worker`. A worker takes its calls from
 //! the `schedule`, draws them (`mix`, `states`), makes them through its own `target` and records what becomes of them
-//! (`record`). The `outcome` is printed by `table` or `json`, and shown by `report`.
+//! (`record`); the `collector` makes steps of a second of that. The `outcome` is printed by `table` or `json`, and shown by `report`.
 
+mod collector;
 mod error;
 mod json;
 mod machine;
@@ -11,6 +12,7 @@ mod mix;
 mod nearest;
 mod outcome;
 mod record;
+mod report;
 mod run;
 mod scenario;
 mod schedule;
@@ -32,6 +34,7 @@ use crate::{
 };
 pub(crate) use error::LoadError;
 use outcome::Outcome;
+use report::ReportFile;
 use run::Plan;
 use scenario::Scenario;
 use settings::{PhaseSettings, RunSettings};
@@ -77,6 +80,9 @@ pub(crate) struct LoadArgs {
     /// The keys are the names of the options. A phase begins with a line [[phase]], and has a name.
     #[arg(long, value_name = "FILE.toml")]
     scenario: Option<PathBuf>,
+    /// Writes the result as a page with charts; the file is replaced
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
     /// Prints the result as one JSON object, as --output json does
     #[arg(long)]
     json: bool,
@@ -113,10 +119,16 @@ pub(crate) async fn load(
         timeout,
         tag: run::fresh_tag(),
     };
+    let report = args.report.as_deref().map(ReportFile::open).transpose()?;
     let outcome = run_until_signal(plan).await?;
+    let report = report.map(|report| report.write(&report::page(&outcome)));
     match output.format {
         Format::Json => output.json(&json::Line::of(&outcome))?,
         Format::Text => table::print(&outcome, output)?,
+    }
+    // The figures are printed, even if the page cannot be written.
+    if let (Some(path), Format::Text) = (report.transpose()?, output.format) {
+        output.text(format_args!("the report is in {}", path.display()))?;
     }
     answered(&outcome)
 }

@@ -98,10 +98,9 @@ impl Step {
         }
     }
 
-    /// Adds the calls of the splinter of a step after it. Its percentiles stay, but not its maximum.
-    pub(super) fn add(&mut self, tally: &Tally, width: Duration) {
-        let splinter = Step::of(tally, self.phase, self.start, width);
-        self.width += width;
+    /// Adds a few calls to a step. Its percentiles stay, but not its maximum.
+    pub(super) fn add(&mut self, tally: &Tally) {
+        let splinter = Step::of(tally, self.phase, self.start, self.width);
         self.failed += splinter.failed;
         for (answered, more) in self.answered.iter_mut().zip(splinter.answered) {
             *answered += more;

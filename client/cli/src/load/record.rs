@@ -195,34 +195,56 @@ impl Tally {
 }
 
 /// The tallies that workers write and the run empties. A worker has one that few others write.
+///
+/// A call counts in the step in which it ended, by its own clock, however late the run looks.
 #[derive(Debug)]
 pub(super) struct Recorder {
-    shards: Vec<Mutex<Tally>>,
+    /// The length of a step.
+    step: Duration,
+    /// The tallies of the steps that were not drained, by the number of the step.
+    shards: Vec<Mutex<BTreeMap<u32, Tally>>>,
 }
 
-/// The most tallies: a histogram takes some hundred kilobytes.
+/// The most tallies at a time: a histogram takes some hundred kilobytes.
 const MAX_SHARDS: usize = 16;
 
 impl Recorder {
-    pub(super) fn new(workers: usize) -> Recorder {
+    pub(super) fn new(workers: usize, step: Duration) -> Recorder {
         let shards = workers.clamp(1, MAX_SHARDS);
         Recorder {
+            step,
             shards: (0..shards).map(|_| Mutex::default()).collect(),
         }
     }
 
-    /// The tally that a worker writes.
-    pub(super) fn of_worker(&self, worker: usize) -> MutexGuard<'_, Tally> {
-        let shard = &self.shards[worker % self.shards.len()];
+    /// The number of the step at a time from the beginning of the phase.
+    pub(super) fn step_at(&self, time: Duration) -> u32 {
+        (time.as_secs_f64() / self.step.as_secs_f64()) as u32
+    }
+
+    fn shard(&self, shard: usize) -> MutexGuard<'_, BTreeMap<u32, Tally>> {
+        let shard = &self.shards[shard % self.shards.len()];
         shard.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// All calls since the last time.
-    pub(super) fn drain(&self) -> Tally {
-        let mut all = Tally::default();
+    /// Lets a worker write the tally of the step in which its call ended.
+    pub(super) fn write(&self, worker: usize, ended: Duration, write: impl FnOnce(&mut Tally)) {
+        let step = self.step_at(ended);
+        write(self.shard(worker).entry(step).or_default());
+    }
+
+    /// The calls of the steps before `end` that were not drained, by the number of the step.
+    pub(super) fn drain(&self, end: u32) -> BTreeMap<u32, Tally> {
+        let mut all: BTreeMap<u32, Tally> = BTreeMap::new();
         for shard in 0..self.shards.len() {
-            let tally = std::mem::take(&mut *self.of_worker(shard));
-            all.add(&tally);
+            let drained = {
+                let mut steps = self.shard(shard);
+                let rest = steps.split_off(&end);
+                std::mem::replace(&mut *steps, rest)
+            };
+            for (step, tally) in drained {
+                all.entry(step).or_default().add(&tally);
+            }
         }
         all
     }
@@ -241,24 +263,29 @@ mod tests {
     }
 
     #[test]
-    fn what_workers_record_is_drained_once() {
-        let recorder = Recorder::new(40);
+    fn what_workers_record_is_drained_once_and_by_step() {
+        let second = Duration::from_secs(1);
+        let recorder = Recorder::new(40, second);
         for worker in 0..40 {
             let ms = Duration::from_millis(worker as u64 + 1);
-            recorder.of_worker(worker).record(Verb::Knn, 5, ms, None);
+            let ended = if worker < 30 { second / 2 } else { second };
+            recorder.write(worker, ended, |tally| tally.record(Verb::Knn, 5, ms, None));
         }
         let error = lost();
-        recorder
-            .of_worker(3)
-            .record(Verb::Get, 5, Duration::ZERO, Some(&error));
-        let tally = recorder.drain();
-        let knn = tally.of(Verb::Knn);
-        assert_eq!((knn.answered(), knn.failed(), knn.rows), (40, 0, 200));
+        recorder.write(3, second / 4, |tally| {
+            tally.record(Verb::Get, 5, Duration::ZERO, Some(&error));
+        });
+        let first = recorder.drain(1);
+        assert_eq!(first.keys().collect::<Vec<_>>(), [&0]);
+        let knn = first[&0].of(Verb::Knn);
+        assert_eq!((knn.answered(), knn.failed(), knn.rows), (30, 0, 150));
         let max = knn.latencies().unwrap().max();
-        assert!((40_000_000..40_100_000).contains(&max), "{max}");
-        assert_eq!(tally.of(Verb::Get).failed(), 1);
-        assert_eq!(tally.total().made(), 41);
-        assert_eq!(recorder.drain().total().made(), 0);
+        assert!((30_000_000..30_100_000).contains(&max), "{max}");
+        assert_eq!(first[&0].of(Verb::Get).failed(), 1);
+        assert_eq!(first[&0].total().made(), 31);
+        assert!(recorder.drain(1).is_empty());
+        let rest = recorder.drain(u32::MAX);
+        assert_eq!((rest.len(), rest[&1].total().made()), (1, 10));
     }
 
     #[test]

@@ -11,6 +11,7 @@ use indicatif::ProgressBar;
 use tokio::sync::watch;
 
 use super::{
+    collector::{Collector, LAG},
     error::LoadError,
     machine::Machine,
     mix::Verb,
@@ -18,7 +19,6 @@ use super::{
     record::Tally,
     settings::{Address, Phase},
     states::{Range, Sampler},
-    table,
     target::Target,
     worker::{Task, Worker, Workload},
 };
@@ -260,7 +260,8 @@ impl Runner<'_> {
     }
 
     fn task(&self, phase: &Phase, number: usize) -> Task {
-        Task::new(Arc::clone(&self.workload), phase.clone(), number as u64)
+        let workload = Arc::clone(&self.workload);
+        Task::new(workload, phase.clone(), number as u64, self.step)
     }
 
     /// Lets the workers of a phase work, and collects what they record.
@@ -273,10 +274,11 @@ impl Runner<'_> {
         let number = self.outcome.phases.len();
         let mut collector = Collector {
             task,
-            number,
+            phase: number,
             offset: self.outcome.elapsed(),
-            taken: Duration::ZERO,
+            width: self.step,
             tally,
+            first: steps.len(),
             steps,
             line: self.line,
         };
@@ -299,14 +301,15 @@ impl Runner<'_> {
                 }
             }
             drop(working);
-            let mut next = step;
+            // A call is recorded a little after it has ended.
+            let mut next = step + LAG;
             loop {
                 let wait = (task.began + next).saturating_duration_since(Instant::now());
                 if let Err(mpsc::RecvTimeoutError::Disconnected) = ended.recv_timeout(wait) {
                     collector.last();
                     return Ok(());
                 }
-                collector.step();
+                collector.collect(task.began.elapsed().saturating_sub(LAG));
                 next += step;
             }
         })
@@ -319,52 +322,6 @@ impl Runner<'_> {
             self.outcome.points.unsent += worker.target.settle();
         }
         self.outcome.flush = began.elapsed();
-    }
-}
-
-/// Takes what the workers of a phase have recorded, step by step.
-struct Collector<'a> {
-    task: &'a Task,
-    /// The number of the phase, from 0.
-    number: usize,
-    /// The time of the phases before this one.
-    offset: Duration,
-    /// The time of this phase that was collected.
-    taken: Duration,
-    tally: &'a mut Tally,
-    steps: &'a mut Vec<Step>,
-    line: &'a ProgressBar,
-}
-
-impl Collector<'_> {
-    fn step(&mut self) {
-        let tally = self.task.recorder.drain();
-        let now = self.task.began.elapsed();
-        let width = now.saturating_sub(self.taken);
-        let step = Step::of(&tally, self.number, self.offset + self.taken, width);
-        self.tally.add(&tally);
-        self.taken = now;
-        self.line
-            .set_message(table::progress(&self.task.phase, now, &step));
-        self.steps.push(step);
-    }
-
-    /// The rest of a phase that has ended: a step of its own unless it is a splinter of one.
-    fn last(&mut self) {
-        const SPLINTER: Duration = Duration::from_millis(250);
-        let rest = self.task.began.elapsed().saturating_sub(self.taken);
-        let has_one = self
-            .steps
-            .last()
-            .is_some_and(|step| step.phase == self.number);
-        if rest > SPLINTER || !has_one {
-            return self.step();
-        }
-        let tally = self.task.recorder.drain();
-        self.tally.add(&tally);
-        if let Some(step) = self.steps.last_mut() {
-            step.add(&tally, rest);
-        }
     }
 }
 

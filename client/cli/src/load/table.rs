@@ -246,6 +246,20 @@ impl fmt::Display for Latency {
     }
 }
 
+impl Latency {
+    /// The text without zeros after the point, for round numbers.
+    pub(super) fn round(self) -> String {
+        let text = self.to_string();
+        match text.split_once(' ') {
+            Some((number, unit)) if number.contains('.') => {
+                let number = number.trim_end_matches('0').trim_end_matches('.');
+                format!("{number} {unit}")
+            }
+            _ => text,
+        }
+    }
+}
+
 /// A time of seconds.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Time(pub(super) Duration);
@@ -299,6 +313,8 @@ mod tests {
         ] {
             assert_eq!(Latency(nanoseconds).to_string(), text);
         }
+        let round = [1_000, 20_000_000, 100, 500_000_000].map(|tick| Latency(tick).round());
+        assert_eq!(round, ["1 µs", "20 ms", "100 ns", "500 ms"]);
         assert_eq!(Time(Duration::from_secs(30)).to_string(), "30 s");
         assert_eq!(Time(Duration::from_millis(1500)).to_string(), "1.50 s");
         assert_eq!(Time(Duration::from_secs(301)).to_string(), "5 min 1 s");

@@ -47,7 +47,7 @@ pub(super) struct Task {
 }
 
 impl Task {
-    pub(super) fn new(workload: Arc<Workload>, phase: Phase, number: u64) -> Task {
+    pub(super) fn new(workload: Arc<Workload>, phase: Phase, number: u64, step: Duration) -> Task {
         // The workers' threads have started by then.
         const START: Duration = Duration::from_millis(5);
         Task {
@@ -55,7 +55,7 @@ impl Task {
             number,
             schedule: Schedule::new(phase.rate, phase.duration, phase.calls),
             began: Instant::now() + START,
-            recorder: Recorder::new(phase.workers),
+            recorder: Recorder::new(phase.workers, step),
             ended: AtomicU64::new(0),
             phase,
         }
@@ -141,10 +141,14 @@ impl Worker {
             }
         };
         let outcome = self.target.call(&request);
-        let latency = latency(ticket, task.began.elapsed());
-        let mut tally = task.recorder.of_worker(self.number);
-        let rows = request.rows(workload.sampler.width());
-        tally.record(request.verb(), rows, latency, outcome.as_ref().err());
+        let ended = task.began.elapsed();
+        let (latency, rows) = (
+            latency(ticket, ended),
+            request.rows(workload.sampler.width()),
+        );
+        task.recorder.write(self.number, ended, |tally| {
+            tally.record(request.verb(), rows, latency, outcome.as_ref().err());
+        });
         outcome.err().and_then(|error| pause(&error))
     }
 
