@@ -18,6 +18,10 @@ pub(crate) enum LoadError {
     #[cfg_attr(feature = "zenoh", expect(dead_code, reason = "of the other build"))]
     NoZenoh,
     #[error("no Zenoh session to {locator}: {problem}")]
+    #[cfg_attr(
+        not(feature = "zenoh"),
+        expect(dead_code, reason = "of the other build")
+    )]
     Session { locator: String, problem: String },
     #[error("cannot read the scenario {}: {source}", path.display())]
     ScenarioFile { path: PathBuf, source: io::Error },

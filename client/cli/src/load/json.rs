@@ -15,22 +15,31 @@ use crate::verb::durability_words;
 /// The documentation of the fields.
 pub(super) const FIELDS: &str = "\
 The JSON object:
-  index, space, face, server, prefix, seed, timeout_s, range: the settings; tag: of the run's points, in hexadecimal
-  started: the time in UTC; interrupted: true if a signal ended the run
-  server_version, durability, machine: what was measured; the first two are null unless the face is grpc
-  points: before, filled, inserted, removed, after: numbers of points; unsent: writes that a shared index had
-    answered and the server did not take; flush_s: seconds until the server had acknowledged all of them
+  index, space, face, server, prefix, seed, timeout_s, range: the settings
+  tag: of the points of the run, in hexadecimal
+  started: the time in UTC
+  interrupted: true if a signal ended the run
+  server_version, durability: of the server; null unless the face is grpc
+  machine: the machine of the callers
+  points: before, filled, inserted, removed, after: numbers of points;
+    unsent: writes that a shared index had answered and the server did not take;
+    flush_s: seconds until the server had acknowledged all writes
   warmup: calls, answered, failed, elapsed_s before the measurement; null without one
-  phases: one object each with name, loop (\"open\" or \"closed\"), rate_per_s (calls due), workers, batch, k, radius,
-    mix, start_s, elapsed_s, due (calls; null in a closed loop), not_begun (of these) and
-    calls, answered, failed: numbers of calls; answered_per_s; rows_per_s: states or ids of answered calls;
-    latency_ms: p50, p90, p99, p99_9, max, mean of answered calls, null if there are none. It counts from the due
-      time in an open loop, and from the call in a closed one
-    failures: kind (refused, expired, lost, failed), reason (the server's), count, first (its message)
+  phases: an object for each, with
+    name, workers, batch, k, radius, mix, rate_per_s (calls due): the settings
+    loop: \"open\" or \"closed\"
+    start_s, elapsed_s: from the beginning of the measurement, and the time of the phase
+    due: calls, null in a closed loop; not_begun: those of them that no worker began
+    calls, answered, failed: numbers of calls
+    answered_per_s: calls; rows_per_s: states or ids of answered calls
+    latency_ms: p50, p90, p99, p99_9, max, mean of answered calls, null if there are none;
+      it counts from the due time in an open loop, and from the call in a closed one
+    failures: kind (refused, expired, lost, failed), reason (the server's), count,
+      first (its message)
     verbs: by the name of the verb, an object with the fields from calls to failures
-  total: the same fields from calls to verbs, and elapsed_s, of all phases
-  steps: of the whole measurement, phase (from 0), start_s, width_s, answered (calls by verb), failed,
-    p50_ms, p99_ms, max_ms (null if none was answered)";
+  total: elapsed_s of all phases, and the fields from calls to verbs
+  steps: of the whole measurement, an object for each second with phase (from 0), start_s,
+    width_s, answered (calls by verb), failed, p50_ms, p99_ms, max_ms (null without answers)";
 
 #[derive(Serialize)]
 pub(super) struct Line<'a> {

@@ -39,22 +39,25 @@ use run::Plan;
 use scenario::Scenario;
 use settings::{PhaseSettings, RunSettings};
 
-fn after_help() -> String {
+fn after_long_help() -> String {
     format!("{EXAMPLES}\n\n{}", json::FIELDS)
 }
 
 const EXAMPLES: &str = "\
-What it does to the index: inserts store points, which every client of the index finds during the run.
-They carry a tag that no other run has. At the end the command removes all points with this tag, also
-after Ctrl-C; --keep leaves them. An empty index gets 1000 such points before a mix that reads (--fill).
+What it does to the index: inserts store points, which every client of the index finds during
+the run. They carry a tag that no other run has. At the end the command removes all points
+with this tag, also after Ctrl-C; --keep leaves them. An empty index gets 1000 such points
+before a mix that reads (--fill).
 
-With --rate the loop is open: calls are due at even distances, and the latency counts from the due
-time, so that a call that waits for a worker counts as late. Calls of the rest of the time that no
-worker began are shown as never begun. Without it the loop is closed: a slow server gets fewer calls.
+With --rate the loop is open: calls are due at even distances, and the latency counts from the
+due time, so that a call that waits for a worker counts as late. Calls of the rest of the time
+that no worker began are shown as never begun. Without it the loop is closed: a slow server
+gets fewer calls.
 
-Calls are made once, without the retries of the client. Failed calls are counted by kind and reason:
-refused by the server, expired (--timeout), lost with the connection, or failed otherwise. A worker of
-a closed loop pauses after a refusal for as long as the server asks, a second at most.
+Calls are made once, without the retries of the client. Failed calls are counted by kind and
+reason: refused by the server, expired (--timeout), lost with the connection, or failed
+otherwise. A worker of a closed loop pauses after a refusal for as long as the server asks, a
+second at most.
 
 Examples:
   wayfold load arm --duration 30s                          as fast as 8 workers go
@@ -67,7 +70,7 @@ Examples:
 ///
 /// It prints the rate, the latencies and the failures of each verb. The points that it stores are removed at the end.
 #[derive(Debug, clap::Args)]
-#[command(after_help = after_help())]
+#[command(after_help = EXAMPLES, after_long_help = after_long_help())]
 pub(crate) struct LoadArgs {
     /// The index
     name: String,

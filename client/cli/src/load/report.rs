@@ -101,11 +101,11 @@ fn sentence(text: &str) -> String {
 fn tiles(page: &mut String, outcome: &Outcome) -> std::fmt::Result {
     let total = outcome.total().total();
     let rate = super::outcome::per_second(total.answered(), outcome.elapsed());
-    let share = match total.made() {
+    let share = match total.failed() {
         0 => String::new(),
-        made => format!(
-            "{:.2} % of {made} calls",
-            100.0 * total.failed() as f64 / made as f64
+        failed => format!(
+            "{:.2} % of calls",
+            100.0 * failed as f64 / total.made() as f64
         ),
     };
     page.push_str("<div class=\"tiles\">\n");

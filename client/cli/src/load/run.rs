@@ -79,7 +79,7 @@ pub(super) fn run(
         is_interrupted: false,
     };
     let sampler = Sampler::new(&space, plan.range, plan.seed);
-    let measured = fill(&plan, &sampler, &mut first, before, line).and_then(|filled| {
+    let measured = fill(&plan, &sampler, &mut first, before, &stopped, line).and_then(|filled| {
         outcome.points.filled = filled;
         measure(&plan, sampler, &mut first, &stopped, line, &mut outcome)
     });
@@ -104,6 +104,7 @@ fn fill(
     sampler: &Sampler,
     target: &mut Target,
     before: u64,
+    stopped: &watch::Receiver<bool>,
     line: &ProgressBar,
 ) -> Result<u64, Failure> {
     const ROWS: u64 = 1_000;
@@ -112,12 +113,15 @@ fn fill(
     let is_wanted = before == 0 && plan.phases.iter().any(reads);
     let count = plan.fill.unwrap_or(if is_wanted { IF_EMPTY } else { 0 });
     let mut rng = sampler.stream(FILL_STREAM);
-    for start in (0..count).step_by(ROWS as usize) {
-        line.set_message(format!("storing {count} points: {start}"));
-        let rows = sampler.rows(&mut rng, ROWS.min(count - start) as usize);
-        target.store(&rows, plan.tag)?;
+    let mut stored = 0;
+    while stored < count && !*stopped.borrow() {
+        line.set_message(format!("storing {count} points: {stored}"));
+        let rows = ROWS.min(count - stored);
+        let states = sampler.rows(&mut rng, rows as usize);
+        target.store(&states, plan.tag)?;
+        stored += rows;
     }
-    Ok(count)
+    Ok(stored)
 }
 
 /// The random numbers of the points stored first, and of the probes of the radius; no call has these.
