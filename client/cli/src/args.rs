@@ -4,7 +4,9 @@ use std::{ffi::OsString, time::Duration};
 
 use clap::{CommandFactory, Parser, Subcommand, error::ErrorKind};
 
-use super::{connection::ConnectionArgs, output::Format, parse, status::Status, verb};
+use super::{
+    connection::ConnectionArgs, load::LoadArgs, output::Format, parse, status::Status, verb,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -14,6 +16,7 @@ Examples:
   wayfold query arm queries.npy --radius 0.5 --output json
   wayfold scan arm roadmap.csv                  ids and states; `insert --ids id` reads the file
   wayfold snapshot arm arm.snapshot             a backup; `restore` creates an index from it
+  wayfold load arm --rate 500 --report arm.html calls it, and measures the answers
 ";
 
 fn after_help() -> String {
@@ -90,6 +93,7 @@ pub(super) enum Command {
     Snapshot(verb::SnapshotArgs),
     Restore(verb::RestoreArgs),
     Verify(verb::VerifyArgs),
+    Load(Box<LoadArgs>),
     /// Prints the version, the durability and the limits of the server
     Server,
     /// Checks that the server serves calls
@@ -118,6 +122,16 @@ impl Args {
     }
 }
 
+impl Args {
+    /// The format of results and errors.
+    pub(super) fn format(&self) -> Format {
+        match &self.command {
+            Command::Load(load) if load.is_json() => Format::Json,
+            _ => self.output,
+        }
+    }
+}
+
 fn is_server(argument: &OsString) -> bool {
     let bytes = argument.as_encoded_bytes();
     bytes == b"--server" || bytes.starts_with(b"--server=")
@@ -126,6 +140,7 @@ fn is_server(argument: &OsString) -> bool {
 /// True if the arguments ask for JSON. It serves arguments that clap cannot parse.
 pub(super) fn output_is_json() -> bool {
     let args: Vec<OsString> = std::env::args_os().collect();
-    args.iter().any(|argument| argument == "--output=json")
+    args.iter()
+        .any(|argument| argument == "--output=json" || argument == "--json")
         || args.windows(2).any(|pair| pair == ["--output", "json"])
 }

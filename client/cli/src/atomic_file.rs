@@ -54,7 +54,7 @@ pub(super) async fn write<T>(
 }
 
 /// A file that is removed when it is dropped, with the permissions of a new file.
-fn temporary_file(directory: &Path) -> io::Result<tempfile::NamedTempFile> {
+pub(super) fn temporary_file(directory: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".wayfold-").suffix(".part");
     #[cfg(unix)]

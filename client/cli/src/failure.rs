@@ -7,7 +7,7 @@ use std::{io, path::PathBuf, time::Duration};
 use thiserror::Error;
 use wayfold::{Code, Error, SnapshotError};
 
-use crate::{input::InputError, status::Status};
+use crate::{input::InputError, load::LoadError, status::Status};
 
 pub(super) use json::{ErrorLine, usage_line};
 
@@ -17,6 +17,8 @@ pub(super) enum Failure {
     Client(#[from] Error),
     #[error(transparent)]
     Input(#[from] InputError),
+    #[error(transparent)]
+    Load(#[from] LoadError),
     #[error("cannot write to standard output: {0}")]
     Output(#[from] io::Error),
     #[error("cannot write to {}: {source}", path.display())]
@@ -122,6 +124,7 @@ impl Failure {
             | Failure::Terminal => Status::Usage,
             Failure::Unreachable { .. } | Failure::Late { .. } => Status::NoAnswer,
             Failure::Stopped { source, .. } => source.status(),
+            Failure::Load(error) => error.status(),
             Failure::Client(_)
             | Failure::Input(_)
             | Failure::Output(_)

@@ -9,6 +9,7 @@ mod connection;
 mod failure;
 mod input;
 mod interrupt;
+mod load;
 mod options;
 mod output;
 mod parse;
@@ -19,6 +20,7 @@ mod verb;
 use std::{
     io::{self, Write},
     process::ExitCode,
+    time::Duration,
 };
 
 use args::{Args, Command};
@@ -33,7 +35,7 @@ pub fn main() -> ExitCode {
         Ok(args) => args,
         Err(error) => return refuse(&error).into(),
     };
-    let format = args.output;
+    let format = args.format();
     match run(args) {
         Ok(()) => Status::Success.into(),
         // The reader of the output has closed it, as `head` does.
@@ -73,7 +75,7 @@ fn run(args: Args) -> Result<(), Failure> {
     match &args.command {
         Command::Completions(completions) => return verb::completions(completions),
         Command::Man(man) => return verb::man(man),
-        Command::Token(token) => return verb::token(token, args.output),
+        Command::Token(token) => return verb::token(token, args.format()),
         _ => {}
     }
     // Two threads: the connection stays alive while the command waits for standard input.
@@ -99,6 +101,13 @@ impl Context {
 }
 
 async fn execute(args: Args) -> Result<(), Failure> {
+    let mut output = Output::stdout(args.format());
+    if let Command::Load(load) = args.command {
+        let credentials = args.connection.credentials()?;
+        let to = (&*args.server, credentials);
+        let done = load::load(*load, to, args.timeout, &mut output).await;
+        return finish(done, &mut output, args.timeout);
+    }
     let builder = Client::builder()
         .timeout(args.timeout)
         .retry(RetryPolicy::until_deadline())
@@ -116,7 +125,7 @@ async fn execute(args: Args) -> Result<(), Failure> {
     let mut context = Context {
         client,
         others,
-        output: Output::stdout(args.output),
+        output,
     };
     let context = &mut context;
     let done = match args.command {
@@ -137,10 +146,18 @@ async fn execute(args: Args) -> Result<(), Failure> {
         Command::Verify(args) => verb::verify(args, context).await,
         Command::Server => verb::server(context).await,
         Command::Health => verb::health(context).await,
-        Command::Completions(_) | Command::Man(_) | Command::Token(_) => Ok(()),
+        Command::Completions(_) | Command::Man(_) | Command::Token(_) | Command::Load(_) => Ok(()),
     };
-    // Results that came before an error are printed.
-    let flushed = context.output.flush();
-    done.map_err(|failure| failure.explained(args.timeout))?;
+    finish(done, &mut context.output, args.timeout)
+}
+
+/// Prints the results, also those that came before an error.
+fn finish(
+    done: Result<(), Failure>,
+    output: &mut Output,
+    timeout: Duration,
+) -> Result<(), Failure> {
+    let flushed = output.flush();
+    done.map_err(|failure| failure.explained(timeout))?;
     Ok(flushed?)
 }

@@ -26,3 +26,12 @@ pub(super) fn bar(
     bar.with_style(style)
         .with_finish(indicatif::ProgressFinish::AndClear)
 }
+
+/// A line on standard error that shows what is under way; it is hidden if standard error is no terminal.
+pub(super) fn line() -> ProgressBar {
+    let line = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+    let style = ProgressStyle::with_template("{spinner} {msg}");
+    // The template is a constant; the default stands in for one that does not parse.
+    line.with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()))
+        .with_finish(indicatif::ProgressFinish::AndClear)
+}

@@ -10,6 +10,7 @@ mod faults;
 mod feed;
 mod follower;
 mod life;
+mod load;
 mod mute;
 mod parity;
 mod robot;

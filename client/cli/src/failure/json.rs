@@ -104,6 +104,7 @@ fn code_and_reason(failure: &Failure) -> (&str, &str) {
         | Failure::Replaceable { source }
         | Failure::Late { source, .. } => of_client(source),
         Failure::Stopped { source, .. } => code_and_reason(source),
+        Failure::Load(error) => error.code_and_reason(),
         Failure::Input(_) => ("INVALID_ARGUMENT", "INPUT"),
         Failure::Snapshot { .. } => ("INVALID_ARGUMENT", "SNAPSHOT"),
         Failure::Credential { .. } => ("INVALID_ARGUMENT", "CREDENTIAL"),

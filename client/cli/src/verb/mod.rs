@@ -30,7 +30,7 @@ pub(super) use remove::{RemoveArgs, remove};
 pub(super) use restore::{RestoreArgs, restore};
 pub(super) use scan::{ScanArgs, scan};
 pub(super) use search::{KnnArgs, QueryArgs, knn, query};
-pub(super) use server::server;
+pub(super) use server::{durability_words, server};
 pub(super) use snapshot::{SnapshotArgs, snapshot};
 pub(super) use token::{TokenArgs, token};
 pub(super) use update::{UpdateArgs, update};

@@ -25,6 +25,17 @@ struct LimitsLine {
     max_indexes: u64,
 }
 
+/// The name of the setting `data.durability`, and the failures that a write survives.
+pub(crate) fn durability_words(durability: Durability) -> (&'static str, &'static str) {
+    match durability {
+        Durability::Memory => ("memory", "nothing: there is no data directory"),
+        Durability::None => ("none", "an orderly stop of the server"),
+        Durability::Os => ("os", "the end of the server, whatever ends it"),
+        Durability::Fsync => ("fsync", "a loss of power"),
+        _ => ("unknown", "this client does not know"),
+    }
+}
+
 pub(crate) async fn server(context: &mut Context) -> Result<(), Failure> {
     let ServerInfo {
         version,
@@ -33,14 +44,7 @@ pub(crate) async fn server(context: &mut Context) -> Result<(), Failure> {
         ..
     } = context.client.server().await?;
     let (server, output) = (context.client.uri(), &mut context.output);
-    // The names of the setting `data.durability`.
-    let (durability, survives) = match durability {
-        Durability::Memory => ("memory", "nothing: there is no data directory"),
-        Durability::None => ("none", "an orderly stop of the server"),
-        Durability::Os => ("os", "the end of the server, whatever ends it"),
-        Durability::Fsync => ("fsync", "a loss of power"),
-        _ => ("unknown", "this client does not know"),
-    };
+    let (durability, survives) = durability_words(durability);
     if output.format == Format::Json {
         return Ok(output.json(&ServerLine {
             server,

@@ -13,6 +13,7 @@ mod files;
 mod generate;
 mod health;
 mod lasting;
+mod load;
 mod pipes;
 mod poses;
 mod process;
