@@ -159,31 +159,6 @@ fn refusals_of_a_quota_are_counted() {
     assert_eq!(point_count(&server, "line"), 100);
 }
 
-#[test]
-fn refusals_of_a_small_admission_are_counted() {
-    // Little patience with calls that are long, and more callers than any machine has processors for.
-    let server = Server::with(|config| {
-        config.admission.queue_target_ms = 1;
-        config.admission.burst_ms = 1;
-    });
-    server.run(&["create", "arm", "--space", "R3*SO3:0.15"]);
-    let workers = (8 * std::thread::available_parallelism().unwrap().get()).to_string();
-    let args = "load arm --mix insert=1,knn=3 --batch 200 --calls 200 --timeout 2m --keep --json --workers";
-    let args: Vec<&str> = args.split(' ').chain([&*workers]).collect();
-    let result = server.run(&args).line();
-    let total = &result["total"];
-    assert_eq!(total["calls"], 200);
-    let failures = total["failures"].as_array().unwrap();
-    assert_eq!(failures.len(), 1, "{failures:?}");
-    assert_eq!(
-        (&failures[0]["kind"], &failures[0]["reason"]),
-        (&json!("refused"), &json!("OVERLOADED"))
-    );
-    assert_eq!(failures[0]["count"], 200 - number(&total["answered"]));
-    let inserts = number(&total["verbs"]["insert"]["answered"]);
-    assert_eq!(point_count(&server, "arm"), 1_000 + 200 * inserts);
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn every_refusal_of_a_server_is_counted_once() {
     let fake = Fake::start().await;
