@@ -44,8 +44,11 @@ struct FaceLabels {
 
 /// The metrics of a server. Clones share them.
 #[derive(Clone, Debug)]
-pub(crate) struct Metrics {
-    registry: Arc<Mutex<Registry>>,
+pub(crate) struct Metrics(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    registry: Mutex<Registry>,
     calls: Family<CallLabels, Histogram, fn() -> Histogram>,
     queued: Family<FaceLabels, Histogram, fn() -> Histogram>,
     no_index: Arc<str>,
@@ -79,17 +82,17 @@ impl Metrics {
             Unit::Seconds,
             queued.clone(),
         );
-        Self {
-            registry: Arc::new(Mutex::new(registry)),
+        Self(Arc::new(Inner {
+            registry: Mutex::new(registry),
             calls,
             queued,
             no_index: "".into(),
-        }
+        }))
     }
 
     /// Adds the times of the syncs of the log.
     pub(crate) fn add_syncs(&self, syncs: Histogram) {
-        self.registry.lock().register_with_unit(
+        self.0.registry.lock().register_with_unit(
             "log_sync",
             "Syncs of the journal to the disk",
             Unit::Seconds,
@@ -99,30 +102,36 @@ impl Metrics {
 
     /// Adds what is measured at each look.
     pub(crate) fn add(&self, collector: impl Collector) {
-        let mut registry = self.registry.lock();
+        let mut registry = self.0.registry.lock();
         registry.register_collector(Box::new(collector));
     }
 
     /// The metrics in the text format of OpenMetrics.
     pub(crate) fn text(&self) -> Result<String, fmt::Error> {
         let mut written = String::new();
-        text::encode(&mut written, &self.registry.lock())?;
+        text::encode(&mut written, &self.0.registry.lock())?;
         Ok(written)
     }
 
     pub(super) fn count(&self, ended: &Ended<'_>) {
         let Ended { face, verb, .. } = *ended;
+        let Inner {
+            calls,
+            queued: queues,
+            no_index,
+            ..
+        } = &*self.0;
         let labels = CallLabels {
             face,
             verb,
-            index: Arc::clone(ended.index.get().unwrap_or(&self.no_index)),
+            index: Arc::clone(ended.index.get().unwrap_or(no_index)),
             outcome: ended.outcome,
         };
         let seconds = ended.took.as_secs_f64();
-        self.calls.get_or_create(&labels).observe(seconds);
+        calls.get_or_create(&labels).observe(seconds);
         if let Some(queued) = ended.queued {
             let labels = FaceLabels { face };
-            let queue = self.queued.get_or_create(&labels);
+            let queue = queues.get_or_create(&labels);
             queue.observe(queued.as_secs_f64());
         }
     }
