@@ -28,7 +28,7 @@ pub struct Config {
     pub grpc: GrpcConfig,
     /// The certificates of the gRPC face.
     pub tls: TlsConfig,
-    /// Who may call.
+    /// The callers and their rights.
     pub access: AccessConfig,
     /// The Zenoh face.
     pub zenoh: ZenohConfig,

@@ -35,7 +35,7 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
 /// The pause after a failure of the listener.
 const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// What the pages show, and to whom.
+/// The sources of the pages, and the identities that may read them.
 #[derive(Clone)]
 pub(crate) struct Pages {
     pub(crate) metrics: Metrics,

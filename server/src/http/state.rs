@@ -1,4 +1,4 @@
-//! What the server holds at the time of a look at `/metrics`.
+//! The figures that are measured at each look at `/metrics`.
 
 use std::{fmt, sync::Arc};
 

@@ -1,4 +1,4 @@
-//! Who calls, and what they may do. Absent rights are no rights.
+//! The identities of callers, and their rights. Absent rights are no rights.
 //!
 //! A face finds the [`Caller`] of a call by its token or its client certificate; the service checks the caller's rights
 //! once, for every verb. Identities come from a file that is read again when it changes.

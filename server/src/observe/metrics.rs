@@ -1,4 +1,4 @@
-//! What is counted for `/metrics`: the calls, the syncs, and what the server holds at the time of a look.
+//! The metrics that `/metrics` shows: times of calls and syncs, and the figures that others measure at each look.
 
 use std::{
     fmt,

@@ -20,7 +20,7 @@ const MAX_STEP_TIME: Duration = Duration::from_micros(500);
 pub struct Call {
     /// When the caller stops waiting; None: never. Long batches check it too.
     pub deadline: Option<Instant>,
-    /// Who calls.
+    /// The caller.
     pub caller: Caller,
     /// Gets the label of the index of the call, for its metrics, once the index is found.
     pub index: Arc<OnceLock<Arc<str>>>,

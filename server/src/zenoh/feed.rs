@@ -35,7 +35,7 @@ pub(super) struct Announcer {
     pub(super) prefix: String,
     /// Set once the server stops.
     pub(super) stopping: CancellationToken,
-    /// False if no mutations are published: Zenoh delivers them to every subscriber, whoever it is.
+    /// False if no mutations are published, because Zenoh delivers them to strangers too.
     pub(super) publishes: bool,
 }
 

@@ -332,7 +332,7 @@ async fn the_quota_of_payloads_follows_their_sizes() {
         let requested: u64 = after.values().sum();
         match done {
             Ok(()) => {
-                // What makes the payloads no larger is taken, whatever their sum.
+                // A mutation that makes the payloads no larger is taken.
                 assert!(requested <= QUOTA || bytes == 0, "{after:?}");
                 sizes = after;
                 taken += 1;

@@ -139,7 +139,7 @@ impl VerbTally {
     }
 }
 
-/// The longest latency that is told from longer ones: an hour.
+/// Latencies above an hour are recorded as an hour.
 const MAX_LATENCY_NS: u64 = 3_600_000_000_000;
 
 /// A histogram whose values are off by a thousandth at most.

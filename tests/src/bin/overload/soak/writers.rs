@@ -1,4 +1,4 @@
-//! Two writers, one with calls of its own and one with a shared index, and what they must have left behind.
+//! Two writers, one with calls of its own and one with a shared index, and the points that the index must have then.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -116,7 +116,7 @@ fn spawn(mut target: impl Target, seed: u64) -> (mpsc::Sender<()>, JoinHandle<Ke
     (stop, thread)
 }
 
-/// What the writers must have left behind.
+/// The points that the index must have then.
 pub(super) struct Written(Vec<Kept>);
 
 impl Writers {
