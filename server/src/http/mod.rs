@@ -2,6 +2,7 @@
 //!
 //! Probes answer everyone. Everything else needs an identity where the server has identities, as a bearer token.
 
+mod bounded;
 mod state;
 
 use std::{future::pending, io, sync::Arc, time::Duration};
@@ -14,23 +15,24 @@ use axum::{
     routing::get,
     serve::Listener,
 };
-use tokio::{
-    net::{TcpListener, TcpStream},
-    time::timeout,
-};
+use tokio::{net::TcpListener, sync::Semaphore, time::timeout};
 use tokio_util::either::Either;
 
 use crate::{
-    grpc::{Tls, TlsSocket, token},
+    grpc::{Tls, token},
     identity::{Identities, Role},
     lifecycle::{Phase, PhaseWatch},
     observe::Metrics,
     service::Service,
 };
+use bounded::Bounded;
 pub(crate) use state::State;
 
 /// The media type of OpenMetrics.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// The most connections at a time. A further one waits.
+const MAX_CONNECTIONS: usize = 64;
 
 /// The pause after a failure of the listener.
 const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
@@ -51,7 +53,12 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
         .route("/healthz", get(async || "alive\n"))
         .route("/readyz", get(ready))
         .with_state(Arc::new(pages));
-    axum::serve(Secured { listener, tls }, routes).await
+    let secured = Secured {
+        listener,
+        tls,
+        places: Arc::new(Semaphore::new(MAX_CONNECTIONS)),
+    };
+    axum::serve(secured, routes).await
 }
 
 async fn metrics(Shared(pages): Shared<Arc<Pages>>, headers: HeaderMap) -> Response {
@@ -80,13 +87,19 @@ async fn ready(Shared(pages): Shared<Arc<Pages>>) -> (StatusCode, &'static str) 
 struct Secured {
     listener: TcpListener,
     tls: Option<Tls>,
+    places: Arc<Semaphore>,
 }
 
 impl Listener for Secured {
-    type Io = Either<TcpStream, TlsSocket>;
+    type Io = Bounded;
     type Addr = std::net::SocketAddr;
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
+        let place = Arc::clone(&self.places).acquire_owned().await;
+        let Ok(place) = place else {
+            // Nothing closes the semaphore.
+            return pending().await;
+        };
         loop {
             let Ok((socket, peer)) = self.listener.accept().await else {
                 // The listener fails while the process has no file descriptors left.
@@ -97,7 +110,7 @@ impl Listener for Secured {
                 None => Either::Left(socket),
                 Some(tls) => Either::Right(tls.accept(socket, None)),
             };
-            return (socket, peer);
+            return (Bounded::new(socket, place), peer);
         }
     }
 
