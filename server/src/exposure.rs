@@ -1,5 +1,7 @@
 //! Beyond this machine nothing is served without TLS and identities, unless the operator asks for it by name.
 
+use std::net::IpAddr;
+
 use thiserror::Error;
 use tracing::warn;
 
@@ -57,12 +59,30 @@ pub(crate) fn check(
 
 /// True if a host is this machine, by its loopback interface.
 pub(crate) fn is_local(host: &str) -> bool {
-    host == "localhost" || host.starts_with("127.") || host == "[::1]" || host == "::1"
+    let address = host.trim_start_matches('[').trim_end_matches(']');
+    let address = address.parse::<IpAddr>();
+    host == "localhost" || address.is_ok_and(|address| address.is_loopback())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_name_that_begins_like_an_address_of_this_machine_is_not_local() {
+        for host in ["127.0.0.1", "127.8.9.1", "[::1]", "::1", "localhost"] {
+            assert!(is_local(host), "{host}");
+        }
+        for host in [
+            "127.0.0.1.example.com",
+            "0.0.0.0",
+            "[::]",
+            "10.0.0.7",
+            "example.com",
+        ] {
+            assert!(!is_local(host), "{host}");
+        }
+    }
 
     #[test]
     fn an_address_needs_both_or_leave() {

@@ -1,4 +1,4 @@
-//! What became of the calls: latencies by verb, and failures by reason.
+//! The outcomes of the calls: latencies by verb, and failures by reason.
 
 use std::{
     collections::BTreeMap,

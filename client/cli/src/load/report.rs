@@ -146,7 +146,7 @@ fn tile(page: &mut String, name: &str, value: &str, more: &str, class: &str) -> 
     )
 }
 
-/// What a reader must know before the figures.
+/// The notes that a reader needs before the figures.
 fn notes(page: &mut String, outcome: &Outcome) -> std::fmt::Result {
     if outcome.is_interrupted {
         page.push_str("<p class=\"note\">A signal ended the run early.</p>\n");
